@@ -10,7 +10,7 @@ use planish_form::{Form, FormFile};
 use planish_handoff::{Failure, Inputs, Status};
 
 #[derive(Subcommand)]
-pub enum Command {
+pub enum AxesCommand {
     /// Motion of all axes while the contact point follows a plan
     ///
     /// Every axis runs cubics between nodes at which its position and velocity are exact. Where an axis would exceed a
@@ -20,7 +20,7 @@ pub enum Command {
     Contact(contact::Contact),
 }
 
-impl Command {
+impl AxesCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Motion(arguments) => arguments.run(),
@@ -29,7 +29,7 @@ impl Command {
     }
 }
 
-/// The form of `--form`; a plane without it.
+/// Returns the form of `--form`; a plane without it.
 fn read_form(form: Option<&PathBuf>, inputs: &mut Inputs) -> Result<Form, Failure> {
     Ok(match form {
         Some(path) => inputs.read_form("form", path)?.form,

@@ -12,15 +12,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Turn a plan on a curved part into the motion of all axes of the machine
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct AxesCli {
     #[command(subcommand)]
-    command: crate::cli::Command,
+    command: crate::cli::AxesCommand,
 }
 
 /// The command `planish axes`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: AxesCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+    planish_handoff::program(|cli: &AxesCli| cli.command.run())
 }

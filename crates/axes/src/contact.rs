@@ -38,7 +38,10 @@ pub struct ContactReport {
     pub total_time_s: f64,
 }
 
-/// The executed contact point of `motion`, within 1e-3 um.
+/// Returns the path of the contact point over the part that the motion of the axes executes, within 1e-3 um: a
+/// trajectory in the plane of the part, with the segments and the tool states of `motion`.
+///
+/// # Errors
 ///
 /// Refuses a motion with another number of axes than the machine, and one whose tool leaves the form.
 pub fn contact(
@@ -53,7 +56,9 @@ pub fn contact(
         return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
     }
     let mut break_time_s = vec![motion.break_time_s()[0]];
-    let (mut coefficient, mut tool_on, mut dwell_index) = (Vec::new(), Vec::new(), Vec::new());
+    let mut coefficient = Vec::new();
+    let mut tool_on = Vec::new();
+    let mut dwell_index = Vec::new();
     let mut deviation_mm: f64 = 0.0;
     for i in 0..motion.len() {
         let cubics = motion.segment(i);
@@ -77,9 +82,9 @@ pub fn contact(
             }
             if away > TOLERANCE_MM && halves < MOST_HALVES {
                 let middle = 0.5 * (from + to);
-                let at = state(middle)?;
-                open.push(([middle, to], [at, end], halves + 1));
-                open.push(([from, middle], [start, at], halves + 1));
+                let half = state(middle)?;
+                open.push(([middle, to], [half, end], halves + 1));
+                open.push(([from, middle], [start, half], halves + 1));
                 continue;
             }
             deviation_mm = deviation_mm.max(away);
@@ -110,20 +115,20 @@ fn point(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[f64; 2]> {
     Some(map.contact(&q)?.point_mm)
 }
 
-/// Position and velocity of the contact point along x and y.
+/// Returns the position and velocity of the contact point along x and y.
 fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[State; 2]> {
     let q: Vec<f64> = cubics.iter().map(|c| evaluate(c, u)).collect();
     let v: Vec<f64> = cubics.iter().map(|c| evaluate(&derivative(c), u)).collect();
     let p = map.contact(&q)?.point_mm;
     let fastest = v.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
     if fastest == 0.0 {
-        return Some(p.map(|at| [at, 0.0]));
+        return Some(p.map(|mm| [mm, 0.0]));
     }
     let d = WAY / fastest;
-    let beside = |d: f64| {
+    let [ahead, back] = [d, -d].map(|d| {
         let moved: Vec<f64> = q.iter().zip(&v).map(|(q, v)| q + d * v).collect();
         map.contact(&moved)
-    };
-    let (ahead, back) = (beside(d)?.point_mm, beside(-d)?.point_mm);
+    });
+    let (ahead, back) = (ahead?.point_mm, back?.point_mm);
     Some([0, 1].map(|k| [p[k], (ahead[k] - back[k]) / (2.0 * d)]))
 }

@@ -10,7 +10,7 @@ use planish_types::{
 
 use crate::{
     MotionSettings,
-    piece::{INNER_POINTS, Piece, Pieces, distance_mm, planned_part, stretched_s},
+    piece::{AxesPiece, AxesPieces, INNER_POINTS, distance_mm, planned_part, stretched_s},
     slow::{Excess, slow},
 };
 
@@ -19,10 +19,13 @@ use crate::{
 /// each.
 const MOST_ROUNDS: usize = 10;
 
-/// Motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
+/// Computes the motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
 ///
-/// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it. Slows the motion down
-/// where an axis would exceed a limit; a step of the velocity in the motion itself stays.
+/// Slows the motion down where an axis would exceed a limit; a step of the velocity in the motion itself stays.
+///
+/// # Errors
+///
+/// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it.
 pub fn motion(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -33,14 +36,14 @@ pub fn motion(
     trajectory.check_rate_is_constant()?;
     let map = AxisMap::new(machine, form)?;
     let axes = machine.axes();
-    let given = Pieces {
+    let planned = AxesPieces {
         map: &map,
         trajectory,
         turning: axes.iter().position(|a| a.name == "c"),
         tolerance_mm: 1e-3 * settings.contact_tolerance_um,
         min_segment_s: machine.limits().min_segment_s(),
     };
-    let (pieces, stretch, worst) = slowed(&given, machine)?;
+    let (pieces, stretch, worst) = slowed(&planned, machine)?;
     let executed = executed(&pieces, &stretch, machine, trajectory)?;
 
     let largest_stretch = stretch.iter().fold(1.0, |a: f64, b| a.max(*b));
@@ -52,11 +55,6 @@ pub fn motion(
         largest_stretch,
     });
     let away = farthest(&map, &pieces, &stretch, &executed, trajectory);
-    let point = |piece: &Piece| trajectory.segment(piece.segment).position_mm(piece.from_s);
-    let added = |of: &dyn Fn(usize) -> bool| -> f64 {
-        let of_piece = |k: usize| executed.duration_s(k) - pieces[k].duration_s();
-        (0..pieces.len()).filter(|k| of(*k)).map(of_piece).sum()
-    };
     let report = MotionReport {
         axes: axes.iter().map(|a| a.name.into()).collect(),
         units: axes.iter().map(|a| a.unit().into()).collect(),
@@ -68,22 +66,26 @@ pub fn motion(
         planned_time_s: trajectory.total_time_s(),
         total_time_s: executed.total_time_s(),
         added_tool_on_time_s: match slowest {
-            Some(_) => added(&|k| executed.tool_on()[k]),
+            Some(_) => added_s(&executed, &pieces, |k| executed.tool_on()[k]),
             None => 0.0,
         },
         slowed: slowest,
-        spindle: given.turning.map(|c| {
-            let radius = |k: usize| map.radius_mm(point(&pieces[k]));
+        spindle: planned.turning.map(|c| {
+            let radii_mm = pieces.iter().map(|piece| {
+                map.radius_mm(trajectory.segment(piece.segment).position_mm(piece.from_s))
+            });
+            let radii_mm: Vec<f64> = radii_mm.collect();
             let limit = axes[c].max_velocity;
-            let too_fast = |k: &usize| pieces[*k].start[c][1].abs() > limit;
-            let c_limit_radius_mm =
-                (0..pieces.len()).filter(too_fast).map(radius).fold(0.0, f64::max);
+            let too_fast =
+                pieces.iter().zip(&radii_mm).filter(|(p, _)| p.start[c][1].abs() > limit);
+            let c_limit_radius_mm = too_fast.map(|(_, radius)| *radius).fold(0.0, f64::max);
             SpindleReport {
-                least_radius_mm: (0..pieces.len()).map(radius).fold(f64::INFINITY, f64::min),
+                least_radius_mm: radii_mm.iter().copied().fold(f64::INFINITY, f64::min),
                 c_limit_radius_mm,
-                added_time_within_s: match c_limit_radius_mm > 0.0 {
-                    true => added(&|k| radius(k) <= c_limit_radius_mm),
-                    false => 0.0,
+                added_time_within_s: if c_limit_radius_mm > 0.0 {
+                    added_s(&executed, &pieces, |k| radii_mm[k] <= c_limit_radius_mm)
+                } else {
+                    0.0
                 },
             }
         }),
@@ -92,23 +94,29 @@ pub fn motion(
     Ok((executed, report))
 }
 
+/// Returns the time that those pieces take longer than planned that are `chosen` by their index, s.
+fn added_s(executed: &AxesMotion, pieces: &[AxesPiece], chosen: impl Fn(usize) -> bool) -> f64 {
+    let chosen = (0..pieces.len()).filter(|k| chosen(*k));
+    chosen.map(|k| executed.duration_s(k) - pieces[k].duration_s()).sum()
+}
+
 /// Pieces, stretch at their ends, and the worst excess of the motion as given with its time, s.
-type SlowedPieces = (Vec<Piece>, Vec<f64>, Option<(Excess, f64)>);
+type SlowedPieces = (Vec<AxesPiece>, Vec<f64>, Option<(Excess, f64)>);
 
 /// Slows the pieces down to the limits, and halves those that leave the path by it, until neither is needed.
-fn slowed(given: &Pieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
-    let mut pieces = given.all()?;
+fn slowed(planned: &AxesPieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
+    let mut pieces = planned.all()?;
     let mut first = None;
     for round in 0..=MOST_ROUNDS {
         let slowed = slow(&pieces, machine.axes());
         if round == 0 {
             first = slowed.worst.map(|worst| {
-                let piece: &Piece = &pieces[worst.piece];
-                (worst, given.trajectory.break_time_s()[piece.segment] + piece.from_s)
+                let piece: &AxesPiece = &pieces[worst.piece];
+                (worst, planned.trajectory.break_time_s()[piece.segment] + piece.from_s)
             });
         }
         let stretch: Vec<f64> = slowed.stretch.iter().map(|w| w * slowed.whole).collect();
-        match given.finer(&pieces, &stretch)? {
+        match planned.finer(&pieces, &stretch)? {
             Some(finer) if round < MOST_ROUNDS => pieces = finer,
             Some(_) => break,
             None => return Ok((pieces, stretch, first)),
@@ -120,9 +128,9 @@ fn slowed(given: &Pieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid
     Err(Invalid::whole("trajectory", problem, remedy))
 }
 
-/// The cubics of the pieces, with the stretch at their ends.
+/// Returns the cubics of the pieces, with the stretch at their ends.
 fn executed(
-    pieces: &[Piece],
+    pieces: &[AxesPiece],
     stretch: &[f64],
     machine: &Machine,
     trajectory: &Trajectory,
@@ -144,20 +152,20 @@ fn executed(
             Some(motion) => coefficient.extend(motion.coefficient_mm()[piece.segment]),
             None => coefficient.extend(piece.cubics(h, ends)),
         }
-        break_time_s.push(match is_stretched {
-            true => break_time_s[k] + h,
-            false if pieces.get(k + 1).is_none_or(|next| next.segment > piece.segment) => {
-                trajectory.break_time_s()[piece.segment + 1]
-            }
-            false => trajectory.break_time_s()[piece.segment] + piece.to_s,
+        let ends_segment = pieces.get(k + 1).is_none_or(|next| next.segment > piece.segment);
+        break_time_s.push(if is_stretched {
+            break_time_s[k] + h
+        } else if ends_segment {
+            trajectory.break_time_s()[piece.segment + 1]
+        } else {
+            trajectory.break_time_s()[piece.segment] + piece.to_s
         });
     }
-    let of = |piece: &Piece| piece.segment;
     AxesMotion::new(
         break_time_s,
         coefficient,
-        pieces.iter().map(|p| trajectory.tool_on()[of(p)]).collect(),
-        pieces.iter().map(|p| trajectory.dwell_index()[of(p)]).collect(),
+        pieces.iter().map(|p| trajectory.tool_on()[p.segment]).collect(),
+        pieces.iter().map(|p| trajectory.dwell_index()[p.segment]).collect(),
     )
 }
 
@@ -169,12 +177,14 @@ const GOLDEN_SECTIONS: usize = 30;
 /// and from the largest of these on by golden sections.
 fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
     let parts = INNER_POINTS + 1;
-    let (mut largest, mut place) = (0.0, (0, 0));
+    let mut largest = 0.0;
+    let mut place = (0, 0);
     for k in 0..executed.len() {
         for j in 0..=parts {
             let angle = off_normal_deg(map, executed, k, j as f64 / parts as f64);
             if angle > largest {
-                (largest, place) = (angle, (k, j));
+                largest = angle;
+                place = (k, j);
             }
         }
     }
@@ -205,15 +215,16 @@ struct Farthest {
     gap_mm: f64,
 }
 
-/// Largest distance of the executed contact point from the path, at points in every segment.
+/// Returns the largest distance of the executed contact point from the path, at points in every segment.
 fn farthest(
     map: &AxisMap,
-    pieces: &[Piece],
+    pieces: &[AxesPiece],
     stretch: &[f64],
     executed: &AxesMotion,
     trajectory: &Trajectory,
 ) -> Farthest {
-    let mut found = Farthest { distance_mm: 0.0, time_s: executed.break_time_s()[0], gap_mm: 0.0 };
+    let mut farthest =
+        Farthest { distance_mm: 0.0, time_s: executed.break_time_s()[0], gap_mm: 0.0 };
     for (k, piece) in pieces.iter().enumerate() {
         let c = &trajectory.coefficient_mm()[piece.segment];
         let h = executed.duration_s(k);
@@ -221,17 +232,17 @@ fn farthest(
             let part = j as f64 / (INNER_POINTS + 1) as f64;
             let q: Vec<f64> = executed.segment(k).iter().map(|c| evaluate(c, part * h)).collect();
             let Some(contact) = map.contact(&q) else {
-                found = Farthest { distance_mm: f64::INFINITY, ..found };
+                farthest = Farthest { distance_mm: f64::INFINITY, ..farthest };
                 continue;
             };
             let f = planned_part(part, [stretch[k], stretch[k + 1]]);
             let distance = distance_mm(c, piece, f, contact.point_mm);
-            if distance > found.distance_mm {
-                found.distance_mm = distance;
-                found.time_s = executed.break_time_s()[k] + part * h;
+            if distance > farthest.distance_mm {
+                farthest.distance_mm = distance;
+                farthest.time_s = executed.break_time_s()[k] + part * h;
             }
-            found.gap_mm = found.gap_mm.max(contact.gap_mm.abs());
+            farthest.gap_mm = farthest.gap_mm.max(contact.gap_mm.abs());
         }
     }
-    found
+    farthest
 }

@@ -38,7 +38,7 @@ pub(crate) type State = [f64; 2];
 
 /// A piece, with the states of all axes at both ends.
 #[derive(Clone, Debug)]
-pub(crate) struct Piece {
+pub(crate) struct AxesPiece {
     /// Segment of the motion.
     pub(crate) segment: usize,
     /// Local times in this segment at which the piece begins and ends, s.
@@ -48,13 +48,13 @@ pub(crate) struct Piece {
     pub(crate) end: Vec<State>,
 }
 
-impl Piece {
-    /// Duration in the motion, s.
+impl AxesPiece {
+    /// Returns the duration in the motion, s.
     pub(crate) fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
     }
 
-    /// The cubics (1) of the axes over `h` seconds, with the velocities at the ends divided by `slower`.
+    /// Returns the cubics (1) of the axes over `h` seconds, with the velocities at the ends divided by `slower`.
     pub(crate) fn cubics(&self, h: f64, slower: [f64; 2]) -> impl Iterator<Item = [f64; 4]> {
         self.start.iter().zip(&self.end).map(move |(start, end)| {
             cubic([start[0], start[1] / slower[0]], [end[0], end[1] / slower[1]], h)
@@ -62,13 +62,13 @@ impl Piece {
     }
 }
 
-/// The cubic (1) between two states, `h` seconds apart.
+/// Returns the cubic (1) between two states, `h` seconds apart.
 pub(crate) fn cubic([q0, v0]: State, [q1, v1]: State, h: f64) -> [f64; 4] {
     let mean = (q1 - q0) / h;
     [q0, v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
 }
 
-/// Contact point of the motion with its derivatives, at the local time `u` of a segment.
+/// Returns the contact point of the motion with its derivatives, at the local time `u` of a segment.
 pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     c.each_ref().map(|c| {
         let v = derivative(c);
@@ -80,20 +80,20 @@ pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     })
 }
 
-/// Duration of a piece whose time is stretched by a factor that is linear between its ends, s.
-pub(crate) fn stretched_s(piece: &Piece, ends: [f64; 2]) -> f64 {
+/// Returns the duration of a piece whose time is stretched by a factor that is linear between its ends, s.
+pub(crate) fn stretched_s(piece: &AxesPiece, ends: [f64; 2]) -> f64 {
     0.5 * (ends[0] + ends[1]) * piece.duration_s()
 }
 
-/// Part of the duration in the motion as given, at a part of the stretched duration: the root of
-/// `w0 f + (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
+/// Returns the part of the duration in the motion as given, at a part of the stretched duration: the root of `w0 f +
+/// (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
 pub(crate) fn planned_part(part: f64, [w0, w1]: [f64; 2]) -> f64 {
     let area = 0.5 * part * (w0 + w1);
     2.0 * area / (w0 + (w0 * w0 + 2.0 * (w1 - w0) * area).sqrt())
 }
 
-/// Direction in which a point at rest in the centre of a spindle moves away, at the local time `u` of a segment; backwards
-/// in time if `sign` is -1. `None` if the point has a velocity, or stays in the centre.
+/// Returns the direction in which a point at rest in the centre of a spindle moves away, at the local time `u` of a
+/// segment; backwards in time if `sign` is -1. `None` if the point has a velocity, or stays in the centre.
 ///
 /// ```text
 /// p(t) = v t + a t^2 / 2 + j t^3 / 6     the first term that moves the point gives the direction
@@ -111,13 +111,14 @@ fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64;
     let ways = [(0, h), (1, h * h / 2.0), (2, h * h * h / 6.0)];
     let (order, length) = ways.into_iter().find_map(|(order, factor)| {
         let length = orders[0][order].hypot(orders[1][order]);
-        (length * factor >= CENTRE_MM).then_some((order, length))
+        if length * factor >= CENTRE_MM { Some((order, length)) } else { None }
     })?;
     if order == 0 { None } else { Some([0, 1].map(|k| orders[k][order] / length)) }
 }
 
-/// Distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) . p' = 0.
-pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &Piece, f: f64, x: [f64; 2]) -> f64 {
+/// Returns the distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) .
+/// p' = 0.
+pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &AxesPiece, f: f64, x: [f64; 2]) -> f64 {
     let mut u = piece.from_s + f * piece.duration_s();
     for _ in 0..2 {
         let p = moving(c, u);
@@ -135,7 +136,7 @@ pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &Piece, f: f64, x: [f64; 2])
 }
 
 /// All pieces of a motion, in order.
-pub(crate) struct Pieces<'a> {
+pub(crate) struct AxesPieces<'a> {
     pub(crate) map: &'a AxisMap,
     pub(crate) trajectory: &'a Trajectory,
     /// Index of the axis c of a spindle.
@@ -144,10 +145,10 @@ pub(crate) struct Pieces<'a> {
     pub(crate) min_segment_s: f64,
 }
 
-impl Pieces<'_> {
-    /// The pieces. Refuses a motion that leaves the form, and one that the axes cannot follow.
-    pub(crate) fn all(&self) -> Result<Vec<Piece>, Invalid> {
-        let mut pieces: Vec<Piece> = Vec::new();
+impl AxesPieces<'_> {
+    /// Returns the pieces. Refuses a motion that leaves the form, and one that the axes cannot follow.
+    pub(crate) fn all(&self) -> Result<Vec<AxesPiece>, Invalid> {
+        let mut pieces: Vec<AxesPiece> = Vec::new();
         for (i, segment) in self.trajectory.segments().enumerate() {
             let h = segment.duration_s;
             let mut start = self.state(i, &segment, 0.0, false)?;
@@ -156,7 +157,7 @@ impl Pieces<'_> {
             }
             let end = self.state(i, &segment, h, true)?;
             // The last of the open pieces is the next one; the number says how often it was halved.
-            let mut open = vec![(Piece { segment: i, from_s: 0.0, to_s: h, start, end }, 0)];
+            let mut open = vec![(AxesPiece { segment: i, from_s: 0.0, to_s: h, start, end }, 0)];
             while let Some((mut piece, halves)) = open.pop() {
                 self.unwrap(&piece.start.clone(), &mut piece.end);
                 let away = self.away_mm(&piece, &segment);
@@ -176,9 +177,10 @@ impl Pieces<'_> {
         Ok(pieces)
     }
 
-    /// Both halves of a piece.
-    fn halved(&self, piece: Piece, segment: &Segment<'_>) -> Result<[Piece; 2], Invalid> {
-        let (i, middle_s) = (piece.segment, 0.5 * (piece.from_s + piece.to_s));
+    /// Returns both halves of a piece.
+    fn halved(&self, piece: AxesPiece, segment: &Segment<'_>) -> Result<[AxesPiece; 2], Invalid> {
+        let i = piece.segment;
+        let middle_s = 0.5 * (piece.from_s + piece.to_s);
         let mut end = self.state(i, segment, middle_s, true)?;
         self.unwrap(&piece.start, &mut end);
         let mut start = self.state(i, segment, middle_s, false)?;
@@ -186,17 +188,17 @@ impl Pieces<'_> {
         // Whole turns that were added to the start are in the end of the piece already, or are added to it now.
         let mut last = piece.end.clone();
         self.unwrap(&start, &mut last);
-        let second = Piece { from_s: middle_s, start, end: last, ..piece.clone() };
-        Ok([Piece { to_s: middle_s, end, ..piece }, second])
+        let second = AxesPiece { from_s: middle_s, start, end: last, ..piece.clone() };
+        Ok([AxesPiece { to_s: middle_s, end, ..piece }, second])
     }
 
-    /// The pieces, those halved that leave the path by more than the tolerance where time is stretched by `stretch`;
-    /// `None` if none does. A stretch that changes within a piece bends its cubics.
+    /// Returns the pieces, those halved that leave the path by more than the tolerance where time is stretched by
+    /// `stretch`; `None` if none does. A stretch that changes within a piece bends its cubics.
     pub(crate) fn finer(
         &self,
-        pieces: &[Piece],
+        pieces: &[AxesPiece],
         stretch: &[f64],
-    ) -> Result<Option<Vec<Piece>>, Invalid> {
+    ) -> Result<Option<Vec<AxesPiece>>, Invalid> {
         let mut finer = Vec::with_capacity(pieces.len());
         for (k, piece) in pieces.iter().enumerate() {
             let ends = [stretch[k], stretch[k + 1]];
@@ -219,11 +221,12 @@ impl Pieces<'_> {
                 finer.extend(self.halved(piece.clone(), &segment)?);
             }
         }
-        Ok((finer.len() > pieces.len()).then_some(finer))
+        Ok(if finer.len() > pieces.len() { Some(finer) } else { None })
     }
 
-    /// Position and velocity of the axes at a time of a segment. In the centre of a spindle, the point moves away from
-    /// there, or it arrives. A point at rest in the centre has the direction in which it begins to move, and all axes rest.
+    /// Returns the position and velocity of the axes at a time of a segment. In the centre of a spindle, the point
+    /// moves away from there, or it arrives. A point at rest in the centre has the direction in which it begins to
+    /// move, and all axes rest.
     fn state(
         &self,
         i: usize,
@@ -239,8 +242,7 @@ impl Pieces<'_> {
             self.turning.is_some() && self.map.radius_mm([p[0].value, p[1].value]) < CENTRE_MM;
         let from_rest = if is_centre { direction_from_rest(segment, u, sign) } else { None };
         if let Some(direction) = from_rest {
-            let along = |k: usize| Series { first: direction[k], second: 0.0, ..p[k] };
-            p = [along(0), along(1)];
+            p = [0, 1].map(|k| Series { first: direction[k], second: 0.0, ..p[k] });
         }
         let axes = self.map.positions(p).ok_or_else(|| {
             let [x, y] = p.map(|s| s.value);
@@ -287,9 +289,9 @@ impl Pieces<'_> {
         }
     }
 
-    /// Largest distance in mm of the contact point of a piece from that of the motion at the same time; infinite where
-    /// a spindle turns too far, and where the tool meets no surface.
-    fn away_mm(&self, piece: &Piece, segment: &Segment<'_>) -> f64 {
+    /// Returns the largest distance in mm of the contact point of a piece from that of the motion at the same time;
+    /// infinite where a spindle turns too far, and where the tool meets no surface.
+    fn away_mm(&self, piece: &AxesPiece, segment: &Segment<'_>) -> f64 {
         if self.turning.is_some_and(|c| (piece.end[c][0] - piece.start[c][0]).abs() > MOST_TURN_DEG)
         {
             return f64::INFINITY;
@@ -307,7 +309,7 @@ impl Pieces<'_> {
         largest
     }
 
-    fn too_far(&self, piece: &Piece, segment: &Segment<'_>, away: f64) -> Invalid {
+    fn too_far(&self, piece: &AxesPiece, segment: &Segment<'_>, away: f64) -> Invalid {
         let at_s = segment.start_s + piece.from_s;
         let point = segment.position_mm(piece.from_s);
         let half_ms = 500.0 * piece.duration_s();

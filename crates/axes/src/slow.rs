@@ -21,7 +21,7 @@ use std::collections::VecDeque;
 use planish_numerics::polynomial::{derivative, evaluate, range};
 use planish_types::MachineAxis;
 
-use crate::piece::{Piece, stretched_s};
+use crate::piece::{AxesPiece, stretched_s};
 
 /// Half the window of the first round, s, and its growth from round to round. Larger: the motion is slowed down for
 /// longer. Smaller: more rounds. Chosen: from a few servo cycles to 20 000 s in [`ROUNDS`].
@@ -61,7 +61,7 @@ pub(crate) struct Slowed {
 }
 
 /// Finds the stretch with which the pieces keep the limits of the axes.
-pub(crate) fn slow(pieces: &[Piece], axes: &[MachineAxis]) -> Slowed {
+pub(crate) fn slow(pieces: &[AxesPiece], axes: &[MachineAxis]) -> Slowed {
     let mut need = vec![1.0; pieces.len()];
     let mut stretch = vec![1.0; pieces.len() + 1];
     let mut worst = None;
@@ -91,8 +91,8 @@ fn largest(excess: &[Option<Excess>]) -> Option<Excess> {
     excess.iter().flatten().copied().max_by(|a, b| a.stretch.total_cmp(&b.stretch))
 }
 
-/// The worst ratio of every piece, the step at its start included; `None` where everything rests.
-fn excesses(pieces: &[Piece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Option<Excess>> {
+/// Returns the worst ratio of every piece, the step at its start included; `None` where everything rests.
+fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Option<Excess>> {
     // Accelerations at the end of the piece before, and its duration.
     let mut before = (vec![0.0; axes.len()], 0.0);
     let last = pieces.len() - 1;
@@ -112,12 +112,11 @@ fn excesses(pieces: &[Piece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Opti
                     worst = Some(Excess { ratio, stretch, axis, quantity, piece: k });
                 }
             };
-            let peak = |c: &[f64; 4]| range(c, h).peak().0;
-            add("velocity", peak(&v), limits.max_velocity, 1.0);
-            add("acceleration", peak(&a), limits.max_acceleration, 0.5);
+            add("velocity", range(&v, h).peak().0, limits.max_velocity, 1.0);
+            add("acceleration", range(&a, h).peak().0, limits.max_acceleration, 0.5);
             let end = evaluate(&a, h);
             if let Some(jerk) = limits.max_jerk {
-                add("jerk", peak(&derivative(&a)), jerk, 1.0 / 3.0);
+                add("jerk", range(&derivative(&a), h).peak().0, jerk, 1.0 / 3.0);
                 // As planish-verify allows it in a program: from the middle of a segment to that of the next.
                 let step = (a[0] - before.0[axis]).abs();
                 add("step of the acceleration", step, 0.5 * jerk * (before.1 + h), 1.0 / 3.0);
@@ -133,8 +132,8 @@ fn excesses(pieces: &[Piece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Opti
     all
 }
 
-/// Stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it.
-fn spread(pieces: &[Piece], need: &[f64], window_s: f64) -> Vec<f64> {
+/// Returns the stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it.
+fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut time_s = vec![0.0];
     for piece in pieces {
         time_s.push(time_s[time_s.len() - 1] + piece.duration_s());
@@ -151,7 +150,7 @@ fn spread(pieces: &[Piece], need: &[f64], window_s: f64) -> Vec<f64> {
     stretch
 }
 
-/// Largest need of the pieces that come within `window_s` of every time.
+/// Returns the largest need of the pieces that come within `window_s` of every time.
 fn windowed_largest(time_s: &[f64], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut largest = Vec::with_capacity(time_s.len());
     // Pieces in the window, the needs descending.
@@ -173,7 +172,8 @@ fn windowed_largest(time_s: &[f64], need: &[f64], window_s: f64) -> Vec<f64> {
     largest
 }
 
-/// Mean over `half_s` on both sides of every time, of values that are linear between the times and constant beyond.
+/// Returns the mean over `half_s` on both sides of every time, of values that are linear between the times and constant
+/// beyond.
 fn averaged(time_s: &[f64], value: &[f64], half_s: f64) -> Vec<f64> {
     let n = time_s.len();
     let mut sum = vec![0.0];
@@ -188,7 +188,8 @@ fn averaged(time_s: &[f64], value: &[f64], half_s: f64) -> Vec<f64> {
         if k == n {
             return sum[n - 1] + value[n - 1] * (t - time_s[n - 1]);
         }
-        let (d, h) = (t - time_s[k - 1], time_s[k] - time_s[k - 1]);
+        let d = t - time_s[k - 1];
+        let h = time_s[k] - time_s[k - 1];
         sum[k - 1] + d * (value[k - 1] + 0.5 * (value[k] - value[k - 1]) * d / h)
     };
     time_s.iter().map(|t| (integral(t + half_s) - integral(t - half_s)) / (2.0 * half_s)).collect()
@@ -201,8 +202,14 @@ mod tests {
     #[test]
     fn a_window_and_an_average_are_never_below_the_need() {
         // Pieces of 1 s; one needs 3.
-        let pieces: Vec<Piece> = (0..40)
-            .map(|segment| Piece { segment, from_s: 0.0, to_s: 1.0, start: vec![], end: vec![] })
+        let pieces: Vec<AxesPiece> = (0..40)
+            .map(|segment| AxesPiece {
+                segment,
+                from_s: 0.0,
+                to_s: 1.0,
+                start: vec![],
+                end: vec![],
+            })
             .collect();
         let mut need = vec![1.0; 40];
         need[20] = 3.0;

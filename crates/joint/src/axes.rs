@@ -25,11 +25,7 @@ use planish_types::{Invalid, Limits, Segment, Trajectory, TrajectoryBuilder};
 use planish_verify::LIMIT_ALLOWANCE;
 use serde::Serialize;
 
-use crate::{
-    further::{FurtherAxes, FurtherLimits},
-    jerk::Average,
-    piece::Station,
-};
+use crate::{further::FurtherAxes, jerk::Average, piece::Station};
 
 /// Least and largest number of intervals of a cubic piece between the times at which it is judged. Larger: more time
 /// for a judgement. Smaller: a short excess may be missed, or a steep one is not resolved. Chosen; they are doubled from
@@ -77,15 +73,19 @@ pub struct Scaled {
 /// Largest use of the limits of an axis: of velocity, acceleration and jerk, 1 being all of it.
 pub type Used = [f64; 3];
 
-/// A cubic piece as the judge finds it.
-struct Judged {
+/// Use of the limits on a cubic piece.
+struct UseOfPiece {
     used: Vec<Used>,
     /// Acceleration over the limit at both ends, of every axis.
     ends: [Vec<f64>; 2],
 }
 
 impl<'a> Further<'a> {
-    /// The axes of a plan whose motion is averaged like this; their limits are checked.
+    /// Checks the limits of `axes` and joins them with the average in time that the motion of the plan will have.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a limit that is not positive and finite.
     pub fn new(axes: &'a dyn FurtherAxes, average: Option<Average>) -> Result<Self, Invalid> {
         for (i, axis) in axes.limits().iter().enumerate() {
             let limits = [
@@ -112,74 +112,76 @@ impl<'a> Further<'a> {
         self.average.map_or(1.0, |a| a.fraction)
     }
 
-    /// Position and derivatives at a place, if all are finite.
-    fn at(&self, there: &Station) -> Option<Vec<[f64; 3]>> {
+    /// Returns the position of every axis at a place, and its two derivatives, if all are finite.
+    fn derivatives(&self, there: &Station) -> Option<Vec<[f64; 3]>> {
         let Station { point_mm, tangent, curvature_per_mm } = *there;
         let all = self.axes.along(point_mm, tangent, curvature_per_mm)?;
         let finite = all.len() == self.axes.limits().len()
             && all.iter().flatten().all(|value| value.is_finite());
-        finite.then_some(all)
+        if finite { Some(all) } else { None }
     }
 
-    /// Every axis at a place of the curve, over the limits that the plan keeps before averaging.
+    /// Returns every axis (axes) at a place of the curve, over the limits that the plan keeps before averaging. `None`
+    /// where an axis has no position or no derivative.
     pub fn scaled(&self, there: &Station) -> Option<Vec<Scaled>> {
-        let of = |([_, first, second], axis): ([f64; 3], &FurtherLimits)| {
+        let mut all = Vec::new();
+        for ([_, first, second], axis) in self.derivatives(there)?.iter().zip(self.axes.limits()) {
             let most = axis.max_acceleration_per_s2 * self.fraction();
-            Scaled {
+            all.push(Scaled {
                 need_s_per_mm: first.abs() / axis.max_velocity_per_s,
                 along: first / most,
                 across: second / most,
-            }
-        };
-        Some(self.at(there)?.into_iter().zip(self.axes.limits()).map(of).collect())
+            });
+        }
+        Some(all)
     }
 
-    /// (1) over the limits: velocity and acceleration of every axis.
+    /// Returns velocity and acceleration (1) of every axis (axes), over the limits.
     fn of_motion(&self, p: [f64; 2], v: [f64; 2], a: [f64; 2]) -> Option<Vec<[f64; 2]>> {
         let speed = v[0].hypot(v[1]);
         let curvature_per_mm = (v[0] * a[1] - v[1] * a[0]) / speed.powi(3);
-        let over = |(values, axis): ([f64; 2], &FurtherLimits)| {
-            [values[0] / axis.max_velocity_per_s, values[1] / axis.max_acceleration_per_s2]
-        };
-        let at = |direction: [f64; 2], size: f64, curvature_per_mm: f64| {
-            let tangent = direction.map(|d| d / size);
-            self.at(&Station { point_mm: p, tangent, curvature_per_mm })
-        };
-        let values: Vec<[f64; 2]> = if curvature_per_mm.is_finite() {
+        let mut values: Vec<[f64; 2]> = if curvature_per_mm.is_finite() {
             let along = (v[0] * a[0] + v[1] * a[1]) / speed;
-            let of = |[_, first, second]: [f64; 3]| {
-                [first * speed, second * speed * speed + first * along]
-            };
-            at(v, speed, curvature_per_mm)?.into_iter().map(of).collect()
+            let there = Station { point_mm: p, tangent: v.map(|d| d / speed), curvature_per_mm };
+            let axes = self.derivatives(&there)?.into_iter();
+            axes.map(|[_, first, second]| [first * speed, second * speed * speed + first * along])
+                .collect()
         } else {
             // At rest the acceleration alone moves the axes, in its own direction.
             let size = a[0].hypot(a[1]);
             let (direction, of_size) = if size > 0.0 { (a, size) } else { ([1.0, 0.0], 1.0) };
-            let of = |[_, first, _]: [f64; 3]| [0.0, first * size];
-            at(direction, of_size, 0.0)?.into_iter().map(of).collect()
+            let tangent = direction.map(|d| d / of_size);
+            let there = Station { point_mm: p, tangent, curvature_per_mm: 0.0 };
+            let axes = self.derivatives(&there)?.into_iter();
+            axes.map(|[_, first, _]| [0.0, first * size]).collect()
         };
-        Some(values.into_iter().zip(self.axes.limits()).map(over).collect())
+        for ([velocity, acceleration], axis) in values.iter_mut().zip(self.axes.limits()) {
+            *velocity /= axis.max_velocity_per_s;
+            *acceleration /= axis.max_acceleration_per_s2;
+        }
+        Some(values)
     }
 
-    /// Largest difference of an acceleration of the axes between two accelerations of the same motion, over the limit; 0
-    /// where an axis has none.
+    /// Returns the largest difference of an acceleration of the axes between two accelerations of the same motion, over
+    /// the limit; 0 where an axis has none.
     pub fn acceleration_error(&self, p: [f64; 2], v: [f64; 2], a: [[f64; 2]; 2]) -> f64 {
         let [Some(first), Some(second)] = a.map(|a| self.of_motion(p, v, a)) else { return 0.0 };
         first.iter().zip(second).map(|(a, b)| (a[1] - b[1]).abs()).fold(0.0, f64::max)
     }
 
-    /// (1) at equal times of a cubic piece, (times, axes).
+    /// Returns (1) at equal times of a cubic piece (times, axes), over the limits.
     fn sampled(&self, segment: &Segment<'_>, intervals: usize) -> Option<Vec<Vec<[f64; 2]>>> {
-        let at = |k: usize| {
-            let u = segment.duration_s * k as f64 / intervals as f64;
-            let [p, v, a] = motion_at(segment, u);
-            self.of_motion(p, v, a)
-        };
-        (0..=intervals).map(at).collect()
+        (0..=intervals)
+            .map(|k| {
+                let u = segment.duration_s * k as f64 / intervals as f64;
+                let [p, v, a] = motion_at(segment, u);
+                self.of_motion(p, v, a)
+            })
+            .collect()
     }
 
-    /// Largest use of the limits on a cubic piece; `None` where an axis has no position or no derivative.
-    fn judged(&self, segment: &Segment<'_>) -> Option<Judged> {
+    /// Returns the largest use of the limits on a cubic piece; `None` where an axis has no position or no derivative.
+    fn use_of_piece(&self, segment: &Segment<'_>) -> Option<UseOfPiece> {
         let limits = self.axes.limits();
         let [mut intervals, most] = JUDGED_INTERVALS;
         loop {
@@ -225,22 +227,22 @@ impl<'a> Further<'a> {
             }
             if bulge <= MAX_BULGE || intervals >= most {
                 let ends = [0, intervals].map(|k| samples[k].iter().map(|axis| axis[1]).collect());
-                return Some(Judged { used, ends });
+                return Some(UseOfPiece { used, ends });
             }
             intervals *= 2;
         }
     }
 
-    /// Largest use of the limits of every axis on every cubic piece (pieces, axes); all of them infinite where an axis
-    /// has no position or no derivative.
+    /// Returns the largest use of the limits of every axis on every cubic piece (pieces, axes); all of them infinite
+    /// where an axis has no position or no derivative.
     pub fn used(&self, trajectory: &Trajectory) -> Vec<Vec<Used>> {
         let limits = self.axes.limits();
-        let judged: Vec<Option<Judged>> =
-            parallel::map(trajectory.len(), &|i| self.judged(&trajectory.segment(i)));
+        let pieces: Vec<Option<UseOfPiece>> =
+            parallel::map(trajectory.len(), &|i| self.use_of_piece(&trajectory.segment(i)));
         let mut before = vec![0.0; limits.len()];
-        let mut all = Vec::with_capacity(judged.len());
-        for judged in judged {
-            let Some(Judged { mut used, ends: [start, end] }) = judged else {
+        let mut all = Vec::with_capacity(pieces.len());
+        for piece in pieces {
+            let Some(UseOfPiece { mut used, ends: [start, end] }) = piece else {
                 all.push(vec![[f64::INFINITY; 3]; limits.len()]);
                 continue;
             };
@@ -256,9 +258,13 @@ impl<'a> Further<'a> {
         all
     }
 
-    /// Factor by which accelerations of every axis on every span of a planned motion are too large (spans, axes); at most 1
-    /// where it keeps its limits. It is that of the motion after averaging, on every span that takes part in it. `span` has
-    /// the span of every segment of the `planned` motion, of `spans` in all.
+    /// Returns the factor by which accelerations of every axis on every span of a planned motion are too large (spans,
+    /// axes); at most 1 where it keeps its limits. It is that of the motion after averaging, on every span that takes
+    /// part in it. `span` has the span of every segment of the `planned` motion, of `spans` in all.
+    ///
+    /// # Errors
+    ///
+    /// Fails where the motion cannot be averaged.
     pub fn excess(
         &self,
         planned: &Trajectory,
@@ -266,40 +272,38 @@ impl<'a> Further<'a> {
         spans: usize,
     ) -> Result<Vec<Vec<f64>>, Invalid> {
         let mut of_spans = vec![vec![0.0f64; self.axes.limits().len()]; spans];
-        let mut raise = |span: usize, used: &[Used]| {
-            for (most, used) in of_spans[span].iter_mut().zip(used) {
-                *most = most.max(as_acceleration(used));
-            }
-        };
         let Some(average) = self.average else {
             for (used, span) in self.used(planned).iter().zip(span) {
-                raise(*span, used);
+                raise(&mut of_spans[*span], used);
             }
             return Ok(of_spans);
         };
-        let averaged = average.of(planned)?;
+        let averaged = average.averaged(planned)?;
         let breaks = planned.break_time_s();
         // The average begins earlier by its window, and takes part of as much to both sides.
         for (used, times) in self.used(&averaged).iter().zip(averaged.break_time_s().windows(2)) {
-            let (from_s, to_s) = (times[0] - 2.0 * average.window_s, times[1]);
+            let from_s = times[0] - 2.0 * average.window_s;
+            let to_s = times[1];
             let first = breaks.partition_point(|b| *b < from_s).max(1) - 1;
             for (k, span) in span.iter().enumerate().skip(first) {
                 if breaks[k] > to_s {
                     break;
                 }
-                raise(*span, used);
+                raise(&mut of_spans[*span], used);
             }
         }
         Ok(of_spans)
     }
 
-    /// The least factor on all times with which a motion keeps the limits of the further axes; 1 if it keeps them.
+    /// Returns the least factor on all times with which a motion keeps the limits of the further axes; 1 if it keeps
+    /// them.
     pub fn slower_by(&self, trajectory: &Trajectory) -> f64 {
-        let of = |used: &Used| {
+        let used = self.used(trajectory);
+        let factors = used.iter().flatten().map(|used| {
             let [velocity, acceleration, jerk] = without_rounding(used);
             velocity.max(acceleration.sqrt()).max(jerk.cbrt())
-        };
-        self.used(trajectory).iter().flatten().map(of).fold(1.0, f64::max)
+        });
+        factors.fold(1.0, f64::max)
     }
 
     /// Names of the axes.
@@ -307,7 +311,7 @@ impl<'a> Further<'a> {
         self.axes.limits().iter().map(|axis| axis.name.as_str())
     }
 
-    /// The largest excess over a limit on a motion, and the remedy, in words.
+    /// Returns the largest excess over a limit on a motion, and the remedy, in words.
     pub fn reason(&self, trajectory: &Trajectory) -> Option<String> {
         let used = self.used(trajectory);
         let pieces = used.iter().zip(trajectory.segments());
@@ -322,36 +326,48 @@ impl<'a> Further<'a> {
     }
 }
 
-/// The use of the limits less what is rounding.
+/// Raises the excess of every axis on a span to that of a cubic piece on it.
+fn raise(excess_of_span: &mut [f64], used: &[Used]) {
+    for (most, used) in excess_of_span.iter_mut().zip(used) {
+        *most = most.max(as_acceleration(used));
+    }
+}
+
+/// Returns the use of the limits less what is rounding.
 fn without_rounding([velocity, acceleration, jerk]: &Used) -> Used {
     let [velocity, acceleration] = [velocity, acceleration].map(|u| u / (1.0 + LIMIT_ALLOWANCE));
     [velocity, acceleration, jerk / (1.0 + JERK_ALLOWANCE)]
 }
 
-/// Largest use of a limit, as a factor on accelerations: with all times longer by a factor, a velocity is lower by this
-/// factor and an acceleration by its square.
+/// Returns the largest use of a limit, as a factor on accelerations: with all times longer by a factor, a velocity is
+/// lower by this factor and an acceleration by its square.
 fn as_acceleration(used: &Used) -> f64 {
     let [velocity, acceleration, jerk] = without_rounding(used);
     velocity.powi(2).max(acceleration).max(jerk)
 }
 
-/// Position, velocity and acceleration at the local time `u_s` of a piece, in mm and s.
+/// Returns the position, velocity and acceleration at the local time `u_s` of a piece, in mm and s.
 fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
     let mut c = *segment.coefficient_mm;
     [0; 3].map(|_| {
-        let at = c.each_ref().map(|c| evaluate(c, u_s));
+        let value = c.each_ref().map(|c| evaluate(c, u_s));
         c = c.each_ref().map(derivative);
-        at
+        value
     })
 }
 
-/// Largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
+/// Returns the largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
 fn peak([a, b, c]: [f64; 3]) -> f64 {
-    let (slope, bend) = (0.5 * (c - a), a - 2.0 * b + c);
+    let slope = 0.5 * (c - a);
+    let bend = a - 2.0 * b + c;
     if slope.abs() < bend.abs() { (b - 0.5 * slope * slope / bend).abs() } else { 0.0 }
 }
 
-/// The motion with all times longer by a factor.
+/// Returns the motion with all times longer by a factor.
+///
+/// # Errors
+///
+/// Fails where a time is no longer finite.
 pub fn slowed(trajectory: &Trajectory, factor: f64) -> Result<Trajectory, Invalid> {
     let mut builder = TrajectoryBuilder::default();
     for segment in trajectory.segments() {
@@ -416,9 +432,10 @@ pub fn report(
             segment.coefficient_mm.iter().zip(reports.iter_mut().zip(limits.axes()))
         {
             let rate = derivative(c);
-            let peak = |c: &[f64; 4]| range(c, segment.duration_s).peak().0.abs();
-            let velocity = peak(&rate) / axis.max_velocity_mm_per_s();
-            let acceleration = peak(&derivative(&rate)) / axis.max_acceleration_mm_per_s2();
+            let [velocity, acceleration] =
+                [rate, derivative(&rate)].map(|c| range(&c, segment.duration_s).peak().0.abs());
+            let velocity = velocity / axis.max_velocity_mm_per_s();
+            let acceleration = acceleration / axis.max_acceleration_mm_per_s2();
             report.velocity_over_limit = report.velocity_over_limit.max(velocity);
             report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
         }
@@ -441,12 +458,6 @@ fn near_limits(
     limits: &Limits,
     further: &Further<'_>,
 ) {
-    let over = |v: [f64; 2], a: [f64; 2]| {
-        [0, 1].map(|i| {
-            let axis = &limits.axes()[i];
-            [v[i] / axis.max_velocity_mm_per_s(), a[i] / axis.max_acceleration_mm_per_s2()]
-        })
-    };
     let total_s = planned.total_time_s();
     for segment in planned.segments() {
         let fraction = segment.duration_s / (REPORTED_TIMES as f64 * total_s);
@@ -454,8 +465,12 @@ fn near_limits(
             let u = segment.duration_s * (k as f64 + 0.5) / REPORTED_TIMES as f64;
             let [p, v, a] = motion_at(&segment, u);
             let Some(others) = further.of_motion(p, v, a) else { continue };
+            let own = [0, 1].map(|i| {
+                let axis = &limits.axes()[i];
+                [v[i] / axis.max_velocity_mm_per_s(), a[i] / axis.max_acceleration_mm_per_s2()]
+            });
             for (report, [velocity, acceleration]) in
-                reports.iter_mut().zip(over(v, a).into_iter().chain(others))
+                reports.iter_mut().zip(own.into_iter().chain(others))
             {
                 if velocity.abs() > NEAR_A_LIMIT {
                     report.time_near_velocity_limit += fraction;
@@ -471,8 +486,8 @@ fn near_limits(
 }
 
 impl AxisReport {
-    /// Fractions of the time in which the velocity and the acceleration are near what the plan may use of their limits,
-    /// each with its quantity.
+    /// Returns the fractions of the time in which the velocity and the acceleration are near what the plan may use of
+    /// their limits, each with its quantity.
     pub fn near(&self) -> [(&'static str, f64); 2] {
         [
             ("velocity", self.time_near_velocity_limit),
@@ -481,7 +496,8 @@ impl AxisReport {
     }
 }
 
-fn widen(of: &mut Option<[[f64; 2]; 2]>, p: [f64; 2]) {
-    let [low, high] = of.unwrap_or([p, p]);
-    *of = Some([[0, 1].map(|i| low[i].min(p[i])), [0, 1].map(|i| high[i].max(p[i]))]);
+/// Widens a box of places so that it contains the point `p`, mm.
+fn widen(box_mm: &mut Option<[[f64; 2]; 2]>, p: [f64; 2]) {
+    let [low, high] = box_mm.unwrap_or([p, p]);
+    *box_mm = Some([[0, 1].map(|i| low[i].min(p[i])), [0, 1].map(|i| high[i].max(p[i]))]);
 }

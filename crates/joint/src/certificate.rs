@@ -38,13 +38,16 @@ const MAX_STEPS: usize = 10;
 /// result is at most a tenth above the exact value.
 const REST: f64 = 0.1;
 
-/// (2) without `z' c`, for `r = f' - J' z`, nm^2.
+/// Returns the bound (2) on the gap without its term `z' c`, for `r = f' - J' z` (n), nm^2; `room` is D - lo (n).
 pub fn by_alpha(r: &[f64], room: &[f64], alpha: f64) -> f64 {
-    let of = |(r, room): (&f64, &f64)| if *r > 0.0 { r * room } else { r * r / (2.0 * alpha) };
-    r.iter().zip(room).map(of).sum()
+    r.iter()
+        .zip(room)
+        .map(|(r, room)| if *r > 0.0 { r * room } else { r * r / (2.0 * alpha) })
+        .sum()
 }
 
-/// An upper bound of `1/2 r' F^-1 r` by (3), for `r = f' - J' z - y`; `product` is F x, `precondition` nearly F^-1 x.
+/// Returns an upper bound of `1/2 r' F^-1 r` by (3), for `r = f' - J' z - y`; `product` is F x, `precondition` nearly
+/// F^-1 x.
 ///
 /// The first two terms of (3) are a lower bound. The steps also end where half of them exceeds `of_use`, nm^2.
 pub fn by_curvature(
@@ -72,8 +75,8 @@ pub fn by_curvature(
         least = least.min(known + rest);
         let next = precondition(&e);
         let before = std::mem::replace(&mut e_m_e, dot(&e, &next));
-        let kept = e_m_e / before;
-        towards.iter_mut().zip(&next).for_each(|(t, n)| *t = n + kept * *t);
+        let conjugate = e_m_e / before;
+        towards.iter_mut().zip(&next).for_each(|(t, n)| *t = n + conjugate * *t);
     }
     0.5 * least
 }

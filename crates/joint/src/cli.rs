@@ -11,7 +11,8 @@ use planish_handoff::{
     say, task, warn, with_flags,
 };
 use planish_joint::{
-    FurtherAxes, MachineAxes, Plan, Price, Report, Settings, plan, plan_with_further_axes,
+    FurtherAxes, JointPlan, JointReport, JointSettings, MachineAxes, Price, plan,
+    plan_with_further_axes,
 };
 use planish_types::{
     DwellTime, PathDistance, Trajectory,
@@ -32,7 +33,7 @@ pub struct Joint {
     #[arg(long, value_name = "PATH")]
     form: Option<PathBuf>,
     /// Smallest dwell time per length (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T", default_value_t = Settings::default().min_dwell_s_per_mm)]
+    #[arg(long, value_name = "T", default_value_t = JointSettings::default().min_dwell_s_per_mm)]
     min_dwell_s_per_mm: f64,
     #[command(flatten)]
     price: PriceArgs,
@@ -44,7 +45,7 @@ pub struct Joint {
     #[arg(long, value_name = "A")]
     tikhonov: Option<f64>,
     /// Weight of the squared differences of neighbouring densities, relative to the strongest node
-    #[arg(long, value_name = "B", default_value_t = Settings::default().difference_weight)]
+    #[arg(long, value_name = "B", default_value_t = JointSettings::default().difference_weight)]
     difference_weight: f64,
     /// Largest distance of the motion from a corner of the path, mm [default: a fifth of the TIF's width]
     #[arg(long, value_name = "E")]
@@ -59,15 +60,15 @@ pub struct Joint {
     node_spacing_mm: Option<f64>,
     /// Number of refinements: each adds nodes in the middle of the spans where they lower the objective most. Fewer
     /// are made where the solver would take minutes
-    #[arg(long, value_name = "K", default_value_t = Settings::default().refinements)]
+    #[arg(long, value_name = "K", default_value_t = JointSettings::default().refinements)]
     refinements: usize,
     /// Relative duality gap at which the solver ends. It bounds the objective under fixed tangents of the limits,
     /// because the exact limits are not convex. Rounds with new tangents follow until one gains less than a quarter
     /// of it
-    #[arg(long, value_name = "G", default_value_t = Settings::default().relative_gap)]
+    #[arg(long, value_name = "G", default_value_t = JointSettings::default().relative_gap)]
     relative_gap: f64,
     /// Largest number of iterations of the solver
-    #[arg(long, value_name = "N", default_value_t = Settings::default().max_iterations)]
+    #[arg(long, value_name = "N", default_value_t = JointSettings::default().max_iterations)]
     max_iterations: usize,
     #[command(flatten)]
     output: OutputArgs,
@@ -87,13 +88,13 @@ struct PriceArgs {
 }
 
 impl Joint {
-    fn settings(&self) -> Settings {
-        Settings {
+    fn settings(&self) -> JointSettings {
+        JointSettings {
             min_dwell_s_per_mm: self.min_dwell_s_per_mm,
             price: match (self.price.time_weight_nm2_per_s, self.price.time_elasticity) {
                 (Some(price), _) => Price::Nm2PerS(price),
                 (None, Some(x)) => Price::Elasticity(x),
-                (None, None) => Settings::default().price,
+                (None, None) => JointSettings::default().price,
             },
             tikhonov: self.tikhonov,
             difference_weight: self.difference_weight,
@@ -108,6 +109,11 @@ impl Joint {
     }
 
     /// Computes the plan, writes it and returns the verdict.
+    ///
+    /// # Errors
+    ///
+    /// Refuses inputs that cannot be read or do not fit each other. Fails where the plan fails or the output cannot be
+    /// written.
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = self.settings();
         let mut inputs = Inputs::new();
@@ -175,7 +181,7 @@ impl Joint {
         Ok(status)
     }
 
-    fn say(&self, plan: &Plan, rms_nm: f64) {
+    fn say(&self, plan: &JointPlan, rms_nm: f64) {
         let r = &plan.report;
         if let Some(widened) = r.widened {
             say(format!(
@@ -206,7 +212,7 @@ impl Joint {
     }
 }
 
-fn say_of_axes(r: &Report) {
+fn say_of_axes(r: &JointReport) {
     if r.axes.is_empty() {
         return;
     }

@@ -28,7 +28,7 @@ use planish_numerics::{
     motion::clothoid,
 };
 
-use crate::piece::{Piece, Station};
+use crate::piece::{CurvePiece, Station};
 
 /// Largest number of steps for the headings, and of shifts for a clothoid. Larger: more time for points that no spline
 /// of small turns goes through. Smaller: such splines are given up that need a step more. Chosen: each step leaves a
@@ -74,7 +74,7 @@ struct Bends {
 }
 
 impl Bends {
-    /// The parts of a shape of length 1: fraction of the length, and both curvatures.
+    /// Returns the parts of a shape of length 1: fraction of the length, and both curvatures.
     fn parts(&self) -> Vec<(f64, [f64; 2])> {
         match self.kink {
             None => vec![(1.0, [self.start, self.end])],
@@ -84,7 +84,8 @@ impl Bends {
 
     /// End of the shape of length 1 that begins at the origin along the first axis.
     fn tip(&self) -> [f64; 2] {
-        let (mut tip, mut heading) = ([0.0; 2], 0.0);
+        let mut tip = [0.0; 2];
+        let mut heading = 0.0;
         for (length, [from, to]) in self.parts() {
             let sharpness = (to - from) / length;
             let step = clothoid::position(from, sharpness, length);
@@ -98,12 +99,11 @@ impl Bends {
 impl Shape {
     /// (1) or (2): the factors of phi_0 and phi_1 in the curvatures at the start and at the end.
     fn factors(&self) -> [[f64; 2]; 2] {
-        let of_line = |f: f64| [2.0 * (1.0 + f) / (1.0 - f), 2.0 * (2.0 - f) / (1.0 - f)];
         match *self {
             Self::One => [[-4.0, -2.0], [2.0, 4.0]],
-            Self::FromLine(f) => [[0.0, 0.0], of_line(f)],
+            Self::FromLine(f) => [[0.0, 0.0], factors_of_line(f)],
             Self::ToLine(f) => {
-                let [far, near] = of_line(f);
+                let [far, near] = factors_of_line(f);
                 [[-near, -far], [0.0, 0.0]]
             }
         }
@@ -120,8 +120,8 @@ impl Shape {
         Bends { start, kink, end }
     }
 
-    /// Length, mm, and curvatures times the length of the shape over a chord, mm, whose ends have these headings,
-    /// counted from the chord; `None` where the turns are too large.
+    /// Returns the length, mm, and curvatures times the length of the shape over a chord, mm, whose ends have these
+    /// headings, counted from the chord; `None` where the turns are too large.
     fn joined(&self, angles_rad: [f64; 2], chord_mm: f64) -> Option<(f64, Bends)> {
         let mut shift = 0.0;
         for _ in 0..MOST_STEPS {
@@ -135,6 +135,11 @@ impl Shape {
         }
         None
     }
+}
+
+/// Returns the factors of phi_0 and phi_1 in kappa_1 L of (2).
+fn factors_of_line(f: f64) -> [f64; 2] {
+    [2.0 * (1.0 + f) / (1.0 - f), 2.0 * (2.0 - f) / (1.0 - f)]
 }
 
 /// A chord between two points.
@@ -155,13 +160,13 @@ struct Spline {
     ends: [End; 2],
 }
 
-/// The clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has unit vectors along
-/// the lines at the ends; they count where there is a line. `None` if the turns are too large.
+/// Returns the clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has unit
+/// vectors along the lines at the ends; they count where there is a line. `None` if the turns are too large.
 pub fn through(
     points_mm: &[[f64; 2]],
     ends: [End; 2],
     lines: [[f64; 2]; 2],
-) -> Option<Vec<Vec<Piece>>> {
+) -> Option<Vec<Vec<CurvePiece>>> {
     let mut spline = Spline::new(points_mm, ends, lines);
     for _ in 0..MOST_STEPS {
         let joined = spline.joined()?;
@@ -212,16 +217,16 @@ impl Spline {
         Self { chords, angles_rad, ends }
     }
 
-    /// Lengths, mm, and curvatures times length of all shapes.
+    /// Returns the lengths, mm, and curvatures times length of all shapes.
     fn joined(&self) -> Option<Vec<(f64, Bends)>> {
-        let of = |(k, chord): (usize, &Chord)| {
+        let chords = self.chords.iter().enumerate().map(|(k, chord)| {
             let angles = [self.angles_rad[k], self.angles_rad[k + 1] + chord.turn_rad];
             chord.shape.joined(angles, chord.length_mm)
-        };
-        self.chords.iter().enumerate().map(of).collect()
+        });
+        chords.collect()
     }
 
-    /// Excess of the curvature before an inner point over that after it, 1/mm.
+    /// Returns the excess of the curvature before an inner point over that after it, 1/mm.
     fn kink_per_mm(joined: &[(f64, Bends)], point: usize) -> f64 {
         let ((before_mm, before), (after_mm, after)) = (&joined[point - 1], &joined[point]);
         before.end / before_mm - after.start / after_mm
@@ -237,56 +242,60 @@ impl Spline {
             let length_mm = joined[k - 1].0.max(joined[k].0);
             Self::kink_per_mm(joined, k).abs() * length_mm <= BEND_TOLERANCE_RAD
         });
-        let is_arc = |end: End, chord: usize| {
-            end != End::Rest || self.asymmetry_rad(chord).abs() <= BEND_TOLERANCE_RAD
-        };
-        inner && is_arc(self.ends[0], 0) && is_arc(self.ends[1], self.chords.len() - 1)
+        let mut outermost = self.ends.into_iter().zip([0, self.chords.len() - 1]);
+        inner
+            && outermost.all(|(end, chord)| {
+                end != End::Rest || self.asymmetry_rad(chord).abs() <= BEND_TOLERANCE_RAD
+            })
     }
 
-    /// Changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
+    /// Returns the changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
     fn step(&self, joined: &[(f64, Bends)]) -> Vec<f64> {
         let n = self.chords.len();
-        let end = |end: End, elements: [f64; 3], chord: usize| match end {
-            End::Rest => Row { elements, right: -self.asymmetry_rad(chord) },
-            End::Line(_) => Row::held(0.0),
-        };
-        let row = |k: usize| {
+        tridiagonal::solve(n + 1, |k| {
             if k == 0 {
-                return end(self.ends[0], [0.0, 1.0, 1.0], 0);
+                return self.row_of_end(self.ends[0], [0.0, 1.0, 1.0], 0);
             }
             if k == n {
-                return end(self.ends[1], [1.0, 1.0, 0.0], n - 1);
+                return self.row_of_end(self.ends[1], [1.0, 1.0, 0.0], n - 1);
             }
             let [_, before] =
                 self.chords[k - 1].shape.factors().map(|f| f.map(|v| v / joined[k - 1].0));
             let [after, _] = self.chords[k].shape.factors().map(|f| f.map(|v| v / joined[k].0));
             let elements = [before[0], before[1] - after[0], -after[1]];
             Row { elements, right: -Self::kink_per_mm(joined, k) }
-        };
-        tridiagonal::solve(n + 1, row)
+        })
     }
 
-    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<Piece>> {
-        let of = |(k, (length_mm, bends)): (usize, &(f64, Bends))| {
+    /// Returns the equation of a step for the heading at an end, whose outermost chord is `chord`.
+    fn row_of_end(&self, end: End, elements: [f64; 3], chord: usize) -> Row {
+        match end {
+            End::Rest => Row { elements, right: -self.asymmetry_rad(chord) },
+            End::Line(_) => Row::held(0.0),
+        }
+    }
+
+    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<CurvePiece>> {
+        let shapes = joined.iter().enumerate().map(|(k, (length_mm, bends))| {
             let tangent = turned(direction(self.angles_rad[k]), self.chords[k].along);
             let mut there = Station { point_mm: points_mm[k], tangent, curvature_per_mm: 0.0 };
             let mut arcs = Vec::with_capacity(2);
             for (part, curvatures) in bends.parts() {
                 let [curvature_per_mm, end_per_mm] = curvatures.map(|c| c / length_mm);
                 let length_mm = part * length_mm;
-                let arc = Piece {
+                let arc = CurvePiece {
                     start: Station { curvature_per_mm, ..there },
                     sharpness_per_mm2: (end_per_mm - curvature_per_mm) / length_mm,
                     from_mm: 0.0,
                     length_mm,
                     segment: 0,
                 };
-                there = arc.at(length_mm);
+                there = arc.station(length_mm);
                 arcs.push(arc);
             }
             arcs
-        };
-        joined.iter().enumerate().map(of).collect()
+        });
+        shapes.collect()
     }
 }
 
@@ -299,12 +308,12 @@ fn direction(angle_rad: f64) -> [f64; 2] {
     [cos, sin]
 }
 
-/// A vector turned by the angle from the first axis to a unit vector.
+/// Returns a vector turned by the angle from the first axis to a unit vector.
 fn turned([x, y]: [f64; 2], [cos, sin]: [f64; 2]) -> [f64; 2] {
     [cos * x - sin * y, sin * x + cos * y]
 }
 
-/// Angle from the first vector to the second one, positive to the left, rad.
+/// Returns the angle from the first vector to the second one, positive to the left, rad.
 pub fn angle_between([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
     (ax * by - ay * bx).atan2(ax * bx + ay * by)
 }
@@ -314,10 +323,10 @@ mod tests {
     use super::*;
 
     /// Largest steps of position (mm), direction and curvature times length from arc to arc.
-    fn steps(arcs: &[Piece]) -> [f64; 3] {
+    fn steps(arcs: &[CurvePiece]) -> [f64; 3] {
         let mut most = [0.0f64; 3];
         for w in arcs.windows(2) {
-            let (end, start) = (w[0].at(w[0].length_mm), w[1].start);
+            let (end, start) = (w[0].station(w[0].length_mm), w[1].start);
             let (t, u) = (end.tangent, start.tangent);
             let bend = (end.curvature_per_mm - start.curvature_per_mm) * w[0].length_mm;
             let of = [
@@ -368,7 +377,7 @@ mod tests {
             );
             if ends[0] == End::Line(0.4) {
                 let (first, last) = (arcs[0], arcs[arcs.len() - 1]);
-                let end = last.at(last.length_mm);
+                let end = last.station(last.length_mm);
                 assert_eq!((first.start.curvature_per_mm, end.curvature_per_mm), (0.0, 0.0));
                 for (a, b) in [(first.start.tangent, lines[0]), (end.tangent, lines[1])] {
                     // Some tens of roundings of unit vectors.

@@ -13,15 +13,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Writes DIR/dwell (the time of the motion on every segment) and DIR/trajectory.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct JointCli {
     #[command(flatten)]
     joint: crate::cli::Joint,
 }
 
 /// The command `planish joint`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: JointCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.joint.run())
+    planish_handoff::program(|cli: &JointCli| cli.joint.run())
 }

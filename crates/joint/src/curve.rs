@@ -30,7 +30,7 @@ use planish_types::ToolPath;
 
 use crate::{
     clothoid_spline::{End, angle_between, through},
-    piece::{Piece, Station},
+    piece::{CurvePiece, Station},
 };
 
 /// Largest turn of a corner, rad. At a sharper turn the path goes back on itself: the machine rests there and the
@@ -114,56 +114,56 @@ pub struct Corner {
 /// A smooth curve from rest to rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    pieces: Vec<Piece>,
+    pieces: Vec<CurvePiece>,
     corners: Vec<Corner>,
     /// Largest distance from the path where that is bent, mm.
     bent_deviation_mm: f64,
 }
 
 impl Curve {
-    /// Its pieces in order; each begins where the one before ends.
-    pub fn pieces(&self) -> &[Piece] {
+    /// Returns the pieces in order; each begins where the one before ends.
+    pub fn pieces(&self) -> &[CurvePiece] {
         &self.pieces
     }
 
-    /// Its corners in order.
+    /// Returns the corners in order.
     pub fn corners(&self) -> &[Corner] {
         &self.corners
     }
 
-    /// Arc length, mm.
+    /// Returns the arc length, mm.
     pub fn length_mm(&self) -> f64 {
-        self.pieces.last().map_or(0.0, Piece::to_mm)
+        self.pieces.last().map_or(0.0, CurvePiece::to_mm)
     }
 
-    /// Largest distance from the path, mm.
+    /// Returns the largest distance from the path, mm.
     pub fn deviation_mm(&self) -> f64 {
         self.corners.iter().map(|c| c.deviation_mm).fold(self.bent_deviation_mm, f64::max)
     }
 
-    /// Largest curvature, without its sign, 1/mm.
+    /// Returns the largest curvature, without its sign, 1/mm.
     pub fn most_curvature_per_mm(&self) -> f64 {
-        self.pieces.iter().map(Piece::most_curvature_per_mm).fold(0.0, f64::max)
+        self.pieces.iter().map(CurvePiece::most_curvature_per_mm).fold(0.0, f64::max)
     }
 
     /// Integral of the square root of the curvature, mm^(1/2).
     fn bend(&self) -> f64 {
-        self.pieces.iter().map(Piece::bend).sum()
+        self.pieces.iter().map(CurvePiece::bend).sum()
     }
 
-    /// The piece at an arc length, mm; of two that meet there the later one.
-    pub fn piece_at(&self, s: f64) -> &Piece {
+    /// Returns the piece at an arc length, mm; of two that meet there the later one.
+    pub fn piece_at(&self, s: f64) -> &CurvePiece {
         let after = self.pieces.partition_point(|p| p.from_mm <= s);
         &self.pieces[after.saturating_sub(1)]
     }
 
-    /// The station at an arc length, mm.
-    pub fn at(&self, s: f64) -> Station {
+    /// Returns the station at an arc length, mm.
+    pub fn station(&self, s: f64) -> Station {
         let piece = self.piece_at(s);
-        piece.at((s - piece.from_mm).min(piece.length_mm))
+        piece.station((s - piece.from_mm).min(piece.length_mm))
     }
 
-    /// Unit vector along it, and curvature (1/mm), at an arc length, mm.
+    /// Returns the unit vector along the curve, and its curvature (1/mm), at an arc length, mm.
     pub fn direction(&self, s: f64) -> ([f64; 2], f64) {
         let piece = self.piece_at(s);
         piece.direction((s - piece.from_mm).min(piece.length_mm))
@@ -173,7 +173,7 @@ impl Curve {
         let from_mm = self.length_mm();
         // Lengths that vanish beside the arc length would be pieces without duration.
         if from_mm + length_mm > from_mm {
-            self.pieces.push(Piece { start, sharpness_per_mm2, from_mm, length_mm, segment });
+            self.pieces.push(CurvePiece { start, sharpness_per_mm2, from_mm, length_mm, segment });
         }
     }
 }
@@ -199,18 +199,18 @@ struct Chord {
 }
 
 impl Chord {
-    /// Point at a length along it, mm.
-    fn at(&self, s_mm: f64) -> [f64; 2] {
+    /// Returns the point at a length along it, mm.
+    fn point_mm(&self, s_mm: f64) -> [f64; 2] {
         [0, 1].map(|k| self.from[k] + s_mm * self.tangent[k])
     }
 
-    /// Distance of a point from the line through it, mm.
+    /// Returns the distance of a point from the line through it, mm.
     fn distance_mm(&self, point_mm: [f64; 2]) -> f64 {
         let [dx, dy] = [0, 1].map(|k| point_mm[k] - self.from[k]);
         (self.tangent[0] * dy - self.tangent[1] * dx).abs()
     }
 
-    /// The parts of its segments between two lengths along it: segment, from, to (mm).
+    /// Returns the parts of its segments between two lengths along it: segment, from, to (mm).
     fn parts(&self, from_mm: f64, to_mm: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         let starts = std::iter::once(0.0).chain(self.segments.iter().map(|(_, end)| *end));
         let parts = self
@@ -223,21 +223,22 @@ impl Chord {
     }
 }
 
-/// The straight lines between points (segments + 1); segments shorter than a picometre are left out.
+/// Returns the straight lines between points (segments + 1); segments shorter than a picometre are left out.
 fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     let mut chords: Vec<Chord> = Vec::new();
     for (segment, tool_on) in tool_on.iter().copied().enumerate() {
         let (from, to) = (point_mm[segment], point_mm[segment + 1]);
-        let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
+        let dx = to[0] - from[0];
+        let dy = to[1] - from[1];
         let length = dx.hypot(dy);
         if length < LEAST_SEGMENT_MM {
             continue;
         }
         let tangent = [dx / length, dy / length];
-        let in_line = |last: &&mut Chord| {
+        let last = chords.last_mut().filter(|last| {
             last.tool_on == tool_on && angle_between(last.tangent, tangent).abs() < NO_TURN_RAD
-        };
-        if let Some(last) = chords.last_mut().filter(in_line) {
+        });
+        if let Some(last) = last {
             let along = [to[0] - last.from[0], to[1] - last.from[1]];
             last.length_mm = along[0].hypot(along[1]);
             last.tangent = along.map(|d| d / last.length_mm);
@@ -259,11 +260,12 @@ struct Blend {
 }
 
 impl Blend {
-    /// The widest rounding that the limits and the room along the two segments allow.
+    /// Returns the widest rounding that the limits and the room along the two segments allow.
     fn widest(turn_rad: f64, room_mm: f64, rounding: &Rounding) -> Self {
         // For L = 1: heading phi u^2 / 2 means a sharpness of phi.
         let [c, s] = clothoid::position(0.0, turn_rad, 1.0);
-        let (cut, deviation) = (c + s * (0.5 * turn_rad).tan(), s / (0.5 * turn_rad).cos());
+        let cut = c + s * (0.5 * turn_rad).tan();
+        let deviation = s / (0.5 * turn_rad).cos();
         let by_deviation =
             if deviation > 0.0 { rounding.deviation_mm / deviation } else { f64::INFINITY };
         // r = L / phi
@@ -277,7 +279,7 @@ impl Blend {
     }
 }
 
-/// The curves of a path, each from rest to rest; segments shorter than a picometre are left out.
+/// Returns the curves of a path, each from rest to rest; segments shorter than a picometre are left out.
 ///
 /// The curves follow the path itself, or points that are moved a little if that leaves less bend. The least time of a
 /// machine in bends is proportional to the integral of the square root of the curvature.
@@ -288,15 +290,16 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
     let rest =
         Rounding { deviation_mm: (1.0 - SMOOTHED_FRACTION) * rounding.deviation_mm, ..*rounding };
     let through = curves_through(&point_mm, path.tool_on(), &rest);
-    let bend = |curves: &[Curve]| -> f64 { curves.iter().map(Curve::bend).sum() };
-    if bend(&through) < LESS_BEND * bend(&along) {
+    let [bend_through, bend_along] =
+        [&through, &along].map(|curves| curves.iter().map(Curve::bend).sum::<f64>());
+    if bend_through < LESS_BEND * bend_along {
         Smooth { curves: through, moved_mm }
     } else {
         Smooth { curves: along, moved_mm: 0.0 }
     }
 }
 
-/// The points of a path moved by at most `bound_mm` so that it bends less.
+/// Returns the points of a path moved by at most `bound_mm` so that it bends less.
 ///
 /// ```text
 /// min sum |P_(i-1) - 2 P_i + P_(i+1)|^2   subject to   |P_i - P_i of the path| <= bound
@@ -306,11 +309,10 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
 /// machine rests, the tool is switched, or a line longer than `longest_mm` begins or ends.
 fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, f64) {
     let mut point_mm = path.point_mm().to_vec();
-    let mut at: Vec<usize> = vec![0];
-    let moves = |a: usize, b: usize| point_mm[a] != point_mm[b];
-    at.extend((1..point_mm.len()).filter(|i| moves(*i - 1, *i)));
+    let mut indices: Vec<usize> = vec![0];
+    indices.extend((1..point_mm.len()).filter(|i| point_mm[*i - 1] != point_mm[*i]));
     let mut moved_mm = 0.0f64;
-    for run in runs(path, &at, longest_mm) {
+    for run in runs(path, &indices, longest_mm) {
         let original: Vec<[f64; 2]> = run.iter().map(|i| point_mm[*i]).collect();
         let mut p = original.clone();
         let n = p.len();
@@ -320,7 +322,8 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
                 // The second differences in which P_i is, without it, and its coefficient there
                 let centres = [i - 1, i, i + 1].into_iter().zip([1.0, -2.0, 1.0]);
                 let inside = centres.filter(|(k, _)| (1..n - 1).contains(k));
-                let (mut weight, mut target) = (0.0, [0.0; 2]);
+                let mut weight = 0.0;
+                let mut target = [0.0; 2];
                 for (k, c) in inside {
                     weight += c * c;
                     for axis in 0..2 {
@@ -352,7 +355,7 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
     (point_mm, moved_mm)
 }
 
-/// The indices `at` of the points of a path from one that must stay to the next.
+/// Splits the indices `at` of the points of a path from one that must stay to the next.
 fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     let mut runs = vec![vec![at[0]]];
     for w in at.windows(3) {
@@ -381,18 +384,18 @@ enum Vertex {
     Corner(f64),
 }
 
-/// The vertices after the chords.
+/// Returns the vertices after the chords.
 fn vertices(chords: &[Chord]) -> Vec<Vertex> {
-    let after = |w: &[Chord]| {
+    let between = chords.windows(2).map(|w| {
         let turn = angle_between(w[0].tangent, w[1].tangent);
         let rests = turn.abs() > SHARPEST_TURN_RAD;
         if rests { Vertex::Rest } else { Vertex::Corner(turn) }
-    };
+    });
     let last = chords.last().map(|_| Vertex::Rest);
-    chords.windows(2).map(after).chain(last).collect()
+    between.chain(last).collect()
 }
 
-/// The rounding of the corner after a chord; `None` where there is no corner.
+/// Returns the rounding of the corner after a chord; `None` where there is no corner.
 fn blend(
     chords: &[Chord],
     vertices: &[Vertex],
@@ -401,110 +404,115 @@ fn blend(
 ) -> Option<(f64, Blend)> {
     let Vertex::Corner(turn) = vertices[i] else { return None };
     let room_mm = 0.5 * chords[i].length_mm.min(chords[i + 1].length_mm);
-    (turn.abs() >= NO_TURN_RAD).then(|| (turn, Blend::widest(turn.abs(), room_mm, rounding)))
+    if turn.abs() < NO_TURN_RAD {
+        return None;
+    }
+    Some((turn, Blend::widest(turn.abs(), room_mm, rounding)))
 }
 
 /// A bent part of a path: the clothoids along its chords.
 struct Bent {
     /// For each chord in order: part of its length, as fractions, and the clothoid along it.
-    arcs: Vec<(usize, [f64; 2], Piece)>,
+    arcs: Vec<(usize, [f64; 2], CurvePiece)>,
     /// Length of the last chord that it takes, mm.
     taken_mm: f64,
     deviation_mm: f64,
 }
 
 impl Bent {
-    /// The bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None` where the
-    /// rounding allows no such deviation, or corners would be less curved.
+    /// Returns the bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None`
+    /// where the rounding allows no such deviation, or corners would be less curved.
     fn new(
         chords: &[Chord],
         vertices: &[Vertex],
         [first, last]: [usize; 2],
         rounding: &Rounding,
     ) -> Option<Self> {
-        let rests = |i: usize| matches!(vertices[i], Vertex::Rest);
-        let from_rest = (first == 0 || rests(first - 1)) && are_even(chords, first);
-        let to_rest = rests(last + 1) && are_even(chords, last);
-        // Half of what the next chord has, where that is left of the line
-        let of_line =
-            |line: usize, next: usize| 0.5 * chords[line].length_mm.min(chords[next].length_mm);
-        let (lead_mm, trail_mm) = (of_line(first, first + 1), of_line(last + 1, last));
         let (before, after) = (&chords[first], &chords[last + 1]);
+        let begins_at_rest = first == 0 || matches!(vertices[first - 1], Vertex::Rest);
+        let from_rest = begins_at_rest && are_even(chords, first);
+        let to_rest = matches!(vertices[last + 1], Vertex::Rest) && are_even(chords, last);
+        // Half of what the next chord has, where that is left of the line
+        let lead_mm = 0.5 * before.length_mm.min(chords[first + 1].length_mm);
+        let trail_mm = 0.5 * after.length_mm.min(chords[last].length_mm);
         // Point, end, first vertex that is a point, and fraction of the chord at which the curve begins; and likewise ends
-        let (start, first_end, from, begin) = match from_rest {
-            true => (before.from, End::Rest, first, 0.0),
-            false => {
-                let end = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
-                let fraction = 1.0 - lead_mm / before.length_mm;
-                (before.at(before.length_mm - lead_mm), end, first + 1, fraction)
-            }
+        let (start, first_end, from, begin) = if from_rest {
+            (before.from, End::Rest, first, 0.0)
+        } else {
+            let end = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
+            let fraction = 1.0 - lead_mm / before.length_mm;
+            (before.point_mm(before.length_mm - lead_mm), end, first + 1, fraction)
         };
-        let (stop, last_end, to, taken_mm) = match to_rest {
-            true => (after.to, End::Rest, last, after.length_mm),
-            false => {
-                let end = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
-                (after.at(trail_mm), end, last - 1, trail_mm)
-            }
+        let (stop, last_end, to, taken_mm) = if to_rest {
+            (after.to, End::Rest, last, after.length_mm)
+        } else {
+            let end = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
+            (after.point_mm(trail_mm), end, last - 1, trail_mm)
         };
         let vertices_mm = chords[from..=to].iter().map(|c| c.to);
         let points: Vec<[f64; 2]> =
             std::iter::once(start).chain(vertices_mm).chain(std::iter::once(stop)).collect();
         let arcs = through(&points, [first_end, last_end], [before.tangent, after.tangent])?;
-        let part = |chord: usize| {
+        let along = (first..).zip(arcs.concat()).map(|(chord, arc)| {
             let begins = if chord == first { begin } else { 0.0 };
             let ends = if chord == last + 1 { taken_mm / after.length_mm } else { 1.0 };
-            [begins, ends]
-        };
-        let along = (first..).zip(arcs.concat()).map(|(chord, arc)| (chord, part(chord), arc));
+            (chord, [begins, ends], arc)
+        });
         let mut bent = Self { arcs: along.collect(), taken_mm, deviation_mm: 0.0 };
         bent.deviation_mm = bent.deviation_mm(chords);
-        let corner = |i: usize| {
-            blend(chords, vertices, i, rounding).map(|(turn, b)| turn.abs() / b.half_length_mm)
-        };
-        let of_corners = (first..=last).filter_map(corner).fold(0.0, f64::max);
+        let corners = (first..=last).filter_map(|i| blend(chords, vertices, i, rounding));
+        let most_of_corners =
+            corners.map(|(turn, b)| turn.abs() / b.half_length_mm).fold(0.0, f64::max);
         let curvatures = bent.arcs.iter().map(|(_, _, arc)| arc.most_curvature_per_mm());
         let most = curvatures.fold(0.0, f64::max);
-        (bent.deviation_mm <= rounding.deviation_mm && most < of_corners).then_some(bent)
+        let is_better = bent.deviation_mm <= rounding.deviation_mm && most < most_of_corners;
+        if is_better { Some(bent) } else { None }
     }
 
-    /// Largest distance of ends and middles of the clothoids from their chords, mm.
+    /// Returns the largest distance of ends and middles of the clothoids from their chords, mm.
     fn deviation_mm(&self, chords: &[Chord]) -> f64 {
-        let of = |(chord, _, arc): &(usize, [f64; 2], Piece)| {
-            [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.at(f * arc.length_mm).point_mm))
-        };
-        self.arcs.iter().flat_map(of).fold(0.0, f64::max)
+        let distances = self.arcs.iter().flat_map(|(chord, _, arc)| {
+            [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.station(f * arc.length_mm).point_mm))
+        });
+        distances.fold(0.0, f64::max)
     }
 }
 
-/// The bent parts of a path, each with the chord after which it has its first vertex.
+/// Returns the bent parts of a path, each with the chord after which it has its first vertex.
 fn bent_parts(chords: &[Chord], vertices: &[Vertex], rounding: &Rounding) -> BTreeMap<usize, Bent> {
-    let is_sample = |i: usize| {
-        let Vertex::Corner(turn) = vertices[i] else { return false };
-        // A circle through three points l apart that turns by phi there is l phi / 8 from the chord
-        let sagitta_mm = 0.125 * chords[i].length_mm.min(chords[i + 1].length_mm) * turn.abs();
-        (NO_TURN_RAD..=BENT_TURN_RAD).contains(&turn.abs()) && sagitta_mm <= rounding.deviation_mm
-    };
-    let mut found = BTreeMap::new();
+    let mut bent_parts = BTreeMap::new();
     let mut first = 0;
     while first < chords.len() {
         // The chord before the first vertex may be a long line.
-        let goes_on = |i: &usize| is_sample(*i) && (*i <= first + 1 || are_even(chords, *i - 1));
-        let count = (first..chords.len()).take_while(goes_on).count();
+        let run = (first..chords.len()).take_while(|i| {
+            is_sample(chords, vertices, *i, rounding)
+                && (*i <= first + 1 || are_even(chords, *i - 1))
+        });
+        let count = run.count();
         if count >= LEAST_BENT_VERTICES {
             let last = first + count - 1;
             if let Some(bent) = Bent::new(chords, vertices, [first, last], rounding) {
-                found.insert(first, bent);
+                bent_parts.insert(first, bent);
             }
         }
         // A run that ends between uneven chords is followed by one that begins there.
         first += count.max(1);
     }
-    found
+    bent_parts
 }
 
-/// True if a chord and the next one may be samples of the same bent path.
+/// Returns true if the vertex after the chord `i` may be a sample of a bent path.
+fn is_sample(chords: &[Chord], vertices: &[Vertex], i: usize, rounding: &Rounding) -> bool {
+    let Vertex::Corner(turn) = vertices[i] else { return false };
+    // A circle through three points l apart that turns by phi there is l phi / 8 from the chord
+    let sagitta_mm = 0.125 * chords[i].length_mm.min(chords[i + 1].length_mm) * turn.abs();
+    (NO_TURN_RAD..=BENT_TURN_RAD).contains(&turn.abs()) && sagitta_mm <= rounding.deviation_mm
+}
+
+/// Returns true if a chord and the next one may be samples of the same bent path.
 fn are_even(chords: &[Chord], i: usize) -> bool {
-    let (a, b) = (chords[i].length_mm, chords[i + 1].length_mm);
+    let a = chords[i].length_mm;
+    let b = chords[i + 1].length_mm;
     a.max(b) <= MOST_UNEVEN * a.min(b)
 }
 
@@ -544,7 +552,7 @@ impl Curve {
     fn line(&mut self, chord: &Chord, [from_mm, to_mm]: [f64; 2]) {
         for (segment, from_mm, to_mm) in chord.parts(from_mm, to_mm) {
             let start = Station {
-                point_mm: chord.at(from_mm),
+                point_mm: chord.point_mm(from_mm),
                 tangent: chord.tangent,
                 curvature_per_mm: 0.0,
             };
@@ -568,15 +576,23 @@ impl Curve {
     /// Adds the corner between two chords. Every part of it serves the segment of the path next to it: a fraction of
     /// a clothoid belongs to the same fraction of the part of the chord that the corner replaces.
     fn round(&mut self, chord: &Chord, next: &Chord, turn: f64, blend: &Blend) {
-        let ([tx, ty], v, l) = (chord.tangent, chord.to, blend.half_length_mm);
-        let (peak, cut) = (turn / l, blend.cut_mm);
+        let [tx, ty] = chord.tangent;
+        let v = chord.to;
+        let l = blend.half_length_mm;
+        let peak = turn / l;
+        let cut = blend.cut_mm;
         let start = Station {
             point_mm: [v[0] - cut * tx, v[1] - cut * ty],
             tangent: chord.tangent,
             curvature_per_mm: 0.0,
         };
-        let before =
-            Piece { start, sharpness_per_mm2: peak / l, from_mm: 0.0, length_mm: l, segment: 0 };
+        let before = CurvePiece {
+            start,
+            sharpness_per_mm2: peak / l,
+            from_mm: 0.0,
+            length_mm: l,
+            segment: 0,
+        };
         let first = chord.length_mm - cut;
         for (segment, from, to) in chord.parts(first, chord.length_mm) {
             self.push_part(&before, [from, to].map(|s| (s - first) / cut), segment);
@@ -593,7 +609,7 @@ impl Curve {
             tangent: [half[0] / length, half[1] / length],
             curvature_per_mm: peak,
         };
-        let after = Piece { start: middle, sharpness_per_mm2: -peak / l, ..before };
+        let after = CurvePiece { start: middle, sharpness_per_mm2: -peak / l, ..before };
         for (segment, from, to) in next.parts(0.0, cut) {
             self.push_part(&after, [from, to].map(|s| s / cut), segment);
         }
@@ -609,9 +625,9 @@ impl Curve {
     }
 
     /// The part of a piece between two fractions of its length.
-    fn push_part(&mut self, whole: &Piece, [from, to]: [f64; 2], segment: usize) {
+    fn push_part(&mut self, whole: &CurvePiece, [from, to]: [f64; 2], segment: usize) {
         let l = whole.length_mm;
-        self.push(whole.at(from * l), whole.sharpness_per_mm2, (to - from) * l, segment);
+        self.push(whole.station(from * l), whole.sharpness_per_mm2, (to - from) * l, segment);
     }
 }
 
@@ -652,7 +668,7 @@ mod tests {
             let curve = &curves[0];
             assert_eq!(curve.corners().len(), 4);
             for w in curve.pieces().windows(2) {
-                let (end, start) = (w[0].at(w[0].length_mm), w[1].at(0.0));
+                let (end, start) = (w[0].station(w[0].length_mm), w[1].station(0.0));
                 for k in 0..2 {
                     // Coordinates of some mm, rounded some tens of times.
                     assert!((end.point_mm[k] - start.point_mm[k]).abs() < 1e-13);
@@ -661,7 +677,7 @@ mod tests {
                 let gap = (end.curvature_per_mm - start.curvature_per_mm).abs();
                 assert!(gap < 1e-12 * start.curvature_per_mm.abs().max(1.0));
             }
-            let (first, last) = (curve.at(0.0), curve.at(curve.length_mm()));
+            let (first, last) = (curve.station(0.0), curve.station(curve.length_mm()));
             assert_eq!(first.point_mm, points[0]);
             // Some tens of roundings, as above.
             assert!((last.point_mm[0] - 9.0).abs() + (last.point_mm[1] + 1.0).abs() < 1e-13);
@@ -674,8 +690,8 @@ mod tests {
             let to = [10.0 + 10.0 * turn.cos(), 10.0 * turn.sin()];
             let curve = rounded(&[[0.0, 0.0], [10.0, 0.0], to], &rounding).remove(0);
             let c = curve.corners()[0];
-            let middle = curve.at(c.at_mm).point_mm;
-            ((middle[0] - 10.0).hypot(middle[1]), 1.0 / curve.at(c.at_mm).curvature_per_mm, c)
+            let middle = curve.station(c.at_mm).point_mm;
+            ((middle[0] - 10.0).hypot(middle[1]), 1.0 / curve.station(c.at_mm).curvature_per_mm, c)
         };
         for turn in [0.1, 1.0, 0.5 * PI, 2.5, 2.9] {
             let (distance, radius, c) =
@@ -707,7 +723,7 @@ mod tests {
             .curves
             .remove(0);
         let steps = 20_000;
-        let at = |k: usize| curve.at(curve.length_mm() * k as f64 / steps as f64).point_mm;
+        let at = |k: usize| curve.station(curve.length_mm() * k as f64 / steps as f64).point_mm;
         let chord = |k: usize| (at(k + 1)[0] - at(k)[0]).hypot(at(k + 1)[1] - at(k)[1]);
         let length: f64 = (0..steps).map(chord).sum();
         // A chord is shorter than its arc by kappa^2 h^3 / 24 with h = 3e-4: 1e-7 of the whole at kappa = 5.
@@ -731,7 +747,7 @@ mod tests {
         assert!((fine.length_mm() - coarse.length_mm()).abs() < 1e-13);
         for k in 0..=200 {
             let s = coarse.length_mm() * f64::from(k) / 200.0;
-            let (a, b) = (fine.at(s), coarse.at(s));
+            let (a, b) = (fine.station(s), coarse.station(s));
             assert!((a.point_mm[0] - b.point_mm[0]).hypot(a.point_mm[1] - b.point_mm[1]) < 1e-13);
             assert!((a.curvature_per_mm - b.curvature_per_mm).abs() < 1e-11);
         }
@@ -762,7 +778,7 @@ mod tests {
         assert!(bend < 0.6 * as_it_is, "{bend} {as_it_is}");
         // The bound itself: rounding.
         assert!(smooth[0].corners().iter().all(|c| c.deviation_mm <= 0.25 * 0.3 + 1e-15));
-        let (first, last) = (smooth[0].at(0.0), smooth[0].at(smooth[0].length_mm()));
+        let (first, last) = (smooth[0].station(0.0), smooth[0].station(smooth[0].length_mm()));
         assert_eq!(first.point_mm, rough[0]);
         let end = rough[rough.len() - 1];
         // Some tens of roundings of coordinates of 30 mm.
@@ -801,12 +817,12 @@ mod tests {
         // One clothoid per chord, through all points
         assert_eq!(curve.pieces().len(), points.len() - 1);
         for (piece, point) in curve.pieces().iter().zip(&points) {
-            assert_eq!(piece.at(0.0).point_mm, *point);
+            assert_eq!(piece.station(0.0).point_mm, *point);
         }
         // 1 / r but for the pitch, (1 / (2 pi r))^2 = 2e-3, and the sampling, (0.8 / r)^2 / 12 = 3e-3. Corners of the
         // radius 1 mm would have 1.
         for (piece, point) in curve.pieces().iter().zip(&points) {
-            let curvature = piece.at(0.0).curvature_per_mm * point[0].hypot(point[1]);
+            let curvature = piece.station(0.0).curvature_per_mm * point[0].hypot(point[1]);
             assert!((curvature - 1.0).abs() < 8e-3, "{curvature}");
         }
         // The sagitta of the first chord, 0.8^2 / (8 r) = 0.02
@@ -828,7 +844,7 @@ mod tests {
         let curve = rounded(&points, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 }).remove(0);
         assert_eq!(curve.corners().len(), 1, "the right angle after the bend");
         for w in curve.pieces().windows(2) {
-            let (end, start) = (w[0].at(w[0].length_mm), w[1].at(0.0));
+            let (end, start) = (w[0].station(w[0].length_mm), w[1].station(0.0));
             for k in 0..2 {
                 // Coordinates of some mm, rounded some tens of times
                 assert!((end.point_mm[k] - start.point_mm[k]).abs() < 1e-13);
@@ -837,8 +853,8 @@ mod tests {
             assert!((end.curvature_per_mm - start.curvature_per_mm).abs() < 1e-12);
         }
         // The arc has 0.5; the way in and out of it a little more.
-        let bent = curve.pieces().iter().filter(|p| p.at(0.0).point_mm[0] > 5.0);
-        let most = bent.map(Piece::most_curvature_per_mm).fold(0.0, f64::max);
+        let bent = curve.pieces().iter().filter(|p| p.station(0.0).point_mm[0] > 5.0);
+        let most = bent.map(CurvePiece::most_curvature_per_mm).fold(0.0, f64::max);
         assert!(most > 0.49 && most < 0.6, "{most}");
         let mut served: Vec<usize> = curve.pieces().iter().map(|p| p.segment).collect();
         served.dedup();
@@ -851,7 +867,7 @@ mod tests {
         let curve = rounded(&points, &WIDE).remove(0);
         let steps = 20_000;
         let h = curve.length_mm() / f64::from(steps);
-        let root = |k: i32| curve.at(h * (f64::from(k) + 0.5)).curvature_per_mm.abs().sqrt();
+        let root = |k: i32| curve.station(h * (f64::from(k) + 0.5)).curvature_per_mm.abs().sqrt();
         let sum: f64 = (0..steps).map(|k| h * root(k)).sum();
         // The root is steep where a bend begins: the sum is off by some h^(3/2).
         assert!((curve.bend() - sum).abs() < 1e-4 * sum, "{} {sum}", curve.bend());

@@ -18,7 +18,8 @@ pub trait FurtherAxes: Sync {
     /// Their limits, in their order.
     fn limits(&self) -> &[FurtherLimits];
 
-    /// Position of every axis with its first and second derivative by arc length, in the unit of the axis and mm.
+    /// Returns the position of every axis with its first and second derivative by arc length, in the unit of the axis
+    /// and mm.
     ///
     /// The curve goes through `point_mm` in the direction of the unit vector `tangent`, with a curvature that is positive
     /// to the left. An axis may depend on the point only, so that derivatives by x and y exist. Only the derivatives are

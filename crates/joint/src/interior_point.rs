@@ -71,6 +71,11 @@ const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
 /// Minimises (1) from densities strictly inside. The objective may change from step to step while its price is still
 /// being found; nothing is proven, or compared, before it is. `None` where the matrix is singular to rounding.
+///
+/// # Errors
+///
+/// Refuses cells of the normal matrix that miss too much of the mean square ([`JointError::CellsTooLarge`]). Fails
+/// where the motion cannot be simulated.
 pub fn solve(
     program: &Program<'_>,
     start: Start,
@@ -116,6 +121,10 @@ pub struct Approach {
 
 /// Goes towards the minimum of (1) without proving anything, until the complementarity is below the fraction `near`
 /// of f. `None` where the matrix is singular to rounding.
+///
+/// # Errors
+///
+/// Fails as [`solve`] does.
 pub fn approach(
     program: &Program<'_>,
     start: Start,
@@ -153,7 +162,7 @@ mod tests {
     use super::*;
     use crate::{
         curve::{Rounding, curves},
-        limits::Rows,
+        limits::LimitRows,
         merit::Price,
         mesh::Mesh,
     };
@@ -231,7 +240,7 @@ mod tests {
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
         let lengths = mesh.lengths_mm();
         for (acceleration, price, alpha) in [(400.0, 1e-4, 1e-4), (4000.0, 1e-3, 1e-3)] {
-            let rows = Rows::new(&curves, &mesh, &machine(60.0, acceleration), 0.1);
+            let rows = LimitRows::new(&curves, &mesh, &machine(60.0, acceleration), 0.1);
             let lo = rows.least_density().to_vec();
             let tikhonov = alpha;
             let alpha = alpha * strongest;

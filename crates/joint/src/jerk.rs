@@ -58,22 +58,21 @@ pub struct Average {
 }
 
 impl Average {
-    /// The average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine does
-    /// not limit jerk. (3) does not hold for further axes, which are no linear functions of x and y: the rounds of the
-    /// plan keep their limits.
+    /// Returns the average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine
+    /// does not limit jerk. (3) does not hold for further axes, which are no linear functions of x and y: the rounds of
+    /// the plan keep their limits.
     pub fn new(limits: &Limits, further: &[FurtherLimits], deviation_mm: f64) -> Option<Self> {
         // (4) holds for every axis; the distance is that of both together.
         let [a, b] = limits.max_acceleration_mm_per_s2();
         let most = a.hypot(b);
-        let over_jerk = |axis: &planish_types::AxisLimits| {
-            axis.max_jerk_mm_per_s3().map(|jerk| 2.0 * axis.max_acceleration_mm_per_s2() / jerk)
-        };
         // Of all of A: w = 2 A / J on the slower axis.
-        let of_further = |axis: &FurtherLimits| {
+        let own = limits.axes().iter().filter_map(|axis| {
+            axis.max_jerk_mm_per_s3().map(|jerk| 2.0 * axis.max_acceleration_mm_per_s2() / jerk)
+        });
+        let of_further = further.iter().filter_map(|axis| {
             axis.max_jerk_per_s3.map(|jerk| 2.0 * axis.max_acceleration_per_s2 / jerk)
-        };
-        let own = limits.axes().iter().filter_map(over_jerk);
-        let window_s = own.chain(further.iter().filter_map(of_further)).reduce(f64::max)?;
+        });
+        let window_s = own.chain(of_further).reduce(f64::max)?;
         let intervals = INTERVALS as f64;
         let of_window = 1.0 / 24.0 + 1.0 / (6.0 * intervals * intervals);
         let least_s = (LEAST_DEVIATION * deviation_mm / (most * of_window)).sqrt();
@@ -86,7 +85,11 @@ impl Average {
         Some(Self { window_s, fraction, deviation_mm })
     }
 
-    /// The limits that the plan keeps.
+    /// Returns the limits that the plan keeps before averaging: the fraction f of every acceleration, and no jerk.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a limit on jerk that leaves nearly nothing of the acceleration.
     pub fn limits(&self, limits: &Limits) -> Result<Limits, Invalid> {
         if self.fraction < LEAST_FRACTION {
             let problem =
@@ -101,8 +104,12 @@ impl Average {
         file.checked()
     }
 
-    /// The motion (2), longer by w and four h. Segments of the path and the state of the tool keep their times.
-    pub fn of(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
+    /// Returns the motion (2), longer by w and four h. Segments of the path and the state of the tool keep their times.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a motion whose average would not fit into the memory.
+    pub fn averaged(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
         let total_s = motion.total_time_s();
         let h = self.window_s / INTERVALS as f64;
         // From the first coefficient that is not the start on; B reaches two intervals to both sides.
@@ -116,11 +123,13 @@ impl Average {
         )?;
         // Piece i, and the coefficient before it.
         let at_s = |i: usize| (i as f64 - before as f64) * h;
-        let mean = |i: usize| mean_mm(motion, at_s(i) - h - 0.5 * self.window_s, self.window_s);
-        let means = parallel::map(pieces + 3, &mean);
+        let means = parallel::map(pieces + 3, &|i| {
+            mean_mm(motion, at_s(i) - h - 0.5 * self.window_s, self.window_s)
+        });
 
         let runs = runs(motion);
-        let (mut builder, mut run) = (TrajectoryBuilder::default(), 0);
+        let mut builder = TrajectoryBuilder::default();
+        let mut run = 0;
         let least_s = SHORTEST_OVER_INTERVAL * h;
         for i in 0..pieces {
             let cubic = [0, 1].map(|axis| of_b_spline([0, 1, 2, 3].map(|k| means[i + k][axis]), h));
@@ -156,7 +165,9 @@ struct Run {
 fn runs(motion: &Trajectory) -> Vec<Run> {
     let mut runs: Vec<Run> = Vec::new();
     for (segment, end_s) in motion.segments().zip(&motion.break_time_s()[1..]) {
-        let (end_s, tool_on, dwell_index) = (*end_s, segment.tool_on, segment.dwell_index);
+        let end_s = *end_s;
+        let tool_on = segment.tool_on;
+        let dwell_index = segment.dwell_index;
         match runs.last_mut().filter(|r| (r.tool_on, r.dwell_index) == (tool_on, dwell_index)) {
             Some(run) => run.end_s = end_s,
             None => runs.push(Run { end_s, tool_on, dwell_index }),
@@ -174,7 +185,8 @@ fn runs(motion: &Trajectory) -> Vec<Run> {
 /// means are divided by h^3.
 fn mean_mm(motion: &Trajectory, from_s: f64, window_s: f64) -> [f64; 2] {
     let breaks = motion.break_time_s();
-    let (last, total_s) = (motion.len() - 1, motion.total_time_s());
+    let last = motion.len() - 1;
+    let total_s = motion.total_time_s();
     let segment_at = |t: f64| (breaks.partition_point(|b| *b <= t).max(1) - 1).min(last);
     let to_s = from_s + window_s;
     let middle_s = (0.5 * (from_s + to_s)).clamp(0.0, total_s);
@@ -206,7 +218,7 @@ fn mean_mm(motion: &Trajectory, from_s: f64, window_s: f64) -> [f64; 2] {
     [0, 1].map(|axis| about[axis] + sum[axis] / window_s)
 }
 
-/// A piece of (2), h long, from the coefficients that reach it.
+/// Returns a piece of (2), h long, from the coefficients that reach it.
 fn of_b_spline([a, b, c, d]: [f64; 4], h: f64) -> [f64; 4] {
     let (before, here, after) = (b - a, c - b, d - c);
     [
@@ -268,7 +280,7 @@ mod tests {
             assert!(
                 !verify(&motion, &limits, &VerifySettings::default()).unwrap().limits_respected
             );
-            let smooth = average.of(&motion).unwrap();
+            let smooth = average.averaged(&motion).unwrap();
             let verdict = verify(&smooth, &limits, &VerifySettings::default()).unwrap();
             assert!(verdict.limits_respected, "{jerk}: {:?}", verdict.reason());
             // At rest at both ends, where the motion was.
@@ -303,7 +315,7 @@ mod tests {
         let limits = machine(Some(1e5));
         let average = Average::new(&limits, &[], 0.05).unwrap();
         let motion = full_speed(&limits);
-        let smooth = average.of(&motion).unwrap();
+        let smooth = average.averaged(&motion).unwrap();
         let of = |t: &Trajectory| t.served_s(3, |_| true).unwrap();
         let (planned, kept) = (of(&motion), of(&smooth));
         // Below: rounding of sums of the durations of some hundred pieces.

@@ -49,8 +49,8 @@ mod settings;
 pub use further::{FurtherAxes, FurtherLimits};
 pub use machine_axes::MachineAxes;
 pub use merit::Price;
-pub use plan::{Plan, Report, plan, plan_with_further_axes};
-pub use settings::Settings;
+pub use plan::{JointPlan, JointReport, plan, plan_with_further_axes};
+pub use settings::JointSettings;
 
 use planish_dwell::DwellError;
 use planish_types::Invalid;

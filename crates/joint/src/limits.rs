@@ -35,7 +35,7 @@ use crate::{
     axes::{Further, Scaled},
     curve::Curve,
     mesh::{Kinematics, Mesh, Span},
-    piece::Piece,
+    piece::CurvePiece,
 };
 
 /// Largest turn between two places of (1) on a clothoid, rad. Larger: fewer rows, and more acceleration between the
@@ -93,7 +93,7 @@ const DIFFERENCE: f64 = 1e-4;
 
 /// A row of the program: its span and the quantity that it limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Row {
+struct LimitRow {
     span: usize,
     /// Index of the further axis; `None` for x and y.
     further: Option<usize>,
@@ -125,21 +125,22 @@ pub struct Constraint {
 }
 
 /// The limits along some curves.
-pub struct Rows<'a> {
+pub struct LimitRows<'a> {
     mesh: &'a Mesh,
-    rows: Vec<Row>,
+    rows: Vec<LimitRow>,
     least_density: Vec<f64>,
 }
 
-impl<'a> Rows<'a> {
-    /// The rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
+impl<'a> LimitRows<'a> {
+    /// Returns the rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
     pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
         let mut rows = Vec::new();
         let mut least_density = vec![0.0f64; mesh.nodes];
         let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
         for (i, span) in mesh.spans.iter().enumerate() {
             let samples = samples(&curves[span.curve], span);
-            let (mut line, mut curved) = (f64::INFINITY, false);
+            let mut line = f64::INFINITY;
+            let mut curved = false;
             for Sample { s_mm, tangent: [tx, ty], curvature_per_mm } in samples {
                 let straight = curvature_per_mm == 0.0;
                 curved |= !straight;
@@ -158,7 +159,7 @@ impl<'a> Rows<'a> {
                 for (axis, bend) in bend.into_iter().enumerate().filter(|(_, bend)| *bend != 0.0) {
                     let scale = bend.signum() / (most[axis] * (1.0 - CURVED_MARGIN));
                     let (across, along) = (scale * bend, scale * [tx, ty][axis]);
-                    rows.push(Row::of(i, On::Place { s_mm, across, along }));
+                    rows.push(LimitRow::of_part(i, On::Place { s_mm, across, along }));
                 }
             }
             let margin = if curved { ALONG_CURVE_MARGIN } else { ROUNDING_MARGIN };
@@ -166,22 +167,25 @@ impl<'a> Rows<'a> {
             let inner = span.nodes.iter().all(Option::is_some);
             // At rest the acceleration is constant.
             for tau in if inner { &[0.0, 1.0][..] } else { &[0.0] } {
-                let on = |along: f64| On::Line { tau: *tau, along };
-                rows.extend([along, -along].map(|along| Row::of(i, on(along))));
+                for along in [along, -along] {
+                    rows.push(LimitRow::of_part(i, On::Line { tau: *tau, along }));
+                }
             }
             if inner {
-                let (r, one) = (MAX_RATIO / reference_s_per_mm, -1.0 / reference_s_per_mm);
-                rows.extend([[r, one], [one, r]].map(|by| Row::of(i, On::Ratio { by })));
+                let r = MAX_RATIO / reference_s_per_mm;
+                let one = -1.0 / reference_s_per_mm;
+                rows.extend([[r, one], [one, r]].map(|by| LimitRow::of_part(i, On::Ratio { by })));
             }
         }
         Self { mesh, rows, least_density }
     }
 
-    /// These rows of x and y, with those of further axes.
+    /// Adds the rows of further axes to those of x and y.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
-        let (mesh, of_spans) = (self.mesh, self.of_spans());
+        let mesh = self.mesh;
+        let of_spans = self.of_spans();
         let spans = &mesh.spans;
-        let places: Vec<Vec<Place>> = parallel::map(spans.len(), &|i| {
+        let places: Vec<Vec<FurtherPlace>> = parallel::map(spans.len(), &|i| {
             self.most(i, of_spans[i].clone()).places(&curves[spans[i].curve], further)
         });
         for (span, places) in spans.iter().zip(&places) {
@@ -201,17 +205,14 @@ impl<'a> Rows<'a> {
             rows.extend_from_slice(&self.rows[own]);
             rows.extend(places.iter().flat_map(|place| most.rows(i, place)));
             // Rows at one place are evaluated together.
-            let place = |row: &Row| match row.on {
-                On::Place { s_mm, .. } => s_mm,
-                On::Line { .. } | On::Ratio { .. } => f64::INFINITY,
-            };
-            rows[from..].sort_by(|a, b| place(a).total_cmp(&place(b)));
+            rows[from..].sort_by(|a, b| a.on.place_mm().total_cmp(&b.on.place_mm()));
         }
         self.rows = rows;
         self
     }
 
-    /// The largest feedrate and acceleration along the curve that the other limits allow on a span with these rows.
+    /// Returns the largest feedrate and acceleration along the curve that the other limits allow on a span with these
+    /// rows.
     fn most(&self, span: usize, rows: Range<usize>) -> Most<'a> {
         let span = &self.mesh.spans[span];
         // s' is largest at a node, because its cubic is not concave; s'' is linear in time.
@@ -227,7 +228,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.rows.len()
     }
@@ -237,11 +238,13 @@ impl<'a> Rows<'a> {
         self.rows.is_empty()
     }
 
-    /// c of every row.
+    /// Returns c of (3) and (4) for every row (rows), at the densities of the nodes, s/mm; negative where a limit is
+    /// exceeded.
     pub fn slacks(&self, density: &[f64]) -> Vec<f64> {
-        let places = self.rows.par_chunk_by(Row::are_at_one_place);
+        let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
-            let (span, on) = (&self.mesh.spans[rows[0].span], rows[0].on);
+            let span = &self.mesh.spans[rows[0].span];
+            let on = rows[0].on;
             let densities = span.densities(density);
             let at = on.motion(span, densities);
             rows.iter().map(move |row| row.on.derivatives(&at, densities).0)
@@ -249,16 +252,17 @@ impl<'a> Rows<'a> {
         all.collect()
     }
 
-    /// Every row with its derivatives.
+    /// Returns every row (rows) with its derivatives by the densities of the nodes, s/mm.
     pub fn constraints(&self, density: &[f64]) -> Vec<Constraint> {
-        let places = self.rows.par_chunk_by(Row::are_at_one_place);
+        let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
-            let (span, on) = (&self.mesh.spans[rows[0].span], rows[0].on);
+            let span = &self.mesh.spans[rows[0].span];
+            let on = rows[0].on;
             let densities = span.densities(density);
             let at = on.motion(span, densities);
             // Of the densities a little higher and a little lower, one by one; where a row asks for it
             let mut around = None;
-            let of = move |row: &Row| {
+            rows.iter().map(move |row| {
                 let (slack, by) = row.on.derivatives(&at, densities);
                 if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
                     return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
@@ -286,13 +290,12 @@ impl<'a> Rows<'a> {
                 let off = 0.5 * (second[0][1] + second[1][0]);
                 let bend = positive_part([-second[0][0], -off, -second[1][1]]);
                 Constraint { nodes: span.nodes, slack, by, bend }
-            };
-            rows.iter().map(of)
+            })
         });
         all.collect()
     }
 
-    /// Ranges of the rows of every span (spans).
+    /// Returns the ranges of the rows of every span (spans).
     pub fn of_spans(&self) -> Vec<Range<usize>> {
         let mut all = Vec::with_capacity(self.mesh.spans.len());
         let mut end = 0;
@@ -304,8 +307,8 @@ impl<'a> Rows<'a> {
         all
     }
 
-    /// First-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks of its
-    /// rows, times their dual variables `z`.
+    /// Returns the first-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks
+    /// of its rows, times their dual variables `z`.
     ///
     /// The node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a row
     /// about the whole span, the half with the smaller slack decides.
@@ -314,24 +317,20 @@ impl<'a> Rows<'a> {
         for (row, z) in self.rows.iter().zip(z) {
             let span = &self.mesh.spans[row.span];
             let [Some(a), Some(b)] = span.densities(density) else { continue };
-            let slack = |on: On, span: &Span, d: [f64; 2]| {
-                let d = d.map(Some);
-                on.derivatives(&on.motion(span, d), d).0
-            };
             let middle = constant_acceleration(a, b);
             let [first, second] = span.halves();
             let (before, after) = ([a, middle], [middle, b]);
             let half_mm = first.length_mm();
             let halved = match row.on {
                 On::Place { s_mm, across, along } if s_mm > half_mm => {
-                    slack(On::Place { s_mm: s_mm - half_mm, across, along }, &second, after)
+                    On::Place { s_mm: s_mm - half_mm, across, along }.slack(&second, after)
                 }
-                On::Place { .. } => slack(row.on, &first, before),
+                On::Place { .. } => row.on.slack(&first, before),
                 On::Line { .. } | On::Ratio { .. } => {
-                    slack(row.on, &first, before).min(slack(row.on, &second, after))
+                    row.on.slack(&first, before).min(row.on.slack(&second, after))
                 }
             };
-            worth[row.span] += z * (halved - slack(row.on, span, [a, b])).max(0.0);
+            worth[row.span] += z * (halved - row.on.slack(span, [a, b])).max(0.0);
         }
         worth
     }
@@ -353,23 +352,20 @@ impl<'a> Rows<'a> {
             let rows = &mut self.rows[rows];
             for (axis, factor) in use_of_limit[span].iter().enumerate().filter(|(_, f)| **f > 1.0) {
                 let has_own = rows.iter().any(|row| row.further == Some(axis));
-                let is_meant = |row: &&mut Row| {
-                    all || match has_own {
-                        true => row.further == Some(axis),
-                        false => row.further.is_none(),
-                    }
-                };
-                rows.iter_mut().filter(is_meant).for_each(|row| row.on.tighten(*factor));
+                let tightened = if has_own { Some(axis) } else { None };
+                for row in rows.iter_mut().filter(|row| all || row.further == tightened) {
+                    row.on.tighten(*factor);
+                }
             }
         }
     }
 
-    /// Least densities by (2) (nodes), s/mm: on both spans of a node.
+    /// Returns the least densities by (2) (nodes), s/mm: on both spans of a node.
     pub fn least_density(&self) -> &[f64] {
         &self.least_density
     }
 
-    /// The least uniform density at which every row holds, s/mm.
+    /// Returns the least uniform density at which every row holds, s/mm.
     ///
     /// At a uniform feedrate p'' is that feedrate squared times what it is at 1 mm/s, at rest too.
     pub fn least_uniform_density(&self) -> f64 {
@@ -380,15 +376,15 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Density in the middle between two others where the acceleration is constant: that of the root mean square of their
-/// feedrates.
+/// Returns the density in the middle between two others where the acceleration is constant: that of the root mean
+/// square of their feedrates.
 pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
 
-impl Row {
-    /// A row of x or y.
-    fn of(span: usize, on: On) -> Self {
+impl LimitRow {
+    /// Returns a row of x or y.
+    fn of_part(span: usize, on: On) -> Self {
         Self { span, further: None, on }
     }
 
@@ -404,6 +400,19 @@ impl Row {
 }
 
 impl On {
+    /// Returns the place of the row on its span, mm; infinite for one that has none.
+    fn place_mm(&self) -> f64 {
+        match self {
+            Self::Place { s_mm, .. } => *s_mm,
+            Self::Line { .. } | Self::Ratio { .. } => f64::INFINITY,
+        }
+    }
+
+    /// Returns c of the row where it limits the motion on `span` with these densities at its nodes, s/mm.
+    fn slack(&self, span: &Span, densities: [f64; 2]) -> f64 {
+        let densities = densities.map(Some);
+        self.derivatives(&self.motion(span, densities), densities).0
+    }
     /// Multiplies the use of the limit by a factor where that is above 1.
     fn tighten(&mut self, factor: f64) {
         let factor = factor.max(1.0);
@@ -417,11 +426,11 @@ impl On {
         }
     }
 
-    /// The motion that the row limits; for a ratio of densities any.
+    /// Returns the motion that the row limits; for a ratio of densities any.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
-            Self::Ratio { .. } => span.at(0.0, densities),
-            Self::Line { tau, .. } => span.at(tau, densities),
+            Self::Ratio { .. } => span.kinematics(0.0, densities),
+            Self::Line { tau, .. } => span.kinematics(tau, densities),
             Self::Place { s_mm, .. } => span.at_place(s_mm, densities),
         }
     }
@@ -437,23 +446,26 @@ impl On {
             Self::Place { across, along, .. } => (across, along),
         };
         let slack = 1.0 - across * at.feed_mm_per_s.powi(2) - along * at.acceleration_mm_per_s2;
-        let by = |k: usize| {
+        let by = [0, 1].map(|k| {
             -2.0 * across * at.feed_mm_per_s * at.feed_by[k] - along * at.acceleration_by[k]
-        };
-        (slack, [by(0), by(1)])
+        });
+        (slack, by)
     }
 }
 
-/// The nearest matrix without negative eigenvalues, elements 00, 01, 11.
+/// Returns the nearest matrix without negative eigenvalues, elements 00, 01, 11.
 fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
-    let (middle, half) = (0.5 * (a + c), 0.5 * (a - c));
+    let middle = 0.5 * (a + c);
+    let half = 0.5 * (a - c);
     let radius = half.hypot(b);
-    let (high, low) = ((middle + radius).max(0.0), (middle - radius).max(0.0));
+    let high = (middle + radius).max(0.0);
+    let low = (middle - radius).max(0.0);
     if radius == 0.0 {
         return [high, 0.0, high];
     }
     // The projector on the eigenvector of `high` is (1 + [half, b; b, -half] / radius) / 2.
-    let (mean, difference) = (0.5 * (high + low), 0.5 * (high - low) / radius);
+    let mean = 0.5 * (high + low);
+    let difference = 0.5 * (high - low) / radius;
     [mean + difference * half, difference * b, mean - difference * half]
 }
 
@@ -467,14 +479,14 @@ struct Sample {
     curvature_per_mm: f64,
 }
 
-/// Number of steps of a clothoid between places of (1) for x and y.
-fn steps_of(piece: &Piece) -> usize {
+/// Returns the number of steps of a clothoid between places of (1) for x and y.
+fn steps_of(piece: &CurvePiece) -> usize {
     let least = if piece.change_of_curvature() > LITTLE_CHANGE { LEAST_STEPS } else { 1 };
     ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(least)
 }
 
 fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
-    let mut found = Vec::new();
+    let mut samples = Vec::new();
     let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm);
     for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
         let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
@@ -484,21 +496,30 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
             // Where a node stands within the piece, the part on this side of it has its end there.
             let s = s.clamp(from, to);
             let (tangent, curvature_per_mm) = piece.direction(s - piece.from_mm);
-            found.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
+            samples.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
         }
     }
-    found.dedup_by(|b, a| a.s_mm == b.s_mm);
-    found
+    samples.dedup_by(|b, a| a.s_mm == b.s_mm);
+    samples
 }
 
 /// A place on a span at which further axes are limited.
-struct Place {
+struct FurtherPlace {
     /// Length from the start of the span, mm.
     s_mm: f64,
     /// Empty where an axis has no position: there the judge refuses the motion.
     axes: Vec<Scaled>,
     /// Fractions of the limits of every axis that are left free, of velocity and of acceleration.
     margins: Vec<[f64; 2]>,
+}
+
+impl FurtherPlace {
+    /// Returns the place at `s_mm` from the start of the span, with the margins for rounding.
+    fn new(curve: &Curve, span: &Span, further: &Further<'_>, s_mm: f64) -> Self {
+        let axes = further.scaled(&curve.station(span.from_mm + s_mm)).unwrap_or_default();
+        let margins = vec![[ROUNDING_MARGIN; 2]; axes.len()];
+        Self { s_mm, axes, margins }
+    }
 }
 
 /// Bounds on the motion on a span.
@@ -509,22 +530,18 @@ struct Most<'a> {
 }
 
 impl Most<'_> {
-    /// Places between which (5) is small.
-    fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<Place> {
+    /// Returns the places between which (5) is small.
+    fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<FurtherPlace> {
         let span = self.span;
-        let at = |s_mm: f64| {
-            let axes = further.scaled(&curve.at(span.from_mm + s_mm)).unwrap_or_default();
-            let margins = vec![[ROUNDING_MARGIN; 2]; axes.len()];
-            Place { s_mm, axes, margins }
-        };
-        let mut found = Vec::new();
-        let mut start = at(0.0);
+        let mut places = Vec::new();
+        let mut start = FurtherPlace::new(curve, span, further, 0.0);
         for (to_mm, curved) in self.steps(curve) {
             // From the last place on: the ends of the parts that are still to be made.
-            let mut ends = vec![(at(to_mm), 0)];
+            let mut ends = vec![(FurtherPlace::new(curve, span, further, to_mm), 0)];
             while let Some((mut end, halvings)) = ends.pop() {
                 let length_mm = end.s_mm - start.s_mm;
-                let inside = [0.25, 0.5, 0.75].map(|f| at(start.s_mm + f * length_mm));
+                let inside = [0.25, 0.5, 0.75]
+                    .map(|f| FurtherPlace::new(curve, span, further, start.s_mm + f * length_mm));
                 let [a, b, c] = &inside;
                 let between = self.between([&start, a, b, c, &end]);
                 let most = between.iter().flatten().copied().fold(0.0, f64::max);
@@ -542,17 +559,18 @@ impl Most<'_> {
                         }
                     }
                 }
-                found.push(std::mem::replace(&mut start, end));
+                places.push(std::mem::replace(&mut start, end));
             }
         }
-        found.push(start);
-        found
+        places.push(start);
+        places
     }
 
     /// Ends of the parts that have places of their own whatever the axes do, as lengths from the start of the span, mm,
     /// each with true for a part of a clothoid: steps on clothoids, and all of the lines between them.
     fn steps(&self, curve: &Curve) -> Vec<(f64, bool)> {
-        let (from_mm, to_mm) = (self.span.from_mm, self.span.to_mm);
+        let from_mm = self.span.from_mm;
+        let to_mm = self.span.to_mm;
         let mut steps: Vec<(f64, bool)> = Vec::new();
         let first = curve.pieces().partition_point(|p| p.to_mm() <= from_mm);
         for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < to_mm) {
@@ -575,21 +593,20 @@ impl Most<'_> {
     }
 
     /// (5) of velocity and acceleration of every axis, over its limit, from the values at five equidistant places.
-    fn between(&self, at: [&Place; 5]) -> Vec<[f64; 2]> {
+    fn between(&self, at: [&FurtherPlace; 5]) -> Vec<[f64; 2]> {
         let axes = at.iter().map(|place| place.axes.len()).min().unwrap_or(0);
         let length_mm = at[4].s_mm - at[0].s_mm;
         // The slowest feedrate that some axis asks for all over the part
         let slowest =
             |i: usize| at.iter().map(|p| p.axes[i].need_s_per_mm).fold(f64::INFINITY, f64::min);
         let feed = (0..axes).map(|i| 1.0 / slowest(i)).fold(self.feed_mm_per_s, f64::min);
-        let of_axis = |i: usize| {
+        let bounds = (0..axes).map(|i| {
             let need = at.map(|place| place.axes[i].need_s_per_mm);
             let along = at.map(|place| place.axes[i].along);
             let across = at.map(|place| place.axes[i].across);
-            let largest = |v: [f64; 5]| v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-            let change = |v: [f64; 5]| (v[4] - v[0]).abs();
-            let (f, g, acceleration) =
-                (largest(along), largest(across), self.acceleration_mm_per_s2);
+            let f = largest(along);
+            let g = largest(across);
+            let acceleration = self.acceleration_mm_per_s2;
             let velocity = if largest(need) * self.feed_mm_per_s <= 1.0 {
                 0.0
             } else {
@@ -611,19 +628,15 @@ impl Most<'_> {
                 + change(across) * (2.0 * acceleration * length_mm).min(squared);
             let own = off_line(across) * squared + off_line(along) * acceleration;
             [velocity, 0.25 * products + own + step]
-        };
-        (0..axes).map(of_axis).collect()
+        });
+        bounds.collect()
     }
 
-    /// The rows of a place that the other limits do not imply.
-    fn rows(&self, span: usize, place: &Place) -> Vec<Row> {
+    /// Returns the rows of a place that the other limits do not imply.
+    fn rows(&self, span: usize, place: &FurtherPlace) -> Vec<LimitRow> {
         let s_mm = place.s_mm;
-        let row = |axis: usize, across: f64, along: f64| Row {
-            span,
-            further: Some(axis),
-            on: On::Place { s_mm, across, along },
-        };
-        let (feed, acceleration) = (self.feed_mm_per_s, self.acceleration_mm_per_s2);
+        let feed = self.feed_mm_per_s;
+        let acceleration = self.acceleration_mm_per_s2;
         let [start, end] = self.span.nodes;
         let at_node =
             s_mm == 0.0 && start.is_some() || s_mm == self.span.length_mm() && end.is_some();
@@ -633,13 +646,15 @@ impl Most<'_> {
         {
             let need = axis.need_s_per_mm / (1.0 - of_velocity);
             if need * feed > 1.0 && !at_node {
-                rows.push(row(i, need * need, 0.0));
+                let on = On::Place { s_mm, across: need * need, along: 0.0 };
+                rows.push(LimitRow { span, further: Some(i), on });
             }
             let [across, along] = [axis.across, axis.along].map(|v| v / (1.0 - of_acceleration));
             for sign in [1.0, -1.0] {
                 let bend = (sign * across).max(0.0) * feed * feed;
                 if bend + along.abs() * acceleration > 1.0 {
-                    rows.push(row(i, sign * across, sign * along));
+                    let on = On::Place { s_mm, across: sign * across, along: sign * along };
+                    rows.push(LimitRow { span, further: Some(i), on });
                 }
             }
         }
@@ -647,10 +662,20 @@ impl Most<'_> {
     }
 }
 
-/// Largest difference of five equidistant values from the line between the first and the last one.
+/// Returns the largest magnitude of five values.
+fn largest(v: [f64; 5]) -> f64 {
+    v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()))
+}
+
+/// Returns the magnitude of the change from the first of five values to the last one.
+fn change(v: [f64; 5]) -> f64 {
+    (v[4] - v[0]).abs()
+}
+
+/// Returns the largest difference of five equidistant values from the line between the first and the last one.
 fn off_line(v: [f64; 5]) -> f64 {
-    let of = |k: usize| (v[k] - v[0] - (v[4] - v[0]) * k as f64 / 4.0).abs();
-    of(1).max(of(2)).max(of(3))
+    let [a, b, c] = [1, 2, 3].map(|k| (v[k] - v[0] - (v[4] - v[0]) * k as f64 / 4.0).abs());
+    a.max(b).max(c)
 }
 
 #[cfg(test)]
@@ -696,7 +721,7 @@ mod tests {
         let (path, limits) = (path(), machine());
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
-        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &limits, 0.1);
         let density: Vec<f64> =
             (0..mesh.nodes).map(|j| 0.09 + 0.03 * (2.1 * j as f64).sin()).collect();
         let constraints = rows.constraints(&density);
@@ -743,7 +768,7 @@ mod tests {
         let limits = machine();
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
-        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &limits, 0.1);
         let density: Vec<f64> =
             (0..mesh.nodes).map(|j| 0.09 + 0.03 * (2.1 * j as f64).sin()).collect();
         let slacks = rows.slacks(&density);
@@ -762,7 +787,7 @@ mod tests {
             let middle = 1.0 / ((v * v + w * w) / 2.0).sqrt();
             let mut of_finer = density.clone();
             of_finer.insert(span.nodes[1].unwrap(), middle);
-            let finer_rows = Rows::new(&curves, &finer, &limits, 0.1);
+            let finer_rows = LimitRows::new(&curves, &finer, &limits, 0.1);
             let of_halves = finer_rows.slacks(&of_finer);
             let (whole, halves) = (rows.of_spans()[i].clone(), finer_rows.of_spans());
             let mut expected = 0.0;
@@ -785,7 +810,7 @@ mod tests {
         let (path, limits) = (path(), machine());
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
-        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &limits, 0.1);
         let least = rows.least_uniform_density();
         let slack = |d: f64| rows.slacks(&vec![d; mesh.nodes]).into_iter().fold(1.0, f64::min);
         // Rounding of 1.

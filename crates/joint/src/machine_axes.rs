@@ -12,7 +12,7 @@
 
 use planish_form::Form;
 use planish_kinematics::AxisMap;
-use planish_types::{Invalid, Kinematics, Machine, MachineAxis};
+use planish_types::{Invalid, Kinematics, Machine};
 
 use crate::{FurtherAxes, FurtherLimits};
 
@@ -32,24 +32,28 @@ pub struct MachineAxes {
 }
 
 impl MachineAxes {
-    /// The axes of a machine over a form; `None` if x and y are all.
+    /// Returns the axes of a machine over a form; `None` if x and y are all.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the placement of the part on the machine has no inverse.
     pub fn new(machine: &Machine, form: &Form) -> Result<Option<Self>, Invalid> {
         let first = match machine.kinematics() {
             Kinematics::Xy => return Ok(None),
             Kinematics::Xyz => 2,
             Kinematics::Tilts { .. } | Kinematics::Spindle { .. } => 0,
         };
-        let of = |axis: &MachineAxis| FurtherLimits {
+        let limits = machine.axes()[first..].iter().map(|axis| FurtherLimits {
             name: axis.name.to_owned(),
             max_velocity_per_s: axis.max_velocity,
             max_acceleration_per_s2: axis.max_acceleration,
             max_jerk_per_s3: axis.max_jerk,
-        };
+        });
         Ok(Some(Self {
             map: AxisMap::new(machine, form)?,
             first,
             is_spindle: matches!(machine.kinematics(), Kinematics::Spindle { .. }),
-            limits: machine.axes()[first..].iter().map(of).collect(),
+            limits: limits.collect(),
         }))
     }
 }

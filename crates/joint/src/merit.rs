@@ -165,7 +165,7 @@ struct Reference {
 }
 
 impl Reference {
-    /// The reference at densities with this removal.
+    /// Returns the reference at densities with this removal.
     fn new(
         residual: &Residual<'_>,
         mesh: &Mesh,
@@ -182,7 +182,8 @@ impl Reference {
 }
 
 impl<'a> Merit<'a> {
-    /// The objective with K of the normal matrix, referred to some densities.
+    /// Builds the objective on a mesh; K is the largest diagonal element of `normal`, and the first reference is at
+    /// `density` (nodes), s/mm.
     pub fn new(
         residual: &'a Residual<'a>,
         normal: &'a Normal,
@@ -231,10 +232,11 @@ impl<'a> Merit<'a> {
         Self { executed: Some(executed), ..self }
     }
 
-    /// The curvature of (1) without that of the residual: diagonal (nodes), and element (j, j - 1) for every j.
+    /// Returns the curvature of (1) without that of the residual: diagonal (nodes), and element (j, j - 1) for every j.
     pub fn chain(&self) -> (Vec<f64>, Vec<f64>) {
         let n = self.lo.len();
-        let (mut diagonal, mut below) = (vec![self.alpha; n], vec![0.0; n]);
+        let mut diagonal = vec![self.alpha; n];
+        let mut below = vec![0.0; n];
         for [a, b] in &self.neighbours {
             diagonal[*a] += self.beta;
             diagonal[*b] += self.beta;
@@ -247,7 +249,11 @@ impl<'a> Merit<'a> {
     /// their motion, unless (3) `stays` what it is.
     ///
     /// The cells of the normal matrix miss a part of the mean square, for example of a TIF that ends abruptly on a
-    /// small map. [`JointError::CellsTooLarge`] if they missed much of it since the last reference.
+    /// small map.
+    ///
+    /// # Errors
+    ///
+    /// Refuses cells that missed much of it since the last reference ([`JointError::CellsTooLarge`]).
     pub fn refer_to(
         &mut self,
         at: Progress,
@@ -278,7 +284,7 @@ impl<'a> Merit<'a> {
         Ok(())
     }
 
-    /// The reference at densities by (3) and (4).
+    /// Returns the reference at densities by (3) and (4).
     fn reference_at(&self, density: &[f64], model_nm: Array2<f64>) -> Reference {
         let Some(beyond) = &self.beyond else {
             return Reference::new(self.residual, self.mesh, density, &model_nm);
@@ -291,6 +297,10 @@ impl<'a> Merit<'a> {
     }
 
     /// Fixes (3) and (4) at these densities, and the price, for all steps that follow.
+    ///
+    /// # Errors
+    ///
+    /// Fails where the motion cannot be simulated.
     pub fn keep_motion_of(&mut self, density: &[f64]) -> Result<(), JointError> {
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
         if let Some(executed) = self.executed {
@@ -302,12 +312,17 @@ impl<'a> Merit<'a> {
                 gradient: self.mesh.collect_beyond(&at.gradient_nm2_per_s, density),
             });
         }
-        (self.motion_is_kept, self.price_is_found) = (true, true);
+        self.motion_is_kept = true;
+        self.price_is_found = true;
         self.reference = self.reference_at(density, model_nm);
         Ok(())
     }
 
-    /// (1) of the simulated motion, nm^2.
+    /// Returns the objective (1) with the removal of the simulated motion, nm^2, for densities (nodes), s/mm.
+    ///
+    /// # Errors
+    ///
+    /// Fails where the motion cannot be simulated.
     pub fn of_execution_nm2(&self, density: &[f64]) -> Result<f64, JointError> {
         let removal_nm = match self.executed {
             Some(executed) => executed(density)?,
@@ -317,13 +332,13 @@ impl<'a> Merit<'a> {
         Ok(self.priced(density, left.half_mean_square_nm2, vec![0.0; density.len()]).value)
     }
 
-    /// (1) of the model at its last reference, nm^2.
+    /// Returns the objective (1) by the normal matrix, from the last reference on, nm^2.
     pub fn value_nm2(&self, density: &[f64]) -> f64 {
         let half_mean_square_nm2 = self.by_cells(density).half_mean_square_nm2;
         self.priced(density, half_mean_square_nm2, vec![0.0; density.len()]).value
     }
 
-    /// Half the mean square of the residual by (3), nm^2.
+    /// Returns half the mean square of the residual by (3), nm^2.
     pub fn half_mean_square_nm2(&self, density: &[f64]) -> f64 {
         let mut removal_nm = self.residual.removal_nm(&self.mesh.times_s(density));
         if let Some(beyond) = &self.beyond {
@@ -332,7 +347,7 @@ impl<'a> Merit<'a> {
         self.residual.evaluate_removal(&removal_nm).half_mean_square_nm2
     }
 
-    /// Half the mean square and its gradient, by the normal matrix since the reference.
+    /// Returns half the mean square and its gradient, by the normal matrix since the reference.
     fn by_cells(&self, density: &[f64]) -> Evaluation {
         let reference = &self.reference;
         let off: Vec<f64> = density.iter().zip(&reference.density).map(|(d, r)| d - r).collect();
@@ -340,12 +355,13 @@ impl<'a> Merit<'a> {
         let half_mean_square_nm2 = reference.half_mean_square_nm2
             + dot(&reference.gradient, &off)
             + 0.5 * dot(&curved, &off);
-        let sum = |(g, c): (&f64, &f64)| g + c;
-        let gradient_nm2_per_s = reference.gradient.iter().zip(&curved).map(sum).collect();
+        let gradient_nm2_per_s =
+            reference.gradient.iter().zip(&curved).map(|(g, c)| g + c).collect();
         Evaluation { half_mean_square_nm2, gradient_nm2_per_s }
     }
 
-    /// Value and gradient of (1), and true if the price is found: before that, it changes from step to step.
+    /// Returns the value and the gradient of (1), and true if the price is found: before that, it changes from step to
+    /// step.
     pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
         let Evaluation { half_mean_square_nm2, gradient_nm2_per_s } = self.by_cells(density);
         self.last_half_mean_square_nm2 = half_mean_square_nm2;
@@ -362,7 +378,7 @@ impl<'a> Merit<'a> {
         (objective, self.price_is_found)
     }
 
-    /// Pull to the least densities in (1), nm^2.
+    /// Returns the pull to the least densities in (1), nm^2.
     pub fn pull_nm2(&self, density: &[f64]) -> f64 {
         0.5 * self.alpha * density.iter().zip(self.lo).map(|(d, lo)| (d - lo).powi(2)).sum::<f64>()
     }
@@ -390,11 +406,13 @@ impl<'a> Merit<'a> {
         Objective { value, gradient }
     }
 
-    /// A matrix that is nowhere above the curvature of (1), and nowhere below alpha, times densities.
+    /// Returns the product of densities `d` (nodes) with a matrix that is nowhere above the curvature of (1), and
+    /// nowhere below alpha.
     pub fn lower_curvature(&self, d: &[f64]) -> Vec<f64> {
-        let mut product = match self.normal.below_curvature {
-            true => self.normal.product(d),
-            false => self.mesh.collect(&self.residual.curvature(&self.mesh.times_s(d))),
+        let mut product = if self.normal.below_curvature {
+            self.normal.product(d)
+        } else {
+            self.mesh.collect(&self.residual.curvature(&self.mesh.times_s(d)))
         };
         product.iter_mut().zip(d).for_each(|(p, d)| *p += self.alpha * d);
         for [a, b] in &self.neighbours {

@@ -16,7 +16,7 @@
 //! integral over u of constant weight.
 
 use planish_numerics::quadrature::gauss_legendre;
-use planish_types::{Axis, Invalid, Tif, ToolPath, budget};
+use planish_types::{Invalid, Tif, ToolPath, budget};
 
 use crate::{curve::Curve, piece::Station};
 
@@ -78,28 +78,28 @@ pub struct Kinematics {
 }
 
 impl Span {
-    /// l, mm.
+    /// Returns the length l of the span, mm.
     pub fn length_mm(&self) -> f64 {
         self.to_mm - self.from_mm
     }
 
-    /// Arc length of its middle, mm.
+    /// Returns the arc length of the middle of the span, mm.
     pub fn middle_mm(&self) -> f64 {
         0.5 * (self.from_mm + self.to_mm)
     }
 
-    /// Both halves, with the same nodes as the whole.
+    /// Returns both halves, with the same nodes as the whole.
     pub fn halves(&self) -> [Self; 2] {
         let middle_mm = self.middle_mm();
         [Self { to_mm: middle_mm, ..*self }, Self { from_mm: middle_mm, ..*self }]
     }
 
-    /// The densities of its nodes; `None` at rest.
+    /// Returns the densities of the two nodes, s/mm; `None` at rest.
     pub fn densities(&self, density: &[f64]) -> [Option<f64>; 2] {
         self.nodes.map(|n| n.map(|n| density[n]))
     }
 
-    /// Duration of the span by (2), s.
+    /// Returns the duration of the span by (2), s.
     pub fn duration_s(&self, density: &[f64]) -> f64 {
         let l = self.length_mm();
         match self.densities(density) {
@@ -109,26 +109,34 @@ impl Span {
         }
     }
 
-    /// The motion (3) at the fraction `tau` of the time of the span, for the densities of its nodes.
-    pub fn at(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
+    /// Returns the motion (3) at the fraction `tau` of the time of the span, for the densities of its nodes.
+    pub fn kinematics(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let l = self.length_mm();
-        let (t, t2) = (tau, tau * tau);
+        let t = tau;
+        let t2 = tau * tau;
         match densities {
             [Some(a), Some(b)] => {
-                let (va, vb, mean) = (1.0 / a, 1.0 / b, 2.0 / (a + b));
+                let va = 1.0 / a;
+                let vb = 1.0 / b;
+                let mean = 2.0 / (a + b);
                 // l / T = mean; derivatives of the mean, of v, and of 1 / T = mean / l
                 let by_mean = -0.5 * mean * mean;
                 let by_v = [-va * va, -vb * vb];
                 // s' = 6 t (1 - t) mean + (1 - 4 t + 3 t^2) v_a + (3 t^2 - 2 t) v_b
-                let (m, p, q) = (6.0 * (t - t2), 1.0 - 4.0 * t + 3.0 * t2, 3.0 * t2 - 2.0 * t);
+                let m = 6.0 * (t - t2);
+                let p = 1.0 - 4.0 * t + 3.0 * t2;
+                let q = 3.0 * t2 - 2.0 * t;
                 // s'' T = (6 - 12 t) mean + (6 t - 4) v_a + (6 t - 2) v_b
-                let (dm, dp, dq) = (6.0 - 12.0 * t, 6.0 * t - 4.0, 6.0 * t - 2.0);
+                let dm = 6.0 - 12.0 * t;
+                let dp = 6.0 * t - 4.0;
+                let dq = 6.0 * t - 2.0;
                 let change = dm * mean + dp * va + dq * vb;
                 let rate = mean / l;
                 let s = (3.0 - 2.0 * t) * t2
                     + ((t - 2.0 * t2 + t * t2) * va + (t * t2 - t2) * vb) / mean;
                 // v_a / mean = (1 + b / a) / 2
-                let (early, late) = (t - 2.0 * t2 + t * t2, t * t2 - t2);
+                let early = t - 2.0 * t2 + t * t2;
+                let late = t * t2 - t2;
                 let s_by = [
                     0.5 * (late * vb - early * b * va * va),
                     0.5 * (early * va - late * a * vb * vb),
@@ -175,9 +183,10 @@ impl Span {
         }
     }
 
-    /// The motion (3) at `s` mm from the start of the span. Its derivatives are those at this place, not at a time.
+    /// Returns the motion (3) at `s_mm` from the start of the span. Its derivatives are those at this place, not at a
+    /// time.
     pub fn at_place(&self, s_mm: f64, densities: [Option<f64>; 2]) -> Kinematics {
-        let mut at = self.at(self.tau_at(s_mm, densities), densities);
+        let mut at = self.kinematics(self.tau_at(s_mm, densities), densities);
         // At a place the time changes by du / dD = -(ds / dD) / s' with a density.
         if at.feed_mm_per_s > 0.0 {
             for k in 0..2 {
@@ -189,7 +198,7 @@ impl Span {
         at
     }
 
-    /// Fraction of the time of the span at which the motion has come `s` mm from its start.
+    /// Returns the fraction of the time of the span after which the motion has come `s_mm` from its start.
     ///
     /// In closed form on a span that begins or ends at rest. Otherwise Newton's method solves (3) from the time that
     /// the density asks for, within brackets, because (3) is monotone.
@@ -201,8 +210,10 @@ impl Span {
             [_, None] => return 1.0 - (1.0 - f).sqrt(),
         };
         // s / l = (3 - 2 t) t^2 + (t - 2 t^2 + t^3) p + (t^3 - t^2) q,  p = v_a T / l, q = v_b T / l
-        let (p, q) = (0.5 * (1.0 + b / a), 0.5 * (1.0 + a / b));
-        let (c2, c3) = (3.0 - 2.0 * p - q, p + q - 2.0);
+        let p = 0.5 * (1.0 + b / a);
+        let q = 0.5 * (1.0 + a / b);
+        let c2 = 3.0 - 2.0 * p - q;
+        let c3 = p + q - 2.0;
         let (mut low, mut high) = (0.0, 1.0);
         let mut tau = f * (2.0 * a + (b - a) * f) / (a + b);
         for _ in 0..MAX_INVERSION_STEPS {
@@ -253,7 +264,11 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// The mesh with nodes at most `spacing_mm` apart.
+    /// Sets nodes along the curves at most `spacing_mm` apart.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a spacing at which the nodes would not fit into the memory.
     pub fn new(curves: &[Curve], path: &ToolPath, spacing_mm: f64) -> Result<Self, Invalid> {
         let length: f64 = curves.iter().map(Curve::length_mm).sum();
         budget::affordable(
@@ -267,37 +282,40 @@ impl Mesh {
         Ok(Self::through(curves, path, &breaks))
     }
 
-    /// The mesh with one more node in the middle of every span that is to be `halved` (spans), none of which may end
-    /// at rest.
+    /// Returns the mesh with one more node in the middle of every span that is to be `halved` (spans), none of which
+    /// may end at rest.
     pub fn refined(&self, curves: &[Curve], path: &ToolPath, halved: &[bool]) -> Self {
         let mut breaks = vec![vec![0.0]; curves.len()];
         for (span, halved) in self.spans.iter().zip(halved) {
             let at = &mut breaks[span.curve];
-            at.extend(halved.then(|| span.middle_mm()));
+            if *halved {
+                at.push(span.middle_mm());
+            }
             at.push(span.to_mm);
         }
         Self::through(curves, path, &breaks)
     }
 
-    /// Nodes at all `breaks` (curves) but the first and last one, which are rests.
+    /// Returns the nodes at all `breaks` (curves) but the first and last one, which are rests.
     fn through(curves: &[Curve], path: &ToolPath, breaks: &[Vec<f64>]) -> Self {
-        let (mut spans, mut nodes) = (Vec::new(), 0);
+        let mut spans = Vec::new();
+        let mut nodes = 0;
         for (c, at) in breaks.iter().enumerate() {
             for (i, w) in at.windows(2).enumerate() {
-                let before = (i > 0).then(|| nodes - 1);
-                let after = (i + 2 < at.len()).then(|| {
-                    nodes += 1;
-                    nodes - 1
-                });
-                let nodes = [before, after];
-                spans.push(Span { curve: c, from_mm: w[0], to_mm: w[1], nodes });
+                let before = if i > 0 { Some(nodes - 1) } else { None };
+                let after = if i + 2 < at.len() { Some(nodes) } else { None };
+                nodes += usize::from(after.is_some());
+                spans.push(Span { curve: c, from_mm: w[0], to_mm: w[1], nodes: [before, after] });
             }
         }
         let rule = gauss_legendre::<GAUSS_POINTS>();
-        let (mut points, mut points_mm, mut segments) = (Vec::new(), Vec::new(), Vec::new());
+        let mut points = Vec::new();
+        let mut points_mm = Vec::new();
+        let mut segments = Vec::new();
         let mut headings_rad = Vec::new();
         for (i, span) in spans.iter().enumerate() {
-            let (curve, l) = (&curves[span.curve], span.length_mm());
+            let curve = &curves[span.curve];
+            let l = span.length_mm();
             for (u, omega) in rule {
                 let (f, weight) = match span.nodes {
                     [Some(_), Some(_)] => (u, [1.0 - u, u].map(|w| w * l * omega)),
@@ -309,7 +327,7 @@ impl Mesh {
                 if path.tool_on()[segment] {
                     segments.push(segment);
                     points.push(Point { weight, nodes: span.nodes, span: i, s_mm: f * l });
-                    let Station { point_mm, tangent, .. } = curve.at(s);
+                    let Station { point_mm, tangent, .. } = curve.station(s);
                     points_mm.push(point_mm);
                     headings_rad.push(tangent[1].atan2(tangent[0]));
                 }
@@ -318,17 +336,16 @@ impl Mesh {
         Self { spans, nodes, points_mm, headings_rad, segments, points }
     }
 
-    /// (1): the time at every Gauss point for the densities of the nodes, s.
+    /// Returns the time of (1) at every Gauss point (points), s, for the densities of the nodes, s/mm.
     pub fn times_s(&self, density: &[f64]) -> Vec<f64> {
-        let of = |point: &Point| {
-            let part =
-                |(node, weight): (&Option<usize>, f64)| node.map_or(0.0, |j| weight * density[j]);
-            point.nodes.iter().zip(point.weight).map(part).sum()
-        };
-        self.points.iter().map(of).collect()
+        let times = self.points.iter().map(|point| {
+            let nodes = point.nodes.iter().zip(point.weight);
+            nodes.map(|(node, weight)| node.map_or(0.0, |j| weight * density[j])).sum()
+        });
+        times.collect()
     }
 
-    /// The derivatives of a function by the densities, from those by the times at the Gauss points.
+    /// Returns the derivatives of a function by the densities, from those by the times at the Gauss points.
     pub fn collect(&self, by_time: &[f64]) -> Vec<f64> {
         let mut by_density = vec![0.0; self.nodes];
         for (point, g) in self.points.iter().zip(by_time) {
@@ -341,7 +358,8 @@ impl Mesh {
         by_density
     }
 
-    /// Difference of the derivatives of a function of the removal of the motion (3) from those of [`Self::collect`].
+    /// Returns the difference of the derivatives of a function of the removal of the motion (3) from those of
+    /// [`Self::collect`].
     ///
     /// At a place the motion takes `1 / s'` per length, whose derivatives by the two densities are `-s'_k / s'^2` and not
     /// `1 - f` and `f`. At rest they are the same. The time of a span is linear in the densities, so on every span the
@@ -354,7 +372,8 @@ impl Mesh {
             let by_time = &by_time[from..from + points.len()];
             from += points.len();
             let [Some(j), Some(k)] = points[0].nodes else { continue };
-            let (span, densities) = (&self.spans[points[0].span], [density[j], density[k]]);
+            let span = &self.spans[points[0].span];
+            let densities = [density[j], density[k]];
             let differences: Vec<[f64; 2]> = points
                 .iter()
                 .map(|point| {
@@ -376,7 +395,8 @@ impl Mesh {
         by_density
     }
 
-    /// Gauss points at which every node acts, with the length of the path at each for a unit of density (nodes), mm.
+    /// Returns the Gauss points at which every node acts, with the length of the path at each for a unit of density
+    /// (nodes), mm.
     pub fn columns(&self) -> Vec<Vec<(usize, f64)>> {
         let mut columns = vec![Vec::new(); self.nodes];
         for (i, point) in self.points.iter().enumerate() {
@@ -389,31 +409,36 @@ impl Mesh {
         columns
     }
 
-    /// Number of multiplications of one factorisation of the normal matrix: the sum of b^2 over the nodes. b is the
-    /// number of earlier nodes within reach of a TIF, in the order along the axis for which the sum is less.
+    /// Returns the number of multiplications of one factorisation of the normal matrix: the sum of b^2 over the nodes.
+    /// b is the number of earlier nodes within reach of a TIF, in the order along the axis for which the sum is less.
     pub fn work(&self, tif: &Tif) -> f64 {
         let columns = self.columns();
-        let along = |axis: usize, own: &Axis| -> f64 {
-            let reach_mm = own.end_mm() - own.start_mm();
-            let place = |points: &Vec<(usize, f64)>| {
-                let sum: f64 = points.iter().map(|(i, _)| self.points_mm[*i][axis]).sum();
-                sum / points.len() as f64
-            };
-            let mut places: Vec<f64> =
-                columns.iter().filter(|points| !points.is_empty()).map(place).collect();
-            places.sort_by(f64::total_cmp);
-            let mut first = 0;
-            let mut sum = 0.0;
-            for (i, place) in places.iter().enumerate() {
-                first += places[first..].iter().take_while(|p| **p < place - reach_mm).count();
-                sum += ((i - first) as f64).powi(2);
-            }
-            sum
-        };
-        along(0, &tif.grid().x).min(along(1, &tif.grid().y))
+        let [x, y] = [(0, &tif.grid().x), (1, &tif.grid().y)]
+            .map(|(axis, own)| self.work_along(&columns, axis, own.end_mm() - own.start_mm()));
+        x.min(y)
     }
 
-    /// Length of the path for which every node stands: the derivatives of the total time (nodes), mm.
+    /// Returns [`Self::work`] in the order along an axis, for a TIF that reaches `reach_mm` along it.
+    fn work_along(&self, columns: &[Vec<(usize, f64)>], axis: usize, reach_mm: f64) -> f64 {
+        let mut places: Vec<f64> = columns
+            .iter()
+            .filter(|points| !points.is_empty())
+            .map(|points| {
+                let sum: f64 = points.iter().map(|(i, _)| self.points_mm[*i][axis]).sum();
+                sum / points.len() as f64
+            })
+            .collect();
+        places.sort_by(f64::total_cmp);
+        let mut first = 0;
+        let mut sum = 0.0;
+        for (i, place) in places.iter().enumerate() {
+            first += places[first..].iter().take_while(|p| **p < place - reach_mm).count();
+            sum += ((i - first) as f64).powi(2);
+        }
+        sum
+    }
+
+    /// Returns the length of the path for which every node stands: the derivatives of the total time (nodes), mm.
     pub fn lengths_mm(&self) -> Vec<f64> {
         let mut lengths = vec![0.0; self.nodes];
         for span in &self.spans {
@@ -425,7 +450,7 @@ impl Mesh {
     }
 }
 
-/// Arc lengths at which nodes stand, from the rest at the start to that at the end.
+/// Returns the arc lengths at which nodes stand, from the rest at the start to that at the end.
 fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     let end = curve.length_mm();
     let mut at = vec![0.0];
@@ -437,11 +462,12 @@ fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     at.extend(switches);
     at.push(end);
     // Corners between them, and then the ends of corners, where they are not too near.
-    let above = |turn_rad: f64| curve.corners().iter().filter(move |c| c.turn_rad > turn_rad);
     let nearest = NEAREST_NODE_FRACTION * spacing_mm;
-    let at = insert(at, above(GENTLE_TURN_RAD).map(|c| c.at_mm), nearest);
-    let ends = above(SHARP_TURN_RAD)
-        .flat_map(|c| [c.at_mm - c.half_length_mm, c.at_mm + c.half_length_mm]);
+    let corners = curve.corners().iter();
+    let gentle = corners.clone().filter(|c| c.turn_rad > GENTLE_TURN_RAD);
+    let at = insert(at, gentle.map(|c| c.at_mm), nearest);
+    let sharp = corners.filter(|c| c.turn_rad > SHARP_TURN_RAD);
+    let ends = sharp.flat_map(|c| [c.at_mm - c.half_length_mm, c.at_mm + c.half_length_mm]);
     let at = insert(at, ends, nearest);
     // At least one node between two rests.
     let least_parts = if at.len() == 2 { 2.0 } else { 1.0 };
@@ -456,7 +482,8 @@ fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     all
 }
 
-/// The candidates (rising) that are further than `nearest` from every value (rising) and from each other, among them.
+/// Returns the candidates (rising) that are further than `nearest` from every value (rising) and from each other, among
+/// them.
 fn insert(at: Vec<f64>, candidates: impl Iterator<Item = f64>, nearest: f64) -> Vec<f64> {
     let mut all: Vec<f64> = Vec::with_capacity(at.len());
     let mut rest = at.into_iter().peekable();
@@ -479,7 +506,7 @@ mod tests {
     use crate::curve::{Rounding, curves};
     use ndarray::Array2;
     use planish_dwell::residual::{Free, Residual};
-    use planish_types::{Grid, Surface};
+    use planish_types::{Axis, Grid, Surface};
 
     #[test]
     fn the_motion_of_a_span_has_its_times_and_feeds_and_derivatives() {
@@ -493,16 +520,16 @@ mod tests {
             (last, [1.0 / d[0], 0.0]),
         ] {
             let (of, time) = (span.densities(&d), span.duration_s(&d));
-            let (start, end) = (span.at(0.0, of), span.at(1.0, of));
+            let (start, end) = (span.kinematics(0.0, of), span.kinematics(1.0, of));
             assert_eq!(start.s_mm, 0.0);
             // Below: rounding of lengths of 0.7 mm and of feeds of up to 8 mm/s.
             assert!((end.s_mm - 0.7).abs() < 1e-15);
             assert!((start.feed_mm_per_s - feeds[0]).abs() < 1e-14);
             assert!((end.feed_mm_per_s - feeds[1]).abs() < 1e-14);
             for tau in [0.1, 0.5, 0.9] {
-                let at = span.at(tau, of);
+                let at = span.kinematics(tau, of);
                 // Central differences of quadratics and cubics: h^2 of the third derivative, and rounding / h.
-                let (h, s) = (1e-4, |t: f64| span.at(t, of));
+                let (h, s) = (1e-4, |t: f64| span.kinematics(t, of));
                 let feed = (s(tau + h).s_mm - s(tau - h).s_mm) / (2.0 * h * time);
                 assert!((feed - at.feed_mm_per_s).abs() < 1e-6 * at.feed_mm_per_s);
                 let a = (s(tau + h).feed_mm_per_s - s(tau - h).feed_mm_per_s) / (2.0 * h * time);
@@ -513,7 +540,7 @@ mod tests {
                     let moved = |h: f64| {
                         let mut of = of;
                         of[k] = of[k].map(|d| d + h);
-                        span.at(tau, of)
+                        span.kinematics(tau, of)
                     };
                     let (p, m) = (moved(1e-6), moved(-1e-6));
                     let by = (p.feed_mm_per_s - m.feed_mm_per_s) / 2e-6;

@@ -11,8 +11,8 @@ use planish_types::{Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 use crate::{
     axes::Further,
     curve::Curve,
-    mesh::{Mesh, Span},
-    piece::Piece,
+    mesh::{Kinematics, Mesh, Span},
+    piece::{CurvePiece, Station},
 };
 
 /// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit. Larger:
@@ -43,7 +43,11 @@ pub struct Motion {
     pub fit_error_mm: f64,
 }
 
-/// The motion for the densities of the nodes.
+/// Computes the motion along the curves for the densities of the nodes (nodes), s/mm.
+///
+/// # Errors
+///
+/// Fails where a density is so large that a time is not finite.
 pub fn motion(
     curves: &[Curve],
     mesh: &Mesh,
@@ -53,11 +57,11 @@ pub fn motion(
     density: &[f64],
 ) -> Result<Motion, Invalid> {
     let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
-    let of_span = |span: &Span| {
+    let pieces = parallel::map(mesh.spans.len(), &|i| {
+        let span = &mesh.spans[i];
         let on_span = OnSpan { span, densities: span.densities(density), further };
         on_span.cubics(&curves[span.curve], span.duration_s(density), most)
-    };
-    let pieces = parallel::map(mesh.spans.len(), &|i| of_span(&mesh.spans[i]));
+    });
     let mut builder = TrajectoryBuilder::default();
     let mut fit_error_mm = 0.0f64;
     let mut span_of_piece = Vec::new();
@@ -73,7 +77,7 @@ pub fn motion(
 }
 
 impl Motion {
-    /// Largest use of a limit on acceleration on every span, 1 being all of it.
+    /// Returns the largest use of a limit on acceleration on every span, 1 being all of it.
     pub fn use_of_acceleration(&self, spans: usize, limits: &Limits) -> Vec<f64> {
         let mut used = vec![0.0f64; spans];
         for (segment, span) in self.trajectory.segments().zip(&self.span) {
@@ -114,7 +118,7 @@ struct Timed {
 }
 
 impl OnSpan<'_> {
-    /// The motion on the span, which takes `duration_s`, with the limits `most` on acceleration, mm/s^2.
+    /// Returns the motion on the span, which takes `duration_s`, with the limits `most` on acceleration, mm/s^2.
     fn cubics(&self, curve: &Curve, duration_s: f64, most: [f64; 2]) -> Vec<Timed> {
         let mut cubics = Vec::new();
         for (piece, from, to) in self.parts(curve) {
@@ -137,13 +141,13 @@ impl OnSpan<'_> {
         cubics
     }
 
-    /// Pieces of the curve on the span, with the fractions of its time between which each lies.
-    fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c Piece, f64, f64)> {
+    /// Returns the pieces of the curve on the span, with the fractions of its time between which each lies.
+    fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c CurvePiece, f64, f64)> {
         let span = self.span;
         let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm + SAME_BREAK_MM);
         let here =
             curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm - SAME_BREAK_MM);
-        let mut parts: Vec<(&Piece, f64, f64)> = Vec::new();
+        let mut parts: Vec<(&CurvePiece, f64, f64)> = Vec::new();
         for piece in here {
             let from = parts.last().map_or(0.0, |(_, _, to)| *to);
             let to_mm = piece.to_mm();
@@ -155,17 +159,20 @@ impl OnSpan<'_> {
         parts
     }
 
-    /// The motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the limits
-    /// `most` on acceleration, mm/s^2.
-    fn cubic(&self, piece: &Piece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
-        let at = |tau: f64| {
-            let along = self.span.at(tau, self.densities);
-            (along, piece.at(self.span.from_mm + along.s_mm - piece.from_mm))
-        };
-        let [(from, start), (to, end)] = taus.map(at);
+    /// Returns the motion along the curve at the fraction `tau` of the time of the span, and the station there.
+    fn state(&self, piece: &CurvePiece, tau: f64) -> (Kinematics, Station) {
+        let along = self.span.kinematics(tau, self.densities);
+        (along, piece.station(self.span.from_mm + along.s_mm - piece.from_mm))
+    }
+
+    /// Fits the motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the
+    /// limits `most` on acceleration, mm/s^2.
+    fn cubic(&self, piece: &CurvePiece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
+        let [(from, start), (to, end)] = taus.map(|tau| self.state(piece, tau));
         let length_mm = to.s_mm - from.s_mm;
         if piece.is_straight() {
-            let (v, a) = (from.feed_mm_per_s, from.acceleration_mm_per_s2);
+            let v = from.feed_mm_per_s;
+            let a = from.acceleration_mm_per_s2;
             let jerk = (to.acceleration_mm_per_s2 - a) / h;
             let coefficient_mm = [0, 1].map(|axis| {
                 let t = start.tangent[axis];
@@ -174,7 +181,8 @@ impl OnSpan<'_> {
             return Cubic { coefficient_mm, length_mm, fit_error_mm: 0.0, acceleration_error: 0.0 };
         }
         let coefficient_mm = [0, 1].map(|axis| {
-            let (p, q) = (start.point_mm[axis], end.point_mm[axis]);
+            let p = start.point_mm[axis];
+            let q = end.point_mm[axis];
             let m = start.tangent[axis] * from.feed_mm_per_s;
             let n = end.tangent[axis] * to.feed_mm_per_s;
             // Hermite: p + m u + (3 (q - p) / h - 2 m - n) u^2 / h + (m + n - 2 (q - p) / h) u^3 / h^2
@@ -192,9 +200,9 @@ impl OnSpan<'_> {
         let ends = [(from, start), (to, end)];
         for ((u, exact), (along, there)) in [0.0, h].into_iter().zip(exact).zip(ends) {
             if let Some(further) = self.further {
-                let found = coefficient_mm.map(|c| 2.0 * c[2] + 6.0 * c[3] * u);
+                let of_cubic = coefficient_mm.map(|c| 2.0 * c[2] + 6.0 * c[3] * u);
                 let velocity = there.tangent.map(|t| t * along.feed_mm_per_s);
-                let error = further.acceleration_error(there.point_mm, velocity, [found, exact]);
+                let error = further.acceleration_error(there.point_mm, velocity, [of_cubic, exact]);
                 acceleration_error = acceleration_error.max(error);
             }
             for ((c, exact), most) in coefficient_mm.iter().zip(exact).zip(most) {
@@ -202,7 +210,7 @@ impl OnSpan<'_> {
                 acceleration_error = acceleration_error.max(error / most);
             }
         }
-        let (_, middle) = at(0.5 * (taus[0] + taus[1]));
+        let (_, middle) = self.state(piece, 0.5 * (taus[0] + taus[1]));
         let off = [0, 1].map(|axis| {
             polynomial::evaluate(&coefficient_mm[axis], 0.5 * h) - middle.point_mm[axis]
         });

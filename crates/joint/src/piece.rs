@@ -16,7 +16,7 @@ pub struct Station {
 
 /// A part of a curve whose curvature is linear in the arc length.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct CurvePiece {
     /// Its start.
     pub start: Station,
     /// Change of curvature over length, 1/mm^2.
@@ -29,9 +29,9 @@ pub struct Piece {
     pub segment: usize,
 }
 
-impl Piece {
-    /// The station at a length from the start of the piece, mm.
-    pub fn at(&self, s: f64) -> Station {
+impl CurvePiece {
+    /// Returns the station at a length from the start of the piece, mm.
+    pub fn station(&self, s: f64) -> Station {
         let Station { point_mm, tangent, curvature_per_mm } = self.start;
         let [along, across] = clothoid::position(curvature_per_mm, self.sharpness_per_mm2, s);
         let step =
@@ -41,7 +41,7 @@ impl Piece {
         Station { point_mm, tangent, curvature_per_mm }
     }
 
-    /// Unit vector along the curve, and curvature (1/mm), at a length from the start of the piece, mm.
+    /// Returns the unit vector along the curve, and curvature (1/mm), at a length from the start of the piece, mm.
     pub fn direction(&self, s: f64) -> ([f64; 2], f64) {
         let Station { tangent, curvature_per_mm: curvature, .. } = self.start;
         let (sin, cos) = clothoid::heading(curvature, self.sharpness_per_mm2, s).sin_cos();
@@ -54,34 +54,35 @@ impl Piece {
         self.start.curvature_per_mm == 0.0 && self.sharpness_per_mm2 == 0.0
     }
 
-    /// Largest change of the heading on it, rad.
+    /// Returns the change of the heading along the piece without its sign, rad.
     pub fn turn_rad(&self) -> f64 {
         clothoid::heading(self.start.curvature_per_mm, self.sharpness_per_mm2, self.length_mm).abs()
     }
 
-    /// Curvature at its start and at its end, 1/mm.
+    /// Returns the curvature at the start and at the end of the piece, 1/mm.
     pub fn curvatures_per_mm(&self) -> [f64; 2] {
         let from = self.start.curvature_per_mm;
         [from, from + self.sharpness_per_mm2 * self.length_mm]
     }
 
-    /// Largest curvature, without its sign, 1/mm.
+    /// Returns the largest curvature, without its sign, 1/mm.
     pub fn most_curvature_per_mm(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         from.abs().max(to.abs())
     }
 
-    /// Change of its curvature over the largest one; 0 on a line.
+    /// Returns the change of the curvature along the piece over the largest curvature; 0 on a line.
     pub fn change_of_curvature(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         let most = from.abs().max(to.abs());
         if most > 0.0 { (to - from).abs() / most } else { 0.0 }
     }
 
-    /// Integral of the square root of the curvature without its sign, mm^(1/2).
+    /// Returns the integral of the square root of the curvature without its sign, mm^(1/2).
     pub fn bend(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
-        let (a, b) = (from.abs().sqrt(), to.abs().sqrt());
+        let a = from.abs().sqrt();
+        let b = to.abs().sqrt();
         let mean = if from * to < 0.0 {
             // Two ramps from 0
             (a.powi(3) + b.powi(3)) / (a * a + b * b)
@@ -94,7 +95,7 @@ impl Piece {
         2.0 / 3.0 * self.length_mm * mean
     }
 
-    /// Arc length of its end from the start of the curve, mm.
+    /// Returns the arc length of the end of the piece from the start of the curve, mm.
     pub fn to_mm(&self) -> f64 {
         self.from_mm + self.length_mm
     }

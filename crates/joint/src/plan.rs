@@ -9,10 +9,10 @@ use std::borrow::Cow;
 
 use ndarray::Array2;
 use planish_dwell::columns;
-use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
+use planish_simulate::{SimulationPlan, SimulationSettings};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Segment, Surface, Tif,
-    TifLattice, TimeFactor, ToolPath, Trajectory, Variation,
+    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Surface, Tif, TifLattice,
+    TimeFactor, ToolPath, Trajectory, Variation,
     outcome::plan::ProvenGap,
     plausible::{self, Rms},
 };
@@ -26,8 +26,8 @@ use crate::{
     further::FurtherAxes,
     jerk::Average,
     mesh::Mesh,
-    problem::{Asked, Found, HOPELESS, LITTLE_WORK, Meshes, Solved, solve},
-    settings::Settings,
+    problem::{HOPELESS, LITTLE_WORK, MeshOutcome, Meshes, PlanInputs, Solved, solve},
+    settings::JointSettings,
 };
 
 /// Default spacing of the nodes over the width of the TIF. Larger: less work, and a residual at wavelengths that the
@@ -84,7 +84,7 @@ const MOST_NAMED: usize = 4;
 
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct JointReport {
     /// Number of curves from rest to rest.
     pub curves: usize,
     /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
@@ -155,7 +155,7 @@ fn proven_gap(relative_gap: f64, is_before_average: bool) -> ProvenGap {
     ProvenGap { relative_gap: Some(relative_gap), gap: None, gap_covers: Some(covered.into()) }
 }
 
-impl Report {
+impl JointReport {
     /// Returns the proven bound on the excess of the objective, relative to it; infinite if nothing is proven.
     pub fn relative_gap(&self) -> f64 {
         self.proven.relative_gap.unwrap_or(f64::INFINITY)
@@ -171,7 +171,7 @@ pub struct RatesOfTime {
     pub rate_error: f64,
 }
 
-/// Plans that [`Report::relative_gap`] compares with.
+/// Plans that [`JointReport::relative_gap`] compares with.
 const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the \
                        limits; not closer nodes, another curve, or another law of time between the nodes";
 
@@ -203,7 +203,7 @@ pub struct Averaged {
 
 /// The plan.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct JointPlan {
     /// Time of the motion on every segment of the path.
     pub dwell: DwellTime,
     /// The motion.
@@ -213,39 +213,42 @@ pub struct Plan {
     /// Reason why the judge refuses the motion; `None` if it keeps every limit.
     pub refused: Option<String>,
     /// Report of the plan.
-    pub report: Report,
+    pub report: JointReport,
 }
 
-impl Report {
-    /// Limits that the plan is near for some of the time, in words, those of most of the time first.
+impl JointReport {
+    /// Names the limits that the plan is near for some of the time, in words, those of most of the time first.
     pub fn near_limits(&self) -> String {
-        let of_axis = |axis: &AxisReport| {
+        let of_axes = self.axes.iter().flat_map(|axis| {
             axis.near().map(|(quantity, part)| (part, format!("{quantity} of {}", axis.name)))
-        };
-        let mut all: Vec<(f64, String)> = self.axes.iter().flat_map(of_axis).collect();
+        });
+        let mut all: Vec<(f64, String)> = of_axes.collect();
         all.retain(|(part, _)| *part >= LEAST_NAMED);
         all.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let in_words =
-            |(part, name): &(f64, String)| format!("{name} {:.1} % of the time", 100.0 * part);
-        let named: Vec<String> = all.iter().take(MOST_NAMED).map(in_words).collect();
+        let named: Vec<String> = all
+            .iter()
+            .take(MOST_NAMED)
+            .map(|(part, name)| format!("{name} {:.1} % of the time", 100.0 * part))
+            .collect();
         if named.is_empty() { "none".into() } else { named.join(", ") }
     }
 }
 
-impl Plan {
-    /// Reason why the plan should not be run as it is; `None` if there is none.
+impl JointPlan {
+    /// Returns the reason why the plan should not be run as it is; `None` if there is none.
     pub fn negative(&self, desired: &Surface) -> Option<String> {
         let r = &self.report;
-        let unfinished = (r.end != End::Optimal).then(|| {
-            format!(
+        let unfinished = if r.end == End::Optimal {
+            None
+        } else {
+            Some(format!(
                 "{}: after {} steps the objective may be {:.1e} of itself above the least one for fixed tangents of the \
-                 limits; raise \
-                 `max_iterations` or `relative_gap`",
+                 limits; raise `max_iterations` or `relative_gap`",
                 r.end,
                 r.iterations,
                 r.relative_gap()
-            )
-        });
+            ))
+        };
         let (before, after) = (Rms::of(desired), Rms::of(self.removal.residual()));
         let total_time_s = self.trajectory.total_time_s();
         let other_rates = r.rates_of_time.filter(|rates| rates.rate_error > SAME_RATE).map(|rates| {
@@ -269,29 +272,38 @@ const SAME_RATE: f64 = 1e-4;
 const MAX_ROUNDS_OF_TIMES: usize = 6;
 
 /// Finds density and motion along `path` for the desired removal, on a machine with the axes x and y.
+///
+/// # Errors
+///
+/// Refuses settings out of their range, a path without a length and a TIF that nowhere reaches the map. Fails if the
+/// weights are too small for the equations.
 pub fn plan(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Plan, JointError> {
+    settings: &JointSettings,
+) -> Result<JointPlan, JointError> {
     planned(desired, tif, path, (limits, None), settings)
 }
 
 /// Finds density and motion along `path` as [`plan`] does, on a machine with axes beyond x and y.
+///
+/// # Errors
+///
+/// Refuses what [`plan`] refuses, and a path on which a further axis has no position or allows nearly no feedrate.
 pub fn plan_with_further_axes(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     (limits, further): (&Limits, &dyn FurtherAxes),
-    settings: &Settings,
-) -> Result<Plan, JointError> {
+    settings: &JointSettings,
+) -> Result<JointPlan, JointError> {
     planned(desired, tif, path, (limits, Some(further)), settings)
 }
 
-impl Averaged {
-    fn of(average: Average) -> Self {
+impl From<Average> for Averaged {
+    fn from(average: Average) -> Self {
         Self {
             window_s: average.window_s,
             fraction_of_acceleration: average.fraction,
@@ -309,13 +321,13 @@ struct Task<'a> {
     limits: &'a Limits,
     further: Option<&'a Further<'a>>,
     average: Option<Average>,
-    simulation: &'a Simulation<'a>,
+    simulation: &'a SimulationPlan<'a>,
 }
 
 impl Task<'_> {
-    /// The average in time, if the machine limits jerk.
+    /// Returns the average in time, if the machine limits jerk.
     fn averaged(&self, planned: &Trajectory) -> Result<Option<Trajectory>, Invalid> {
-        self.average.map(|average| average.of(planned)).transpose()
+        self.average.map(|average| average.averaged(planned)).transpose()
     }
 
     /// Removal of a plan as it is executed, by these rates at the dwell points.
@@ -325,8 +337,8 @@ impl Task<'_> {
         match self.tif.variation().and_then(Variation::time_factor) {
             None => Ok(self.simulation.removal_nm(motion)?.0),
             Some(_) => {
-                let rate = |s: Segment<'_>| s.dwell_index.map_or(1.0, |j| rates[j]);
-                let rates = motion.segments().map(rate).collect();
+                let rates = motion.segments().map(|s| s.dwell_index.map_or(1.0, |j| rates[j]));
+                let rates = rates.collect();
                 Ok(self.simulation.removal_nm(&motion.clone().with_rate_factor(rates)?)?.0)
             }
         }
@@ -337,7 +349,7 @@ impl Task<'_> {
     fn solved(
         &self,
         meshes: &Meshes,
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<(Solved, Option<RatesOfTime>), JointError> {
         let Self { desired, tif, path, curves, limits, further, .. } = *self;
         let mut rates = vec![1.0; path.len()];
@@ -345,16 +357,16 @@ impl Task<'_> {
         loop {
             // The rates of a plan are fixed, in its model as in its motion.
             let executed = &|planned: &Trajectory| self.removal_nm(planned, &rates);
-            let asked = {
+            let inputs = {
                 let rates = &rates;
-                Asked { desired, tif, path, curves, limits, further, rates, executed }
+                PlanInputs { desired, tif, path, curves, limits, further, rates, executed }
             };
-            let solved = solve(&asked, meshes, settings)?;
+            let solved = solve(&inputs, meshes, settings)?;
             rounds_of_times += 1;
             let Some(time) = tif.variation().and_then(Variation::time_factor) else {
                 return Ok((solved, None));
             };
-            let trajectory = &solved.found.motion.trajectory;
+            let trajectory = &solved.outcome.motion.trajectory;
             let own = columns::time_factors(trajectory, path.len(), tif);
             let change = own.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs());
             let rate_error = change.fold(0.0, f64::max);
@@ -382,10 +394,13 @@ fn rates_of_same_removal(time: &TimeFactor, motion: &Trajectory, rates: &[f64]) 
         sums[j].1 += duration_s;
         now_s += duration_s;
     }
-    let rate = |(effective_s, duration_s): (f64, f64)| {
-        if duration_s > 0.0 { effective_s / duration_s } else { 1.0 }
-    };
-    sums.into_iter().map(rate).collect()
+    sums.into_iter()
+        .map(
+            |(effective_s, duration_s)| {
+                if duration_s > 0.0 { effective_s / duration_s } else { 1.0 }
+            },
+        )
+        .collect()
 }
 
 fn planned(
@@ -393,8 +408,8 @@ fn planned(
     tif: &Tif,
     path: &ToolPath,
     (limits, further): (&Limits, Option<&dyn FurtherAxes>),
-    settings: &Settings,
-) -> Result<Plan, JointError> {
+    settings: &JointSettings,
+) -> Result<JointPlan, JointError> {
     settings.check()?;
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
     let tif = &*tif;
@@ -418,26 +433,28 @@ fn planned(
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
     let constant = tif.without_time();
-    let simulation = Simulation::new(&constant, desired.grid(), SimulationSettings::Gridded)?;
+    let simulation = SimulationPlan::new(&constant, desired.grid(), SimulationSettings::Gridded)?;
     let slower = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
     let meshes = Meshes { first: mesh, refinements, most_work };
     let task = {
-        let (curves, limits, simulation) = (&curves, &slower, &simulation);
+        let curves = &curves;
+        let limits = &slower;
+        let simulation = &simulation;
         Task { desired, tif, path, curves, limits, further, average, simulation }
     };
     let (solved, rates_of_time) = task.solved(&meshes, settings)?;
-    let Solved { mesh, nodes_of_meshes, found } = solved;
-    let Found { solution, motion, refused, model_rms_nm, price, tikhonov, pull_part, .. } = found;
-    let (iterations, rounds) = (found.iterations, found.rounds);
+    let Solved { mesh, nodes_of_meshes, outcome } = solved;
+    let MeshOutcome { solution, motion, refused, .. } = outcome;
     let (trajectory, refused, slowed_by) = as_run(&task, &motion.trajectory, refused, limits)?;
-    let of_axes =
-        further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
-    let is_other = matches!(constant, Cow::Owned(_));
-    let own = || Simulation::new(tif, desired.grid(), SimulationSettings::Gridded);
-    let of_run = is_other.then(own).transpose()?;
-    let removal = of_run.as_ref().unwrap_or(&simulation).predict(&trajectory, desired)?.removal;
+    let axes = further.map(|f| axes::report(&trajectory, &motion.trajectory, limits, f));
+    let removal = if matches!(constant, Cow::Owned(_)) {
+        let of_run = SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded)?;
+        of_run.predict(&trajectory, desired)?.removal
+    } else {
+        simulation.predict(&trajectory, desired)?.removal
+    };
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
-    let report = Report {
+    let report = JointReport {
         curves: curves.len(),
         points_moved_mm: moved_mm,
         corners: curves.iter().flat_map(Curve::corners).count(),
@@ -448,23 +465,23 @@ fn planned(
         nodes_of_meshes,
         node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
         widened,
-        price_nm2_per_s: price,
+        price_nm2_per_s: outcome.price,
         end: solution.end,
         proven: proven_gap(solution.relative_gap, average.is_some()),
-        tikhonov,
-        pull_part,
-        iterations,
+        tikhonov: outcome.tikhonov,
+        pull_part: outcome.pull_part,
+        iterations: outcome.iterations,
         objective_nm2: solution.objective,
-        model_rms_nm,
+        model_rms_nm: outcome.model_rms_nm,
         fit_error_mm: motion.fit_error_mm,
-        average: average.map(Averaged::of),
-        rounds,
-        axes: of_axes.unwrap_or_default(),
+        average: average.map(Averaged::from),
+        rounds: outcome.rounds,
+        axes: axes.unwrap_or_default(),
         slowed_by,
         tif_lattice: lattice.if_anew(),
         rates_of_time,
     };
-    Ok(Plan { dwell, trajectory, removal, refused, report })
+    Ok(JointPlan { dwell, trajectory, removal, refused, report })
 }
 
 /// Returns the motion of a plan as the machine runs it: averaged in time and within the further axes. With the reason why
@@ -488,8 +505,8 @@ fn as_run(
     }
 }
 
-/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the
-/// judge refuses it, and the factor on all times.
+/// Returns a motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why
+/// the judge refuses it, and the factor on all times.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -509,13 +526,13 @@ fn within_axes(
     Ok((trajectory, refused, Some(factor)))
 }
 
-/// Mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
+/// Returns the mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
 fn first_mesh(
     curves: &[Curve],
     path: &ToolPath,
     tif: &Tif,
     spacing_mm: f64,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<(Mesh, Option<Widened>), Invalid> {
     if settings.node_spacing_mm.is_some() {
         return Ok((Mesh::new(curves, path, spacing_mm)?, None));
@@ -525,7 +542,7 @@ fn first_mesh(
     let (mesh, taken_mm) = affordable(curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
     let mesh = closer(curves, path, tif, (mesh, taken_mm), closest_mm)?;
     let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
-    Ok((mesh, (taken_mm > spacing_mm).then_some(widened)))
+    Ok((mesh, if taken_mm > spacing_mm { Some(widened) } else { None }))
 }
 
 /// Largest ratio of a density that a further axis asks for to the largest that x and y ask for. Larger: a plan that
@@ -556,7 +573,7 @@ fn check_further(
         let part_mm = span.length_mm() / CHECKED_PARTS as f64;
         for k in 0..=CHECKED_PARTS {
             let s_mm = span.from_mm + part_mm * k as f64;
-            let there = curves[span.curve].at(s_mm);
+            let there = curves[span.curve].station(s_mm);
             let [x, y] = there.point_mm;
             let Some(scaled) = further.scaled(&there) else {
                 let problem = format!(
@@ -594,19 +611,19 @@ fn check_further(
     Ok(())
 }
 
-/// Least radius of curvature, mm; `None` where all is straight.
+/// Returns the least radius of curvature, mm; `None` where all is straight.
 fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     let most = curves.iter().map(Curve::most_curvature_per_mm).fold(0.0, f64::max);
-    (most > 0.0).then(|| 1.0 / most)
+    if most > 0.0 { Some(1.0 / most) } else { None }
 }
 
-/// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of the TIF.
+/// Returns the limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of
+/// the TIF.
 fn scales(
     tif_width_mm: f64,
     tif_spread_mm: f64,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<(Rounding, f64), Invalid> {
-    let of = |given: Option<f64>, over_width: f64| given.unwrap_or(over_width * tif_width_mm);
     let node_width_mm = tif_width_mm.max(LEAST_WIDTH_OVER_SPREAD * tif_spread_mm);
     let spacing_mm = settings.node_spacing_mm.unwrap_or(SPACING_OVER_TIF_WIDTH * node_width_mm);
     if spacing_mm < LEAST_SPACING_OVER_TIF_WIDTH * tif_width_mm {
@@ -615,14 +632,16 @@ fn scales(
         return Err(Invalid::whole("node_spacing_mm", problem, remedy));
     }
     let rounding = Rounding {
-        deviation_mm: of(settings.corner_deviation_mm, DEVIATION_OVER_TIF_WIDTH),
-        radius_mm: of(settings.corner_radius_mm, RADIUS_OVER_TIF_WIDTH),
+        deviation_mm: settings
+            .corner_deviation_mm
+            .unwrap_or(DEVIATION_OVER_TIF_WIDTH * tif_width_mm),
+        radius_mm: settings.corner_radius_mm.unwrap_or(RADIUS_OVER_TIF_WIDTH * tif_width_mm),
     };
     Ok((rounding, spacing_mm))
 }
 
-/// Mesh with nodes `spacing_mm[0]` apart, and its spacing. It is larger, up to `spacing_mm[1]`, where the solver
-/// would need more than `most_work` multiplications for a factorisation.
+/// Returns the mesh with nodes `spacing_mm[0]` apart, and its spacing. It is larger, up to `spacing_mm[1]`, where the
+/// solver would need more than `most_work` multiplications for a factorisation.
 fn affordable(
     curves: &[Curve],
     path: &ToolPath,
@@ -639,7 +658,8 @@ fn affordable(
     }
 }
 
-/// The mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as it takes [`LITTLE_WORK`].
+/// Returns the mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as it takes
+/// [`LITTLE_WORK`].
 fn closer(
     curves: &[Curve],
     path: &ToolPath,

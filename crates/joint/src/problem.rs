@@ -21,12 +21,12 @@ use crate::{
     axes::Further,
     curve::Curve,
     interior_point::{self, Approach, NEAR_THE_MINIMUM, Program, Solution, Start, Stop},
-    limits::Rows,
+    limits::LimitRows,
     merit::{Merit, Price},
     mesh::Mesh,
     motion::{self, Motion},
-    refinement::{Given, Refined},
-    settings::{FIRST_TIKHONOV, LEAST_TIKHONOV, MOST_PULL, Settings},
+    refinement::{MeshInputs, Refined},
+    settings::{FIRST_TIKHONOV, JointSettings, LEAST_TIKHONOV, MOST_PULL},
 };
 
 /// Ratio of the first densities to the largest bound on a uniform density. Larger: a slower start, further from the
@@ -102,7 +102,7 @@ const LOWERED_EARLY: f64 = 0.5;
 const SINGULAR_RAISED_BY: f64 = 30.0;
 
 /// Inputs of a plan: the desired removal, the TIF, the path with its curves, and the limits.
-pub struct Asked<'a> {
+pub struct PlanInputs<'a> {
     pub desired: &'a Surface,
     pub tif: &'a Tif,
     pub path: &'a ToolPath,
@@ -129,11 +129,11 @@ pub struct Solved {
     pub mesh: Mesh,
     /// Number of nodes of every mesh; the last one is that of `mesh`.
     pub nodes_of_meshes: Vec<usize>,
-    pub found: Found,
+    pub outcome: MeshOutcome,
 }
 
 /// Densities, and their motion.
-pub struct Found {
+pub struct MeshOutcome {
     pub solution: Solution,
     pub motion: Motion,
     /// Reason why the judge refuses the motion; `None` if it keeps the limits.
@@ -152,15 +152,19 @@ pub struct Found {
 }
 
 /// Finds the densities on a series of meshes. Their motion keeps the limits if the judge does not refuse it.
+///
+/// # Errors
+///
+/// Fails if the weights are too small for the equations, or if the motion cannot be simulated.
 pub fn solve(
-    asked: &Asked<'_>,
+    inputs: &PlanInputs<'_>,
     meshes: &Meshes,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<Solved, JointError> {
     let mut most_pixels = usize::MAX;
     let mut least_tikhonov = LEAST_TIKHONOV;
     loop {
-        match solve_on_cells(asked, meshes, settings, (most_pixels, least_tikhonov)) {
+        match solve_on_cells(inputs, meshes, settings, (most_pixels, least_tikhonov)) {
             Err(JointError::CellsTooLarge { pixels }) => most_pixels = pixels / 2,
             // A weight that was chosen and is too small for the factors.
             Err(JointError::Singular { tikhonov })
@@ -182,7 +186,7 @@ struct Pull {
 }
 
 impl Pull {
-    fn new(settings: &Settings, least_tikhonov: f64) -> Self {
+    fn new(settings: &JointSettings, least_tikhonov: f64) -> Self {
         match settings.tikhonov {
             Some(tikhonov) => Self { tikhonov, least: None },
             None => Self { tikhonov: FIRST_TIKHONOV, least: Some(least_tikhonov) },
@@ -200,21 +204,22 @@ impl Pull {
     }
 }
 
-/// Solves as [`solve`] does, with normal matrices on cells of at most `most_pixels` pixels along a side.
+/// Solves as [`solve`] does, with normal matrices on cells of at most `pixels` pixels along a side, and weights of the
+/// pull from `least_tikhonov` on.
 fn solve_on_cells(
-    asked: &Asked<'_>,
+    inputs: &PlanInputs<'_>,
     meshes: &Meshes,
-    settings: &Settings,
-    (most_pixels, least_tikhonov): (usize, f64),
+    settings: &JointSettings,
+    (pixels, least_tikhonov): (usize, f64),
 ) -> Result<Solved, JointError> {
     let mut pull = Pull::new(settings, least_tikhonov);
-    let Meshes { first, refinements, most_work } = meshes;
-    let (mut mesh, refinements) = (first.clone(), *refinements);
-    let Asked { tif, path, curves, limits, further, .. } = *asked;
-    let level_s_per_mm = level_s_per_mm(asked, &mesh, settings)?;
+    let mut mesh = meshes.first.clone();
+    let refinements = meshes.refinements;
+    let PlanInputs { tif, path, curves, limits, further, .. } = *inputs;
+    let level_s_per_mm = level_s_per_mm(inputs, &mesh, settings)?;
     // If nothing is to be removed, the reference is the density at the largest feedrate.
     let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
-    let given = Given {
+    let fixed = MeshInputs {
         curves,
         path,
         limits,
@@ -222,17 +227,18 @@ fn solve_on_cells(
         reference_s_per_mm: level_s_per_mm.max(1.0 / fastest),
         min_dwell_s_per_mm: settings.min_dwell_s_per_mm,
     };
-    let most_work = (*most_work).min(MOST_GROWTH * mesh.work(tif).max(LITTLE_WORK));
-    let affordable = |mesh: &Mesh| mesh.work(tif) <= most_work;
-    let (mut start, mut known) = (None, None);
-    let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
+    let most_work = meshes.most_work.min(MOST_GROWTH * mesh.work(tif).max(LITTLE_WORK));
+    let mut start = None;
+    let mut known = None;
+    let mut iterations = 0;
+    let mut nodes_of_meshes = vec![mesh.nodes];
     if let (Price::Elasticity(x), true) = (settings.price, mesh.work(tif) <= LITTLE_WORK) {
-        let rows = given.rows(&mesh);
-        let posed =
-            Posed::new(asked, &mesh, given.floors(&rows), None, settings, (most_pixels, pull))?;
-        let uniform = posed.uniform(&rows, level_s_per_mm);
-        start = Some(posed.start_of_elasticity(&rows, uniform, x, settings)?);
-        known = Some(posed.normal.for_next((0..mesh.nodes).map(Some).collect()));
+        let rows = fixed.rows(&mesh);
+        let on_mesh =
+            OnMesh::new(inputs, &mesh, fixed.floors(&rows), None, settings, (pixels, pull))?;
+        let uniform = on_mesh.uniform(&rows, level_s_per_mm);
+        start = Some(on_mesh.start_of_elasticity(&rows, uniform, x, settings)?);
+        known = Some(on_mesh.normal.for_next((0..mesh.nodes).map(Some).collect()));
     }
     for k in 0..refinements {
         // The last mesh, on which the plan is proven, needs most of the steps.
@@ -241,48 +247,48 @@ fn solve_on_cells(
             break;
         }
         let (at, part, refined, normal) = progress::part(k, refinements + 1, || {
-            let rows = given.rows(&mesh);
-            let (lo, known) = (given.floors(&rows), known.take());
-            let posed = Posed::new(asked, &mesh, lo, known, settings, (most_pixels, pull))?;
-            let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
-            let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
-            let part = posed.pull_part(&at.density, at.value, settings);
-            let refined = given.refined(&mesh, &rows, &at, affordable);
-            Ok::<_, JointError>((at, part, refined, posed.normal))
+            let rows = fixed.rows(&mesh);
+            let lo = fixed.floors(&rows);
+            let on_mesh = OnMesh::new(inputs, &mesh, lo, known.take(), settings, (pixels, pull))?;
+            let from = start.take().unwrap_or_else(|| on_mesh.uniform(&rows, level_s_per_mm));
+            let at = on_mesh.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
+            let part = on_mesh.pull_part(&at.density, at.value, settings);
+            let refined = fixed.refined(&mesh, &rows, &at, |finer| finer.work(tif) <= most_work);
+            Ok::<_, JointError>((at, part, refined, on_mesh.normal))
         })?;
         pull.lower(part, LOWERED_EARLY * MOST_PULL);
         iterations += at.iterations;
         let Some(Refined { mesh: finer, start: from, same }) = refined else {
-            let Approach { density, duals, .. } = at;
-            start = Some(Start { density, duals: Some(duals) });
+            start = Some(Start { density: at.density, duals: Some(at.duals) });
             known = Some(normal.for_next((0..mesh.nodes).map(Some).collect()));
             break;
         };
         nodes_of_meshes.push(finer.nodes);
-        (mesh, start) = (finer, Some(from));
+        mesh = finer;
+        start = Some(from);
         known = Some(normal.for_next(same));
     }
-    let found = progress::part(refinements, refinements + 1, || {
-        let rows = given.rows(&mesh);
-        let lo = given.floors(&rows);
-        let mut posed = Posed::new(asked, &mesh, lo, known, settings, (most_pixels, pull))?;
-        posed.normal = posed.normal.as_last();
-        let mut from = start.unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
-        if refinements == 0 && posed.pull.least.is_some() {
+    let outcome = progress::part(refinements, refinements + 1, || {
+        let rows = fixed.rows(&mesh);
+        let lo = fixed.floors(&rows);
+        let mut on_mesh = OnMesh::new(inputs, &mesh, lo, known, settings, (pixels, pull))?;
+        on_mesh.normal = on_mesh.normal.as_last();
+        let mut from = start.unwrap_or_else(|| on_mesh.uniform(&rows, level_s_per_mm));
+        if refinements == 0 && on_mesh.pull.least.is_some() {
             let most = (settings.max_iterations - iterations) / 2;
-            let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
+            let at = on_mesh.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
             iterations += at.iterations;
-            let part = posed.pull_part(&at.density, at.value, settings);
-            posed.pull.lower(part, LOWERED_EARLY * MOST_PULL);
+            let part = on_mesh.pull_part(&at.density, at.value, settings);
+            on_mesh.pull.lower(part, LOWERED_EARLY * MOST_PULL);
             from = Start { density: at.density, duals: Some(at.duals) };
         }
-        posed.solve_with_less_pull(asked, &given, from, iterations, settings)
+        on_mesh.solve_with_less_pull(inputs, &fixed, from, iterations, settings)
     })?;
-    Ok(Solved { mesh, nodes_of_meshes, found })
+    Ok(Solved { mesh, nodes_of_meshes, outcome })
 }
 
 /// Program on a mesh, without its rows.
-struct Posed<'a> {
+struct OnMesh<'a> {
     mesh: &'a Mesh,
     residual: Residual<'a>,
     normal: Normal,
@@ -291,49 +297,53 @@ struct Posed<'a> {
     pull: Pull,
 }
 
-impl<'a> Posed<'a> {
+impl<'a> OnMesh<'a> {
     fn new(
-        asked: &'a Asked<'_>,
+        inputs: &'a PlanInputs<'_>,
         mesh: &'a Mesh,
         lo: Vec<f64>,
         known: Option<Known>,
-        settings: &Settings,
+        settings: &JointSettings,
         (most_pixels, pull): (usize, Pull),
     ) -> Result<Self, JointError> {
-        let residual = residual(asked, mesh, settings)?.on_cells_of_at_most(most_pixels);
+        let residual = residual(inputs, mesh, settings)?.on_cells_of_at_most(most_pixels);
         let normal = residual.normal(&mesh.columns(), known)?;
         Ok(Self { mesh, residual, normal, lo, pull })
     }
 
-    /// A uniform density above every bound, to start from.
-    fn uniform(&self, rows: &Rows<'_>, level_s_per_mm: f64) -> Start {
+    /// Returns a uniform density above every bound, to start from.
+    fn uniform(&self, rows: &LimitRows<'_>, level_s_per_mm: f64) -> Start {
         let bound = self.lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
         let density = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); self.mesh.nodes];
         Start { density, duals: None }
     }
 
-    fn merit<'m>(&'m self, density: &[f64], settings: &Settings) -> Merit<'m> {
+    fn merit<'m>(&'m self, density: &[f64], settings: &JointSettings) -> Merit<'m> {
         let weights = (self.pull.tikhonov, settings.difference_weight);
         let Self { mesh, residual, normal, lo, .. } = self;
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
     }
 
-    /// Part of an objective, nm^2, that the pull to the least densities has.
-    fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &Settings) -> f64 {
+    /// Returns the part of an objective, nm^2, that the pull to the least densities has.
+    fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &JointSettings) -> f64 {
         self.merit(density, settings).pull_nm2(density) / objective_nm2
     }
 
-    fn program<'p>(&'p self, chain: (&'p [f64], &'p [f64]), rows: &'p Rows<'p>) -> Program<'p> {
+    fn program<'p>(
+        &'p self,
+        chain: (&'p [f64], &'p [f64]),
+        rows: &'p LimitRows<'p>,
+    ) -> Program<'p> {
         Program { normal: &self.normal, chain, lo: &self.lo, rows }
     }
 
     /// Iterate near the minimum after at most `max_iterations` steps; nothing is proven of it.
     fn approach(
         &self,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         start: Start,
         (near, max_iterations): (f64, usize),
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<Approach, JointError> {
         let mut merit = self.merit(&start.density, settings);
         let (diagonal, below) = merit.chain();
@@ -350,72 +360,75 @@ impl<'a> Posed<'a> {
     /// the plans near a much higher and a much lower price are also tried. The one with the least m T^x is taken.
     fn start_of_elasticity(
         &self,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         uniform: Start,
         x: f64,
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<Start, JointError> {
         let most = (COMPARABLE, settings.max_iterations);
-        let product = |density: &[f64]| {
-            let m = 2.0 * self.residual.evaluate(&self.mesh.times_s(density)).half_mean_square_nm2;
-            let total_s = dot(&self.mesh.lengths_mm(), density);
-            (0.5 * x * m / total_s, m * total_s.powf(x))
-        };
-        let mut found = self.approach(rows, uniform.clone(), most, settings)?;
-        let (price, mut least) = product(&found.density);
+        let mut best = self.approach(rows, uniform.clone(), most, settings)?;
+        let (price, mut least) = self.price_and_product(x, &best.density);
         for factor in [1.0 / MUCH_CHEAPER, MUCH_CHEAPER] {
-            let priced = Settings { price: Price::Nm2PerS(price * factor), ..*settings };
+            let priced = JointSettings { price: Price::Nm2PerS(price * factor), ..*settings };
             let Approach { density, duals, .. } =
                 self.approach(rows, uniform.clone(), most, &priced)?;
             let from = Start { density, duals: Some(duals) };
             let other = self.approach(rows, from, most, settings)?;
-            let of_other = product(&other.density).1;
+            let of_other = self.price_and_product(x, &other.density).1;
             if of_other < CLEARLY_LESS * least {
-                (found, least) = (other, of_other);
+                (best, least) = (other, of_other);
             }
         }
-        let Approach { density, duals, .. } = found;
+        let Approach { density, duals, .. } = best;
         Ok(Start { density, duals: Some(duals) })
+    }
+
+    /// Returns the price with the elasticity `x` at densities (nodes), nm^2/s, and the product m T^x of mean square and
+    /// time there.
+    fn price_and_product(&self, x: f64, density: &[f64]) -> (f64, f64) {
+        let m = 2.0 * self.residual.evaluate(&self.mesh.times_s(density)).half_mean_square_nm2;
+        let total_s = dot(&self.mesh.lengths_mm(), density);
+        (0.5 * x * m / total_s, m * total_s.powf(x))
     }
 
     /// Solves the program again with a lower weight while the pull is too large a part of the objective. Returns the last
     /// plan that is proven, or the first one, with the number of all steps: those and the `iterations` before.
     fn solve_with_less_pull(
         &mut self,
-        asked: &Asked<'_>,
-        given: &Given<'_>,
+        inputs: &PlanInputs<'_>,
+        fixed: &MeshInputs<'_>,
         mut from: Start,
         mut iterations: usize,
-        settings: &Settings,
-    ) -> Result<Found, JointError> {
-        let mut before: Option<Found> = None;
+        settings: &JointSettings,
+    ) -> Result<MeshOutcome, JointError> {
+        let mut before: Option<MeshOutcome> = None;
         loop {
             let left = settings.max_iterations.saturating_sub(iterations);
-            let found = self.solve(asked, given.rows(self.mesh), from, left, settings)?;
-            iterations += found.iterations;
-            if found.solution.end != End::Optimal || found.refused.is_some() {
+            let outcome = self.solve(inputs, fixed.rows(self.mesh), from, left, settings)?;
+            iterations += outcome.iterations;
+            if outcome.solution.end != End::Optimal || outcome.refused.is_some() {
                 // A plan that was proven with more of the pull is better than one that is not.
-                return Ok(Found { iterations, ..before.unwrap_or(found) });
+                return Ok(MeshOutcome { iterations, ..before.unwrap_or(outcome) });
             }
-            if !self.pull.lower(found.pull_part, MOST_PULL) {
-                return Ok(Found { iterations, ..found });
+            if !self.pull.lower(outcome.pull_part, MOST_PULL) {
+                return Ok(MeshOutcome { iterations, ..outcome });
             }
-            let Solution { density, duals, .. } = &found.solution;
+            let Solution { density, duals, .. } = &outcome.solution;
             from = Start { density: density.clone(), duals: Some(duals.clone()) };
-            before = Some(found);
+            before = Some(outcome);
         }
     }
 
     /// Solves the program in rounds until the judge finds the limits of the motion kept.
     fn solve(
         &self,
-        asked: &Asked<'_>,
-        mut rows: Rows<'_>,
+        inputs: &PlanInputs<'_>,
+        mut rows: LimitRows<'_>,
         mut start: Start,
         max_iterations: usize,
-        settings: &Settings,
-    ) -> Result<Found, JointError> {
-        let Asked { path, curves, limits, further, executed, .. } = *asked;
+        settings: &JointSettings,
+    ) -> Result<MeshOutcome, JointError> {
+        let PlanInputs { path, curves, limits, further, executed, .. } = *inputs;
         let mesh = self.mesh;
         let stop = Stop { relative_gap: settings.relative_gap, max_iterations };
         let motion = |density: &[f64]| motion::motion(curves, mesh, path, limits, further, density);
@@ -425,13 +438,11 @@ impl<'a> Posed<'a> {
             None => Ok(Vec::new()),
             Some(further) => further.excess(&motion.trajectory, &motion.span, mesh.spans.len()),
         };
-        let largest = |used: &[f64]| used.iter().copied().fold(1.0, f64::max);
-        let largest_of_all =
-            |used: &[Vec<f64>]| used.iter().map(|used| largest(used)).fold(1.0, f64::max);
         let mut merit = self.merit(&start.density, settings).of_motion(&executed);
         let (diagonal, below) = merit.chain();
-        let (mut iterations, mut rounds) = (0, 0);
-        let (solution, planned, refused, kept) = loop {
+        let mut iterations = 0;
+        let mut rounds = 0;
+        let (mut solution, mut planned, mut refused, keeps_further_limits) = loop {
             rounds += 1;
             let program = self.program((&diagonal, &below), &rows);
             let solution = interior_point::solve(&program, start, &stop, &mut merit)?
@@ -440,9 +451,9 @@ impl<'a> Posed<'a> {
             let planned = motion(&solution.density)?;
             let verdict = verify(&planned.trajectory, limits, &VerifySettings::default())?;
             let of_axes = excess_of(&planned)?;
-            let further_excess = largest_of_all(&of_axes);
+            let further_excess = largest_excess(of_axes.iter().flatten());
             let used = planned.use_of_acceleration(mesh.spans.len(), limits);
-            let excess = if verdict.limits_respected { 1.0 } else { largest(&used) };
+            let excess = if verdict.limits_respected { 1.0 } else { largest_excess(&used) };
             let hopeless = further_excess > HOPELESS;
             if excess.max(further_excess) <= 1.0 || rounds == MAX_ROUNDS || hopeless {
                 break (solution, planned, verdict.reason(), further_excess <= 1.0);
@@ -455,9 +466,8 @@ impl<'a> Posed<'a> {
             let density = solution.density.iter().map(|d| d * factor).collect();
             start = Start { density, duals: Some(solution.duals) };
         };
-        let (mut solution, mut planned, mut refused) = (solution, planned, refused);
         let program = self.program((&diagonal, &below), &rows);
-        if solution.end == End::Optimal && refused.is_none() && kept {
+        if solution.end == End::Optimal && refused.is_none() && keeps_further_limits {
             for _ in 0..MAX_DESCENTS {
                 let left = max_iterations.saturating_sub(iterations);
                 let before = merit.of_execution_nm2(&solution.density)?;
@@ -467,27 +477,30 @@ impl<'a> Posed<'a> {
                 iterations += next.iterations;
                 let moved = motion(&next.density)?;
                 let verdict = verify(&moved.trajectory, limits, &VerifySettings::default())?;
-                if !verdict.limits_respected || largest_of_all(&excess_of(&moved)?) > 1.0 {
+                let further_excess = largest_excess(excess_of(&moved)?.iter().flatten());
+                if !verdict.limits_respected || further_excess > 1.0 {
                     break;
                 }
                 let after = merit.of_execution_nm2(&next.density)?;
-                (solution, planned, refused) = (next, moved, None);
+                solution = next;
+                planned = moved;
+                refused = None;
                 if before - after < LAST_GAIN * stop.relative_gap * before {
                     break;
                 }
             }
         }
-        self.found(&mut merit, solution, (planned, refused), (iterations, rounds))
+        self.outcome(&mut merit, solution, (planned, refused), (iterations, rounds))
     }
 
     /// Returns a solution and its motion with the parts of the objective there.
-    fn found(
+    fn outcome(
         &self,
         merit: &mut Merit<'_>,
         solution: Solution,
         (motion, refused): (Motion, Option<String>),
         (iterations, rounds): (usize, usize),
-    ) -> Result<Found, JointError> {
+    ) -> Result<MeshOutcome, JointError> {
         // Of the motion at these densities.
         merit.keep_motion_of(&solution.density)?;
         let model_rms_nm = (2.0 * merit.half_mean_square_nm2(&solution.density)).sqrt();
@@ -495,7 +508,7 @@ impl<'a> Posed<'a> {
         let pull_part = merit.pull_nm2(&solution.density) / objective_nm2;
         let tikhonov = self.pull.tikhonov;
         let price = merit.price;
-        Ok(Found {
+        Ok(MeshOutcome {
             solution,
             motion,
             refused,
@@ -508,9 +521,9 @@ impl<'a> Posed<'a> {
         })
     }
 
-    /// A round with new tangents, of the removal of the motion and of the limits. It goes towards the least objective
-    /// of that convex program as far as the simulated motion has a lower one. `None` if nothing is proven of this
-    /// program.
+    /// Runs a round with new tangents, of the removal of the motion and of the limits. It goes towards the least
+    /// objective of that convex program as far as the simulated motion has a lower one. `None` if nothing is proven of
+    /// this program.
     fn descend(
         &self,
         program: &Program<'_>,
@@ -523,16 +536,16 @@ impl<'a> Posed<'a> {
         let before = merit.of_execution_nm2(&from.density)?;
         let start = Start { density: from.density.clone(), duals: Some(from.duals.clone()) };
         let stop = Stop { max_iterations, ..*stop };
-        let found = match interior_point::solve(program, start, &stop, merit) {
+        let solution = match interior_point::solve(program, start, &stop, merit) {
             Err(JointError::CellsTooLarge { .. }) => return Ok(None),
-            other => other?.filter(|found| found.end == End::Optimal),
+            other => other?.filter(|solution| solution.end == End::Optimal),
         };
-        let Some(mut found) = found else { return Ok(None) };
-        found.objective.splice(0..0, from.objective.iter().copied());
+        let Some(mut solution) = solution else { return Ok(None) };
+        solution.objective.splice(0..0, from.objective.iter().copied());
         // Proven: no density of the program has an objective below this, nm^2. The gap of a density that is taken in
         // the place of the solution follows from it. The bound under the tangents before holds too: what the executed
         // objective falls by comes nearer to it.
-        let least_nm2 = (1.0 - found.relative_gap) * merit.value_nm2(&found.density);
+        let least_nm2 = (1.0 - solution.relative_gap) * merit.value_nm2(&solution.density);
         let gap = |density: &[f64], merit: &Merit<'_>| {
             let value_nm2 = merit.value_nm2(density);
             ((value_nm2 - least_nm2) / value_nm2).min(from.relative_gap)
@@ -542,70 +555,80 @@ impl<'a> Posed<'a> {
             let to: Vec<f64> = from
                 .density
                 .iter()
-                .zip(&found.density)
+                .zip(&solution.density)
                 .map(|(d, to)| d + part * (to - d))
                 .collect();
             let after = merit.of_execution_nm2(&to)?;
             if after < before && program.rows.slacks(&to).iter().all(|c| *c > 0.0) {
-                found.relative_gap = gap(&to, merit);
-                found.density = to;
-                found.objective.push(after);
-                return Ok(Some(found));
+                solution.relative_gap = gap(&to, merit);
+                solution.density = to;
+                solution.objective.push(after);
+                return Ok(Some(solution));
             }
             part *= 0.5;
         }
-        found.relative_gap = gap(&from.density, merit);
-        found.density.clone_from(&from.density);
-        found.objective.push(before);
-        Ok(Some(found))
+        solution.relative_gap = gap(&from.density, merit);
+        solution.density.clone_from(&from.density);
+        solution.objective.push(before);
+        Ok(Some(solution))
     }
 }
 
 /// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess`
 /// the largest. `all` tightens the further axes everywhere.
 fn tighten(
-    rows: &mut Rows<'_>,
+    rows: &mut LimitRows<'_>,
     (excess, used): (f64, &[f64]),
     (further_excess, of_axes): (f64, &[Vec<f64>]),
     all: bool,
 ) {
-    let tighter = |used: &[f64]| -> Vec<f64> {
-        used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
-    };
     if excess > 1.0 {
-        rows.tighten(&tighter(used));
+        rows.tighten(&tightening(used));
     }
     if further_excess > 1.0 {
-        let tighter: Vec<Vec<f64>> = of_axes.iter().map(|used| tighter(used)).collect();
+        let tighter: Vec<Vec<f64>> = of_axes.iter().map(|used| tightening(used)).collect();
         rows.tighten_further(&tighter, all);
     }
 }
 
-/// The residual as a function of the times at the points of a mesh.
+/// Returns the factors by which rows are tightened whose limits are used like this; 1 where they are kept.
+fn tightening(used: &[f64]) -> Vec<f64> {
+    used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
+}
+
+/// Returns the largest use of a limit, at least 1.
+fn largest_excess<'u>(used: impl IntoIterator<Item = &'u f64>) -> f64 {
+    used.into_iter().copied().fold(1.0, f64::max)
+}
+
+/// Builds the residual as a function of the times at the points of a mesh.
 fn residual<'a>(
-    asked: &Asked<'a>,
+    inputs: &PlanInputs<'a>,
     mesh: &'a Mesh,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<Residual<'a>, JointError> {
-    let Asked { desired, tif, path, rates, .. } = *asked;
+    let PlanInputs { desired, tif, path, rates, .. } = *inputs;
     let poses = mesh.points_mm.iter().zip(&mesh.headings_rad).zip(&mesh.segments);
-    let place = |((position_mm, heading_rad), segment): ((&[f64; 2], &f64), &usize)| Place {
+    let places = poses.map(|((position_mm, heading_rad), segment)| Place {
         position_mm: *position_mm,
         heading_rad: *heading_rad,
         fraction: rates[*segment],
-    };
-    let places = poses.map(place).collect();
-    Residual::at_places(desired, tif, places, None, settings.free).map_err(|e| match e {
+    });
+    Residual::at_places(desired, tif, places.collect(), None, settings.free).map_err(|e| match e {
         // The points of the mesh are nothing that was given.
         DwellError::OutOfReach { .. } => DwellError::OutOfReach { points: path.len() }.into(),
         e => e.into(),
     })
 }
 
-/// The uniform density, s/mm, that removes on average what is above the lowest point.
-fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result<f64, JointError> {
-    let residual = residual(asked, mesh, settings)?;
-    let heights = asked.desired.height_nm().iter().filter(|z| !z.is_nan());
+/// Returns the uniform density, s/mm, that removes on average what is above the lowest point.
+fn level_s_per_mm(
+    inputs: &PlanInputs<'_>,
+    mesh: &Mesh,
+    settings: &JointSettings,
+) -> Result<f64, JointError> {
+    let residual = residual(inputs, mesh, settings)?;
+    let heights = inputs.desired.height_nm().iter().filter(|z| !z.is_nan());
     let (sum, count, low) =
         heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
     let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
@@ -623,7 +646,7 @@ mod tests {
         solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT},
     };
     use planish_dwell::residual::Free;
-    use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
+    use planish_simulate::{SimulationPlan, SimulationSettings};
     use planish_types::{Axis, Grid, MachineFile, MachineFileAxis};
 
     use super::*;
@@ -723,7 +746,7 @@ mod tests {
         problem: &'a Problem,
         curves: &'a [Curve],
         mesh: &'a Mesh,
-        simulation: &'a Simulation<'a>,
+        simulation: &'a SimulationPlan<'a>,
         lengths_mm: Vec<f64>,
         lo: Vec<f64>,
         alpha: f64,
@@ -750,7 +773,7 @@ mod tests {
         }
 
         /// The objective after at most `steps`, from densities that keep the rows.
-        fn descend(&self, rows: &Rows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
+        fn descend(&self, rows: &LimitRows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
             let n = density.len();
             let mut residual = self.residual(&density);
             let mut value = self.value(&residual, &density);
@@ -883,16 +906,18 @@ mod tests {
         let rounding = Rounding { deviation_mm: 0.2, radius_mm: 1.0 };
         let curves = curves(path, &rounding).curves;
         let mesh = Mesh::new(&curves, path, *spacing_mm).unwrap();
-        let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded).unwrap();
+        let simulation =
+            SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded).unwrap();
         let executed = |planned: &Trajectory| Ok(simulation.removal_nm(planned)?.0);
         let rates = vec![1.0; path.len()];
         let rates = &rates;
         let (curves, executed) = (&curves, &executed);
-        let asked = Asked { desired, tif, path, curves, limits, further: None, rates, executed };
-        let settings = Settings { price: Price::Nm2PerS(*price), ..Settings::default() };
+        let inputs =
+            PlanInputs { desired, tif, path, curves, limits, further: None, rates, executed };
+        let settings = JointSettings { price: Price::Nm2PerS(*price), ..JointSettings::default() };
         let meshes = Meshes { first: mesh, refinements: 0, most_work: f64::INFINITY };
-        let Solved { mesh, found, .. } = solve(&asked, &meshes, &settings).unwrap();
-        let rows = Rows::new(curves, &mesh, limits, 0.1);
+        let Solved { mesh, outcome, .. } = solve(&inputs, &meshes, &settings).unwrap();
+        let rows = LimitRows::new(curves, &mesh, limits, 0.1);
         let residual = Residual::new(desired, tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let normal = residual.normal(&mesh.columns(), None).unwrap();
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
@@ -903,9 +928,9 @@ mod tests {
             simulation: &simulation,
             lengths_mm: mesh.lengths_mm(),
             lo: rows.least_density().to_vec(),
-            alpha: found.tikhonov * strongest,
+            alpha: outcome.tikhonov * strongest,
         };
-        let density = found.solution.density;
+        let density = outcome.solution.density;
         let at = other.residual(&density);
         let value = other.value(&at, &density);
         let least = other.descend(&rows, density.clone(), steps);
@@ -915,13 +940,13 @@ mod tests {
             "{number}: {} nodes, {} steps, {} rounds, {rms:.4} nm in {:.3} s, {value:.6} nm^2, {}; proven {:.1e}, \
              descent {gain:.2e}",
             mesh.nodes,
-            found.iterations,
-            found.rounds,
+            outcome.iterations,
+            outcome.rounds,
             dot(&other.lengths_mm, &density),
-            found.solution.end,
-            found.solution.relative_gap
+            outcome.solution.end,
+            outcome.solution.relative_gap
         );
-        (gain, found.solution.relative_gap)
+        (gain, outcome.solution.relative_gap)
     }
 
     #[test]
@@ -929,6 +954,6 @@ mod tests {
         let count =
             std::env::var("PLANISH_DESCENTS").ok().and_then(|n| n.parse().ok()).unwrap_or(3);
         let most = (1..=count).map(|number| gain(number, 20).0).fold(0.0, f64::max);
-        assert!(most < Settings::default().relative_gap, "{most:.2e}");
+        assert!(most < JointSettings::default().relative_gap, "{most:.2e}");
     }
 }

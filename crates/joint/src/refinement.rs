@@ -11,16 +11,14 @@
 //! is the first-order decrease of the objective. A span is halved if this is more than a small fraction of the
 //! objective. The method goes on from densities that are also inside the rows of the halves.
 
-use std::ops::Range;
-
 use planish_types::{Limits, ToolPath};
 
 use crate::{
     axes::Further,
     curve::Curve,
     interior_point::{Approach, Start},
-    limits::{Rows, constant_acceleration},
-    mesh::{Mesh, Span},
+    limits::{LimitRows, constant_acceleration},
+    mesh::Mesh,
 };
 
 /// Least worth (1) of a span that is halved, over the objective per node. Larger: fewer nodes and a larger residual.
@@ -50,7 +48,7 @@ pub struct Refined {
 }
 
 /// Inputs that are the same for all meshes.
-pub struct Given<'a> {
+pub struct MeshInputs<'a> {
     pub curves: &'a [Curve],
     pub path: &'a ToolPath,
     pub limits: &'a Limits,
@@ -60,26 +58,27 @@ pub struct Given<'a> {
     pub min_dwell_s_per_mm: f64,
 }
 
-impl Given<'_> {
-    /// The limits on the densities of a mesh.
-    pub fn rows<'m>(&self, mesh: &'m Mesh) -> Rows<'m> {
-        let rows = Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
+impl MeshInputs<'_> {
+    /// Returns the limits on the densities of a mesh.
+    pub fn rows<'m>(&self, mesh: &'m Mesh) -> LimitRows<'m> {
+        let rows = LimitRows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
         match self.further {
             None => rows,
             Some(further) => rows.with_further(self.curves, further),
         }
     }
 
-    /// Least density of every node, s/mm.
-    pub fn floors(&self, rows: &Rows<'_>) -> Vec<f64> {
+    /// Returns the least density of every node, s/mm.
+    pub fn floors(&self, rows: &LimitRows<'_>) -> Vec<f64> {
         rows.least_density().iter().map(|d| d.max(self.min_dwell_s_per_mm)).collect()
     }
 
-    /// A finer mesh that is affordable, near the minimum on another one; `None` if no span has the least worth.
+    /// Returns a finer mesh that is `affordable`, with a start from the iterate `at` of the solver on `mesh`; `None` if
+    /// no span is worth halving by (1).
     pub fn refined(
         &self,
         mesh: &Mesh,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         at: &Approach,
         affordable: impl Fn(&Mesh) -> bool,
     ) -> Option<Refined> {
@@ -114,8 +113,8 @@ impl Given<'_> {
         Some(Refined { mesh: finer, start, same })
     }
 
-    /// First value of [`TOWARDS_MEAN`] that the rows of the halves allow, for every span that is to be halved; `None`
-    /// if there is none.
+    /// Returns the first value of [`TOWARDS_MEAN`] that the rows of the halves allow, for every span that is to be
+    /// halved; `None` if there is none.
     fn towards_mean(
         &self,
         mesh: &Mesh,
@@ -125,23 +124,22 @@ impl Given<'_> {
     ) -> Vec<Option<f64>> {
         let rows = self.rows(finer);
         let of_spans = rows.of_spans();
-        let mut found = vec![None; halved.len()];
+        let mut towards_mean = vec![None; halved.len()];
         for towards in TOWARDS_MEAN {
-            let all: Vec<_> = halved.iter().map(|halved| halved.then_some(towards)).collect();
+            let all: Vec<_> =
+                halved.iter().map(|halved| if *halved { Some(towards) } else { None }).collect();
             let slacks = rows.slacks(&densities(mesh, &all, density));
-            let least = |span: &Range<usize>| {
-                slacks[span.clone()].iter().copied().fold(f64::INFINITY, f64::min)
-            };
             let mut spans = of_spans.iter();
-            for (found, halved) in found.iter_mut().zip(halved) {
+            for (first, halved) in towards_mean.iter_mut().zip(halved) {
                 let parts = spans.by_ref().take(if *halved { 2 } else { 1 });
-                let enough = parts.map(least).fold(f64::INFINITY, f64::min) >= LEAST_SLACK;
-                if *halved && enough && found.is_none() {
-                    *found = Some(towards);
+                let slacks = parts.flat_map(|rows| &slacks[rows.clone()]);
+                let least = slacks.copied().fold(f64::INFINITY, f64::min);
+                if *halved && least >= LEAST_SLACK && first.is_none() {
+                    *first = Some(towards);
                 }
             }
         }
-        found
+        towards_mean
     }
 
     /// Start on the finer mesh. The dual variables of rows and bounds that stay are kept. New ones are chosen so that
@@ -149,7 +147,7 @@ impl Given<'_> {
     fn start(
         &self,
         mesh: &Mesh,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         finer: &Mesh,
         towards: &[Option<f64>],
         before: &[Option<usize>],
@@ -157,8 +155,8 @@ impl Given<'_> {
     ) -> Start {
         let density = densities(mesh, towards, &at.density);
         let finer_rows = self.rows(finer);
-        let new = |slack: &f64| at.mean_product / slack;
-        let mut z: Vec<f64> = finer_rows.slacks(&density).iter().map(new).collect();
+        let slacks = finer_rows.slacks(&density);
+        let mut z: Vec<f64> = slacks.iter().map(|slack| at.mean_product / slack).collect();
         let (from, to) = (rows.of_spans(), finer_rows.of_spans());
         let mut of_finer = to.into_iter();
         for (from, towards) in from.into_iter().zip(towards) {
@@ -174,21 +172,26 @@ impl Given<'_> {
         }
         let room = density.iter().zip(self.floors(&finer_rows)).map(|(d, lo)| d - lo);
         let y = before.iter().zip(room);
-        let y = y.map(|(before, room)| before.map_or(new(&room), |j| at.duals[1][j])).collect();
+        let y = y.map(|(before, room)| before.map_or(at.mean_product / room, |j| at.duals[1][j]));
+        let y = y.collect();
         Start { density, duals: Some([z, y]) }
     }
 }
 
-/// Node of the coarser mesh for every node of the finer one; `None` for new nodes.
+/// Returns the node of the coarser mesh for every node of the finer one; `None` for new nodes.
 fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
-    let of = |(span, halved): (&Span, &bool)| {
-        halved.then_some(None).into_iter().chain(span.nodes[1].map(Some))
-    };
-    mesh.spans.iter().zip(halved).flat_map(of).collect()
+    let mut before = Vec::new();
+    for (span, halved) in mesh.spans.iter().zip(halved) {
+        if *halved {
+            before.push(None);
+        }
+        before.extend(span.nodes[1].map(Some));
+    }
+    before
 }
 
-/// The densities of the nodes of the finer mesh: those of the spans that are halved in between, so far
-/// towards the mean; the others are left as they are.
+/// Returns the densities of the nodes of the finer mesh: those of the spans that are halved in between, so far towards
+/// the mean; the others are left as they are.
 fn densities(mesh: &Mesh, towards: &[Option<f64>], density: &[f64]) -> Vec<f64> {
     let mut all = Vec::with_capacity(density.len());
     for (span, towards) in mesh.spans.iter().zip(towards) {
@@ -204,7 +207,10 @@ fn densities(mesh: &Mesh, towards: &[Option<f64>], density: &[f64]) -> Vec<f64> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::curve::{Rounding, curves};
+    use crate::{
+        curve::{Rounding, curves},
+        mesh::Span,
+    };
     use planish_types::{MachineFile, MachineFileAxis};
 
     #[test]
@@ -223,7 +229,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
-        let given = Given {
+        let given = MeshInputs {
             curves: &curves,
             path: &path,
             limits: &limits,

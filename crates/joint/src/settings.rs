@@ -21,7 +21,7 @@ pub const MOST_PULL: f64 = 0.01;
 
 /// Settings of a joint plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct JointSettings {
     /// Least dwell-time density, s/mm; >= 0.
     pub min_dwell_s_per_mm: f64,
     /// Price of time.
@@ -49,7 +49,7 @@ pub struct Settings {
     pub max_iterations: usize,
 }
 
-impl Default for Settings {
+impl Default for JointSettings {
     fn default() -> Self {
         Self {
             min_dwell_s_per_mm: 0.0,
@@ -71,8 +71,12 @@ impl Default for Settings {
 /// make sense are refused. Derived: ten halvings make a thousandth of the distance of two nodes.
 const MOST_REFINEMENTS: usize = 10;
 
-impl Settings {
+impl JointSettings {
     /// Checks every number by itself.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a number that is not finite or is out of its range, and too many refinements.
     pub fn check(&self) -> Result<(), Invalid> {
         let (price_name, price) = match self.price {
             Price::Nm2PerS(price) => ("time_weight_nm2_per_s", price),

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::example::{at_price, hill, merit, through, tif, two_axes};
 use planish_joint::{
-    FurtherAxes, FurtherLimits, JointError, Plan, Settings, plan, plan_with_further_axes,
+    FurtherAxes, FurtherLimits, JointError, JointPlan, JointSettings, plan, plan_with_further_axes,
 };
 use planish_types::{Axis, End, Grid, Limits, Surface, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
@@ -173,16 +173,16 @@ fn spiral(from_mm: f64) -> ToolPath {
 /// What a second is worth, nm^2/s.
 const PRICE: f64 = 1e-3;
 
-fn settings() -> Settings {
+fn settings() -> JointSettings {
     at_price(PRICE)
 }
 
-fn on(axes: &Analytic, path: &ToolPath, limits: &Limits) -> Result<Plan, JointError> {
+fn on(axes: &Analytic, path: &ToolPath, limits: &Limits) -> Result<JointPlan, JointError> {
     plan_with_further_axes(&desired(), &tif(), path, (limits, axes), &settings())
 }
 
 /// A plan that keeps every limit by both judges, and a further axis that is used.
-fn kept(axes: &Analytic, path: &ToolPath, limits: &Limits, turns: &[usize]) -> Plan {
+fn kept(axes: &Analytic, path: &ToolPath, limits: &Limits, turns: &[usize]) -> JointPlan {
     let plan = on(axes, path, limits).unwrap();
     assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None));
     assert_eq!(plan.report.slowed_by, None);

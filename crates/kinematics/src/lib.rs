@@ -76,7 +76,11 @@ pub struct Contact {
 }
 
 impl AxisMap {
-    /// The map of a machine and a part.
+    /// Builds the map from contact points on the part `form` to the axes of `machine`.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the placement of the part on the machine has no inverse.
     pub fn new(machine: &Machine, form: &Form) -> Result<Self, Invalid> {
         let to_axes = match machine.part_to_axes() {
             Some(there) => Some((there.clone(), there.inverse()?)),
@@ -91,54 +95,54 @@ impl AxisMap {
         })
     }
 
-    /// Number of axes.
+    /// Returns the number of axes.
     pub fn axes(&self) -> usize {
         self.axes
     }
 
-    /// Positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`, mm. `None`
-    /// where the form does not exist. The axis c of a spindle is between -180 and 180 deg.
+    /// Returns the positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`,
+    /// mm. `None` where the form does not exist. The axis c of a spindle is between -180 and 180 deg.
     ///
     /// In the centre of a spindle the point is taken to move away from it.
     pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {
         let [x, y] = self.on_machine(p);
         let origin_z = Series::constant(self.origin_z_mm);
-        let needs_form = |normal| self.surface(p, normal);
         Some(match &self.kinematics {
             Kinematics::Xy => vec![x, y],
-            Kinematics::Xyz => vec![x, y, needs_form(false)?.0 + origin_z],
+            Kinematics::Xyz => vec![x, y, self.surface(p, false)?.0 + origin_z],
             Kinematics::Tilts { pivot_mm, tilts } => {
-                let (z, [nx, ny, nz]) = needs_form(true)?;
+                let (z, [nx, ny, nz]) = self.surface(p, true)?;
                 let (a, b) = match tilts[0] {
                     Tilt::A => (Series::angle([nz, -ny]), Series::angle([hypot(ny, nz), nx])),
                     Tilt::B => (Series::angle([hypot(nx, nz), -ny]), Series::angle([nz, nx])),
                 };
-                let along = |v: Series, n: Series| v + n.times(*pivot_mm);
+                let [px, py, pz] = [(x, nx), (y, ny), (z, nz)].map(|(v, n)| v + n.times(*pivot_mm));
                 let lowered = origin_z - Series::constant(*pivot_mm);
-                vec![along(x, nx), along(y, ny), along(z, nz) + lowered, degrees(a), degrees(b)]
+                vec![px, py, pz + lowered, degrees(a), degrees(b)]
             }
             Kinematics::Spindle { has_z, pivot_mm } => {
                 let (r, c, [ux, uy]) = polar(x, y);
                 match pivot_mm {
                     Some(pivot) => {
-                        let (z, [nx, ny, nz]) = needs_form(true)?;
+                        let (z, [nx, ny, nz]) = self.surface(p, true)?;
                         let nr = nx * ux + ny * uy;
                         let length = hypot(nr, nz);
-                        let along = |v: Series, n: Series| v + (n / length).times(*pivot);
+                        let [pr, pz] =
+                            [(r, nr), (z, nz)].map(|(v, n)| v + (n / length).times(*pivot));
                         let lowered = origin_z - Series::constant(*pivot);
                         let b = Series::angle([nz, nr]);
-                        vec![along(r, nr), along(z, nz) + lowered, degrees(c), degrees(b)]
+                        vec![pr, pz + lowered, degrees(c), degrees(b)]
                     }
-                    None if *has_z => vec![r, needs_form(false)?.0 + origin_z, degrees(c)],
+                    None if *has_z => vec![r, self.surface(p, false)?.0 + origin_z, degrees(c)],
                     None => vec![r, degrees(c)],
                 }
             }
         })
     }
 
-    /// Position, first and second derivative by the arc length in the plane of the part, of every axis; in mm and deg,
-    /// and over mm and mm^2. The path goes through `point_mm` along the unit vector `tangent`, with this curvature
-    /// (positive to the left). `None` where the form does not exist.
+    /// Returns the position of every axis, with the first and second derivative by the arc length in the plane of the
+    /// part; in mm and deg, and over mm and mm^2. The path goes through `point_mm` along the unit vector `tangent`,
+    /// with this curvature (positive to the left). `None` where the form does not exist.
     pub fn along(
         &self,
         point_mm: [f64; 2],
@@ -155,8 +159,8 @@ impl AxisMap {
         Some(axes.iter().map(|q| [q.value, q.first, q.second]).collect())
     }
 
-    /// Contact of the tool where the axes are at `positions`, mm and deg. `None` where the axis of the tool meets no
-    /// surface.
+    /// Returns the contact of the tool where the axes are at `positions`, mm and deg. `None` where the axis of the tool
+    /// meets no surface.
     pub fn contact(&self, positions: &[f64]) -> Option<Contact> {
         let q = positions;
         let vertical = [0.0, 0.0, 1.0];
@@ -166,7 +170,7 @@ impl AxisMap {
             }
             Kinematics::Xyz => ([q[0], q[1], q[2] - self.origin_z_mm], vertical),
             Kinematics::Tilts { pivot_mm, tilts } => {
-                let ([sa, ca], [sb, cb]) = (sine_cosine(q[3]), sine_cosine(q[4]));
+                let [[sa, ca], [sb, cb]] = [q[3], q[4]].map(sine_cosine);
                 let tool = match tilts[0] {
                     Tilt::A => [sb, -sa * cb, ca * cb],
                     Tilt::B => [ca * sb, -sa, ca * cb],
@@ -183,7 +187,8 @@ impl AxisMap {
                     Some(pivot) => (*pivot, sine_cosine(q[3])),
                     None => (0.0, [0.0, 1.0]),
                 };
-                let (r, z) = (q[0] - pivot * sb, q[1] - self.origin_z_mm + pivot * (1.0 - cb));
+                let r = q[0] - pivot * sb;
+                let z = q[1] - self.origin_z_mm + pivot * (1.0 - cb);
                 ([r * c, r * s, z], [sb * c, sb * s, cb])
             }
         };
@@ -202,7 +207,8 @@ impl AxisMap {
                 let tool = [direction[0], direction[1], tool[2]];
                 let dot = (0..3).map(|k| n[k] * tool[k]).sum::<f64>();
                 let cross = [1, 2, 0].map(|i: usize| {
-                    let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+                    let j = (i + 1) % 3;
+                    let k = (i + 2) % 3;
                     n[j] * tool[k] - n[k] * tool[j]
                 });
                 let sine = cross.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -214,27 +220,27 @@ impl AxisMap {
         None
     }
 
-    /// Contact of a tool along z that has no axis z.
+    /// Returns the contact of a tool along z that has no axis z.
     fn below_z(&self, point_mm: [f64; 2]) -> Contact {
         let off_normal_deg = self.form.point(point_mm).map_or(0.0, |place| place.slope_deg());
         Contact { point_mm, gap_mm: 0.0, off_normal_deg }
     }
 
-    /// Distance of a contact point from the axis of the spindle, mm.
+    /// Returns the distance of a contact point from the axis of the spindle, mm.
     pub fn radius_mm(&self, point_mm: [f64; 2]) -> f64 {
         let [x, y] = self.on_machine(point_mm.map(Series::constant));
         x.value.hypot(y.value)
     }
 
-    /// Height of the form, and its unit normal in the directions of the machine (zero unless asked for).
+    /// Returns the height of the form, and its unit normal in the directions of the machine; zero without `normal`.
     fn surface(&self, p: [Series; 2], normal: bool) -> Option<(Series, [Series; 3])> {
         let at = p.map(|v| v.value);
         let place = self.form.point(at)?;
-        let (gradient, [xx, xy, yy]) = (place.gradient(), place.hessian());
-        let (v, w) = (p.map(|s| s.first), p.map(|s| s.second));
-        let of =
-            |[xx, xy, yy]: [f64; 3], v: [f64; 2]| [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]];
-        let bent = of([xx, xy, yy], v);
+        let gradient = place.gradient();
+        let hessian = place.hessian();
+        let v = p.map(|s| s.first);
+        let w = p.map(|s| s.second);
+        let bent = times(hessian, v);
         // f' = grad f . p',  f'' = grad f . p'' + p' H p'
         let f = Series {
             value: place.sag_mm(),
@@ -245,8 +251,8 @@ impl AxisMap {
             return Some((f, [Series::default(); 3]));
         }
         // (grad f)' = H p',  (grad f)'' = H p'' + H' p'
-        let change = of(self.hessian_change(at, v)?, v);
-        let turned = of([xx, xy, yy], w);
+        let change = times(self.hessian_change(at, v)?, v);
+        let turned = times(hessian, w);
         let slope = [0, 1].map(|k| Series {
             value: gradient[k],
             first: bent[k],
@@ -262,8 +268,8 @@ impl AxisMap {
         Some((f, [nx, ny, nz]))
     }
 
-    /// Derivative of the second derivatives of the form by the parameter of a point that moves with the velocity `v`: a
-    /// difference over [`STEP_MM`] on both sides, or on one where the form ends.
+    /// Returns the derivative of the second derivatives of the form by the parameter of a point that moves with the
+    /// velocity `v`: a difference over [`STEP_MM`] on both sides, or on one where the form ends.
     fn hessian_change(&self, at: [f64; 2], v: [f64; 2]) -> Option<[f64; 3]> {
         let speed = v[0].hypot(v[1]);
         if speed == 0.0 {
@@ -273,9 +279,8 @@ impl AxisMap {
             let place = self.form.point([0, 1].map(|k| at[k] + d * v[k] / speed))?;
             Some((d, place.hessian()))
         };
-        let (ahead, back) = (beside(STEP_MM), beside(-STEP_MM));
-        let (d0, h0) = back.or_else(|| beside(0.0))?;
-        let (d1, h1) = ahead.or_else(|| beside(0.0))?;
+        let (d0, h0) = beside(-STEP_MM).or_else(|| beside(0.0))?;
+        let (d1, h1) = beside(STEP_MM).or_else(|| beside(0.0))?;
         if d0 == d1 {
             return Some([0.0; 3]);
         }
@@ -299,7 +304,12 @@ impl AxisMap {
     }
 }
 
-/// Radius, azimuth in rad and unit vector along the radius.
+/// Returns the product of a symmetric matrix, of the elements xx, xy and yy, with a vector.
+fn times([xx, xy, yy]: [f64; 3], v: [f64; 2]) -> [f64; 2] {
+    [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
+}
+
+/// Returns radius, azimuth in rad and unit vector along the radius.
 fn polar(x: Series, y: Series) -> (Series, Series, [Series; 2]) {
     if x.value.hypot(y.value) >= CENTRE_MM {
         let r = hypot(x, y);

@@ -19,12 +19,12 @@ pub struct Series {
 }
 
 impl Series {
-    /// A number that does not depend on the parameter.
+    /// Returns a number that does not depend on the parameter.
     pub fn constant(value: f64) -> Self {
         Self { value, ..Self::default() }
     }
 
-    /// The number times a factor.
+    /// Returns the number times a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
             value: factor * self.value,
@@ -33,14 +33,14 @@ impl Series {
         }
     }
 
-    /// Square root of a positive number: `r^2 = f` gives `2 r r' = f'` and `2 r r'' = f'' - 2 r'^2`.
+    /// Returns the square root of a positive number: `r^2 = f` gives `2 r r' = f'` and `2 r r'' = f'' - 2 r'^2`.
     pub(crate) fn sqrt(self) -> Self {
         let value = self.value.sqrt();
         let first = 0.5 * self.first / value;
         Self { value, first, second: (0.5 * self.second - first * first) / value }
     }
 
-    /// Angle of the direction (x, y), rad; not for the direction (0, 0).
+    /// Returns the angle of the direction (x, y), rad; not for the direction (0, 0).
     pub(crate) fn angle([x, y]: [Self; 2]) -> Self {
         let square = x.value * x.value + y.value * y.value;
         let first = (x.value * y.first - y.value * x.first) / square;

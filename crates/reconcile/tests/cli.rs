@@ -5,7 +5,7 @@ mod example;
 use std::{fs, path::Path, process::Output};
 
 use example::{before, gaussian, grid, planned};
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_testkit::{
     program::{text, write},
     skipped::reference,

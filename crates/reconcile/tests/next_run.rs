@@ -5,7 +5,7 @@ use crate::example::{before, gaussian, grid, planned, raster};
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, parameter::Parameter, reconcile};
 use planish_simulate::{
-    Settings as Simulation,
+    SimulationSettings as Simulation,
     error_budget::{ErrorBudget, ErrorBudgetFile, Kind},
     simulate,
     virtual_machine::{self, run},
@@ -51,9 +51,13 @@ fn hidden() -> ErrorBudget {
 }
 
 /// Run of that machine with a command.
-fn executed(command: &Trajectory) -> virtual_machine::Run {
-    let settings =
-        virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+fn executed(command: &Trajectory) -> virtual_machine::VirtualRun {
+    let settings = virtual_machine::VirtualMachineSettings {
+        seed: 1,
+        run: 1,
+        known: false,
+        tif_as_sampled: true,
+    };
     run(command, &tif(), &before(), &hidden(), &settings).unwrap()
 }
 
@@ -97,7 +101,7 @@ fn the_next_plan_acts_where_it_should() {
         let next = executed(&found.transform.trajectory(&motion).unwrap());
         // The plan with the tool that was learnt
         let wanted = removal(&motion, &found.tif);
-        let off = |run: &virtual_machine::Run| rms(&(run.removal.removal_nm() - &wanted));
+        let off = |run: &virtual_machine::VirtualRun| rms(&(run.removal.removal_nm() - &wanted));
         let (before_it, after_it) = (off(&first), off(&next));
         // Waves of some nm displaced by 0.07 mm are off by 0.1 nm. Place and tool are undone by another way than they
         // were done (a transform of the command, a TIF of its own): what is left is where the fit ended.
@@ -119,8 +123,12 @@ fn the_place_is_as_uncertain_as_it_scatters() {
     let corner = [16.0, 12.0];
     let seeds = 24;
     for seed in 0..seeds {
-        let settings =
-            virtual_machine::Settings { seed, run: 1, known: false, tif_as_sampled: true };
+        let settings = virtual_machine::VirtualMachineSettings {
+            seed,
+            run: 1,
+            known: false,
+            tif_as_sampled: true,
+        };
         let run = run(&motion, &tif(), &before(), &noise, &settings).unwrap();
         let found = learnt(&run.measured, &motion, None, None);
         // D^-1 of the true displacement
@@ -143,8 +151,12 @@ fn the_place_is_as_uncertain_as_it_scatters() {
 fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     let mut errors = hidden();
     errors.errors.extend(process(&[("map_noise", 0.1, "nm")]).errors);
-    let settings =
-        virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let settings = virtual_machine::VirtualMachineSettings {
+        seed: 1,
+        run: 1,
+        known: false,
+        tif_as_sampled: true,
+    };
     let first = run(&planned(), &tif(), &before(), &errors, &settings).unwrap();
     let believed = process(&[
         ("rate_scale", 5.0, "%"),

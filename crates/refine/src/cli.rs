@@ -11,12 +11,12 @@ use planish_refine::Iterate;
 pub use refine::Refine;
 
 #[derive(Subcommand)]
-pub enum Command {
+pub enum RefineCommand {
     /// Plan at rising prices of a second: residual against total time
     Pareto(pareto::Pareto),
 }
 
-impl Command {
+impl RefineCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Pareto(arguments) => arguments.run(),
@@ -24,19 +24,18 @@ impl Command {
     }
 }
 
-/// Arrays of `kind::ITERATIONS`, from at least one iterate.
+/// Returns the arrays of `kind::ITERATIONS`, from at least one iterate.
 fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData<'a>> {
     let iterates: Vec<&Iterate> = iterates.collect();
-    let column = |f: fn(&Iterate) -> f64| {
-        ArrayData::F64(iterates.iter().map(|i| f(i)).collect::<Array1<f64>>().into_dyn().into())
-    };
-    let (m, n) = (iterates.len(), iterates[0].dwell_s.len());
-    let dwell = Array2::from_shape_fn((m, n), |(i, j)| iterates[i].dwell_s[j]);
+    let shape = (iterates.len(), iterates[0].dwell_s.len());
+    let dwell = Array2::from_shape_fn(shape, |(i, j)| iterates[i].dwell_s[j]);
+    let rms: Array1<f64> = iterates.iter().map(|i| i.rms_nm).collect();
+    let times: Array1<f64> = iterates.iter().map(|i| i.total_time_s).collect();
     let stretched: Array1<i64> = iterates.iter().map(|i| i.stretched as i64).collect();
     vec![
         ArrayData::F64(dwell.into_dyn().into()),
-        column(|i| i.rms_nm),
-        column(|i| i.total_time_s),
+        ArrayData::F64(rms.into_dyn().into()),
+        ArrayData::F64(times.into_dyn().into()),
         ArrayData::I64(stretched.into_dyn().into()),
     ]
 }

@@ -15,19 +15,19 @@ const EXAMPLES: &str = "Examples:\n\
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
-struct Cli {
+struct RefineCli {
     #[command(subcommand)]
-    command: Option<crate::cli::Command>,
+    command: Option<crate::cli::RefineCommand>,
     #[command(flatten)]
     refine: Option<crate::cli::Refine>,
 }
 
 /// The command `planish refine`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: RefineCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| match (&cli.command, &cli.refine) {
+    planish_handoff::program(|cli: &RefineCli| match (&cli.command, &cli.refine) {
         (Some(command), _) => command.run(),
         (None, Some(arguments)) => arguments.run(),
         (None, None) => Err(Failure::new("no arguments; planish-refine --help shows them")),

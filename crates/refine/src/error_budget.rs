@@ -18,14 +18,14 @@
 use planish_tolerance::{
     Tolerance, ToleranceSettings, error_budget::ErrorBudget, quadratic::Sources, tolerance,
 };
-use planish_types::{DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath};
 use serde::Serialize;
 
-use crate::{RefineError, Refined, Settings, Start, refine, rounds};
+use crate::{RefineError, RefineSettings, Refined, Start, refine, rounds};
 
 /// Residual of a plan under a process.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Judged {
+pub struct PlanRisk {
     /// RMS without errors, nm.
     pub nominal_rms_nm: f64,
     /// Root of the mean over runs of the mean square, nm.
@@ -49,34 +49,30 @@ pub struct Price {
     /// differentiable by them.
     pub not_in_the_objective: Vec<String>,
     /// Plan made without the process.
-    pub without: Judged,
+    pub without: PlanRisk,
     /// Plan made for the process; the same as `without` if no error is in the objective.
-    pub with: Judged,
+    pub with: PlanRisk,
     /// True if the plan made for the process is kept.
     pub kept: bool,
 }
 
 /// Refines by [`refine`], and goes on from there for a process.
+///
+/// # Errors
+///
+/// Refuses what [`refine`] refuses, and a process that does not fit the tool.
 pub fn refine_for(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     limits: &Limits,
     first: Option<DwellTime>,
-    settings: &Settings,
+    settings: &RefineSettings,
     process: &ErrorBudget,
 ) -> Result<(Refined, Price), RefineError> {
     let sources = Sources::new(desired, tif, process, settings.dwell.free)?;
     let plan = refine(desired, tif, path, limits, first, settings)?;
-    let judge = |plan: &Refined| -> Result<Judged, Invalid> {
-        let how = ToleranceSettings {
-            free: settings.dwell.free,
-            simulated_runs: 0,
-            ..ToleranceSettings::default()
-        };
-        let found = tolerance(&plan.trajectory, tif, desired, process, &how)?;
-        Ok(Judged::of(&found, &plan.trajectory))
-    };
+    let judge = |plan: &Refined| PlanRisk::new(plan, tif, desired, process, settings);
     let without = judge(&plan)?;
     let Sources { included, left_out, .. } = &sources;
     let mut price = Price {
@@ -94,29 +90,42 @@ pub fn refine_for(
     let expected = rounds(desired, tif, path, limits, start, settings, Some(&sources))?;
     price.with = judge(&expected)?;
     price.kept = price.with.expected_rms_nm < without.expected_rms_nm;
-    let mut kept = plan;
-    let rounds_before = kept.iterates.len();
-    kept.iterates.extend(expected.iterates);
+    let mut best = plan;
+    let rounds_before = best.iterates.len();
+    best.iterates.extend(expected.iterates);
     if price.kept {
-        let limit = [kept.end, expected.end].contains(&End::RoundLimit);
-        kept.dwell = expected.dwell;
-        kept.trajectory = expected.trajectory;
-        kept.best = rounds_before + expected.best;
-        kept.end = if limit { End::RoundLimit } else { expected.end };
-        kept.at_bound = expected.at_bound;
-        kept.least_s = expected.least_s;
+        let limit = [best.end, expected.end].contains(&End::RoundLimit);
+        best.dwell = expected.dwell;
+        best.trajectory = expected.trajectory;
+        best.best = rounds_before + expected.best;
+        best.end = if limit { End::RoundLimit } else { expected.end };
+        best.at_bound = expected.at_bound;
+        best.least_s = expected.least_s;
     }
-    Ok((kept, price))
+    Ok((best, price))
 }
 
-impl Judged {
-    fn of(found: &Tolerance, plan: &Trajectory) -> Self {
-        Self {
-            nominal_rms_nm: found.outcome.nominal_rms_nm,
-            expected_rms_nm: found.outcome.expected_rms_nm,
-            median_nm: found.outcome.residual.median_nm,
-            below_95_percent_nm: found.outcome.residual.below_95_percent_nm,
-            total_time_s: plan.total_time_s(),
-        }
+impl PlanRisk {
+    /// Judges a plan with the whole process.
+    fn new(
+        plan: &Refined,
+        tif: &Tif,
+        desired: &Surface,
+        process: &ErrorBudget,
+        settings: &RefineSettings,
+    ) -> Result<Self, Invalid> {
+        let how = ToleranceSettings {
+            free: settings.dwell.free,
+            simulated_runs: 0,
+            ..ToleranceSettings::default()
+        };
+        let outcome = tolerance(&plan.trajectory, tif, desired, process, &how)?.outcome;
+        Ok(Self {
+            nominal_rms_nm: outcome.nominal_rms_nm,
+            expected_rms_nm: outcome.expected_rms_nm,
+            median_nm: outcome.residual.median_nm,
+            below_95_percent_nm: outcome.residual.below_95_percent_nm,
+            total_time_s: plan.trajectory.total_time_s(),
+        })
     }
 }

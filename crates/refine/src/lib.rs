@@ -66,7 +66,7 @@ use planish_dwell::{
     columns,
 };
 use planish_schedule::{ScheduleError, Scheduled, Scheduler, pvt};
-use planish_simulate::{Plan, Settings as Simulation};
+use planish_simulate::{SimulationPlan, SimulationSettings};
 use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
     DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice,
@@ -79,7 +79,7 @@ use serde::{Serialize, Serializer};
 
 /// Settings of the closed loop.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Settings<'a> {
+pub struct RefineSettings<'a> {
     /// Scheduler that makes the motion.
     #[serde(serialize_with = "name_and_kind")]
     pub scheduler: &'a dyn Scheduler,
@@ -105,10 +105,10 @@ fn name_and_kind<S: Serializer>(scheduler: &&dyn Scheduler, to: S) -> Result<S::
     }
 }
 
-impl Default for Settings<'_> {
+impl Default for RefineSettings<'_> {
     fn default() -> Self {
         Self {
-            scheduler: &pvt::Settings {
+            scheduler: &pvt::PvtSettings {
                 mode: pvt::Mode::Monotone,
                 stretch: true,
                 max_path_distance_mm: None,
@@ -181,6 +181,14 @@ pub struct Iterate {
     pub limits_respected: bool,
 }
 
+impl Iterate {
+    /// Returns the rank of the round: the least is the best. A plan that exceeds the limits ranks after all that keep
+    /// them.
+    fn rank(&self) -> (bool, f64) {
+        (!self.limits_respected, self.merit_nm)
+    }
+}
+
 /// Result of the loop: the best round, and all rounds.
 #[derive(Clone, Debug)]
 pub struct Refined {
@@ -206,7 +214,7 @@ pub struct Refined {
 }
 
 impl Refined {
-    /// Reason for a negative verdict; `None` if the verdict is positive. The largest number of rounds is no
+    /// Returns the reason for a negative verdict; `None` if the verdict is positive. The largest number of rounds is no
     /// reason if the user gave that number.
     pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
         let best = &self.iterates[self.best];
@@ -249,13 +257,18 @@ const LARGE_PROMISE: f64 = 0.9;
 const MORE_SMOOTHNESS: f64 = 10.0;
 
 /// Refines the dwell times `first`, or those of the dwell solver, for `path` on a machine.
+///
+/// # Errors
+///
+/// Refuses inputs that do not belong together and settings out of range. Fails where the dwell solver or the scheduler
+/// does, and where the machine needs more time than the upper bounds allow.
 pub fn refine(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     limits: &Limits,
     first: Option<DwellTime>,
-    settings: &Settings,
+    settings: &RefineSettings,
 ) -> Result<Refined, RefineError> {
     let start = Start { dwell: first, least_s: None };
     rounds(desired, tif, path, limits, start, settings, None)
@@ -276,12 +289,12 @@ fn rounds(
     path: &ToolPath,
     limits: &Limits,
     start: Start,
-    settings: &Settings,
+    settings: &RefineSettings,
     sources: Option<&Sources>,
 ) -> Result<Refined, RefineError> {
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
-    let given = Given { desired, tif: &tif, path, limits, settings, sources };
-    let (mut state, mut t) = Rounds::start(given, start)?;
+    let inputs = LoopInputs { desired, tif: &tif, path, limits, settings, sources };
+    let (mut state, mut t) = Rounds::start(inputs, start)?;
     let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
@@ -306,12 +319,12 @@ fn rounds(
 
 /// The inputs of the loop.
 #[derive(Clone, Copy)]
-struct Given<'a> {
+struct LoopInputs<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
     path: &'a ToolPath,
     limits: &'a Limits,
-    settings: &'a Settings<'a>,
+    settings: &'a RefineSettings<'a>,
     sources: Option<&'a Sources>,
 }
 
@@ -351,8 +364,8 @@ enum Next {
 
 /// State of the loop between two rounds.
 struct Rounds<'a> {
-    given: Given<'a>,
-    simulation: Plan<'a>,
+    inputs: LoopInputs<'a>,
+    simulation: SimulationPlan<'a>,
     /// Valid pixels.
     pixels: f64,
     /// RMS below which a residual is noise, nm.
@@ -381,28 +394,30 @@ struct Rounds<'a> {
 }
 
 impl<'a> Rounds<'a> {
-    /// The state before the first round, and its dwell times.
-    fn start(given: Given<'a>, start: Start) -> Result<(Self, DwellTime), RefineError> {
-        let Given { desired, tif, path, settings, .. } = given;
+    /// Returns the state before the first round, and its dwell times.
+    fn start(inputs: LoopInputs<'a>, start: Start) -> Result<(Self, DwellTime), RefineError> {
+        let LoopInputs { desired, tif, path, settings, .. } = inputs;
         let mut solver = settings.dwell;
         let (floor_s, hi) = dwell_solver::bounds(path, &solver)?;
         let lo = start.least_s.unwrap_or(floor_s);
         let last_smoothness = solver.slope_weight;
         solver.slope_weight = last_smoothness.max(settings.first_smoothness);
         let parts = settings.max_rounds.max(1);
-        let solve = || dwell_solver::solve(desired, tif, path, None, &solver);
         let t = match start.dwell {
             Some(dwell) => dwell,
-            None => work::part(0, parts, solve)?.dwell,
+            None => {
+                work::part(0, parts, || dwell_solver::solve(desired, tif, path, None, &solver))?
+                    .dwell
+            }
         };
         let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
         // A residual below the noise is no gain. The RMS of the noise over m pixels scatters by 1 / sqrt(2 m).
-        let noise_rms_nm = |s: f64| s * (1.0 + 3.0 / (2.0 * pixels).sqrt());
+        let scatter = 1.0 + 3.0 / (2.0 * pixels).sqrt();
         let state = Self {
-            given,
-            simulation: Plan::new(tif, desired.grid(), Simulation::Gridded)?,
+            inputs,
+            simulation: SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded)?,
             pixels,
-            known_nm: solver.noise_rms_nm.map_or(0.0, noise_rms_nm),
+            known_nm: solver.noise_rms_nm.map_or(0.0, |noise_nm| noise_nm * scatter),
             has_noise: solver.noise_rms_nm.is_some(),
             last_smoothness,
             solver,
@@ -424,7 +439,7 @@ impl<'a> Rounds<'a> {
 
     /// Makes the motion of dwell times, and simulates and judges it.
     fn execute(&self, t: &DwellTime) -> Result<Executed<'a>, RefineError> {
-        let Given { desired, path, limits, settings, sources, .. } = self.given;
+        let LoopInputs { desired, path, limits, settings, sources, .. } = self.inputs;
         let Scheduled { trajectory, mut changed } = settings.scheduler.schedule(path, t, limits)?;
         let mut h = t.dwell_s().to_vec();
         for (segment, took) in &changed {
@@ -465,9 +480,8 @@ impl<'a> Rounds<'a> {
     fn keep(&mut self, round: usize, executed: Executed<'a>) -> Result<bool, RefineError> {
         let Executed { iterate, trajectory, exceeded, stretched, quadratic } = executed;
         let before = self.best.as_ref().map(|b| &self.iterates[b.round]);
-        let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
-        let is_better = before.is_none_or(|b| rank(&iterate) < rank(b));
-        let least_improvement = self.given.settings.least_improvement;
+        let is_better = before.is_none_or(|b| iterate.rank() < b.rank());
+        let least_improvement = self.inputs.settings.least_improvement;
         let is_progress = before.is_none_or(|b| {
             iterate.merit_nm < (1.0 - least_improvement) * b.merit_nm
                 || iterate.limits_respected && !b.limits_respected
@@ -481,10 +495,12 @@ impl<'a> Rounds<'a> {
             self.best = Some(Best { round, trajectory, exceeded, quadratic });
             self.raise_bounds(&stretched)?;
             let is_unkept = self.promised_nm < (1.0 - UNKEPT_PROMISE) * rms_nm;
-            self.without_progress = match is_progress {
-                true => 0,
-                false if self.step_fraction < 1.0 || is_unkept => self.without_progress + 1,
-                false => PATIENCE,
+            self.without_progress = if is_progress {
+                0
+            } else if self.step_fraction < 1.0 || is_unkept {
+                self.without_progress + 1
+            } else {
+                PATIENCE
             };
         }
         for &(j, took) in &stretched {
@@ -498,7 +514,7 @@ impl<'a> Rounds<'a> {
         for &(segment, needed_s) in stretched {
             let bound_s = self.hi[segment];
             if needed_s > bound_s {
-                let length_mm = self.given.path.segment_length_mm(segment);
+                let length_mm = self.inputs.path.segment_length_mm(segment);
                 return Err(RefineError::BoundBelowNeed { segment, length_mm, needed_s, bound_s });
             }
             self.lo[segment] = self.lo[segment].max(needed_s);
@@ -507,7 +523,7 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// True where the corrections have their last smoothness.
+    /// Returns true where the corrections have their last smoothness.
     fn is_at_last(&self) -> bool {
         self.solver.slope_weight <= self.last_smoothness || self.has_noise
     }
@@ -522,9 +538,10 @@ impl<'a> Rounds<'a> {
         if self.is_at_last() && !gets_smoother && is_over {
             return Next::End;
         }
-        match is_better || is_spent {
-            true => Next::Correct { is_given_up: is_spent, is_smoother: gets_smoother },
-            false => Next::HalveStep,
+        if is_better || is_spent {
+            Next::Correct { is_given_up: is_spent, is_smoother: gets_smoother }
+        } else {
+            Next::HalveStep
         }
     }
 
@@ -553,11 +570,12 @@ impl<'a> Rounds<'a> {
 
     /// Finds t^ by bounded least squares with the columns B of the best motion.
     fn correct(&mut self, round: usize) -> Result<(), RefineError> {
-        let Given { desired, tif, path, settings, .. } = self.given;
+        let LoopInputs { desired, tif, path, settings, .. } = self.inputs;
         let Best { round: best, trajectory, quadratic, .. } = self.best();
         let places = columns::executed(trajectory, path.len(), tif);
         let guess = Some(self.iterates[*best].dwell_s.clone());
-        let (lo, hi) = (self.lo.clone(), self.hi.clone());
+        let lo = self.lo.clone();
+        let hi = self.hi.clone();
         let target = quadratic.as_ref().map(|q| less_bias(desired, q)).transpose()?;
         // Sums over the pixels in the solver, means here.
         let product = |t: &[f64]| -> Vec<f64> {
@@ -581,7 +599,7 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// The dwell times of the next round, t = t* + s (t^ - t*).
+    /// Returns the dwell times of the next round, t = t* + s (t^ - t*).
     fn proposal(&self) -> Result<DwellTime, Invalid> {
         let best_s = &self.iterates[self.best().round].dwell_s;
         let step = best_s.iter().zip(&self.proposed_s);
@@ -592,8 +610,9 @@ impl<'a> Rounds<'a> {
         let Self { best, iterates, lo_of_best, hi, .. } = self;
         let best = best.expect("the first round is the best one so far");
         let dwell = DwellTime::new(iterates[best.round].dwell_s.clone())?;
-        let is_at_bound = |(j, t): &(usize, &f64)| **t <= lo_of_best[*j] || **t >= hi[*j];
-        let at_bound = dwell.dwell_s().iter().enumerate().filter(is_at_bound).count();
+        let bounds = lo_of_best.iter().zip(&hi);
+        let at_bound =
+            dwell.dwell_s().iter().zip(bounds).filter(|(t, (lo, hi))| t <= lo || t >= hi).count();
         Ok(Refined {
             exceeded: best.exceeded,
             dwell,

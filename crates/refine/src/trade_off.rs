@@ -18,7 +18,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-use crate::{Iterate, RefineError, Settings, refine};
+use crate::{Iterate, RefineError, RefineSettings, refine};
 
 /// Fraction of the pixels that are below z_min, dimensionless. Larger: a lower bound (1) that deeper parts of the
 /// map may not reach. Smaller: a pit of a few pixels decides the bound.
@@ -31,14 +31,14 @@ const MOST_PRICES: usize = 1000;
 /// Method that made a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Method {
+pub enum PlanMethod {
     /// Correction of the dwell times against their motion, round by round.
     ClosedLoop,
     /// Joint plan: motion and times as one problem.
     Joint,
 }
 
-impl Method {
+impl PlanMethod {
     /// Name in tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
@@ -52,7 +52,7 @@ impl Method {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
     /// Method that made the plan.
-    pub method: Method,
+    pub method: PlanMethod,
     /// Price of a second, nm^2/s.
     pub time_weight_nm2_per_s: f64,
     /// The plan; for the closed loop its best round.
@@ -61,13 +61,15 @@ pub struct Point {
     pub end: End,
 }
 
-/// Reason for a negative verdict on a trade-off; `None` if the verdict is positive.
+/// Returns the reason for a negative verdict on a trade-off; `None` if the verdict is positive.
 pub fn negative(points: &[Point]) -> Option<String> {
-    let kept = points.iter().all(|p| p.best.limits_respected);
-    (!kept).then(|| "some plan exceeds the limits of the machine".to_string())
+    if points.iter().all(|p| p.best.limits_respected) {
+        return None;
+    }
+    Some("some plan exceeds the limits of the machine".to_string())
 }
 
-/// Least total time of any plan (1), s.
+/// Returns the least total time of any plan (1), s.
 pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     let mut z: Vec<f64> = desired.height_nm().iter().copied().filter(|z| !z.is_nan()).collect();
     z.sort_by(f64::total_cmp);
@@ -77,8 +79,12 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     volume / tif.vrr_nm_mm2_per_s()
 }
 
-/// Prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The largest
-/// is 3 % of half the mean square of the map per second of (1).
+/// Returns prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The
+/// largest is 3 % of half the mean square of the map per second of (1).
+///
+/// # Errors
+///
+/// Refuses more than 1000 prices.
 pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, Invalid> {
     if count > MOST_PRICES {
         let remedy = format!("give at most {MOST_PRICES}: every price is a refinement");
@@ -86,8 +92,10 @@ pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, In
     }
     let rms = desired.statistics().rms;
     let whole = 0.5 * rms * rms / least_time_s(desired, tif).max(f64::MIN_POSITIVE);
-    let exponent = |k: usize| -5.0 + 3.5 * k as f64 / (count.max(2) - 1) as f64;
-    let priced = (0..count).map(|k| whole * 10_f64.powf(exponent(k)));
+    let priced = (0..count).map(|k| {
+        let exponent = -5.0 + 3.5 * k as f64 / (count.max(2) - 1) as f64;
+        whole * 10_f64.powf(exponent)
+    });
     Ok(std::iter::once(0.0).chain(priced).collect())
 }
 
@@ -99,7 +107,7 @@ const MAX_PASSES: usize = 4;
 /// with it. Larger: prices keep worse plans. Smaller: more refinements for small gains.
 const CLEARLY_BETTER: f64 = 1e-3;
 
-/// Rank of a plan by its objective, nm^2; a plan that exceeds the limits ranks after all others.
+/// Returns the rank of a plan by its objective, nm^2; a plan that exceeds the limits ranks after all others.
 fn rank(plan: &Iterate, price_nm2_per_s: f64) -> (bool, f64) {
     let objective = 0.5 * plan.rms_nm.powi(2) + price_nm2_per_s * plan.total_time_s;
     (!plan.limits_respected, objective)
@@ -115,7 +123,8 @@ fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
         let price = point.time_weight_nm2_per_s;
         for (plan, end) in plans {
             if rank(plan, price) < rank(&point.best, price) {
-                (point.best, point.end) = (plan.clone(), *end);
+                point.best = plan.clone();
+                point.end = *end;
                 point.best.merit_nm = (2.0 * rank(plan, price).1).sqrt();
             }
         }
@@ -125,17 +134,22 @@ fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
 /// Refines once per price, from the dwell times of the price before, then again from those of a neighbour whose
 /// plan is better at this price. Every price gets the best of all rounds of all prices. So a plan at a higher price
 /// never takes longer, and a plan at a lower price never leaves a larger residual.
+///
+/// # Errors
+///
+/// Fails as [`refine`] does.
 pub fn trade_off(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     limits: &Limits,
     prices: &[f64],
-    settings: &Settings,
+    settings: &RefineSettings,
 ) -> Result<Vec<Point>, RefineError> {
-    let (mut points, mut plans): (Vec<Point>, Vec<(Iterate, End)>) = (Vec::new(), Vec::new());
+    let mut points: Vec<Point> = Vec::new();
+    let mut plans: Vec<(Iterate, End)> = Vec::new();
     let refined = |price: f64, first: Option<DwellTime>, max_rounds: usize| {
-        let mut settings = Settings { max_rounds, ..*settings };
+        let mut settings = RefineSettings { max_rounds, ..*settings };
         settings.dwell.time_weight_nm2_per_s = price;
         refine(desired, tif, path, limits, first, &settings)
     };
@@ -143,15 +157,15 @@ pub fn trade_off(
     for (k, &price) in prices.iter().enumerate() {
         let max_rounds = match first {
             // The other prices begin with its result.
-            None => settings.max_rounds.max(Settings::default().max_rounds),
+            None => settings.max_rounds.max(RefineSettings::default().max_rounds),
             Some(_) => settings.max_rounds,
         };
-        let of_price = || refined(price, first.take(), max_rounds);
-        let refined = progress::part(k, prices.len(), of_price)?;
+        let refined = progress::part(k, prices.len(), || refined(price, first.take(), max_rounds))?;
         first = Some(refined.dwell);
         let best = refined.iterates[refined.best].clone();
-        let (method, end) = (Method::ClosedLoop, refined.end);
+        let end = refined.end;
         plans.extend(refined.iterates.into_iter().map(|plan| (plan, end)));
+        let method = PlanMethod::ClosedLoop;
         points.push(Point { method, time_weight_nm2_per_s: price, best, end });
     }
     for pass in 0..MAX_PASSES {
@@ -187,6 +201,10 @@ pub fn trade_off(
 }
 
 /// Makes a joint plan per price; every price gets the best of all of them.
+///
+/// # Errors
+///
+/// Fails as [`plan`] does.
 pub fn feed_trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -195,9 +213,11 @@ pub fn feed_trade_off(
     prices: &[f64],
     min_dwell_s_per_mm: f64,
 ) -> Result<Vec<Point>, JointError> {
-    let at_price = |(k, price): (usize, &f64)| {
+    let mut points = Vec::new();
+    for (k, price) in prices.iter().enumerate() {
         let price = Price::Nm2PerS(*price);
-        let settings = planish_joint::Settings { min_dwell_s_per_mm, price, ..Default::default() };
+        let settings =
+            planish_joint::JointSettings { min_dwell_s_per_mm, price, ..Default::default() };
         let plan = progress::part(k, prices.len(), || plan(desired, tif, path, limits, &settings))?;
         let rms = Rms::of(plan.removal.residual());
         let best = Iterate {
@@ -213,10 +233,9 @@ pub fn feed_trade_off(
             limits_respected: plan.refused.is_none(),
         };
         let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
-        Ok(Point { method: Method::Joint, time_weight_nm2_per_s, best, end: plan.report.end })
-    };
-    let mut points: Vec<Point> =
-        prices.iter().enumerate().map(at_price).collect::<Result<_, JointError>>()?;
+        let method = PlanMethod::Joint;
+        points.push(Point { method, time_weight_nm2_per_s, best, end: plan.report.end });
+    }
     let plans: Vec<_> = points.iter().map(|p| (p.best.clone(), p.end)).collect();
     give_the_best(&mut points, &plans);
     Ok(points)
@@ -243,12 +262,13 @@ const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
 /// Methods in the order of their names from the right, and the colours of their curves.
-const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Joint, "#b5367a")];
+const METHODS: [(PlanMethod, &str); 2] =
+    [(PlanMethod::ClosedLoop, "#365c8d"), (PlanMethod::Joint, "#b5367a")];
 /// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
-/// Picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the bound
-/// (1) dashed.
+/// Draws a picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the
+/// bound (1) dashed.
 pub fn svg(points: &[Point], least_time_s: f64) -> String {
     let place = |p: &Point| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)];
     let end_s = 1.08 * points.iter().map(|p| place(p)[0]).fold(least_time_s, f64::max);
@@ -310,7 +330,7 @@ mod tests {
             .iter()
             .zip(prices)
             .map(|((time_s, rms_nm), price)| Point {
-                method: Method::ClosedLoop,
+                method: PlanMethod::ClosedLoop,
                 time_weight_nm2_per_s: price,
                 best: plan(*time_s, *rms_nm, true),
                 end: End::NoImprovement,
@@ -330,7 +350,7 @@ mod tests {
 
     #[test]
     fn every_plan_is_a_dot_and_the_bound_is_where_its_time_is() {
-        let point = |method: Method, total_time_s: f64, rms_nm: f64| Point {
+        let point = |method: PlanMethod, total_time_s: f64, rms_nm: f64| Point {
             method,
             time_weight_nm2_per_s: 0.0,
             best: Iterate {
@@ -345,7 +365,7 @@ mod tests {
             },
             end: End::NoImprovement,
         };
-        let (closed, joint) = (Method::ClosedLoop, Method::Joint);
+        let (closed, joint) = (PlanMethod::ClosedLoop, PlanMethod::Joint);
         let points =
             [point(closed, 100.0, 0.5), point(closed, 200.0, 0.0), point(joint, 90.0, 0.4)];
         let svg = svg(&points, 54.0);

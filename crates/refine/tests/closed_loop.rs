@@ -3,7 +3,7 @@
 
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self as dwell_solver, Bound};
-use planish_refine::{RefineError, Refined, Settings, refine, trade_off};
+use planish_refine::{RefineError, RefineSettings, Refined, refine, trade_off};
 use planish_schedule::{
     Choices, SCHEDULERS, ScheduleError, Scheduled, Scheduler, constant_acceleration, pvt,
     trig_spline::Repair,
@@ -99,7 +99,7 @@ fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
             0 => (machine(20.0, acceleration), pvt::Mode::Monotone),
             _ => (machine_with_jerk(acceleration), pvt::Mode::Smooth),
         };
-        let mut how = Settings { max_rounds: 6, ..settings(mode) };
+        let mut how = RefineSettings { max_rounds: 6, ..settings(mode) };
         how.dwell.min_dwell = Bound::SecondsPerMm(0.02);
         let prices = trade_off::prices(&desired, &tif, 5).unwrap();
         let of_loop = trade_off::trade_off(&desired, &tif, &path, &machine, &prices, &how).unwrap();
@@ -126,18 +126,18 @@ fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
 /// Smoothness of a first plan that is far from what the machine could execute, so that the loop has something to do.
 const FROM_A_SMOOTH_PLAN: f64 = 2.31e-6;
 
-fn settings(mode: pvt::Mode) -> Settings<'static> {
-    const SMOOTH: pvt::Settings =
-        pvt::Settings { mode: pvt::Mode::Smooth, stretch: true, max_path_distance_mm: None };
-    const MONOTONE: pvt::Settings = pvt::Settings { mode: pvt::Mode::Monotone, ..SMOOTH };
+fn settings(mode: pvt::Mode) -> RefineSettings<'static> {
+    const SMOOTH: pvt::PvtSettings =
+        pvt::PvtSettings { mode: pvt::Mode::Smooth, stretch: true, max_path_distance_mm: None };
+    const MONOTONE: pvt::PvtSettings = pvt::PvtSettings { mode: pvt::Mode::Monotone, ..SMOOTH };
     settings_of(match mode {
         pvt::Mode::Smooth => &SMOOTH,
         pvt::Mode::Monotone => &MONOTONE,
     })
 }
 
-fn settings_of(scheduler: &dyn Scheduler) -> Settings<'_> {
-    let mut s = Settings { scheduler, ..Settings::default() };
+fn settings_of(scheduler: &dyn Scheduler) -> RefineSettings<'_> {
+    let mut s = RefineSettings { scheduler, ..RefineSettings::default() };
     s.dwell.min_dwell = Bound::Seconds(0.05);
     s
 }
@@ -154,11 +154,16 @@ fn the_executed_residual_falls_and_the_promise_is_what_the_judges_find() {
         let least = rms.iter().copied().fold(f64::INFINITY, f64::min);
         assert!(refined.best + 1 < rms.len() && rms[refined.best] == least, "{mode:?}: {rms:?}");
         // The trajectory is the one that was judged, and the dwell is its own.
-        let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::Settings::Gridded);
+        let p = simulate(
+            &refined.trajectory,
+            &tif,
+            &desired,
+            planish_simulate::SimulationSettings::Gridded,
+        );
         assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
         let v = verify(&refined.trajectory, &machine, &VerifySettings::default()).unwrap();
         assert!(v.limits_respected, "{:?}", v.violations);
-        let how = pvt::Settings { stretch: false, ..pvt::Settings::of(mode) };
+        let how = pvt::PvtSettings { stretch: false, ..pvt::PvtSettings::new(mode) };
         let again = pvt::schedule(&path, &refined.dwell, &machine, &how).unwrap();
         assert_eq!(again.trajectory, refined.trajectory);
         assert!(refined.dwell.dwell_s().iter().all(|t| *t >= 0.05));
@@ -239,7 +244,7 @@ fn a_given_plan_is_the_first_round_and_the_loop_can_end_there() {
     assert_eq!(again.end, End::NoImprovement);
     assert_eq!(again.iterates[0].rms_nm, best.iterates[best.best].rms_nm);
     assert_eq!(again.iterates[0].dwell_s, best.dwell.dwell_s());
-    let none = Settings { max_rounds: 0, ..how };
+    let none = RefineSettings { max_rounds: 0, ..how };
     let uniform = DwellTime::new(vec![0.3; path.len()]).unwrap();
     let only = refine(&desired, &tif, &path, &machine, Some(uniform), &none).unwrap();
     assert_eq!((only.iterates.len(), only.best, only.end), (1, 0, End::RoundLimit));
@@ -259,7 +264,7 @@ fn a_bound_below_the_machines_need_is_named() {
 #[test]
 fn the_operator_of_constant_accelerations_is_their_own() {
     let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
-    let mut how = settings_of(&constant_acceleration::Settings);
+    let mut how = settings_of(&constant_acceleration::ConstantAccelerationSettings);
     how.first_smoothness = FROM_A_SMOOTH_PLAN;
     let refined = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
     let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
@@ -267,7 +272,12 @@ fn the_operator_of_constant_accelerations_is_their_own() {
     // Regression bound: measured 0.59 of the first round on this meander.
     assert!(refined.best > 0 && rms[refined.best] < 0.7 * rms[0], "{rms:?}");
     assert!(refined.iterates[refined.best].limits_respected);
-    let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::Settings::Gridded);
+    let p = simulate(
+        &refined.trajectory,
+        &tif,
+        &desired,
+        planish_simulate::SimulationSettings::Gridded,
+    );
     assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
 }
 
@@ -332,8 +342,12 @@ fn every_scheduler_gains_within_the_limits_and_its_dwell_times_are_those_of_its_
             let judge = |t| verify(t, &machine, &VerifySettings::default()).unwrap();
             let verdict = judge(&refined.trajectory);
             assert!(verdict.limits_respected, "{name}: {:?}", verdict.violations);
-            let p =
-                simulate(&refined.trajectory, &tif, &desired, planish_simulate::Settings::Gridded);
+            let p = simulate(
+                &refined.trajectory,
+                &tif,
+                &desired,
+                planish_simulate::SimulationSettings::Gridded,
+            );
             assert_eq!(p.unwrap().removal.residual().statistics().rms, best.rms_nm, "{name}");
             let served_s = refined.trajectory.served_s(path.len(), |_| true).unwrap();
             let rounding_s = 1e-12 * best.total_time_s;
@@ -364,7 +378,7 @@ impl Scheduler for Pause {
     ) -> Result<Scheduled, ScheduleError> {
         let mut dwell_s = dwell.dwell_s().to_vec();
         dwell_s[self.segment] = dwell_s[self.segment].max(self.least_s);
-        let inner = pvt::Settings::of(pvt::Mode::Monotone);
+        let inner = pvt::PvtSettings::new(pvt::Mode::Monotone);
         let motion = inner.schedule(path, &DwellTime::new(dwell_s)?, limits)?.trajectory;
         Ok(Scheduled::compared(motion, dwell)?)
     }
@@ -438,10 +452,15 @@ fn noise_is_not_fitted_at_the_cost_of_the_true_surface() {
     (how.dwell.slope_weight, how.first_smoothness, how.dwell.tikhonov) = (1e-8, 1e-8, 1e-7);
     how.dwell.noise_rms_nm = Some(noise_nm);
     let missed = |refined: &Refined| {
-        let p = simulate(&refined.trajectory, &tif, &clean, planish_simulate::Settings::Gridded);
+        let p = simulate(
+            &refined.trajectory,
+            &tif,
+            &clean,
+            planish_simulate::SimulationSettings::Gridded,
+        );
         p.unwrap().removal.residual().statistics().rms
     };
-    let first = Settings { max_rounds: 0, ..how };
+    let first = RefineSettings { max_rounds: 0, ..how };
     let before = missed(&refine(&measured, &tif, &path, &machine, None, &first).unwrap());
     let refined = refine(&measured, &tif, &path, &machine, None, &how).unwrap();
     let after = missed(&refined);

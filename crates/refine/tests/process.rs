@@ -3,7 +3,7 @@
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::Bound;
 use planish_refine::{
-    Refined, Settings,
+    RefineSettings, Refined,
     error_budget::{Price, refine_for},
     refine,
 };
@@ -51,8 +51,8 @@ fn raster() -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-fn settings() -> Settings<'static> {
-    let mut settings = Settings::default();
+fn settings() -> RefineSettings<'static> {
+    let mut settings = RefineSettings::default();
     settings.dwell.min_dwell = Bound::Seconds(0.02);
     settings
 }
@@ -159,7 +159,7 @@ fn a_fixed_error_is_made_up_for() {
             &plan.trajectory,
             &tif(),
             &desired(),
-            planish_simulate::Settings::Gridded,
+            planish_simulate::SimulationSettings::Gridded,
         );
         p.unwrap().removal.removal_nm().std(0.0)
     };

@@ -66,32 +66,27 @@ pub fn measured_claim(trajectory: &Trajectory, limits: &Limits) -> Claim {
 
 fn measure(claim: &mut Claim, trajectory: &Trajectory, limits: &Limits, axis: usize) {
     let limit = &limits.axes()[axis];
-    let (v_max, a_max) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
+    let v_max = limit.max_velocity_mm_per_s();
+    let a_max = limit.max_acceleration_mm_per_s2();
     let velocity_step = VELOCITY_STEP_MM_PER_S + ROUNDING * v_max;
-    let within = |value: f64, limit: f64| value.abs() <= limit * (1.0 + ROUNDING);
     // Position, velocity and acceleration before the next break; rest before the first one.
     let mut before: Option<[f64; 3]> = None;
-    let steps = |claim: &mut Claim, before: [f64; 3], after: [f64; 3]| {
-        claim.continuous_position &= (after[0] - before[0]).abs() <= POSITION_STEP_MM;
-        claim.continuous_velocity &= (after[1] - before[1]).abs() <= velocity_step;
-        let largest = &mut claim.max_acceleration_step_mm_per_s2[axis];
-        *largest = largest.max((after[2] - before[2]).abs());
-    };
     for s in trajectory.segments() {
-        let (c, h) = (&s.coefficient_mm[axis], s.duration_s);
-        let v = |u: f64| c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u);
-        let a = |u: f64| 2.0 * c[2] + 6.0 * c[3] * u;
+        let c = &s.coefficient_mm[axis];
+        let h = s.duration_s;
         let vertex = -c[2] / (3.0 * c[3]);
-        let inner = if vertex > 0.0 && vertex < h { v(vertex) } else { 0.0 };
-        claim.velocity &= [v(0.0), inner, v(h)].iter().all(|v| within(*v, v_max));
-        claim.acceleration &= within(a(0.0), a_max) && within(a(h), a_max);
+        let inner = if vertex > 0.0 && vertex < h { velocity(c, vertex) } else { 0.0 };
+        let start = [c[0], velocity(c, 0.0), acceleration(c, 0.0)];
+        let end = [c[0] + h * (c[1] + h * (c[2] + h * c[3])), velocity(c, h), acceleration(c, h)];
+        claim.velocity &= [start[1], inner, end[1]].iter().all(|v| within(*v, v_max));
+        claim.acceleration &= within(start[2], a_max) && within(end[2], a_max);
         claim.max_jerk_mm_per_s3[axis] = claim.max_jerk_mm_per_s3[axis].max(6.0 * c[3].abs());
-        let start = [c[0], v(0.0), a(0.0)];
-        steps(claim, before.unwrap_or([c[0], 0.0, 0.0]), start);
-        before = Some([c[0] + h * (c[1] + h * (c[2] + h * c[3])), v(h), a(h)]);
+        let before_start = before.unwrap_or([c[0], 0.0, 0.0]);
+        measure_step(claim, axis, velocity_step, [before_start, start]);
+        before = Some(end);
     }
     let end = before.unwrap_or_default();
-    steps(claim, end, [end[0], 0.0, 0.0]);
+    measure_step(claim, axis, velocity_step, [end, [end[0], 0.0, 0.0]]);
     if let Some(j_max) = limit.max_jerk_mm_per_s3() {
         let inside = within(claim.max_jerk_mm_per_s3[axis], j_max);
         let steps = claim.max_acceleration_step_mm_per_s2[axis] > ACCELERATION_STEP * a_max;
@@ -99,6 +94,34 @@ fn measure(claim: &mut Claim, trajectory: &Trajectory, limits: &Limits, axis: us
         claim.jerk_inside_segments = Some(before && inside);
         claim.jerk = Some(claim.jerk.unwrap_or(true) && inside && !steps);
     }
+}
+
+/// Adds the steps of position, velocity and acceleration at a break to the claim.
+fn measure_step(
+    claim: &mut Claim,
+    axis: usize,
+    velocity_step: f64,
+    [before, after]: [[f64; 3]; 2],
+) {
+    claim.continuous_position &= (after[0] - before[0]).abs() <= POSITION_STEP_MM;
+    claim.continuous_velocity &= (after[1] - before[1]).abs() <= velocity_step;
+    let largest = &mut claim.max_acceleration_step_mm_per_s2[axis];
+    *largest = largest.max((after[2] - before[2]).abs());
+}
+
+/// Returns true if a value exceeds its limit by rounding at most.
+fn within(value: f64, limit: f64) -> bool {
+    value.abs() <= limit * (1.0 + ROUNDING)
+}
+
+/// Returns the velocity v(u) of a cubic, mm/s.
+fn velocity(c: &[f64; 4], u: f64) -> f64 {
+    c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u)
+}
+
+/// Returns the acceleration a(u) of a cubic, mm/s^2.
+fn acceleration(c: &[f64; 4], u: f64) -> f64 {
+    2.0 * c[2] + 6.0 * c[3] * u
 }
 
 /// Returns the broken limits, in words; empty if every limit is kept.
@@ -115,7 +138,7 @@ pub fn broken_limits(claim: &Claim) -> Vec<&'static str> {
         (jerk, claim.jerk.unwrap_or(true)),
         ("segments are shorter than the controller accepts", claim.min_segment),
     ];
-    broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect()
+    broken.iter().filter(|(_, is_respected)| !is_respected).map(|(b, _)| *b).collect()
 }
 
 /// Returns the reason against executing the motion, if there is one: a limit is exceeded (followed by the `advice`

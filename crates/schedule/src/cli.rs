@@ -30,29 +30,29 @@ use serde_json::Value;
 
 /// Commands. The hidden ones are baselines; the help lists them under a heading of their own.
 #[derive(Subcommand)]
-pub enum Command {
+pub enum ScheduleCommand {
     /// Cubic segments through the control points at the dwell times, within the limits (PVT)
-    Pvt(pvt::Pvt),
+    Pvt(SchedulerCommand<pvt::Pvt>),
     /// PVT by the least squares of its publication; stretches nothing
     #[command(hide = true)]
-    PvtAsPublished(pvt_as_published::PvtAsPublished),
+    PvtAsPublished(SchedulerCommand<pvt_as_published::PvtAsPublished>),
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ///
     /// Each axis keeps its velocity and acceleration limits by itself. It goes too far where the path changes
     /// direction, and comes back. A segment takes longer if a limit needs more time.
-    ConstantAcceleration(constant_acceleration::ConstantAcceleration),
+    ConstantAcceleration(SchedulerCommand<constant_acceleration::ConstantAcceleration>),
     /// Constant acceleration along the path with look-ahead, at rest in every corner
     ///
     /// The motion keeps all velocity and acceleration limits, and takes more time.
-    StopAtCorners(stop_at_corners::StopAtCorners),
+    StopAtCorners(SchedulerCommand<stop_at_corners::StopAtCorners>),
     /// Dwell-time density as a trigonometric spline along the path, raised until the limits are kept
-    TrigSpline(trig_spline::TrigSpline),
+    TrigSpline(SchedulerCommand<trig_spline::TrigSpline>),
     /// Constant velocity per segment; no machine can execute its velocity steps
     #[command(hide = true)]
-    AverageVelocity(average_velocity::AverageVelocity),
+    AverageVelocity(SchedulerCommand<average_velocity::AverageVelocity>),
     /// Rest at the dwell points; no machine can execute the jumps between them
     #[command(hide = true)]
-    Position(position::Position),
+    Position(SchedulerCommand<position::Position>),
     /// Reference positions at every tick of a controller, from a feed artifact or its NC program
     ///
     /// The file, .csv or .npy, has a row per tick: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx.
@@ -61,25 +61,25 @@ pub enum Command {
     Program(program::Program),
 }
 
-impl Command {
+impl ScheduleCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
-            Self::Pvt(scheduler) => schedule(scheduler),
-            Self::PvtAsPublished(scheduler) => schedule(scheduler),
-            Self::ConstantAcceleration(scheduler) => schedule(scheduler),
-            Self::StopAtCorners(scheduler) => schedule(scheduler),
-            Self::TrigSpline(scheduler) => schedule(scheduler),
-            Self::AverageVelocity(scheduler) => schedule(scheduler),
-            Self::Position(scheduler) => schedule(scheduler),
+            Self::Pvt(scheduler) => scheduler.run(),
+            Self::PvtAsPublished(scheduler) => scheduler.run(),
+            Self::ConstantAcceleration(scheduler) => scheduler.run(),
+            Self::StopAtCorners(scheduler) => scheduler.run(),
+            Self::TrigSpline(scheduler) => scheduler.run(),
+            Self::AverageVelocity(scheduler) => scheduler.run(),
+            Self::Position(scheduler) => scheduler.run(),
             Self::Interpolate(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
         }
     }
 }
 
-/// Inputs and output of every scheduler.
+// A scheduler with the inputs and the output that all have. A doc comment would become a part of the help.
 #[derive(Args)]
-struct Given {
+pub struct SchedulerCommand<S: Args> {
     #[command(flatten)]
     plan: PlanArgs,
     #[command(flatten)]
@@ -88,11 +88,13 @@ struct Given {
     distance: PathDistanceArgs,
     #[command(flatten)]
     output: OutputArgs,
+    #[command(flatten)]
+    scheduler: S,
 }
 
 /// Settings of a scheduler, with the tolerance by which its motion is judged.
 #[derive(Serialize)]
-struct Judged<'a, S> {
+struct JudgedSettings<'a, S> {
     #[serde(flatten)]
     settings: &'a S,
     max_path_distance_mm: f64,
@@ -100,10 +102,10 @@ struct Judged<'a, S> {
 
 /// Settings of a scheduler that has none.
 #[derive(Serialize)]
-struct NoSettings {}
+pub struct NoSettings {}
 
 /// Result of a scheduler.
-struct Made {
+pub struct Made {
     trajectory: Trajectory,
     /// Nodes of the dwell-time density, if the scheduler has them.
     density: Option<DwellDensity>,
@@ -113,19 +115,17 @@ struct Made {
 }
 
 /// A subcommand that makes a motion.
-trait MotionCommand {
+pub trait MotionCommand {
     /// Name of the method in the manifest: that of the subcommand.
     const METHOD: &'static str;
 
     /// Settings for the manifest, with all defaults resolved for this machine and path.
-    type Settings: Serialize;
+    type SchedulerSettings: Serialize;
 
-    fn given(&self) -> &Given;
+    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::SchedulerSettings;
 
-    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::Settings;
-
-    /// Kind of the motion, if the method has several.
-    fn kind(_: &Self::Settings) -> Option<&'static str> {
+    /// Returns the kind of the motion, if the method has several.
+    fn kind(_: &Self::SchedulerSettings) -> Option<&'static str> {
         None
     }
 
@@ -138,72 +138,81 @@ trait MotionCommand {
         path: &ToolPath,
         dwell: &DwellTime,
         machine: &Limits,
-        settings: &Self::Settings,
+        settings: &Self::SchedulerSettings,
     ) -> Result<Made, ScheduleError>;
 
     /// Advice to the user if a limit is exceeded.
-    fn advice(_: &Self::Settings, _: &Claim) -> Option<String> {
+    fn advice(_: &Self::SchedulerSettings, _: &Claim) -> Option<String> {
         None
     }
 }
 
-fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
-    let given = scheduler.given();
-    let mut inputs = Inputs::new();
-    let (path, dwell, overscan_mm) = given.plan.read(&mut inputs)?;
-    let machine = given.machine.read(&mut inputs)?;
-    let tolerance_mm =
-        given.distance.tolerance_mm(&path, overscan_mm).map_err(Failure::with_flags)?;
-    let settings = scheduler.settings(&machine, tolerance_mm);
-    let task = task!(S::METHOD, Judged { settings: &settings, max_path_distance_mm: tolerance_mm });
-    let mut output = Output::directory(&given.output, Trajectory::KIND);
-    if let Some(dir) = scheduler.dwell_density() {
-        output = output.and_directory("--dwell-density-out", dir, DwellDensity::KIND);
-    }
-    let mut output = match output.begin(&task, &inputs)? {
-        Begin::Unchanged(status) => return Ok(status),
-        Begin::Run(output) => output,
-    };
+impl<S: MotionCommand + Args> SchedulerCommand<S> {
+    fn run(&self) -> Result<Status, Failure> {
+        let scheduler = &self.scheduler;
+        let mut inputs = Inputs::new();
+        let (path, dwell, overscan_mm) = self.plan.read(&mut inputs)?;
+        let machine = self.machine.read(&mut inputs)?;
+        let tolerance_mm =
+            self.distance.tolerance_mm(&path, overscan_mm).map_err(Failure::with_flags)?;
+        let settings = scheduler.settings(&machine, tolerance_mm);
+        let task = task!(
+            S::METHOD,
+            JudgedSettings { settings: &settings, max_path_distance_mm: tolerance_mm }
+        );
+        let mut output = Output::directory(&self.output, Trajectory::KIND);
+        if let Some(dir) = scheduler.dwell_density() {
+            output = output.and_directory("--dwell-density-out", dir, DwellDensity::KIND);
+        }
+        let mut output = match output.begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
 
-    let made = S::make(&path, &dwell, &machine, &settings)?;
-    let claim = measured_claim(&made.trajectory, &machine);
-    let total_time_s = made.trajectory.total_time_s();
-    let distance = PathDistance::new(&made.trajectory, &path, Some(tolerance_mm))?;
-    let drawback = drawback(&claim, total_time_s, S::advice(&settings, &claim).as_deref());
-    let drawbacks: Vec<String> =
-        drawback.into_iter().chain(distance.excess().map(nearer)).collect();
-    let status = match drawbacks.is_empty() {
-        true => Status::Done,
-        false => Status::Negative(drawbacks.join("; ")),
-    };
-    let outcome = PlanOutcome {
-        dwell_s: Some(dwell.total_s()),
-        total_time_s: Some(total_time_s),
-        claim: Some(claim),
-        path_distance: Some(distance),
-        report: Some(&made.report),
-        ..PlanOutcome::default()
-    };
-    if scheduler.dwell_density().is_some() {
-        let density = made.density.as_ref().ok_or_else(|| {
-            Failure::new("--dwell-density-out: the path has no length, so there is no dwell-time density; omit the flag")
-        })?;
-        let outcome = PlanOutcome { report: Some(&made.report), ..PlanOutcome::default() };
-        output.write(density, outcome, &status)?;
+        let made = S::make(&path, &dwell, &machine, &settings)?;
+        let claim = measured_claim(&made.trajectory, &machine);
+        let total_time_s = made.trajectory.total_time_s();
+        let distance = PathDistance::new(&made.trajectory, &path, Some(tolerance_mm))?;
+        let drawback = drawback(&claim, total_time_s, S::advice(&settings, &claim).as_deref());
+        let drawbacks: Vec<String> =
+            drawback.into_iter().chain(distance.excess().map(nearer)).collect();
+        let status = if drawbacks.is_empty() {
+            Status::Done
+        } else {
+            Status::Negative(drawbacks.join("; "))
+        };
+        let outcome = PlanOutcome {
+            dwell_s: Some(dwell.total_s()),
+            total_time_s: Some(total_time_s),
+            claim: Some(claim),
+            path_distance: Some(distance),
+            report: Some(&made.report),
+            ..PlanOutcome::default()
+        };
+        if scheduler.dwell_density().is_some() {
+            let density = made.density.as_ref().ok_or_else(|| {
+                Failure::new(
+                        "--dwell-density-out: the path has no length, so there is no dwell-time density; omit the \
+                         flag",
+                    )
+            })?;
+            let outcome = PlanOutcome { report: Some(&made.report), ..PlanOutcome::default() };
+            output.write(density, outcome, &status)?;
+        }
+        output.write(&made.trajectory, outcome, &status)?;
+        say(format!(
+            "{}{}: {} segments, {:.3} s (dwell {:.3} s){}; {distance}{} -> {}",
+            S::METHOD,
+            S::kind(&settings).map_or(String::new(), |kind| format!(" ({kind})")),
+            made.trajectory.len(),
+            total_time_s,
+            dwell.total_s(),
+            made.remark,
+            broken_limits(&claim).iter().map(|b| format!("; {b}")).collect::<String>(),
+            self.output.out.display()
+        ));
+        Ok(status)
     }
-    output.write(&made.trajectory, outcome, &status)?;
-    say(format!(
-        "{}{}: {} segments, {:.3} s (dwell {:.3} s){}; {distance}{} -> {}",
-        S::METHOD,
-        S::kind(&settings).map_or(String::new(), |kind| format!(" ({kind})")),
-        made.trajectory.len(),
-        total_time_s,
-        dwell.total_s(),
-        made.remark,
-        broken_limits(&claim).iter().map(|b| format!("; {b}")).collect::<String>(),
-        given.output.out.display()
-    ));
-    Ok(status)
 }
 
 /// Returns the excess over the tolerance of the path with its remedy.

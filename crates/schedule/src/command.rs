@@ -10,15 +10,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Turn a tool path and dwell times into a motion that the machine can follow
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct ScheduleCli {
     #[command(subcommand)]
-    command: crate::cli::Command,
+    command: crate::cli::ScheduleCommand,
 }
 
 /// The command `planish schedule`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: ScheduleCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+    planish_handoff::program(|cli: &ScheduleCli| cli.command.run())
 }

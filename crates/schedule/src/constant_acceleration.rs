@@ -40,17 +40,17 @@
 //! | d | its dwell time | (n) | s |
 //! | v0, v | velocity before and after | (n) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, Scheduled, Scheduler, check_lengths,
-    shortest_cubic::{CubicSegment, State, shortest_cubic},
+    Schedule, ScheduleError, Scheduled, Scheduler, check_lengths,
+    shortest_cubic::{State, shortest_cubic},
 };
 
 /// Times and positions that the recursion did not keep.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct ConstantAccelerationReport {
     /// Segments that took longer than their dwell time.
     pub late_segments: usize,
     /// Time that these segments took beyond their dwell time, without lifts, s.
@@ -79,20 +79,11 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Times and positions that the motion does not keep.
-    pub report: Report,
-}
-
 /// The scheduler, which has no settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings;
+pub struct ConstantAccelerationSettings;
 
-impl Scheduler for Settings {
+impl Scheduler for ConstantAccelerationSettings {
     fn name(&self) -> &'static str {
         "constant-acceleration"
     }
@@ -121,14 +112,19 @@ struct Phase {
 }
 
 /// Schedules `path` with the times `dwell` and the accelerations of `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<ConstantAccelerationReport>, ScheduleError> {
     check_lengths(path, dwell)?;
-    let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
-    let mut report = Report::default();
+    let v_max = limits.max_velocity_mm_per_s();
+    let a_max = limits.max_acceleration_mm_per_s2();
+    let mut report = ConstantAccelerationReport::default();
     let mut motion = TrajectoryBuilder::default();
     let mut position = path.point_mm()[0];
     let mut velocity = [0.0; 2];
@@ -137,11 +133,11 @@ pub fn schedule(
         let s = [0, 1].map(|a| target[a] - position[a]);
         if !path.tool_on()[i] {
             let from = State { position_mm: position, velocity_mm_per_s: velocity };
-            let to = State { position_mm: target, velocity_mm_per_s: [0.0; 2] };
+            let to = State::at_rest(target);
             // Without dwell time and but for rounding at its end already, it would vanish too.
-            let lasts =
-                |l: &CubicSegment| l.duration_s > least_piece_s(motion.end_s() + l.duration_s);
-            match shortest_cubic(from, to, limits, dwell_s).filter(lasts) {
+            let link = shortest_cubic(from, to, limits, dwell_s)
+                .filter(|l| l.duration_s > least_piece_s(motion.end_s() + l.duration_s));
+            match link {
                 Some(link) => {
                     motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                     report.lifts += 1;
@@ -149,7 +145,8 @@ pub fn schedule(
                 }
                 None => report.dropped.push(i),
             }
-            (position, velocity) = (target, [0.0; 2]);
+            position = target;
+            velocity = [0.0; 2];
             continue;
         }
         if dwell_s == 0.0 && s == [0.0; 2] {
@@ -163,7 +160,8 @@ pub fn schedule(
         for axis in 0..2 {
             let p = &phases[axis];
             position[axis] += p.travel(velocity[axis], duration_s);
-            let (from, v0) = (start.position_mm[axis], start.velocity_mm_per_s[axis]);
+            let from = start.position_mm[axis];
+            let v0 = start.velocity_mm_per_s[axis];
             report.overshoot(axis, p, v0, [from, target[axis]], duration_s);
             report.missed(axis, position[axis] - target[axis]);
             if (position[axis] - target[axis]).abs() <= ROUNDING_MM {
@@ -216,7 +214,7 @@ pub const OVERSHOOT_MM: f64 = 1e-6;
 /// axis overshoot by more than this (docs/schedulers.md).
 pub const VISIBLE_OVERSHOOT_MM: f64 = 1e-3;
 
-/// Motion of both axes in the same time: the later axis decides it.
+/// Returns the motion of both axes in the same time: the later axis decides it.
 fn coupled(
     s: [f64; 2],
     v0: [f64; 2],
@@ -235,7 +233,7 @@ fn coupled(
     }
 }
 
-/// Motion of one axis by (1), by (2) if the time is too short, or by (3) if the result is too fast.
+/// Returns the motion of one axis by (1), by (2) if the time is too short, or by (3) if the result is too fast.
 fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     let free = unlimited(s, v0, d, a_max);
     if free.velocity.abs() <= v_max {
@@ -247,7 +245,7 @@ fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     Phase { tau_s, duration_s, velocity: v, ..free }
 }
 
-/// Motion of one axis by (1), or by (2) if the time is too short; the velocity is not limited.
+/// Returns the motion of one axis by (1), or by (2) if the time is too short; the velocity is not limited.
 fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
     let r = s - v0 * d;
     if r.abs() <= 1e-15 * s.abs().max(1.0) {
@@ -280,7 +278,7 @@ impl Phase {
     }
 }
 
-impl Report {
+impl ConstantAccelerationReport {
     fn missed(&mut self, axis: usize, distance: f64) {
         if distance.abs() > ROUNDING_MM {
             self.missed_points[axis] += 1;
@@ -315,7 +313,8 @@ fn add(
     tool_on: bool,
     dwell_index: Option<usize>,
 ) {
-    let (position, velocity) = (from.position_mm, from.velocity_mm_per_s);
+    let position = from.position_mm;
+    let velocity = from.velocity_mm_per_s;
     let mut cuts = vec![0.0, phases[0].tau_s, phases[1].tau_s, duration_s];
     cuts.retain(|t| (0.0..=duration_s).contains(t));
     cuts.sort_by(f64::total_cmp);

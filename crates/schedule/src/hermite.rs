@@ -10,18 +10,18 @@
 //! v(u) = quadratic Bezier curve of (v0, V, v1),  V = 3 dp/h - v0 - v1                   (3)
 //! ```
 
-/// Coefficients of (1), mm/s^order.
+/// Returns the coefficients of (1), mm/s^order.
 pub(crate) fn coefficients(p: f64, dp: f64, v0: f64, v1: f64, h: f64) -> [f64; 4] {
     [p, v0, (3.0 * dp / h - 2.0 * v0 - v1) / h, (-2.0 * dp / h + v0 + v1) / (h * h)]
 }
 
-/// Accelerations (2) at the start and at the end, (a+, a-), mm/s^2.
+/// Returns the accelerations (2) at the start and at the end, (a+, a-), mm/s^2.
 pub(crate) fn accelerations(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
     let mean = 6.0 * dp / (h * h);
     (mean - (4.0 * v0 + 2.0 * v1) / h, -mean + (2.0 * v0 + 4.0 * v1) / h)
 }
 
-/// Largest |velocity| of a segment by (3), mm/s, and its place in [0, 1] of the duration.
+/// Returns the largest |velocity| of a segment by (3), mm/s, and its place in [0, 1] of the duration.
 pub(crate) fn peak_velocity(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
     let middle = 3.0 * dp / h - v0 - v1;
     let mut peak = if v0.abs() >= v1.abs() { (v0.abs(), 0.0) } else { (v1.abs(), 1.0) };

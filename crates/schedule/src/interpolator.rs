@@ -49,7 +49,7 @@
 use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{DwellDensity, Segment, Trajectory};
 
-use crate::{hermite, trig_spline::Piece};
+use crate::{hermite, trig_spline::TrigPiece};
 
 /// Lengths of a program agree with the distances of its points to this, mm.
 const SAME_LENGTH_MM: f64 = 1e-6;
@@ -96,47 +96,37 @@ pub struct Cubic {
     pub tool_on: bool,
 }
 
-/// The records of `density`, in order.
+/// Returns the records of `density`, in order.
 pub fn records(density: &DwellDensity) -> impl Iterator<Item = Record> + '_ {
-    let (s, d, p) = (density.arc_length_mm(), density.dwell_density_s_per_mm(), density.point_mm());
-    let starts = |i: usize| i == 0 || density.pass_idx()[i] != density.pass_idx()[i - 1];
+    let s = density.arc_length_mm();
+    let d = density.dwell_density_s_per_mm();
+    let p = density.point_mm();
     // A corner is part of the block that ends at the node after it.
     (0..density.len()).filter(|i| !density.corner()[*i]).map(move |i| {
-        if starts(i) {
+        if i == 0 || density.pass_idx()[i] != density.pass_idx()[i - 1] {
             return Record::Start { point_mm: p[i], arc_length_mm: s[i] };
         }
         let corner = density.corner()[i - 1];
         let from = if corner { i - 2 } else { i - 1 };
         Record::Block(Block {
             end_mm: p[i],
-            corner_mm: corner.then(|| p[i - 1]),
+            corner_mm: if corner { Some(p[i - 1]) } else { None },
             density_s_per_mm: [d[from], d[i]],
             arc_length_mm: [s[from], s[i]],
         })
     })
 }
 
-/// [`records`] with the run-up, the lifts and the brake of `trajectory`, which was scheduled with `density`. The error says
-/// where the two differ.
+/// Returns the [`records`] with the run-up, the lifts and the brake of `trajectory`, which was scheduled with
+/// `density`.
+///
+/// # Errors
+///
+/// Refuses a trajectory whose passes are not those of `density`. The text says where the two differ.
 pub fn linked_records(
     density: &DwellDensity,
     trajectory: &Trajectory,
 ) -> Result<Vec<Record>, String> {
-    let differs = |what: String| {
-        format!("{what}: the trajectory is not the one that was scheduled with this feed")
-    };
-    let cubic = |s: Segment| {
-        let [(x, u), (y, v)] = s.coefficient_mm.map(|c| end_of(&c, s.duration_s));
-        Record::Cubic(Cubic {
-            end_mm: [x, y],
-            velocity_mm_per_s: [u, v],
-            duration_s: s.duration_s,
-            tool_on: s.tool_on,
-        })
-    };
-    let is_of_a_pass = |s: &Segment| {
-        s.tool_on && s.coefficient_mm.iter().any(|c| c[1..].iter().any(|c| *c != 0.0))
-    };
     let n = trajectory.len();
     let mut all: Vec<Record> = Vec::with_capacity(density.len() + n);
     let first = trajectory.segment(0);
@@ -151,22 +141,21 @@ pub fn linked_records(
     for record in records(density) {
         match &record {
             Record::Start { point_mm, .. } => {
-                let start_of = |k: usize| trajectory.segment(k).start_s;
-                while next < n && start_of(next) < pass_end_s - same_s {
+                while next < n && trajectory.segment(next).start_s < pass_end_s - same_s {
                     next += 1;
                 }
                 while next < n && !is_of_a_pass(&trajectory.segment(next)) {
-                    all.push(cubic(trajectory.segment(next)));
+                    all.push(cubic_record(trajectory.segment(next)));
                     next += 1;
                 }
-                let Some(begin) = (next < n).then(|| trajectory.segment(next)) else {
-                    return Err(differs("a pass is missing at the end".into()));
-                };
-                let at = begin.coefficient_mm.map(|c| c[0]);
-                let away_mm = distance(at, *point_mm);
-                if away_mm > SAME_LENGTH_MM {
-                    return Err(differs(format!(
-                        "the pass that starts at {point_mm:?} mm starts at {at:?} mm in segment {next}"
+                if next == n {
+                    return Err(differs("a pass is missing at the end"));
+                }
+                let begin = trajectory.segment(next);
+                let start_mm = begin.coefficient_mm.map(|c| c[0]);
+                if distance(start_mm, *point_mm) > SAME_LENGTH_MM {
+                    return Err(differs(&format!(
+                        "the pass that starts at {point_mm:?} mm starts at {start_mm:?} mm in segment {next}"
                     )));
                 }
                 pass_end_s = begin.start_s;
@@ -182,14 +171,35 @@ pub fn linked_records(
     for k in next..n {
         let segment = trajectory.segment(k);
         if is_of_a_pass(&segment) {
-            return Err(differs(format!("segment {k} moves after the last pass")));
+            return Err(differs(&format!("segment {k} moves after the last pass")));
         }
-        all.push(cubic(segment));
+        all.push(cubic_record(segment));
     }
     Ok(all)
 }
 
-/// Position and velocity of a cubic after a time.
+/// Returns the error about a trajectory that does not belong to the density.
+fn differs(what: &str) -> String {
+    format!("{what}: the trajectory is not the one that was scheduled with this feed")
+}
+
+/// Returns true for a segment along a pass; the others stand, or have the tool off.
+fn is_of_a_pass(s: &Segment<'_>) -> bool {
+    s.tool_on && s.coefficient_mm.iter().any(|c| c[1..].iter().any(|c| *c != 0.0))
+}
+
+/// Returns the record of a segment outside of the passes.
+fn cubic_record(s: Segment<'_>) -> Record {
+    let [(x, u), (y, v)] = s.coefficient_mm.map(|c| end_of(&c, s.duration_s));
+    Record::Cubic(Cubic {
+        end_mm: [x, y],
+        velocity_mm_per_s: [u, v],
+        duration_s: s.duration_s,
+        tool_on: s.tool_on,
+    })
+}
+
+/// Returns position and velocity of a cubic after a time.
 fn end_of(c: &[f64; 4], t: f64) -> (f64, f64) {
     (evaluate(c, t), evaluate(&derivative(c), t))
 }
@@ -199,12 +209,12 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 impl Block {
-    fn piece(&self) -> Piece {
+    fn piece(&self) -> TrigPiece {
         let [s1, s2] = self.arc_length_mm;
-        Piece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
+        TrigPiece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
     }
 
-    /// Velocity at its end [x, y], mm/s, if it starts at `start`.
+    /// Returns the velocity at its end [x, y], mm/s, if it starts at `start`.
     fn end_velocity(&self, start: [f64; 2]) -> [f64; 2] {
         let from = self.corner_mm.unwrap_or(start);
         let length = distance(from, self.end_mm);
@@ -218,7 +228,7 @@ impl Block {
 }
 
 impl Record {
-    /// Where it ends [x, y], mm.
+    /// Returns the end of the record [x, y], mm.
     pub fn end_mm(&self) -> [f64; 2] {
         match self {
             Self::Start { point_mm, .. } => *point_mm,
@@ -227,20 +237,24 @@ impl Record {
         }
     }
 
-    /// The line of a program, without a line break, where the part has the height `z_mm` at the end; numbers keep every
-    /// digit.
+    /// Returns the line of a program, without a line break, where the part has the height `z_mm` at the end; numbers
+    /// keep every digit.
     pub fn to_line(&self, number: usize, z_mm: f64) -> String {
         match self {
             Self::Start { point_mm: [x, y], arc_length_mm } => {
                 format!("N{number:05} X{x} Y{y} Z{z_mm} S{arc_length_mm}")
             }
             Self::Block(b) => {
-                let ([x, y], [p, q], [r, s]) = (b.end_mm, b.density_s_per_mm, b.arc_length_mm);
+                let [x, y] = b.end_mm;
+                let [p, q] = b.density_s_per_mm;
+                let [r, s] = b.arc_length_mm;
                 let corner = b.corner_mm.map_or(String::new(), |[i, j]| format!(" I{i} J{j}"));
                 format!("N{number:05} X{x} Y{y} Z{z_mm}{corner} P{p} Q{q} R{r} S{s}")
             }
             Self::Cubic(c) => {
-                let ([x, y], [u, v], t) = (c.end_mm, c.velocity_mm_per_s, c.duration_s);
+                let [x, y] = c.end_mm;
+                let [u, v] = c.velocity_mm_per_s;
+                let t = c.duration_s;
                 let tool = u8::from(c.tool_on);
                 format!("N{number:05} X{x} Y{y} Z{z_mm} U{u} V{v} T{t} K{tool}")
             }
@@ -254,7 +268,7 @@ impl Record {
         if line.is_empty() || line.starts_with('(') {
             return Ok(None);
         }
-        let mut words: [Option<f64>; 26] = [None; 26];
+        let mut words = Words([None; 26]);
         for word in line.split_whitespace() {
             let (letter, number) = word.split_at(word.chars().next().map_or(0, char::len_utf8));
             let value: Option<f64> = number.parse().ok().filter(|v: &f64| v.is_finite());
@@ -264,20 +278,18 @@ impl Record {
                     "the word {word:?} is not one of N X Y Z I J P Q R S U V T K with a finite number"
                 ));
             };
-            let place = &mut words[usize::from(letter.as_bytes()[0] - b'A')];
+            let place = &mut words.0[usize::from(letter.as_bytes()[0] - b'A')];
             if place.replace(value).is_some() {
                 return Err(format!("the word {letter} stands twice"));
             }
         }
-        let get = |letter: char| words[letter as usize - 'A' as usize];
-        let need =
-            |letter: char| get(letter).ok_or_else(|| format!("the word {letter} is missing"));
-        let end_mm = [need('X')?, need('Y')?];
-        if "UVTK".chars().any(|c| get(c).is_some()) {
-            if let Some(other) = "IJPQRS".chars().find(|c| get(*c).is_some()) {
+        let end_mm = [words.need('X')?, words.need('Y')?];
+        if "UVTK".chars().any(|c| words.get(c).is_some()) {
+            if let Some(other) = "IJPQRS".chars().find(|c| words.get(*c).is_some()) {
                 return Err(format!("the word {other} does not stand beside U V T K"));
             }
-            let (tool, duration_s) = (need('K')?, need('T')?);
+            let tool = words.need('K')?;
+            let duration_s = words.need('T')?;
             if tool != 0.0 && tool != 1.0 {
                 return Err(format!("K is {tool}; it is 1 with the tool on, 0 with the tool off"));
             }
@@ -286,16 +298,16 @@ impl Record {
             }
             return Ok(Some(Self::Cubic(Cubic {
                 end_mm,
-                velocity_mm_per_s: [need('U')?, need('V')?],
+                velocity_mm_per_s: [words.need('U')?, words.need('V')?],
                 duration_s,
                 tool_on: tool == 1.0,
             })));
         }
-        let s2 = need('S')?;
-        if "PQRIJ".chars().all(|c| get(c).is_none()) {
+        let s2 = words.need('S')?;
+        if "PQRIJ".chars().all(|c| words.get(c).is_none()) {
             return Ok(Some(Self::Start { point_mm: end_mm, arc_length_mm: s2 }));
         }
-        let corner_mm = match (get('I'), get('J')) {
+        let corner_mm = match (words.get('I'), words.get('J')) {
             (Some(i), Some(j)) => Some([i, j]),
             (None, None) => None,
             _ => return Err("I and J stand together: the corner of a blend".into()),
@@ -303,9 +315,23 @@ impl Record {
         Ok(Some(Self::Block(Block {
             end_mm,
             corner_mm,
-            density_s_per_mm: [need('P')?, need('Q')?],
-            arc_length_mm: [need('R')?, s2],
+            density_s_per_mm: [words.need('P')?, words.need('Q')?],
+            arc_length_mm: [words.need('R')?, s2],
         })))
+    }
+}
+
+/// Numbers of the words of a line, by letter from A to Z.
+struct Words([Option<f64>; 26]);
+
+impl Words {
+    fn get(&self, letter: char) -> Option<f64> {
+        self.0[letter as usize - 'A' as usize]
+    }
+
+    /// Returns the number of a word that must be there.
+    fn need(&self, letter: char) -> Result<f64, String> {
+        self.get(letter).ok_or_else(|| format!("the word {letter} is missing"))
     }
 }
 
@@ -350,16 +376,19 @@ struct Before {
 }
 
 impl Interpolator {
-    /// Creates an interpolator at the start of a program; `tick_s` is positive and finite.
+    /// Creates an interpolator at the start of a program.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a time `tick_s` between two references that is not positive and finite.
     pub fn new(tick_s: f64) -> Result<Self, String> {
         if !(tick_s.is_finite() && tick_s > 0.0) {
             return Err(format!("the tick is {tick_s} s; give a positive time"));
         }
-        let (start_s, lost_s) = (0.0, 0.0);
-        Ok(Self { tick_s, tick: 0, start_s, lost_s, pass_idx: -1, before: None })
+        Ok(Self { tick_s, tick: 0, start_s: 0.0, lost_s: 0.0, pass_idx: -1, before: None })
     }
 
-    /// Duration of everything up to now, s.
+    /// Returns the duration of everything up to now, s.
     pub fn duration_s(&self) -> f64 {
         self.start_s
     }
@@ -394,13 +423,16 @@ impl Interpolator {
         }
     }
 
-    /// The last reference, at the end of the program; `None` when a tick has just been there or
-    /// nothing has moved.
+    /// Returns the last reference, at the end of the program; `None` when a tick has just been there or nothing has
+    /// moved.
     pub fn finish(self) -> Option<Reference> {
         let before = self.before.filter(|b| b.has_moved)?;
         let last_tick_s = (self.tick.max(1) - 1) as f64 * self.tick_s;
+        if last_tick_s >= self.start_s {
+            return None;
+        }
         let [u, v] = before.velocity_mm_per_s;
-        (last_tick_s < self.start_s).then_some(Reference {
+        Some(Reference {
             time_s: self.start_s,
             position_mm: before.point_mm,
             feed_mm_per_s: u.hypot(v),
@@ -416,7 +448,8 @@ impl Interpolator {
         }
         let piece = block.piece();
         let duration_s = piece.duration_s();
-        let (end, pass_idx) = (block.end_mm, self.pass_idx);
+        let end = block.end_mm;
+        let pass_idx = self.pass_idx;
         self.ticks(duration_s, |time_s, t| {
             let m = t / duration_s;
             // x - e/pi sin(pi x) = t/T
@@ -429,11 +462,11 @@ impl Interpolator {
                 Some(corner) => {
                     let y = 1.0 - m;
                     let position =
-                        |a: usize| y * y * start[a] + 2.0 * m * y * corner[a] + m * m * end[a];
-                    let velocity = |a: usize| {
+                        [0, 1].map(|a| y * y * start[a] + 2.0 * m * y * corner[a] + m * m * end[a]);
+                    let [u, v] = [0, 1].map(|a| {
                         2.0 * (y * (corner[a] - start[a]) + m * (end[a] - corner[a])) / duration_s
-                    };
-                    ([0, 1].map(position), velocity(0).hypot(velocity(1)))
+                    });
+                    (position, u.hypot(v))
                 }
             };
             emit(Reference { time_s, position_mm, feed_mm_per_s, pass_idx });
@@ -449,14 +482,15 @@ impl Interpolator {
         Ok(())
     }
 
-    /// The references of a cubic.
+    /// Emits the references of a cubic.
     fn link(&mut self, cubic: &Cubic, mut emit: impl FnMut(Reference)) -> Result<(), String> {
         let Some(before) = self.before else {
             return Err("a cubic stands before the start; begin with N X Y Z S".into());
         };
         let duration_s = cubic.duration_s;
         let c = [0, 1].map(|a| {
-            let (p, v) = (before.point_mm[a], before.velocity_mm_per_s[a]);
+            let p = before.point_mm[a];
+            let v = before.velocity_mm_per_s[a];
             let w = cubic.velocity_mm_per_s[a];
             hermite::coefficients(p, cubic.end_mm[a] - p, v, w, duration_s)
         });
@@ -494,7 +528,7 @@ impl Interpolator {
         self.start_s = sum;
     }
 
-    /// The start of the block, when everything agrees.
+    /// Returns the start of the block, when everything agrees.
     fn check(&self, block: &Block) -> Result<[f64; 2], String> {
         let Some(Before { point_mm: start, arc_length_mm: s, .. }) =
             self.before.filter(|b| b.in_pass)

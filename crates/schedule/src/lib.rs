@@ -1,7 +1,7 @@
 //! Schedulers: each one makes a motion from a tool path and dwell times.
 //!
-//! Every scheduler is a file or a folder with the same items: `Settings`, `schedule`, and a report
-//! in addition to the trajectory.
+//! Every scheduler is a file or a folder with the same items: its settings, `schedule`, and a report in addition to the
+//! trajectory ([`Schedule`]).
 //!
 //! | scheduler | motion |
 //! |---|---|
@@ -39,7 +39,7 @@ pub trait Scheduler: std::fmt::Debug {
     /// Name: that of its subcommand of `planish-schedule`.
     fn name(&self) -> &'static str;
 
-    /// Kind of the motion, if the scheduler has several.
+    /// Returns the kind of the motion, if the scheduler has several.
     fn kind(&self) -> Option<&'static str> {
         None
     }
@@ -53,6 +53,15 @@ pub trait Scheduler: std::fmt::Debug {
     ) -> Result<Scheduled, ScheduleError>;
 }
 
+/// Motion of a scheduler, with its report.
+#[derive(Clone, Debug)]
+pub struct Schedule<R> {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// Changes of the times, and what the motion does not keep.
+    pub report: R,
+}
+
 /// Motion, and the segments of the path whose time is not their dwell time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scheduled {
@@ -64,12 +73,16 @@ pub struct Scheduled {
 
 impl Scheduled {
     /// Compares the time of every segment in the motion with its dwell time.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the trajectory serves a segment that `dwell` does not have.
     pub fn compared(trajectory: Trajectory, dwell: &DwellTime) -> Result<Self, Invalid> {
         let served_s = trajectory.served_s(dwell.dwell_s().len(), |_| true)?;
         // Break times are sums: their differences round with the total.
         let rounding_s = 1e-12 * trajectory.total_time_s();
         let times = dwell.dwell_s().iter().zip(served_s).enumerate();
-        let differs = times.filter(|(_, (asked, took))| (took - **asked).abs() > rounding_s);
+        let differs = times.filter(|(_, (dwell_s, took))| (took - **dwell_s).abs() > rounding_s);
         let changed = differs.map(|(segment, (_, took))| (segment, took)).collect();
         Ok(Self { trajectory, changed })
     }
@@ -97,7 +110,7 @@ pub struct Named {
 }
 
 impl Named {
-    /// The scheduler for a machine, with the chosen settings and the default of every other one.
+    /// Returns the scheduler for a machine, with the chosen settings and the default of every other one.
     pub fn scheduler(&self, choices: &Choices, limits: &Limits) -> Box<dyn Scheduler> {
         (self.make)(choices, limits)
     }
@@ -110,32 +123,35 @@ pub static SCHEDULERS: [Named; 4] = [
         name: "pvt",
         about: "Cubic segments, stretched if the limits demand it",
         make: |choices, limits| {
-            Box::new(pvt::Settings {
+            Box::new(pvt::PvtSettings {
                 max_path_distance_mm: choices.max_path_distance_mm,
-                ..pvt::Settings::of(choices.mode.on(limits))
+                ..pvt::PvtSettings::new(choices.mode.on(limits))
             })
         },
     },
     Named {
         name: "constant-acceleration",
         about: "One constant acceleration, then constant velocity, per segment; no look-ahead",
-        make: |_, _| Box::new(constant_acceleration::Settings),
+        make: |_, _| Box::new(constant_acceleration::ConstantAccelerationSettings),
     },
     Named {
         name: "stop-at-corners",
         about: "Constant acceleration along the path with look-ahead, at rest in every corner",
-        make: |_, _| Box::new(stop_at_corners::Settings),
+        make: |_, _| Box::new(stop_at_corners::StopAtCornersSettings),
     },
     Named {
         name: "trig-spline",
         about: "Dwell-time density as a trigonometric spline along the path, raised until the limits are kept",
         make: |choices, _| {
-            Box::new(trig_spline::Settings { repair: choices.repair, ..Default::default() })
+            Box::new(trig_spline::TrigSplineSettings {
+                repair: choices.repair,
+                ..Default::default()
+            })
         },
     },
 ];
 
-/// The row of a name.
+/// Returns the scheduler of this name; `None` if there is none.
 pub fn by_name(name: &str) -> Option<&'static Named> {
     SCHEDULERS.iter().find(|named| named.name == name)
 }
@@ -184,17 +200,24 @@ pub enum ScheduleError {
 /// large that rounding keeps the motion from being proven within the limits.
 const LEAST_LENGTH_MM: f64 = 1e-9;
 
-/// Length up to which a segment counts as rounding, mm: [`LEAST_LENGTH_MM`], or four roundings of its largest
-/// coordinate. A computed closed path ends with such a segment.
+/// Returns the length up to which a segment counts as rounding, mm: [`LEAST_LENGTH_MM`], or four roundings of its
+/// largest coordinate. A computed closed path ends with such a segment.
 fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
     let ends = [path.point_mm()[segment], path.point_mm()[segment + 1]];
     let largest = ends.as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
     (4.0 * f64::EPSILON * largest).max(LEAST_LENGTH_MM)
 }
 
+/// Returns the largest magnitude along a unit vector `direction` that keeps `max` on both axes.
+fn largest_along(direction: [f64; 2], max: [f64; 2]) -> f64 {
+    let [x, y] = [0, 1].map(|a| max[a] / direction[a].abs()); // infinite across
+    x.min(y)
+}
+
 /// Refuses a dwell time that belongs to another path.
 fn check_lengths(path: &ToolPath, dwell: &DwellTime) -> Result<(), Invalid> {
-    let (segments, times) = (path.len(), dwell.dwell_s().len());
+    let segments = path.len();
+    let times = dwell.dwell_s().len();
     if segments == times {
         return Ok(());
     }

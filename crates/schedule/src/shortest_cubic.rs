@@ -32,6 +32,13 @@ pub(crate) struct State {
     pub velocity_mm_per_s: [f64; 2],
 }
 
+impl State {
+    /// Returns the state of rest at a point, mm.
+    pub(crate) fn at_rest(position_mm: [f64; 2]) -> Self {
+        Self { position_mm, velocity_mm_per_s: [0.0; 2] }
+    }
+}
+
 /// One segment of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct CubicSegment {
@@ -41,7 +48,7 @@ pub(crate) struct CubicSegment {
     pub coefficient_mm: [[f64; 4]; 2],
 }
 
-/// Shortest segment that lasts at least `least_s`. `None` if there is no distance, no velocity and no
+/// Finds the shortest segment that lasts at least `least_s`. `None` if there is no distance, no velocity and no
 /// time. An end that is faster than the velocity limit keeps its velocity.
 pub(crate) fn shortest_cubic(
     from: State,
@@ -49,9 +56,11 @@ pub(crate) fn shortest_cubic(
     limits: &Limits,
     least_s: f64,
 ) -> Option<CubicSegment> {
-    let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+    let v_max = limits.max_velocity_mm_per_s();
+    let a_max = limits.max_acceleration_mm_per_s2();
     let dp = [0, 1].map(|a| to.position_mm[a] - from.position_mm[a]);
-    let (v, w) = (from.velocity_mm_per_s, to.velocity_mm_per_s);
+    let v = from.velocity_mm_per_s;
+    let w = to.velocity_mm_per_s;
     let least_s = least_s.max(limits.min_segment_s());
     let fits = |h: f64| {
         (0..2).all(|a| {
@@ -82,8 +91,8 @@ pub(crate) fn shortest_cubic(
         }
         low = high;
     }
-    let axis = |a: usize| coefficients(from.position_mm[a], dp[a], v[a], w[a], low);
-    Some(CubicSegment { duration_s: low, coefficient_mm: [axis(0), axis(1)] })
+    let coefficient_mm = [0, 1].map(|a| coefficients(from.position_mm[a], dp[a], v[a], w[a], low));
+    Some(CubicSegment { duration_s: low, coefficient_mm })
 }
 
 #[cfg(test)]

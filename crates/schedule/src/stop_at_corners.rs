@@ -37,18 +37,19 @@
 //! | d | `Along::duration_s` | (n) | s |
 //! | V | `bound` | (n+1) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, Scheduled, Scheduler, check_lengths,
+    Schedule, ScheduleError, Scheduled, Scheduler, check_lengths,
     constant_acceleration::least_piece_s,
+    largest_along,
     shortest_cubic::{State, shortest_cubic},
 };
 
 /// Stops, late segments and lifts of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct StopAtCornersReport {
     /// Number of nodes between two segments with the tool on at which the tool comes to rest.
     pub stops: usize,
     /// Segments with the tool on that took longer than their dwell time.
@@ -65,20 +66,11 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Stops, late segments and lifts.
-    pub report: Report,
-}
-
 /// The scheduler, which has no settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings;
+pub struct StopAtCornersSettings;
 
-impl Scheduler for Settings {
+impl Scheduler for StopAtCornersSettings {
     fn name(&self) -> &'static str {
         "stop-at-corners"
     }
@@ -99,13 +91,17 @@ impl Scheduler for Settings {
 const STRAIGHT_MM_PER_S: f64 = 1e-7;
 
 /// Schedules `path` with at least the times `dwell` within `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<StopAtCornersReport>, ScheduleError> {
     check_lengths(path, dwell)?;
-    let mut report = Report::default();
+    let mut report = StopAtCornersReport::default();
     let all = (0..path.len()).map(|i| Along::new(path, dwell, limits, i));
     let (along, dropped): (Vec<Along>, Vec<Along>) =
         all.partition(|s| s.length_mm > 0.0 || s.dwell_s > 0.0);
@@ -118,9 +114,8 @@ pub fn schedule(
         let i = segment.index;
         let start = path.point_mm()[i];
         if !segment.tool_on {
-            let at_rest = |position_mm| State { position_mm, velocity_mm_per_s: [0.0; 2] };
-            let to = at_rest(path.point_mm()[i + 1]);
-            if let Some(link) = shortest_cubic(at_rest(start), to, limits, segment.dwell_s) {
+            let [from, to] = [start, path.point_mm()[i + 1]].map(State::at_rest);
+            if let Some(link) = shortest_cubic(from, to, limits, segment.dwell_s) {
                 motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                 end_s += link.duration_s;
                 report.lifts += 1;
@@ -171,12 +166,9 @@ struct Along {
 
 impl Along {
     fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits, i: usize) -> Self {
-        let (d, length_mm) = (path.displacement_mm(i), path.segment_length_mm(i));
+        let d = path.displacement_mm(i);
+        let length_mm = path.segment_length_mm(i);
         let direction = if length_mm > 0.0 { d.map(|d| d / length_mm) } else { [0.0; 2] };
-        let along = |limit: [f64; 2]| {
-            let of = |a: usize| limit[a] / direction[a].abs();
-            of(0).min(of(1))
-        };
         Self {
             index: i,
             tool_on: path.tool_on()[i],
@@ -184,32 +176,36 @@ impl Along {
             direction,
             dwell_s: dwell.dwell_s()[i],
             duration_s: dwell.dwell_s()[i].max(limits.min_segment_s()),
-            max_velocity: along(limits.max_velocity_mm_per_s()),
-            max_acceleration: along(limits.max_acceleration_mm_per_s2()),
+            max_velocity: largest_along(direction, limits.max_velocity_mm_per_s()),
+            max_acceleration: largest_along(direction, limits.max_acceleration_mm_per_s2()),
         }
     }
 
     /// Returns true if the motion goes on into the next segment without a stop.
     fn joins(&self, next: &Self) -> bool {
         let speed = self.max_velocity.min(next.max_velocity);
-        let step = |a: usize| (self.direction[a] - next.direction[a]).abs() * speed;
+        let [x, y] = [0, 1].map(|a| (self.direction[a] - next.direction[a]).abs() * speed);
         self.tool_on
             && next.tool_on
             && self.length_mm > 0.0
             && next.length_mm > 0.0
-            && step(0).max(step(1)) <= STRAIGHT_MM_PER_S
+            && x.max(y) <= STRAIGHT_MM_PER_S
     }
 
-    /// Largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
+    /// Returns the largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
     fn bound(&self, next: f64) -> f64 {
-        let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
+        let l = self.length_mm;
+        let d = self.duration_s;
+        let a = self.max_acceleration;
         let in_time = if d * d < 2.0 * l / a { l / d + 0.5 * a * d } else { (2.0 * a * l).sqrt() };
         self.max_velocity.min((next * next + 2.0 * a * l).sqrt()).min(in_time)
     }
 
-    /// The motion from `v0` that ends at `bound` at most.
+    /// Returns the motion from `v0` that ends at `bound` at most.
     fn profile(&self, v0: f64, bound: f64) -> Profile {
-        let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
+        let l = self.length_mm;
+        let d = self.duration_s;
+        let a = self.max_acceleration;
         if l == 0.0 {
             return Profile { time_s: [0.0, d, 0.0], velocity: [0.0; 3] };
         }
@@ -229,15 +225,16 @@ impl Along {
         }
         let v1 = bound.min((v0 * v0 + 2.0 * a * l).sqrt());
         // (2)
-        let (b, c) = (a * d + v0 + v1, a * l + 0.5 * (v0 * v0 + v1 * v1));
+        let b = a * d + v0 + v1;
+        let c = a * l + 0.5 * (v0 * v0 + v1 * v1);
         let fastest = self.max_velocity.min(c.sqrt()).max(v0).max(v1);
         let discriminant = b * b - 4.0 * c;
         let wanted =
             if discriminant > 0.0 { 2.0 * c / (b + discriminant.sqrt()) } else { f64::INFINITY };
-        let phases = |w: f64| ((w - v0).abs() / a, (w - v1).abs() / a);
         if wanted > fastest {
             // Late.
-            let (w, (t0, t2)) = (fastest, phases(fastest));
+            let w = fastest;
+            let [t0, t2] = [v0, v1].map(|v| (w - v).abs() / a);
             let rest_mm = l - 0.5 * ((v0 + w) * t0 + (w + v1) * t2);
             return Profile { time_s: [t0, rest_mm.max(0.0) / w, t2], velocity: [v0, w, v1] };
         }
@@ -245,16 +242,17 @@ impl Along {
             wanted
         } else {
             // Where it brakes all the way and then waits, w is 0.
-            let (coast_mm, coast_s) = (l - (v0 * v0 - v1 * v1) / (2.0 * a), d - (v0 - v1) / a);
+            let coast_mm = l - (v0 * v0 - v1 * v1) / (2.0 * a);
+            let coast_s = d - (v0 - v1) / a;
             let w = if coast_s > 0.0 { coast_mm / coast_s } else { v0.max(v1) };
             w.clamp(v0.min(v1), v0.max(v1))
         };
-        let (t0, t2) = phases(w);
+        let [t0, t2] = [v0, v1].map(|v| (w - v).abs() / a);
         Profile { time_s: [t0, (d - t0 - t2).max(0.0), t2], velocity: [v0, w, v1] }
     }
 }
 
-/// Largest velocities (1) at all nodes, mm/s, from the end backwards.
+/// Returns the largest velocities (1) at all nodes, mm/s, from the end backwards.
 fn bounds(along: &[Along]) -> Vec<f64> {
     let mut bound = vec![0.0; along.len() + 1];
     for i in (1..along.len()).rev() {
@@ -278,7 +276,7 @@ impl Profile {
         self.time_s.iter().sum()
     }
 
-    /// Pieces that last longer than `least_s`, from 0 to the end.
+    /// Returns the pieces that last longer than `least_s`, from 0 to the end.
     fn cuts(&self, least_s: f64) -> Vec<[f64; 2]> {
         let end = self.duration_s();
         let mut cut = vec![0.0, self.time_s[0], self.time_s[0] + self.time_s[1], end];
@@ -289,21 +287,27 @@ impl Profile {
         cut.windows(2).map(|w| [w[0], w[1]]).collect()
     }
 
-    /// Distance, velocity and half the acceleration at the time `t` of the phase that `during` is in.
+    /// Returns distance, velocity and half the acceleration at the time `t` of the phase that `during` is in.
     fn state(&self, during: f64, t: f64) -> [f64; 3] {
-        let ([t0, t1, t2], [v0, w, v1]) = (self.time_s, self.velocity);
-        let slope = |change: f64, time: f64| if time > 0.0 { change / time } else { 0.0 };
+        let [t0, t1, t2] = self.time_s;
+        let [v0, w, v1] = self.velocity;
         if during < t0 {
             let half = 0.5 * slope(w - v0, t0);
             [t * (v0 + t * half), v0 + 2.0 * t * half, half]
         } else if during < t0 + t1 {
             [0.5 * (v0 + w) * t0 + w * (t - t0), w, 0.0]
         } else {
-            let (half, u) = (0.5 * slope(v1 - w, t2), t - t0 - t1);
+            let half = 0.5 * slope(v1 - w, t2);
+            let u = t - t0 - t1;
             let before = 0.5 * (v0 + w) * t0 + w * t1;
             [before + u * (w + u * half), w + 2.0 * u * half, half]
         }
     }
+}
+
+/// Returns the acceleration of a change of velocity in some time; 0 without time.
+fn slope(change: f64, time: f64) -> f64 {
+    if time > 0.0 { change / time } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -329,7 +333,11 @@ mod tests {
         .unwrap()
     }
 
-    fn motion(points: &[[f64; 2]], dwell_s: &[f64], limits: &Limits) -> Schedule {
+    fn motion(
+        points: &[[f64; 2]],
+        dwell_s: &[f64],
+        limits: &Limits,
+    ) -> Schedule<StopAtCornersReport> {
         let n = dwell_s.len();
         let path = ToolPath::through(points.to_vec(), vec![true; n], vec![0; n]).unwrap();
         schedule(&path, &DwellTime::new(dwell_s.to_vec()).unwrap(), limits).unwrap()

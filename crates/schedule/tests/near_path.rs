@@ -94,7 +94,7 @@ fn schedulers() -> Vec<(String, bool, Schedule)> {
     for mode in [Mode::Smooth, Mode::Monotone] {
         let name = format!("pvt {}", mode.name());
         let schedule: Schedule = Box::new(move |path, dwell, limits| {
-            let made = pvt::schedule(path, dwell, limits, &pvt::Settings::of(mode));
+            let made = pvt::schedule(path, dwell, limits, &pvt::PvtSettings::new(mode));
             made.map(|s| s.trajectory).map_err(|e| e.to_string())
         });
         all.push((name, true, schedule));
@@ -144,9 +144,9 @@ fn every_scheduler_states_its_distance_and_pvt_keeps_the_tolerance() {
         let free_s: Vec<Option<f64>> = (0..cases)
             .map(|seed| {
                 let (path, dwell) = random_case(seed);
-                let settings = pvt::Settings {
+                let settings = pvt::PvtSettings {
                     max_path_distance_mm: Some(ANYWHERE_MM),
-                    ..pvt::Settings::of(Mode::within(&limits))
+                    ..pvt::PvtSettings::new(Mode::within(&limits))
                 };
                 let made = pvt::schedule(&path, &dwell, &limits, &settings);
                 made.ok().map(|s| s.trajectory.total_time_s())
@@ -200,9 +200,9 @@ fn without_a_tolerance_no_node_is_held() {
     for seed in 0..20 {
         let (path, dwell) = random_case(seed);
         for (_, limits) in machines() {
-            let settings = pvt::Settings {
+            let settings = pvt::PvtSettings {
                 max_path_distance_mm: Some(ANYWHERE_MM),
-                ..pvt::Settings::of(Mode::within(&limits))
+                ..pvt::PvtSettings::new(Mode::within(&limits))
             };
             let made = pvt::schedule(&path, &dwell, &limits, &settings).unwrap();
             assert_eq!(made.report.held_nodes, 0);
@@ -219,8 +219,10 @@ fn a_straight_path_of_equal_points_and_times_needs_no_tolerance() {
     let dwell = DwellTime::new(vec![1.0; 60]).unwrap();
     for (name, limits) in machines() {
         for mode in [Mode::Smooth, Mode::Monotone] {
-            let settings =
-                pvt::Settings { max_path_distance_mm: Some(1e-6), ..pvt::Settings::of(mode) };
+            let settings = pvt::PvtSettings {
+                max_path_distance_mm: Some(1e-6),
+                ..pvt::PvtSettings::new(mode)
+            };
             let made = pvt::schedule(&path, &dwell, &limits, &settings).unwrap();
             assert!(made.report.stretched.is_empty(), "{name} {mode:?}: {:?}", made.report);
             assert_eq!(made.report.held_nodes, 0, "{name} {mode:?}");
@@ -247,7 +249,8 @@ fn a_small_tolerance_without_jerk_gives_a_motion_in_the_boxes_of_the_segments() 
     let dwell = DwellTime::new(dwell_s).unwrap();
     let limits = ion_beam();
     let of = |mode, mm| {
-        let settings = pvt::Settings { max_path_distance_mm: Some(mm), ..pvt::Settings::of(mode) };
+        let settings =
+            pvt::PvtSettings { max_path_distance_mm: Some(mm), ..pvt::PvtSettings::new(mode) };
         pvt::schedule(&path, &dwell, &limits, &settings).unwrap()
     };
     let smooth = of(Mode::Smooth, 1e-4);
@@ -268,12 +271,12 @@ fn a_straight_path_of_unequal_points_is_not_left() {
     let path = ToolPath::through(points, vec![true; 7], vec![0; 7]).unwrap();
     let dwell = DwellTime::new(vec![0.5, 0.5, 2.0, 0.01, 0.3, 3.0, 0.4]).unwrap();
     let limits = with_jerk(&ion_beam(), 0.1);
-    let made = pvt::schedule(&path, &dwell, &limits, &pvt::Settings::of(Mode::Smooth)).unwrap();
+    let made = pvt::schedule(&path, &dwell, &limits, &pvt::PvtSettings::new(Mode::Smooth)).unwrap();
     let distance = PathDistance::new(&made.trajectory, &path, None).unwrap();
     assert!(distance.within && made.report.held_nodes > 0, "{distance}");
-    let settings = pvt::Settings {
+    let settings = pvt::PvtSettings {
         max_path_distance_mm: Some(ANYWHERE_MM),
-        ..pvt::Settings::of(Mode::Smooth)
+        ..pvt::PvtSettings::new(Mode::Smooth)
     };
     let free = pvt::schedule(&path, &dwell, &limits, &settings).unwrap();
     let free_mm = PathDistance::new(&free.trajectory, &path, None).unwrap();

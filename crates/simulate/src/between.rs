@@ -13,7 +13,7 @@
 //! of two means over the same pixels; its standard error is stated.
 
 use planish_numerics::polynomial::evaluate;
-use planish_types::{Removal, Tif, Trajectory, text::significant};
+use planish_types::{Removal, Segment, Tif, Trajectory, text::significant};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -65,68 +65,35 @@ pub struct Between {
 
 impl Between {
     /// Compares the prediction `removal` of `trajectory` with `tif`; `None` if there is nothing to compare.
-    pub fn of(trajectory: &Trajectory, tif: &Tif, removal: &Removal) -> Option<Self> {
+    pub fn new(trajectory: &Trajectory, tif: &Tif, removal: &Removal) -> Option<Self> {
         let residual = removal.residual();
         let grid = residual.grid();
         let [map_mm, tif_mm] = [grid.size_mm(), tif.grid().size_mm()];
-        let step_mm = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
-        let on = || trajectory.segments().filter(|s| s.tool_on);
-        // At least as long as the way.
-        let way_mm = |c: &[f64; 4], h: f64| ((c[3].abs() * h + c[2].abs()) * h + c[1].abs()) * h;
-        let steps = |s: &planish_types::Segment<'_>| {
-            let [x, y] = s.coefficient_mm.map(|c| way_mm(&c, s.duration_s));
-            (x.hypot(y) / (PARTS_OF_A_STEP * step_mm)).clamp(1.0, MOST_POINTS)
-        };
-        let wanted: f64 = on().map(|s| steps(&s)).sum();
-        let fewer = (wanted / MOST_POINTS).max(1.0);
-        let points: Vec<([f64; 2], f64)> = on()
-            .flat_map(|s| {
-                let count = (steps(&s) / fewer).ceil();
-                let time_s = s.duration_s / count;
-                let at = move |k: usize| {
-                    let u = (k as f64 + 0.5) * time_s;
-                    (s.coefficient_mm.map(|c| evaluate(&c, u)), s.rate_factor * time_s)
-                };
-                (0..count as usize).map(at)
-            })
-            .collect();
+        let points = quadrature_points(trajectory, tif);
 
         // Pixels by their x: [x, y], and the residual there.
         let part = [0, 1].map(|a| (tif_mm[a] / map_mm[a]).min(1.0));
         let readings = (points.len() as f64 * part[0] * part[1]).max(1.0);
         let count = (READINGS / readings).clamp(PIXELS[0], PIXELS[1]) as usize;
         let (ny, nx) = grid.shape();
-        let place = |k: usize| {
-            let of = |step: f64, n: usize| ((0.5 + k as f64 / step).fract() * n as f64) as usize;
-            (of(GOLDEN * GOLDEN, ny).min(ny - 1), of(GOLDEN, nx).min(nx - 1))
-        };
+        let places = (0..PLACES_PER_PIXEL * count).map(|k| {
+            let [r, c] = [(GOLDEN * GOLDEN, ny), (GOLDEN, nx)].map(|(step, n)| {
+                (((0.5 + k as f64 / step).fract() * n as f64) as usize).min(n - 1)
+            });
+            (r, c)
+        });
         let height = residual.height_nm();
-        let valid = (0..PLACES_PER_PIXEL * count).map(place).filter(|at| !height[*at].is_nan());
+        let valid = places.filter(|place| !height[*place].is_nan());
         let mut pixels: Vec<([f64; 2], f64)> = valid
             .take(count)
             .map(|(r, c)| ([grid.x.at(c), grid.y.at(r)], height[[r, c]]))
             .collect();
         pixels.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
 
-        let sums = |points: &[([f64; 2], f64)]| {
-            let mut sums = vec![0.0; pixels.len()];
-            for ([x, y], time_s) in points {
-                let [from, to] = [tif.grid().x.start_mm() + x, tif.grid().x.end_mm() + x];
-                let first = pixels.partition_point(|p| p.0[0] < from);
-                for (p, sum) in pixels.iter().zip(&mut sums).skip(first) {
-                    if p.0[0] > to {
-                        break;
-                    }
-                    let d = [p.0[0] - x, p.0[1] - y];
-                    if d[1] >= tif.grid().y.start_mm() && d[1] <= tif.grid().y.end_mm() {
-                        *sum += time_s * (tif.rate_at(d[0], d[1]) - bilinear(tif, d));
-                    }
-                }
-            }
-            sums
-        };
-        let parts: Vec<Vec<f64>> =
-            points.par_chunks(points.len().div_ceil(PARTS).max(1)).map(sums).collect();
+        let parts: Vec<Vec<f64>> = points
+            .par_chunks(points.len().div_ceil(PARTS).max(1))
+            .map(|points| differences(points, &pixels, tif))
+            .collect();
         let mut difference = vec![0.0; pixels.len()];
         for part in parts {
             difference.iter_mut().zip(part).for_each(|(d, part)| *d += part);
@@ -135,25 +102,26 @@ impl Between {
         Self::compared(&before, &difference)
     }
 
-    /// The residual `before` and its change at the same pixels.
+    /// Compares the residual `before` with its change at the same pixels.
     fn compared(before: &[f64], difference: &[f64]) -> Option<Self> {
         let n = before.len() as f64;
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
-        let without_mean = |v: &[f64]| -> Vec<f64> { v.iter().map(|x| x - mean(v)).collect() };
-        let square = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>() / n;
-        let (r, d) = (without_mean(before), without_mean(difference));
+        let [r, d] = [before, difference].map(|v| -> Vec<f64> {
+            let mean = v.iter().sum::<f64>() / n;
+            v.iter().map(|x| x - mean).collect()
+        });
         let after: Vec<f64> = r.iter().zip(&d).map(|(r, d)| r + d).collect();
-        let (of_before, of_after) = (square(&r), square(&after));
+        let of_before = mean_square(&r);
+        let of_after = mean_square(&after);
         if before.len() < 2 || of_before.is_nan() || of_before <= 0.0 {
             return None;
         }
         // A ratio of means over the same pixels varies by a_i - ratio b_i.
         let ratio = of_after / of_before;
         let beside: Vec<f64> = r.iter().zip(&after).map(|(r, a)| a * a - ratio * r * r).collect();
-        let error = (square(&beside) / n).sqrt() / of_before;
+        let error = (mean_square(&beside) / n).sqrt() / of_before;
         Some(Self {
             pixels: before.len(),
-            difference_rms_nm: square(&d).sqrt(),
+            difference_rms_nm: mean_square(&d).sqrt(),
             residual_change: ratio.sqrt() - 1.0,
             standard_error: if ratio > 0.0 { error / (2.0 * ratio.sqrt()) } else { 0.0 },
         })
@@ -163,30 +131,81 @@ impl Between {
     pub fn warning(&self) -> Option<String> {
         let change = self.residual_change;
         let seen = change.abs() > NAMED && change.abs() > STANDARD_ERRORS * self.standard_error;
-        seen.then(|| {
-            format!(
-                "the TIF is sampled too coarsely for its edges: with straight lines in the place of cubics between its \
-                 samples the residual is {} % {} (standard error {} %, from {} pixels); measure the TIF at a smaller \
-                 pitch",
-                significant(100.0 * change.abs(), 2),
-                if change > 0.0 { "larger" } else { "smaller" },
-                significant(100.0 * self.standard_error, 2),
-                self.pixels
-            )
-        })
+        if !seen {
+            return None;
+        }
+        Some(format!(
+            "the TIF is sampled too coarsely for its edges: with straight lines in the place of cubics between its \
+             samples the residual is {} % {} (standard error {} %, from {} pixels); measure the TIF at a smaller \
+             pitch",
+            significant(100.0 * change.abs(), 2),
+            if change > 0.0 { "larger" } else { "smaller" },
+            significant(100.0 * self.standard_error, 2),
+            self.pixels
+        ))
     }
 }
 
-/// Bilinear interpolation of the samples at an offset within them, nm/s.
+/// Returns the points of the midpoint rule along the motion with the tool on: place, mm, and time at the rate of the
+/// TIF, s.
+fn quadrature_points(trajectory: &Trajectory, tif: &Tif) -> Vec<([f64; 2], f64)> {
+    let step_mm = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
+    let on = || trajectory.segments().filter(|s| s.tool_on);
+    let wanted: f64 = on().map(|s| steps(&s, step_mm)).sum();
+    let fewer = (wanted / MOST_POINTS).max(1.0);
+    on().flat_map(|s| {
+        let count = (steps(&s, step_mm) / fewer).ceil();
+        let time_s = s.duration_s / count;
+        (0..count as usize).map(move |k| {
+            let u = (k as f64 + 0.5) * time_s;
+            (s.coefficient_mm.map(|c| evaluate(&c, u)), s.rate_factor * time_s)
+        })
+    })
+    .collect()
+}
+
+/// Returns the number of steps along a segment for a TIF with samples `step_mm` apart.
+fn steps(s: &Segment<'_>, step_mm: f64) -> f64 {
+    let h = s.duration_s;
+    // At least as long as the way.
+    let [x, y] = s.coefficient_mm.map(|c| ((c[3].abs() * h + c[2].abs()) * h + c[1].abs()) * h);
+    (x.hypot(y) / (PARTS_OF_A_STEP * step_mm)).clamp(1.0, MOST_POINTS)
+}
+
+/// Returns what Keys' cubics remove more than straight lines at the `pixels` (by their x), nm, with the tool at the
+/// `points`.
+fn differences(points: &[([f64; 2], f64)], pixels: &[([f64; 2], f64)], tif: &Tif) -> Vec<f64> {
+    let mut sums = vec![0.0; pixels.len()];
+    for ([x, y], time_s) in points {
+        let [from, to] = [tif.grid().x.start_mm() + x, tif.grid().x.end_mm() + x];
+        let first = pixels.partition_point(|p| p.0[0] < from);
+        for (p, sum) in pixels.iter().zip(&mut sums).skip(first) {
+            if p.0[0] > to {
+                break;
+            }
+            let d = [p.0[0] - x, p.0[1] - y];
+            if d[1] >= tif.grid().y.start_mm() && d[1] <= tif.grid().y.end_mm() {
+                *sum += time_s * (tif.rate_at(d[0], d[1]) - bilinear(tif, d));
+            }
+        }
+    }
+    sums
+}
+
+/// Returns the mean of the squares.
+fn mean_square(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>() / v.len() as f64
+}
+
+/// Returns the bilinear interpolation of the samples at an offset within them, nm/s.
 fn bilinear(tif: &Tif, d: [f64; 2]) -> f64 {
     let axes = [tif.grid().x, tif.grid().y];
-    let cell = |a: usize| {
+    let [(i, fx), (j, fy)] = [0, 1].map(|a| {
         let s = (d[a] - axes[a].start_mm()) / axes[a].step_mm();
         let i = (s.max(0.0) as usize).min(axes[a].len() - 2);
         (i, (s - i as f64).clamp(0.0, 1.0))
-    };
-    let ((i, fx), (j, fy)) = (cell(0), cell(1));
+    });
     let rate = tif.rate_nm_per_s();
-    let row = |j: usize| (1.0 - fx) * rate[[j, i]] + fx * rate[[j, i + 1]];
-    (1.0 - fy) * row(j) + fy * row(j + 1)
+    let [lower, upper] = [j, j + 1].map(|j| (1.0 - fx) * rate[[j, i]] + fx * rate[[j, i + 1]]);
+    (1.0 - fy) * lower + fy * upper
 }

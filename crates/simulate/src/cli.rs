@@ -14,7 +14,7 @@ use planish_handoff::{
     say, task, warn,
 };
 use planish_simulate::{
-    Numerics, Settings,
+    Numerics, SimulationSettings,
     between::Between,
     coverage::Coverage,
     deviation::Deviation,
@@ -43,7 +43,7 @@ pub struct Simulate {
     servo_of: Option<PathBuf>,
     /// Method of integration along the motion
     #[arg(long, value_enum, default_value = "gridded", conflicts_with = "error_budget")]
-    integral: Method,
+    integral: IntegrationMethod,
     /// Time steps per segment of the direct method
     #[arg(long, default_value_t = 16)]
     steps: usize,
@@ -68,7 +68,7 @@ struct PredictionReport<'a> {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Method {
+enum IntegrationMethod {
     /// Exact quadrature and FFT convolution
     Gridded,
     /// Midpoint quadrature pixel by pixel: slow, to check the gridded method
@@ -77,12 +77,12 @@ enum Method {
 
 impl Simulate {
     pub fn run(&self) -> Result<Status, Failure> {
-        if let Some(asked) = self.virtual_run.asked() {
-            return self.virtual_run.run(asked, &self.trajectory, &self.mirror, &self.output);
+        if let Some(files) = self.virtual_run.files() {
+            return self.virtual_run.run(files, &self.trajectory, &self.mirror, &self.output);
         }
         let settings = match self.integral {
-            Method::Gridded => Settings::Gridded,
-            Method::Direct => Settings::Direct { steps: self.steps },
+            IntegrationMethod::Gridded => SimulationSettings::Gridded,
+            IntegrationMethod::Direct => SimulationSettings::Direct { steps: self.steps },
         };
         let method = if self.frames.is_some() { "frames" } else { "simulate" };
         let task = match (self.frames, &self.servo_of) {
@@ -116,10 +116,11 @@ impl Simulate {
         let prediction = progress::part(0, 2, || simulate(&trajectory, &tif, &surface, settings))?;
 
         let residual = prediction.removal.residual();
-        let (statistics, detilted) = (residual.statistics(), residual.detilted_rms_nm());
-        let coverage = Coverage::of(prediction.removal.removal_nm(), &trajectory, &tif, &surface);
+        let statistics = residual.statistics();
+        let detilted = residual.detilted_rms_nm();
+        let coverage = Coverage::new(prediction.removal.removal_nm(), &trajectory, &tif, &surface);
         let status = status(&coverage, prediction.drawback(&surface, trajectory.total_time_s()));
-        let between = Between::of(&trajectory, &tif, &prediction.removal);
+        let between = Between::new(&trajectory, &tif, &prediction.removal);
         let servos_of_process = self.servo_of.as_ref().map(|_| servos.servo_count());
         let outcome = RemovalOutcome {
             rms_nm: statistics.rms,
@@ -178,11 +179,15 @@ fn write_frames(
     frames: Frames,
     output: &OutputArgs,
 ) -> Result<Status, Failure> {
-    let (x, y) = (frames.grid.x.coordinates(), frames.grid.y.coordinates());
-    let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn().into());
-    let (count, stride) = (frames.time_s.len(), frames.stride);
+    let x = frames.grid.x.coordinates();
+    let y = frames.grid.y.coordinates();
+
+    let count = frames.time_s.len();
+    let stride = frames.stride;
     let removal = ArrayData::F64(frames.removal_nm.into_dyn().into());
-    let arrays = [list(frames.time_s), removal, list(x), list(y)];
+    let [time, x, y] =
+        [frames.time_s, x, y].map(|values| ArrayData::F64(Array1::from(values).into_dyn().into()));
+    let arrays = [time, removal, x, y];
     let status = status(&frames.coverage, None);
     let outcome = json!({ "every_pixel": stride, "coverage": frames.coverage });
     writer.write_arrays(&kind::FRAMES, &arrays, &[], outcome, &status)?;

@@ -13,15 +13,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Predict what a trajectory removes from a surface, and what remains; or run it with hidden errors
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct SimulateCli {
     #[command(flatten)]
     simulate: crate::cli::Simulate,
 }
 
 /// The command `planish simulate`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: SimulateCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.simulate.run())
+    planish_handoff::program(|cli: &SimulateCli| cli.simulate.run())
 }

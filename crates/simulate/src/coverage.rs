@@ -48,13 +48,14 @@ pub struct Coverage {
 
 impl Coverage {
     /// Computes the coverage from the removal (ny, nx), in nm, of `trajectory` with `tif` on the pixels of `desired`.
-    pub fn of(
+    pub fn new(
         removal_nm: &Array2<f64>,
         trajectory: &Trajectory,
         tif: &Tif,
         desired: &Surface,
     ) -> Self {
-        let (mut tool_on_s, mut at_rate_s) = (0.0, 0.0);
+        let mut tool_on_s = 0.0;
+        let mut at_rate_s = 0.0;
         let mut spans_mm: Option<[[f64; 2]; 2]> = None;
         for s in trajectory.segments().filter(|s| s.tool_on) {
             tool_on_s += s.duration_s;
@@ -68,7 +69,9 @@ impl Coverage {
         }
         let largest = removal_nm.iter().copied().fold(0.0, f64::max);
         let least = (TOUCHED * largest).max(ROUNDING * at_rate_s * tif.peak_nm_per_s());
-        let (mut touched_pixels, mut valid_pixels, mut volume) = (0, 0, 0.0);
+        let mut touched_pixels = 0;
+        let mut valid_pixels = 0;
+        let mut volume = 0.0;
         Zip::from(removal_nm).and(desired.height_nm()).for_each(|r, z| {
             if !z.is_nan() {
                 valid_pixels += 1;
@@ -116,13 +119,12 @@ impl Coverage {
         if !few && self.volume_on_map >= LEAST_ON_MAP {
             return None;
         }
-        let percent = |part: f64| format!("{} %", significant(100.0 * part, 2));
         Some(format!(
-            "the tool removes material from {} of the map's valid pixels, and {} of what it removes falls on them; it \
+            "the tool removes material from {} % of the map's valid pixels, and {} % of what it removes falls on them; it \
              is on for {} s of {} s, within {}, and the map is within {}: unless this is a local correction, check the \
              coordinates and tool_on",
-            percent(touched),
-            percent(self.volume_on_map),
+            significant(100.0 * touched, 2),
+            significant(100.0 * self.volume_on_map, 2),
             significant(self.tool_on_s, 4),
             significant(self.total_s, 4),
             shown(&spans_mm),
@@ -131,8 +133,8 @@ impl Coverage {
     }
 }
 
-/// A rectangle from its lowest and its highest [x, y].
+/// Returns a rectangle from its lowest and its highest [x, y].
 fn shown([low, high]: &[[f64; 2]; 2]) -> String {
-    let mm = |v: f64| significant(v, 5);
-    format!("x {} .. {} mm, y {} .. {} mm", mm(low[0]), mm(high[0]), mm(low[1]), mm(high[1]))
+    let [x0, x1, y0, y1] = [low[0], high[0], low[1], high[1]].map(|mm| significant(mm, 5));
+    format!("x {x0} .. {x1} mm, y {y0} .. {y1} mm")
 }

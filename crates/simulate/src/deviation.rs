@@ -12,7 +12,7 @@ use planish_types::{Grid, Invalid, Tif, Trajectory, outcome::virtual_machine::Tr
 
 use crate::{
     error_budget::{Distribution, Effect, ErrorBudget, Scalar},
-    motion::{Motion, Piece},
+    motion::{Motion, MotionPiece},
     play::with_play,
     servo::Servo,
 };
@@ -73,7 +73,7 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
 }
 
 impl Deviation {
-    /// The axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
+    /// Returns the axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
     pub fn servos_of(process: &ErrorBudget) -> Self {
         let mut run = Self::default();
         for error in &process.errors {
@@ -88,7 +88,7 @@ impl Deviation {
         run
     }
 
-    /// Number of servos that the axes follow through, one after the other.
+    /// Returns the number of servos that the axes follow through, one after the other.
     pub fn servo_count(&self) -> usize {
         self.servos.len()
     }
@@ -117,7 +117,7 @@ impl Deviation {
         }
     }
 
-    /// The TIF that runs, where it is another one.
+    /// Returns the TIF that runs; `None` where it is `tif` itself.
     ///
     /// A tool that varies over the part is wider, longer or rotated in the plane of the part, about the centroid of the
     /// mean tool:
@@ -141,7 +141,9 @@ impl Deviation {
         // T'(c + u) = T(c + S^-1 u) about the centroid c, so that the tool stays where it removes; S is a rotation after
         // the stretch
         //     w [[1 + e/2, d/2], [d/2, 1 - e/2]];    the volume is kept.
-        let (w, e, d) = (1.0 + shape[0], 0.5 * shape[1], 0.5 * shape[2]);
+        let w = 1.0 + shape[0];
+        let e = 0.5 * shape[1];
+        let d = 0.5 * shape[2];
         let (sine, cosine) = self.tif_rotation_rad.sin_cos();
         let determinant = w * (1.0 - e * e - d * d);
         let inverse = [
@@ -150,19 +152,24 @@ impl Deviation {
         ];
         let grid = tif.grid();
         let [cx, cy] = tif.centroid_mm();
-        let moved = |kernel: &Tif| {
+        let changed = |kernel: &Tif| {
             Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                let (x, y) = (grid.x.at(c) - cx, grid.y.at(r) - cy);
+                let x = grid.x.at(c) - cx;
+                let y = grid.y.at(r) - cy;
                 let u = [cosine * x + sine * y, cosine * y - sine * x];
                 let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
                 kernel.rate_at(cx + dx, cy + dy)
             })
         };
-        let volume = tif.rate_nm_per_s().sum() / moved(tif).sum();
-        tif.with_kernels(|kernel| Ok((*grid, moved(kernel) * volume))).map(Some)
+        let volume = tif.rate_nm_per_s().sum() / changed(tif).sum();
+        tif.with_kernels(|kernel| Ok((*grid, changed(kernel) * volume))).map(Some)
     }
 
-    /// The motion that runs over a map of `grid`.
+    /// Computes the motion that the machine executes over a map of `grid`, with the rates there.
+    ///
+    /// # Errors
+    ///
+    /// Fails if nothing of the motion is left, because the errors of its rate take away all of its time.
     pub fn trajectory(&self, motion: &Motion, grid: &Grid) -> Result<Trajectory, Invalid> {
         let mut pieces = motion.pieces.clone();
         // Rates first: they belong to the times of the plan.
@@ -195,7 +202,8 @@ impl Deviation {
         let (sine, cosine) = self.rotation_rad.sin_cos();
         let m = 1.0 + self.magnification;
         let mut breaks = vec![0.0];
-        let (mut coefficients, mut tool_on) = (Vec::new(), Vec::new());
+        let mut coefficients = Vec::new();
+        let mut tool_on = Vec::new();
         for (p, from) in pieces.iter().zip(origin) {
             let [mut x, mut y] = p.coefficient_mm;
             x[0] -= middle[0];
@@ -205,7 +213,8 @@ impl Deviation {
             let r = rate[from];
             let mut power = 1.0;
             for k in 0..4 {
-                let (a, b) = (m * (x[k] + self.shear * y[k]), m * y[k]);
+                let a = m * (x[k] + self.shear * y[k]);
+                let b = m * y[k];
                 c[0][k] = (cosine * a - sine * b) / power;
                 c[1][k] = (sine * a + cosine * b) / power;
                 power *= r;
@@ -242,14 +251,14 @@ impl Deviation {
         }
     }
 
-    /// Mean deviation of the rate over a piece, noise left out.
-    pub fn rate_at(&self, p: &Piece, total_s: f64) -> f64 {
+    /// Returns the mean deviation of the rate over a piece, noise left out.
+    pub fn rate_at(&self, p: &MotionPiece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;
-        let warm_up = |&(tau, a): &(f64, f64)| {
+        let warm_up = self.warm_up.iter().map(|(tau, a)| {
             let gone = -(-p.duration_s / tau).exp_m1();
             -a * (-p.start_s / tau).exp() * gone * tau / p.duration_s
-        };
-        self.rate + self.drift * middle + self.warm_up.iter().map(warm_up).sum::<f64>()
+        });
+        self.rate + self.drift * middle + warm_up.sum::<f64>()
     }
 }

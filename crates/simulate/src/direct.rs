@@ -24,18 +24,22 @@ struct Sample {
     time_s: f64,
 }
 
-/// Removal (ny, nx) in nm on `grid`, with `steps` >= 1 equal time steps per segment.
+/// Computes the removal (ny, nx) in nm on `grid`, with `steps` equal time steps per segment.
+///
+/// # Errors
+///
+/// Refuses 0 steps, and more steps than 1e8 in total.
 pub fn removal_nm(
     trajectory: &Trajectory,
     tif: &Tif,
     grid: &Grid,
     steps: usize,
 ) -> Result<(Array2<f64>, Numerics), Invalid> {
-    removal_told(trajectory, tif, grid, steps, &|_| ())
+    removal_with_progress(trajectory, tif, grid, steps, &|_| ())
 }
 
 /// Computes the removal, and tells `tell` the fraction that is done.
-pub(crate) fn removal_told(
+pub(crate) fn removal_with_progress(
     trajectory: &Trajectory,
     tif: &Tif,
     grid: &Grid,
@@ -55,14 +59,14 @@ pub(crate) fn removal_told(
     let pieces = Pieces::new(grid.y.len());
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
         let y = grid.y.at(r);
-        let reach = |s: &&Sample| {
+        let near = samples.iter().filter(|s| {
             let d = y - s.pose.position_mm[1];
             d >= tif.grid().y.start_mm() - grid.y.step_mm()
                 && d <= tif.grid().y.end_mm() + grid.y.step_mm()
-        };
-        let near: Vec<&Sample> = samples.iter().filter(reach).collect();
+        });
+        let near: Vec<&Sample> = near.collect();
         for (c, out) in row.iter_mut().enumerate() {
-            *out = at(&near, tif, grid.x.at(c), y) * factor.as_ref().map_or(1.0, |g| g[[r, c]]);
+            *out = sum_nm(&near, tif, grid.x.at(c), y) * factor.as_ref().map_or(1.0, |g| g[[r, c]]);
         }
         tell(pieces.one_more());
     });
@@ -74,7 +78,8 @@ pub(crate) fn removal_told(
     Ok((removal_nm, numerics))
 }
 
-/// Removal in nm at the point (`x_mm`, `y_mm`), without the factor of the pixels of a tool that varies, with `steps` equal time steps per segment.
+/// Computes the removal in nm at the point (`x_mm`, `y_mm`), without the factor of the pixels of a tool that varies,
+/// with `steps` equal time steps per segment.
 pub fn removal_at_nm(
     trajectory: &Trajectory,
     tif: &Tif,
@@ -82,10 +87,11 @@ pub fn removal_at_nm(
     y_mm: f64,
     steps: usize,
 ) -> f64 {
-    at(&samples(trajectory, tif, steps).iter().collect::<Vec<_>>(), tif, x_mm, y_mm)
+    sum_nm(&samples(trajectory, tif, steps).iter().collect::<Vec<_>>(), tif, x_mm, y_mm)
 }
 
-fn at(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
+/// Returns the removal of the samples at a point, nm.
+fn sum_nm(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
     samples
         .iter()
         .map(|s| {

@@ -250,7 +250,7 @@ const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 const LARGEST_DEGREE: usize = 8;
 
 impl Kind {
-    /// The units of its size, and the largest size.
+    /// Returns the units of its size, and the largest size.
     fn units(self) -> (&'static [Unit], f64) {
         use Kind::*;
         match self {
@@ -297,9 +297,10 @@ impl ErrorBudget {
 
     /// Returns the sentence on the state in which an axis with play begins, if the process has play.
     pub fn play_start(&self) -> Option<&'static str> {
-        let is_play =
-            |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
-        self.errors.iter().any(is_play).then_some(play::START)
+        let mut errors = self.errors.iter();
+        let has_play =
+            errors.any(|e| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0);
+        if has_play { Some(play::START) } else { None }
     }
 }
 
@@ -321,6 +322,10 @@ impl ProcessError {
 
 impl ErrorBudgetFile {
     /// Checks what the JSON types do not: units, signs, magnitudes, and the settings of every kind.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a budget without errors, and an error whose size, unit, distribution or settings do not fit its kind.
     pub fn checked(self) -> Result<ErrorBudget, Invalid> {
         if self.errors.is_empty() {
             let remedy = "give at least one error";
@@ -388,12 +393,13 @@ impl ErrorFile {
         if self.distribution == only {
             return Ok(());
         }
-        let shown = |d: Distribution| format!("{d:?}").to_lowercase();
-        let problem = format!("the distribution of {name} is {:?}", shown(self.distribution));
-        Err(Invalid::at("errors", index, problem, format!("give {:?}", shown(only))))
+        let [own, only] = [self.distribution, only]
+            .map(|distribution| format!("{distribution:?}").to_lowercase());
+        let problem = format!("the distribution of {name} is {own:?}");
+        Err(Invalid::at("errors", index, problem, format!("give {only:?}")))
     }
 
-    /// The effect, with the settings that its kind asks for; refuses any other.
+    /// Returns the effect, with the settings that its kind asks for; refuses any other.
     fn effect(&self, index: usize, name: &str) -> Result<Effect, Invalid> {
         let degree = self.degree.map(|d| d as f64);
         let settings = [
@@ -409,8 +415,9 @@ impl ErrorFile {
             Kind::MapLowOrder => Some(("degree", 1.0, LARGEST_DEGREE as f64)),
             _ => None,
         };
-        let is_wanted = |setting: &str| wanted.is_some_and(|(name, ..)| name == setting);
-        if let Some((extra, _)) = settings.iter().find(|(s, v)| v.is_some() && !is_wanted(s)) {
+        let wanted_name = wanted.map(|(name, ..)| name);
+        let extra = settings.iter().find(|(s, v)| v.is_some() && wanted_name != Some(*s));
+        if let Some((extra, _)) = extra {
             let problem = format!("`{extra}` is given for {name}");
             return Err(Invalid::at("errors", index, problem, "leave it out: this kind has none"));
         }
@@ -418,8 +425,8 @@ impl ErrorFile {
             None => 0.0,
             Some((setting, least, most)) => {
                 let remedy = format!("give {least} to {most}");
-                let given = settings.iter().find(|(s, _)| *s == setting).and_then(|(_, v)| *v);
-                let Some(value) = given else {
+                let stated = settings.iter().find(|(s, _)| *s == setting).and_then(|(_, v)| *v);
+                let Some(value) = stated else {
                     let problem = format!("{name} has no `{setting}`");
                     return Err(Invalid::at("errors", index, problem, remedy));
                 };

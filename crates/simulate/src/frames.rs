@@ -19,7 +19,7 @@ use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory, progress};
 use rayon::prelude::*;
 
-use crate::{Plan, Settings, coverage::Coverage};
+use crate::{SimulationPlan, SimulationSettings, coverage::Coverage};
 
 /// Largest number of pixels of a frame; 24 frames take 4 MB. Larger: larger files. Smaller: coarser pictures.
 pub const MAX_PIXELS: usize = 20_000;
@@ -46,12 +46,16 @@ pub struct Frames {
     pub coverage: Coverage,
 }
 
-/// Removal of `trajectory` on pixels of `desired` at `count` equal steps of time.
+/// Computes the removal of `trajectory` on pixels of `desired` at `count` equal steps of time.
+///
+/// # Errors
+///
+/// Refuses numbers of frames out of their range, and what [`crate::simulate`] refuses.
 pub fn frames(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
-    settings: Settings,
+    settings: SimulationSettings,
     count: usize,
 ) -> Result<Frames, Invalid> {
     if !(1..=MAX_COUNT).contains(&count) {
@@ -60,22 +64,21 @@ pub fn frames(
     }
     let full = desired.grid();
     let stride = strides(full);
-    let thin = |axis: &Axis, stride: usize| {
-        Axis::new(axis.start_mm(), axis.step_mm() * stride as f64, axis.len().div_ceil(stride))
-    };
-    let grid = Grid { x: thin(&full.x, stride[0])?, y: thin(&full.y, stride[1])? };
+    let grid = Grid { x: thinned(&full.x, stride[0])?, y: thinned(&full.y, stride[1])? };
 
-    let plan = Plan::new(tif, full, settings)?;
+    let plan = SimulationPlan::new(tif, full, settings)?;
     let start_s = trajectory.break_time_s()[0];
-    let (total_s, m) = (trajectory.total_time_s(), count as f64);
+    let total_s = trajectory.total_time_s();
+    let m = count as f64;
     let mut removal: Array2<f64> = Array2::zeros(full.shape());
-    let mut kept = Array3::zeros((count, grid.y.len(), grid.x.len()));
-    let until_s = |i: usize| start_s + total_s * i as f64 / m;
+    let mut removal_nm = Array3::zeros((count, grid.y.len(), grid.x.len()));
+
     // A part of the motion reaches few tiles of the map, too few for all threads: parts are simulated side by side.
     for first in (0..count).step_by(SIDE_BY_SIDE) {
         let together = first..(first + SIDE_BY_SIDE).min(count);
         let parts = together.clone().into_par_iter().map(|i| {
-            let part = part_of(trajectory, until_s(i), until_s(i + 1))?;
+            let [from_s, until_s] = [i, i + 1].map(|i| start_s + total_s * i as f64 / m);
+            let part = part_of(trajectory, from_s, until_s)?;
             part.map(|part| Ok(plan.removal_nm(&part)?.0)).transpose()
         });
         let parts: Vec<Result<Option<Array2<f64>>, Invalid>> = parts.collect();
@@ -83,34 +86,43 @@ pub fn frames(
             if let Some(part) = part? {
                 removal += &part;
             }
-            let thinned = removal.slice(s![..;stride[1], ..;stride[0]]);
-            kept.index_axis_mut(NdAxis(0), i).assign(&thinned);
+            let frame = removal.slice(s![..;stride[1], ..;stride[0]]);
+            removal_nm.index_axis_mut(NdAxis(0), i).assign(&frame);
             progress::done((i + 1) as f64 / m);
         }
     }
     let time_s = (0..count).map(|i| total_s * (i + 1) as f64 / m).collect();
-    let coverage = Coverage::of(&removal, trajectory, tif, desired);
-    Ok(Frames { time_s, removal_nm: kept, grid, stride, coverage })
+    let coverage = Coverage::new(&removal, trajectory, tif, desired);
+    Ok(Frames { time_s, removal_nm, grid, stride, coverage })
 }
 
-/// The smallest [x, y] that keep at most [`MAX_PIXELS`], and two rows and columns.
+/// Returns the smallest [x, y] that keep at most [`MAX_PIXELS`], and two rows and columns.
 fn strides(grid: &Grid) -> [usize; 2] {
     // Two rows or columns stay in any case.
-    let of_axes = |s: usize| [&grid.x, &grid.y].map(|axis| s.min(axis.len() - 1));
-    let pixels = |[x, y]: [usize; 2]| grid.x.len().div_ceil(x) * grid.y.len().div_ceil(y);
-    let fits = (1..).map(of_axes).find(|stride| pixels(*stride) <= MAX_PIXELS);
-    fits.expect("a large stride keeps two rows and columns")
+    let mut strides = (1..).map(|s| [&grid.x, &grid.y].map(|axis| s.min(axis.len() - 1)));
+    strides
+        .find(|[x, y]| grid.x.len().div_ceil(*x) * grid.y.len().div_ceil(*y) <= MAX_PIXELS)
+        .expect("a large stride keeps two rows and columns")
 }
 
-/// The motion from `from_s` to `until_s`; `None` where nothing is left of it.
+/// Returns every `stride`-th pixel of an axis.
+fn thinned(axis: &Axis, stride: usize) -> Result<Axis, Invalid> {
+    Axis::new(axis.start_mm(), axis.step_mm() * stride as f64, axis.len().div_ceil(stride))
+}
+
+/// Returns the motion from `from_s` to `until_s`; `None` where nothing is left of it.
 fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajectory>, Invalid> {
     let breaks = t.break_time_s();
     let first = breaks.partition_point(|b| *b <= from_s).saturating_sub(1);
-    let (mut times, mut coefficients) = (vec![], vec![]);
-    let (mut on, mut index, mut factor) = (vec![], vec![], vec![]);
+    let mut times = vec![];
+    let mut coefficients = vec![];
+    let mut on = vec![];
+    let mut index = vec![];
+    let mut factor = vec![];
     for i in first..t.len() {
         let segment = t.segment(i);
-        let (start, end) = (breaks[i].max(from_s), breaks[i + 1].min(until_s));
+        let start = breaks[i].max(from_s);
+        let end = breaks[i + 1].min(until_s);
         if end <= start {
             break;
         }
@@ -126,7 +138,7 @@ fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajector
     Trajectory::new(times, coefficients, on, index)?.with_rate_factor(factor).map(Some)
 }
 
-/// q(u) = p(u + d): q_k = p^(k)(d) / k!
+/// Returns q(u) = p(u + d): q_k = p^(k)(d) / k!
 fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     let v = derivative(p);
     let a = derivative(&v);
@@ -176,11 +188,11 @@ mod tests {
     #[test]
     fn the_last_frame_is_the_removal() {
         let (surface, tif) = (desired(21, 9), tif());
-        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 5).unwrap();
+        let f = frames(&motion(), &tif, &surface, SimulationSettings::Gridded, 5).unwrap();
         assert_eq!((f.time_s.len(), f.stride), (5, [1, 1]));
         // Rounding of a time of 7 s.
         assert!((f.time_s[4] - 7.1).abs() < 1e-12);
-        let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
+        let plan = SimulationPlan::new(&tif, surface.grid(), SimulationSettings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
         let last = f.removal_nm.index_axis(NdAxis(0), 4);
         // The cuts between the frames move the points of the quadrature, whose remainder of the
@@ -194,7 +206,8 @@ mod tests {
     fn a_frame_agrees_with_the_other_method() {
         let (surface, tif) = (desired(21, 9), tif());
         let of = |settings| frames(&motion(), &tif, &surface, settings, 3).unwrap();
-        let (a, b) = (of(Settings::Gridded), of(Settings::Direct { steps: 400 }));
+        let (a, b) =
+            (of(SimulationSettings::Gridded), of(SimulationSettings::Direct { steps: 400 }));
         // The midpoint rule over 400 steps of 7 ms: (0.007 s)^2 / 24 times 3 s times the second
         // derivative of the rate along the motion, below 10 nm/s^3.
         let e = largest_difference(&a.removal_nm, &b.removal_nm);
@@ -204,9 +217,9 @@ mod tests {
     #[test]
     fn large_maps_are_thinned_to_the_pixels_themselves() {
         let (surface, tif) = (desired(301, 203), tif());
-        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 1).unwrap();
+        let f = frames(&motion(), &tif, &surface, SimulationSettings::Gridded, 1).unwrap();
         assert_eq!((f.stride, f.grid.shape()), ([2, 2], (102, 151)));
-        let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
+        let plan = SimulationPlan::new(&tif, surface.grid(), SimulationSettings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
         for ((_, r, c), v) in f.removal_nm.indexed_iter() {
             let e = (v - whole[[2 * r, 2 * c]]).abs();
@@ -231,7 +244,7 @@ mod tests {
     #[test]
     fn no_frames_and_too_many_are_refused() {
         for count in [0, 1001] {
-            let f = frames(&motion(), &tif(), &desired(5, 5), Settings::Gridded, count);
+            let f = frames(&motion(), &tif(), &desired(5, 5), SimulationSettings::Gridded, count);
             assert!(f.unwrap_err().to_string().contains("give 1 to 1000"));
         }
     }

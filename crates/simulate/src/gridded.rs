@@ -36,7 +36,7 @@
 //! kept but the removal, and a tile that no motion reaches costs nothing. A tile has two strips of
 //! the map side by side, which share one complex transform. The tiles depend on the TIF and the map
 //! only, and within one the motion goes in the order of time: the result does not depend on the
-//! number of threads. All of this (lattice, tiles, spectra) is a [`Plan`], which many trajectories
+//! number of threads. All of this (lattice, tiles, spectra) is a [`GriddedPlan`], which many trajectories
 //! share.
 //!
 //! # Other pixels
@@ -54,8 +54,8 @@ use planish_numerics::fft::{
     tiles::field_work,
 };
 use planish_types::{
-    Component, Grid, Headings, Invalid, OnLattice, PARTS_TOLERANCE, Tif, TifLattice, Trajectory,
-    budget, progress::Pieces,
+    Grid, Headings, Invalid, OnLattice, PARTS_TOLERANCE, Tif, TifLattice, Trajectory, budget,
+    progress::Pieces,
 };
 use rayon::prelude::*;
 
@@ -81,7 +81,7 @@ const BYTES_PER_SAMPLE: usize = 64;
 /// ```
 ///
 /// by (1) of [`planish_types::Variation`]; a constant tool has one kernel, and no weights.
-pub struct Plan {
+pub struct GriddedPlan {
     kernels: Vec<OfKernel>,
     /// Lattice of the TIF on the map.
     lattice: TifLattice,
@@ -100,28 +100,35 @@ struct OfKernel {
     idle: Mutex<Vec<Workspace>>,
 }
 
-impl Plan {
+impl GriddedPlan {
     /// Plans the removal of `tif` on `grid`.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a TIF that cannot be sampled on the lattice of the map, and a lattice that does not fit into the memory.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
         let OnLattice { tif, lattice } = tif.on_lattice_of(grid, PARTS_TOLERANCE)?;
-        let (peak, parts) = (tif.peak_nm_per_s(), lattice.parts);
+        let peak = tif.peak_nm_per_s();
+        let parts = lattice.parts;
         let Some(variation) = tif.variation() else {
             let kernels = vec![OfKernel::new(&tif, peak, grid, parts)?];
             return Ok(Self { kernels, lattice, varying: None, factor: None });
         };
-        let kernel = |c: &Component| OfKernel::new(c.kernel(), peak, grid, parts);
-        let kernels = variation.components().iter().map(kernel).collect::<Result<_, _>>()?;
+        let components = variation.components().iter();
+        let kernels = components
+            .map(|c| OfKernel::new(c.kernel(), peak, grid, parts))
+            .collect::<Result<_, _>>()?;
         let factor = variation.factor_on(grid).map(Cow::into_owned);
         Ok(Self { kernels, lattice, varying: Some(tif.into_owned()), factor })
     }
 
-    /// Removal (ny, nx) of `trajectory`, nm.
+    /// Computes the removal (ny, nx) of `trajectory`, nm.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
-        self.removal_told(trajectory, &|_| ())
+        self.removal_with_progress(trajectory, &|_| ())
     }
 
     /// Computes the removal, and tells `tell` the fraction that is done.
-    pub(crate) fn removal_told(
+    pub(crate) fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
         tell: Tell<'_>,
@@ -129,15 +136,15 @@ impl Plan {
         let count = self.kernels.len() as f64;
         let variation = self.varying.as_ref().and_then(Tif::variation);
         let headings = variation.map(|_| Headings::new(trajectory));
-        let of = |(k, kernel): (usize, &OfKernel)| {
+        let of_kernels = self.kernels.iter().enumerate().map(|(k, kernel)| {
             let weight = variation.zip(headings.as_ref());
             let weight =
                 weight.map(|(variation, headings)| Weight { variation, kernel: k, headings });
-            let tell = |part: f64| tell((k as f64 + part) / count);
-            kernel.removal_told(trajectory, weight.as_ref(), &tell)
-        };
-        let sum =
-            self.kernels.iter().enumerate().map(of).reduce(|(a, points), (b, _)| (a + b, points));
+            kernel.removal_with_progress(trajectory, weight.as_ref(), &|part| {
+                tell((k as f64 + part) / count);
+            })
+        });
+        let sum = of_kernels.reduce(|(a, points), (b, _)| (a + b, points));
         let (mut removal, quadrature_points) = sum.expect("a tool has a kernel");
         let TifLattice { parts, error, .. } = self.lattice;
         let numerics =
@@ -169,7 +176,7 @@ impl OfKernel {
 
     /// Removal (ny, nx) of `trajectory`, nm, with the seconds times a weight, if there is one, and the number of quadrature
     /// points; tells `tell` the fraction that is done.
-    fn removal_told(
+    fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
         weight: Option<&Weight<'_>>,
@@ -211,12 +218,12 @@ impl OfKernel {
         (removal, quadrature_points)
     }
 
-    /// Rows of the map, band by band.
+    /// Returns the rows of the map, band by band.
     fn bands(&self) -> Vec<Range<usize>> {
         parts(self.kernel.y.pixels, self.pixels[1])
     }
 
-    /// Columns of the map, two strips for each tile; the last may be empty.
+    /// Returns the columns of the map, two strips for each tile; the last may be empty.
     fn strips(&self) -> Vec<[Range<usize>; 2]> {
         let n = self.kernel.x.pixels;
         let strips = parts(n, self.pixels[0]);
@@ -229,12 +236,13 @@ impl OfKernel {
     /// Returns, for each band, the segments from which the tool may reach it, in the order of time.
     fn reaching(&self, bands: &[Range<usize>], trajectory: &Trajectory) -> Vec<Vec<Reach>> {
         let cutter = Cutter::new([self.kernel.x.cells(), self.kernel.y.cells()]);
-        let reach = |segment: usize| {
-            let s = trajectory.segment(segment);
-            s.tool_on.then(|| cutter.reach(segment, &s))
-        };
-        let all: Vec<Reach> =
-            (0..trajectory.len()).into_par_iter().with_min_len(256).filter_map(reach).collect();
+        let segments = (0..trajectory.len()).into_par_iter().with_min_len(256);
+        let all: Vec<Reach> = segments
+            .filter_map(|segment| {
+                let s = trajectory.segment(segment);
+                if s.tool_on { Some(cutter.reach(segment, &s)) } else { None }
+            })
+            .collect();
         bands
             .par_iter()
             .map(|rows| {
@@ -250,13 +258,17 @@ fn parts(n: usize, size: usize) -> Vec<Range<usize>> {
     (0..n).step_by(size).map(|from| from..(from + size).min(n)).collect()
 }
 
-/// Removal (ny, nx) in nm on `grid`.
+/// Computes the removal (ny, nx) in nm on `grid`.
+///
+/// # Errors
+///
+/// Refuses what [`GriddedPlan::new`] refuses.
 pub fn removal_nm(
     trajectory: &Trajectory,
     tif: &Tif,
     grid: &Grid,
 ) -> Result<(Array2<f64>, Numerics), Invalid> {
-    Ok(Plan::new(tif, grid)?.removal_nm(trajectory))
+    Ok(GriddedPlan::new(tif, grid)?.removal_nm(trajectory))
 }
 
 /// Number of cores for which the tiles are laid out. It is fixed, because the result may not depend on the number of
@@ -269,45 +281,52 @@ const CORES: usize = 2;
 /// the tiles, and with it the speed.
 const SPILL_WORK: f64 = 4.0;
 
-/// Pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the
+/// Chooses the pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the
 /// least work for the busiest core.
 fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)) {
-    // Elements of a transform that holds all, and so for a part of the pixels.
-    let whole = |l: &Lattice| field_size(l.source_nodes());
-    let choices = |l: &Lattice| -> Vec<(usize, usize)> {
-        let fits = |n: &usize| is_field_size(*n) && *n >= l.samples();
-        let part = |n: usize| ((n - l.samples()) / l.subdivision + 1).min(l.pixels);
-        (1..=whole(l)).filter(fits).map(|n| (n, part(n))).collect()
-    };
-    let cost = |nx: usize, px: usize, ny: usize, py: usize| {
-        let tiles = x.pixels.div_ceil(px).div_ceil(2) * y.pixels.div_ceil(py);
-        let line = |n: usize| n as f64 * (n as f64).log2().max(1.0);
-        let border =
-            if spills { SPILL_WORK * (py as f64 * line(nx) + px as f64 * line(ny)) } else { 0.0 };
-        tiles.div_ceil(CORES) as f64 * (field_work::<f64>((ny, nx)) + border)
-    };
     let mut best = (f64::INFINITY, [0, 0], (0, 0));
     for &(nx, px) in &choices(x) {
         for &(ny, py) in &choices(y) {
-            let cost = cost(nx, px, ny, py);
+            let tiles = x.pixels.div_ceil(px).div_ceil(2) * y.pixels.div_ceil(py);
+            let border = if spills {
+                SPILL_WORK * (py as f64 * line_work(nx) + px as f64 * line_work(ny))
+            } else {
+                0.0
+            };
+            let cost = tiles.div_ceil(CORES) as f64 * (field_work::<f64>((ny, nx)) + border);
             if cost < best.0 {
                 best = (cost, [px, py], (ny, nx));
             }
         }
     }
     // Parts of equal size.
-    let even = |l: &Lattice, part: usize| l.pixels.div_ceil(l.pixels.div_ceil(part));
-    ([even(x, best.1[0]), even(y, best.1[1])], best.2)
+    let pixels = [(x, best.1[0]), (y, best.1[1])]
+        .map(|(l, part)| l.pixels.div_ceil(l.pixels.div_ceil(part)));
+    (pixels, best.2)
+}
+
+/// Returns the sizes of a transform along an axis, each with the number of pixels that it holds.
+fn choices(l: &Lattice) -> Vec<(usize, usize)> {
+    // Elements of a transform that holds all, and so for a part of the pixels.
+    let whole = field_size(l.source_nodes());
+    (1..=whole)
+        .filter(|n| is_field_size(*n) && *n >= l.samples())
+        .map(|n| (n, ((n - l.samples()) / l.subdivision + 1).min(l.pixels)))
+        .collect()
+}
+
+/// Returns the work of the transform of a line of `n` elements, for each element across it.
+fn line_work(n: usize) -> f64 {
+    n as f64 * (n as f64).log2().max(1.0)
 }
 
 fn too_fine(tif: &Tif, grid: &Grid, x: &Lattice, y: &Lattice) -> Invalid {
-    let steps = |g: &Grid| format!("{} x {} mm", g.x.step_mm(), g.y.step_mm());
+    let [of_tif, of_map] =
+        [tif.grid(), grid].map(|g| format!("{} x {} mm", g.x.step_mm(), g.y.step_mm()));
     Invalid::whole(
         "rate_nm_per_s",
         format!(
-            "is sampled at {}, the map at {}: a lattice for both has {} x {} points",
-            steps(tif.grid()),
-            steps(grid),
+            "is sampled at {of_tif}, the map at {of_map}: a lattice for both has {} x {} points",
             x.source_nodes(),
             y.source_nodes()
         ),

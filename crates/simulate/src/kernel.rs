@@ -28,7 +28,7 @@ impl Kernel {
         spills: bool,
     ) -> Self {
         let convolution = LaneConvolution::new(samples, size);
-        let border = spills.then(|| Border::new(&x, &y, samples, size));
+        let border = if spills { Some(Border::new(&x, &y, samples, size)) } else { None };
         Self { x, y, convolution, border }
     }
 }
@@ -67,9 +67,11 @@ impl Edge {
 impl Border {
     /// Makes the border for transforms of the shape `size`.
     fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>, size: (usize, usize)) -> Self {
-        let (rows, columns) = (Edge::new(g, y, size.1), Edge::new(g.t(), x, size.0));
+        let rows = Edge::new(g, y, size.1);
+        let columns = Edge::new(g.t(), x, size.0);
         // corners[slot of j][a][slot of kx] = g[j][kx - (a - 1)]
-        let (samples_x, samples_y) = (x.border_samples(), y.border_samples());
+        let samples_x = x.border_samples();
+        let samples_y = y.border_samples();
         let mut corners = vec![[[0.0; MAX_BORDER]; 4]; samples_y.len()];
         for (j, table) in samples_y.iter().zip(&mut corners) {
             for (kx, node) in columns.nodes.iter().enumerate() {
@@ -80,7 +82,7 @@ impl Border {
         }
         let largest = corners.iter().flatten().flatten().fold(0.0_f64, |m, v| m.max(v.abs()));
         let peak = g.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let corners = (largest > f64::EPSILON * peak).then_some(corners);
+        let corners = if largest > f64::EPSILON * peak { Some(corners) } else { None };
         Self { rows, columns, corners }
     }
 }

@@ -6,7 +6,7 @@ use ndarray::Array2;
 use planish_numerics::keys;
 use planish_types::{Grid, Tif};
 
-use crate::quadrature::Cells;
+use crate::quadrature::NodeCells;
 
 /// The lattice of one axis: pixel `i` of the map is node `i subdivision`, sample `j` of the TIF
 /// (on the lattice) has the offset `low + j step`.
@@ -31,7 +31,8 @@ pub struct Lattice {
 impl Lattice {
     /// Makes the lattice along x (0) or y (1) for a map and a TIF on its lattice with so many samples to a pixel.
     pub fn new(map: &Grid, tif: &Tif, subdivision: usize, axis: usize) -> Self {
-        let (map, samples) = ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
+        let map = [&map.x, &map.y][axis];
+        let samples = [&tif.grid().x, &tif.grid().y][axis];
         let beyond = (tif.edge_mm()[axis] - samples.end_mm()) / samples.step_mm();
         let edge = (samples.len() - 1) as f64 + beyond;
         let (whole, fraction) = keys::split(edge);
@@ -47,18 +48,18 @@ impl Lattice {
         }
     }
 
-    /// Nodes between the first and the last pixel.
+    /// Returns the nodes between the first and the last pixel.
     fn nodes(&self) -> usize {
         (self.pixels - 1).saturating_mul(self.subdivision).saturating_add(1)
     }
 
-    /// Cell C begins at the tool position at which sample 0 of the TIF is on the node C.
-    pub fn cells(&self) -> Cells {
+    /// Returns the cells: cell C begins at the tool position at which sample 0 of the TIF is on the node C.
+    pub fn cells(&self) -> NodeCells {
         let fraction = keys::split(self.edge).1;
-        Cells {
+        NodeCells {
             origin_mm: self.start_mm - self.tif_start_mm,
             step_mm: self.step_mm,
-            inner: (fraction > 0.0).then_some(1.0 - fraction),
+            inner: if fraction > 0.0 { Some(1.0 - fraction) } else { None },
         }
     }
 
@@ -67,12 +68,13 @@ impl Lattice {
         (self.last + 2) as usize
     }
 
-    /// Sources reach from node -last to node nodes(): one more than outputs and samples need.
+    /// Returns the number of nodes of the sources of the whole map: they reach from node -last to node nodes(), one
+    /// more than outputs and samples need.
     pub fn source_nodes(&self) -> usize {
         self.nodes().saturating_add(self.last as usize + 1)
     }
 
-    /// Nodes of a source from which the tool reaches `pixels`.
+    /// Returns the number of nodes of a source from which the tool reaches `pixels`.
     pub fn nodes_of(&self, pixels: &Range<usize>) -> usize {
         match pixels.len() {
             0 => 0,
@@ -80,23 +82,23 @@ impl Lattice {
         }
     }
 
-    /// Node 0 of that source.
+    /// Returns the node of the lattice that is node 0 of the source of `pixels`.
     pub fn first_node(&self, pixels: &Range<usize>) -> i64 {
         (pixels.start * self.subdivision) as i64 - self.last as i64
     }
 
-    /// The pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
+    /// Returns the pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
     pub fn pixel(&self, q: i64, pixels: &Range<usize>) -> Option<usize> {
         let q = usize::try_from(q).ok()?;
-        let i = if self.subdivision == 1 {
-            q
-        } else {
-            q.is_multiple_of(self.subdivision).then_some(q / self.subdivision)?
+        let i = match self.subdivision {
+            1 => q,
+            nodes if q.is_multiple_of(nodes) => q / nodes,
+            _ => return None,
         };
-        (i >= pixels.start && i < pixels.end).then(|| i - pixels.start)
+        if pixels.contains(&i) { Some(i - pixels.start) } else { None }
     }
 
-    /// Cells that spread seconds to that source.
+    /// Returns the cells that spread seconds to the source of `pixels`.
     pub fn window(&self, pixels: &Range<usize>) -> Range<i64> {
         let first = self.first_node(pixels);
         match self.nodes_of(pixels) {
@@ -112,30 +114,27 @@ impl Lattice {
         s < -keys::SNAP || s > self.edge + keys::SNAP
     }
 
-    /// The samples j that the nodes beyond the edges get something from.
+    /// Returns the samples j from which the nodes beyond the edges get something.
     pub fn border_samples(&self) -> Vec<isize> {
         let upper = self.edge.floor() as isize;
         (-1..=self.last).filter(|j| *j <= 1 || *j >= upper - 2).collect()
     }
 
-    /// The nodes k that may be beyond an edge and still get something from (1).
+    /// Returns the nodes k that may be beyond an edge and still get something from (1).
     pub fn border(&self) -> Vec<BorderNode> {
         let samples = self.border_samples();
         let mut bit = 1;
-        let may_be = |k: &isize| self.is_beyond(*k, 0.0) || self.is_beyond(*k, 1.0 - keys::SNAP);
         (-2..=self.last + 2)
-            .filter(may_be)
+            .filter(|k| self.is_beyond(*k, 0.0) || self.is_beyond(*k, 1.0 - keys::SNAP))
             .map(|k| {
-                let weight = |j: isize| usize::try_from(k - j + 1).ok().filter(|d| *d < 4);
-                let with = |(slot, j): (usize, &isize)| weight(*j).map(|w| (slot, w));
+                let terms = samples.iter().enumerate().filter_map(|(slot, j)| {
+                    let weight = usize::try_from(k - j + 1).ok().filter(|d| *d < 4)?;
+                    Some((slot, weight))
+                });
                 let always = self.is_beyond(k, 0.0) && self.is_beyond(k, 1.0 - keys::SNAP);
                 let at_times = if always { 0 } else { bit };
                 bit <<= u8::from(!always);
-                BorderNode {
-                    k,
-                    at_times,
-                    terms: samples.iter().enumerate().filter_map(with).collect(),
-                }
+                BorderNode { k, at_times, terms: terms.collect() }
             })
             .collect()
     }
@@ -159,8 +158,8 @@ impl BorderNode {
     /// cell.
     #[inline]
     pub fn kind(nodes: &[Self], lattice: &Lattice, f: f64) -> u8 {
-        let is_beyond = |n: &&Self| n.at_times != 0 && lattice.is_beyond(n.k, f);
-        nodes.iter().filter(is_beyond).map(|n| n.at_times).sum()
+        let beyond = nodes.iter().filter(|n| n.at_times != 0 && lattice.is_beyond(n.k, f));
+        beyond.map(|n| n.at_times).sum()
     }
 
     /// Returns true if the node is beyond with the tool at offsets of this kind.
@@ -172,8 +171,10 @@ impl BorderNode {
 
 /// Returns true if anything spills: some sample next to the border is not negligible.
 pub fn has_border(peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
-    let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
-    let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));
+    let [rows, columns] = [y, x].map(Lattice::border_samples);
+    let border = g.indexed_iter().filter(|((r, c), _)| {
+        rows.contains(&(*r as isize - 1)) || columns.contains(&(*c as isize - 1))
+    });
     // Below this the spill is lost in the rounding of the peak.
     border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * peak
 }

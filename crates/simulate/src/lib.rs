@@ -67,7 +67,7 @@ use serde::Serialize;
 /// Methods for the integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
-pub enum Settings {
+pub enum SimulationSettings {
     /// Exact quadrature, FFT convolution.
     Gridded,
     /// Midpoint rule with this many equal time steps per segment, pixel by pixel.
@@ -107,10 +107,10 @@ pub struct Numerics {
 }
 
 /// Data that depend on the TIF and the map only, for many trajectories.
-pub enum Plan<'a> {
-    /// [`Settings::Gridded`].
-    Gridded(Box<gridded::Plan>),
-    /// [`Settings::Direct`], which has nothing to plan.
+pub enum SimulationPlan<'a> {
+    /// [`SimulationSettings::Gridded`].
+    Gridded(Box<gridded::GriddedPlan>),
+    /// [`SimulationSettings::Direct`], which has nothing to plan.
     Direct {
         /// TIF.
         tif: &'a Tif,
@@ -121,35 +121,53 @@ pub enum Plan<'a> {
     },
 }
 
-impl<'a> Plan<'a> {
+impl<'a> SimulationPlan<'a> {
     /// Plans the removal of `tif` on `grid`.
-    pub fn new(tif: &'a Tif, grid: &'a Grid, settings: Settings) -> Result<Self, Invalid> {
+    ///
+    /// # Errors
+    ///
+    /// Refuses what [`gridded::GriddedPlan::new`] refuses.
+    pub fn new(
+        tif: &'a Tif,
+        grid: &'a Grid,
+        settings: SimulationSettings,
+    ) -> Result<Self, Invalid> {
         Ok(match settings {
-            Settings::Gridded => Self::Gridded(Box::new(gridded::Plan::new(tif, grid)?)),
-            Settings::Direct { steps } => Self::Direct { tif, grid, steps },
+            SimulationSettings::Gridded => {
+                Self::Gridded(Box::new(gridded::GriddedPlan::new(tif, grid)?))
+            }
+            SimulationSettings::Direct { steps } => Self::Direct { tif, grid, steps },
         })
     }
 
-    /// Removal (ny, nx) of `trajectory`, nm.
+    /// Computes the removal (ny, nx) of `trajectory`, nm.
+    ///
+    /// # Errors
+    ///
+    /// Refuses the steps that [`direct::removal_nm`] refuses.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> Result<(Array2<f64>, Numerics), Invalid> {
-        self.removal_told(trajectory, &|_| ())
+        self.removal_with_progress(trajectory, &|_| ())
     }
 
     /// Computes the removal, and tells `tell` the fraction that is done.
-    fn removal_told(
+    fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
         tell: Tell<'_>,
     ) -> Result<(Array2<f64>, Numerics), Invalid> {
         match self {
-            Self::Gridded(plan) => Ok(plan.removal_told(trajectory, tell)),
+            Self::Gridded(plan) => Ok(plan.removal_with_progress(trajectory, tell)),
             Self::Direct { tif, grid, steps } => {
-                direct::removal_told(trajectory, tif, grid, *steps, tell)
+                direct::removal_with_progress(trajectory, tif, grid, *steps, tell)
             }
         }
     }
 
-    /// Removal of `trajectory` and the residual of `desired`, which is on the planned pixels.
+    /// Predicts the removal of `trajectory` and the residual of `desired`, which is on the planned pixels.
+    ///
+    /// # Errors
+    ///
+    /// Refuses what [`Self::removal_nm`] refuses, and a map of another shape than the planned pixels.
     pub fn predict(
         &self,
         trajectory: &Trajectory,
@@ -166,13 +184,17 @@ type Tell<'a> = &'a (dyn Fn(f64) + Sync);
 
 /// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and says how far it
 /// is ([`progress`]).
+///
+/// # Errors
+///
+/// Refuses what [`SimulationPlan::new`] and [`SimulationPlan::removal_nm`] refuse.
 pub fn simulate(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
-    settings: Settings,
+    settings: SimulationSettings,
 ) -> Result<Prediction, Invalid> {
-    let plan = Plan::new(tif, desired.grid(), settings)?;
-    let (removal_nm, numerics) = plan.removal_told(trajectory, &progress::done)?;
+    let plan = SimulationPlan::new(tif, desired.grid(), settings)?;
+    let (removal_nm, numerics) = plan.removal_with_progress(trajectory, &progress::done)?;
     Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
 }

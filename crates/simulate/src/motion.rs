@@ -1,7 +1,7 @@
 //! The motion in pieces that are short enough to have one place and one rate.
 
 use planish_numerics::polynomial::{derivative, evaluate, shifted};
-use planish_types::{Invalid, Segment, Tif, Trajectory, Variation, budget};
+use planish_types::{Invalid, Tif, Trajectory, Variation, budget};
 
 /// Smallest number of parts of equal time into which the run is divided; the rate is constant in each. The error of a
 /// linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time. Smaller: a
@@ -10,7 +10,7 @@ const TIME_PARTS: f64 = 1000.0;
 
 /// A part of the motion short enough for its rate and its place to be one.
 #[derive(Clone, Copy, Debug)]
-pub struct Piece {
+pub struct MotionPiece {
     /// Start since the start of the motion, s.
     pub start_s: f64,
     /// Duration, s.
@@ -30,7 +30,7 @@ pub struct Piece {
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Pieces in the order of time.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<MotionPiece>,
     /// Time of every stay, s.
     pub stay_s: Vec<f64>,
     /// Index of the dwell point that every stay serves, if any.
@@ -43,22 +43,27 @@ pub struct Motion {
 
 impl Motion {
     /// Cuts `trajectory` so that the tool goes at most `longest_mm` in a piece.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a motion whose pieces would not fit into the memory.
     pub fn new(trajectory: &Trajectory, longest_mm: f64) -> Result<Self, Invalid> {
         let total_s = trajectory.total_time_s();
-        let parts = |segment: &Segment<'_>| {
+        let parts = trajectory.segments().map(|segment| {
             let travel = travel_mm(segment.coefficient_mm, segment.duration_s) / longest_mm;
             let parts = travel.max(segment.duration_s * TIME_PARTS / total_s).ceil().max(1.0);
             if segment.tool_on { parts } else { 1.0 }
-        };
-        let count: f64 = trajectory.segments().map(|s| parts(&s)).sum();
+        });
+        let parts: Vec<f64> = parts.collect();
+        let count = parts.iter().sum();
         let remedy = "give a motion over the part, in mm";
-        budget::affordable("coefficient_mm", count, size_of::<Piece>(), remedy)?;
+        budget::affordable("coefficient_mm", count, size_of::<MotionPiece>(), remedy)?;
         let first_s = trajectory.break_time_s()[0];
         let mut pieces = Vec::with_capacity(trajectory.len());
         let mut stay_s: Vec<f64> = Vec::new();
         let mut point_of_stay = Vec::new();
         let mut last = None;
-        for segment in trajectory.segments() {
+        for (segment, parts) in trajectory.segments().zip(parts) {
             // Of segments that serve no point each is a stay.
             if segment.dwell_index.is_none() || last != Some(segment.dwell_index) {
                 stay_s.push(0.0);
@@ -67,11 +72,11 @@ impl Motion {
             last = Some(segment.dwell_index);
             let stay = stay_s.len() - 1;
             stay_s[stay] += segment.duration_s;
-            let parts = parts(&segment);
+
             let duration_s = segment.duration_s / parts;
             for k in 0..parts as usize {
                 let from = k as f64 * duration_s;
-                pieces.push(Piece {
+                pieces.push(MotionPiece {
                     start_s: segment.start_s - first_s + from,
                     duration_s,
                     coefficient_mm: segment.coefficient_mm.map(|c| shifted(&c, from)),
@@ -84,8 +89,8 @@ impl Motion {
         Ok(Self { pieces, stay_s, point_of_stay, total_s, first_s })
     }
 
-    /// The motion with the rate of a tool whose rate depends on the time of the run: every piece has the mean of the factor
-    /// over its planned time. An error that stretches a piece thus leaves the rate at its planned time.
+    /// Returns the motion with the rate of a tool whose rate depends on the time of the run: every piece has the mean
+    /// of the factor over its planned time. An error that stretches a piece thus leaves the rate at its planned time.
     pub fn with_rate_of(mut self, tif: &Tif) -> Self {
         if let Some(time) = tif.variation().and_then(Variation::time_factor) {
             for p in &mut self.pieces {
@@ -96,19 +101,23 @@ impl Motion {
         self
     }
 
-    /// Largest speed at the ends and in the middle of the pieces, mm/s.
+    /// Returns the largest speed at the ends and in the middle of the pieces, mm/s.
     pub fn largest_speed_mm_per_s(&self) -> f64 {
-        let speed = |p: &Piece| {
-            let v = p.coefficient_mm.map(|c| derivative(&c));
-            let at = |u: f64| evaluate(&v[0], u).hypot(evaluate(&v[1], u));
-            [0.0, 0.5, 1.0].map(|f| at(f * p.duration_s)).into_iter().fold(0.0, f64::max)
-        };
-        self.pieces.iter().map(speed).fold(0.0, f64::max)
+        let speeds = self.pieces.iter().flat_map(|p| {
+            let [vx, vy] = p.coefficient_mm.map(|c| derivative(&c));
+            [0.0, 0.5, 1.0]
+                .map(|f| evaluate(&vx, f * p.duration_s).hypot(evaluate(&vy, f * p.duration_s)))
+        });
+        speeds.fold(0.0, f64::max)
     }
 }
 
-/// Length of the way, by eight chords.
+/// Returns the length of the way, by eight chords, mm.
 fn travel_mm(c: &[[f64; 4]; 2], duration_s: f64) -> f64 {
-    let at = |k: i32| [0, 1].map(|a| evaluate(&c[a], duration_s * f64::from(k) / 8.0));
-    (0..8).map(|k| (at(k), at(k + 1))).map(|(p, q)| (q[0] - p[0]).hypot(q[1] - p[1])).sum()
+    let chords = (0..8).map(|k| {
+        let [p, q] =
+            [k, k + 1].map(|k| [0, 1].map(|a| evaluate(&c[a], duration_s * f64::from(k) / 8.0)));
+        (q[0] - p[0]).hypot(q[1] - p[1])
+    });
+    chords.sum()
 }

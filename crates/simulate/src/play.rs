@@ -18,7 +18,7 @@ use planish_numerics::polynomial::{
     derivative, evaluate, monotone_crossing, quadratic_roots, shifted,
 };
 
-use crate::motion::Piece;
+use crate::motion::MotionPiece;
 
 /// Sentence on the state in which a run with play begins.
 pub const START: &str = "an axis with play begins in the middle of it, so that its first move is half the play \
@@ -39,11 +39,12 @@ enum Carriage {
 }
 
 impl Carriage {
-    /// Its motion where the drive has the coefficients `c`; the mirror image where the play is negative.
-    fn of(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
+    /// Returns the motion of the carriage where the drive has the coefficients `c`; the mirror image where the play is
+    /// negative.
+    fn motion(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
         let q = match self {
             Self::Follows(distance) => [c[0] + distance, c[1], c[2], c[3]],
-            Self::Stands(at) => [at, 0.0, 0.0, 0.0],
+            Self::Stands(place_mm) => [place_mm, 0.0, 0.0, 0.0],
         };
         if mirrored { [0, 1, 2, 3].map(|k| 2.0 * c[k] - q[k]) } else { q }
     }
@@ -101,33 +102,43 @@ impl Axis {
     }
 }
 
-/// The carriages of axes whose drives move along `pieces`; and of each piece the one of `origin` that it was.
-pub fn with_play(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece>, Vec<usize>) {
+/// Returns the motion of the carriages of axes whose drives move along `pieces`, and for each of its pieces the
+/// `origin` of the piece that it is a part of.
+pub fn with_play(
+    pieces: &[MotionPiece],
+    origin: &[usize],
+    play_mm: f64,
+) -> (Vec<MotionPiece>, Vec<usize>) {
     let mirrored = play_mm < 0.0;
     let half_mm = 0.5 * play_mm.abs();
     let mut axes = [(); 2].map(|()| Axis { half_mm, carriage_mm: None });
     let mut parts = [Vec::new(), Vec::new()];
-    let (mut cut, mut cut_origin) = (Vec::new(), Vec::new());
+    let mut cut = Vec::new();
+    let mut cut_origin = Vec::new();
     for (p, from) in pieces.iter().zip(origin) {
         for ((axis, c), parts) in axes.iter_mut().zip(&p.coefficient_mm).zip(&mut parts) {
             axis.follow(c, p.duration_s, parts);
         }
-        let mut at = [0, 0];
+        let mut part_of = [0, 0];
         let mut from_s = 0.0;
         while from_s < p.duration_s {
-            let next = |a: usize| parts[a].get(at[a] + 1).map_or(p.duration_s, |(t, _)| *t);
-            let until_s = next(0).min(next(1));
+            let next_s =
+                [0, 1].map(|a| parts[a].get(part_of[a] + 1).map_or(p.duration_s, |(t, _)| *t));
+            let until_s = next_s[0].min(next_s[1]);
             if until_s > from_s {
                 let mut part = *p;
                 part.start_s = p.start_s + from_s;
                 part.duration_s = until_s - from_s;
-                part.coefficient_mm = [0, 1]
-                    .map(|a| parts[a][at[a]].1.of(shifted(&p.coefficient_mm[a], from_s), mirrored));
+                part.coefficient_mm = [0, 1].map(|a| {
+                    let (_, carriage) = parts[a][part_of[a]];
+                    carriage.motion(shifted(&p.coefficient_mm[a], from_s), mirrored)
+                });
                 cut.push(part);
                 cut_origin.push(*from);
             }
-            let ended = [0, 1].map(|a| usize::from(next(a) <= until_s));
-            at = [at[0] + ended[0], at[1] + ended[1]];
+            for (part, next_s) in part_of.iter_mut().zip(next_s) {
+                *part += usize::from(next_s <= until_s);
+            }
             from_s = until_s;
         }
     }
@@ -138,13 +149,13 @@ pub fn with_play(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece
 mod tests {
     use super::*;
 
-    fn piece(start_s: f64, duration_s: f64, coefficient_mm: [[f64; 4]; 2]) -> Piece {
+    fn piece(start_s: f64, duration_s: f64, coefficient_mm: [[f64; 4]; 2]) -> MotionPiece {
         let (tool_on, rate_factor, stay) = (true, 1.0, 0);
-        Piece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
+        MotionPiece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
     }
 
     /// Pieces whose coefficients are wild and whose ends do not join, along x and y.
-    fn wild() -> Vec<Piece> {
+    fn wild() -> Vec<MotionPiece> {
         let wave = |k: usize, j: usize| (1.0 + 7.3 * k as f64 + 2.9 * j as f64).sin();
         (0..40)
             .map(|k| {
@@ -155,7 +166,7 @@ mod tests {
     }
 
     /// Positions of the carriage of `axis` in the middle of dense steps: q <- the nearest place to q within h of p.
-    fn dense(pieces: &[Piece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
+    fn dense(pieces: &[MotionPiece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
         let h = 0.5 * play_mm;
         let mut q = pieces[0].coefficient_mm[axis][0];
         let mut all = Vec::new();
@@ -172,7 +183,7 @@ mod tests {
         all
     }
 
-    fn at(pieces: &[Piece], axis: usize, t: f64) -> f64 {
+    fn at(pieces: &[MotionPiece], axis: usize, t: f64) -> f64 {
         let i = pieces.partition_point(|p| p.start_s <= t) - 1;
         evaluate(&pieces[i].coefficient_mm[axis], t - pieces[i].start_s)
     }
@@ -209,7 +220,7 @@ mod tests {
                 if k.is_multiple_of(2) { [0.0, 4e-3, -4e-3, 0.0] } else { [0.0, -1e-16, 0.0, 0.0] };
             piece(k as f64, 1.0, [[5.0 * k as f64, 5.0, 0.0, 0.0], y])
         };
-        let pieces: Vec<Piece> = (0..10).map(there_and_back).collect();
+        let pieces: Vec<MotionPiece> = (0..10).map(there_and_back).collect();
         let (cut, _) = with_play(&pieces, &[0; 10], 0.02);
         for p in &cut {
             assert_eq!(p.coefficient_mm[1], [0.0; 4]);

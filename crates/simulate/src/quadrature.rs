@@ -58,7 +58,7 @@ const SHORTEST: f64 = 1e-13;
 
 /// The lattice cells of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cells {
+pub struct NodeCells {
     /// Coordinate at which cell 0 begins, mm.
     pub origin_mm: f64,
     /// Size of a cell, mm; > 0.
@@ -105,16 +105,17 @@ pub struct Weight<'a> {
 }
 
 impl Weight<'_> {
-    /// At a local time of a segment, which has the index `index`.
-    fn at(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> f64 {
+    /// Returns the weight at a local time of a segment, which has the index `index`.
+    fn value(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> f64 {
         let time_s = segment.start_s + u_s;
         let of_time = self.variation.time_factor().map_or(1.0, |time| time.at(time_s));
         of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, u_s))
     }
 
-    /// Mean over a segment at rest, which has the index `index`.
+    /// Returns the mean weight over a segment at rest, which has the index `index`.
     fn at_rest(&self, index: usize, segment: &Segment<'_>) -> f64 {
-        let (from_s, to_s) = (segment.start_s, segment.start_s + segment.duration_s);
+        let from_s = segment.start_s;
+        let to_s = segment.start_s + segment.duration_s;
         let of_time = self.variation.time_factor().map_or(1.0, |time| time.mean(from_s, to_s));
         of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, 0.0))
     }
@@ -122,7 +123,7 @@ impl Weight<'_> {
 
 /// A piece of the motion within one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct CellPiece {
     /// Cell [x, y].
     pub cell: [i64; 2],
     /// Offset in the cell [x, y] at the middle of the piece; 0 on a line.
@@ -135,14 +136,14 @@ pub struct Piece {
 
 /// Cuts motions at the cells of a lattice.
 pub struct Cutter {
-    cells: [Cells; 2],
+    cells: [NodeCells; 2],
     rules: Rules,
     cuts: Vec<f64>,
 }
 
 impl Cutter {
     /// Makes a cutter for cells along [x, y].
-    pub fn new(cells: [Cells; 2]) -> Self {
+    pub fn new(cells: [NodeCells; 2]) -> Self {
         Self { cells, rules: Rules::new(), cuts: Vec::new() }
     }
 
@@ -162,20 +163,20 @@ impl Cutter {
         (index, segment): (usize, &Segment<'_>),
         window: &Window,
         weight: Option<&Weight<'_>>,
-        mut each: impl FnMut(&Piece),
+        mut each: impl FnMut(&CellPiece),
     ) {
         let c = self.on_lattice(segment);
         if c.iter().all(|axis| axis[1..] == [0.0; 3]) {
             // At rest: the integrand is constant.
-            let at = c.map(|c| keys::split(c[0]));
-            if let Some(cell) = window.cell(at) {
-                let offset = at.map(|(_, f)| f);
+            let split = c.map(|c| keys::split(c[0]));
+            if let Some(cell) = window.cell(split) {
+                let offset = split.map(|(_, f)| f);
                 let mut seconds = segment.rate_factor * segment.duration_s;
                 if let Some(weight) = weight {
                     seconds *= weight.at_rest(index, segment);
                 }
                 let [wx, wy] = offset.map(keys::weights);
-                each(&Piece { cell, offset, seconds: outer(wx, wy, seconds), points: 1 });
+                each(&CellPiece { cell, offset, seconds: outer(wx, wy, seconds), points: 1 });
             }
             return;
         }
@@ -188,18 +189,16 @@ impl Cutter {
                 continue;
             }
             let middle = start + 0.5 * duration;
-            let split = |axis: usize| keys::split(polynomial::evaluate(&c[axis], middle));
-            let at = [split(0), split(1)];
-            if let Some(cell) = window.cell(at) {
-                let offset = [at[0].1, at[1].1];
+            let split = c.map(|c| keys::split(polynomial::evaluate(&c, middle)));
+            if let Some(cell) = window.cell(split) {
+                let offset = split.map(|(_, f)| f);
                 let local = [0, 1].map(|axis| within(&c[axis], cell[axis], start, duration));
                 let seconds = segment.rate_factor * duration;
                 let piece = match weight {
                     None => self.rules.piece(cell, offset, &local, seconds),
-                    Some(weight) => {
-                        let at = |u: f64| weight.at(index, segment, start + u * duration);
-                        self.rules.weighted_piece(cell, offset, &local, seconds, at)
-                    }
+                    Some(weight) => self.rules.weighted_piece(cell, offset, &local, seconds, |u| {
+                        weight.value(index, segment, start + u * duration)
+                    }),
                 };
                 each(&piece);
             }
@@ -207,10 +206,10 @@ impl Cutter {
         }
     }
 
-    /// The motion in lattice coordinates.
+    /// Returns the motion in lattice coordinates.
     fn on_lattice(&self, segment: &Segment<'_>) -> [[f64; 4]; 2] {
         [0, 1].map(|axis| {
-            let Cells { origin_mm, step_mm, .. } = self.cells[axis];
+            let NodeCells { origin_mm, step_mm, .. } = self.cells[axis];
             let c = &segment.coefficient_mm[axis];
             [(c[0] - origin_mm) / step_mm, c[1] / step_mm, c[2] / step_mm, c[3] / step_mm]
         })
@@ -243,11 +242,11 @@ impl Cutter {
 }
 
 impl Window {
-    /// The cell of two split coordinates, if it is inside.
+    /// Returns the cell of two split coordinates, if it is inside.
     fn cell(&self, at: [(isize, f64); 2]) -> Option<[i64; 2]> {
         let cell = [at[0].0 as i64, at[1].0 as i64];
-        let inside = |a: usize| cell[a] >= self.low[a] && cell[a] < self.high[a];
-        (inside(0) && inside(1)).then_some(cell)
+        let is_inside = (0..2).all(|a| cell[a] >= self.low[a] && cell[a] < self.high[a]);
+        if is_inside { Some(cell) } else { None }
     }
 }
 
@@ -269,28 +268,21 @@ impl Rules {
         }
     }
 
-    /// The piece in a cell; `offset` at its middle, `motion` [x, y] by [`within`].
+    /// Returns the piece in a cell; `offset` at its middle, `motion` [x, y] by [`within`].
     fn piece(
         &self,
         cell: [i64; 2],
         offset: [f64; 2],
         motion: &[[f64; 4]; 2],
         seconds: f64,
-    ) -> Piece {
+    ) -> CellPiece {
         let [x, y] = motion;
-        let along = |p: &[f64; 4]| {
-            if bend(p) <= UNIFORM {
-                (mean_weights(&self.two, p), 2)
-            } else {
-                (mean_weights(&self.five, p), 5)
-            }
-        };
         let (least_way, most_bent) = (way(x).min(way(y)), bend(x).max(bend(y)));
         let (seconds, points) = if way(y) <= STILL {
-            let (wx, points) = along(x);
+            let (wx, points) = self.weights_along(x);
             (outer(wx, keys::weights(offset[1]), seconds), points)
         } else if way(x) <= STILL {
-            let (wy, points) = along(y);
+            let (wy, points) = self.weights_along(y);
             (outer(keys::weights(offset[0]), wy, seconds), points)
         } else if most_bent <= UNIFORM {
             (products(&self.four, motion, seconds, |_| 1.0), 4)
@@ -299,10 +291,19 @@ impl Rules {
         } else {
             (products(&self.ten, motion, seconds, |_| 1.0), 10)
         };
-        Piece { cell, offset, seconds, points }
+        CellPiece { cell, offset, seconds, points }
     }
 
-    /// The piece times a weight at the fraction of it, from 0 to 1.
+    /// Returns the mean weights of a motion along one axis, and the number of points of the rule.
+    fn weights_along(&self, p: &[f64; 4]) -> ([f64; 4], usize) {
+        if bend(p) <= UNIFORM {
+            (mean_weights(&self.two, p), 2)
+        } else {
+            (mean_weights(&self.five, p), 5)
+        }
+    }
+
+    /// Returns the piece times a weight at the fraction of it, from 0 to 1.
     fn weighted_piece(
         &self,
         cell: [i64; 2],
@@ -310,7 +311,7 @@ impl Rules {
         motion: &[[f64; 4]; 2],
         seconds: f64,
         weight: impl Fn(f64) -> f64,
-    ) -> Piece {
+    ) -> CellPiece {
         let [x, y] = motion;
         let (least_way, most_bent) = (way(x).min(way(y)), bend(x).max(bend(y)));
         let (seconds, points) = if least_way <= SMALL_WAY || most_bent <= NEARLY_UNIFORM {
@@ -318,28 +319,28 @@ impl Rules {
         } else {
             (products(&self.ten, motion, seconds, weight), 10)
         };
-        Piece { cell, offset, seconds, points }
+        CellPiece { cell, offset, seconds, points }
     }
 }
 
-/// Largest difference of a cubic on 0..1 from uniform motion.
+/// Returns the largest difference of a cubic on 0..1 from uniform motion.
 fn bend(p: &[f64; 4]) -> f64 {
     p[2].abs() + p[3].abs()
 }
 
-/// Largest way of a cubic on 0..1.
+/// Returns the largest way of a cubic on 0..1.
 fn way(p: &[f64; 4]) -> f64 {
     p[1].abs() + bend(p)
 }
 
-/// The cubic p of the time as one of the fraction of the piece from `start`, less its cell.
+/// Returns the cubic p of the time as one of the fraction of the piece from `start`, less its cell.
 fn within(p: &[f64; 4], cell: i64, start: f64, duration: f64) -> [f64; 4] {
     let [p0, p1, p2, p3] = polynomial::shifted(p, start);
     let square = duration * duration;
     [p0 - cell as f64, p1 * duration, p2 * square, p3 * square * duration]
 }
 
-/// Mean of Keys' weights along a motion.
+/// Returns the mean of Keys' weights along a motion.
 #[inline]
 fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4] {
     let mut mean = [0.0; 3];
@@ -354,7 +355,7 @@ fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4
     keys::mean_weights(mean)
 }
 
-/// Mean of the products of Keys' weights along a motion [x, y] and of a factor, times `seconds`.
+/// Returns the mean of the products of Keys' weights along a motion [x, y] and of a factor, times `seconds`.
 #[inline]
 fn products<const N: usize>(
     rule: &[(f64, f64); N],
@@ -411,7 +412,7 @@ fn crossings(
     }
 }
 
-/// The time in `between` at which p, there monotone, is `level`; p is `at` at its start.
+/// Returns the time in `between` at which p, there monotone, is `level`; p is `at` at its start.
 fn crossing(
     p: &[f64; 4],
     d: &[f64; 4],
@@ -423,7 +424,8 @@ fn crossing(
     let [start, end] = between;
     let tolerance = CUT_TOLERANCE.max(4.0 * f64::EPSILON * level.abs());
     // v t + a t^2 / 2 = level - at, in the form that does not cancel
-    let (v, a) = (polynomial::evaluate(d, start), d[1] + 2.0 * d[2] * start);
+    let v = polynomial::evaluate(d, start);
+    let a = d[1] + 2.0 * d[2] * start;
     let root = (v * v + 2.0 * a * (level - at)).max(0.0).sqrt();
     let mut u = start + 2.0 * (level - at) / (if rising { v + root } else { v - root });
     for _ in 0..4 {
@@ -459,11 +461,11 @@ mod tests {
         Trajectory::new(vec![0.0, end], vec![c], vec![true], vec![Some(0)]).unwrap()
     }
 
-    fn cells(first: f64, step: f64) -> [Cells; 2] {
-        [Cells { origin_mm: first, step_mm: step, inner: None }; 2]
+    fn cells(first: f64, step: f64) -> [NodeCells; 2] {
+        [NodeCells { origin_mm: first, step_mm: step, inner: None }; 2]
     }
 
-    fn pieces(t: &Trajectory, cells: [Cells; 2], window: &Window) -> Vec<Piece> {
+    fn pieces(t: &Trajectory, cells: [NodeCells; 2], window: &Window) -> Vec<CellPiece> {
         let mut pieces = vec![];
         let mut cutter = Cutter::new(cells);
         for s in t.segments().enumerate() {
@@ -472,7 +474,7 @@ mod tests {
         pieces
     }
 
-    fn seconds(p: &Piece) -> f64 {
+    fn seconds(p: &CellPiece) -> f64 {
         p.seconds.iter().flatten().sum()
     }
 
@@ -486,7 +488,7 @@ mod tests {
         // Below: cuts err by 1e-11 of a cell, and the tool crosses a cell in 0.4 s.
         assert!((above - 2.0 * (2.25_f64 - 0.5).sqrt()).abs() < 1e-11, "{above}");
         // Keys' weights reproduce x: its integral is 8 u^2 / 2 - u^3 / 3 at the end.
-        let x = |p: &Piece| {
+        let x = |p: &CellPiece| {
             let at = |a: usize| 0.5 + (p.cell[0] + a as i64 - 1) as f64;
             (0..4).map(|a| at(a) * (0..4).map(|b| p.seconds[b][a]).sum::<f64>()).sum::<f64>()
         };
@@ -506,7 +508,7 @@ mod tests {
         ];
         for c in motions {
             for inner in [None, Some(0.3)] {
-                let cells = cells(0.0, 0.1).map(|c| Cells { inner, ..c });
+                let cells = cells(0.0, 0.1).map(|c| NodeCells { inner, ..c });
                 let t = trajectory(c, 2.0);
                 let found = pieces(&t, cells, &ALL);
                 let total: f64 = found.iter().map(seconds).sum();

@@ -23,7 +23,7 @@ use ndarray::Array2;
 use planish_types::{Grid, Invalid, Tif, Trajectory, text::significant};
 
 use crate::{
-    Plan, Settings,
+    SimulationPlan, SimulationSettings,
     deviation::{Deviation, check_tool},
     error_budget::{Effect, ErrorBudget, Noise, Scalar},
     gridded,
@@ -43,7 +43,7 @@ pub struct Runs<'a> {
     /// The TIF that errors move, without its factor of the time, which the motion has.
     tif: Cow<'a, Tif>,
     grid: Grid,
-    plan: gridded::Plan,
+    plan: gridded::GriddedPlan,
     /// Its motion in pieces.
     pub motion: Motion,
     /// R (ny, nx), nm.
@@ -65,34 +65,44 @@ impl<'a> Runs<'a> {
         let width_mm = tif.width_mm();
         let motion = Motion::new(trajectory, LONGEST_OVER_WIDTH * width_mm)?.with_rate_of(moved);
         let moved = moved.without_time();
-        let executed = Plan::new(tif, grid, Settings::Gridded)?.removal_nm(trajectory)?.0;
-        let plan = gridded::Plan::new(&moved, grid)?;
+        let executed =
+            SimulationPlan::new(tif, grid, SimulationSettings::Gridded)?.removal_nm(trajectory)?.0;
+        let plan = gridded::GriddedPlan::new(&moved, grid)?;
         let as_planned = Deviation::default().trajectory(&motion, grid)?;
         let unchanged = plan.removal_nm(&as_planned).0;
         Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
     }
 
-    /// S(run) (ny, nx), nm.
+    /// Returns the removal S(run) of the motion with the deviations of one run, by the TIF that errors move (ny, nx),
+    /// nm.
+    ///
+    /// # Errors
+    ///
+    /// Fails as [`Deviation::trajectory`] and [`Deviation::tif`] do.
     pub fn moved_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         let trajectory = run.trajectory(&self.motion, &self.grid)?;
         Ok(match run.tif(&self.tif)? {
-            Some(tif) => gridded::Plan::new(&tif, &self.grid)?.removal_nm(&trajectory).0,
+            Some(tif) => gridded::GriddedPlan::new(&tif, &self.grid)?.removal_nm(&trajectory).0,
             None => self.plan.removal_nm(&trajectory).0,
         })
     }
 
-    /// R(run) (ny, nx), nm.
+    /// Returns the removal R(run) of one run (ny, nx), nm.
+    ///
+    /// # Errors
+    ///
+    /// Fails as [`Self::moved_nm`] does.
     pub fn removal_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         Ok(&self.executed + &(self.moved_nm(run)? - &self.unchanged))
     }
 
-    /// Half the diagonal of the map, mm.
+    /// Returns half the diagonal of the map, mm.
     fn reach_mm(&self) -> f64 {
         let size = self.grid.size_mm();
         0.5 * size[0].hypot(size[1])
     }
 
-    /// Displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
+    /// Returns the displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         match effect {
             Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => 0.0,

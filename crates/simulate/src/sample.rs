@@ -17,7 +17,7 @@ use crate::{
     motion::Motion,
 };
 
-/// A standardised number: of standard deviation one, of half a width one, or one.
+/// Draws a standardised number: with a standard deviation of one, with half a width of one, or one itself.
 pub fn draw(distribution: Distribution, rng: &mut impl Rng) -> f64 {
     match distribution {
         Distribution::Normal => StandardNormal.sample(rng),
@@ -29,7 +29,7 @@ pub fn draw(distribution: Distribution, rng: &mut impl Rng) -> f64 {
     }
 }
 
-/// The random numbers of stream `index` of a seed.
+/// Returns the random numbers of stream `index` of a seed.
 pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(index);
@@ -51,7 +51,8 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
                 let decay = (-h).exp();
                 let end_variance = -(-2.0 * h).exp_m1();
                 let covariance = weight * -(-h).exp_m1();
-                let (u, v) = (normal(), normal());
+                let u = normal();
+                let v = normal();
                 let slope = if end_variance > 0.0 { covariance / end_variance.sqrt() } else { 0.0 };
                 let left = (variance - weight * weight - slope * slope).max(0.0);
                 *rate += size * (x * weight + slope * u + left.sqrt() * v);
@@ -70,13 +71,9 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
         }
         Noise::Tick => {
             run.time_of_stay_s.resize(stays, 0.0);
-            let mut uniform = || {
-                let part: f64 = StandardUniform.sample(rng);
-                size * (part - 0.5)
-            };
-            let mut before = uniform();
+            let mut before = part_of_tick(size, rng);
             for time in &mut run.time_of_stay_s {
-                let after = uniform();
+                let after = part_of_tick(size, rng);
                 *time += after - before;
                 before = after;
             }
@@ -84,7 +81,13 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
     }
 }
 
-/// White noise of this standard deviation in every pixel (ny, nx), nm.
+/// Draws the part of a tick by which an event is off, s.
+fn part_of_tick(tick_s: f64, rng: &mut impl Rng) -> f64 {
+    let part: f64 = StandardUniform.sample(rng);
+    tick_s * (part - 0.5)
+}
+
+/// Draws white noise of this standard deviation in every pixel (ny, nx), nm.
 pub fn white(sigma_nm: f64, shape: (usize, usize), rng: &mut impl Rng) -> Array2<f64> {
     Array2::from_shape_simple_fn(shape, || {
         let xi: f64 = StandardNormal.sample(rng);
@@ -92,28 +95,30 @@ pub fn white(sigma_nm: f64, shape: (usize, usize), rng: &mut impl Rng) -> Array2
     })
 }
 
-/// Legendre polynomials of the orders (along x, along y) over the rectangle of `grid`, of RMS one there.
+/// Returns Legendre polynomials of the orders (along x, along y) over the rectangle of `grid`, of RMS one there.
 pub fn legendre_terms(grid: &Grid, orders: &[(usize, usize)]) -> Vec<Array2<f64>> {
     let largest = orders.iter().map(|(i, j)| *i.max(j)).max().unwrap_or(0);
-    let table = |a: &Axis| -> Vec<Vec<f64>> {
-        let half = 0.5 * (a.end_mm() - a.start_mm());
-        let of = |i: usize| {
-            let mut p = vec![0.0; largest + 1];
-            let u = if half > 0.0 { (a.at(i) - a.start_mm()) / half - 1.0 } else { 0.0 };
-            legendre(u, &mut p);
-            p
-        };
-        (0..a.len()).map(of).collect()
-    };
-    let (px, py) = (table(&grid.x), table(&grid.y));
-    let term = |&(i, j): &(usize, usize)| {
+    let [px, py] = [&grid.x, &grid.y].map(|axis| legendre_table(axis, largest));
+    let terms = orders.iter().map(|&(i, j)| {
         let scale = ((2 * i + 1) as f64 * (2 * j + 1) as f64).sqrt();
         Array2::from_shape_fn(grid.shape(), |(r, c)| scale * px[c][i] * py[r][j])
-    };
-    orders.iter().map(term).collect()
+    });
+    terms.collect()
 }
 
-/// The orders (along x, along y) of total degree 1 to `degree`.
+/// Returns the Legendre polynomials of degree 0 to `largest` at every pixel of an axis.
+fn legendre_table(axis: &Axis, largest: usize) -> Vec<Vec<f64>> {
+    let half = 0.5 * (axis.end_mm() - axis.start_mm());
+    let pixels = (0..axis.len()).map(|i| {
+        let mut p = vec![0.0; largest + 1];
+        let u = if half > 0.0 { (axis.at(i) - axis.start_mm()) / half - 1.0 } else { 0.0 };
+        legendre(u, &mut p);
+        p
+    });
+    pixels.collect()
+}
+
+/// Returns the orders (along x, along y) of total degree 1 to `degree`.
 pub fn low_orders(degree: usize) -> Vec<(usize, usize)> {
     (1..=degree).flat_map(|d| (0..=d).map(move |i| (d - i, i))).collect()
 }
@@ -127,7 +132,7 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Averages over a time of x correlation times.
+    /// Returns the averages over a time of x correlation times.
     pub fn over(x: f64) -> Self {
         let gone = -(-x).exp_m1();
         // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.

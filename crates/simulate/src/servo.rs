@@ -12,7 +12,7 @@
 
 use planish_numerics::polynomial::{derivative, evaluate};
 
-use crate::motion::Piece;
+use crate::motion::MotionPiece;
 
 /// Models of the axes' response.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,8 +40,12 @@ const LEAST_TRANSIENT_MM: f64 = 1e-7;
 type State = [f64; 2];
 
 impl Servo {
-    /// The motion of the axes under the command `pieces`; each new piece with the origin of its command.
-    pub fn follow(self, pieces: &[Piece], origin: &[usize]) -> (Vec<Piece>, Vec<usize>) {
+    /// Returns the motion of the axes under the command `pieces`; each new piece with the origin of its command.
+    pub fn follow(
+        self,
+        pieces: &[MotionPiece],
+        origin: &[usize],
+    ) -> (Vec<MotionPiece>, Vec<usize>) {
         let lag_s = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } | Self::SecondOrder { lag_s, .. } => {
                 lag_s
@@ -49,13 +53,14 @@ impl Servo {
         };
         // No lag is no servo; a negative one, which only the first can have, is an early tool.
         if matches!(self, Self::Lag { .. }) || lag_s <= 0.0 {
-            let late = |p: &Piece| Piece {
+            let late = pieces.iter().map(|p| MotionPiece {
                 coefficient_mm: p.coefficient_mm.map(|c| lagging(&c, lag_s)),
                 ..*p
-            };
-            return (pieces.iter().map(late).collect(), origin.to_vec());
+            });
+            return (late.collect(), origin.to_vec());
         }
-        let (mut motion, mut from) = (Vec::new(), Vec::new());
+        let mut motion = Vec::new();
+        let mut from = Vec::new();
         let Some(first) = pieces.first() else { return (motion, from) };
         let mut state: [State; 2] = first.coefficient_mm.map(|c| [c[0], 0.0]);
         for (p, command) in pieces.iter().zip(origin) {
@@ -63,31 +68,32 @@ impl Servo {
             let transient: [State; 2] =
                 std::array::from_fn(|a| [state[a][0] - steady[a][0], state[a][1] - steady[a][1]]);
             let (fastest_s, slowest_s) = self.times_s();
-            let is_seen = |t: &State| {
+            let is_seen = transient.iter().any(|t| {
                 t[0].abs() > LEAST_TRANSIENT_MM || t[1].abs() * slowest_s > LEAST_TRANSIENT_MM
-            };
+            });
             let mut times = vec![0.0];
-            if transient.iter().any(is_seen) {
+            if is_seen {
                 let until = (FOLLOWED * slowest_s).min(p.duration_s);
-                let next = |u: &f64| {
-                    let next = u + STEP * fastest_s * (u / (4.0 * slowest_s)).exp();
-                    (next < until).then_some(next)
-                };
-                times.extend(std::iter::successors(next(&0.0), next));
+                let mut u = STEP * fastest_s;
+                while u < until {
+                    times.push(u);
+                    u += STEP * fastest_s * (u / (4.0 * slowest_s)).exp();
+                }
                 if until < p.duration_s {
                     times.push(until);
                 }
             }
             times.push(p.duration_s);
-            let at = |axis: usize, u: f64| -> State {
+            let response = |axis: usize, u: f64| -> State {
                 let [h, dh] = self.decayed(transient[axis], u);
                 let s = &steady[axis];
                 [evaluate(s, u) + h, evaluate(&derivative(s), u) + dh]
             };
             for w in times.windows(2).filter(|w| w[1] > w[0]) {
                 let h = w[1] - w[0];
-                let coefficient_mm = std::array::from_fn(|a| hermite(at(a, w[0]), at(a, w[1]), h));
-                motion.push(Piece {
+                let coefficient_mm =
+                    std::array::from_fn(|a| hermite(response(a, w[0]), response(a, w[1]), h));
+                motion.push(MotionPiece {
                     start_s: p.start_s + w[0],
                     duration_s: h,
                     coefficient_mm,
@@ -95,12 +101,12 @@ impl Servo {
                 });
                 from.push(*command);
             }
-            state = std::array::from_fn(|a| at(a, p.duration_s));
+            state = std::array::from_fn(|a| response(a, p.duration_s));
         }
         (motion, from)
     }
 
-    /// The cubic that solves the equation: with D = d/dt, q = r / (1 + A D + B D^2).
+    /// Returns the cubic that solves the equation: with D = d/dt, q = r / (1 + A D + B D^2).
     fn steady(self, r: &[f64; 4]) -> [f64; 4] {
         let (a, b) = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, 0.0),
@@ -115,7 +121,7 @@ impl Servo {
         std::array::from_fn(|k| r[k] - a * d1[k] + (a * a - b) * d2[k] - third * d3[k])
     }
 
-    /// Fastest and slowest time of the transient, s.
+    /// Returns the fastest and slowest time of the transient, s.
     fn times_s(self) -> (f64, f64) {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, lag_s),
@@ -127,7 +133,7 @@ impl Servo {
         }
     }
 
-    /// The transient after the time u.
+    /// Returns the transient after the time u.
     fn decayed(self, [h, dh]: State, u: f64) -> State {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => {
@@ -147,7 +153,8 @@ impl Servo {
                 } else {
                     (1.0, u)
                 };
-                let (decay, b) = ((-z * w * u).exp(), dh + z * w * h);
+                let decay = (-z * w * u).exp();
+                let b = dh + z * w * h;
                 let now = h * c + b * s;
                 [decay * now, decay * (b * c - k * h * s - z * w * now)]
             }
@@ -161,7 +168,7 @@ fn lagging(r: &[f64; 4], lag_s: f64) -> [f64; 4] {
     std::array::from_fn(|k| r[k] - lag_s * v[k])
 }
 
-/// The cubic over the time h from one state to the next.
+/// Returns the cubic over the time h from one state to the next.
 fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
     let mean = (q - p) / h;
     [p, v, (3.0 * mean - 2.0 * v - w) / h, (v + w - 2.0 * mean) / (h * h)]
@@ -173,12 +180,12 @@ mod tests {
     use planish_numerics::polynomial::shifted;
 
     /// A command that runs, brakes and turns, in three pieces.
-    fn command() -> Vec<Piece> {
+    fn command() -> Vec<MotionPiece> {
         let c = [[0.0, 3.0, 0.5, -0.2], [1.0, 0.0, 1.0, 0.1]];
         let d = [c[0], c[1]].map(|c| shifted(&c, 1.0));
         let brake = d.map(|c| [c[0], -0.5 * c[1], 0.3, 0.0]);
         let rest = brake.map(|c| [evaluate(&c, 0.7), 0.0, 0.0, 0.0]);
-        let piece = |start_s, duration_s, coefficient_mm| Piece {
+        let piece = |start_s, duration_s, coefficient_mm| MotionPiece {
             start_s,
             duration_s,
             coefficient_mm,
@@ -227,7 +234,8 @@ mod tests {
                         q[i] + h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * c[i] + d[i])
                     });
                     let t = p.start_s + f64::from(k + 1) * h;
-                    let of = |m: &&Piece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
+                    let of =
+                        |m: &&MotionPiece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
                     let m = motion.iter().find(of).unwrap();
                     worst = worst.max((evaluate(&m.coefficient_mm[0], t - m.start_s) - q[0]).abs());
                 }
@@ -239,7 +247,7 @@ mod tests {
 
     #[test]
     fn at_constant_velocity_every_servo_lags_by_its_lag() {
-        let run = Piece {
+        let run = MotionPiece {
             start_s: 0.0,
             duration_s: 5.0,
             coefficient_mm: [[1.0, 4.0, 0.0, 0.0], [0.0; 4]],

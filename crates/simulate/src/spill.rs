@@ -45,10 +45,10 @@ pub struct Lines<'a> {
 }
 
 /// The pieces of the lines of cells, of which 0 is the first that spreads seconds to the tile.
-pub trait Pieces: Sync {
-    /// The pieces of each strip in a block of lines, the line of each in the block, and which of the nodes that are
-    /// beyond only at times are so for it: [`crate::lattice::BorderNode::kind`].
-    fn of(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2];
+pub trait LinePieces: Sync {
+    /// Returns the pieces of each strip in a block of lines, the line of each in the block, and which of the nodes that
+    /// are beyond only at times are so for it: [`crate::lattice::BorderNode::kind`].
+    fn in_block(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2];
 
     /// Adds the seconds of a piece to what the `F_d` have of the given strip, at `(d + 1) step` and after.
     fn add(&self, piece: u32, strip: usize, f: &mut [f64], step: usize);
@@ -89,7 +89,7 @@ impl Lines<'_> {
     /// Subtracts the spill on the lines of pixels 0 .. `count`.
     pub fn subtract(
         &self,
-        pieces: &impl Pieces,
+        pieces: &impl LinePieces,
         count: usize,
         spilt: &mut Spilt,
         sources: &mut Sources,
@@ -116,7 +116,7 @@ impl Lines<'_> {
         }
     }
 
-    /// Items that a thread takes at least.
+    /// Returns the least number of items that a thread takes.
     pub fn least(&self) -> usize {
         if self.parallel { 1 } else { usize::MAX }
     }
@@ -132,7 +132,8 @@ impl Lines<'_> {
         let Edge { nodes, convolution } = self.edge;
         let runs = convolution.runs();
         // The line of cells whose tool reaches the pixel i with its node k is i * subdivision + last - k.
-        let (step, last) = (self.across.subdivision, self.across.last + 2);
+        let step = self.across.subdivision;
+        let last = self.across.last + 2;
         let reached = |node: &BorderNode| {
             let first = (from as isize + node.k - last).max(0) as usize;
             let end = ((from + BLOCK * BLOCKS) as isize + node.k - last).max(0) as usize;
@@ -178,11 +179,15 @@ fn zeros(runs: &mut Vec<Run>, count: usize) {
 
 impl Source {
     /// The spectra of a block.
-    fn transform(&mut self, edge: &Edge, pieces: &impl Pieces, block: usize) {
+    fn transform(&mut self, edge: &Edge, pieces: &impl LinePieces, block: usize) {
         let Self { groups, spectra, work } = self;
         let runs = edge.convolution.runs();
         let mut kinds = [0_u16; BLOCK];
-        pieces.of(block).into_iter().flatten().for_each(|(_, line, kind)| kinds[line] |= 1 << kind);
+        pieces
+            .in_block(block)
+            .into_iter()
+            .flatten()
+            .for_each(|(_, line, kind)| kinds[line] |= 1 << kind);
         groups.clear();
         let mut group_of = [[0; 16]; BLOCK];
         for (line, kinds) in kinds.iter().enumerate() {
@@ -194,8 +199,8 @@ impl Source {
         zeros(spectra, (groups.len() * WEIGHTS).next_multiple_of(GROUP) * runs);
         let lines = spectra.as_flattened_mut();
         let step = edge.convolution.numbers();
-        for (strip, of) in pieces.of(block).into_iter().enumerate() {
-            for (piece, line, kind) in of {
+        for (strip, in_strip) in pieces.in_block(block).into_iter().enumerate() {
+            for (piece, line, kind) in in_strip {
                 let from = WEIGHTS * step * group_of[line][usize::from(kind)];
                 let f = &mut lines[from + strip * edge.convolution.size()..];
                 pieces.add(piece, strip, f, step);
@@ -212,11 +217,10 @@ impl Source {
         runs: usize,
         terms: &mut Vec<(usize, &'a [Run])>,
     ) {
-        let of_line = |(_, group): &(usize, &Group)| group.line == line;
-        for (g, group) in self.groups.iter().enumerate().filter(of_line) {
-            if node.is_beyond(group.kind) {
-                let f = |d: usize| &self.spectra[(g * WEIGHTS + d) * runs..][..runs];
-                terms.extend(node.terms.iter().map(|&(slot, d)| (slot, f(d))));
+        for (g, group) in self.groups.iter().enumerate() {
+            if group.line == line && node.is_beyond(group.kind) {
+                let f = &self.spectra[g * WEIGHTS * runs..];
+                terms.extend(node.terms.iter().map(|&(slot, d)| (slot, &f[d * runs..][..runs])));
             }
         }
     }
@@ -245,16 +249,16 @@ impl<'a> Blocks<'a> {
         let lowest = window.start as i32;
         let count = ((window.end - window.start) as usize).div_ceil(BLOCK);
         // Cells below the window are beyond any block.
-        let of = |cell: &[i32; 2]| {
+        let block = |cell: &[i32; 2]| {
             Some((cell[axis] - lowest) as u32 as usize / BLOCK).filter(|b| *b < count)
         };
         let mut start = vec![0; count + 2];
-        cells.iter().filter_map(of).for_each(|b| start[b + 2] += 1);
+        cells.iter().filter_map(block).for_each(|b| start[b + 2] += 1);
         (2..start.len()).for_each(|i| start[i] += start[i - 1]);
         // start[b + 1] is now where block b starts, and moves to where it ends.
         let mut order = vec![0; start[count + 1] as usize];
         for (index, c) in cells.iter().enumerate() {
-            let Some(b) = of(c) else { continue };
+            let Some(b) = block(c) else { continue };
             let next = &mut start[b + 1];
             order[*next as usize] = index as u32;
             *next += 1;
@@ -263,14 +267,15 @@ impl<'a> Blocks<'a> {
         Self { cells, kinds, axis, lowest, start, order }
     }
 
-    /// The pieces of a block, the line of each in it, and its kind.
-    pub fn of(&self, block: usize) -> impl Iterator<Item = (u32, usize, u8)> {
+    /// Returns the pieces of a block, the line of each in it, and its kind.
+    pub fn in_block(&self, block: usize) -> impl Iterator<Item = (u32, usize, u8)> {
         let order = match self.start.get(block..block + 2) {
             Some(&[from, to]) => &self.order[from as usize..to as usize],
             _ => &[],
         };
         order.iter().map(|&piece| {
-            let (cell, kind) = (self.cells[piece as usize], self.kinds[piece as usize]);
+            let cell = self.cells[piece as usize];
+            let kind = self.kinds[piece as usize];
             (piece, (cell[self.axis] - self.lowest) as usize % BLOCK, kind[self.axis])
         })
     }

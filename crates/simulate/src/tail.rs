@@ -30,7 +30,12 @@ const LARGEST_OVER_HALF: f64 = 2.0;
 /// Smaller: a spot that is cut close keeps its cut. Chosen.
 const MOST_VOLUME: f64 = 0.3;
 
-/// The TIF with its tail; `None` if it ends by itself, or if its samples do not tell how it goes on.
+/// Continues the TIF by a tail beyond its samples; `None` if it ends by itself, or if its samples do not tell how it
+/// goes on.
+///
+/// # Errors
+///
+/// Fails if the samples with the tail are not those of a TIF.
 pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     if tif.variation().is_some() {
         return Ok(None);
@@ -38,20 +43,15 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     let inside = inside(tif);
     let Grid { x, y } = *tif.grid();
     let (ny, nx) = inside.dim();
-    let beside_end = |r: usize, c: usize| {
-        let at_border = r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
-        at_border
-            || !(inside[[r - 1, c]]
-                && inside[[r + 1, c]]
-                && inside[[r, c - 1]]
-                && inside[[r, c + 1]])
-    };
     let rate = smoothed(tif, &inside, tif.width_mm());
     let square = |r: usize, c: usize| x.at(c).powi(2) + y.at(r).powi(2);
-    let (mut last, mut count, mut nearest) = (0.0, 0.0, f64::INFINITY);
+    let mut last = 0.0;
+    let mut count = 0.0;
+    let mut nearest = f64::INFINITY;
     for ((r, c), v) in rate.indexed_iter() {
-        if inside[[r, c]] && beside_end(r, c) {
-            (last, count) = (last + v, count + 1.0);
+        if inside[[r, c]] && is_beside_end(&inside, r, c) {
+            last += v;
+            count += 1.0;
             nearest = f64::min(nearest, square(r, c));
         }
     }
@@ -66,27 +66,18 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
         .filter(|((r, c), v)| inside[[*r, *c]] && **v > 0.0 && square(*r, *c) >= from);
     let Some(two_s2) = fall(outer.map(|((r, c), v)| (square(r, c), *v))) else { return Ok(None) };
     let end = (nearest + two_s2 * (last / (END * peak)).ln()).sqrt();
-    let with_more = |axis: &Axis| -> Result<(usize, Axis), Invalid> {
-        let half = axis.start_mm().abs().max(axis.end_mm().abs());
-        let more =
-            ((end.min(LARGEST_OVER_HALF * half) - half).max(0.0) / axis.step_mm()).ceil() as usize;
-        let start = axis.start_mm() - more as f64 * axis.step_mm();
-        Ok((more, Axis::new(start, axis.step_mm(), axis.len() + 2 * more)?))
-    };
-    let ((more_x, x2), (more_y, y2)) = (with_more(&x)?, with_more(&y)?);
+    let (more_x, x2) = extended(&x, end)?;
+    let (more_y, y2) = extended(&y, end)?;
     let tail = |px: f64, py: f64| {
         // The last sample on the way from the centre, by half steps back from p.
         let steps = 2 * (nx.max(ny) + more_x.max(more_y));
         (0..steps).find_map(|k| {
             let part = 1.0 - k as f64 / steps as f64;
-            let node = |axis: &Axis, v: f64| {
-                let i = ((v - axis.start_mm()) / axis.step_mm()).round();
-                (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
-            };
-            let (c, r) = (node(&x, part * px)?, node(&y, part * py)?);
+            let c = nearest_sample(&x, part * px)?;
+            let r = nearest_sample(&y, part * py)?;
             let from = square(r, c);
             let v = rate[[r, c]] * ((from - px * px - py * py) / two_s2).exp();
-            inside[[r, c]].then_some(v.max(0.0))
+            if inside[[r, c]] { Some(v.max(0.0)) } else { None }
         })
     };
     let with_tail = Array2::from_shape_fn((y2.len(), x2.len()), |(r, c)| {
@@ -97,24 +88,49 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
         }
     });
     let volume = tif.rate_nm_per_s().sum();
-    match with_tail.sum() - volume <= MOST_VOLUME * volume {
-        true => Tif::new(Grid { x: x2, y: y2 }, with_tail).map(Some),
-        false => Ok(None),
+    if with_tail.sum() - volume <= MOST_VOLUME * volume {
+        Tif::new(Grid { x: x2, y: y2 }, with_tail).map(Some)
+    } else {
+        Ok(None)
     }
 }
 
-/// 2 s^2 of samples (|p|^2, R), mm^2; `None` if they do not fall.
+/// Returns true if a sample of the TIF is at its border, or beside one that is outside of it.
+fn is_beside_end(inside: &Array2<bool>, r: usize, c: usize) -> bool {
+    let (ny, nx) = inside.dim();
+    let at_border = r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
+    at_border
+        || !(inside[[r - 1, c]] && inside[[r + 1, c]] && inside[[r, c - 1]] && inside[[r, c + 1]])
+}
+
+/// Extends an axis to both sides up to `end` mm, and returns the number of samples more on each side with it.
+fn extended(axis: &Axis, end: f64) -> Result<(usize, Axis), Invalid> {
+    let half = axis.start_mm().abs().max(axis.end_mm().abs());
+    let more =
+        ((end.min(LARGEST_OVER_HALF * half) - half).max(0.0) / axis.step_mm()).ceil() as usize;
+    let start = axis.start_mm() - more as f64 * axis.step_mm();
+    Ok((more, Axis::new(start, axis.step_mm(), axis.len() + 2 * more)?))
+}
+
+/// Returns the index of the sample nearest to a coordinate, mm; `None` beyond the samples.
+fn nearest_sample(axis: &Axis, mm: f64) -> Option<usize> {
+    let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+    if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
+}
+
+/// Returns 2 s^2 of samples (|p|^2, R), mm^2; `None` if they do not fall.
 fn fall(samples: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     // Weighted sums of 1, |p|^2, ln R, |p|^4, |p|^2 ln R
     let mut sums = [0.0; 5];
     for (square, rate) in samples {
-        let (weight, log) = (rate * rate, rate.ln());
+        let weight = rate * rate;
+        let log = rate.ln();
         let row = [1.0, square, log, square * square, square * log];
         sums.iter_mut().zip(row).for_each(|(sum, v)| *sum += weight * v);
     }
     let [n, s, l, ss, sl] = sums;
     let slope = (n * sl - s * l) / (n * ss - s * s);
-    (slope < 0.0).then(|| -1.0 / slope).filter(|v| v.is_finite())
+    if slope < 0.0 { Some(-1.0 / slope).filter(|v| v.is_finite()) } else { None }
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use crate::{
     kernel::{Border, Kernel, MAX_BORDER},
     lattice::BorderNode,
     quadrature::{Cutter, Reach, Weight, Window},
-    spill::{Blocks, Lines, Pieces, Sources, Spilt, WEIGHTS},
+    spill::{Blocks, LinePieces, Lines, Sources, Spilt, WEIGHTS},
 };
 
 /// Buffers of a thread.
@@ -26,7 +26,7 @@ pub struct Workspace {
     seconds: [Vec<f64>; 2],
     transform: lane_convolution::Workspace<f64>,
     cutter: Cutter,
-    kept: Kept,
+    border_pieces: BorderPieces,
     /// Spill from the rows or the columns.
     spilt: Spilt,
     sources: Sources,
@@ -34,8 +34,8 @@ pub struct Workspace {
 
 /// The pieces of a tile, kept for the border.
 #[derive(Default)]
-struct Kept {
-    /// [`crate::quadrature::Piece::seconds`].
+struct BorderPieces {
+    /// [`crate::quadrature::CellPiece::seconds`].
     seconds: Vec<[[f64; 4]; 4]>,
     /// Their cells [x, y].
     cells: Vec<[i32; 2]>,
@@ -50,14 +50,14 @@ impl Workspace {
             seconds: Default::default(),
             transform: Default::default(),
             cutter: Cutter::new([kernel.x.cells(), kernel.y.cells()]),
-            kept: Kept::default(),
+            border_pieces: BorderPieces::default(),
             spilt: Spilt::default(),
             sources: Sources::default(),
         }
     }
 }
 
-impl Kept {
+impl BorderPieces {
     fn blocks(&self, axis: usize, window: Range<i64>) -> Blocks<'_> {
         Blocks::new(&self.cells, &self.kinds, axis, window)
     }
@@ -76,7 +76,7 @@ pub struct Tile<'a> {
 }
 
 impl<'a> Tile<'a> {
-    /// The tile of `kernel` with these pixels.
+    /// Returns the tile of `kernel` with these pixels.
     pub fn new(kernel: &'a Kernel, rows: Range<usize>, strips: [Range<usize>; 2]) -> Self {
         let [left, right] = [0, 1].map(|s| kernel.x.window(&strips[s]));
         let y = kernel.y.window(&rows);
@@ -104,8 +104,9 @@ impl<'a> Tile<'a> {
             return points;
         }
         // R = E - E ly - E lx + E ly lx                                              (2)
-        let Workspace { seconds, transform, kept, spilt, sources, .. } = work;
-        let (x, y) = (&self.kernel.x, &self.kernel.y);
+        let Workspace { seconds, transform, border_pieces, spilt, sources, .. } = work;
+        let x = &self.kernel.x;
+        let y = &self.kernel.y;
         let nodes = (y.nodes_of(&self.rows), x.nodes_of(&self.strips[0]));
         let mut strips = Seconds {
             seconds,
@@ -117,18 +118,27 @@ impl<'a> Tile<'a> {
         self.kernel.convolution.convolve(nodes, &mut strips, transform);
         if let Some(border) = &self.kernel.border {
             let lines = Lines { edge: &border.rows, across: y, parallel: alone };
-            let blocks = kept.blocks(1, y.window(&self.rows));
-            let pieces = Rows { tile: self, size: border.rows.convolution.size(), kept, blocks };
+            let blocks = border_pieces.blocks(1, y.window(&self.rows));
+            let pieces = RowPieces {
+                tile: self,
+                size: border.rows.convolution.size(),
+                border_pieces,
+                blocks,
+            };
             lines.subtract(&pieces, self.rows.len(), spilt, sources);
             self.add_rows(&lines, spilt, out.view_mut());
             let lines = Lines { edge: &border.columns, across: x, parallel: alone };
-            let blocks = [0, 1].map(|s| kept.blocks(0, x.window(&self.strips[s])));
-            let pieces =
-                Columns { tile: self, size: border.columns.convolution.size(), kept, blocks };
+            let blocks = [0, 1].map(|s| border_pieces.blocks(0, x.window(&self.strips[s])));
+            let pieces = ColumnPieces {
+                tile: self,
+                size: border.columns.convolution.size(),
+                border_pieces,
+                blocks,
+            };
             lines.subtract(&pieces, self.strips[0].len(), spilt, sources);
             self.add_columns(&lines, spilt, out.view_mut());
             if let Some(corners) = &border.corners {
-                self.add_corners(border, corners, kept, out);
+                self.add_corners(border, corners, border_pieces, out);
             }
         }
         points
@@ -143,7 +153,10 @@ impl<'a> Tile<'a> {
         work: &mut Workspace,
     ) -> (usize, bool) {
         let Workspace {
-            seconds: nodes, cutter, kept: Kept { seconds: kept, cells, kinds }, ..
+            seconds: nodes,
+            cutter,
+            border_pieces: BorderPieces { seconds: border_seconds, cells, kinds },
+            ..
         } = work;
         let border = self.kernel.border.as_ref();
         let width = self.kernel.convolution.size().1;
@@ -152,11 +165,12 @@ impl<'a> Tile<'a> {
             nodes.clear();
             nodes.resize(rows * width, 0.0);
         }
-        kept.clear();
+        border_seconds.clear();
         cells.clear();
         kinds.clear();
         let x = self.window.low[0]..self.window.high[0];
-        let (mut points, mut reached) = (0, false);
+        let mut points = 0;
+        let mut reached = false;
         for reach in segments.iter().filter(|r| r.is_in(0, &x)) {
             let segment = trajectory.segment(reach.segment);
             cutter.pieces((reach.segment, &segment), &self.window, weight, |piece| {
@@ -174,7 +188,7 @@ impl<'a> Tile<'a> {
                     }
                 }
                 if let Some(Border { rows, columns, .. }) = border {
-                    kept.push(piece.seconds);
+                    border_seconds.push(piece.seconds);
                     cells.push(piece.cell.map(|c| c as i32));
                     kinds.push([
                         BorderNode::kind(&columns.nodes, &self.kernel.x, piece.offset[0]),
@@ -193,22 +207,23 @@ impl<'a> Tile<'a> {
         (0..2).all(|a| first[a] == 0 || cell[a] >= self.window.low[a] + overlap[a])
     }
 
-    /// Node of a cell along y.
+    /// Returns the node of a cell along y.
     fn row(&self, cell_y: i64) -> i64 {
         cell_y - self.first_y
     }
 
-    /// Node of a cell in a strip along x, if it spreads seconds there.
+    /// Returns the node of a cell in a strip along x, if it spreads seconds there.
     fn column(&self, cell_x: i64, part: usize) -> Option<i64> {
         let c = cell_x - self.first_x[part];
         let nodes = self.kernel.x.nodes_of(&self.strips[part]) as i64;
-        (nodes > 0 && c >= -2 && c <= nodes).then_some(c)
+        if nodes > 0 && c >= -2 && c <= nodes { Some(c) } else { None }
     }
 
     /// Adds the valid parts of the rows of both strips.
     fn add_rows(&self, lines: &Lines, rows: &mut Spilt, mut out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
-        let (x, runs) = (&self.kernel.x, convolution.runs());
+        let x = &self.kernel.x;
+        let runs = convolution.runs();
         out.axis_chunks_iter_mut(NdAxis(0), GROUP)
             .into_par_iter()
             .zip(rows.spectra.par_chunks_mut(GROUP * runs))
@@ -267,13 +282,16 @@ impl<'a> Tile<'a> {
         &self,
         border: &Border,
         corners: &[[[f64; MAX_BORDER]; 4]],
-        kept: &Kept,
+        border_pieces: &BorderPieces,
         mut out: ArrayViewMut2<f64>,
     ) {
-        let (x, y) = (&self.kernel.x, &self.kernel.y);
+        let x = &self.kernel.x;
+        let y = &self.kernel.y;
         let [left, right] = &self.strips;
         let columns = left.start..left.end.max(right.end);
-        for ((seconds, cell), kind) in kept.seconds.iter().zip(&kept.cells).zip(&kept.kinds) {
+        for ((seconds, cell), kind) in
+            border_pieces.seconds.iter().zip(&border_pieces.cells).zip(&border_pieces.kinds)
+        {
             let mut beyond = [None; MAX_BORDER];
             for (beyond, node) in beyond.iter_mut().zip(&border.columns.nodes) {
                 if node.is_beyond(kind[0]) {
@@ -335,7 +353,8 @@ impl Strips<f64> for Seconds<'_> {
             return;
         }
         // The first pixel at one of these nodes.
-        let (pixel, first) = (column.div_ceil(nx), column.next_multiple_of(nx) - column);
+        let pixel = column.div_ceil(nx);
+        let first = column.next_multiple_of(nx) - column;
         let (Some(left), Some(right)) = (left.get(first..), right.get(first..)) else { return };
         let mut out = self.out.row_mut(row / ny);
         let (to_left, to_right) = out.as_slice_mut().expect("in C order").split_at_mut(self.left);
@@ -356,23 +375,23 @@ fn add_pixels(to: &mut [f64], from: &[f64], subdivision: usize) {
 }
 
 /// The pieces by rows of cells, for `E ly`.
-struct Rows<'a> {
+struct RowPieces<'a> {
     tile: &'a Tile<'a>,
     /// Nodes of a line.
     size: usize,
-    kept: &'a Kept,
+    border_pieces: &'a BorderPieces,
     blocks: Blocks<'a>,
 }
 
-impl Pieces for Rows<'_> {
-    fn of(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2] {
-        [0, 1].map(|_strip| self.blocks.of(block))
+impl LinePieces for RowPieces<'_> {
+    fn in_block(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2] {
+        [0, 1].map(|_strip| self.blocks.in_block(block))
     }
 
     fn add(&self, piece: u32, strip: usize, f: &mut [f64], step: usize) {
-        let [x, _] = self.kept.cells[piece as usize];
+        let [x, _] = self.border_pieces.cells[piece as usize];
         if let Some(c) = self.tile.column(x.into(), strip) {
-            for (d, seconds) in self.kept.seconds[piece as usize].iter().enumerate() {
+            for (d, seconds) in self.border_pieces.seconds[piece as usize].iter().enumerate() {
                 add_to(&mut f[d * step..][..self.size], c, *seconds);
             }
         }
@@ -380,23 +399,23 @@ impl Pieces for Rows<'_> {
 }
 
 /// The pieces by columns of cells, for `E lx`.
-struct Columns<'a> {
+struct ColumnPieces<'a> {
     tile: &'a Tile<'a>,
     /// Nodes of a line.
     size: usize,
-    kept: &'a Kept,
+    border_pieces: &'a BorderPieces,
     /// Blocks of each strip.
     blocks: [Blocks<'a>; 2],
 }
 
-impl Pieces for Columns<'_> {
-    fn of(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2] {
-        [0, 1].map(|strip| self.blocks[strip].of(block))
+impl LinePieces for ColumnPieces<'_> {
+    fn in_block(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2] {
+        [0, 1].map(|strip| self.blocks[strip].in_block(block))
     }
 
     fn add(&self, piece: u32, _strip: usize, f: &mut [f64], step: usize) {
-        let [_, y] = self.kept.cells[piece as usize];
-        let [s0, s1, s2, s3] = &self.kept.seconds[piece as usize];
+        let [_, y] = self.border_pieces.cells[piece as usize];
+        let [s0, s1, s2, s3] = &self.border_pieces.seconds[piece as usize];
         let r = self.tile.row(y.into());
         for a in 0..WEIGHTS {
             add_to(&mut f[a * step..][..self.size], r, [s0[a], s1[a], s2[a], s3[a]]);

@@ -40,8 +40,12 @@ const RESAMPLED: f64 = 2e-3;
 /// Smaller: rounding counts as part of the tool.
 const NOTHING: f64 = 1e-9;
 
-/// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies, the same
-/// linear operation acts on every kernel, and so on the tool at every place.
+/// Returns the TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies,
+/// the same linear operation acts on every kernel, and so on the tool at every place.
+///
+/// # Errors
+///
+/// Fails if the smoothed samples are not those of a TIF.
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let extent = tif.grid().size_mm();
     let over_mm = (FADED * width_mm).min(MOST_FADED * extent[0].min(extent[1]));
@@ -61,7 +65,8 @@ pub struct Moved<'a> {
     pub resampling_error: f64,
 }
 
-/// The TIF that errors move over a map: smooth, and on the pixels of the map where they hold it; or `tif` as it is.
+/// Returns the TIF that errors move over a map: smooth, and on the pixels of the map where they hold it; or `tif` as it
+/// is.
 pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>, Invalid> {
     if as_sampled {
         return Ok(Moved { tif: Cow::Borrowed(tif), resampling_error: 0.0 });
@@ -89,11 +94,12 @@ pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Ar
     let step = [kernel.grid().x.step_mm(), kernel.grid().y.step_mm()];
     let radius_mm = (SMOOTHED * width_mm).min(MOST_SAMPLES * step[0].min(step[1]));
     let [reach_x, reach_y] = step.map(|s| (radius_mm / s) as usize);
-    let at = |r: usize, c: usize| {
+    rows_in_parallel((ny, nx), |r, c| {
         if !inside[[r, c]] {
             return rate[[r, c]];
         }
-        let (mut normal, mut right) = (SMatrix::<f64, 6, 6>::zeros(), SVector::<f64, 6>::zeros());
+        let mut normal = SMatrix::<f64, 6, 6>::zeros();
+        let mut right = SVector::<f64, 6>::zeros();
         let mut samples = 0;
         for i in r.saturating_sub(reach_y)..(r + reach_y + 1).min(ny) {
             for j in c.saturating_sub(reach_x)..(c + reach_x + 1).min(nx) {
@@ -109,13 +115,20 @@ pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Ar
         }
         let fit = normal.cholesky().filter(|_| samples >= LEAST_SAMPLES);
         fit.map_or(rate[[r, c]], |f| f.solve(&right)[0])
-    };
+    })
+}
+
+/// Computes every element (row, column) of an array of this shape, the rows on all threads.
+fn rows_in_parallel(
+    (ny, nx): (usize, usize),
+    element: impl Fn(usize, usize) -> f64 + Sync,
+) -> Array2<f64> {
     let rows: Vec<Vec<f64>> =
-        (0..ny).into_par_iter().map(|r| (0..nx).map(|c| at(r, c)).collect()).collect();
+        (0..ny).into_par_iter().map(|r| (0..nx).map(|c| element(r, c)).collect()).collect();
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
-/// Places just outside of the tool, in samples (column, row), and true if the tool ends there by itself.
+/// Returns the places just outside of the tool, in samples (column, row), and true if the tool ends there by itself.
 fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -126,7 +139,8 @@ fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     // Places just outside: those beside a sample inside.
     let mut outside = Vec::new();
     // What the samples at the end have, and by how much they are below those before them.
-    let (mut last, mut fall) = (0.0, 0.0);
+    let mut last = 0.0;
+    let mut fall = 0.0;
     for r in -1..=ny as isize {
         for c in -1..=nx as isize {
             let beside = [(0, 1), (0, -1), (1, 0), (-1, 0)].into_iter();
@@ -154,8 +168,8 @@ pub(crate) fn ends_by_itself(tif: &Tif, inside: &Array2<bool>) -> bool {
     end_of(tif, inside).1
 }
 
-/// Weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1 everywhere if the
-/// TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
+/// Returns the weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1
+/// everywhere if the TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
 fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     let (ny, nx) = inside.dim();
     let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];
@@ -163,15 +177,12 @@ fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     if ends_by_itself {
         return Array2::ones((ny, nx));
     }
-    let at = |r: usize, c: usize| {
-        let square = |o: &[f64; 2]| {
-            ((o[0] - c as f64) * step[0]).powi(2) + ((o[1] - r as f64) * step[1]).powi(2)
-        };
-        let nearest_mm = outside.iter().map(square).fold(f64::INFINITY, f64::min).sqrt();
+    rows_in_parallel((ny, nx), |r, c| {
+        let squares = outside
+            .iter()
+            .map(|o| ((o[0] - c as f64) * step[0]).powi(2) + ((o[1] - r as f64) * step[1]).powi(2));
+        let nearest_mm = squares.fold(f64::INFINITY, f64::min).sqrt();
         let s = (nearest_mm / over_mm).min(1.0);
         s * s * (3.0 - 2.0 * s)
-    };
-    let rows: Vec<Vec<f64>> =
-        (0..ny).into_par_iter().map(|r| (0..nx).map(|c| at(r, c)).collect()).collect();
-    Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
+    })
 }

@@ -12,9 +12,9 @@
 //! is written elsewhere, for comparison with what is learnt.
 //!
 //! Every error has its own random numbers, by its index in the error budget: an error added at the end of the file
-//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]). An error of one number
-//! is the same in all of its runs; noise is new in each. The map after a run is the map before the next one, with the
-//! same error of its measurement. So the measurements of a campaign are counted: run k is between the
+//! changes none of the others. The machine of a seed runs more than once ([`VirtualMachineSettings::run`]). An error of
+//! one number is the same in all of its runs; noise is new in each. The map after a run is the map before the next one,
+//! with the same error of its measurement. So the measurements of a campaign are counted: run k is between the
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
@@ -47,7 +47,7 @@ const MOST_RUNS: u64 = 1_000_000;
 
 /// Settings of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct VirtualMachineSettings {
     /// Random seed of what is hidden.
     pub seed: u64,
     /// Number of the run of this machine, from 1.
@@ -60,7 +60,7 @@ pub struct Settings {
 
 /// A run and its measurement.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct VirtualRun {
     /// Map measured after the run; invalid where the map before is.
     pub measured: Surface,
     /// True removal and true residual.
@@ -70,13 +70,18 @@ pub struct Run {
 }
 
 /// Runs `trajectory` on the mirror that was measured as `before`, with one draw of the errors of `process`.
+///
+/// # Errors
+///
+/// Refuses the number of a run out of its range, a tool and sizes of errors that [`Runs::check_sizes`] refuses, and
+/// what [`Runs::new`] refuses.
 pub fn run(
     trajectory: &Trajectory,
     tif: &Tif,
     before: &Surface,
     process: &ErrorBudget,
-    settings: &Settings,
-) -> Result<Run, Invalid> {
+    settings: &VirtualMachineSettings,
+) -> Result<VirtualRun, Invalid> {
     check_run(settings.run)?;
     let moved = moved(tif, before.grid(), settings.tif_as_sampled)?;
     let runs = progress::part(0, 2, || Runs::new(trajectory, tif, &moved.tif, before.grid()))?;
@@ -86,24 +91,29 @@ pub fn run(
 }
 
 fn check_run(run: u64) -> Result<(), Invalid> {
-    match (1..=MOST_RUNS).contains(&run) {
-        true => Ok(()),
-        false => Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}"))),
+    if (1..=MOST_RUNS).contains(&run) {
+        return Ok(());
     }
+    Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}")))
 }
 
-/// The process with the sizes of what can be learnt from maps at zero, each error at its place.
+/// Returns the process with the sizes of what can be learnt from maps at zero, each error at its place.
 fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     let mut process = process.clone();
     for error in &mut process.errors {
         if matches!(error.effect, Effect::Scalar(effect) if effect.is_learnt()) {
-            (error.size, error.stated.size) = (0.0, 0.0);
+            error.size = 0.0;
+            error.stated.size = 0.0;
         }
     }
     process
 }
 
-/// The map that is measured of `mirror` before run `run` of the machine of `seed`.
+/// Draws the map that is measured of `mirror` before run `run` of the machine of `seed`.
+///
+/// # Errors
+///
+/// Refuses the number of a run out of its range.
 pub fn measure(
     mirror: &Surface,
     process: &ErrorBudget,
@@ -118,27 +128,32 @@ pub fn measure(
     )
 }
 
-/// [`run`] of a plan that is ready, for many seeds.
+/// Executes a plan as [`run`] does, with what is the same for all seeds prepared.
+///
+/// # Errors
+///
+/// Fails as [`Runs::removal_nm`] does.
 pub fn draw_run(
     runs: &Runs<'_>,
     before: &Surface,
     process: &ErrorBudget,
     seed: u64,
     run: u64,
-) -> Result<Run, Invalid> {
+) -> Result<VirtualRun, Invalid> {
     let mut deviation = Deviation::default();
     let mut errors = Vec::with_capacity(process.errors.len());
     for (i, error) in process.errors.iter().enumerate() {
-        let of = |run: u64| stream(seed, STREAMS_PER_ERROR * i as u64 + run * STREAMS_PER_RUN);
+        let first_stream = STREAMS_PER_ERROR * i as u64;
         let mut value = None;
         match error.effect {
             Effect::Scalar(effect) => {
-                let eta = draw(error.stated.distribution, &mut of(0));
+                let eta = draw(error.stated.distribution, &mut stream(seed, first_stream));
                 deviation.add(effect, eta * error.size);
                 value = Some(eta * error.stated.size);
             }
             Effect::Noise(noise) => {
-                sample(noise, error.size, &runs.motion, &mut of(run - 1), &mut deviation);
+                let mut rng = stream(seed, first_stream + (run - 1) * STREAMS_PER_RUN);
+                sample(noise, error.size, &runs.motion, &mut rng, &mut deviation);
             }
             Effect::MapLowOrder { .. } | Effect::MapNoise => {}
         }
@@ -151,10 +166,10 @@ pub fn draw_run(
     let true_before = Surface::new(*before.grid(), before.height_nm() + &m_1)?;
     let removal = Removal::new(&true_before, removal)?;
     let measured = Surface::new(*before.grid(), removal.residual().height_nm() - &m_2)?;
-    Ok(Run { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
+    Ok(VirtualRun { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
 }
 
-/// Error of the measurement `number` of the machine of a seed, nm.
+/// Returns the error of the measurement `number` of the machine of a seed, nm.
 fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u64) -> Array2<f64> {
     let mut wrong = Array2::zeros(map.grid().shape());
     for (i, error) in process.errors.iter().enumerate() {
@@ -167,7 +182,7 @@ fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u6
     wrong
 }
 
-/// Error of one measurement by one error of the map, nm.
+/// Returns the error of one measurement by one error of the map, nm.
 fn map_error(effect: Effect, size: f64, map: &Surface, rng: &mut impl Rng) -> Array2<f64> {
     let shape = map.grid().shape();
     match effect {

@@ -2,7 +2,9 @@
 
 use ndarray::Array2;
 use planish_numerics::statistics;
-use planish_simulate::{Plan, Settings, direct, frames::frames, gridded, simulate};
+use planish_simulate::{
+    SimulationPlan, SimulationSettings, direct, frames::frames, gridded, simulate,
+};
 use planish_testkit::maps::{largest_difference, largest_magnitude};
 use planish_types::{Axis, Grid, PARTS_TOLERANCE, Surface, Tif, Trajectory};
 use rand::{RngExt, SeedableRng};
@@ -338,12 +340,12 @@ fn the_residual_is_desired_minus_removal() {
     let g = grid([0.0, 0.0], [0.1; 2], [40, 30]);
     let desired = Surface::new(g, Array2::from_elem(g.shape(), 7.0)).unwrap();
     let (tif, t) = (gaussian(0.1), pass([0.0, 1.0], [4.0, 1.0], 1.0));
-    let p = simulate(&t, &tif, &desired, Settings::Gridded).unwrap();
+    let p = simulate(&t, &tif, &desired, SimulationSettings::Gridded).unwrap();
     let sum = p.removal.removal_nm() + p.removal.residual().height_nm();
     // Rounding of 7 nm.
     assert!(sum.iter().all(|v| (v - 7.0).abs() < 1e-14));
     assert!(p.removal.removal_nm()[[10, 20]] > 1.0);
-    assert!(simulate(&t, &tif, &desired, Settings::Direct { steps: 0 }).is_err());
+    assert!(simulate(&t, &tif, &desired, SimulationSettings::Direct { steps: 0 }).is_err());
 }
 
 /// Cubic motions in all directions over and beyond the map, with rests between them, on a pixel, on
@@ -490,12 +492,12 @@ fn the_same_bytes_on_one_and_two_threads() {
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                let plan = Plan::new(&tif, &g, Settings::Gridded).unwrap();
+                let plan = SimulationPlan::new(&tif, &g, SimulationSettings::Gridded).unwrap();
                 let (planned, numerics) = plan.removal_nm(&t).unwrap();
                 assert_eq!(plan.removal_nm(&t).unwrap().0, planned);
-                let once = simulate(&t, &tif, &desired, Settings::Gridded).unwrap();
+                let once = simulate(&t, &tif, &desired, SimulationSettings::Gridded).unwrap();
                 assert_eq!(once.removal.removal_nm(), &planned);
-                let frames = frames(&t, &tif, &desired, Settings::Gridded, 3).unwrap();
+                let frames = frames(&t, &tif, &desired, SimulationSettings::Gridded, 3).unwrap();
                 (planned, numerics, frames.removal_nm)
             })
         };
@@ -529,7 +531,7 @@ fn a_rate_factor_is_time() {
     let e = largest_difference(&(direct(&run) * 0.5), &direct(&half));
     assert!(e < 1e-12, "{e}");
     let surface = Surface::new(g, Array2::ones(g.shape())).unwrap();
-    let found = frames(&half, &tif, &surface, Settings::Gridded, 3).unwrap();
+    let found = frames(&half, &tif, &surface, SimulationSettings::Gridded, 3).unwrap();
     let last = found.removal_nm.index_axis(ndarray::Axis(0), 2).to_owned();
     // The frames cut the motion elsewhere than the lattice does: 1e-6 of the removal.
     let e = largest_difference(&last, &gridded(&half, &tif, &g));

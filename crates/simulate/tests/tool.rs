@@ -3,7 +3,7 @@
 
 use ndarray::Array2;
 use planish_simulate::{
-    Settings,
+    SimulationSettings,
     between::Between,
     deviation::Deviation,
     error_budget::Scalar,
@@ -158,8 +158,8 @@ fn the_change_by_straight_lines_is_that_of_a_tif_with_straight_lines() {
         Tif::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
     };
     let residual = |tif: &Tif| {
-        let prediction = simulate(&raster(), tif, &map(), Settings::Gridded).unwrap();
-        let between = Between::of(&raster(), tif, &prediction.removal).unwrap();
+        let prediction = simulate(&raster(), tif, &map(), SimulationSettings::Gridded).unwrap();
+        let between = Between::new(&raster(), tif, &prediction.removal).unwrap();
         (prediction.removal.residual().statistics().rms, between)
     };
     let coarse = tif(grid(1.2, 0.12), pad);

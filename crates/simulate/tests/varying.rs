@@ -1,7 +1,7 @@
 //! Tools that are not the same everywhere: the gridded removal beside the midpoint rule and closed forms.
 
 use ndarray::Array2;
-use planish_simulate::{Plan, Settings, direct, gridded};
+use planish_simulate::{SimulationPlan, SimulationSettings, direct, gridded};
 use planish_types::{
     Axis, AzimuthWeights, Grid, PixelFactor, Tif, TimeFactor, Trajectory, TrajectoryBuilder,
     TurnWeights, VaryingTif,
@@ -242,8 +242,9 @@ fn a_known_wear_is_the_integral_of_its_factor() {
     let rest = [[5.0, 0.0, 0.0, 0.0], [4.0, 0.0, 0.0, 0.0]];
     let motion = Trajectory::new(vec![0.0, 8.0], vec![rest], vec![true], vec![Some(0)]).unwrap();
     let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
-    for settings in [Settings::Gridded, Settings::Direct { steps: 1 }] {
-        let removal = Plan::new(&tif, &map, settings).unwrap().removal_nm(&motion).unwrap().0;
+    for settings in [SimulationSettings::Gridded, SimulationSettings::Direct { steps: 1 }] {
+        let removal =
+            SimulationPlan::new(&tif, &map, settings).unwrap().removal_nm(&motion).unwrap().0;
         let centre = removal[[16, 20]];
         // Rounding.
         assert!((centre / (6.4 * kernel[[12, 12]]) - 1.0).abs() < 1e-12, "{centre}");

@@ -4,12 +4,12 @@ use std::{fs, path::Path};
 
 use ndarray::Array2;
 use planish_simulate::{
-    Settings as Simulation,
+    SimulationSettings as Simulation,
     deviation::Deviation,
     error_budget::{ErrorBudget, ErrorBudgetFile, Scalar},
     runs::Runs,
     simulate,
-    virtual_machine::{Run, Settings, draw_run, measure, run},
+    virtual_machine::{VirtualMachineSettings, VirtualRun, draw_run, measure, run},
 };
 use planish_testkit::program::{text, write};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
@@ -60,8 +60,8 @@ fn process(errors: &[Value]) -> ErrorBudget {
     file.checked().unwrap()
 }
 
-fn of(errors: &[Value], seed: u64) -> Run {
-    let settings = Settings { seed, run: 1, known: false, tif_as_sampled: true };
+fn of(errors: &[Value], seed: u64) -> VirtualRun {
+    let settings = VirtualMachineSettings { seed, run: 1, known: false, tif_as_sampled: true };
     run(&raster([0.0; 2]), &tif(), &before(), &process(errors), &settings).unwrap()
 }
 
@@ -106,7 +106,7 @@ fn an_error_moves_the_tool_by_less_than_the_tif_is_wide_wherever_it_removes() {
     // 12 mm wide; its samples beside the tool reach 20 mm from it.
     let grid = tif().grid().moved([14.0, 0.0]).unwrap();
     let beside = Tif::new(grid, tif().rate_nm_per_s().clone()).unwrap();
-    let settings = Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let settings = VirtualMachineSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
     let moved_by = |mm: f64| {
         let errors = [error("offset_y", mm, "mm", "normal")];
         run(&raster([0.0; 2]), &beside, &before(), &process(&errors), &settings)
@@ -123,8 +123,8 @@ fn errors_are_drawn_as_the_process_states_and_anew_for_every_seed() {
     let (tif, before) = (tif(), before());
     let prepared = Runs::new(&raster([0.0; 2]), &tif, &tif, before.grid()).unwrap();
     let draw = |seed| draw_run(&prepared, &before, &process(&errors), seed, 1).unwrap();
-    let runs: Vec<Run> = (0..100).map(draw).collect();
-    let square = |of: &dyn Fn(&Run) -> f64| {
+    let runs: Vec<VirtualRun> = (0..100).map(draw).collect();
+    let square = |of: &dyn Fn(&VirtualRun) -> f64| {
         runs.iter().map(|r| of(r).powi(2)).sum::<f64>() / runs.len() as f64
     };
     // The mean square of 100 normal numbers scatters by sqrt(2 / 100) = 14 %, of uniform ones by 9 %: three of each.
@@ -167,7 +167,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     ]);
     let mirror = before();
     let ran = |map: &Surface, run_: u64, known: bool| {
-        let settings = Settings { seed: 11, run: run_, known, tif_as_sampled: true };
+        let settings = VirtualMachineSettings { seed: 11, run: run_, known, tif_as_sampled: true };
         run(&raster([0.0; 2]), &tif(), map, &errors, &settings).unwrap()
     };
     let measured = measure(&mirror, &errors, 11, 1).unwrap();
@@ -178,7 +178,8 @@ fn the_runs_of_one_machine_follow_each_other() {
     assert!((0.08..0.21).contains(&square), "{square}");
     let first = ran(&measured, 1, false);
     let second = ran(&first.measured, 2, false);
-    let true_before = |run: &Run| run.removal.residual().height_nm() + run.removal.removal_nm();
+    let true_before =
+        |run: &VirtualRun| run.removal.residual().height_nm() + run.removal.removal_nm();
     // Sums of a few numbers of 30 nm, to rounding.
     assert!(apart(&true_before(&first), mirror.height_nm()) < 1e-12);
     // As above.
@@ -186,7 +187,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     assert_eq!(first.hidden, second.hidden);
     // The rate fluctuates anew, and the errors of the three measurements are three.
     assert!(apart(first.removal.removal_nm(), second.removal.removal_nm()) > 0.01);
-    let wrong = |run: &Run| run.removal.residual().height_nm() - run.measured.height_nm();
+    let wrong = |run: &VirtualRun| run.removal.residual().height_nm() - run.measured.height_nm();
     assert!(apart(&wrong(&first), &-&difference) > 0.5);
     assert!(apart(&wrong(&first), &wrong(&second)) > 0.5);
     // Another mirror before the second run has the error of its own measurement.
@@ -202,7 +203,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     let expected = first.removal.removal_nm() - &((rate - 1.0) * &plan);
     // Sums of some thousand terms of 20 nm.
     assert!(apart(known.removal.removal_nm(), &expected) < 1e-9);
-    let none = Settings { seed: 11, run: 0, known: false, tif_as_sampled: true };
+    let none = VirtualMachineSettings { seed: 11, run: 0, known: false, tif_as_sampled: true };
     let said = run(&raster([0.0; 2]), &tif(), &mirror, &errors, &none).unwrap_err().to_string();
     assert!(said.contains("run: is 0; give 1 to 1000000"), "{said}");
 }
@@ -223,7 +224,7 @@ fn a_current_is_a_factor_of_every_rate() {
     let half = raster([0.0; 2]).with_rate_factor(vec![0.5; 13]).unwrap();
     let errors =
         process(&[error("rate_scale", 4.0, "%", "fixed"), error("offset_x", 0.1, "mm", "fixed")]);
-    let settings = Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let settings = VirtualMachineSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
     let ran = |motion: &Trajectory| {
         run(motion, &tif(), &before(), &errors, &settings).unwrap().removal.removal_nm().clone()
     };

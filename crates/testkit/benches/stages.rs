@@ -22,7 +22,7 @@ use planish_schedule::{
     pvt::{self, Mode},
     trig_spline,
 };
-use planish_simulate::{Plan, Settings, simulate};
+use planish_simulate::{SimulationPlan as Plan, SimulationSettings as Settings, simulate};
 use planish_testkit::{case_generator, ion_beam, machine, workspace};
 use planish_toolpath::{MazeSettings, RasterSettings, Tree, maze, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
@@ -58,7 +58,7 @@ static CASE: LazyLock<Case> = LazyLock::new(|| {
         bounded_least_squares::solve(&fixture.surface, &fixture.tif, &path, None, &solver())
             .unwrap()
             .dwell;
-    let how = pvt::Settings::of(Mode::Smooth);
+    let how = pvt::PvtSettings::new(Mode::Smooth);
     let trajectory = pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap().trajectory;
     Case { surface: fixture.surface, tif: fixture.tif, path, dwell, trajectory }
 });
@@ -137,7 +137,7 @@ fn dwell_large_map(bencher: Bencher) {
 #[divan::bench(args = [Mode::Smooth, Mode::Monotone], sample_count = 20)]
 fn schedule_pvt(mode: Mode) {
     let c = &*CASE;
-    let how = pvt::Settings::of(mode);
+    let how = pvt::PvtSettings::new(mode);
     black_box(pvt::schedule(&c.path, &c.dwell, &ion_beam(), &how).unwrap());
 }
 
@@ -229,7 +229,7 @@ const LENGTHS: [usize; 3] = [2678, 62_500, 1_000_000];
 fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
     let (path, dwell) = long_path(segments);
     let mode = if MONOTONE { Mode::Monotone } else { Mode::Smooth };
-    let how = pvt::Settings::of(mode);
+    let how = pvt::PvtSettings::new(mode);
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 
@@ -258,14 +258,14 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);
-    let how = pvt::Settings::of(Mode::Monotone);
+    let how = pvt::PvtSettings::new(Mode::Monotone);
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 
 #[divan::bench(args = [2678, 42_848, 685_568], sample_count = 3)]
 fn schedule_trig_spline_long(bencher: Bencher, segments: usize) {
     let (path, dwell) = long_path(segments);
-    let how = trig_spline::Settings::default();
+    let how = trig_spline::TrigSplineSettings::default();
     bencher.bench_local(|| {
         black_box(trig_spline::schedule(&path, &dwell, &ion_beam(), &how).unwrap())
     });
@@ -300,7 +300,7 @@ fn schedule_trig_spline_of_the_source(bencher: Bencher) {
     let problem = without_floor(&fixture, &path);
     let dwell = lucy_richardson::solve(&problem, &how).unwrap().dwell;
     let limits = machine([4000.0 / 60.0; 2], [2000.0; 2]);
-    let how = trig_spline::Settings::default();
+    let how = trig_spline::TrigSplineSettings::default();
     bencher.bench_local(|| black_box(trig_spline::schedule(&path, &dwell, &limits, &how).unwrap()));
 }
 
@@ -310,7 +310,7 @@ fn schedule_trig_spline_of_the_source(bencher: Bencher) {
 #[divan::bench(args = ["usual", "worst"], sample_count = 20)]
 fn interpolate_10000_ticks(bencher: Bencher, block: &str) {
     let density_s_per_mm = if block == "usual" { [0.03, 0.05] } else { [1e-9, 1.0] };
-    let piece = trig_spline::Piece { density_s_per_mm, length_mm: 0.2 };
+    let piece = trig_spline::TrigPiece { density_s_per_mm, length_mm: 0.2 };
     bencher.bench_local(|| {
         for k in 0..10_000 {
             let part = f64::from(k) / 10_000.0;

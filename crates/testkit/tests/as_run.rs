@@ -72,7 +72,8 @@ fn as_run(desired: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> [
     let dir = tmp.path();
     write(dir, "surface", desired);
     write(dir, "tif", tif);
-    let plan = pvt::schedule(path, dwell, &ion_beam(), &pvt::Settings::of(Mode::Smooth)).unwrap();
+    let plan =
+        pvt::schedule(path, dwell, &ion_beam(), &pvt::PvtSettings::new(Mode::Smooth)).unwrap();
     write(dir, "plan", &plan.trajectory);
     fs::write(dir.join("log.csv"), log_of(&plan.trajectory, 1e3, 1e-3)).unwrap();
     let said = run(dir, "import trace log.csv --planned plan --tool-from-plan --out run");

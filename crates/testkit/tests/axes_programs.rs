@@ -66,7 +66,7 @@ impl Plan {
             false => machine("bonnet-five-axis", |_| {}),
             true => machine("spindle", |file| file["part_origin_mm"] = json!([-10, -6])),
         };
-        let settings = pvt::Settings::of(Mode::Smooth);
+        let settings = pvt::PvtSettings::new(Mode::Smooth);
         let plan = pvt::schedule(&path, &dwell, machine.limits(), &settings).unwrap().trajectory;
         let form = sphere();
         let motion = motion(&plan, &machine, &form, &MotionSettings::default()).unwrap().0;
@@ -76,7 +76,7 @@ impl Plan {
     /// Residual RMS of a motion of the axes, nm.
     fn residual_nm(&self, motion: &AxesMotion) -> f64 {
         let executed = contact(motion, &self.machine, &self.form).unwrap().0;
-        let gridded = planish_simulate::Settings::Gridded;
+        let gridded = planish_simulate::SimulationSettings::Gridded;
         let removal = simulate(&executed, &self.tif, &self.surface, gridded).unwrap().removal;
         let left = removal.residual().height_nm().iter().copied().filter(|v| v.is_finite());
         let (n, sum, squares) =

@@ -31,7 +31,7 @@ fn lines(surface: &Surface, tif: &Tif, pitch_mm: f64) -> ToolPath {
 fn executed_rms_nm(plan: &FeedPlan, surface: &Surface, tif: &Tif, limits: &Limits) -> f64 {
     let verdict = verify(&plan.trajectory, limits, &VerifySettings::default()).unwrap();
     assert!(verdict.limits_respected, "{:?}", verdict.reason());
-    let gridded = planish_simulate::Settings::Gridded;
+    let gridded = planish_simulate::SimulationSettings::Gridded;
     simulate(&plan.trajectory, tif, surface, gridded).unwrap().removal.residual().statistics().rms
 }
 

@@ -309,7 +309,9 @@ fn straight(x: &[f64], y: f64) -> ToolPath {
 }
 
 fn removal(trajectory: &Trajectory, tif: &Tif, desired: &Surface) -> Removal {
-    simulate(trajectory, tif, desired, planish_simulate::Settings::Gridded).unwrap().removal
+    simulate(trajectory, tif, desired, planish_simulate::SimulationSettings::Gridded)
+        .unwrap()
+        .removal
 }
 
 fn judge(trajectory: &Trajectory, limits: &Limits) -> Verdict {
@@ -630,7 +632,7 @@ fn dwell_time_is_per_segment() {
     let path = straight(&[0.0, 1.0, 3.0, 4.0], 0.0);
     let dwell = DwellTime::new(vec![1.0, 2.0, 1.5]).unwrap();
     assert_eq!(dwell.total_s(), 4.5);
-    let settings = pvt::Settings::of(pvt::Mode::Smooth);
+    let settings = pvt::PvtSettings::new(pvt::Mode::Smooth);
     let t = pvt::schedule(&path, &dwell, &ion_beam(), &settings).unwrap().trajectory;
     assert_eq!(t.break_time_s(), [0.0, 1.0, 3.0, 4.5]);
     let short = DwellTime::new(vec![1.0, 2.0]).unwrap();

@@ -130,7 +130,7 @@ const SCHEDULERS: [(&str, Scheduler, f64); 5] = [
     (
         "pvt, smooth",
         |path, dwell| {
-            let settings = pvt::Settings::of(pvt::Mode::Smooth);
+            let settings = pvt::PvtSettings::new(pvt::Mode::Smooth);
             pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap().trajectory
         },
         // And the lengths to which segments that would leave the path are stretched: 2e-6 were seen.
@@ -139,7 +139,7 @@ const SCHEDULERS: [(&str, Scheduler, f64); 5] = [
     (
         "pvt, monotone",
         |path, dwell| {
-            let settings = pvt::Settings::of(pvt::Mode::Monotone);
+            let settings = pvt::PvtSettings::new(pvt::Mode::Monotone);
             pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap().trajectory
         },
         1e-6,
@@ -161,7 +161,7 @@ const SCHEDULERS: [(&str, Scheduler, f64); 5] = [
 ];
 
 fn removal_nm(surface: &Surface, tif: &Tif, trajectory: &Trajectory) -> Array2<f64> {
-    let gridded = planish_simulate::Settings::Gridded;
+    let gridded = planish_simulate::SimulationSettings::Gridded;
     simulate(trajectory, tif, surface, gridded).unwrap().removal.removal_nm().clone()
 }
 

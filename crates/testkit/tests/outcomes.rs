@@ -47,7 +47,12 @@ fn settings_are_read_as_stages_write_them() {
         let read: ToleranceSettings = from_value(written).unwrap();
         assert_eq!(read.free.as_deref(), Some(word));
     }
-    let written = virtual_machine::Settings { seed: 7, run: 2, known: true, tif_as_sampled: false };
+    let written = virtual_machine::VirtualMachineSettings {
+        seed: 7,
+        run: 2,
+        known: true,
+        tif_as_sampled: false,
+    };
     let read: RunSettings = from_value(json!(written)).unwrap();
     assert_eq!(read, RunSettings { seed: 7, run: 2, known: true });
     let spiral = SpiralSettings { pitch_mm: 1.0, step_mm: 0.5, overscan_mm: 2.5 };

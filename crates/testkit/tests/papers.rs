@@ -6,7 +6,7 @@ use planish_dwell::{
 };
 use planish_fixture::{Fixture, Recipe, make};
 use planish_schedule::{stop_at_corners, trig_spline};
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_testkit::{machine, pipeline_setting, workspace};
 use planish_toolpath::{
     Construction, MultiPitchSettings, RandomAdaptiveSettings, RasterSettings, multi_pitch,

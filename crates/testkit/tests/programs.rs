@@ -341,7 +341,7 @@ fn programs_of_random_problems_keep_the_limits() {
             MachineFile { name: "bench".into(), axes: axes.to_vec(), ..MachineFile::default() };
         let machine = Machine::new(file).unwrap();
         let mode = if has_jerk { Mode::Smooth } else { Mode::Monotone };
-        let settings = pvt::Settings::of(mode);
+        let settings = pvt::PvtSettings::new(mode);
         let plan = match pvt::schedule(&path, &dwell, machine.limits(), &settings) {
             Ok(plan) => plan.trajectory,
             Err(e) => {
@@ -484,7 +484,7 @@ fn plan_at_its_limits() -> (Trajectory, Machine) {
     let dwell = DwellTime::new(times.collect()).unwrap();
     let limits = planish_testkit::ion_beam();
     let machine = Machine::new(MachineFile::from(&limits)).unwrap();
-    let plan = pvt::Settings::of(Mode::Monotone);
+    let plan = pvt::PvtSettings::new(Mode::Monotone);
     (pvt::schedule(&path, &dwell, &limits, &plan).unwrap().trajectory, machine)
 }
 
@@ -598,7 +598,8 @@ fn reference_positions_go_through_lifts() {
     let dwell = DwellTime::new(times.collect()).unwrap();
     let machine = planish_testkit::machine([20.0, 15.0], [200.0, 150.0]);
     let made =
-        trig_spline::schedule(&path, &dwell, &machine, &trig_spline::Settings::default()).unwrap();
+        trig_spline::schedule(&path, &dwell, &machine, &trig_spline::TrigSplineSettings::default())
+            .unwrap();
     let density = made.density.unwrap();
     let tick_s = 1e-3;
     let mut positions = Interpolator::new(tick_s).unwrap();

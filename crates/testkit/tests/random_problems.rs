@@ -596,7 +596,7 @@ fn plans(dir: &Path, p: &Problem, compare: &mut impl FnMut(&str, f64, f64)) {
         }
     };
     let refused = refusal(dir, &format!("joint {mirror} --out joint")).is_some();
-    let settings = planish_joint::Settings::default();
+    let settings = planish_joint::JointSettings::default();
     match planish_joint::plan(surface, tif, path, &limits, &settings) {
         Err(_) if refused => {}
         Ok(plan) if !refused => {
@@ -612,10 +612,10 @@ fn plans(dir: &Path, p: &Problem, compare: &mut impl FnMut(&str, f64, f64)) {
 
     run(dir, &format!("refine {mirror} --max-rounds 3 --out refined"));
     let scheduler = SCHEDULERS[0].scheduler(&Choices::default(), &limits);
-    let settings = planish_refine::Settings {
+    let settings = planish_refine::RefineSettings {
         scheduler: &*scheduler,
         max_rounds: 3,
-        ..planish_refine::Settings::default()
+        ..planish_refine::RefineSettings::default()
     };
     let refined = planish_refine::refine(surface, tif, path, &limits, None, &settings).unwrap();
     let program: Trajectory = read(&dir.join("refined/trajectory"));

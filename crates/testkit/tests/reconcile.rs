@@ -10,7 +10,7 @@ use planish_testkit::{
 use planish_types::{Surface, text::significant};
 
 fn learnt(mirror: &Mirror, path: &str, settings: &Settings) -> Reconciled {
-    let how = pvt::Settings::of(pvt::Mode::Monotone);
+    let how = pvt::PvtSettings::new(pvt::Mode::Monotone);
     let trajectory = pvt::schedule(&mirror.path(path), &mirror.dwell(path), &ion_beam(), &how);
     let trajectory = trajectory.unwrap().trajectory;
     let after = mirror.map("after_ibf_measured_nm");

@@ -26,21 +26,23 @@ use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
 use rayon::prelude::*;
 
-const GRIDDED: planish_simulate::Settings = planish_simulate::Settings::Gridded;
+const GRIDDED: planish_simulate::SimulationSettings = planish_simulate::SimulationSettings::Gridded;
 
 /// Removal of `trajectory` on the mirror.
 fn simulated(
     mirror: &Mirror,
     trajectory: &Trajectory,
-    settings: planish_simulate::Settings,
+    settings: planish_simulate::SimulationSettings,
 ) -> Removal {
     simulate(trajectory, &mirror.tif, &mirror.desired, settings).unwrap().removal
 }
 
 /// The spline of the publication, which has no tolerance of its distance from the path.
-fn smooth(path: &ToolPath, dwell: &DwellTime) -> pvt::Schedule {
-    let settings =
-        pvt::Settings { max_path_distance_mm: Some(1e9), ..pvt::Settings::of(pvt::Mode::Smooth) };
+fn smooth(path: &ToolPath, dwell: &DwellTime) -> planish_schedule::Schedule<pvt::PvtReport> {
+    let settings = pvt::PvtSettings {
+        max_path_distance_mm: Some(1e9),
+        ..pvt::PvtSettings::new(pvt::Mode::Smooth)
+    };
     pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap()
 }
 
@@ -93,7 +95,7 @@ fn published_dwell_at_the_dwell_points_gives_the_published_maps() {
         let published = mirror.map(&format!("{name}_udo_removal_nm"));
         // Term by term the sum is the published one up to rounding. The gridded method takes the
         // samples of the TIF, whose pitch differs from the map's by 2.5e-8, for its pixels.
-        let direct = planish_simulate::Settings::Direct { steps: 1 };
+        let direct = planish_simulate::SimulationSettings::Direct { steps: 1 };
         for (method, tolerance_nm) in [(direct, 1e-9), (GRIDDED, 1e-5)] {
             let removal = simulated(&mirror, &trajectory, method);
             near(name, removal.residual().detilted_rms_nm(), rms, 1e-5);
@@ -152,7 +154,7 @@ fn pvt_as_published_and_its_defects() {
     ] {
         let (path, dwell) = (mirror.path(name), mirror.dwell(name));
         let with = |rest_condition| {
-            let settings = pvt_as_published::Settings { rest_condition };
+            let settings = pvt_as_published::AsPublishedSettings { rest_condition };
             pvt_as_published::schedule(&path, &dwell, &ion_beam(), &settings).unwrap()
         };
         let published = with(RestCondition::Corrected);
@@ -193,7 +195,7 @@ fn smooth_overshoots_corners_and_monotone_does_not() {
     let (path, dwell) = (mirror.path("maze"), mirror.dwell("maze"));
     let largest = |t: &Trajectory| judge(t).max_overshoot_mm.into_iter().fold(0.0, f64::max);
     near("smooth, um", 1e3 * largest(&smooth(&path, &dwell).trajectory), 168.0, 1.0);
-    let settings = pvt::Settings::of(pvt::Mode::Monotone);
+    let settings = pvt::PvtSettings::new(pvt::Mode::Monotone);
     let monotone = pvt::schedule(&path, &dwell, &ion_beam(), &settings).unwrap();
     near("monotone, um", 1e3 * largest(&monotone.trajectory), 0.0, 1e-9);
 }
@@ -321,7 +323,7 @@ fn refined_on_the_published_paths() {
         [("raster", [(0.141, 7.3), (0.141, 4.2)]), ("maze", [(0.142, 7.4), (0.142, 5.0)])]
     {
         for (min_dwell, (rms, minutes)) in floors.into_iter().zip(goals) {
-            let mut settings = planish_refine::Settings::default();
+            let mut settings = planish_refine::RefineSettings::default();
             settings.dwell.min_dwell = min_dwell;
             let path = mirror.path(name);
             let refined = planish_refine::refine(

@@ -85,14 +85,19 @@ impl Case {
     }
 
     /// The motion without a tolerance of its distance from the path.
-    fn pvt(&self, mode: Mode) -> Result<pvt::Schedule, String> {
-        let settings =
-            pvt::Settings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::Settings::of(mode) };
+    fn pvt(&self, mode: Mode) -> Result<planish_schedule::Schedule<pvt::PvtReport>, String> {
+        let settings = pvt::PvtSettings {
+            max_path_distance_mm: Some(ANYWHERE_MM),
+            ..pvt::PvtSettings::new(mode)
+        };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }
 
-    fn constant_acceleration(&self) -> Result<constant_acceleration::Schedule, String> {
+    fn constant_acceleration(
+        &self,
+    ) -> Result<planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport>, String>
+    {
         constant_acceleration::schedule(&self.path(), &self.dwell(), &self.limits)
             .map_err(|e| e.to_string())
     }
@@ -199,7 +204,7 @@ fn unstretched(trajectory: Trajectory) -> Motion {
 }
 
 fn pvt_motion(p: &ToolPath, d: &DwellTime, l: &Limits, mode: Mode) -> Result<Motion, String> {
-    let settings = pvt::Settings::of(mode);
+    let settings = pvt::PvtSettings::new(mode);
     let s = pvt::schedule(p, d, l, &settings).map_err(|e| e.to_string())?;
     let stretched = s.report.stretched.iter().any(|s| s.tool_on);
     Ok(Motion {
@@ -228,8 +233,8 @@ fn trig(
     dwell: &DwellTime,
     limits: &Limits,
     repair: Repair,
-) -> Result<trig_spline::Schedule, String> {
-    let settings = trig_spline::Settings { repair, ..Default::default() };
+) -> Result<trig_spline::TrigSplineSchedule, String> {
+    let settings = trig_spline::TrigSplineSettings { repair, ..Default::default() };
     trig_spline::schedule(path, dwell, limits, &settings).map_err(|e| e.to_string())
 }
 
@@ -1240,7 +1245,7 @@ fn disk_100_repaired_removes_a_piston_more() {
         (0..path.len()).map(|i| density(heights[i]) * path.segment_length_mm(i)).collect();
     let dwell = DwellTime::new(dwell_s).unwrap();
     let removal = |t: &Trajectory| {
-        let gridded = planish_simulate::Settings::Gridded;
+        let gridded = planish_simulate::SimulationSettings::Gridded;
         planish_simulate::simulate(t, tif, surface, gridded).unwrap().removal
     };
     let ideal = trig(&path, &dwell, &machine([1e6; 2], [1e12; 2]), Repair::Local).unwrap();
@@ -1317,7 +1322,11 @@ fn pvt_passes_every_control_point_in_time_and_monotone_stays_in_its_boxes() {
     });
 }
 
-fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result<(), String> {
+fn passes_and_lasts(
+    case: &Case,
+    mode: Mode,
+    schedule: &planish_schedule::Schedule<pvt::PvtReport>,
+) -> Result<(), String> {
     let t = &schedule.trajectory;
     // The cubic ends where the next one starts up to the rounding of its four terms, each of
     // which is at most a few times the extent.
@@ -1351,7 +1360,11 @@ fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result
 }
 
 /// Neither overshoot nor reversal inside a segment.
-fn stays_in_its_boxes(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result<(), String> {
+fn stays_in_its_boxes(
+    case: &Case,
+    mode: Mode,
+    schedule: &planish_schedule::Schedule<pvt::PvtReport>,
+) -> Result<(), String> {
     if mode == Mode::Smooth {
         return Ok(());
     }

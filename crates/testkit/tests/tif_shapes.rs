@@ -7,7 +7,7 @@ use planish_dwell::{
     columns::Columns,
 };
 use planish_schedule::baselines::position;
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
 
 /// Standard deviation of the Gaussian TIF, mm; four pixels of the map.

@@ -11,7 +11,7 @@ use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
 fn motion(path: &ToolPath, dwell: &DwellTime) -> Trajectory {
-    let how = pvt::Settings::of(pvt::Mode::Monotone);
+    let how = pvt::PvtSettings::new(pvt::Mode::Monotone);
     pvt::schedule(path, dwell, &ion_beam(), &how).unwrap().trajectory
 }
 

@@ -6,7 +6,7 @@ use std::{f64::consts::PI, fs};
 use ndarray::Array2;
 use planish_dwell::{baselines::feed_law, bounded_least_squares::Bound};
 use planish_fixture::{Recipe, make};
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_testkit::workspace;
 use planish_toolpath::{
     MultiPitchSettings, RasterSettings, multi_pitch, multi_pitch::Links, pitch_limit, raster,
@@ -188,7 +188,7 @@ fn a_closed_loop_does_not_end_early_on_one_path_among_others() {
         let settings = RasterSettings::new(pitch_mm, 1.2, half_x.max(half_y));
         let path = raster(&surface, &settings).unwrap();
         let (machine, settings) =
-            (planish_testkit::ion_beam(), planish_refine::Settings::default());
+            (planish_testkit::ion_beam(), planish_refine::RefineSettings::default());
         let refined =
             planish_refine::refine(&surface, &tif, &path, &machine, None, &settings).unwrap();
         refined.iterates[refined.best].rms_nm

@@ -124,13 +124,13 @@ fn settings(most_factorised: usize) -> squares::BoundedSettings {
 
 /// The motion of the joint plan.
 fn joint(desired: &Surface, tif: &Tif, path: &ToolPath) -> Trajectory {
-    let settings = planish_joint::Settings::default();
+    let settings = planish_joint::JointSettings::default();
     planish_joint::plan(desired, tif, path, &ion_beam(), &settings).unwrap().trajectory
 }
 
 /// The motion of the closed loop.
 fn refined(desired: &Surface, tif: &Tif, path: &ToolPath) -> Trajectory {
-    let mut settings = planish_refine::Settings::default();
+    let mut settings = planish_refine::RefineSettings::default();
     settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
     planish_refine::refine(desired, tif, path, &ion_beam(), None, &settings).unwrap().trajectory
 }

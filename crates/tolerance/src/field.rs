@@ -5,7 +5,7 @@ use std::ops::Range;
 use planish_numerics::{polynomial::evaluate, quadrature::gauss_legendre};
 use planish_types::{Pose, Tif};
 
-use crate::{inner::Inner, motion::Piece};
+use crate::{inner::Inner, motion::MotionPiece as Piece};
 
 /// Number of Gauss points of a piece, over which the tool goes half the width of the TIF at most. Larger: more time.
 /// Smaller: a larger error of the fields.

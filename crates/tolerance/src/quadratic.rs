@@ -39,7 +39,7 @@ use std::ops::Range;
 
 use ndarray::Array2;
 use planish_numerics::{keys, parallel, polynomial::evaluate, quadrature::gauss_legendre};
-use planish_simulate::{Plan, Settings as Simulation};
+use planish_simulate::{SimulationPlan as Plan, SimulationSettings as Simulation};
 use planish_types::{Grid, Invalid, Surface, Tif, Trajectory, budget};
 
 use crate::{
@@ -48,7 +48,7 @@ use crate::{
     field::{Change, Field, Tool, cells_of_tif, field, reached},
     inner::Inner,
     lines::STEP,
-    motion::{Motion, Piece},
+    motion::{Motion, MotionPiece as Piece},
     sample::Mean,
     settings::Free,
     tool::smooth,

@@ -47,7 +47,7 @@ impl<'a> Work<'a> {
         let runs = Runs::new(trajectory, tif, moved, desired.grid())?;
         let nominal = inner.judged(desired.height_nm() - &runs.executed);
         runs.check_sizes(process)?;
-        let coverage = Coverage::of(&runs.executed, trajectory, tif, desired);
+        let coverage = Coverage::new(&runs.executed, trajectory, tif, desired);
         Ok(Self { runs, inner, process, nominal, coverage })
     }
 

@@ -4,7 +4,7 @@ use crate::example::{
     assert_line_is_mean_over_runs, desired, error, noises, process, raster, rms, tif, with,
 };
 use ndarray::Array2;
-use planish_simulate::{Settings as Simulation, simulate};
+use planish_simulate::{SimulationSettings as Simulation, simulate};
 use planish_tolerance::{Free, Tolerance, ToleranceSettings, tolerance};
 use planish_types::{Axis, Grid, Tif, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};

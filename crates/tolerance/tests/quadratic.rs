@@ -1,7 +1,7 @@
 //! The quadratic of the dwell times against the table, which is found from simulations, and against itself.
 
 use crate::example::{desired, error, process, raster, tif, with};
-use planish_simulate::{Settings as Simulation, simulate};
+use planish_simulate::{SimulationSettings as Simulation, simulate};
 use planish_tolerance::{Free, ToleranceSettings, quadratic::Sources, tolerance};
 use planish_types::{Removal, Surface, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};

@@ -5,7 +5,7 @@ use crate::example::{
     assert_line_is_mean_over_runs, desired, error, noises, process, raster, rms, with,
 };
 use ndarray::Array2;
-use planish_simulate::{Settings as Simulation, simulate};
+use planish_simulate::{SimulationSettings as Simulation, simulate};
 use planish_tolerance::{Free, Tolerance, ToleranceSettings, quadratic::Sources, tolerance};
 use planish_types::{
     Axis, AzimuthWeights, Grid, PixelFactor, Tif, TimeFactor, Trajectory, TrajectoryBuilder,

@@ -51,7 +51,7 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 /// read it from gcode.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct VerifyCli {
     /// Motion [trajectory artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "axes", conflicts_with = "axes")]
     trajectory: Option<PathBuf>,
@@ -79,10 +79,10 @@ struct Cli {
 
 /// The command `planish verify`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: VerifyCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| match (&cli.axes, &cli.trajectory) {
+    planish_handoff::program(|cli: &VerifyCli| match (&cli.axes, &cli.trajectory) {
         (Some(axes), _) => judge_axes(cli, axes),
         (None, Some(trajectory)) => judge_trajectory(cli, trajectory.clone()),
         (None, None) => Err(Failure::new("give --trajectory or --axes")),
@@ -90,7 +90,7 @@ fn main() -> ExitCode {
 }
 
 /// Judges a motion of all axes.
-fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
+fn judge_axes(cli: &VerifyCli, axes: &Path) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let (motion, manifest): (AxesMotion, _) = inputs.read_with_manifest("axes", axes)?;
     let machine = cli.machine.read(axes, manifest.as_ref(), &mut inputs)?;
@@ -111,7 +111,8 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
     let status = verdict.reason().map_or(Status::Done, Status::Negative);
     output.write_arrays(&kind::VERDICT, &[], &[], &verdict, &status)?;
     let peaks = verdict.axes.iter().map(|axis| {
-        let (v, a) = (axis.velocity.magnitude(), axis.acceleration.magnitude());
+        let v = axis.velocity.magnitude();
+        let a = axis.acceleration.magnitude();
         format!("{} {v:.2} {u}/s, {a:.1} {u}/s^2", axis.name, u = axis.unit)
     });
     say(format!(
@@ -132,7 +133,7 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
 
 /// Settings of a verdict, with the tolerance of the distance from the path if it is known.
 #[derive(serde::Serialize)]
-struct Judged {
+struct JudgedSettings {
     #[serde(flatten)]
     settings: VerifySettings,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -144,7 +145,7 @@ const JERK_OF_LINES: &str = "the jerk limit is not judged: how the controller jo
                              decides on the jerk";
 
 /// Judges a motion in the plane.
-fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
+fn judge_trajectory(cli: &VerifyCli, trajectory: PathBuf) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let on_axes = TrajectoryArgs { trajectory }.read_on_axes(&cli.machine, &mut inputs)?;
     let settings = VerifySettings {
@@ -164,7 +165,7 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
     }
     let distance = cli.near_path.measure(&on_axes, &mut inputs)?;
     let tolerance_mm = distance.map(|distance| distance.tolerance_mm);
-    let task = task!("verify", Judged { settings, max_path_distance_mm: tolerance_mm });
+    let task = task!("verify", JudgedSettings { settings, max_path_distance_mm: tolerance_mm });
     let mut output = match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
         Begin::Unchanged(status) => return Ok(status),
         Begin::Run(output) => output,

@@ -169,13 +169,13 @@ fn judge(
     });
     let mut duration = durations(limits);
     for (i, segment) in trajectory.segments().enumerate() {
-        let span = Span::of(&segment);
+        let span = Span::new(&segment);
         add_duration(&mut duration, i, &span);
         for (axis, tally) in axes.iter_mut().enumerate() {
             tally.add_segment(i, &span, &segment.coefficient_mm[axis]);
         }
     }
-    let last = Span::of(&trajectory.segment(trajectory.len() - 1));
+    let last = Span::new(&trajectory.segment(trajectory.len() - 1));
     for tally in &mut axes {
         tally.add_stop(trajectory.len(), &last);
     }
@@ -229,10 +229,11 @@ pub fn verify_axes(
     Ok(verdict::axes_verdict(motion, verdicts, duration.finish()))
 }
 
-/// Tally of the durations of segments.
+/// Returns the empty tally of the durations of segments.
 fn durations(limits: &Limits) -> Tally {
     let least_s = limits.min_segment_s();
-    Tally::new("segment duration", "s", (least_s > 0.0).then_some(Bound::AtLeast(least_s)))
+    let bound = if least_s > 0.0 { Some(Bound::AtLeast(least_s)) } else { None };
+    Tally::new("segment duration", "s", bound)
 }
 
 fn add_duration(duration: &mut Tally, i: usize, span: &Span) {
@@ -263,34 +264,33 @@ struct AxisTally {
 
 impl AxisTally {
     fn new(axis: &MachineAxis, settings: &VerifySettings) -> Self {
-        let (v, a) = (axis.max_velocity, axis.max_acceleration);
+        let v = axis.max_velocity;
+        let a = axis.max_acceleration;
         let velocity_step = settings.velocity_step_mm_per_s + VELOCITY_STEP_ALLOWANCE * v;
         // Without a limit on jerk any step in acceleration is allowed.
         let acceleration_step = axis.max_jerk.map(|_| ACCELERATION_STEP_ALLOWANCE * a);
-        let within = |limit: f64| Some(Bound::Within(limit));
-        let step = |tolerance: f64| Some(Bound::StepWithin(tolerance));
-        let acceleration_bound = |tolerance: f64| match settings.program {
-            None => step(tolerance),
+        let acceleration_step = acceleration_step.and_then(|tolerance| match settings.program {
+            None => Some(Bound::StepWithin(tolerance)),
             Some(Program::Cubics) => Some(Bound::StepOfProgram(tolerance)),
             Some(Program::Lines) => None,
-        };
-        let (name, travel) = (axis.name, axis.travel);
+        });
+        let position_step = Bound::StepWithin(settings.position_step_mm);
+        let velocity_step = Bound::StepWithin(velocity_step);
+        let jerk = axis.max_jerk.map(Bound::Within);
+        let name = axis.name;
+        let travel = axis.travel;
         let units = if axis.is_rotary { UNITS_DEG } else { UNITS_MM };
         Self {
             ranges: [
                 Tally::new(format!("{name} position"), units[0], travel.map(Bound::Between)),
-                Tally::new(format!("{name} velocity"), units[1], within(v)),
-                Tally::new(format!("{name} acceleration"), units[2], within(a)),
-                Tally::new(format!("{name} jerk"), units[3], axis.max_jerk.and_then(within)),
+                Tally::new(format!("{name} velocity"), units[1], Some(Bound::Within(v))),
+                Tally::new(format!("{name} acceleration"), units[2], Some(Bound::Within(a))),
+                Tally::new(format!("{name} jerk"), units[3], jerk),
             ],
             steps: [
-                Tally::new(format!("{name} position"), units[0], step(settings.position_step_mm)),
-                Tally::new(format!("{name} velocity"), units[1], step(velocity_step)),
-                Tally::new(
-                    format!("{name} acceleration"),
-                    units[2],
-                    acceleration_step.and_then(acceleration_bound),
-                ),
+                Tally::new(format!("{name} position"), units[0], Some(position_step)),
+                Tally::new(format!("{name} velocity"), units[1], Some(velocity_step)),
+                Tally::new(format!("{name} acceleration"), units[2], acceleration_step),
             ],
             step_per_s: match settings.program {
                 Some(Program::Cubics) => 0.5 * axis.max_jerk.unwrap_or_default(),
@@ -322,15 +322,15 @@ impl AxisTally {
             );
         }
 
-        let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
-        let (start, end) = (state(0.0), state(h));
+        let [start, end] = [0.0, h].map(|u| [0, 1, 2].map(|order| evaluate(&orders[order], u)));
         self.add_steps(start, h, segment.place(i, 0.0, 0.0));
         self.before = Some((end, h));
 
         // Distance of the position from the interval between both ends of its own segment.
         let (low, high) = (start[0].min(end[0]), start[0].max(end[0]));
         let [p, v] = [&ranges[0], &ranges[1]];
-        let (above, below) = (p.max - high, low - p.min);
+        let above = p.max - high;
+        let below = low - p.min;
         let farthest = if below > above { p.min_at } else { p.max_at };
         add_excursion(&mut self.overshoot, segment.place(i, farthest, above.max(below)));
         // A velocity of both signs: the slower of the two directions is the reverse one.
@@ -377,7 +377,7 @@ impl AxisTally {
         }
     }
 
-    /// The verdict on an axis whose positions have the unit `unit`.
+    /// Returns the verdict on an axis whose positions have the unit `unit`.
     fn finish_for(self, unit: &'static str) -> MachineAxisVerdict {
         let [position, velocity, acceleration, jerk] = self.ranges.map(Tally::finish);
         let [position_step, velocity_step, acceleration_step] = self.steps.map(Tally::finish);
@@ -421,8 +421,10 @@ fn check_times(times: &[f64]) -> Result<(), Invalid> {
 fn check_magnitudes(trajectory: &Trajectory) -> Result<(), Invalid> {
     check_times(trajectory.break_time_s())?;
     let coefficients = trajectory.coefficient_mm();
-    let too_large = |axes: &[[f64; 4]; 2]| axes.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER);
-    if let Some(i) = coefficients.iter().position(too_large) {
+    let too_large = coefficients
+        .iter()
+        .position(|axes| axes.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER));
+    if let Some(i) = too_large {
         let problem = format!("is {:?}", coefficients[i]);
         return Err(Invalid::at("coefficient_mm", i, problem, REMEDY_OF_NUMBERS));
     }

@@ -28,7 +28,7 @@ pub(crate) enum Bound {
 }
 
 impl Bound {
-    /// The limit, if it is a single number.
+    /// Returns the limit, if it is a single number.
     fn value(self) -> Option<f64> {
         match self {
             Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => Some(v),
@@ -48,12 +48,16 @@ impl Bound {
         }
     }
 
-    /// Ratio of the value to its limit: 1 is the limit itself. `None` if the limit is zero (a
-    /// tolerance may be), or consists of two numbers.
+    /// Returns the ratio of the value to its limit: 1 is the limit itself. `None` if the limit is zero (a tolerance may
+    /// be), or consists of two numbers.
     fn ratio(self, value: f64) -> Option<f64> {
         match self {
             Self::Within(limit) | Self::StepWithin(limit) => {
-                (limit > 0.0).then(|| value.abs() / limit)
+                if limit > 0.0 {
+                    Some(value.abs() / limit)
+                } else {
+                    None
+                }
             }
             Self::AtLeast(limit) => Some(limit / value),
             Self::StepOfProgram(_) | Self::Between(_) => None,

@@ -18,13 +18,14 @@ pub(crate) struct Span {
 }
 
 impl Span {
-    pub(crate) fn of(segment: &Segment<'_>) -> Self {
+    pub(crate) fn new(segment: &Segment<'_>) -> Self {
         let Segment { start_s, duration_s, dwell_index, .. } = *segment;
         Self { start_s, duration_s, dwell_index }
     }
 
     pub(crate) fn of_axes(motion: &AxesMotion, i: usize) -> Self {
-        let (start_s, dwell_index) = (motion.break_time_s()[i], motion.dwell_index()[i]);
+        let start_s = motion.break_time_s()[i];
+        let dwell_index = motion.dwell_index()[i];
         Self { start_s, duration_s: motion.duration_s(i), dwell_index }
     }
 

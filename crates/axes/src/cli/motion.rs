@@ -60,12 +60,12 @@ impl Motion {
             report.path_distance = Some(distance.judged_by(plan.tolerance_mm));
         }
         output.write(&made, &report, &Status::Done)?;
-        said(&report, machine.name(), &self.output);
+        say_report(&report, machine.name(), &self.output);
         Ok(Status::Done)
     }
 }
 
-fn said(report: &MotionReport, machine: &str, output: &OutputArgs) {
+fn say_report(report: &MotionReport, machine: &str, output: &OutputArgs) {
     say(format!(
         "{machine}: {} in {} segments, {:.4} s, contact point within {:.4} um of the path, tip of the tool \
          within {:.4} um of the surface -> {}",

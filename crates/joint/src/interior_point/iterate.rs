@@ -101,27 +101,27 @@ impl Products {
         self.rows.iter().sum::<f64>() + self.bounds.iter().sum::<f64>()
     }
 
-    fn combined(&self, other: &Self, of: impl Fn(f64, f64) -> f64) -> Self {
-        let each = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| of(*a, *b)).collect();
-        Self { rows: each(&self.rows, &other.rows), bounds: each(&self.bounds, &other.bounds) }
-    }
-
-    fn plus(&self, other: &Self) -> Self {
-        self.combined(other, |a, b| a + b)
-    }
-
-    fn minus(&self, other: &Self) -> Self {
-        self.combined(other, |a, b| a - b)
-    }
-
-    /// Change of the products that brings outliers back to within a decade of `mu`.
-    fn correction(&self, mu: f64) -> Self {
-        let of = |v: &f64| (v.clamp(mu / OUTLIER, mu * OUTLIER) - v).max(-mu * OUTLIER);
+    /// Combines each product with that of `other`.
+    fn combined(&self, other: &Self, combine: fn(f64, f64) -> f64) -> Self {
         Self {
-            rows: self.rows.iter().map(of).collect(),
-            bounds: self.bounds.iter().map(of).collect(),
+            rows: zip_with(&self.rows, &other.rows, combine),
+            bounds: zip_with(&self.bounds, &other.bounds, combine),
         }
     }
+
+    /// Returns the change of the products that brings outliers back to within a decade of `mu`.
+    fn correction(&self, mu: f64) -> Self {
+        let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
+            let clamped = products.iter().map(|v| v.clamp(mu / OUTLIER, mu * OUTLIER));
+            clamped.zip(products).map(|(c, v)| (c - v).max(-mu * OUTLIER)).collect()
+        });
+        Self { rows, bounds }
+    }
+}
+
+/// Combines two vectors component by component.
+fn zip_with(a: &[f64], b: &[f64], combine: fn(f64, f64) -> f64) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| combine(*a, *b)).collect()
 }
 
 /// An iterate of the method.
@@ -139,11 +139,11 @@ pub(super) struct Iterate<'a> {
     /// Excess of c over the slacks that the tangents that are kept allow.
     excess: Vec<f64>,
     /// The iterate whose tangents are kept; `None` while the rows themselves are used.
-    pub(super) kept: Option<Kept>,
+    pub(super) anchor: Option<Anchor>,
 }
 
 /// An iterate whose tangents are kept.
-pub(super) struct Kept {
+pub(super) struct Anchor {
     pub(super) density: Vec<f64>,
     pub(super) value: f64,
     c: Vec<f64>,
@@ -162,10 +162,9 @@ impl<'a> Iterate<'a> {
             Some([z, y]) => {
                 // Products far below their mean would hold the steps back.
                 let least = LEAST_PRODUCT * (dot(&c, &z) + dot(&room, &y)) / members;
-                let raised = |v: Vec<f64>, slack: &[f64]| -> Vec<f64> {
-                    v.into_iter().zip(slack).map(|(v, slack)| v.max(least / slack)).collect()
-                };
-                [raised(z, &c), raised(y, &room)]
+                [(z, &c), (y, &room)].map(|(duals, slacks)| {
+                    duals.into_iter().zip(slacks).map(|(v, slack)| v.max(least / slack)).collect()
+                })
             }
             None => {
                 let mu = FIRST_RELATIVE_GAP * f.value / members;
@@ -173,15 +172,15 @@ impl<'a> Iterate<'a> {
             }
         };
         let excess = vec![0.0; c.len()];
-        Self { program, density, f, here, c, room, z, y, excess, kept: None }
+        Self { program, density, f, here, c, room, z, y, excess, anchor: None }
     }
 
     pub(super) fn complementarity(&self) -> f64 {
         dot(&self.c, &self.z) + dot(&self.room, &self.y)
     }
 
-    /// Upper bound on the excess of f over its least value under the tangents, nm^2. With the inverse of its
-    /// curvature a closer bound is tried, if it can decide whether `relative_gap` is reached.
+    /// Returns the upper bound on the excess of f over its least value under the tangents, nm^2. With the inverse of
+    /// its curvature a closer bound is tried, if it can decide whether `relative_gap` is reached.
     pub(super) fn gap(
         &self,
         inverse: Option<&Inverse<'_>>,
@@ -198,28 +197,33 @@ impl<'a> Iterate<'a> {
         r.iter_mut().zip(&self.y).for_each(|(r, y)| *r -= y);
         let products = of_tangents + dot(&self.room, &self.y);
         // Gap that proves that the iterate whose tangents are kept is good enough, or that their program is solved.
-        let wanted = match &self.kept {
+        let wanted = match &self.anchor {
             None => relative_gap * self.f.value,
-            Some(kept) => (relative_gap * kept.value - (kept.value - self.f.value))
+            Some(anchor) => (relative_gap * anchor.value - (anchor.value - self.f.value))
                 .max(PROGRAM_SOLVED * relative_gap * self.f.value),
         };
         if products > wanted {
             return simple;
         }
         let of_use = wanted - products;
-        let product = |d: &[f64]| merit.lower_curvature(d);
-        let square = certificate::by_curvature(&r, alpha, of_use, product, |e| inverse.solve(e));
+        let square = certificate::by_curvature(
+            &r,
+            alpha,
+            of_use,
+            |d| merit.lower_curvature(d),
+            |e| inverse.solve(e),
+        );
         simple.min(products + square)
     }
 
-    /// The iterate whose rows the tangents are, and its proven gap: the excess over their least value, from the `gap`
-    /// here.
+    /// Returns the iterate whose rows the tangents are, and its proven gap: the excess over their least value, from the
+    /// `gap` here.
     pub(super) fn executable(&mut self, gap: f64) -> Executable {
-        let (density, value, gap) = match &mut self.kept {
+        let (density, value, gap) = match &mut self.anchor {
             None => (&self.density, self.f.value, gap),
-            Some(kept) => {
-                kept.gap = kept.gap.min(kept.value - self.f.value + gap);
-                (&kept.density, kept.value, kept.gap)
+            Some(anchor) => {
+                anchor.gap = anchor.gap.min(anchor.value - self.f.value + gap);
+                (&anchor.density, anchor.value, anchor.gap)
             }
         };
         Executable { density: density.clone(), value, relative_gap: gap / value }
@@ -227,8 +231,12 @@ impl<'a> Iterate<'a> {
 
     /// Replaces the rows by their tangents for the steps that follow; `gap` is the proven gap so far, nm^2.
     pub(super) fn keep_tangents(&mut self, gap: f64) {
-        let (density, value, c) = (self.density.clone(), self.f.value, self.c.clone());
-        self.kept = Some(Kept { density, value, c, gap });
+        self.anchor = Some(Anchor {
+            density: self.density.clone(),
+            value: self.f.value,
+            c: self.c.clone(),
+            gap,
+        });
         self.here.iter_mut().for_each(|row| row.bend = [0.0; 3]);
         let mean = self.complementarity() / (self.c.len() + self.room.len()) as f64;
         let product = RAISED_PRODUCT * mean;
@@ -246,14 +254,14 @@ impl<'a> Iterate<'a> {
     /// Moves from where the tangents were kept towards this iterate, as far as the rows allow, and returns to the
     /// rows.
     pub(super) fn move_towards_solution(&mut self) {
-        let Some(kept) = self.kept.take() else { return };
+        let Some(anchor) = self.anchor.take() else { return };
         self.excess.fill(0.0);
-        let by: Vec<f64> = self.density.iter().zip(&kept.density).map(|(d, k)| d - k).collect();
-        let (t, to) = self.program.farthest(&kept.density, &by, &kept.c, 1.0);
-        self.move_to(if t >= LEAST_PART { to } else { kept.density });
+        let by: Vec<f64> = self.density.iter().zip(&anchor.density).map(|(d, k)| d - k).collect();
+        let (t, to) = self.program.farthest(&anchor.density, &by, &anchor.c, 1.0);
+        self.move_to(if t >= LEAST_PART { to } else { anchor.density });
     }
 
-    /// The rows at other densities.
+    /// Evaluates the rows at other densities.
     fn move_to(&mut self, density: Vec<f64>) {
         self.here = self.program.rows.constraints(&density);
         self.c = self.here.iter().map(|row| row.slack).collect();
@@ -261,12 +269,12 @@ impl<'a> Iterate<'a> {
         self.density = density;
     }
 
-    /// (2) with Mehrotra's mu, and the corrections.
+    /// Solves (2) with Mehrotra's mu, and corrects the step. `None` if the matrix is singular to rounding.
     pub(super) fn step(&self, row_of: &[usize]) -> Option<Step> {
         let inverse = self.inverse(row_of)?;
         let (mu, target) = self.centred(&inverse);
         let (target, step) = self.without_outliers(&inverse, mu, target);
-        Some(match self.kept {
+        Some(match self.anchor {
             None => self.around_bends(&inverse, &target, step),
             Some(_) => step,
         })
@@ -274,7 +282,8 @@ impl<'a> Iterate<'a> {
 
     /// Mehrotra's mu, from the step that aims at no products at all, and the products to aim at.
     fn centred(&self, inverse: &Inverse<'_>) -> (f64, Products) {
-        let (rows, bounds) = (self.c.len(), self.room.len());
+        let rows = self.c.len();
+        let bounds = self.room.len();
         let complementarity = self.complementarity();
         let zero = Products { rows: vec![0.0; rows], bounds: vec![0.0; bounds] };
         let predictor = self.direction(inverse, &zero, &self.excess);
@@ -282,24 +291,24 @@ impl<'a> Iterate<'a> {
         let centring = (after.sum() / complementarity).powi(3).clamp(LEAST_CENTRING, 1.0);
         let mu = centring * complementarity / (rows + bounds) as f64;
         let centred = Products { rows: vec![mu; rows], bounds: vec![mu; bounds] };
-        (mu, centred.minus(&self.second_order(&predictor)))
+        (mu, centred.combined(&self.second_order(&predictor), |a, b| a - b))
     }
 
-    /// The step to `target` with Gondzio's corrections, and the products that it aims at with them.
+    /// Returns the step to `target` with Gondzio's corrections, and the products that it aims at with them.
     fn without_outliers(
         &self,
         inverse: &Inverse<'_>,
         mu: f64,
         mut target: Products,
     ) -> (Products, Step) {
-        let towards = |t: &Products| self.direction(inverse, t, &self.excess);
-        let mut step = towards(&target);
+        let mut step = self.direction(inverse, &target, &self.excess);
         for _ in 0..MAX_CENTRALITY_CORRECTIONS {
-            let (a, b) = (self.by_tangents(&step), self.dual(&step));
+            let a = self.by_tangents(&step);
+            let b = self.dual(&step);
             let [further_a, further_b] = [a, b].map(|v| (v + FURTHER).min(1.0));
             let correction = self.products(&step, further_a, further_b).correction(mu);
-            let corrected = target.plus(&correction);
-            let next = towards(&corrected);
+            let corrected = target.combined(&correction, |a, b| a + b);
+            let next = self.direction(inverse, &corrected, &self.excess);
             let gained = (self.by_tangents(&next) - a, self.dual(&next) - b);
             if gained.0.min(gained.1) < 0.0 || gained.0.max(gained.1) < LEAST_GAIN * FURTHER {
                 break;
@@ -309,7 +318,7 @@ impl<'a> Iterate<'a> {
         (target, step)
     }
 
-    /// A longer step where bends end it early.
+    /// Returns a longer step where bends end it early.
     ///
     /// ```text
     /// c(D + t d) = c + t J d - q,   and d' instead of d with   J d' = J d + q / t as far as (2) allows   (3)
@@ -349,7 +358,7 @@ impl<'a> Iterate<'a> {
         let after = self.products(step, length, b).sum();
         self.z.iter_mut().zip(&step.z).for_each(|(z, d)| *z += b * d);
         self.y.iter_mut().zip(&step.y).for_each(|(y, d)| *y += b * d);
-        if self.kept.is_some() {
+        if self.anchor.is_some() {
             self.c.iter_mut().zip(&step.c).for_each(|(c, d)| *c += length * d);
             self.excess.iter_mut().for_each(|e| *e *= 1.0 - length);
             self.room.iter_mut().zip(&step.density).for_each(|(room, d)| *room += length * d);
@@ -360,7 +369,7 @@ impl<'a> Iterate<'a> {
         after
     }
 
-    /// The matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
+    /// Returns the matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
     fn inverse(&self, row_of: &[usize]) -> Option<Inverse<'_>> {
         let chain = self.program.chain;
         let mut diagonal: Vec<f64> =
@@ -380,8 +389,8 @@ impl<'a> Iterate<'a> {
         self.program.inverse(row_of, (&diagonal, &below))
     }
 
-    /// The step by (2) with `target` in the place of mu, and slacks that are `excess` (rows) larger than they should
-    /// be.
+    /// Returns the step by (2) with `target` in the place of mu, and slacks that are `excess` (rows) larger than they
+    /// should be.
     fn direction(&self, inverse: &Inverse<'_>, target: &Products, excess: &[f64]) -> Step {
         let Self { f, here, c, room, z, y, .. } = self;
         let t = target.bounds.iter().zip(room).map(|(t, room)| t / room);
@@ -390,26 +399,24 @@ impl<'a> Iterate<'a> {
         let d = inverse.solve(&rhs);
         let mut j_d = along(here, &d);
         j_d.iter_mut().zip(excess).for_each(|(c, e)| *c -= e);
-        let of_z = |i: usize| (target.rows[i] - z[i] * j_d[i]) / c[i] - z[i];
-        let of_y = |j: usize| (target.bounds[j] - y[j] * d[j]) / room[j] - y[j];
         Step {
-            z: (0..c.len()).map(of_z).collect(),
-            y: (0..d.len()).map(of_y).collect(),
+            z: (0..c.len()).map(|i| (target.rows[i] - z[i] * j_d[i]) / c[i] - z[i]).collect(),
+            y: (0..d.len()).map(|j| (target.bounds[j] - y[j] * d[j]) / room[j] - y[j]).collect(),
             c: j_d,
             density: d,
         }
     }
 
-    /// The longest step by the tangents of the rows.
+    /// Returns the longest step by the tangents of the rows.
     fn by_tangents(&self, step: &Step) -> f64 {
         longest(&self.room, &step.density).min(longest(&self.c, &step.c))
     }
 
-    /// The longest step, and where it ends: by the rows themselves, unless their tangents are kept.
+    /// Returns the longest step, and where it ends: by the rows themselves, unless their tangents are kept.
     fn primal(&self, step: &Step) -> (f64, Vec<f64>) {
         // The tangents say nearly how far.
         let length = self.by_tangents(step);
-        match self.kept {
+        match self.anchor {
             None => self.program.farthest(&self.density, &step.density, &self.c, length),
             Some(_) => (length, moved(&self.density, &step.density, length)),
         }
@@ -419,20 +426,22 @@ impl<'a> Iterate<'a> {
         longest(&self.z, &step.z).min(longest(&self.y, &step.y))
     }
 
-    /// The products after a primal step of length `a` and a dual one of length `b`, by the tangents.
+    /// Returns the products after a primal step of length `a` and a dual one of length `b`, by the tangents.
     fn products(&self, step: &Step, a: f64, b: f64) -> Products {
-        let of = |v: &[f64], dv: &[f64], z: &[f64], dz: &[f64]| {
+        let after_step = |v: &[f64], dv: &[f64], z: &[f64], dz: &[f64]| {
             (0..v.len()).map(|i| (v[i] + a * dv[i]) * (z[i] + b * dz[i])).collect()
         };
         Products {
-            rows: of(&self.c, &step.c, &self.z, &step.z),
-            bounds: of(&self.room, &step.density, &self.y, &step.y),
+            rows: after_step(&self.c, &step.c, &self.z, &step.z),
+            bounds: after_step(&self.room, &step.density, &self.y, &step.y),
         }
     }
 
-    /// Second-order terms of the products after a full step.
+    /// Returns the second-order terms of the products after a full step.
     fn second_order(&self, step: &Step) -> Products {
-        let of = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect();
-        Products { rows: of(&step.c, &step.z), bounds: of(&step.density, &step.y) }
+        Products {
+            rows: zip_with(&step.c, &step.z, |dc, dz| dc * dz),
+            bounds: zip_with(&step.density, &step.y, |d, dy| d * dy),
+        }
     }
 }

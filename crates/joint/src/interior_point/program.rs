@@ -2,11 +2,14 @@
 
 use planish_dwell::residual::Normal;
 use planish_numerics::{
-    linear::{skyline::Element, woodbury::Woodbury},
+    linear::{
+        skyline::{Element, Skyline},
+        woodbury::Woodbury,
+    },
     qp::bounded::Quadratic,
 };
 
-use crate::limits::{Constraint, Rows};
+use crate::limits::{Constraint, LimitRows};
 
 /// Largest fraction of a slack or of a dual variable that one step may take away, dimensionless; below 1. Larger:
 /// longer steps, but the next ones are short at rows that are nearly active. Smaller: more steps. Chosen.
@@ -31,12 +34,12 @@ pub struct Program<'a> {
     /// lo (n).
     pub lo: &'a [f64],
     /// c.
-    pub rows: &'a Rows<'a>,
+    pub rows: &'a LimitRows<'a>,
 }
 
 impl<'a> Program<'a> {
-    /// The inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n). `None` if
-    /// that is singular to rounding.
+    /// Returns the inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n).
+    /// `None` if that is singular to rounding.
     pub(super) fn inverse(
         &self,
         row_of: &[usize],
@@ -53,19 +56,9 @@ impl<'a> Program<'a> {
         }
         added.sort_unstable_by_key(|e| (e.row, e.column));
         let Quadratic { k, u } = &self.normal.matrix;
-        let product = |x: &[f64]| {
-            let mut product = k.product(x);
-            for e in &added {
-                product[e.row] += e.value * x[e.column];
-                if e.column != e.row {
-                    product[e.column] += e.value * x[e.row];
-                }
-            }
-            product
-        };
-        let single = k
-            .factorise_in_single(&added)
-            .and_then(|factor| Woodbury::refined(factor, u, LEFT_TO_SINGLE, product));
+        let single = k.factorise_in_single(&added).and_then(|factor| {
+            Woodbury::refined(factor, u, LEFT_TO_SINGLE, |x| product_with(k, &added, x))
+        });
         let by_rows = match single {
             Some(woodbury) => ByRows::Single(woodbury),
             None => {
@@ -77,8 +70,8 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, by_rows })
     }
 
-    /// The longest part of the step `length d` after which every row keeps more than a twentieth of its slack `c`,
-    /// and the densities where it ends.
+    /// Returns the longest part of the step `length d` after which every row keeps more than a twentieth of its slack
+    /// `c`, and the densities where it ends.
     pub(super) fn farthest(
         &self,
         density: &[f64],
@@ -89,8 +82,8 @@ impl<'a> Program<'a> {
         loop {
             let to = moved(density, d, length);
             let after = self.rows.slacks(&to);
-            let keeps = |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
-            if after.iter().zip(c).all(keeps) || length < f64::EPSILON {
+            let keep = after.iter().zip(c).all(|(after, c)| *after >= (1.0 - STEP_TO_BOUNDARY) * c);
+            if keep || length < f64::EPSILON {
                 return (length, to);
             }
             length *= BACKTRACKING;
@@ -98,10 +91,23 @@ impl<'a> Program<'a> {
     }
 }
 
-/// `D + length d`.
+/// Returns the product of the matrix `k`, to which some elements are added, with `x` (n).
+fn product_with(k: &Skyline, added: &[Element], x: &[f64]) -> Vec<f64> {
+    let mut product = k.product(x);
+    for e in added {
+        product[e.row] += e.value * x[e.column];
+        if e.column != e.row {
+            product[e.column] += e.value * x[e.row];
+        }
+    }
+    product
+}
+
+/// Returns `D + length d`.
 pub(super) fn moved(density: &[f64], d: &[f64], length: f64) -> Vec<f64> {
     density.iter().zip(d).map(|(u, d)| u + length * d).collect()
 }
+
 /// The inverse of a matrix over the nodes.
 pub(super) struct Inverse<'a> {
     /// Node of every row.
@@ -128,14 +134,14 @@ impl Inverse<'_> {
     }
 }
 
-/// J d.
+/// Returns J d (rows).
 pub(super) fn along(rows: &[Constraint], d: &[f64]) -> Vec<f64> {
-    let of =
-        |row: &Constraint| (0..2).map(|k| row.nodes[k].map_or(0.0, |n| row.by[k] * d[n])).sum();
-    rows.iter().map(of).collect()
+    rows.iter()
+        .map(|row| (0..2).map(|k| row.nodes[k].map_or(0.0, |n| row.by[k] * d[n])).sum())
+        .collect()
 }
 
-/// `out += J' v`.
+/// Adds J' v to `out` (n).
 pub(super) fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &mut [f64]) {
     for (i, row) in rows.iter().enumerate() {
         let v = v(i);
@@ -147,8 +153,10 @@ pub(super) fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &m
     }
 }
 
-/// The longest step, at most 1, after which no component of `v` is below a twentieth of itself.
+/// Returns the length of the longest step, at most 1, after which no component of `v` is below a twentieth of itself.
 pub(super) fn longest(v: &[f64], d: &[f64]) -> f64 {
-    let of = |(v, d): (&f64, &f64)| if *d < 0.0 { -STEP_TO_BOUNDARY * v / d } else { 1.0 };
-    v.iter().zip(d).map(of).fold(1.0, f64::min)
+    v.iter()
+        .zip(d)
+        .map(|(v, d)| if *d < 0.0 { -STEP_TO_BOUNDARY * v / d } else { 1.0 })
+        .fold(1.0, f64::min)
 }

@@ -98,13 +98,13 @@ struct Patience {
 impl Patience {
     const FIRST: Self = Self { below: 1.0, from: 0 };
 
-    /// True if a proof may begin, when the objective has just fallen by `fall_nm2`.
+    /// Returns true if a proof may begin, when the objective has just fallen by `fall_nm2`.
     fn ends(&self, there: Progress, fall_nm2: f64, wanted_nm2: f64) -> bool {
         let falls = fall_nm2 > STILL_FALLING * wanted_nm2;
         there.complementarity <= self.below * wanted_nm2 && !falls && there.iteration >= self.from
     }
 
-    /// The condition after a proof that failed at a step.
+    /// Returns the condition after a proof that failed at a step.
     fn after_failure(&self, iteration: usize) -> Self {
         Self {
             below: (self.below * KEPT_AGAIN).max(LEAST_KEPT_BELOW),
@@ -144,7 +144,7 @@ pub(super) struct Look {
 }
 
 impl Look {
-    /// True if the gap here decides how the search goes on.
+    /// Returns true if the gap here decides how the search goes on.
     pub(super) fn decides(&self) -> bool {
         self.near || self.last
     }
@@ -224,7 +224,7 @@ impl<'a> Search<'a> {
         let to_go = self.stop.max_iterations.saturating_sub(self.iteration);
         let near = self.settled
             && complementarity <= wanted_nm2
-            && (self.at.kept.is_some()
+            && (self.at.anchor.is_some()
                 || self.patience.ends(there, fall_nm2, wanted_nm2)
                 || to_go <= STEPS_OF_A_PROOF);
         Look { there, wanted_nm2, near, last: to_go == 0 }
@@ -235,18 +235,18 @@ impl<'a> Search<'a> {
     pub(super) fn refer(&mut self, look: Look, merit: &mut Merit<'_>) -> Result<Look, JointError> {
         let complementarity = look.there.complementarity;
         if look.decides() || complementarity <= REFERRED_AGAIN * self.referred_at {
-            merit.refer_to(look.there, &self.at.density, self.at.kept.is_some())?;
+            merit.refer_to(look.there, &self.at.density, self.at.anchor.is_some())?;
             self.evaluate(look.there, merit);
             self.referred_at = complementarity;
         }
         self.value_before = self.at.f.value;
-        if self.at.kept.is_none() {
+        if self.at.anchor.is_none() {
             self.values.push(self.at.f.value);
         }
         Ok(Look { near: look.near && self.settled, ..look })
     }
 
-    /// The proven gap here, nm^2. `None` if the curvature of f is singular to rounding.
+    /// Returns the proven gap here, nm^2. `None` if the curvature of f is singular to rounding.
     pub(super) fn prove(&mut self, look: &Look, merit: &Merit<'_>) -> Option<f64> {
         if look.near && self.of_curvature.is_none() {
             self.of_curvature = Some(self.program.inverse(&self.row_of, self.program.chain)?);
@@ -264,7 +264,7 @@ impl<'a> Search<'a> {
             Next::End(End::Optimal)
         } else if look.last {
             Next::End(End::IterationLimit)
-        } else if self.at.kept.is_none() {
+        } else if self.at.anchor.is_none() {
             Next::KeepTangents
         } else if gap_nm2 <= PROGRAM_SOLVED * look.wanted_nm2 {
             Next::Move
@@ -285,7 +285,7 @@ impl<'a> Search<'a> {
         self.evaluate(look.there, merit);
     }
 
-    /// The step by (2), as far as it is allowed. `None` if its matrix is singular to rounding.
+    /// Takes the step by (2), as far as it is allowed. `None` if its matrix is singular to rounding.
     pub(super) fn step(&mut self, merit: &mut Merit<'_>) -> Option<()> {
         let step = self.at.step(&self.row_of)?;
         let complementarity = self.at.advance(&step);
@@ -298,11 +298,12 @@ impl<'a> Search<'a> {
         (self.at.f, self.settled) = merit.evaluate(there, &self.at.density);
     }
 
-    /// The best iterate, with the dual variables of the last one.
+    /// Returns the best iterate, with the dual variables of the last one.
     pub(super) fn solution(self, end: End) -> Option<Solution> {
         let Executable { density, relative_gap, .. } = self.best.iterate?;
         let duals = [self.at.z, self.at.y];
-        let (objective, iterations) = (self.values, self.iteration);
+        let objective = self.values;
+        let iterations = self.iteration;
         Some(Solution { density, objective, iterations, duals, relative_gap, end })
     }
 }
@@ -315,7 +316,7 @@ mod tests {
     use crate::{
         curve::{Rounding, curves},
         interior_point::tests::{machine, part},
-        limits::Rows,
+        limits::LimitRows,
         merit::Price,
         mesh::Mesh,
     };
@@ -327,7 +328,7 @@ mod tests {
         let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
         let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let normal = residual.normal(&mesh.columns(), None).unwrap();
-        let rows = Rows::new(&curves, &mesh, &machine(60.0, 400.0), 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &machine(60.0, 400.0), 0.1);
         let lo = rows.least_density().to_vec();
         let density = vec![(1.05 * rows.least_uniform_density()).max(0.3); mesh.nodes];
         let (weights, price) = ((1e-4, 0.0), Price::Nm2PerS(1e-4));
@@ -431,14 +432,14 @@ mod tests {
             let under = search.refer(under, merit).unwrap();
             assert_eq!(search.values.len(), values);
             let solved = 0.5 * PROGRAM_SOLVED * under.wanted_nm2;
-            let kept = search.at.kept.as_mut().unwrap();
+            let kept = search.at.anchor.as_mut().unwrap();
             assert_eq!(kept.density, density);
             // Far below the iterate whose tangents are kept: solved, but nothing is proven of that iterate.
             (kept.value, kept.gap) = (2.0 * search.at.f.value, f64::INFINITY);
             assert_eq!(search.conclude(&look, solved), Next::Move);
             assert_eq!(search.conclude(&look, 2.0 * PROGRAM_SOLVED * look.wanted_nm2), Next::Step);
             search.move_towards_solution(&look, merit);
-            assert!(search.at.kept.is_none());
+            assert!(search.at.anchor.is_none());
             assert_eq!(search.patience.from, search.iteration + LEAST_STEPS_BETWEEN_PROOFS);
             assert!(search.at.c.iter().all(|c| *c > 0.0), "every iterate can be executed");
         });

@@ -1,7 +1,7 @@
 //! A small part of 57 pixels along x, a Gaussian tool, and a machine of two axes.
 
 use ndarray::Array2;
-use planish_joint::{Plan, Price, Settings};
+use planish_joint::{JointPlan, JointSettings, Price};
 use planish_types::{Axis, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath};
 
 /// Limits along [x, y]: velocities, mm/s, accelerations, mm/s^2, and one jerk, mm/s^3.
@@ -45,13 +45,13 @@ pub fn through(points: Vec<[f64; 2]>) -> ToolPath {
 
 /// Settings with nodes as far apart as on a large part. The closer ones of a plan with little work test nothing more
 /// here.
-pub fn at_price(price: f64) -> Settings {
+pub fn at_price(price: f64) -> JointSettings {
     let node_spacing_mm = Some(0.6);
-    Settings { price: Price::Nm2PerS(price), node_spacing_mm, ..Settings::default() }
+    JointSettings { price: Price::Nm2PerS(price), node_spacing_mm, ..JointSettings::default() }
 }
 
 /// Objective of the plan, from the executed motion, without the pull to the floor.
-pub fn merit(plan: &Plan, price: f64) -> f64 {
+pub fn merit(plan: &JointPlan, price: f64) -> f64 {
     let rms = plan.removal.residual().statistics().rms;
     0.5 * rms * rms + price * plan.trajectory.total_time_s()
 }

@@ -8,8 +8,8 @@ use planish_handoff::{
     kind, say, task,
 };
 use planish_refine::{
-    Settings,
-    trade_off::{self, Method},
+    RefineSettings,
+    trade_off::{self, PlanMethod},
 };
 use planish_schedule::pvt::{self, ModeChoice};
 use planish_types::{End, plausible, progress};
@@ -46,15 +46,21 @@ pub struct Pareto {
 }
 
 impl Pareto {
-    /// The plans, their table and their picture.
+    /// Computes the plans and writes them with their table and their picture.
+    ///
+    /// # Errors
+    ///
+    /// Refuses inputs that cannot be read or do not fit each other. Fails where a plan fails or the output cannot be
+    /// written.
     pub fn run(&self) -> Result<Status, Failure> {
-        let mut settings = Settings { max_rounds: self.max_rounds, ..Settings::default() };
+        let mut settings =
+            RefineSettings { max_rounds: self.max_rounds, ..RefineSettings::default() };
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let scheduler = pvt::Settings::of(self.mode.on(&machine));
+        let scheduler = pvt::PvtSettings::new(self.mode.on(&machine));
         settings.scheduler = &scheduler;
         let task = task!("pareto", json!({ "prices": self.prices, "refine": settings }));
         let mut output =
@@ -65,12 +71,16 @@ impl Pareto {
 
         plausible::check_path(&surface, &tif, &path)?;
         let prices = trade_off::prices(&surface, &tif, self.prices)?;
-        let of_loop = || trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings);
-        let mut points = progress::part(0, 2, of_loop).map_err(Failure::with_flags)?;
+        let mut points = progress::part(0, 2, || {
+            trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
+        })
+        .map_err(Failure::with_flags)?;
         // A floor per dwell point does not apply to a motion without points.
         let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm)?;
-        let of_feed = || trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
-        points.extend(progress::part(1, 2, of_feed).map_err(Failure::with_flags)?);
+        let of_joint_plans = progress::part(1, 2, || {
+            trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor)
+        });
+        points.extend(of_joint_plans.map_err(Failure::with_flags)?);
         let least_time_s = trade_off::least_time_s(&surface, &tif);
 
         say("| method | price, nm^2/s | total time, s | residual RMS, nm | limits |");
@@ -92,7 +102,7 @@ impl Pareto {
         let arrays = iterations(points.iter().map(|p| &p.best));
         let picture = trade_off::svg(&points, least_time_s).into_bytes();
         let ends: Vec<End> = points.iter().map(|p| p.end).collect();
-        let methods: Vec<Method> = points.iter().map(|p| p.method).collect();
+        let methods: Vec<PlanMethod> = points.iter().map(|p| p.method).collect();
         let of_points: Vec<f64> = points.iter().map(|p| p.time_weight_nm2_per_s).collect();
         let outcome = json!({
             "end": End::AllPrices,

@@ -16,7 +16,7 @@ use planish_handoff::{
     kind, say, task, warn, with_flags,
 };
 use planish_refine::{
-    Refined, Settings,
+    RefineSettings, Refined,
     error_budget::{Price, refine_for},
     refine,
 };
@@ -46,11 +46,11 @@ pub struct Refine {
     floor: FloorArgs,
     /// Tikhonov weight of the squared dwell time per area above its floor; larger values shorten the run. Its effect
     /// does not depend on pitch, pixel and tool
-    #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
+    #[arg(long, value_name = "A", default_value_t = RefineSettings::default().dwell.tikhonov)]
     tikhonov: f64,
     /// Weight of the square of the slope of the dwell time per area along the path, in the last corrections; larger
     /// values give smoother dwell times and a larger residual
-    #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.slope_weight)]
+    #[arg(long, value_name = "B", default_value_t = RefineSettings::default().dwell.slope_weight)]
     slope_weight: f64,
     /// Price of a second, relative to half the mean square of the residual, nm^2/s; larger values shorten
     /// the run
@@ -100,7 +100,7 @@ fn scheduler_of_name() -> impl TypedValueParser<Value = &'static Named> {
 #[derive(Serialize)]
 struct Resolved<'a> {
     #[serde(flatten)]
-    settings: Settings<'a>,
+    settings: RefineSettings<'a>,
     stop_at_max_rounds: bool,
     max_path_distance_mm: f64,
 }
@@ -145,8 +145,7 @@ impl Refine {
         let (refined, price) = match &process {
             None => (refine(&surface, &tif, &path, &machine, first, &settings), None),
             Some(process) => {
-                let found = refine_for(&surface, &tif, &path, &machine, first, &settings, process);
-                match found {
+                match refine_for(&surface, &tif, &path, &machine, first, &settings, process) {
                     Ok((refined, price)) => (Ok(refined), Some(price)),
                     Err(e) => (Err(e), None),
                 }
@@ -161,9 +160,10 @@ impl Refine {
             format!("{excess}; the scheduler pvt stays within it, or give a larger tolerance")
         });
         let reasons: Vec<String> = negative.into_iter().chain(excess).collect();
-        let status = match reasons.is_empty() {
-            true => Status::Done,
-            false => Status::Negative(with_flags(&reasons.join("; "))),
+        let status = if reasons.is_empty() {
+            Status::Done
+        } else {
+            Status::Negative(with_flags(&reasons.join("; ")))
         };
         output.write(&refined.dwell, &outcome, &status)?;
         output.write(&refined.trajectory, &outcome, &status)?;
@@ -187,9 +187,10 @@ impl Refine {
             ("--repair", "trig-spline", self.repair == trig_spline::Repair::default()),
         ];
         let chosen = self.scheduler.name;
-        match own.into_iter().find(|(_, of, is_default)| !is_default && chosen != *of) {
-            Some((flag, of, _)) => Err(Failure::new(format!(
-                "{flag} is of the scheduler {of}, and --scheduler is {chosen}; leave {flag} out, or give --scheduler {of}"
+        match own.into_iter().find(|(_, owner, is_default)| !is_default && chosen != *owner) {
+            Some((flag, owner, _)) => Err(Failure::new(format!(
+                "{flag} is of the scheduler {owner}, and --scheduler is {chosen}; leave {flag} out, or give \
+                 --scheduler {owner}"
             ))),
             None => Ok(()),
         }
@@ -199,8 +200,8 @@ impl Refine {
         &self,
         surface: &Surface,
         scheduler: &'a dyn Scheduler,
-    ) -> Result<Settings<'a>, Failure> {
-        let mut settings = Settings { scheduler, ..Settings::default() };
+    ) -> Result<RefineSettings<'a>, Failure> {
+        let mut settings = RefineSettings { scheduler, ..RefineSettings::default() };
         settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
         settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
@@ -215,7 +216,7 @@ impl Refine {
     }
 
     /// Says what every round gave, and the end.
-    fn tell(&self, refined: &Refined, settings: &Settings, round_s: &[f64]) {
+    fn tell(&self, refined: &Refined, settings: &RefineSettings, round_s: &[f64]) {
         let best = &refined.iterates[refined.best];
         for ((round, i), cost_s) in refined.iterates.iter().enumerate().zip(round_s) {
             say(format!(
@@ -286,7 +287,7 @@ fn outcome<'a>(
     RefineOutcome { plan, error_budget: price, tif_lattice: refined.tif_lattice }
 }
 
-/// Sentence on the residuals and times of the plans without and with the process.
+/// Returns the sentence on the residuals and times of the plans without and with the process.
 fn words(price: &Price) -> String {
     let Price { name, without, with, kept, not_in_the_objective, .. } = price;
     let objective = match not_in_the_objective.as_slice() {

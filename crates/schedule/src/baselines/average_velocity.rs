@@ -14,17 +14,17 @@
 //! | dp | `displacement_mm` | (n) | mm |
 //! | v | `coefficient_mm[.., 1]` | (n) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, check_lengths,
+    Schedule, ScheduleError, check_lengths,
     pvt::{Stretched, durations_s},
 };
 
 /// Stretched segments and velocity steps of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct AverageVelocityReport {
     /// Segments that were given more time, in order.
     pub stretched: Vec<Stretched>,
     /// Time that the stretching added, s.
@@ -35,24 +35,19 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Stretched segments and velocity steps.
-    pub report: Report,
-}
-
 /// Schedules `path` with the times `dwell`. A segment takes longer if the velocity limit or the
 /// shortest segment of the controller demands it.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<AverageVelocityReport>, ScheduleError> {
     check_lengths(path, dwell)?;
-    let mut report = Report::default();
+    let mut report = AverageVelocityReport::default();
     let mut motion = TrajectoryBuilder::default();
     let mut before = [0.0; 2];
     let durations_s = durations_s(path, dwell, limits);
@@ -79,7 +74,7 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-impl Report {
+impl AverageVelocityReport {
     fn step(&mut self, before: [f64; 2], after: [f64; 2]) {
         for axis in 0..2 {
             let largest = &mut self.largest_velocity_step_mm_per_s[axis];

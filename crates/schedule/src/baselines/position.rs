@@ -15,7 +15,12 @@ use crate::{ScheduleError, check_lengths};
 /// the break times. Four roundings. Larger: short dwell times are lost. Smaller: two break times can be equal.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
 
-/// Stands at the dwell points of `path`; segments without dwell time, but for rounding, are left out.
+/// Plans a motion that stands at the dwell points of `path`; segments without dwell time, but for rounding, are left
+/// out.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(path: &ToolPath, dwell: &DwellTime) -> Result<Trajectory, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut motion = TrajectoryBuilder::default();

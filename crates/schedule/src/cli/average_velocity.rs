@@ -9,22 +9,15 @@ use planish_schedule::{
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, NoSettings};
+use super::{Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
-pub struct AverageVelocity {
-    #[command(flatten)]
-    given: Given,
-}
+pub struct AverageVelocity {}
 
 impl MotionCommand for AverageVelocity {
     const METHOD: &'static str = "average-velocity";
 
-    type Settings = NoSettings;
-
-    fn given(&self) -> &Given {
-        &self.given
-    }
+    type SchedulerSettings = NoSettings;
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

@@ -5,22 +5,15 @@ use planish_schedule::{ScheduleError, constant_acceleration};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, NoSettings, micron};
+use super::{Made, MotionCommand, NoSettings, micron};
 
 #[derive(Args)]
-pub struct ConstantAcceleration {
-    #[command(flatten)]
-    given: Given,
-}
+pub struct ConstantAcceleration {}
 
 impl MotionCommand for ConstantAcceleration {
     const METHOD: &'static str = "constant-acceleration";
 
-    type Settings = NoSettings;
-
-    fn given(&self) -> &Given {
-        &self.given
-    }
+    type SchedulerSettings = NoSettings;
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

@@ -35,9 +35,9 @@ pub struct Interpolate {
 
 impl Interpolate {
     pub fn run(&self) -> Result<Status, Failure> {
-        let tick = |e| Failure::new(format!("--cycle-s: {e}"));
-        let mut interpolator = Interpolator::new(self.cycle_s).map_err(tick)?;
-        let table = Table::of(&self.output.out)?;
+        let mut interpolator =
+            Interpolator::new(self.cycle_s).map_err(|e| Failure::new(format!("--cycle-s: {e}")))?;
+        let table = Table::from_path(&self.output.out)?;
         let mut inputs = Inputs::new();
         let source = match (&self.program, &self.dwell_density) {
             (Some(program), _) => {
@@ -51,7 +51,8 @@ impl Interpolate {
         };
         let output = self.output.begin(&inputs)?;
         refuse_too_many(&source, self.cycle_s, table)?;
-        let (mut count, mut end_s) = (0_u64, 0.0);
+        let mut count = 0_u64;
+        let mut end_s = 0.0;
         output.write_by(|file| {
             let mut to = BufWriter::new(file);
             table.begin(&mut to)?;
@@ -144,9 +145,10 @@ fn for_each_line(
             break;
         }
         let whole = line.ends_with('\n') || (line.len() as u64) < LONGEST_LINE;
-        let parsed = match whole {
-            true => Record::parse(&line),
-            false => Err(format!("has more than {LONGEST_LINE} characters")),
+        let parsed = if whole {
+            Record::parse(&line)
+        } else {
+            Err(format!("has more than {LONGEST_LINE} characters"))
         };
         let pushed = parsed.and_then(|record| record.map_or(Ok(()), |record| push(&record)));
         pushed.map_err(|e| {
@@ -171,7 +173,8 @@ enum Table {
 const NPY_HEAD_BYTES: usize = 128;
 
 impl Table {
-    fn of(path: &Path) -> Result<Self, Failure> {
+    /// Chooses the format by the ending of the file.
+    fn from_path(path: &Path) -> Result<Self, Failure> {
         match path.extension().and_then(OsStr::to_str) {
             Some("csv") => Ok(Self::Csv),
             Some("npy") => Ok(Self::Npy),
@@ -223,7 +226,7 @@ impl Table {
     }
 }
 
-/// Head in format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
+/// Returns the head in format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
 fn npy_head(rows: u64) -> Vec<u8> {
     let columns = COLUMNS.len();
     let header =

@@ -54,11 +54,11 @@ impl Program {
         Ok(Status::Done)
     }
 
-    /// Height of the part at the end of every record, mm.
+    /// Returns the height of the part at the end of every record, mm.
     fn heights_mm(&self, records: &[Record], inputs: &mut Inputs) -> Result<Vec<f64>, Failure> {
         let Some(path) = &self.form else { return Ok(vec![0.0; records.len()]) };
         let form = inputs.read_form("form", path)?.form;
-        let height = |(number, record): (usize, &Record)| {
+        let heights = records.iter().enumerate().map(|(number, record)| {
             let [x, y] = record.end_mm();
             // Never the other zero.
             form.sag_mm([x, y]).map(|z| z + 0.0).ok_or_else(|| {
@@ -68,12 +68,12 @@ impl Program {
                     path.display()
                 ))
             })
-        };
-        records.iter().enumerate().map(height).collect()
+        });
+        heights.collect()
     }
 }
 
-/// Records of a dwell-time density, with what lies outside of its passes if the trajectory is given.
+/// Returns the records of a dwell-time density, with what lies outside of its passes if the trajectory is given.
 pub(super) fn read_records(
     inputs: &mut Inputs,
     dwell_density: &Path,

@@ -5,12 +5,10 @@ use planish_schedule::{ScheduleError, claim::Claim, pvt};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand};
+use super::{Made, MotionCommand};
 
 #[derive(Args)]
 pub struct Pvt {
-    #[command(flatten)]
-    given: Given,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
@@ -22,21 +20,17 @@ pub struct Pvt {
 impl MotionCommand for Pvt {
     const METHOD: &'static str = "pvt";
 
-    type Settings = pvt::Settings;
+    type SchedulerSettings = pvt::PvtSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
-    }
-
-    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> pvt::Settings {
-        pvt::Settings {
+    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> pvt::PvtSettings {
+        pvt::PvtSettings {
             stretch: !self.no_stretch,
             max_path_distance_mm: Some(max_path_distance_mm),
-            ..pvt::Settings::of(self.mode.on(machine))
+            ..pvt::PvtSettings::new(self.mode.on(machine))
         }
     }
 
-    fn kind(settings: &pvt::Settings) -> Option<&'static str> {
+    fn kind(settings: &pvt::PvtSettings) -> Option<&'static str> {
         Some(settings.mode.name())
     }
 
@@ -44,7 +38,7 @@ impl MotionCommand for Pvt {
         path: &ToolPath,
         dwell: &DwellTime,
         machine: &Limits,
-        settings: &pvt::Settings,
+        settings: &pvt::PvtSettings,
     ) -> Result<Made, ScheduleError> {
         let s = pvt::schedule(path, dwell, machine, settings)?;
         let remark = format!(
@@ -57,7 +51,7 @@ impl MotionCommand for Pvt {
         Ok(Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark })
     }
 
-    fn advice(settings: &pvt::Settings, claim: &Claim) -> Option<String> {
+    fn advice(settings: &pvt::PvtSettings, claim: &Claim) -> Option<String> {
         let other = settings.mode.for_jerk(claim)?;
         Some(format!("--mode {} keeps a limit on jerk", other.name()))
     }

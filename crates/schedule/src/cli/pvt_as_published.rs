@@ -5,12 +5,10 @@ use planish_schedule::{ScheduleError, baselines::pvt_as_published};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, micron};
+use super::{Made, MotionCommand, micron};
 
 #[derive(Args)]
 pub struct PvtAsPublished {
-    #[command(flatten)]
-    given: Given,
     /// Node at which the tool rests besides the end: as Eq. 16 of the publication means, or as it is misprinted
     #[arg(long, value_enum, default_value = "corrected")]
     rest_condition: pvt_as_published::RestCondition,
@@ -19,21 +17,17 @@ pub struct PvtAsPublished {
 impl MotionCommand for PvtAsPublished {
     const METHOD: &'static str = "pvt-as-published";
 
-    type Settings = pvt_as_published::Settings;
+    type SchedulerSettings = pvt_as_published::AsPublishedSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
-    }
-
-    fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::Settings {
-        pvt_as_published::Settings { rest_condition: self.rest_condition }
+    fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::AsPublishedSettings {
+        pvt_as_published::AsPublishedSettings { rest_condition: self.rest_condition }
     }
 
     fn make(
         path: &ToolPath,
         dwell: &DwellTime,
         machine: &Limits,
-        settings: &pvt_as_published::Settings,
+        settings: &pvt_as_published::AsPublishedSettings,
     ) -> Result<Made, ScheduleError> {
         let s = pvt_as_published::schedule(path, dwell, machine, settings)?;
         let [x, y] = s.report.largest_position_error_mm.map(micron);

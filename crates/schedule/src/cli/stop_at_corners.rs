@@ -5,22 +5,15 @@ use planish_schedule::{ScheduleError, stop_at_corners};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, NoSettings};
+use super::{Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
-pub struct StopAtCorners {
-    #[command(flatten)]
-    given: Given,
-}
+pub struct StopAtCorners {}
 
 impl MotionCommand for StopAtCorners {
     const METHOD: &'static str = "stop-at-corners";
 
-    type Settings = NoSettings;
-
-    fn given(&self) -> &Given {
-        &self.given
-    }
+    type SchedulerSettings = NoSettings;
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

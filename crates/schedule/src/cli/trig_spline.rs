@@ -7,21 +7,19 @@ use planish_schedule::{ScheduleError, trig_spline};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand};
+use super::{Made, MotionCommand};
 
 #[derive(Args)]
 pub struct TrigSpline {
-    #[command(flatten)]
-    given: Given,
     /// Repair of the dwell-time densities that the machine cannot follow
     #[arg(long, value_enum, default_value = "offset")]
     repair: trig_spline::Repair,
     /// Largest distance of the motion from a corner of the path, mm, but at most the usual tolerance of the path; larger
     /// values let the tool pass corners faster
-    #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
+    #[arg(long, value_name = "MM", default_value_t = trig_spline::TrigSplineSettings::default().corner_deviation_mm)]
     corner_deviation_mm: f64,
     /// Largest error of the position in the fit of the motion by cubics, mm
-    #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
+    #[arg(long, value_name = "MM", default_value_t = trig_spline::TrigSplineSettings::default().fit_tolerance_mm)]
     fit_tolerance_mm: f64,
     /// Output directory of the nodes of the spline, for `interpolate` and `program` [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
@@ -31,14 +29,10 @@ pub struct TrigSpline {
 impl MotionCommand for TrigSpline {
     const METHOD: &'static str = "trig-spline";
 
-    type Settings = trig_spline::Settings;
+    type SchedulerSettings = trig_spline::TrigSplineSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
-    }
-
-    fn settings(&self, _: &Limits, _: f64) -> trig_spline::Settings {
-        trig_spline::Settings {
+    fn settings(&self, _: &Limits, _: f64) -> trig_spline::TrigSplineSettings {
+        trig_spline::TrigSplineSettings {
             repair: self.repair,
             corner_deviation_mm: self.corner_deviation_mm,
             fit_tolerance_mm: self.fit_tolerance_mm,
@@ -53,7 +47,7 @@ impl MotionCommand for TrigSpline {
         path: &ToolPath,
         dwell: &DwellTime,
         machine: &Limits,
-        settings: &trig_spline::Settings,
+        settings: &trig_spline::TrigSplineSettings,
     ) -> Result<Made, ScheduleError> {
         let s = trig_spline::schedule(path, dwell, machine, settings)?;
         let r = &s.report;

@@ -94,7 +94,7 @@ pub(super) struct Part {
 /// segments to solve again. Smaller: parts cost more to set up than to solve.
 const LEAST_PART_SEGMENTS: usize = 64;
 
-/// Excess of each of n segments, the larger of both axes; `None` if no part exceeds the limits.
+/// Returns the excess of each of n segments, the larger of both axes; `None` if no part exceeds the limits.
 pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f64>> {
     let mut all = None;
     for part in parts.iter().flatten() {
@@ -106,7 +106,7 @@ pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f6
     all
 }
 
-/// Node velocities of an axis, whether its parts exceed limits or not.
+/// Returns the node velocities of an axis, whether its parts exceed limits or not.
 pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     let mut all = vec![0.0];
     for part in parts {
@@ -119,7 +119,7 @@ pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     all
 }
 
-/// The solution of all parts of an axis.
+/// Returns the solution of all parts of an axis.
 pub(super) fn joined(parts: Vec<Part>) -> Solved {
     let mut parts = parts.into_iter().filter_map(|part| part.solved?.ok());
     let mut all = parts.next().expect("every part is solved");
@@ -141,7 +141,7 @@ struct Limited {
 }
 
 impl Limited {
-    /// Times at which the velocity of segment `i`, which has limits, is bounded.
+    /// Returns the times at which the velocity of segment `i`, which has limits, is bounded.
     fn times(&self, i: usize) -> impl Iterator<Item = f64> {
         std::iter::once(0.5).chain(self.velocity_at.get(&i).into_iter().flatten().copied())
     }
@@ -155,7 +155,7 @@ pub(super) struct Solved {
 }
 
 impl AxisProblem<'_> {
-    /// The problem of an axis with these displacements and limits.
+    /// Returns the problem of an axis with these displacements and limits.
     pub(super) fn new(displacement_mm: Vec<f64>, mode: Mode, limits: &AxisLimits) -> Self {
         Self {
             displacement_mm: Cow::Owned(displacement_mm),
@@ -170,7 +170,7 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Problem of the same axis along other segments.
+    /// Returns the problem of the same axis along other segments.
     pub(super) fn along(&self, displacement_mm: Vec<f64>) -> AxisProblem<'static> {
         AxisProblem {
             displacement_mm: Cow::Owned(displacement_mm),
@@ -202,7 +202,8 @@ impl AxisProblem<'_> {
     /// displacements fix the velocity at zero.
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
-        let (mut parts, mut start) = (Vec::new(), 0);
+        let mut parts = Vec::new();
+        let mut start = 0;
         for node in 1..=n {
             let is_long =
                 node - start >= LEAST_PART_SEGMENTS && self.allowed_signs(node) == [false, false];
@@ -217,20 +218,21 @@ impl AxisProblem<'_> {
     /// Solves the parts whose durations have changed.
     pub(super) fn solve_parts(&self, h: &[f64], parts: &mut [Part]) {
         let price = OnceLock::new();
-        let price = || *price.get_or_init(|| self.elastic_price(h));
         parts.par_iter_mut().filter(|part| part.solved.is_none()).for_each(|part| {
             let segments = part.segments.clone();
             let displacement_mm = Cow::Borrowed(&self.displacement_mm[segments.clone()]);
-            let velocity_range = match self.velocity_range.is_empty() {
-                true => Cow::Borrowed(&[][..]),
-                false => Cow::Borrowed(&self.velocity_range[segments.start..=segments.end]),
+            let velocity_range = if self.velocity_range.is_empty() {
+                Cow::Borrowed(&[][..])
+            } else {
+                Cow::Borrowed(&self.velocity_range[segments.start..=segments.end])
             };
             let problem = AxisProblem { displacement_mm, velocity_range, ..*self };
+            let price = || *price.get_or_init(|| self.elastic_price(h));
             part.solved = Some(problem.solve(&h[segments], price, &mut part.limited));
         });
     }
 
-    /// Node velocities within the limits at the durations `h`, or those with the least excess.
+    /// Returns the node velocities within the limits at the durations `h`, or those with the least excess.
     fn solve(
         &self,
         h: &[f64],
@@ -246,9 +248,8 @@ impl AxisProblem<'_> {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
         drop(free); // its memory is the program's
-        let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
         if let Some(velocity) = self.quadratic_program(h, Bounds::Hard, limited) {
-            return solved(velocity);
+            return Ok(Solved { velocity, solver: Solver::QuadraticProgram });
         }
         // If the bounds allow a single motion only, hard rows have no interior and the method does not
         // converge. With the elastic ones it does, and no limit is exceeded.
@@ -266,7 +267,7 @@ impl AxisProblem<'_> {
         Err(Exceeding { velocity, excess })
     }
 
-    /// The free minimiser of (4): H v = g by elimination; H is diagonally dominant.
+    /// Returns the free minimiser of (4): H v = g by elimination; H is diagonally dominant.
     fn clamped_spline(&self, h: &[f64]) -> Vec<f64> {
         let n = h.len();
         let dp = &self.displacement_mm;
@@ -288,14 +289,17 @@ impl AxisProblem<'_> {
         v
     }
 
-    /// Factor by which the time of each segment should grow; up to 1 if it keeps the limits. The velocity
+    /// Returns the factor by which the time of each segment should grow; up to 1 if it keeps the limits. The velocity
     /// falls with the time, the acceleration with its square, the jerk with its cube.
     pub(super) fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
         (0..h.len()).map(|i| self.excess_of(i, v, h)).collect()
     }
 
     fn excess_of(&self, i: usize, v: &[f64], h: &[f64]) -> f64 {
-        let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
+        let dp = self.displacement_mm[i];
+        let v0 = v[i];
+        let v1 = v[i + 1];
+        let h = h[i];
         let (start, end) = accelerations(dp, v0, v1, h);
         let a = (start.abs().max(end.abs()) / self.max_acceleration).sqrt();
         let excess = a.max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity);
@@ -305,7 +309,7 @@ impl AxisProblem<'_> {
         excess.max(((end - start).abs() / (h * self.max_jerk)).cbrt())
     }
 
-    /// Signs that the velocity of each node may have: [negative, positive].
+    /// Returns the signs that the velocity of each node may have: [negative, positive].
     pub(super) fn allowed_signs(&self, i: usize) -> [bool; 2] {
         let n = self.displacement_mm.len();
         if i == 0 || i == n {
@@ -324,15 +328,20 @@ impl AxisProblem<'_> {
     }
 
     fn is_monotone(&self, v: &[f64], h: &[f64]) -> bool {
-        let sign_ok = |i: usize| {
+        let have_signs = v.iter().enumerate().all(|(i, v)| {
             let [negative, positive] = self.allowed_signs(i);
-            (v[i] >= 0.0 || negative) && (v[i] <= 0.0 || positive)
-        };
-        let middle_ok = |i: usize| {
-            let dp = self.displacement_mm[i];
-            dp * (3.0 * dp / h[i] - v[i] - v[i + 1]) >= 0.0
-        };
-        (0..v.len()).all(sign_ok) && (0..h.len()).all(middle_ok)
+            (*v >= 0.0 || negative) && (*v <= 0.0 || positive)
+        });
+        have_signs
+            && (0..h.len()).all(|i| {
+                let dp = self.displacement_mm[i];
+                dp * (3.0 * dp / h[i] - v[i] - v[i + 1]) >= 0.0
+            })
+    }
+
+    /// Returns true if the segment `i` exceeds a limit by more than the tolerance of the solver.
+    fn exceeds(&self, i: usize, v: &[f64], h: &[f64]) -> bool {
+        self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN
     }
 
     /// Minimiser of (4) within the bounds of the mode and of the machine; `None` if there is no solution.
@@ -347,23 +356,23 @@ impl AxisProblem<'_> {
         known: &mut Vec<usize>,
     ) -> Option<Vec<f64>> {
         let n = h.len();
-        let exceeds = |v: &[f64], i: usize| self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN;
         if (0..=n).all(|i| self.allowed_signs(i) == [false, false]) {
             // The axis rests in every control point.
             let v = vec![0.0; n + 1];
-            let kept = bounds != Bounds::Hard || !parallel(n).any(|i| exceeds(&v, i));
-            return kept.then_some(v);
+            let is_solution =
+                bounds != Bounds::Hard || !parallel(n).any(|i| self.exceeds(i, &v, h));
+            return if is_solution { Some(v) } else { None };
         }
         let mut limited = Limited { segment: vec![false; n], velocity_at: BTreeMap::new() };
         known.iter().for_each(|i| limited.segment[*i] = true);
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
-            let add = |i: usize, rows: &mut chain::ChainRows| self.rows(i, h, &limited, rows);
-            let v = chain::solve(self.program(h, bounds), add).ok()?;
+            let program = self.program(h, bounds);
+            let v = chain::solve(program, |i, rows| self.rows(i, h, &limited, rows)).ok()?;
             let v = self.exact_at_fixed_nodes(v);
             let mut complete = true;
             let mut with_rows: Vec<usize> = Vec::new();
-            let exceeding: Vec<usize> = parallel(n).filter(|i| exceeds(&v, *i)).collect();
+            let exceeding: Vec<usize> = parallel(n).filter(|i| self.exceeds(*i, &v, h)).collect();
             for i in exceeding {
                 if !limited.segment[i] {
                     with_rows.push(i);
@@ -394,37 +403,36 @@ impl AxisProblem<'_> {
         None
     }
 
-    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
+    /// Returns the penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
     /// the largest mean velocity of the axis, so that the energy hardly counts against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
-        let (n, dp) = (h.len(), &self.displacement_mm);
-        let of = |i: usize| 4.0 / h[i];
-        let energy = (1..n).map(|i| of(i - 1) + of(i)).fold(of(0).max(of(n - 1)), f64::max);
+        let n = h.len();
+        let dp = &self.displacement_mm;
+        let ends = (4.0 / h[0]).max(4.0 / h[n - 1]);
+        let energy = (1..n).map(|i| 4.0 / h[i - 1] + 4.0 / h[i]).fold(ends, f64::max);
         let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
         let mean_s = h.iter().sum::<f64>() / n as f64;
         energy * mean * mean / (ELASTIC_ENERGY * mean_s)
     }
 
-    /// Quadratic program of (4), with the penalty for exceeding its bounds.
+    /// Returns the quadratic program of (4), with the penalty for exceeding its bounds.
     ///
     /// Elastic bounds: segment i may exceed its limits by the fraction e_i >= 0, a variable of its own. The
     /// penalty is proportional to h_i e_i, about twice the time that a stretch of the segment would add.
     /// The excesses are then few and need little time.
     fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
-        let (n, dp) = (h.len(), &self.displacement_mm);
-        // Sum over the segments at a node.
-        let sum = |node: usize, of: &dyn Fn(usize) -> f64| {
-            (node.saturating_sub(1)..(node + 1).min(n)).map(of).sum()
-        };
-        let nodes = || parallel(n + 1);
-        let diagonal = nodes().map(|node| sum(node, &|i| 4.0 / h[i])).collect();
-        let linear = nodes().map(|node| sum(node, &|i| 6.0 * dp[i] / (h[i] * h[i]))).collect();
+        let n = h.len();
+        let dp = &self.displacement_mm;
+        let diagonal = parallel(n + 1).map(|node| beside_node(node, n).map(|i| 4.0 / h[i]).sum());
+        let linear = parallel(n + 1)
+            .map(|node| beside_node(node, n).map(|i| 6.0 * dp[i] / (h[i] * h[i])).sum());
         let beside = parallel(n).map(|i| 2.0 / h[i]).collect();
         let price = match bounds {
             Bounds::Hard => Vec::new(),
             Bounds::Elastic { price } => h.iter().map(|h| price * h).collect(),
         };
-        let free = nodes().map(|i| self.allowed_signs(i) != [false, false]).collect();
+        let free = parallel(n + 1).map(|i| self.allowed_signs(i) != [false, false]).collect();
+        let (diagonal, linear) = (diagonal.collect(), linear.collect());
         chain::Program { diagonal, beside, linear, free, price }
     }
 
@@ -451,28 +459,27 @@ impl AxisProblem<'_> {
             return;
         }
         // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
-        let (d, a, v_max) = (dp / h[i], self.max_acceleration * h[i], self.max_velocity);
-        let mut both = |row: [f64; 2], constant: f64, bound: f64| {
-            rows.add(row, bound, bound - constant);
-            rows.add(row.map(|v| -v), bound, bound + constant);
-        };
-        both([-4.0, -2.0], 6.0 * d, a);
-        both([2.0, 4.0], -6.0 * d, a);
-        both([1.0, 0.0], 0.0, v_max);
-        both([0.0, 1.0], 0.0, v_max);
+        let d = dp / h[i];
+        let a = self.max_acceleration * h[i];
+        let v_max = self.max_velocity;
+        add_both(rows, [-4.0, -2.0], 6.0 * d, a);
+        add_both(rows, [2.0, 4.0], -6.0 * d, a);
+        add_both(rows, [1.0, 0.0], 0.0, v_max);
+        add_both(rows, [0.0, 1.0], 0.0, v_max);
         if self.max_jerk.is_finite() {
             // |6 (v0 + v1) - 12 dp/h| <= j h^2
-            both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
+            add_both(rows, [6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
         }
         for u in limited.times(i) {
             // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
-            let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
-            both([w * w - m, u * u - m], 3.0 * m * d, v_max);
+            let w = 1.0 - u;
+            let m = 2.0 * u * (1.0 - u);
+            add_both(rows, [w * w - m, u * u - m], 3.0 * m * d, v_max);
         }
     }
 
-    /// Velocities that are fixed at zero are zero, and none has a forbidden sign, or leaves its range, by the solver's
-    /// tolerance.
+    /// Moves velocities into their bounds: those that are fixed at zero are zero, and none has a forbidden sign, or
+    /// leaves its range, by the solver's tolerance.
     fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
         for (i, v) in v.iter_mut().enumerate() {
             let [negative, positive] = self.allowed_signs(i);
@@ -486,6 +493,17 @@ impl AxisProblem<'_> {
         }
         v
     }
+}
+
+/// Returns the segments beside a node, of `n` in all.
+fn beside_node(node: usize, n: usize) -> Range<usize> {
+    node.saturating_sub(1)..(node + 1).min(n)
+}
+
+/// Adds the rows of `|row . v + constant| <= bound`.
+fn add_both(rows: &mut chain::Rows, row: [f64; 2], constant: f64, bound: f64) {
+    rows.add(row, bound, bound - constant);
+    rows.add(row.map(|v| -v), bound, bound + constant);
 }
 
 #[cfg(test)]

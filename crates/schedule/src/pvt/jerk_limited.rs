@@ -35,8 +35,8 @@ use crate::{ScheduleError, hermite::coefficients};
 /// that the loop ends. Larger: hard cases run longer. Smaller: more of them are slowed as a whole.
 const MAX_LOCAL_ROUNDS: usize = 200;
 
-/// Motion along the spline of (5), the number of rounds, and the number of cuts. `timing` is stretched until every limit
-/// is kept; without `stretch` an excess is an error.
+/// Returns the motion along the spline of (5), the number of rounds, and the number of cuts. `timing` is stretched
+/// until every limit is kept; without `stretch` an excess is an error.
 pub(super) fn motion(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -46,20 +46,21 @@ pub(super) fn motion(
     axes: &[AxisProblem<'_>; 2],
     near: &NearPath,
 ) -> Result<(Trajectory, usize, usize), ScheduleError> {
-    let n = timing.kept.len();
+    let n = timing.segments.len();
     let mut is_cut = vec![false; n + 1];
-    (is_cut[0], is_cut[n]) = (true, true);
+    is_cut[0] = true;
+    is_cut[n] = true;
     let mut rounds = 0;
     loop {
-        let least_parts = |k: usize| match (is_cut[k], is_cut[k + 1]) {
-            (true, true) => 4.0,
-            (false, false) => 1.0,
-            _ => 2.0,
-        };
         for (k, h) in timing.duration_s.iter_mut().enumerate() {
-            *h = h.max(least_parts(k) * limits.min_segment_s());
+            let least_parts = match (is_cut[k], is_cut[k + 1]) {
+                (true, true) => 4.0,
+                (false, false) => 1.0,
+                _ => 2.0,
+            };
+            *h = h.max(least_parts * limits.min_segment_s());
         }
-        let pieces = Pieces::new(axes, near, &timing.duration_s, &is_cut);
+        let pieces = CutSegments::new(axes, near, &timing.duration_s, &is_cut);
         let more_cuts = pieces.cut_far_segments(near, &mut is_cut);
         if more_cuts {
             continue;
@@ -75,9 +76,9 @@ pub(super) fn motion(
         let (k, worst) = worst(&excess);
         if worst <= 1.0 {
             let cuts = is_cut.iter().filter(|cut| **cut).count() - 2;
-            return Ok((pieces.trajectory(path, &timing.kept)?, rounds, cuts));
+            return Ok((pieces.trajectory(path, &timing.segments)?, rounds, cuts));
         }
-        let segment = timing.kept[k];
+        let segment = timing.segments[k];
         if !stretch {
             return Err(too_short(path, dwell, segment, worst));
         }
@@ -93,7 +94,7 @@ pub(super) fn motion(
 }
 
 /// Cubic pieces of a motion, as the problems of both axes along them.
-struct Pieces {
+struct CutSegments {
     /// Segment of every piece (m).
     segment: Vec<usize>,
     /// Times of the breaks (m+1), s, and their differences (m).
@@ -105,8 +106,8 @@ struct Pieces {
     velocity: [Vec<f64>; 2],
 }
 
-impl Pieces {
-    /// The motion with durations h (N) that is cut at the nodes `is_cut` (N+1).
+impl CutSegments {
+    /// Returns the motion with durations h (N) that is cut at the nodes `is_cut` (N+1).
     fn new(axes: &[AxisProblem<'_>; 2], near: &NearPath, h: &[f64], is_cut: &[bool]) -> Self {
         let n = h.len();
         let free = axes.each_ref().map(|axis| match n {
@@ -114,10 +115,6 @@ impl Pieces {
             _ => node_velocities(&axis.displacement_mm, h, [0.0; 2]),
         });
         let cuts: Vec<usize> = (0..=n).filter(|node| is_cut[*node]).collect();
-        let cut_velocity = |node: usize| match node == 0 || node == n {
-            true => [0.0; 2],
-            false => near.held(node, [free[0][node], free[1][node]], h),
-        };
         let mut pieces = Self {
             segment: Vec::new(),
             break_time_s: Vec::new(),
@@ -128,7 +125,13 @@ impl Pieces {
         let mut times = Vec::new();
         for ends in cuts.windows(2) {
             let run = ends[0]..ends[1];
-            let [from, to] = [cut_velocity(ends[0]), cut_velocity(ends[1])];
+            let [from, to] = [ends[0], ends[1]].map(|node| {
+                if node == 0 || node == n {
+                    [0.0; 2]
+                } else {
+                    near.held(node, [free[0][node], free[1][node]], h)
+                }
+            });
             let parts: Vec<usize> = match run.len() {
                 1 if from == [0.0; 2] && to == [0.0; 2] => vec![4],
                 1 => vec![3],
@@ -139,7 +142,8 @@ impl Pieces {
                 times.extend(std::iter::repeat_n(h[k] / *parts as f64, *parts));
             }
             for a in 0..2 {
-                let (dp, h) = (&axes[a].displacement_mm[run.clone()], &h[run.clone()]);
+                let dp = &axes[a].displacement_mm[run.clone()];
+                let h = &h[run.clone()];
                 let (displacement, velocity) = match parts[0] {
                     4 => quarters(dp[0], h[0]),
                     3 => thirds(dp[0], h[0], [from[a], to[a]]),
@@ -160,7 +164,7 @@ impl Pieces {
         let mut first = 0;
         while first < self.segment.len() {
             let k = self.segment[first];
-            let last = first + self.segment[first..].partition_point(|of| *of == k);
+            let last = first + self.segment[first..].partition_point(|segment| *segment == k);
             let is_single = is_cut[k] && is_cut[k + 1];
             let mut start = [0.0; 2];
             let cubics = (first..last).map(|i| {
@@ -169,30 +173,33 @@ impl Pieces {
                 (cubic, self.duration_s[i])
             });
             if !is_single && !near.pieces_are_near(k, cubics) {
-                (is_cut[k], is_cut[k + 1], more) = (true, true, true);
+                is_cut[k] = true;
+                is_cut[k + 1] = true;
+                more = true;
             }
             first = last;
         }
         more
     }
 
-    /// Piece i, which starts at `start`, mm.
+    /// Returns the piece i, which starts at `start`, mm.
     fn cubic(&self, i: usize, start: [f64; 2]) -> [[f64; 4]; 2] {
         [0, 1].map(|a| {
-            let (v, dp) = (&self.velocity[a], self.displacement_mm[a][i]);
+            let v = &self.velocity[a];
+            let dp = self.displacement_mm[a][i];
             coefficients(start[a], dp, v[i], v[i + 1], self.duration_s[i])
         })
     }
 
-    /// The motion along the segments `kept` of `path`.
-    fn trajectory(self, path: &ToolPath, kept: &[usize]) -> Result<Trajectory, ScheduleError> {
-        let of = &self.segment;
+    /// Returns the motion along the segments `timed` of `path`.
+    fn trajectory(self, path: &ToolPath, timed: &[usize]) -> Result<Trajectory, ScheduleError> {
+        let segment_of = &self.segment;
         let mut position = path.point_mm()[0];
-        let segments = (0..of.len()).map(|i| {
+        let segments = (0..segment_of.len()).map(|i| {
             let cubic = self.cubic(i, position);
             let next = i + 1;
-            position = if next == of.len() || of[next] != of[i] {
-                path.point_mm()[kept[of[i]] + 1]
+            position = if next == segment_of.len() || segment_of[next] != segment_of[i] {
+                path.point_mm()[timed[segment_of[i]] + 1]
             } else {
                 [0, 1].map(|a| position[a] + self.displacement_mm[a][i])
             };
@@ -202,20 +209,20 @@ impl Pieces {
         Ok(Trajectory::new(
             self.break_time_s,
             segments,
-            of.iter().map(|k| path.tool_on()[kept[*k]]).collect(),
-            of.iter().map(|k| Some(kept[*k])).collect(),
+            segment_of.iter().map(|k| path.tool_on()[timed[*k]]).collect(),
+            segment_of.iter().map(|k| Some(timed[*k])).collect(),
         )?)
     }
 }
 
-/// Displacements of the quarters of (5) from rest to rest, and the velocities at their ends.
+/// Returns the displacements of the quarters of (5) from rest to rest, and the velocities at their ends.
 fn quarters(dp: f64, h: f64) -> (Vec<f64>, Vec<f64>) {
     let v = dp / h;
     let parts = [1.0, 5.0, 5.0, 1.0].map(|part| part / 12.0 * dp);
     (parts.to_vec(), vec![v, 2.0 * v, v, 0.0])
 }
 
-/// Displacements of the thirds of (7), and the velocities at their ends.
+/// Returns the displacements of the thirds of (7), and the velocities at their ends.
 fn thirds(dp: f64, h: f64, [v0, v1]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let tau = h / 3.0;
     let middle = 3.0 * dp / h - v0 - v1;
@@ -224,16 +231,18 @@ fn thirds(dp: f64, h: f64, [v0, v1]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     (vec![outer[0], dp - outer[0] - outer[1], outer[1]], vec![first, second, v1])
 }
 
-/// Velocities at the nodes (N+1) of the spline along N > 1 segments that has the velocities `ends` and no acceleration
-/// at its ends, mm/s.
+/// Returns the velocities at the nodes (N+1) of the spline along N > 1 segments that has the velocities `ends` and no
+/// acceleration at its ends, mm/s.
 fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     let n = h.len();
     // a-(i) = a+(i+1): elimination of the nodes 1 .. n-1.
     let mut v = vec![0.0; n + 1];
-    (v[0], v[n]) = (ends[0], ends[1]);
+    v[0] = ends[0];
+    v[n] = ends[1];
     let mut upper = vec![0.0; n + 1];
     for i in 1..n {
-        let (a, b) = (h[i - 1], h[i]);
+        let a = h[i - 1];
+        let b = h[i];
         // (6) at the ends, (2) else: the factors of v/h and of dp/h^2.
         let (own, mean) = if i == 1 { (6.0, 12.0) } else { (4.0, 6.0) };
         let (next, next_mean) = if i == n - 1 { (6.0, 12.0) } else { (4.0, 6.0) };
@@ -255,19 +264,21 @@ fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     v
 }
 
-/// Displacements of the pieces of the spline along N > 1 segments: halves of the first and of the last segment by (6).
-/// Velocities at the ends of the pieces, mm/s.
+/// Returns the displacement of the outer half of an outermost segment by (6), v tau + j tau^3/6, and the velocity at
+/// its inner end, v + j tau^2/2. It has no acceleration at its outer end, where the velocity is `end`.
+fn outer_half(dp: f64, end: f64, inner: f64, h: f64) -> (f64, f64) {
+    let tau = 0.5 * h;
+    let change = 0.25 * dp - (5.0 * end + inner) * tau / 12.0;
+    (end * tau + change, end + 3.0 * change / tau)
+}
+
+/// Returns the displacements of the pieces of the spline along N > 1 segments: halves of the first and of the last
+/// segment by (6). Velocities at the ends of the pieces, mm/s.
 fn spline(dp: &[f64], h: &[f64], ends: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let n = h.len();
     let v = node_velocities(dp, h, ends);
-    // v tau + j tau^3/6 and v + j tau^2/2 of the outer half, which has no acceleration at its end with the velocity v.
-    let half = |dp: f64, end: f64, inner: f64, h: f64| {
-        let tau = 0.5 * h;
-        let change = 0.25 * dp - (5.0 * end + inner) * tau / 12.0;
-        (end * tau + change, end + 3.0 * change / tau)
-    };
-    let (first, first_v) = half(dp[0], ends[0], v[1], h[0]);
-    let (last, last_v) = half(dp[n - 1], ends[1], v[n - 1], h[n - 1]);
+    let (first, first_v) = outer_half(dp[0], ends[0], v[1], h[0]);
+    let (last, last_v) = outer_half(dp[n - 1], ends[1], v[n - 1], h[n - 1]);
     let mut parts = vec![first, dp[0] - first];
     parts.extend(&dp[1..n - 1]);
     parts.extend([dp[n - 1] - last, last]);

@@ -81,11 +81,11 @@ use self::{
     shortest::Search,
     timing::{Timing, parallel, too_short, worst},
 };
-use crate::{ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coefficients};
+use crate::{Schedule, ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coefficients};
 
 /// Settings of PVT.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct PvtSettings {
     /// Objective of the motion: smooth or monotone.
     pub mode: Mode,
     /// True: segments get more time if the limits need it. False: such dwell times are refused.
@@ -96,16 +96,16 @@ pub struct Settings {
     pub max_path_distance_mm: Option<f64>,
 }
 
-impl Settings {
-    /// The settings of a mode: segments may be stretched, and the path has its usual tolerance.
-    pub fn of(mode: Mode) -> Self {
+impl PvtSettings {
+    /// Returns the settings of a mode: segments may be stretched, and the path has its usual tolerance.
+    pub fn new(mode: Mode) -> Self {
         Self { mode, stretch: true, max_path_distance_mm: None }
     }
 }
 
 /// Stretched segments and solvers of a schedule.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct PvtReport {
     /// Segments that were given more time, in order.
     pub stretched: Vec<Stretched>,
     /// Time that the stretching added with the tool on, s.
@@ -123,16 +123,7 @@ pub struct Report {
     pub rounds: usize,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Stretched segments and solvers.
-    pub report: Report,
-}
-
-impl Scheduler for Settings {
+impl Scheduler for PvtSettings {
     fn name(&self) -> &'static str {
         "pvt"
     }
@@ -154,12 +145,17 @@ impl Scheduler for Settings {
 }
 
 /// Schedules `path` with the times `dwell` within `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path or that are zero everywhere, and without stretching dwell times that the machine
+/// cannot follow.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Schedule, ScheduleError> {
+    settings: &PvtSettings,
+) -> Result<Schedule<PvtReport>, ScheduleError> {
     check_lengths(path, dwell)?;
     // The whole runs on the threads of rayon: handing over every part by itself would cost more than a part.
     rayon::scope(|_| schedule_stretched(path, dwell, limits, settings))
@@ -169,10 +165,10 @@ fn schedule_stretched(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Schedule, ScheduleError> {
+    settings: &PvtSettings,
+) -> Result<Schedule<PvtReport>, ScheduleError> {
     let mut timing = Timing::new(path, dwell, limits);
-    if timing.kept.is_empty() {
+    if timing.segments.is_empty() {
         let problem = "is zero everywhere on a path at rest";
         return Err(Invalid::whole("dwell_s", problem, "give a dwell time").into());
     }
@@ -182,10 +178,10 @@ fn schedule_stretched(
         return Err(error);
     }
     let displacement_mm: Vec<[f64; 2]> =
-        timing.kept.iter().map(|segment| path.displacement_mm(*segment)).collect();
+        timing.segments.iter().map(|segment| path.displacement_mm(*segment)).collect();
     let mut axes = [0, 1].map(|axis| {
         let displacement_mm =
-            parallel(timing.kept.len()).map(|k| displacement_mm[k][axis]).collect();
+            parallel(timing.segments.len()).map(|k| displacement_mm[k][axis]).collect();
         AxisProblem::new(displacement_mm, settings.mode, &limits.axes()[axis])
     });
     let tolerance_mm = path.tolerance_mm(settings.max_path_distance_mm)?;
@@ -194,7 +190,7 @@ fn schedule_stretched(
         let (trajectory, rounds, held_nodes) =
             jerk_limited::motion(path, dwell, limits, settings.stretch, &mut timing, &axes, &near)?;
         let solver = [Solver::Tridiagonal; 2];
-        let report = Report::new(&timing, path, dwell, solver, rounds, held_nodes);
+        let report = PvtReport::new(&timing, path, dwell, solver, rounds, held_nodes);
         return Ok(Schedule { trajectory, report });
     }
 
@@ -206,14 +202,14 @@ fn schedule_stretched(
     };
     if !settings.stretch {
         let (k, worst) = worst(&excess);
-        return Err(too_short(path, dwell, timing.kept[k], worst));
+        return Err(too_short(path, dwell, timing.segments[k], worst));
     }
     let exceed: Vec<bool> = excess.iter().map(|e| *e > 1.0).collect();
     let before = parts.each_ref().map(|parts| velocity_of_parts(parts));
-    let found = Search::new(&axes, &near, &timing.duration_s).run(&before, &exceed);
+    let shortest = Search::new(&axes, &near, &timing.duration_s).run(&before, &exceed);
     let changed: Vec<bool> =
-        found.duration_s.iter().zip(&timing.duration_s).map(|(a, b)| a != b).collect();
-    timing.duration_s = found.duration_s;
+        shortest.duration_s.iter().zip(&timing.duration_s).map(|(a, b)| a != b).collect();
+    timing.duration_s = shortest.duration_s;
     let (break_time_s, h) = differences(&timing.duration_s);
     for part in parts.iter_mut().flatten() {
         if matches!(part.solved, Some(Err(_))) || changed[part.segments.clone()].contains(&true) {
@@ -222,13 +218,13 @@ fn schedule_stretched(
     }
     axes.iter_mut().for_each(|axis| axis.velocity_range = Cow::Borrowed(&[]));
     let held_nodes = solve_near_path(&mut axes, &near, &h, &mut parts);
-    take_least_times(&mut parts, &found.velocity, |part| matches!(part.solved, Some(Err(_))));
+    take_least_times(&mut parts, &shortest.velocity, |part| matches!(part.solved, Some(Err(_))));
     // One axis by the program and the other one by the search may leave the path together.
     let [x, y] = parts.each_ref().map(|parts| velocity_of_parts(parts));
     if !near.far_segments([&x, &y], &h).is_empty() {
-        take_least_times(&mut parts, &found.velocity, |_| true);
+        take_least_times(&mut parts, &shortest.velocity, |_| true);
     }
-    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [found.sweeps, held_nodes])
+    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [shortest.sweeps, held_nodes])
 }
 
 /// Replaces the solution of the parts that are `chosen` by the velocities of the search for the shortest times.
@@ -266,8 +262,8 @@ fn solve_near_path(
                 continue;
             }
             more = true;
-            let kept = near.held(node, [velocity[0][node], velocity[1][node]], h);
-            let range = near.velocity_range(node, kept, h);
+            let held_velocity = near.held(node, [velocity[0][node], velocity[1][node]], h);
+            let range = near.velocity_range(node, held_velocity, h);
             for a in 0..2 {
                 axes[a].bound_velocity(node, range[a]);
                 let first = parts[a].partition_point(|part| part.segments.end < node);
@@ -283,11 +279,11 @@ fn solve_near_path(
     }
 }
 
-/// Break times, and the durations as their difference, so that the segments join to rounding.
+/// Returns the break times, and the durations as their difference, so that the segments join to rounding.
 fn differences(duration_s: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let break_time_s = break_times(duration_s);
-    let duration = |k: usize| break_time_s[k + 1] - break_time_s[k];
-    let h = parallel(duration_s.len()).map(duration).collect();
+    let h = parallel(duration_s.len()).map(|k| break_time_s[k + 1] - break_time_s[k]);
+    let h = h.collect();
     (break_time_s, h)
 }
 
@@ -297,7 +293,7 @@ fn solve_parts(axes: &[AxisProblem<'_>; 2], h: &[f64], parts: &mut [Vec<Part>; 2
     rayon::join(|| axes[0].solve_parts(h, x), || axes[1].solve_parts(h, y));
 }
 
-/// Motion from the solutions of all parts.
+/// Returns the motion from the solutions of all parts.
 fn joined_motion(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -306,16 +302,17 @@ fn joined_motion(
     parts: [Vec<Part>; 2],
     break_time_s: Vec<f64>,
     [rounds, held_nodes]: [usize; 2],
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<PvtReport>, ScheduleError> {
     let [x, y] = parts.map(joined);
-    let report = Report::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
+    let report = PvtReport::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
     let velocity = [x.velocity, y.velocity];
-    let n = timing.kept.len();
+    let n = timing.segments.len();
     let segments = parallel(n).map(|k| {
-        let start = path.point_mm()[timing.kept[k]];
+        let start = path.point_mm()[timing.segments[k]];
         let h = break_time_s[k + 1] - break_time_s[k];
         [0, 1].map(|axis| {
-            let (v, dp) = (&velocity[axis], axes[axis].displacement_mm[k]);
+            let v = &velocity[axis];
+            let dp = axes[axis].displacement_mm[k];
             coefficients(start[axis], dp, v[k], v[k + 1], h)
         })
     });
@@ -323,13 +320,13 @@ fn joined_motion(
     let trajectory = Trajectory::new(
         break_time_s,
         segments,
-        parallel(n).map(|k| path.tool_on()[timing.kept[k]]).collect(),
-        parallel(n).map(|k| Some(timing.kept[k])).collect(),
+        parallel(n).map(|k| path.tool_on()[timing.segments[k]]).collect(),
+        parallel(n).map(|k| Some(timing.segments[k])).collect(),
     )?;
     Ok(Schedule { trajectory, report })
 }
 
-impl Report {
+impl PvtReport {
     fn new(
         timing: &Timing,
         path: &ToolPath,
@@ -339,13 +336,13 @@ impl Report {
         held_nodes: usize,
     ) -> Self {
         let stretched = timing.stretched(path, dwell);
-        let added = |on: bool| {
-            let of = stretched.iter().filter(|s| s.tool_on == on);
-            of.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
-        };
+        let [added_tool_on_s, added_tool_off_s] = [true, false].map(|tool_on| {
+            let segments = stretched.iter().filter(|s| s.tool_on == tool_on);
+            segments.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
+        });
         Self {
-            added_tool_on_s: added(true),
-            added_tool_off_s: added(false),
+            added_tool_on_s,
+            added_tool_off_s,
             dropped: timing.dropped(path),
             held_nodes,
             stretched,
@@ -382,7 +379,7 @@ mod tests {
         let n = dwell_s.len();
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         let limits = ion_beam();
-        let settings = Settings::of(Mode::Monotone);
+        let settings = PvtSettings::new(Mode::Monotone);
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
         // With segments slowed one by one, each by its excess, it was 7.7 s.
@@ -405,7 +402,7 @@ mod tests {
         let dwell_s = (0..900).map(|i| path.segment_length_mm(i) / 500.0 + 1e-4).collect();
         let dwell = DwellTime::new(dwell_s).unwrap();
         for mode in [Mode::Monotone, Mode::Smooth] {
-            let settings = Settings::of(mode);
+            let settings = PvtSettings::new(mode);
             let found = schedule(&path, &dwell, &limits, &settings).unwrap();
             let total_s = found.trajectory.total_time_s();
             // Slowed one by one, each by its excess, they took six times as long.
@@ -439,7 +436,7 @@ mod tests {
             let stops_s: f64 = (0..n).map(|i| dwell_s[i].max(rest_to_rest_s(i))).sum();
             let dwell = DwellTime::new(dwell_s).unwrap();
             for mode in [Mode::Monotone, Mode::Smooth] {
-                let settings = Settings::of(mode);
+                let settings = PvtSettings::new(mode);
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
                 // The search leaves 0.001 free for the program (`shortest::ROOM`).

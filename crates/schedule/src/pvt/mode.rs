@@ -28,7 +28,7 @@ pub enum ModeChoice {
 }
 
 impl ModeChoice {
-    /// Mode on this machine.
+    /// Chooses the mode for this machine.
     pub fn on(self, machine: &Limits) -> Mode {
         match self {
             Self::Auto => Mode::within(machine),
@@ -47,17 +47,18 @@ impl Mode {
         }
     }
 
-    /// Mode that keeps the limit on jerk, if the motion of this mode breaks it.
+    /// Returns the mode that keeps the limit on jerk, if the motion of this mode breaks it.
     pub fn for_jerk(self, claim: &Claim) -> Option<Self> {
-        (self == Self::Monotone && claim.jerk == Some(false)).then_some(Self::Smooth)
+        if self == Self::Monotone && claim.jerk == Some(false) { Some(Self::Smooth) } else { None }
     }
 
-    /// Default mode of a machine: monotone, which never leaves the box of a segment. If the machine limits
+    /// Returns the default mode of a machine: monotone, which never leaves the box of a segment. If the machine limits
     /// jerk: smooth, because the acceleration of monotone motions steps.
     pub fn within(limits: &Limits) -> Self {
-        match limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
-            true => Self::Smooth,
-            false => Self::Monotone,
+        if limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
+            Self::Smooth
+        } else {
+            Self::Monotone
         }
     }
 }

@@ -84,19 +84,21 @@ impl NearPath {
         mut pieces: impl Iterator<Item = ([[f64; 4]; 2], f64)>,
     ) -> bool {
         let chord = [[0.0; 2], self.displacement_mm[i]];
-        let farthest = |points: &[Point], _: f64| {
-            points.iter().map(|p| from_chord(*p, &chord)).fold(0.0, f64::max)
-        };
         pieces.all(|(cubic, h)| {
-            largest(&cubic, h, self.tolerance_mm, farthest) <= self.tolerance_mm * (1.0 + 1e-9)
+            let farthest_mm = largest(&cubic, h, self.tolerance_mm, |points, _| {
+                points.iter().map(|p| from_chord(*p, &chord)).fold(0.0, f64::max)
+            });
+            farthest_mm <= self.tolerance_mm * (1.0 + 1e-9)
         })
     }
 
     /// Returns the segments whose Hermite cubics leave the tolerance, with these node velocities per axis.
     pub(super) fn far_segments(&self, velocity: [&[f64]; 2], h: &[f64]) -> Vec<usize> {
-        let node = |i: usize| [velocity[0][i], velocity[1][i]];
-        let is_far = |i: &usize| !self.cubic_is_near(*i, node(*i), node(*i + 1), h[*i]);
-        parallel(h.len()).filter(is_far).collect()
+        let far = parallel(h.len()).filter(|i| {
+            let [from, to] = [*i, *i + 1].map(|node| [velocity[0][node], velocity[1][node]]);
+            !self.cubic_is_near(*i, from, to, h[*i])
+        });
+        far.collect()
     }
 
     /// Returns the part of `velocity` at an inner node with which both segments beside it stay within the tolerance: 0 if
@@ -104,8 +106,7 @@ impl NearPath {
     pub(super) fn held(&self, node: usize, velocity: Point, h: &[f64]) -> Point {
         let ahead = [0, 1].map(|a| self.displacement_mm[node][a]);
         let backwards = [0, 1].map(|a| self.displacement_mm[node - 1][a]);
-        let along = |dp: Point| dp[0] * velocity[0] + dp[1] * velocity[1];
-        if along(ahead) < 0.0 || along(backwards) < 0.0 {
+        if [ahead, backwards].iter().any(|dp| dp[0] * velocity[0] + dp[1] * velocity[1] < 0.0) {
             return [0.0; 2];
         }
         let is_near = |part: f64| {
@@ -153,11 +154,9 @@ impl NearPath {
             [(place * dp[a] - width).max(low), (place * dp[a] + width).min(high)]
         });
         // Beyond the ends of a chord its corners may be too far.
-        let far = |r: &VelocityRange| {
-            (0..4).any(|k| from_chord([r[0][k & 1], r[1][k >> 1]], &[[0.0; 2], dp]) > 2.0 * half)
-        };
         for _ in 0..BISECTIONS {
-            if !far(&rectangle) {
+            let mut corners = (0..4).map(|k| [rectangle[0][k & 1], rectangle[1][k >> 1]]);
+            if !corners.any(|corner| from_chord(corner, &[[0.0; 2], dp]) > 2.0 * half) {
                 break;
             }
             rectangle = [0, 1].map(|a| rectangle[a].map(|v| point[a] + 0.9 * (v - point[a])));

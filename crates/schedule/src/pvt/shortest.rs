@@ -70,10 +70,10 @@ const OTHERS: usize = 3;
 /// take longer. Smaller: the profile, and with it the neighbours, become slower.
 const LONGER_THAN_EVEN: f64 = 1.02;
 
-/// Ratio of the largest speed of the profile to the mean speed of a segment in its asked time. Where neighbours
+/// Ratio of the largest speed of the profile to the mean speed of a segment in its wanted time. Where neighbours
 /// have different mean speeds, the velocity between them is above the lower one. Larger: the profile may be faster
 /// than the dwell times need. Smaller: it is too slow between such neighbours.
-const FASTER_THAN_ASKED: f64 = 1.25;
+const FASTER_THAN_WANTED: f64 = 1.25;
 
 /// Number of bisections for a speed of the profile, which resolve it to 1e-6 of its upper bound. More: a finer
 /// speed and more computing time.
@@ -117,9 +117,9 @@ struct Axis<'a> {
 pub(super) struct Search<'a> {
     axes: [Axis<'a>; 2],
     near: &'a NearPath,
-    /// Asked time of every segment, s.
-    asked_s: &'a [f64],
-    /// Least time of every segment, s: the asked time, but not below [`LEAST_ROUNDINGS`].
+    /// Wanted time of every segment, s.
+    wanted_s: &'a [f64],
+    /// Least time of every segment, s: the wanted time, but not below [`LEAST_ROUNDINGS`].
     least_s: Vec<f64>,
 }
 
@@ -138,7 +138,7 @@ impl<'a> Search<'a> {
     pub(super) fn new(
         axes: &'a [AxisProblem<'a>; 2],
         near: &'a NearPath,
-        asked_s: &'a [f64],
+        wanted_s: &'a [f64],
     ) -> Self {
         let slower = 1.0 - ROOM;
         let axes = axes.each_ref().map(|problem| Axis {
@@ -147,12 +147,12 @@ impl<'a> Search<'a> {
             acceleration: slower.powi(2) * problem.max_acceleration,
             jerk: slower.powi(3) * problem.max_jerk,
         });
-        let rounding_s = f64::EPSILON * asked_s.iter().sum::<f64>();
-        let least_s = asked_s.iter().map(|h| h.max(LEAST_ROUNDINGS * rounding_s)).collect();
-        Self { axes, near, asked_s, least_s }
+        let rounding_s = f64::EPSILON * wanted_s.iter().sum::<f64>();
+        let least_s = wanted_s.iter().map(|h| h.max(LEAST_ROUNDINGS * rounding_s)).collect();
+        Self { axes, near, wanted_s, least_s }
     }
 
-    /// Searches from a motion that keeps the limits at the asked times, except in the segments that `exceed`.
+    /// Searches from a motion that keeps the limits at the wanted times, except in the segments that `exceed`.
     pub(super) fn run(&self, before: &[Vec<f64>; 2], exceed: &[bool]) -> Shortest {
         let before: Vec<Velocity> =
             before[0].iter().zip(&before[1]).map(|(x, y)| [*x, *y]).collect();
@@ -171,14 +171,15 @@ impl<'a> Search<'a> {
         let mut step = STEPS[0];
         while sweeps <= MAX_SWEEPS && step > STEPS[1] {
             let longer: Vec<bool> =
-                duration_s.iter().zip(self.asked_s).map(|(h, asked)| h > asked).collect();
+                duration_s.iter().zip(self.wanted_s).map(|(h, wanted)| h > wanted).collect();
             open = self.near(&longer, &velocity);
             let stepped = self.stepped(&open, &velocity, &duration_s, step);
             let total_s: f64 = duration_s.iter().sum();
             let now_s = self.durations(&open, &stepped);
             let gained_s = total_s - now_s.iter().sum::<f64>();
             if gained_s > 0.0 {
-                (velocity, duration_s) = (stepped, now_s);
+                velocity = stepped;
+                duration_s = now_s;
             }
             let of_open = (0..duration_s.len()).filter(|i| open[*i] || open[*i + 1]);
             if gained_s < GAIN * of_open.map(|i| duration_s[i]).sum::<f64>() {
@@ -190,24 +191,29 @@ impl<'a> Search<'a> {
         Shortest { duration_s, velocity, sweeps }
     }
 
-    /// True for nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment that keeps
-    /// the limits of the search at the asked time. That segment can keep the velocity at its far end.
+    /// Returns true for nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment
+    /// that keeps the limits of the search at the wanted time. That segment can keep the velocity at its far end.
     fn near(&self, wanted: &[bool], velocity: &[Velocity]) -> Vec<bool> {
         let n = wanted.len();
-        let braking_s = |axis: &Axis| BRAKING_TIMES * axis.velocity / axis.acceleration;
-        let reach_s = braking_s(&self.axes[0]).max(braking_s(&self.axes[1]));
+        let [x_s, y_s] =
+            self.axes.each_ref().map(|axis| BRAKING_TIMES * axis.velocity / axis.acceleration);
+        let reach_s = x_s.max(y_s);
         let mut open = vec![false; n + 1];
         let mut pass = |segments: &mut dyn Iterator<Item = usize>, far: usize| {
-            let (mut left_s, mut left, mut go_on) = (0.0, 0, false);
+            let mut left_s = 0.0;
+            let mut left = 0;
+            let mut go_on = false;
             for i in segments {
                 if wanted[i] {
-                    (left_s, left, go_on) = (reach_s, LEAST_REACH, true);
+                    left_s = reach_s;
+                    left = LEAST_REACH;
+                    go_on = true;
                 } else if left == 0 && left_s <= 0.0 && go_on {
                     go_on = !self.is_at_ease(i, velocity);
                 }
                 open[i + far] |= go_on;
                 if !wanted[i] {
-                    left_s -= self.asked_s[i];
+                    left_s -= self.wanted_s[i];
                     left = left.saturating_sub(1);
                 }
             }
@@ -215,7 +221,8 @@ impl<'a> Search<'a> {
         pass(&mut (0..n), 1);
         pass(&mut (0..n).rev(), 0);
         // The machine rests before and after.
-        (open[0], open[n]) = (false, false);
+        open[0] = false;
+        open[n] = false;
         open
     }
 
@@ -223,18 +230,19 @@ impl<'a> Search<'a> {
         self.least_time(i, velocity[i], velocity[i + 1]) <= self.least_s[i]
     }
 
-    /// Times of all segments, s. A segment between two nodes that keep their velocity has its asked time.
+    /// Returns the times of all segments, s. A segment between two nodes that keep their velocity has its wanted time.
     fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
-        let of = |i: usize| {
+        let durations = (0..self.wanted_s.len()).map(|i| {
             let least = self.least_time(i, velocity[i], velocity[i + 1]);
             // A path of one segment has no node between.
             let takes_part = open[i] || open[i + 1] || open.len() == 2;
-            if least > self.least_s[i] && takes_part { least } else { self.asked_s[i] }
-        };
-        (0..self.asked_s.len()).map(of).collect()
+            if least > self.least_s[i] && takes_part { least } else { self.wanted_s[i] }
+        });
+        durations.collect()
     }
 
-    /// Best combination of speeds along the path, rest, and the velocities before; `None` if none keeps the limits.
+    /// Returns the best combination of speeds along the path, rest, and the velocities before; `None` if none keeps the
+    /// limits.
     fn along_the_path(&self, open: &[bool], before: &[Velocity]) -> Option<Vec<Velocity>> {
         let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
         let speeds: Vec<f64> = (0..SPEEDS as i32).map(|k| largest / SPEED_FACTOR.powi(k)).collect();
@@ -246,70 +254,52 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Highest speeds along the path at which every segment takes about the time of a constant acceleration. The limits
-    /// at constant speed come first, then those of accelerating, and backwards those of braking (J. E. Bobrow, S.
-    /// Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of speeds is too coarse along segments that are
-    /// too short to change the speed by one of its steps.
+    /// Returns the highest speeds along the path at which every segment takes about the time of a constant
+    /// acceleration. The limits at constant speed come first, then those of accelerating, and backwards those of
+    /// braking (J. E. Bobrow, S. Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of speeds is too
+    /// coarse along segments that are too short to change the speed by one of its steps.
     fn profile(&self, open: &[bool], before: &[Velocity]) -> Vec<Velocity> {
-        let n = self.asked_s.len();
-        let length_mm = |i: usize| {
-            let [x, y] = self.axes.each_ref().map(|axis| axis.problem.displacement_mm[i]);
-            x.hypot(y)
-        };
+        let n = self.wanted_s.len();
         let direction: Vec<Velocity> =
             (0..=n).map(|node| if open[node] { self.direction(node) } else { [0.0; 2] }).collect();
-        let at = |node: usize, speed: f64| match open[node] {
-            true => direction[node].map(|d| speed * d),
-            false => before[node],
+        let velocity = |node: usize, speed: f64| {
+            if open[node] { direction[node].map(|d| speed * d) } else { before[node] }
         };
-        let speed_of = |node: usize| before[node][0].hypot(before[node][1]);
         let is_even = |i: usize, from: f64, to: f64| {
-            let (from_v, to_v) = (at(i, from), at(i + 1, to));
-            let even_s = LONGER_THAN_EVEN * 2.0 * length_mm(i) / (from + to);
+            let (from_v, to_v) = (velocity(i, from), velocity(i + 1, to));
+            let even_s = LONGER_THAN_EVEN * 2.0 * self.length_mm(i) / (from + to);
             self.is_allowed(from_v)
                 && self.is_allowed(to_v)
                 && self.least_time(i, from_v, to_v) <= even_s.max(self.least_s[i])
         };
-        let highest = |most: f64, is_even: &dyn Fn(f64) -> bool| {
-            if is_even(most) {
-                return most;
-            }
-            let (mut low, mut high) = (0.0, most);
-            for _ in 0..BISECTIONS {
-                let middle = 0.5 * (low + high);
-                if is_even(middle) { low = middle } else { high = middle }
-            }
-            low
-        };
         let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
-        let mut speed: Vec<f64> = (0..=n).map(speed_of).collect();
+        let mut speed: Vec<f64> = before.iter().map(|v| v[0].hypot(v[1])).collect();
         for node in (1..n).filter(|node| open[*node]) {
-            let asked = |i: usize| FASTER_THAN_ASKED * length_mm(i) / self.least_s[i];
-            let most = largest.min(asked(node - 1)).min(asked(node));
-            speed[node] = [node - 1, node]
-                .map(|i| match open[i] && open[i + 1] {
-                    true => highest(most, &|speed| is_even(i, speed, speed)),
-                    false => most,
-                })
-                .into_iter()
-                .fold(most, f64::min);
+            let beside = [node - 1, node];
+            let [before, after] =
+                beside.map(|i| FASTER_THAN_WANTED * self.length_mm(i) / self.least_s[i]);
+            let most = largest.min(before).min(after);
+            let inner = beside.into_iter().filter(|i| open[*i] && open[i + 1]);
+            speed[node] =
+                inner.map(|i| highest(most, |speed| is_even(i, speed, speed))).fold(most, f64::min);
         }
         for i in 0..n {
             let (from, most) = (speed[i], speed[i + 1]);
             if open[i + 1] && most > from {
-                speed[i + 1] = highest(most, &|to| to < from || is_even(i, from, to)).max(from);
+                speed[i + 1] = highest(most, |to| to < from || is_even(i, from, to)).max(from);
             }
         }
         for i in (0..n).rev() {
-            let (most, to) = (speed[i], speed[i + 1]);
+            let most = speed[i];
+            let to = speed[i + 1];
             if open[i] && most > to {
-                speed[i] = highest(most, &|from| from < to || is_even(i, from, to)).max(to);
+                speed[i] = highest(most, |from| from < to || is_even(i, from, to)).max(to);
             }
         }
-        (0..=n).map(|node| at(node, speed[node])).collect()
+        (0..=n).map(|node| velocity(node, speed[node])).collect()
     }
 
-    /// Best combination of steps up and down from `velocity`.
+    /// Returns the best combination of steps up and down from `velocity`.
     fn stepped(
         &self,
         open: &[bool],
@@ -321,9 +311,9 @@ impl<'a> Search<'a> {
             let v = velocity[node];
             candidates.extend([[0.0; 2], v, v]);
             let steps = [0, 1].map(|axis| {
-                let mean =
-                    |i: usize| self.axes[axis].problem.displacement_mm[i].abs() / duration_s[i];
-                step * v[axis].abs().max(mean(node - 1)).max(mean(node))
+                let dp = &self.axes[axis].problem.displacement_mm;
+                let [before, after] = [node - 1, node].map(|i| dp[i].abs() / duration_s[i]);
+                step * v[axis].abs().max(before).max(after)
             });
             for x in [-1.0, 0.0, 1.0] {
                 for y in [-1.0, 0.0, 1.0] {
@@ -337,19 +327,20 @@ impl<'a> Search<'a> {
         best.unwrap_or_else(|| velocity.to_vec())
     }
 
-    /// Best of all combinations of candidates at the open nodes; `None` if none keeps the limits. The first [`OTHERS`]
-    /// candidates are combined with all candidates of a neighbour, the others with those at most `apart` places away.
+    /// Returns the best of all combinations of candidates at the open nodes; `None` if none keeps the limits. The first
+    /// [`OTHERS`] candidates are combined with all candidates of a neighbour, the others with those at most `apart`
+    /// places away.
     fn best(
         &self,
         open: &[bool],
-        kept: &[Velocity],
+        fixed: &[Velocity],
         apart: usize,
         fill: impl Fn(usize, &mut Vec<Velocity>),
     ) -> Option<Vec<Velocity>> {
-        let n = self.asked_s.len();
+        let n = self.wanted_s.len();
         let candidates = |node: usize, to: &mut Vec<Velocity>| {
             to.clear();
-            if open[node] { fill(node, to) } else { to.push(kept[node]) }
+            if open[node] { fill(node, to) } else { to.push(fixed[node]) }
         };
         // Candidates of the present node, the least time until there, and for all nodes the candidate before.
         let (mut here, mut next) = (Vec::new(), Vec::new());
@@ -386,28 +377,40 @@ impl<'a> Search<'a> {
             std::mem::swap(&mut here, &mut next);
             std::mem::swap(&mut cost, &mut cost_next);
         }
-        let mut found = vec![[0.0; 2]; n + 1];
-        let mut at = 0;
+        if !cost[0].is_finite() {
+            return None;
+        }
+        let mut best = vec![[0.0; 2]; n + 1];
+        let mut candidate = 0;
         for node in (0..=n).rev() {
             candidates(node, &mut here);
-            found[node] = here[at];
-            at = usize::from(from[start[node] + at]);
+            best[node] = here[candidate];
+            candidate = usize::from(from[start[node] + candidate]);
         }
-        cost[0].is_finite().then_some(found)
+        Some(best)
     }
 
-    /// Direction of the path at a node: per axis the mean of the slopes beside it, without reversal the harmonic one
-    /// (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300).
+    fn displacement_mm(&self, i: usize) -> [f64; 2] {
+        self.axes.each_ref().map(|axis| axis.problem.displacement_mm[i])
+    }
+
+    fn length_mm(&self, i: usize) -> f64 {
+        let [x, y] = self.displacement_mm(i);
+        x.hypot(y)
+    }
+
+    /// Returns the direction of the path at a node: per axis the mean of the slopes beside it, without reversal the
+    /// harmonic one (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300).
     fn direction(&self, node: usize) -> Velocity {
-        let dp = |i: usize| self.axes.each_ref().map(|axis| axis.problem.displacement_mm[i]);
-        let [before, after] = [dp(node - 1), dp(node)];
+        let [before, after] = [node - 1, node].map(|i| self.displacement_mm(i));
         let [l0, l1] = [before, after].map(|d| d[0].hypot(d[1]));
         if l0 == 0.0 || l1 == 0.0 {
             return [0.0; 2];
         }
         [0, 1].map(|axis| {
             let problem = self.axes[axis].problem;
-            let (s0, s1) = (before[axis] / l0, after[axis] / l1);
+            let s0 = before[axis] / l0;
+            let s1 = after[axis] / l1;
             if problem.allowed_signs(node) == [false, false] {
                 0.0
             } else if problem.is_reversal_allowed() {
@@ -418,13 +421,14 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Nearest velocity that the mode and the limits allow.
+    /// Returns the nearest velocity that the mode and the limits allow.
     fn allowed(&self, node: usize, velocity: Velocity) -> Velocity {
         [0, 1].map(|a| {
             let axis = &self.axes[a];
             let [negative, positive] = axis.problem.allowed_signs(node);
-            let most = |sign: bool| if sign { axis.velocity } else { 0.0 };
-            velocity[a].clamp(-most(negative), most(positive))
+            let [low, high] =
+                [negative, positive].map(|is_allowed| if is_allowed { axis.velocity } else { 0.0 });
+            velocity[a].clamp(-low, high)
         })
     }
 
@@ -432,8 +436,8 @@ impl<'a> Search<'a> {
         (0..2).all(|a| velocity[a].abs() <= self.axes[a].velocity)
     }
 
-    /// Least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits, or the segment near its
-    /// path. In more time, a segment with the same velocities leaves its path by more.
+    /// Returns the least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits, or the
+    /// segment near its path. In more time, a segment with the same velocities leaves its path by more.
     fn least_time(&self, i: usize, from: Velocity, to: Velocity) -> f64 {
         let mut h = self.least_s[i];
         loop {
@@ -458,7 +462,8 @@ impl Axis<'_> {
         const ROUNDING: f64 = 1e-12;
         let dp = self.problem.displacement_mm[i];
         let [dp, v0, v1] = if dp < 0.0 { [-dp, -v0, -v1] } else { [dp, v0, v1] };
-        let (limit, sum) = (self.velocity, v0 + v1);
+        let limit = self.velocity;
+        let sum = v0 + v1;
         if v0.abs().max(v1.abs()) > limit {
             return f64::INFINITY;
         }
@@ -478,7 +483,9 @@ impl Axis<'_> {
         }
         // (2)
         if self.jerk.is_finite() {
-            let (c0, c1, j) = (12.0 * dp, 6.0 * sum, self.jerk);
+            let c0 = 12.0 * dp;
+            let c1 = 6.0 * sum;
+            let j = self.jerk;
             for (c0, c1) in [(c0, -c1), (-c0, c1)] {
                 if c0 + c1 * h > (1.0 + ROUNDING) * j * h.powi(3) {
                     h = h.max(end_of_cubic(c0, c1, j));
@@ -495,18 +502,32 @@ impl Axis<'_> {
     }
 }
 
-/// The largest h at which `c0 + c1 h = j h^3`.
+/// Returns the largest h at which `c0 + c1 h = j h^3`.
 fn end_of_cubic(c0: f64, c1: f64, j: f64) -> f64 {
     // Not below it; from there the steps of Newton descend to it, because the difference is concave.
     let mut h = (2.0 * c0.max(0.0) / j).cbrt().max((2.0 * c1.max(0.0) / j).sqrt());
-    let newton = |h: f64| h - (c0 + c1 * h - j * h.powi(3)) / (c1 - 3.0 * j * h * h);
-    let mut next = newton(h);
-    // To rounding.
-    while next < h * (1.0 - 1e-14) {
+    loop {
+        let next = h - (c0 + c1 * h - j * h.powi(3)) / (c1 - 3.0 * j * h * h);
+        // To rounding.
+        let descends = next < h * (1.0 - 1e-14);
+        if !descends {
+            return h;
+        }
         h = next;
-        next = newton(h);
     }
-    h
+}
+
+/// Returns the largest value up to `most` that is `good`, by bisection from 0; every value below a good one is good.
+fn highest(most: f64, good: impl Fn(f64) -> bool) -> f64 {
+    if good(most) {
+        return most;
+    }
+    let (mut low, mut high) = (0.0, most);
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if good(middle) { low = middle } else { high = middle }
+    }
+    low
 }
 
 #[cfg(test)]

@@ -29,30 +29,34 @@ pub struct Stretched {
 #[derive(Debug)]
 pub(super) struct Timing {
     /// Segments that take time.
-    pub(super) kept: Vec<usize>,
+    pub(super) segments: Vec<usize>,
     /// Their time, s; > 0.
     pub(super) duration_s: Vec<f64>,
 }
 
 impl Timing {
-    /// Times by [`durations_s`], without the segments that take no time.
+    /// Returns the times by [`durations_s`], without the segments that take no time.
     pub(super) fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
         let mut duration_s = durations_s(path, dwell, limits);
-        let kept = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
+        let segments = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
         duration_s.retain(|h| *h > 0.0);
-        Self { kept, duration_s }
+        Self { segments, duration_s }
     }
 
-    /// Error about the segment whose dwell time is the most below its least time; `None` if none is.
+    /// Returns the error about the segment whose dwell time is the most below its least time; `None` if none is.
     pub(super) fn refusal(
         &self,
         path: &ToolPath,
         dwell: &DwellTime,
         limits: &Limits,
     ) -> Option<ScheduleError> {
-        let short = |i: &usize| least_time(path, limits, *i) - dwell.dwell_s()[*i];
-        let worst = self.kept.iter().copied().max_by(|a, b| short(a).total_cmp(&short(b)))?;
-        (short(&worst) > 0.0).then(|| ScheduleError::Infeasible {
+        let missing =
+            self.segments.iter().map(|i| (*i, least_time(path, limits, *i) - dwell.dwell_s()[*i]));
+        let (worst, missing_s) = missing.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if missing_s <= 0.0 {
+            return None;
+        }
+        Some(ScheduleError::Infeasible {
             segment: worst,
             length_mm: path.segment_length_mm(worst),
             dwell_s: dwell.dwell_s()[worst],
@@ -73,9 +77,9 @@ impl Timing {
         }
     }
 
-    /// Segments that take longer than their dwell time, in order.
+    /// Returns the segments that take longer than their dwell time, in order.
     pub(super) fn stretched(&self, path: &ToolPath, dwell: &DwellTime) -> Vec<Stretched> {
-        (self.kept.iter().zip(&self.duration_s))
+        (self.segments.iter().zip(&self.duration_s))
             .map(|(&segment, &scheduled_s)| Stretched {
                 segment,
                 tool_on: path.tool_on()[segment],
@@ -86,10 +90,10 @@ impl Timing {
             .collect()
     }
 
-    /// Segments of `path` that take no time, in order.
+    /// Returns the segments of `path` that take no time, in order.
     pub(super) fn dropped(&self, path: &ToolPath) -> Vec<usize> {
-        let mut kept = self.kept.iter().peekable();
-        (0..path.len()).filter(|i| kept.next_if(|k| *k == i).is_none()).collect()
+        let mut timed = self.segments.iter().peekable();
+        (0..path.len()).filter(|i| timed.next_if(|k| *k == i).is_none()).collect()
     }
 }
 
@@ -98,30 +102,32 @@ impl Timing {
 /// digits. 64 roundings leave two digits, enough for a segment whose times and lengths are rounding.
 const LEAST_ROUNDINGS: f64 = 64.0;
 
-/// Duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >= min_segment_s`, and
-/// where that is not zero, not below [`LEAST_ROUNDINGS`].
+/// Returns the duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >=
+/// min_segment_s`, and where that is not zero, not below [`LEAST_ROUNDINGS`].
 pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Vec<f64> {
-    let time = |i: usize| dwell.dwell_s()[i].max(least_time(path, limits, i));
-    let mut duration_s: Vec<f64> = parallel(path.len()).map(time).collect();
+    let mut duration_s: Vec<f64> =
+        parallel(path.len()).map(|i| dwell.dwell_s()[i].max(least_time(path, limits, i))).collect();
     let least_s = LEAST_ROUNDINGS * f64::EPSILON * duration_s.iter().sum::<f64>();
     duration_s.iter_mut().filter(|h| **h > 0.0).for_each(|h| *h = h.max(least_s));
     duration_s
 }
 
-/// Least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the duration.
+/// Returns the least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the
+/// duration.
 fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
-    let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
-    let axis = |a: usize| dp[a].abs() / v[a];
-    axis(0).max(axis(1)).max(limits.min_segment_s())
+    let dp = path.displacement_mm(i);
+    let v = limits.max_velocity_mm_per_s();
+    let [x_s, y_s] = [0, 1].map(|a| dp[a].abs() / v[a]);
+    x_s.max(y_s).max(limits.min_segment_s())
 }
 
-/// Segment with the largest excess, and that excess; 1 if no segment exceeds the limits.
+/// Returns the segment with the largest excess, and that excess; 1 if no segment exceeds the limits.
 pub(super) fn worst(excess: &[f64]) -> (usize, f64) {
     let each = excess.iter().copied().enumerate();
     each.fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m })
 }
 
-/// Error about a segment that would have to be stretched by `factor`, which the settings forbid.
+/// Returns the error about a segment that would have to be stretched by `factor`, which the settings forbid.
 pub(super) fn too_short(
     path: &ToolPath,
     dwell: &DwellTime,

@@ -64,7 +64,7 @@ use planish_numerics::motion::timing_law;
 use planish_types::{DwellDensity, DwellTime, Invalid, Limits, ToolPath, Trajectory};
 use serde::Serialize;
 
-pub use self::{repair::Repair, report::Report, spline::Piece};
+pub use self::{repair::Repair, report::TrigSplineReport, spline::TrigPiece};
 
 use self::{
     motion::Motion,
@@ -75,7 +75,7 @@ use crate::{ScheduleError, Scheduled, Scheduler, check_lengths};
 
 /// Settings of the trigonometric spline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct TrigSplineSettings {
     /// Repair of the densities that the machine cannot follow.
     pub repair: Repair,
     /// Largest distance of the motion from a corner, mm; > 0. Larger: corners are passed faster, and the
@@ -86,13 +86,13 @@ pub struct Settings {
     pub fit_tolerance_mm: f64,
 }
 
-impl Default for Settings {
+impl Default for TrigSplineSettings {
     fn default() -> Self {
         Self { repair: Repair::Offset, corner_deviation_mm: 0.02, fit_tolerance_mm: 1e-6 }
     }
 }
 
-impl Settings {
+impl TrigSplineSettings {
     fn check(&self) -> Result<(), Invalid> {
         for (name, value) in [
             ("corner_deviation_mm", self.corner_deviation_mm),
@@ -111,28 +111,29 @@ impl Settings {
 
 /// Motion, its dwell-time density, and the report.
 #[derive(Clone, Debug)]
-pub struct Schedule {
+pub struct TrigSplineSchedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Nodes of the spline; `None` if no pass has a length.
     pub density: Option<DwellDensity>,
     /// Changes of the densities, and errors of the motion.
-    pub report: Report,
+    pub report: TrigSplineReport,
 }
 
-impl Settings {
-    /// The settings with corners that stay within the usual tolerance of the path.
+impl TrigSplineSettings {
+    /// Returns the settings with corners that stay within the usual tolerance of the path.
     fn near(&self, path: &ToolPath) -> Result<Self, Invalid> {
         let tolerance_mm = path.tolerance_mm(None)?;
-        let corner_deviation_mm = match tolerance_mm > 0.0 {
-            true => self.corner_deviation_mm.min(tolerance_mm),
-            false => self.corner_deviation_mm,
+        let corner_deviation_mm = if tolerance_mm > 0.0 {
+            self.corner_deviation_mm.min(tolerance_mm)
+        } else {
+            self.corner_deviation_mm
         };
         Ok(Self { corner_deviation_mm, ..*self })
     }
 }
 
-impl Scheduler for Settings {
+impl Scheduler for TrigSplineSettings {
     fn name(&self) -> &'static str {
         "trig-spline"
     }
@@ -152,16 +153,21 @@ impl Scheduler for Settings {
 }
 
 /// Schedules `path` with the times `dwell` within `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path or that are zero everywhere, tolerances out of range, and dwell times whose
+/// motion rounding keeps from being proven.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Schedule, ScheduleError> {
+    settings: &TrigSplineSettings,
+) -> Result<TrigSplineSchedule, ScheduleError> {
     check_lengths(path, dwell)?;
     settings.check()?;
     let settings = &settings.near(path)?;
-    let mut report = Report::default();
+    let mut report = TrigSplineReport::default();
     let mut passes: Vec<Pass> = runs_with_tool_on(path)
         .map(|run| Pass::new(path, dwell, limits, settings.corner_deviation_mm, run, &mut report))
         .collect();
@@ -204,7 +210,11 @@ pub fn schedule(
         return Err(Invalid::whole("dwell_s", problem, remedy).into());
     }
     let trajectory = motion.made.build()?;
-    Ok(Schedule { trajectory, density: density_of(path, &passes)?, report: motion.report })
+    Ok(TrigSplineSchedule {
+        trajectory,
+        density: density_of(path, &passes)?,
+        report: motion.report,
+    })
 }
 
 #[cfg(test)]
@@ -233,7 +243,7 @@ mod tests {
         let stairs = ToolPath::through(corners, vec![true; 40], vec![0; 40]).unwrap();
         for path in [straight(40, 0.8), stairs] {
             let dwell = DwellTime::new(t.clone()).unwrap();
-            let s = schedule(&path, &dwell, &free, &Settings::default()).unwrap();
+            let s = schedule(&path, &dwell, &free, &TrigSplineSettings::default()).unwrap();
             assert_eq!((s.report.held_densities, s.report.slowed_corners), (0, 0));
             for (i, (found, wanted)) in times(&s.trajectory, 40).iter().zip(&t).enumerate() {
                 // Rounding of times of 40 s.
@@ -254,7 +264,7 @@ mod tests {
         }
         let path = ToolPath::through(points, vec![true; 400], vec![0; 400]).unwrap();
         let dwell = DwellTime::new(t.clone()).unwrap();
-        let s = schedule(&path, &dwell, &free, &Settings::default()).unwrap();
+        let s = schedule(&path, &dwell, &free, &TrigSplineSettings::default()).unwrap();
         assert!(s.report.held_densities > 20);
         for (i, (found, wanted)) in times(&s.trajectory, 400).iter().zip(&t).enumerate() {
             assert!(*found > wanted * (1.0 - 1e-6), "{i}: {found} {wanted}");
@@ -267,7 +277,7 @@ mod tests {
             &straight(10, 0.5),
             &DwellTime::new(vec![0.25; 10]).unwrap(),
             &machine([10.0; 2], [10.0; 2]),
-            &Settings::default(),
+            &TrigSplineSettings::default(),
         )
         .unwrap();
         for k in 1..s.trajectory.len() - 1 {
@@ -287,7 +297,8 @@ mod tests {
         t[10] = 0.0;
         let dwell = DwellTime::new(t).unwrap();
         let limits = machine([66.6667; 2], [1e9; 2]);
-        let s = schedule(&straight(21, 1.0), &dwell, &limits, &Settings::default()).unwrap();
+        let s =
+            schedule(&straight(21, 1.0), &dwell, &limits, &TrigSplineSettings::default()).unwrap();
         assert!((s.report.feed_offset_s_per_mm - 0.015).abs() < 1e-5, "{:?}", s.report);
         assert!(s.report.feed_use <= 1.0 && s.report.feed_use > 0.999);
     }
@@ -300,7 +311,7 @@ mod tests {
             let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
             let dwell = DwellTime::new(vec![0.5, 0.5]).unwrap();
             let limits = machine([50.0; 2], [300.0, 200.0]);
-            let s = schedule(&path, &dwell, &limits, &Settings::default()).unwrap();
+            let s = schedule(&path, &dwell, &limits, &TrigSplineSettings::default()).unwrap();
             assert_eq!(s.report.corners, 1);
             let corner = [1.0, 0.0];
             let distance = |p: [f64; 2]| (p[0] - corner[0]).hypot(p[1] - corner[1]);

@@ -4,12 +4,13 @@
 use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
 
 use super::{
-    passes::{MARGIN, Pass, Straight, along},
-    report::Report,
-    spline::{Piece, STRETCH_PLACES, Stretch},
+    passes::{MARGIN, Pass, Straight},
+    report::TrigSplineReport,
+    spline::{STRETCH_PLACES, Stretch, TrigPiece},
 };
 use crate::{
     hermite::{accelerations, coefficients, peak_velocity},
+    largest_along,
     shortest_cubic::{State, shortest_cubic},
 };
 
@@ -19,7 +20,7 @@ pub(super) struct Motion<'a> {
     dwell: &'a DwellTime,
     limits: &'a Limits,
     tolerance_mm: f64,
-    pub(super) report: Report,
+    pub(super) report: TrigSplineReport,
     /// Pieces that are not proven: number of the pass, first node.
     pub(super) unproven: Vec<(usize, usize)>,
     /// The segments so far.
@@ -29,18 +30,25 @@ pub(super) struct Motion<'a> {
 }
 
 impl<'a> Motion<'a> {
-    /// Motion along all passes; `report` has the changes of their densities.
+    /// Returns the motion along all passes; `report` has the changes of their densities.
     pub(super) fn along(
         path: &'a ToolPath,
         dwell: &'a DwellTime,
         limits: &'a Limits,
         tolerance_mm: f64,
         passes: &[Pass],
-        report: Report,
+        report: TrigSplineReport,
     ) -> Self {
-        let now = State { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] };
-        let (unproven, made) = (Vec::new(), TrajectoryBuilder::default());
-        let mut motion = Self { path, dwell, limits, tolerance_mm, report, unproven, made, now };
+        let mut motion = Self {
+            path,
+            dwell,
+            limits,
+            tolerance_mm,
+            report,
+            unproven: Vec::new(),
+            made: TrajectoryBuilder::default(),
+            now: State::at_rest(path.point_mm()[0]),
+        };
         motion.walk(passes);
         motion
     }
@@ -57,9 +65,10 @@ impl<'a> Motion<'a> {
             self.pass(number, pass);
             next = pass.run.end;
         }
-        let rest = |p: [f64; 2]| State { position_mm: p, velocity_mm_per_s: [0.0; 2] };
+
         if next < self.path.len() {
-            self.lift(next..self.path.len(), rest(self.path.point_mm()[self.path.len()]));
+            let end = State::at_rest(self.path.point_mm()[self.path.len()]);
+            self.lift(next..self.path.len(), end);
         } else {
             self.brake();
         }
@@ -70,7 +79,8 @@ impl<'a> Motion<'a> {
         let (speed, direction) = polar(start.velocity_mm_per_s);
         if speed > 0.0 {
             let a = self.acceleration_along(direction);
-            let (t, distance) = (speed / a, 0.5 * speed * speed / a);
+            let t = speed / a;
+            let distance = 0.5 * speed * speed / a;
             let c = [0, 1].map(|x| {
                 let u = direction[x];
                 [start.position_mm[x] - u * distance, 0.0, 0.5 * u * a, 0.0]
@@ -98,14 +108,13 @@ impl<'a> Motion<'a> {
     }
 
     fn acceleration_along(&self, direction: [f64; 2]) -> f64 {
-        (1.0 - MARGIN) * along(direction, self.limits.max_acceleration_mm_per_s2())
+        (1.0 - MARGIN) * largest_along(direction, self.limits.max_acceleration_mm_per_s2())
     }
 
     /// Adds a link for every segment with the tool off, at rest in between.
     fn lift(&mut self, run: std::ops::Range<usize>, end: State) {
         for i in run.clone() {
-            let rest =
-                State { position_mm: self.path.point_mm()[i + 1], velocity_mm_per_s: [0.0; 2] };
+            let rest = State::at_rest(self.path.point_mm()[i + 1]);
             let to = if i + 1 == run.end { end } else { rest };
             match shortest_cubic(self.now, to, self.limits, self.dwell.dwell_s()[i]) {
                 Some(link) => self.link(link.duration_s, link.coefficient_mm, Some(i)),
@@ -140,7 +149,8 @@ impl<'a> Motion<'a> {
             return;
         }
         let last = pass.nodes.len() - 1;
-        let (first_straight, last_straight) = (&pass.straights[0], pass.straights.len() - 1);
+        let first_straight = &pass.straights[0];
+        let last_straight = pass.straights.len() - 1;
         self.plateau(first_straight, 0.0, 0.5 * first_straight.length, pass.nodes[0].density);
         for k in 0..last {
             if !self.piece(pass, k) {
@@ -164,13 +174,16 @@ impl<'a> Motion<'a> {
 
     /// Adds the parabola at corner node k, in two halves.
     fn blend(&mut self, pass: &Pass, k: usize) {
-        let (node, s) = (&pass.nodes[k], &pass.straights[pass.straight_of[k]]);
+        let node = &pass.nodes[k];
+        let s = &pass.straights[pass.straight_of[k]];
         let next = &pass.straights[pass.straight_of[k] + 1];
-        let (b, v) = (node.half_length_mm, 1.0 / node.density);
+        let b = node.half_length_mm;
+        let v = 1.0 / node.density;
         let half_s = b * node.density;
         // p(u) = corner - b u1 + v u1 u + (u2 - u1) v^2/(4 b) u^2
         let c = [0, 1].map(|a| {
-            let (u1, u2) = (s.direction[a], next.direction[a]);
+            let u1 = s.direction[a];
+            let u2 = next.direction[a];
             [next.start[a] - b * u1, v * u1, (u2 - u1) * v * v / (4.0 * b), 0.0]
         });
         let middle = c.map(|c| {
@@ -182,7 +195,8 @@ impl<'a> Motion<'a> {
 
     /// Adds the piece from node k to the next one, by step 5. Returns true if it is proven within the limits.
     fn piece(&mut self, pass: &Pass, k: usize) -> bool {
-        let (a, b) = (&pass.nodes[k], &pass.nodes[k + 1]);
+        let a = &pass.nodes[k];
+        let b = &pass.nodes[k + 1];
         let own = &pass.straights[pass.straight_of[k]];
         // The straight along which the piece starts, and the start on it. A piece between two dwell points
         // is cut at the end of the first segment.
@@ -192,7 +206,7 @@ impl<'a> Motion<'a> {
             _ => (own, 0.5 * own.length),
         };
         let limited = pass.piece(k);
-        let fit = Fit {
+        let fit = CubicFit {
             shape: limited.shape,
             // A corner's is that of two directions.
             max_velocity: 1.0 / if a.half_length_mm > 0.0 { b.fastest } else { a.fastest },
@@ -201,12 +215,11 @@ impl<'a> Motion<'a> {
         };
         let both = match next {
             Some(next) if a.half_length_mm == 0.0 && b.half_length_mm == 0.0 => {
-                let [first, second] = match (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
-                    true => Stretch::WHOLE.halves(),
-                    false => {
-                        let cut = 0.5 * own.length / fit.shape.length_mm;
-                        [Stretch::new(0.0, cut), Stretch::new(cut, 1.0)]
-                    }
+                let [first, second] = if (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
+                    Stretch::WHOLE.halves()
+                } else {
+                    let cut = 0.5 * own.length / fit.shape.length_mm;
+                    [Stretch::new(0.0, cut), Stretch::new(cut, 1.0)]
                 };
                 [Some((first, own.index)), Some((second, next.index))]
             }
@@ -230,7 +243,7 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Magnitude and direction.
+/// Returns the magnitude and direction.
 fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
     let speed = v[0].hypot(v[1]);
     (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
@@ -243,8 +256,8 @@ const SAME_LENGTH: f64 = 1e-12;
 
 /// Piece to be fitted, its limits and the tolerance.
 #[derive(Clone, Copy, Debug)]
-struct Fit {
-    shape: Piece,
+struct CubicFit {
+    shape: TrigPiece,
     max_velocity: f64,
     max_acceleration: f64,
     tolerance_mm: f64,
@@ -273,7 +286,7 @@ const MAX_HALVINGS: usize = 20;
 /// the tolerance. Smaller: more cubics.
 const FIT_SAFETY: f64 = 0.95;
 
-impl Fit {
+impl CubicFit {
     /// Cubics along a stretch, in order.
     fn cubics(&self, stretch: Stretch, halvings: usize, emit: &mut impl FnMut(Cubic)) {
         if let Some(cubic) = self.cubic(&stretch, halvings == MAX_HALVINGS) {
@@ -284,7 +297,7 @@ impl Fit {
         }
     }
 
-    /// Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and can be halved.
+    /// Returns the Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and can be halved.
     fn cubic(&self, stretch: &Stretch, is_last: bool) -> Option<Cubic> {
         let piece = &self.shape;
         let ends = piece.ends(stretch);
@@ -293,19 +306,15 @@ impl Fit {
         let dp = piece.length_mm * (stretch.to - stretch.from);
         let c = coefficients(piece.length_mm * stretch.from, dp, v0, v1, h);
         let most_mm = FIT_SAFETY * self.tolerance_mm;
-        let error_mm_at = |k: usize| {
-            let u = piece.elapsed_s_to(stretch, k);
-            let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
-            (position_mm - piece.length_mm * stretch.part(k)).abs()
-        };
         // Hermite interpolation: error <= h^4 / 384 max |d^4 s/dt^4|
         let mut error_mm = (h * h).powi(2) / 384.0 * piece.fourth_derivative_bound(ends);
         if error_mm.is_nan() || error_mm > most_mm {
             // The middle first: a cubic that misses the tolerance nearly always misses it there.
-            if error_mm_at(STRETCH_PLACES / 2) > most_mm && !is_last {
+            if self.error_mm(stretch, &c, STRETCH_PLACES / 2) > most_mm && !is_last {
                 return None;
             }
-            error_mm = (1..STRETCH_PLACES).map(error_mm_at).fold(0.0, f64::max);
+            let errors = (1..STRETCH_PLACES).map(|k| self.error_mm(stretch, &c, k));
+            error_mm = errors.fold(0.0, f64::max);
             if error_mm > most_mm && !is_last {
                 return None;
             }
@@ -313,11 +322,16 @@ impl Fit {
         let (start, end) = accelerations(dp, v0, v1, h);
         let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
             && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
-        (within_limits || is_last).then_some(Cubic {
-            duration_s: h,
-            coefficient_mm: c,
-            error_mm,
-            within_limits,
-        })
+        if !within_limits && !is_last {
+            return None;
+        }
+        Some(Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits })
+    }
+
+    /// Returns the distance of the cubic `c` from the spline at the place `k` of a stretch, mm.
+    fn error_mm(&self, stretch: &Stretch, c: &[f64; 4], k: usize) -> f64 {
+        let u = self.shape.elapsed_s_to(stretch, k);
+        let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
+        (position_mm - self.shape.length_mm * stretch.part(k)).abs()
     }
 }

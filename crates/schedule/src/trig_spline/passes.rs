@@ -7,10 +7,10 @@ use planish_numerics::linear::tridiagonal::{self, TridiagonalRow as Row};
 use planish_types::{DensityNodes, DwellDensity, DwellTime, Invalid, Limits, ToolPath};
 
 use super::{
-    report::Report,
-    spline::{Limited, Piece},
+    report::TrigSplineReport,
+    spline::{Limited, TrigPiece},
 };
-use crate::{rounding_mm, shortest_cubic::State};
+use crate::{largest_along, rounding_mm, shortest_cubic::State};
 
 /// Part of the limits that the repair leaves free, relative. The acceleration of a fitted cubic deviates
 /// from that of the spline; with the margin a few cuts near its peak are enough. Larger: motions are
@@ -92,7 +92,7 @@ pub(super) struct Pass {
     pub(super) straight_of: Vec<usize>,
 }
 
-/// Maximal runs of segments with the tool on.
+/// Returns the maximal runs of segments with the tool on.
 pub(super) fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = Range<usize>> + '_ {
     let on = path.tool_on();
     let mut next = 0;
@@ -104,12 +104,6 @@ pub(super) fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = Range<u
     })
 }
 
-/// Largest magnitude along `direction` that keeps `max` on both axes.
-pub(super) fn along(direction: [f64; 2], max: [f64; 2]) -> f64 {
-    let axis = |a: usize| max[a] / direction[a].abs(); // infinite across
-    axis(0).min(axis(1))
-}
-
 impl Pass {
     pub(super) fn new(
         path: &ToolPath,
@@ -117,9 +111,10 @@ impl Pass {
         limits: &Limits,
         corner_deviation_mm: f64,
         run: Range<usize>,
-        report: &mut Report,
+        report: &mut TrigSplineReport,
     ) -> Self {
-        let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+        let v_max = limits.max_velocity_mm_per_s();
+        let a_max = limits.max_acceleration_mm_per_s2();
         let mut arc_length: f64 = (0..run.start).map(|i| path.segment_length_mm(i)).sum();
         let mut straights: Vec<Straight> = Vec::new();
         for index in run.clone() {
@@ -132,7 +127,7 @@ impl Pass {
                     direction,
                     length,
                     arc_length,
-                    max_acceleration: (1.0 - MARGIN) * along(direction, a_max),
+                    max_acceleration: (1.0 - MARGIN) * largest_along(direction, a_max),
                     corner: None,
                 });
             }
@@ -163,19 +158,19 @@ impl Pass {
         let times = pass.times(dwell, report);
         let densities = pass.densities(&times, report);
         for (k, s) in pass.straights.iter().enumerate() {
-            let fastest = 1.0 / along(s.direction, v_max);
+            let fastest = 1.0 / largest_along(s.direction, v_max);
             let least = fastest / (1.0 - MARGIN);
             let density = densities[k];
             pass.nodes.push(Node { density, least, fastest, half_length_mm: 0.0 });
             pass.straight_of.push(k);
             let Some(corner) = s.corner else { continue };
             let next = &pass.straights[k + 1];
-            let fastest = fastest.max(1.0 / along(next.direction, v_max));
+            let fastest = fastest.max(1.0 / largest_along(next.direction, v_max));
             let b = corner.half_length_mm;
             // a = v^2 (u2 - u1) / (2 b)
-            let bend =
-                |a: usize| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt();
-            let least = (fastest / (1.0 - MARGIN)).max(bend(0)).max(bend(1));
+            let [x, y] = [0, 1]
+                .map(|a| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt());
+            let least = (fastest / (1.0 - MARGIN)).max(x).max(y);
             let weights = corner_weights(s.length, next.length);
             let density = weights[0] * density + weights[1] * densities[k + 1];
             pass.nodes.push(Node { density, least, fastest, half_length_mm: b });
@@ -184,12 +179,14 @@ impl Pass {
         pass
     }
 
-    /// Dwell time of every straight; a segment without length gives its time to the straights
-    /// before and after it.
-    fn times(&self, dwell: &DwellTime, report: &mut Report) -> Vec<f64> {
+    /// Returns the dwell time of every straight; a segment without length gives its time to the straights before and
+    /// after it.
+    fn times(&self, dwell: &DwellTime, report: &mut TrigSplineReport) -> Vec<f64> {
         let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
-        let has_length = |i: &usize| self.straights.binary_search_by_key(i, |s| s.index).is_ok();
-        for i in self.run.clone().filter(|i| !has_length(i)) {
+        for i in self.run.clone() {
+            if self.straights.binary_search_by_key(&i, |s| s.index).is_ok() {
+                continue;
+            }
             let t = dwell.dwell_s()[i];
             if t == 0.0 {
                 report.dropped.push(i);
@@ -204,9 +201,9 @@ impl Pass {
         times
     }
 
-    /// Densities of the dwell points that give every straight its time: row k holds the time that
-    /// a density of 1 at the dwell points k-1, k, k+1 gives straight k.
-    fn densities(&self, times: &[f64], report: &mut Report) -> Vec<f64> {
+    /// Returns the densities of the dwell points that give every straight its time: row k holds the time that a density
+    /// of 1 at the dwell points k-1, k, k+1 gives straight k.
+    fn densities(&self, times: &[f64], report: &mut TrigSplineReport) -> Vec<f64> {
         let n = self.straights.len();
         let mut rows = vec![[0.0; 3]; n];
         for k in 0..n {
@@ -217,20 +214,20 @@ impl Pass {
             };
         }
         for k in 0..n - 1 {
-            let (s, next) = (&self.straights[k], &self.straights[k + 1]);
+            let s = &self.straights[k];
+            let next = &self.straights[k + 1];
             let [before, after] = match s.corner {
                 Some(corner) => {
                     // Dwell point, cosine to the corner, plateau b | b, cosine, dwell point:
                     // (l/2 - b) (d + d_c)/2 + b d_c
                     let weights = corner_weights(s.length, next.length);
-                    let half = |length: f64, own: usize| {
+                    [(s.length, 0), (next.length, 1)].map(|(length, own)| {
                         let rest = 0.5 * length - corner.half_length_mm;
                         let at_corner = 0.5 * rest + corner.half_length_mm;
                         let mut weight = weights.map(|w| w * at_corner);
                         weight[own] += 0.5 * rest;
                         weight
-                    };
-                    [half(s.length, 0), half(next.length, 1)]
+                    })
                 }
                 None => {
                     // Cut at x = l/2 / L: integral of (1) to x, L (M2 x/2 - M1/(2 pi) sin(pi x))
@@ -250,25 +247,27 @@ impl Pass {
         // A density that was held before its neighbours may have less than its time. It is released again, a few
         // times at most.
         let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
-        let (mut held, mut times_let_go) = (vec![false; n], vec![0; n]);
+        let mut held = vec![false; n];
+        let mut times_let_go = vec![0; n];
         loop {
             // Every row is diagonally dominant, at least weakly.
-            let d = tridiagonal::solve(n, |k| match held[k] {
-                true => Row::held(least[k]),
-                false => Row { elements: rows[k], right: times[k] },
+            let d = tridiagonal::solve(n, |k| {
+                if held[k] {
+                    Row::held(least[k])
+                } else {
+                    Row { elements: rows[k], right: times[k] }
+                }
             });
             let low: Vec<usize> =
                 (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
-            let time = |k: usize| {
-                let [before, own, after] = rows[k];
-                let at = |k: Option<usize>| k.and_then(|k| d.get(k)).copied().unwrap_or(0.0);
-                before * at(k.checked_sub(1)) + own * d[k] + after * at(Some(k + 1))
-            };
-            let short = |k: &usize| held[*k] && time(*k) < (1.0 - SHORT) * times[*k];
-            let let_go: Vec<usize> = match low.is_empty() {
-                true => (0..n).filter(|k| times_let_go[*k] < MOST_LET_GO).filter(short).collect(),
-                false => Vec::new(),
-            };
+            let mut let_go = Vec::new();
+            if low.is_empty() {
+                let_go.extend((0..n).filter(|k| {
+                    times_let_go[*k] < MOST_LET_GO
+                        && held[*k]
+                        && time_of_row(&rows[*k], &d, *k) < (1.0 - SHORT) * times[*k]
+                }));
+            }
             if low.is_empty() && let_go.is_empty() {
                 report.held_densities += held.iter().filter(|h| **h).count();
                 return d;
@@ -281,9 +280,10 @@ impl Pass {
         }
     }
 
-    /// Piece from node k to the next one.
+    /// Returns the piece from node k to the next one.
     pub(super) fn piece(&self, k: usize) -> Limited {
-        let (a, b) = (&self.nodes[k], &self.nodes[k + 1]);
+        let a = &self.nodes[k];
+        let b = &self.nodes[k + 1];
         let (from, to) = (self.arc_length(k), self.arc_length(k + 1));
         let length_mm = to - b.half_length_mm - (from + a.half_length_mm);
         let straight = &self.straights[self.straight_of[k]];
@@ -294,7 +294,7 @@ impl Pass {
             straight
         };
         Limited {
-            shape: Piece { density_s_per_mm: [a.density, b.density], length_mm },
+            shape: TrigPiece { density_s_per_mm: [a.density, b.density], length_mm },
             max_acceleration: straight.max_acceleration,
         }
     }
@@ -303,7 +303,7 @@ impl Pass {
         (1..self.nodes.len()).map(|k| self.piece(k - 1))
     }
 
-    /// Arc length of node k from the start of the pass; that of a corner is its middle.
+    /// Returns the arc length of node k from the start of the pass; that of a corner is its middle.
     fn arc_length(&self, k: usize) -> f64 {
         let s = &self.straights[self.straight_of[k]];
         let part = if self.nodes[k].half_length_mm > 0.0 { s.length } else { 0.5 * s.length };
@@ -311,7 +311,7 @@ impl Pass {
     }
 
     fn standing(&self) -> State {
-        State { position_mm: self.start_mm, velocity_mm_per_s: [0.0; 2] }
+        State::at_rest(self.start_mm)
     }
 
     pub(super) fn start(&self) -> State {
@@ -336,24 +336,31 @@ impl Pass {
         )
     }
 
-    /// Time of the pass, s.
+    /// Returns the time of the pass, s.
     pub(super) fn duration_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else { return 0.0 };
-        let half = |s: &Straight| 0.5 * s.length;
+        let last_straight = &self.straights[self.straights.len() - 1];
         let plateaus: f64 = self.nodes.iter().map(|n| 2.0 * n.half_length_mm * n.density).sum();
-        half(&self.straights[0]) * first.density
-            + half(&self.straights[self.straights.len() - 1]) * last.density
+        0.5 * self.straights[0].length * first.density
+            + 0.5 * last_straight.length * last.density
             + plateaus
             + self.pieces().map(|p| p.shape.duration_s()).sum::<f64>()
     }
 }
 
-/// Weights of the dwell points before and after a corner in its density: the nearer one has more.
+/// Returns the time of straight k by its row, for the densities `d` of all dwell points.
+fn time_of_row([before, own, after]: &[f64; 3], d: &[f64], k: usize) -> f64 {
+    let first = if k > 0 { d[k - 1] } else { 0.0 };
+    let last = d.get(k + 1).copied().unwrap_or(0.0);
+    before * first + own * d[k] + after * last
+}
+
+/// Returns the weights of the dwell points before and after a corner in its density: the nearer one has more.
 fn corner_weights(before: f64, after: f64) -> [f64; 2] {
     [after / (before + after), before / (before + after)]
 }
 
-/// Nodes of all passes that have a length: start, dwell points, three for every corner, end.
+/// Returns the nodes of all passes that have a length: start, dwell points, three for every corner, end.
 pub(super) fn density_of(
     path: &ToolPath,
     passes: &[Pass],
@@ -368,10 +375,12 @@ pub(super) fn density_of(
             nodes.pass_idx.push(number as i64);
             nodes.corner.push(is_corner);
         };
-        let (first, last) = (&pass.straights[0], &pass.straights[pass.straights.len() - 1]);
+        let first = &pass.straights[0];
+        let last = &pass.straights[pass.straights.len() - 1];
         push(first, 0.0, pass.nodes[0].density, false);
         for (node, k) in pass.nodes.iter().zip(&pass.straight_of) {
-            let (straight, b) = (&pass.straights[*k], node.half_length_mm);
+            let straight = &pass.straights[*k];
+            let b = node.half_length_mm;
             if b == 0.0 {
                 push(straight, 0.5 * straight.length, node.density, false);
             } else {

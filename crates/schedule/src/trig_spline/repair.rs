@@ -3,7 +3,10 @@
 
 use serde::Serialize;
 
-use super::{passes::Pass, report::Report};
+use super::{
+    passes::{Node, Pass},
+    report::TrigSplineReport,
+};
 
 /// Repair of the densities that the machine cannot follow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -38,15 +41,14 @@ pub(super) const PROOF_ROUNDS: usize = 16;
 
 /// Repairs the densities by step 2, in O(N): the offset grows piece by piece, and no piece is visited
 /// twice.
-pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
+pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
-    let all = || passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0);
-    let smallest = all().map(|n| n.density).fold(f64::INFINITY, f64::min);
+    let smallest = dwell_points(passes).map(|n| n.density).fold(f64::INFINITY, f64::min);
     report.smallest_density_s_per_mm = if smallest.is_finite() { smallest } else { 0.0 };
     match how {
         Repair::Offset => {
             // delta >= 1/v_max - min d
-            let feed = all().map(|n| n.least - n.density).fold(0.0, f64::max);
+            let feed = dwell_points(passes).map(|n| n.least - n.density).fold(0.0, f64::max);
             let pieces = passes.iter().flat_map(Pass::pieces);
             let offset = pieces.fold(feed, |offset, piece| piece.offset(offset));
             report.feed_offset_s_per_mm = feed;
@@ -67,8 +69,13 @@ pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
     report.offset_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
 }
 
+/// Returns the nodes of all passes that are no corners.
+fn dwell_points(passes: &[Pass]) -> impl Iterator<Item = &Node> {
+    passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0)
+}
+
 /// Raises the densities at corners and beside them, step 3.
-pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut Report) {
+pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     for pass in passes.iter_mut() {
         for n in pass.nodes.iter_mut().filter(|n| n.density < n.least) {
@@ -105,7 +112,7 @@ pub(super) fn ease(
     passes: &mut [Pass],
     unproven: &[(usize, usize)],
     round: usize,
-    report: &mut Report,
+    report: &mut TrigSplineReport,
 ) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     if round < EVENING_ROUNDS {
@@ -143,7 +150,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 30], vec![0; 30]).unwrap();
         let t = (0..30).map(|i| [1e-3, 2.0, 0.1][i % 3]).collect();
         let limits = machine([50.0; 2], [300.0, 200.0]);
-        let mut report = Report::default();
+        let mut report = TrigSplineReport::default();
         let dwell = DwellTime::new(t).unwrap();
         let mut passes = vec![Pass::new(&path, &dwell, &limits, 0.02, 0..30, &mut report)];
         repair(&mut passes, Repair::Local, &mut report);

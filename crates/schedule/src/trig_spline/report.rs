@@ -4,7 +4,7 @@ use serde::Serialize;
 
 /// Changes of the densities, and errors of the motion.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct TrigSplineReport {
     /// Passes: maximal runs of segments with the tool on.
     pub passes: usize,
     /// Smallest density before the repair, s/mm.

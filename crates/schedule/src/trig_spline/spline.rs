@@ -9,7 +9,7 @@ const BISECTIONS: usize = 60;
 
 /// One piece of the spline, (1).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct TrigPiece {
     /// Densities at its ends, s/mm; > 0.
     pub density_s_per_mm: [f64; 2],
     /// Length, mm; > 0.
@@ -18,7 +18,7 @@ pub struct Piece {
 
 /// A place along a piece.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct PiecePlace {
     /// Part of the length, 0 to 1.
     x: f64,
     angle: HalfAngle,
@@ -26,7 +26,7 @@ pub(super) struct Place {
     pub(super) density_s_per_mm: f64,
 }
 
-impl Piece {
+impl TrigPiece {
     fn sum(&self) -> f64 {
         self.density_s_per_mm[0] + self.density_s_per_mm[1]
     }
@@ -35,41 +35,41 @@ impl Piece {
         self.density_s_per_mm[1] - self.density_s_per_mm[0]
     }
 
-    /// Eccentricity e = M1/M2, in (-1, 1).
+    /// Returns the eccentricity e = M1/M2, in (-1, 1).
     pub fn eccentricity(&self) -> f64 {
         self.difference() / self.sum()
     }
 
-    /// Duration T = L M2/2, s.
+    /// Returns the duration T = L M2/2, s.
     pub fn duration_s(&self) -> f64 {
         0.5 * self.length_mm * self.sum()
     }
 
-    /// Density (1) at the part `x` of the length, s/mm.
+    /// Returns the density (1) at the fraction `x` of the length, s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
-        self.place(x, HalfAngle::at(x)).density_s_per_mm
+        self.place(x, HalfAngle::new(x)).density_s_per_mm
     }
 
     /// Ends of a stretch.
-    pub(super) fn ends(&self, stretch: &Stretch) -> [Place; 2] {
+    pub(super) fn ends(&self, stretch: &Stretch) -> [PiecePlace; 2] {
         let [from, to] = stretch.angles();
         [self.place(stretch.from, from), self.place(stretch.to, to)]
     }
 
-    fn place(&self, x: f64, angle: HalfAngle) -> Place {
+    fn place(&self, x: f64, angle: HalfAngle) -> PiecePlace {
         // Half-angle form: no density below the smaller of the two by rounding.
         let [d1, d2] = self.density_s_per_mm;
         let HalfAngle { sine, cosine } = angle;
         let density_s_per_mm = d1 * cosine * cosine + d2 * sine * sine;
-        Place { x, angle, density_s_per_mm }
+        PiecePlace { x, angle, density_s_per_mm }
     }
 
-    /// Upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
-    pub(super) fn fourth_derivative_bound(&self, ends: [Place; 2]) -> f64 {
+    /// Returns the upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
+    pub(super) fn fourth_derivative_bound(&self, ends: [PiecePlace; 2]) -> f64 {
         // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
         // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
-        let sines = ends.map(|Place { angle, .. }| 2.0 * angle.sine * angle.cosine);
-        let cosines = ends.map(|Place { angle, .. }| {
+        let sines = ends.map(|place| 2.0 * place.angle.sine * place.angle.cosine);
+        let cosines = ends.map(|PiecePlace { angle, .. }| {
             (angle.cosine * angle.cosine - angle.sine * angle.sine).abs()
         });
         // The cosine is largest at an end, and so is the sine unless the middle lies between the ends.
@@ -78,7 +78,8 @@ impl Piece {
         let cosine = cosines[0].max(cosines[1]);
         let q = PI / self.length_mm;
         let amplitude = 0.5 * q * self.difference().abs();
-        let (first, second) = (amplitude * sine, amplitude * q * cosine);
+        let first = amplitude * sine;
+        let second = amplitude * q * cosine;
         let third = first * q * q;
         // D is monotone.
         let least = ends[0].density_s_per_mm.min(ends[1].density_s_per_mm);
@@ -86,14 +87,14 @@ impl Piece {
         (third + ratio * (10.0 * second + 15.0 * ratio * first)) / (least * least).powi(2) / least
     }
 
-    /// Time (2) between the parts `from` and `to` of the length, s, to its own rounding. If the densities of
-    /// the ends differ by orders of magnitude, the difference of two times of (2) would leave no digit of a
-    /// short one.
+    /// Returns the time (2) between the fractions `from` and `to` of the length, s, to its own rounding. If the
+    /// densities of the ends differ by orders of magnitude, the difference of two times of (2) would leave no digit of
+    /// a short one.
     pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
         self.time_s(time_weights(from, to))
     }
 
-    /// Time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
+    /// Returns the time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
     pub(super) fn elapsed_s_to(&self, stretch: &Stretch, k: usize) -> f64 {
         self.time_s(stretch.time_weights(k))
     }
@@ -103,8 +104,8 @@ impl Piece {
         self.length_mm * (d1 * weights[0] + d2 * weights[1])
     }
 
-    /// Part of the length at the part `m` of the time, the inverse of (2), by Newton's method within a
-    /// bracket that bisection narrows.
+    /// Returns the fraction of the length at the fraction `m` of the time, the inverse of (2), by Newton's method
+    /// within a bracket that bisection narrows.
     pub fn progress(&self, m: f64) -> f64 {
         let e = self.eccentricity();
         let (mut low, mut high) = (0.0, 1.0);
@@ -126,7 +127,7 @@ impl Piece {
         x
     }
 
-    /// Peak acceleration (3), mm/s^2.
+    /// Returns the peak acceleration (3), mm/s^2.
     pub fn peak_acceleration(&self) -> f64 {
         let r = self.eccentricity().abs();
         let [d1, d2] = self.density_s_per_mm;
@@ -155,21 +156,22 @@ struct HalfAngle {
 }
 
 impl HalfAngle {
-    fn at(x: f64) -> Self {
+    fn new(x: f64) -> Self {
         Self { sine: (0.5 * PI * x).sin(), cosine: (0.5 * PI * (1.0 - x)).sin() }
     }
 }
 
-/// Time between two parts of the length per mm of length, for a density of 1 s/mm at one end and 0 at the other,
-/// for each end.
+/// Returns the time between two parts of the length per mm of length, for a density of 1 s/mm at one end and 0 at the
+/// other, for each end.
 fn time_weights(from: f64, to: f64) -> [f64; 2] {
     // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
     //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
     //   of cos^2(pi x/2):  the same with 1 - m
     let theta = 0.5 * PI * (to - from);
-    let (sine, excess) = (theta.sin(), angle_less_sine(theta));
-    let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI;
-    [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)].map(part)
+    let sine = theta.sin();
+    let excess = angle_less_sine(theta);
+    [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)]
+        .map(|m| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI)
 }
 
 /// Number of equal steps of a stretch; the fit is checked at their ends. Larger: more computing time, and larger
@@ -189,7 +191,7 @@ impl Stretch {
     /// The whole piece.
     pub(super) const WHOLE: Self = Self { from: 0.0, to: 1.0, halved: 1 };
 
-    /// Stretch between any two parts of the length.
+    /// Returns the stretch between any two parts of the length.
     pub(super) fn new(from: f64, to: f64) -> Self {
         Self { from, to, halved: 0 }
     }
@@ -204,7 +206,7 @@ impl Stretch {
         ]
     }
 
-    /// The part of the length at the place `k`.
+    /// Returns the part of the length at the place `k`.
     pub(super) fn part(&self, k: usize) -> f64 {
         if k == STRETCH_PLACES {
             return self.to;
@@ -217,7 +219,7 @@ impl Stretch {
     }
 
     fn angles(&self) -> [HalfAngle; 2] {
-        self.known().map_or_else(|| [self.from, self.to].map(HalfAngle::at), |known| known.angles)
+        self.known().map_or_else(|| [self.from, self.to].map(HalfAngle::new), |known| known.angles)
     }
 
     fn time_weights(&self, k: usize) -> [f64; 2] {
@@ -240,21 +242,22 @@ static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     for k in 0..127 {
         stretches.extend(stretches[k].halves());
     }
-    let known = |s: &Stretch| Known {
-        angles: [s.from, s.to].map(HalfAngle::at),
+    let known = stretches.iter().map(|s| Known {
+        angles: [s.from, s.to].map(HalfAngle::new),
         time_weights: std::array::from_fn(|k| time_weights(s.from, s.part(k))),
-    };
-    stretches.iter().map(known).collect()
+    });
+    known.collect()
 });
 
-/// Difference x - sin x for 0 <= x <= pi/2, to its own rounding.
+/// Returns the difference x - sin x for 0 <= x <= pi/2, to its own rounding.
 fn angle_less_sine(x: f64) -> f64 {
     if x > 0.5 {
         return x - x.sin();
     }
     // x^3/3! - x^5/5! + ...; 0.5^18/19! is below rounding.
     let x2 = x * x;
-    let (mut term, mut sum) = (x * x2 / 6.0, 0.0);
+    let mut term = x * x2 / 6.0;
+    let mut sum = 0.0;
     for k in 1..=8 {
         sum += term;
         term *= -x2 / f64::from((2 * k + 2) * (2 * k + 3));
@@ -265,7 +268,7 @@ fn angle_less_sine(x: f64) -> f64 {
 /// Piece with the acceleration that the machine allows along it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limited {
-    pub(super) shape: Piece,
+    pub(super) shape: TrigPiece,
     /// Largest acceleration along the path, mm/s^2, less the margin.
     pub(super) max_acceleration: f64,
 }
@@ -275,7 +278,7 @@ impl Limited {
         self.shape.raised(by).peak_acceleration() > self.max_acceleration
     }
 
-    /// Smallest offset >= `offset` that keeps the acceleration limit, s/mm. Raising both densities by the
+    /// Returns the smallest offset >= `offset` that keeps the acceleration limit, s/mm. Raising both densities by the
     /// same amount leaves D' and raises D: |D'|/D^3 falls.
     pub(super) fn offset(&self, offset: f64) -> f64 {
         if !self.is_too_fast([offset; 2]) {
@@ -287,19 +290,21 @@ impl Limited {
         bisect(offset, offset.max(bound), |by| !self.is_too_fast([by; 2]))
     }
 
-    /// Smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
+    /// Returns the smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
     /// s/mm. It lowers |D'| and raises D everywhere; at equal densities there is no acceleration.
     pub(super) fn raise(&self, which: usize) -> f64 {
-        let by = |amount: f64| if which == 0 { [amount, 0.0] } else { [0.0, amount] };
-        let all = self.shape.difference().abs();
         if !self.is_too_fast([0.0; 2]) {
             return 0.0;
         }
-        bisect(0.0, all, |amount| !self.is_too_fast(by(amount)))
+        bisect(0.0, self.shape.difference().abs(), |amount| {
+            let mut by = [0.0; 2];
+            by[which] = amount;
+            !self.is_too_fast(by)
+        })
     }
 }
 
-/// Smallest value in (low, high] that is `good`. `high` is good, and so is every value above a good one.
+/// Returns the smallest value in (low, high] that is `good`. `high` is good, and so is every value above a good one.
 fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);
@@ -312,8 +317,8 @@ fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
 mod tests {
     use super::*;
 
-    fn piece(d1: f64, d2: f64, length_mm: f64) -> Piece {
-        Piece { density_s_per_mm: [d1, d2], length_mm }
+    fn piece(d1: f64, d2: f64, length_mm: f64) -> TrigPiece {
+        TrigPiece { density_s_per_mm: [d1, d2], length_mm }
     }
 
     #[test]

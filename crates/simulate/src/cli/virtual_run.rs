@@ -11,7 +11,7 @@ use planish_handoff::{
 use planish_simulate::{
     coverage::Coverage,
     error_budget::ErrorBudgetFile,
-    virtual_machine::{Settings, run},
+    virtual_machine::{VirtualMachineSettings, run},
 };
 use planish_types::{
     Removal, Surface,
@@ -57,8 +57,8 @@ struct RunReport {
 }
 
 impl VirtualRun {
-    /// Returns the process and the place for the map if both were given.
-    pub fn asked(&self) -> Option<(&PathBuf, &PathBuf)> {
+    /// Returns the files of the error budget and of the map to be measured, if the command line has them.
+    pub fn files(&self) -> Option<(&PathBuf, &PathBuf)> {
         self.error_budget.as_ref().zip(self.measured_out.as_ref())
     }
 
@@ -69,7 +69,7 @@ impl VirtualRun {
         mirror: &MirrorArgs,
         output: &OutputArgs,
     ) -> Result<Status, Failure> {
-        let settings = Settings {
+        let settings = VirtualMachineSettings {
             seed: self.seed,
             run: self.number,
             known: self.known,
@@ -97,7 +97,7 @@ impl VirtualRun {
                 _ => Failure::with_flags(e),
             })?;
 
-        let coverage = Coverage::of(run.removal.removal_nm(), &trajectory, &tif, &before);
+        let coverage = Coverage::new(run.removal.removal_nm(), &trajectory, &tif, &before);
         let status = super::status(&coverage, None);
 
         // What is hidden stands in the manifest of the truth alone.

@@ -5,7 +5,7 @@
 
 use planish_dwell::bounded_least_squares::Bound;
 use planish_fixture::Fixture;
-use planish_joint::{Price, Settings, plan};
+use planish_joint::{JointSettings as Settings, Price, plan};
 use planish_schedule::pvt::Mode;
 use planish_testkit::{
     ion_beam, machine,

@@ -9,13 +9,13 @@ mod smooth;
 
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
-use planish_refine::{Refined, Settings, refine};
+use planish_refine::{RefineSettings as Settings, Refined, refine};
 use planish_schedule::{
     Choices, SCHEDULERS, Scheduler,
     pvt::{self, Mode, ModeChoice},
     trig_spline::Repair,
 };
-use planish_simulate::{Settings::Gridded, simulate};
+use planish_simulate::{SimulationSettings::Gridded, simulate};
 use planish_testkit::{ion_beam, machine, mirror};
 use planish_toolpath::{Construction, Scan};
 use planish_types::{Limits, Surface, Tif, ToolPath};
@@ -38,7 +38,7 @@ struct Case<'a> {
 impl Case<'_> {
     /// Refines the dwell times of the solver with its own settings, as a pipeline does.
     fn refined(&self, path: &ToolPath) -> Refined {
-        self.refined_by(&pvt::Settings::of(self.mode), path)
+        self.refined_by(&pvt::PvtSettings::new(self.mode), path)
     }
 
     /// The same with any scheduler.
@@ -165,7 +165,7 @@ fn with_noise() {
                     ..Default::default()
                 };
                 let first = bounded_least_squares::solve(desired, tif, &path, None, &solver);
-                let how = pvt::Settings::of(mode);
+                let how = pvt::PvtSettings::new(mode);
                 let first = first.expect("a plan").dwell;
                 let first = pvt::schedule(&path, &first, limits, &how);
                 let before = missed(&first.expect("a motion").trajectory);

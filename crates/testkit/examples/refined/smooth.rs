@@ -3,10 +3,11 @@
 
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
-use planish_joint::{Settings, plan};
+use planish_joint::{JointSettings as Settings, plan};
 use planish_schedule::{baselines::pvt_as_published, pvt, pvt::Mode};
 use planish_simulate::{
-    Settings::Gridded, deviation::Deviation, error_budget::Scalar, motion::Motion, simulate,
+    SimulationSettings::Gridded, deviation::Deviation, error_budget::Scalar, motion::Motion,
+    simulate,
 };
 use planish_testkit::{ion_beam, mirror::Mirror};
 use planish_toolpath::{Construction, Scan};
@@ -195,12 +196,16 @@ fn of_modes(
     let dwell = solved.expect("a plan").dwell;
     let both = [Mode::Monotone, Mode::Smooth];
     let plain = both.map(|mode| {
-        let how = pvt::Settings::of(mode);
+        let how = pvt::PvtSettings::new(mode);
         let made = pvt::schedule(path, &dwell, limits, &how);
         cells(made.map(|s| s.trajectory).map_err(|e| e.to_string()), tif, desired)
     });
-    let published =
-        pvt_as_published::schedule(path, &dwell, limits, &pvt_as_published::Settings::default());
+    let published = pvt_as_published::schedule(
+        path,
+        &dwell,
+        limits,
+        &pvt_as_published::AsPublishedSettings::default(),
+    );
     let published = cells(published.map(|s| s.trajectory).map_err(|e| e.to_string()), tif, desired);
     let refined = both.map(|mode| {
         let case = Case { desired, tif, limits, mode, floor, noise_rms_nm: None };

@@ -53,7 +53,8 @@ pub fn reproduce() -> Outcome {
         verdict.expect("a verdict").limits_respected
     });
     let executed = |p: &FeedPlan| {
-        let done = simulate(&p.trajectory, tif, surface, planish_simulate::Settings::Gridded);
+        let done =
+            simulate(&p.trajectory, tif, surface, planish_simulate::SimulationSettings::Gridded);
         done.expect("a removal").removal
     };
     let done = [&vrr, &spline, &removed].map(executed);

@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 use ndarray::Array2;
 use planish_schedule::baselines::average_velocity;
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_testkit::ion_beam;
 use planish_toolpath::{RasterSettings, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};

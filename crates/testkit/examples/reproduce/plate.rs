@@ -5,7 +5,7 @@ use ndarray::{Array2, s};
 use planish_dwell::{baselines::feed_law, bounded_least_squares::Bound};
 use planish_fixture::{Recipe, Shape, TifRecipe, make};
 use planish_schedule::baselines::average_velocity;
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_surface::psd::{Detrend, Psd, PsdSettings, Window, psd};
 use planish_testkit::ion_beam;
 use planish_toolpath::{

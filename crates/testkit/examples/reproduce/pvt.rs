@@ -13,7 +13,7 @@ use planish_schedule::{
     baselines::{position, pvt_as_published},
     constant_acceleration, pvt,
 };
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_testkit::{ion_beam, mirror::mirror};
 use planish_tool::tif_fit;
 use planish_toolpath::{
@@ -90,7 +90,7 @@ impl Run<'_> {
     /// Executed residual after refinement against the motion, plane removed, nm RMS.
     fn refined_nm(&self) -> f64 {
         // Enough that no round improves it much: of fewer, rounding decides how far they come.
-        let mut settings = refine::Settings { max_rounds: 8, ..Default::default() };
+        let mut settings = refine::RefineSettings { max_rounds: 8, ..Default::default() };
         settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
         let done = refine::refine(self.desired, self.tif, &self.path, &ion_beam(), None, &settings);
         self.residual_nm(&done.expect("a refined plan").trajectory)
@@ -102,11 +102,14 @@ impl Run<'_> {
 
     fn pvt(&self, mode: pvt::Mode) -> Trajectory {
         // The publication has no tolerance of the distance from the path.
-        let settings = pvt::Settings { max_path_distance_mm: Some(1e9), ..pvt::Settings::of(mode) };
+        let settings =
+            pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::new(mode) };
         pvt::schedule(&self.path, &self.dwell, &ion_beam(), &settings).expect("a motion").trajectory
     }
 
-    fn constant_acceleration(&self) -> constant_acceleration::Schedule {
+    fn constant_acceleration(
+        &self,
+    ) -> planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport> {
         constant_acceleration::schedule(&self.path, &self.dwell, &ion_beam()).expect("a motion")
     }
 }

@@ -13,9 +13,9 @@ use planish_schedule::{
     constant_acceleration,
     interpolator::{Interpolator, Reference, records},
     stop_at_corners,
-    trig_spline::{self, Piece, Schedule},
+    trig_spline::{self, TrigPiece as Piece, TrigSplineSchedule as Schedule},
 };
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_surface::psd::{Detrend, Psd, PsdSettings, Window, psd};
 use planish_testkit::machine;
 use planish_types::{Axis as Pixels, DwellTime, Grid, Limits, Surface, ToolPath, Trajectory};
@@ -394,7 +394,7 @@ fn full_run() -> Vec<Claim> {
         Claim::check(
             "the real-time interpolator on that run, a tick per millisecond: largest distance from the motion that is judged",
             format!("{} mm", significant(error_mm, 2)),
-            error_mm <= trig_spline::Settings::default().fit_tolerance_mm,
+            error_mm <= trig_spline::TrigSplineSettings::default().fit_tolerance_mm,
         )
         .remark(format!("{:.3e} positions; they are on the spline but for rounding, the motion is fitted to it within 1e-6 mm", ticks as f64)),
     ]

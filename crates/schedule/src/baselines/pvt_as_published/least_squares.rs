@@ -49,15 +49,26 @@ pub(super) enum Side {
     High,
 }
 
+impl Side {
+    /// Returns the bound at which an unknown between `low` and `high` is held; `None` if it is free.
+    fn bound(self, low: f64, high: f64) -> Option<f64> {
+        match self {
+            Self::Low => Some(low),
+            Self::High => Some(high),
+            Self::Free => None,
+        }
+    }
+}
+
 /// Row `value x[first..] = right` of the least squares.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Row {
+pub(super) struct ResidualRow {
     pub(super) first: usize,
     pub(super) value: [f64; 2 * PER_NODE],
     pub(super) right: f64,
 }
 
-impl Row {
+impl ResidualRow {
     pub(super) fn residual(&self, x: &[f64]) -> f64 {
         let terms = self.value.iter().zip(&x[self.first..]).map(|(c, x)| c * x);
         terms.sum::<f64>() - self.right
@@ -67,14 +78,15 @@ impl Row {
 /// Problem min |J x - r|^2; the rows ascend in `first`.
 #[derive(Clone, Debug)]
 pub(super) struct LeastSquares {
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<ResidualRow>,
     pub(super) unknowns: usize,
 }
 
 impl LeastSquares {
-    /// Gradient J'(J x - r), and the diagonal of J'J.
+    /// Returns the gradient J'(J x - r), and the diagonal of J'J.
     pub(super) fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let (mut gradient, mut square) = (vec![0.0; self.unknowns], vec![0.0; self.unknowns]);
+        let mut gradient = vec![0.0; self.unknowns];
+        let mut square = vec![0.0; self.unknowns];
         for row in &self.rows {
             let residual = row.residual(x);
             for (k, c) in row.value.iter().enumerate() {
@@ -85,21 +97,21 @@ impl LeastSquares {
         (gradient, square)
     }
 
-    /// Distance from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|; it is 0 at the
-    /// minimum and only there.
+    /// Returns the distance from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|; it is 0 at
+    /// the minimum and only there.
     pub(super) fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
         let (gradient, square) = self.gradient(x);
         let scale = self.right_norm();
-        let off = |j: usize| {
+        let steps = (0..self.unknowns).map(|j| {
             let wanted = (x[j] - gradient[j] / square[j]).clamp(low[j], high[j]);
             square[j].sqrt() * (x[j] - wanted).abs()
-        };
-        let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
+        });
+        let largest = steps.fold(0.0, f64::max);
         // For an axis at rest the right-hand side is zero.
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
 
-    /// Side of every unknown, to which x - gradient / |J_j|^2 points.
+    /// Returns the side of every unknown, to which x - gradient / |J_j|^2 points.
     fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
         let (gradient, square) = self.gradient(x);
         (0..self.unknowns)
@@ -116,9 +128,9 @@ impl LeastSquares {
             .collect()
     }
 
-    /// Solution by primal-dual active sets, and the number of rounds: solve with the unknowns on their
-    /// sides and choose the sides again, until they no longer change. `None` if they keep changing, or if
-    /// the rows are dependent.
+    /// Returns the solution by primal-dual active sets, and the number of rounds: solve with the unknowns on their
+    /// sides and choose the sides again, until they no longer change. `None` if they keep changing, or if the rows are
+    /// dependent.
     pub(super) fn active_set(
         &self,
         low: &[f64],
@@ -131,12 +143,7 @@ impl LeastSquares {
             }
         }
         for round in 1..=MAX_ROUNDS {
-            let fixed = |j: usize| match side[j] {
-                Side::Low => Some(low[j]),
-                Side::High => Some(high[j]),
-                Side::Free => None,
-            };
-            let x = self.solve_with_fixed(fixed)?;
+            let x = self.solve_with_fixed(|j| side[j].bound(low[j], high[j]))?;
             let next = self.sides(low, high, &x);
             if next == side {
                 return Some((x, round));
@@ -158,18 +165,14 @@ impl LeastSquares {
     ) -> Option<(Vec<f64>, usize)> {
         let mut x = x;
         let mut side = self.sides(low, high, &x);
-        let bound = |j: usize, side: Side| match side {
-            Side::Low => Some(low[j]),
-            Side::High => Some(high[j]),
-            Side::Free => None,
-        };
         for (j, x) in x.iter_mut().enumerate() {
-            *x = bound(j, side[j]).unwrap_or(*x);
+            *x = side[j].bound(low[j], high[j]).unwrap_or(*x);
         }
         let scale = self.right_norm();
         for change in 1..=MAX_CHANGES {
-            let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
-            let (mut step, mut first) = (1.0, None);
+            let wanted = self.solve_with_fixed(|j| side[j].bound(low[j], high[j]))?;
+            let mut step = 1.0;
+            let mut first = None;
             for j in 0..x.len() {
                 let (at, hit) = match wanted[j] {
                     w if w < low[j] => (low[j], Side::Low),
@@ -178,14 +181,16 @@ impl LeastSquares {
                 };
                 let part = (at - x[j]) / (wanted[j] - x[j]);
                 if part < step {
-                    (step, first) = (part, Some((j, hit)));
+                    step = part;
+                    first = Some((j, hit));
                 }
             }
             if let Some((hit, at)) = first {
                 side[hit] = at;
                 for (j, x) in x.iter_mut().enumerate() {
                     let moved = *x + step * (wanted[j] - *x);
-                    *x = bound(j, side[j]).unwrap_or_else(|| moved.clamp(low[j], high[j]));
+                    let bound = side[j].bound(low[j], high[j]);
+                    *x = bound.unwrap_or_else(|| moved.clamp(low[j], high[j]));
                 }
                 continue;
             }
@@ -206,7 +211,7 @@ impl LeastSquares {
         Some((x, MAX_CHANGES))
     }
 
-    /// Norm |r| of the right-hand side.
+    /// Returns the norm |r| of the right-hand side.
     fn right_norm(&self) -> f64 {
         self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
     }
@@ -220,7 +225,8 @@ impl LeastSquares {
         let mut triangle = vec![[0.0_f64; BAND + 1]; n];
         let mut right = vec![0.0; n];
         for row in &self.rows {
-            let (mut c, mut b) = (row.value, row.right);
+            let mut c = row.value;
+            let mut b = row.right;
             for (k, c) in c.iter_mut().enumerate() {
                 if let Some(value) = value[row.first + k] {
                     b -= *c * value;
@@ -254,13 +260,17 @@ impl LeastSquares {
                 }
             };
         }
-        x.iter().all(|x| x.is_finite()).then_some(x)
+        if x.iter().all(|x| x.is_finite()) { Some(x) } else { None }
     }
 
-    /// Solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
+    /// Returns the solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
     pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
-        let (n, m) = (self.unknowns, self.rows.len());
-        let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let n = self.unknowns;
+        let m = self.rows.len();
+        let mut r = Vec::new();
+        let mut c = Vec::new();
+        let mut v = Vec::new();
+        let mut bound = Vec::new();
         for (i, row) in self.rows.iter().enumerate() {
             for (k, value) in row.value.iter().enumerate().filter(|(_, value)| **value != 0.0) {
                 r.push(i);
@@ -295,10 +305,9 @@ impl LeastSquares {
         solver.solve();
         // Any point within the bounds is a start for `descend`, also the last point of a run that did not
         // converge.
-        let clamped = |j: usize| {
-            let x = solver.solution.x[j];
-            if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }
-        };
-        (0..n).map(clamped).collect()
+        let solution = solver.solution.x[..n].iter().zip(low.iter().zip(high));
+        solution
+            .map(|(x, (low, high))| if x.is_finite() { x.clamp(*low, *high) } else { 0.0 })
+            .collect()
     }
 }

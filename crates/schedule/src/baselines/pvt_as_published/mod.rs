@@ -57,9 +57,9 @@ mod least_squares;
 use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory, break_times};
 use serde::Serialize;
 
-use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, Row, Side};
+use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, ResidualRow, Side};
 use crate::{
-    ScheduleError, check_lengths,
+    Schedule, ScheduleError, check_lengths,
     hermite::{accelerations, coefficients},
     rounding_mm,
 };
@@ -77,14 +77,14 @@ pub enum RestCondition {
 
 /// Settings of PVT as published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Settings {
+pub struct AsPublishedSettings {
     /// Node at which Eq. 16 sets the tool at rest.
     pub rest_condition: RestCondition,
 }
 
 /// Errors of the least squares and of the motion, per axis [x, y].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct AsPublishedReport {
     /// Largest distance of the least-squares cubics from their control points, mm.
     pub largest_position_error_mm: [f64; 2],
     /// RMS of that distance over both ends of every segment, mm.
@@ -109,15 +109,6 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Errors of the least squares and of the motion.
-    pub report: Report,
-}
-
 /// Schedules `path` with the times `dwell`, and stretches nothing.
 ///
 /// Refuses a dwell time of zero on a segment with a length: its cubic would have no time.
@@ -125,18 +116,18 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Schedule, ScheduleError> {
+    settings: &AsPublishedSettings,
+) -> Result<Schedule<AsPublishedReport>, ScheduleError> {
     check_lengths(path, dwell)?;
-    let mut report = Report::default();
-    let mut kept = Vec::new();
+    let mut report = AsPublishedReport::default();
+    let mut timed = Vec::new();
     // A length that is rounding, in a time that vanishes in the rounding of the break times, is no segment.
     let least_s = 4.0 * f64::EPSILON * dwell.total_s();
     for (i, &t) in dwell.dwell_s().iter().enumerate() {
         if t <= least_s && path.segment_length_mm(i) <= rounding_mm(path, i) {
             report.dropped.push(i);
         } else if t > 0.0 {
-            kept.push(i);
+            timed.push(i);
         } else {
             let length = path.segment_length_mm(i);
             let problem = format!("is 0 s on a segment of {length} mm");
@@ -144,14 +135,14 @@ pub fn schedule(
             return Err(Invalid::at("dwell_s", i, problem, remedy).into());
         }
     }
-    if kept.is_empty() {
+    if timed.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let durations: Vec<f64> = kept.iter().map(|i| dwell.dwell_s()[*i]).collect();
+    let durations: Vec<f64> = timed.iter().map(|i| dwell.dwell_s()[*i]).collect();
     let break_time_s = break_times(&durations);
     let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
     let axes = [0, 1].map(|axis| Axis {
-        displacement_mm: kept.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
+        displacement_mm: timed.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
         duration_s: h.clone(),
         max_velocity: limits.max_velocity_mm_per_s()[axis],
         max_acceleration: limits.max_acceleration_mm_per_s2()[axis],
@@ -166,23 +157,24 @@ pub fn schedule(
     let segments = (0..h.len()).map(|k| {
         [0, 1].map(|a| {
             let (v0, v1) = (nodes[a].velocity(k), nodes[a].velocity(k + 1));
-            let start = path.point_mm()[kept[k]][a];
+            let start = path.point_mm()[timed[k]][a];
             coefficients(start, axes[a].displacement_mm[k], v0, v1, h[k])
         })
     });
     let trajectory = Trajectory::new(
         break_time_s,
         segments.collect(),
-        kept.iter().map(|i| path.tool_on()[*i]).collect(),
-        kept.iter().copied().map(Some).collect(),
+        timed.iter().map(|i| path.tool_on()[*i]).collect(),
+        timed.iter().copied().map(Some).collect(),
     )?;
     Ok(Schedule { trajectory, report })
 }
 
-impl Report {
+impl AsPublishedReport {
     fn measure(&mut self, axis: usize, problem: &Axis, nodes: &Nodes) {
         let n = problem.duration_s.len();
-        let (mut largest, mut sum) = (0.0_f64, 0.0);
+        let mut largest = 0.0_f64;
+        let mut sum = 0.0;
         for i in 0..n {
             for error in problem.position_errors(nodes, i) {
                 largest = largest.max(error.abs());
@@ -191,7 +183,8 @@ impl Report {
         }
         self.largest_position_error_mm[axis] = largest;
         self.rms_position_error_mm[axis] = (sum / (2 * n) as f64).sqrt();
-        let (dp, h) = (&problem.displacement_mm, &problem.duration_s);
+        let dp = &problem.displacement_mm;
+        let h = &problem.duration_s;
         self.resting_segments[axis] = dp.iter().filter(|d| **d == 0.0).count();
         for i in 1..n {
             let v = nodes.velocity(i);
@@ -205,9 +198,12 @@ impl Report {
             *largest = largest.max((start - end).abs());
         }
         for i in 0..n {
-            let against = |v: f64| if v * dp[i] < 0.0 { v.abs() } else { 0.0 };
             let largest = &mut self.largest_reverse_velocity_mm_per_s[axis];
-            *largest = largest.max(against(nodes.velocity(i)).max(against(nodes.velocity(i + 1))));
+            for v in [nodes.velocity(i), nodes.velocity(i + 1)] {
+                if v * dp[i] < 0.0 {
+                    *largest = largest.max(v.abs());
+                }
+            }
         }
         self.velocities_at_a_bound[axis] = nodes.velocities_at_a_bound;
         self.factorisations[axis] = nodes.factorisations;
@@ -241,12 +237,12 @@ impl Nodes {
     }
 }
 
-/// Largest [`Report::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities pass.
-/// Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
+/// Largest [`AsPublishedReport::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities
+/// pass. Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
 impl Axis {
-    /// Distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
+    /// Returns the distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
     fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
         let h = self.duration_s[i];
         let [_, row] = self.rows(i);
@@ -254,19 +250,21 @@ impl Axis {
         [error, -error]
     }
 
-    /// Rows (3) of segment i.
-    fn rows(&self, i: usize) -> [Row; 2] {
-        let (h, dp) = (self.duration_s[i], self.displacement_mm[i]);
-        let (turn, shift) = (0.5_f64.sqrt(), 1.0 / (2.0 + 0.5 * h * h).sqrt());
+    /// Returns the rows (3) of segment i.
+    fn rows(&self, i: usize) -> [ResidualRow; 2] {
+        let h = self.duration_s[i];
+        let dp = self.displacement_mm[i];
+        let turn = 0.5_f64.sqrt();
+        let shift = 1.0 / (2.0 + 0.5 * h * h).sqrt();
         let area = h * h / 12.0;
         let first = PER_NODE * i;
         [
-            Row {
+            ResidualRow {
                 first,
                 value: [-1.0, -0.5 * h, 0.0, 1.0, -0.5 * h, 0.0].map(|c| c * turn),
                 right: 0.0,
             },
-            Row {
+            ResidualRow {
                 first,
                 value: [-0.5 * h, -area, 0.0, -0.5 * h, area, 0.0].map(|c| c * shift),
                 right: -dp * shift,
@@ -274,7 +272,7 @@ impl Axis {
         ]
     }
 
-    /// All rows: `A - a` of every node, once per segment that ends there, and (3), by segments.
+    /// Returns all rows: `A - a` of every node, once per segment that ends there, and (3), by segments.
     fn least_squares(&self) -> LeastSquares {
         let n = self.duration_s.len();
         let mut rows = Vec::with_capacity(3 * n + 1);
@@ -284,8 +282,9 @@ impl Axis {
                 if i < n { (PER_NODE * i, 0) } else { (PER_NODE * (n - 1), PER_NODE) };
             let weight = if i == 0 || i == n { 1.0 } else { 2.0_f64.sqrt() };
             let mut value = [0.0; 2 * PER_NODE];
-            (value[own + 1], value[own + 2]) = (weight, -weight);
-            rows.push(Row { first, value, right: 0.0 });
+            value[own + 1] = weight;
+            value[own + 2] = -weight;
+            rows.push(ResidualRow { first, value, right: 0.0 });
             if i < n {
                 rows.extend(self.rows(i));
             }
@@ -312,41 +311,44 @@ impl Axis {
         (low, high)
     }
 
-    /// Solution by active sets, from the free solution. If they repeat, the bounds are changed one at a time, from the
-    /// solution of the interior point method.
+    /// Returns the solution by active sets, from the free solution. If they repeat, the bounds are changed one at a
+    /// time, from the solution of the interior point method.
     fn solve(&self) -> Result<Nodes, NotConverged> {
         let problem = self.least_squares();
         let (low, high) = self.bounds();
         let free = vec![Side::Free; low.len()];
-        let not_converged = |iterations: usize, residual: f64| NotConverged {
-            method: "the least squares of PVT as published",
-            iterations,
-            residual,
-            residual_of: "its distance from the minimum, of which 1e-9 is allowed,",
-            remedy: "the times in dwell_s differ by too many orders of magnitude, use pvt",
-        };
         let (value, factorisations) = match problem.active_set(&low, &high, free) {
-            Some(found) => found,
+            Some(solution) => solution,
             None => {
                 let near = problem.interior_point(&low, &high);
                 let residual = problem.optimality(&low, &high, &near);
-                let found = problem.descend(&low, &high, near);
-                let (value, changes) = found.ok_or_else(|| not_converged(MAX_ROUNDS, residual))?;
+                let minimum = problem.descend(&low, &high, near);
+                let (value, changes) =
+                    minimum.ok_or_else(|| not_converged(MAX_ROUNDS, residual))?;
                 (value, MAX_ROUNDS + changes)
             }
         };
-        let inner = 1..self.duration_s.len();
-        let at_a_bound = |i: &usize| {
-            let v = value[PER_NODE * i];
-            v == low[PER_NODE * i] || v == high[PER_NODE * i]
-        };
-        let velocities_at_a_bound = inner.filter(at_a_bound).count();
+        let at_a_bound = (1..self.duration_s.len())
+            .map(|i| PER_NODE * i)
+            .filter(|v| value[*v] == low[*v] || value[*v] == high[*v]);
+        let velocities_at_a_bound = at_a_bound.count();
         let optimality = problem.optimality(&low, &high, &value);
         if optimality <= LARGEST_OPTIMALITY {
             Ok(Nodes { value, velocities_at_a_bound, factorisations, optimality })
         } else {
             Err(not_converged(factorisations, optimality))
         }
+    }
+}
+
+/// Returns the error about a solution that is `residual` away from the minimum, relative.
+fn not_converged(iterations: usize, residual: f64) -> NotConverged {
+    NotConverged {
+        method: "the least squares of PVT as published",
+        iterations,
+        residual,
+        residual_of: "its distance from the minimum, of which 1e-9 is allowed,",
+        remedy: "the times in dwell_s differ by too many orders of magnitude, use pvt",
     }
 }
 
@@ -520,7 +522,8 @@ mod tests {
         let times = (0..40).map(|i| if i % 2 == 0 { 1e-100 } else { 0.2 }).collect();
         let dwell = DwellTime::new(times).unwrap();
         let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
-        let error = schedule(&path.unwrap(), &dwell, &limits, &Settings::default()).unwrap_err();
+        let error =
+            schedule(&path.unwrap(), &dwell, &limits, &AsPublishedSettings::default()).unwrap_err();
         println!("{error}");
         let ScheduleError::NotConverged(NotConverged { iterations, residual, .. }) = error else {
             panic!("{error}")
@@ -538,7 +541,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
         let dwell = DwellTime::new(vec![0.3, 0.25, 0.3, 0.25, 0.3]).unwrap();
         let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
-        let s = schedule(&path, &dwell, &limits, &Settings::default()).unwrap();
+        let s = schedule(&path, &dwell, &limits, &AsPublishedSettings::default()).unwrap();
         assert_eq!(s.report.resting_segments, [3, 2]);
         assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);
         // Eq. 18 lets x move forwards only at the nodes 3 and 4, between segments along which it rests: at
@@ -554,8 +557,9 @@ mod tests {
             assert!((end[0] - p[0]).abs() + (end[1] - p[1]).abs() < 1e-14, "{i}: {end:?} {p:?}");
         }
         let never = DwellTime::new(vec![0.3, 0.0, 0.3, 0.25, 0.3]).unwrap();
-        let message =
-            schedule(&path, &never, &limits, &Settings::default()).unwrap_err().to_string();
+        let message = schedule(&path, &never, &limits, &AsPublishedSettings::default())
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("dwell_s[1]: is 0 s on a segment of 1 mm"), "{message}");
     }
 }
