@@ -37,8 +37,11 @@ pub struct Execution {
 }
 
 impl Execution {
-    /// Execution of `dwell` by `trajectory`, which serves its points; refuses a dwell index beyond them.
-    pub fn of(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
+    /// Measures the execution of `dwell` by `trajectory`, which serves its points.
+    ///
+    /// # Errors
+    /// Refuses a dwell index beyond the points.
+    pub fn new(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
         let mut execution = Self::default();
         // A motion read back from a controller's program serves no points.
         let serves = trajectory.dwell_index().iter().any(Option::is_some);
@@ -52,8 +55,9 @@ impl Execution {
         let index = trajectory.dwell_index();
         let mut first = 0;
         while first < trajectory.len() {
-            let own = |k: &usize| index[*k] != index[first] || index[first].is_none();
-            let end = (first + 1..trajectory.len()).find(own).unwrap_or(trajectory.len());
+            let mut following = first + 1..trajectory.len();
+            let next = following.find(|k| index[*k] != index[first] || index[first].is_none());
+            let end = next.unwrap_or(trajectory.len());
             execution.add_overshoot(trajectory, first, end);
             first = end;
         }
@@ -82,13 +86,13 @@ impl Execution {
     }
 }
 
-/// Dwell errors of the points that are served with the tool on, or not at all.
+/// Returns the dwell errors of the points that are served with the tool on, or not at all, s.
 fn dwell_errors(trajectory: &Trajectory, dwell: &DwellTime) -> Result<Vec<f64>, Invalid> {
     let n = dwell.dwell_s().len();
     let on_s = trajectory.served_s(n, |segment| segment.tool_on)?;
     let off_s = trajectory.served_s(n, |segment| !segment.tool_on)?;
-    let only_lifted = |i: usize| off_s[i] > 0.0 && on_s[i] == 0.0;
-    Ok((0..n).filter(|i| !only_lifted(*i)).map(|i| on_s[i] - dwell.dwell_s()[i]).collect())
+    let served = (0..n).filter(|i| off_s[*i] <= 0.0 || on_s[*i] != 0.0);
+    Ok(served.map(|i| on_s[i] - dwell.dwell_s()[i]).collect())
 }
 
 #[cfg(test)]
