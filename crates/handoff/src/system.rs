@@ -64,8 +64,11 @@ pub(crate) fn become_program(command: &mut Command, name: &str) -> io::Error {
     calls::become_program(command, name)
 }
 
-/// Lets every process that this one starts inherit the open `lock`: it is free when the last of them has ended, and not
+/// Passes the open `lock` on to every process that this one starts: it is free when the last of them has ended, and not
 /// before, even if some are killed. Elsewhere than on Unix this process alone has it.
+///
+/// # Errors
+/// Fails if the system refuses it.
 pub fn let_inherit(lock: &File) -> io::Result<()> {
     calls::let_inherit(lock)
 }

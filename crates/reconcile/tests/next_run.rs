@@ -7,7 +7,7 @@ use planish_reconcile::{
     Comparison, ReconcileSettings, Reconciled, parameter::Parameter, reconcile,
 };
 use planish_simulate::{
-    ReconcileSettings as Simulation,
+    Settings as Simulation,
     error_budget::{ErrorBudget, ErrorBudgetFile, Kind},
     simulate,
     virtual_machine::{self, run},
@@ -55,7 +55,7 @@ fn hidden() -> ErrorBudget {
 /// Run of that machine with a command.
 fn executed(command: &Trajectory) -> virtual_machine::Run {
     let settings =
-        virtual_machine::ReconcileSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+        virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
     run(command, &tif(), &before(), &hidden(), &settings).unwrap()
 }
 
@@ -126,7 +126,7 @@ fn the_place_is_as_uncertain_as_it_scatters() {
     let seeds = 24;
     for seed in 0..seeds {
         let settings =
-            virtual_machine::ReconcileSettings { seed, run: 1, known: false, tif_as_sampled: true };
+            virtual_machine::Settings { seed, run: 1, known: false, tif_as_sampled: true };
         let run = run(&motion, &tif(), &before(), &noise, &settings).unwrap();
         let found = learnt(&run.measured, &motion, None, None);
         // D^-1 of the true displacement
@@ -150,7 +150,7 @@ fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     let mut errors = hidden();
     errors.errors.extend(process(&[("map_noise", 0.1, "nm")]).errors);
     let settings =
-        virtual_machine::ReconcileSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+        virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
     let first = run(&planned(), &tif(), &before(), &errors, &settings).unwrap();
     let believed = process(&[
         ("rate_scale", 5.0, "%"),

@@ -14,7 +14,7 @@ use planish_reconcile::{
     reconcile,
 };
 use planish_simulate::{
-    ReconcileSettings as Simulation, error_budget::ErrorBudgetFile, runs::Runs, simulate,
+    Settings as Simulation, error_budget::ErrorBudgetFile, runs::Runs, simulate,
     virtual_machine::draw_run,
 };
 use planish_types::{Surface, Tif, Trajectory};

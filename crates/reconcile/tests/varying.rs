@@ -313,12 +313,8 @@ fn an_ellipticity_of_a_spot_that_turns_is_held_with_the_reason() {
     let truth = Truth { rate: 0.03, ..Truth::default() };
     let mut noise = || Array2::from_shape_simple_fn(grid().shape(), || NOISE_NM * normal(&mut rng));
     let before = Surface::new(grid(), &real + &noise()).unwrap();
-    let removal = planish_simulate::simulate(
-        &trajectory,
-        &tif,
-        &before,
-        planish_simulate::ReconcileSettings::Gridded,
-    );
+    let removal =
+        planish_simulate::simulate(&trajectory, &tif, &before, planish_simulate::Settings::Gridded);
     let removal = removal.unwrap().removal.removal_nm() * (1.0 + truth.rate);
     let after = Surface::new(grid(), &real - &removal + &noise()).unwrap();
     let found = learn((&before, &after), &trajectory, &tif, &ReconcileSettings::default());

@@ -1,7 +1,7 @@
 //! The published run of the reference mirror, reconciled with the published plan, where `PLANISH_REFERENCE` names its
 //! folder. `cargo test -p planish-testkit --test all reconcile:: -- --nocapture` prints the numbers of docs/campaign.md.
 
-use planish_reconcile::{Comparison, Reconciled, ReconcileSettings, reconcile};
+use planish_reconcile::{Comparison, ReconcileSettings, Reconciled, reconcile};
 use planish_schedule::pvt;
 use planish_testkit::{
     ion_beam,
@@ -10,7 +10,7 @@ use planish_testkit::{
 use planish_types::{Surface, text::significant};
 
 fn learnt(mirror: &Mirror, path: &str, settings: &ReconcileSettings) -> Reconciled {
-    let how = pvt::ReconcileSettings::of(pvt::Mode::Monotone);
+    let how = pvt::Settings::of(pvt::Mode::Monotone);
     let trajectory = pvt::schedule(&mirror.path(path), &mirror.dwell(path), &ion_beam(), &how);
     let trajectory = trajectory.unwrap().trajectory;
     let after = mirror.map("after_ibf_measured_nm");
