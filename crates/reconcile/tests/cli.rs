@@ -5,7 +5,7 @@ mod example;
 use std::{fs, path::Path, process::Output};
 
 use example::{before, gaussian, grid, planned};
-use planish_simulate::{ReconcileSettings, simulate};
+use planish_simulate::{Settings, simulate};
 use planish_testkit::{
     program::{text, write},
     skipped::reference,
@@ -14,7 +14,7 @@ use planish_types::{Axis, Grid, Surface};
 use serde_json::Value;
 
 fn prepare(dir: &Path) {
-    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), ReconcileSettings::Gridded);
+    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), Settings::Gridded);
     write(dir, "trajectory", &planned());
     write(dir, "tif", &gaussian(1.0, 1.0, 1.0, 0.0));
     write(dir, "before", &before());
@@ -79,7 +79,7 @@ fn contradictory_maps_after_end_with_1() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), ReconcileSettings::Gridded);
+    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), Settings::Gridded);
     let after = run.unwrap().removal.residual().height_nm().clone();
     let turned = after.slice(ndarray::s![..;-1, ..;-1]).to_owned();
     for (name, map) in [("sign", -&after), ("half", 0.5 * &after), ("turned", turned)] {

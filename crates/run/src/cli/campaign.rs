@@ -392,7 +392,11 @@ impl Course<'_> {
     }
 
     /// Returns the command that makes the page of the campaign.
-    fn report(&self, name: &str, assumed_machine: Option<&str>) -> planish_pipeline::walk::Command {
+    fn report(
+        &self,
+        name: &str,
+        assumed_machine: Option<&str>,
+    ) -> planish_pipeline::walk::StageCommand {
         let runs = format!("--runs={}", self.runs);
         let mirror = format!("--mirror={name}");
         let out = format!("{}/report", self.out);

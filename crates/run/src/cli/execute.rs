@@ -17,7 +17,7 @@ use planish_handoff::{
 };
 use planish_pipeline::{
     scope::{Origins, Scope, Words},
-    walk::{Command, Step, Walk},
+    walk::{StageCommand, Step, Walk},
 };
 use planish_types::{ControllerKind, ToolPath};
 
@@ -83,7 +83,7 @@ impl Programs {
     ///
     /// # Errors
     /// Fails if the command cannot be run.
-    pub fn run(&self, command: &Command) -> Result<u8, Failure> {
+    pub fn run(&self, command: &StageCommand) -> Result<u8, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
         if let Messages::Kept(file) = &self.messages {
@@ -93,7 +93,7 @@ impl Programs {
     }
 
     /// Runs a command whose messages go to a file.
-    fn attempt(&self, command: &Command, message: &Path) -> Result<u8, Failure> {
+    fn attempt(&self, command: &StageCommand, message: &Path) -> Result<u8, Failure> {
         self.print(&format!("{} 2> {}", command.line(), words::quote(&message.to_string_lossy())));
         let mut process = self.process(command);
         refuse_special(message)?;
@@ -107,7 +107,7 @@ impl Programs {
     }
 
     /// Runs a command in silence. Returns its message if it failed.
-    fn refusal(&self, command: &Command) -> Result<Option<String>, Failure> {
+    fn refusal(&self, command: &StageCommand) -> Result<Option<String>, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
         process.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
@@ -122,7 +122,7 @@ impl Programs {
     /// there already. Returns what the command said if it refuses its flags or its inputs.
     fn rehearsal(
         &self,
-        command: &Command,
+        command: &StageCommand,
         run: &str,
         made: &[String],
     ) -> Result<Option<String>, Failure> {
@@ -135,7 +135,7 @@ impl Programs {
     }
 
     /// Returns the process of a command, which knows the settings that give its flags.
-    fn process(&self, command: &Command) -> Process {
+    fn process(&self, command: &StageCommand) -> Process {
         let mut process = stage_command(&command.program, env::split_paths(&self.path));
         process.args(&command.arguments).env("PATH", &self.path);
         let Origins { of_flag, more_flags, .. } = &command.origins;
@@ -147,7 +147,7 @@ impl Programs {
     }
 
     /// Returns the end of a process, or the failure to run it.
-    fn ended<T>(&self, command: &Command, ended: io::Result<T>) -> Result<T, Failure> {
+    fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
                 "cannot run {}: {e}; build the programs with just build",
@@ -444,7 +444,7 @@ fn attempt(
     programs: &Programs,
     walk: &mut Walk,
     dir: &Path,
-    command: &Command,
+    command: &StageCommand,
 ) -> Result<u8, Failure> {
     fs::create_dir_all(dir)?;
     let message = dir.join(MESSAGE);

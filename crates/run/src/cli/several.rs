@@ -13,7 +13,7 @@ use planish_handoff::{Failure, Inputs};
 use planish_pipeline::{
     definition::Definition,
     scope::{Origins, Scope, refuse_second},
-    walk::Command,
+    walk::StageCommand,
 };
 
 use super::{
@@ -96,10 +96,10 @@ pub fn no_flag(path: &str) -> String {
 }
 
 /// Creates a command with arguments of which none is taken apart.
-pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> Command {
+pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> StageCommand {
     let arguments = arguments.iter().map(|word| word.as_ref().to_string()).collect();
     let origins = Origins::default();
-    Command {
+    StageCommand {
         program: program.into(),
         arguments,
         may_be_negative: true,
@@ -128,7 +128,7 @@ impl<'a> Silent<'a> {
     ///
     /// # Errors
     /// Fails if it cannot be run.
-    pub fn command(&mut self, command: &Command) -> Result<u8, Failure> {
+    pub fn command(&mut self, command: &StageCommand) -> Result<u8, Failure> {
         self.clear()?;
         let code =
             Programs::new(self.place, Messages::Kept(self.log.try_clone()?))?.run(command)?;
