@@ -15,7 +15,7 @@ pub enum CampaignCommand {
     /// Decide whether to run again: gain of the next run, its uncertainty, and its time
     Decide(decide::Decide),
     /// Print and draw the residuals of a campaign, run by run, with and without learning, and the learnt parameters
-    Report(report::ReportCommand),
+    Report(report::CampaignReport),
     /// Print the scatter of the results of several campaigns with different seeds
     Spread(spread::Spread),
 }

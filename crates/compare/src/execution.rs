@@ -117,16 +117,16 @@ mod tests {
         )
         .unwrap();
         let dwell = DwellTime::new(vec![1.5, 9.0, 0.25]).unwrap();
-        let e = Execution::of(&t, Some(&dwell)).unwrap();
+        let e = Execution::new(&t, Some(&dwell)).unwrap();
         assert_eq!(e.dwell_error_worst_s, Some(0.5));
         // Two points count: 0.5 s and -0.25 s.
         let rms = ((0.25 + 0.0625) / 2.0_f64).sqrt();
         assert!((e.dwell_error_rms_s.unwrap() - rms).abs() < 1e-15);
         assert_eq!((e.overshoot_points, e.max_overshoot_mm), ([1, 0], [0.25, 0.0]));
         assert_eq!(e.max_jerk_mm_per_s3, [12.0, 0.0]);
-        assert_eq!(Execution::of(&t, None).unwrap().dwell_error_rms_s, None);
+        assert_eq!(Execution::new(&t, None).unwrap().dwell_error_rms_s, None);
         let other = DwellTime::new(vec![1.0]).unwrap();
-        let message = Execution::of(&t, Some(&other)).unwrap_err().to_string();
+        let message = Execution::new(&t, Some(&other)).unwrap_err().to_string();
         assert!(message.contains("dwell_index[2]: is 1, the dwell times are 1"), "{message}");
     }
 }

@@ -316,7 +316,7 @@ mod tests {
         dwell: Option<&Value>,
         other: &[&str],
     ) -> PlanStatus {
-        PlanStatus::of(name, trajectory.map(read).as_ref(), dwell.map(read).as_ref(), other)
+        PlanStatus::of_method(name, trajectory.map(read).as_ref(), dwell.map(read).as_ref(), other)
     }
 
     fn dwell(outcome: Value) -> Value {

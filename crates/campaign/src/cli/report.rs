@@ -30,7 +30,7 @@ const MOST_RUNS: usize = 100;
 const CHAINS: [&str; 3] = ["learning", "without", "known"];
 
 #[derive(Args)]
-pub struct ReportCommand {
+pub struct CampaignReport {
     /// Directory of the campaign, with the directories learning/K, without/K, known/K and alike
     dir: PathBuf,
     /// Map of the mirror before the first run [surface artifact]
@@ -49,7 +49,7 @@ pub struct ReportCommand {
     output: OutputArgs,
 }
 
-impl ReportCommand {
+impl CampaignReport {
     pub fn run(&self) -> Result<Status, Failure> {
         if !(1..=MOST_RUNS).contains(&self.runs) {
             return Err(Failure::new(format!("--runs: is {}; give 1 to {MOST_RUNS}", self.runs)));

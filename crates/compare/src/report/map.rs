@@ -131,8 +131,10 @@ pub fn histogram(map: ArrayView2<f64>) -> Histogram {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use ndarray::array;
+    use planish_types::Axis;
+
+    use super::*;
 
     const NAN: f64 = f64::NAN;
 
