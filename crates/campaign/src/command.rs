@@ -13,15 +13,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Several runs on one mirror: measure, decide whether to run again, report
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct CampaignCli {
     #[command(subcommand)]
-    command: crate::cli::Command,
+    command: crate::cli::CampaignCommand,
 }
 
 /// The command `planish campaign`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: CampaignCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+    planish_handoff::program(|cli: &CampaignCli| cli.command.run())
 }

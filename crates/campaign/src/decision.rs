@@ -39,13 +39,13 @@ const SEEN: f64 = 2.0;
 
 /// Settings of the decision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct DecisionSettings {
     /// Least median gain for another run, in percent of the RMS on the mirror now. Larger: fewer runs. Smaller: runs
     /// for gains that do not repay their time and risk.
     pub least_gain_percent: f64,
 }
 
-impl Default for Settings {
+impl Default for DecisionSettings {
     fn default() -> Self {
         Self { least_gain_percent: 5.0 }
     }
@@ -79,12 +79,12 @@ pub struct Known {
     /// Time of the plan, s.
     pub total_time_s: f64,
     /// Compliance with the specification; `None` if there is no specification.
-    pub specification: Option<Kept>,
+    pub specification: Option<SpecificationKept>,
 }
 
 /// Compliance with a specification, before and after the next run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Kept {
+pub struct SpecificationKept {
     /// True if the map keeps the specification.
     pub now: bool,
     /// True if the residual of the plan without errors keeps it.
@@ -153,18 +153,21 @@ pub struct Decision {
     pub gain_per_minute_nm: f64,
     /// Compliance with the specification; `None` if there is no specification.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub specification: Option<Kept>,
+    pub specification: Option<SpecificationKept>,
 }
 
 /// Decides whether to run again.
-pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
+///
+/// # Errors
+/// Fails if the least gain is not between 0 and 100 %.
+pub fn decide(known: &Known, settings: &DecisionSettings) -> Result<Decision, Invalid> {
     let percent = settings.least_gain_percent;
     if !(0.0..=100.0).contains(&percent) {
         let remedy = "give 0 to 100 percent of what is there";
         return Err(Invalid::whole("least_gain_percent", format!("is {percent}"), remedy));
     }
-    let square = |of: fn(&MapError) -> f64| known.map_errors.iter().map(|e| of(e).powi(2)).sum();
-    let (sigma2, u2): (f64, f64) = (square(|e| e.adds_rms_nm), square(|e| e.unreached_rms_nm));
+    let sigma2: f64 = known.map_errors.iter().map(|e| e.adds_rms_nm.powi(2)).sum();
+    let u2: f64 = known.map_errors.iter().map(|e| e.unreached_rms_nm.powi(2)).sum();
     // S0^2 = M0^2 - sigma^2
     let now2 = (known.measured_rms_nm.powi(2) - sigma2).max(0.0);
     let now = now2.sqrt();
@@ -183,12 +186,11 @@ pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
     } else {
         variance.powf(0.25)
     };
-    // S1^2 = T1^2 - 2 u^2
-    let next_at = |part: f64| (at(&known.levels, part).powi(2) - 2.0 * u2).max(0.0).sqrt();
-    let median = next_at(0.5);
-    let (gain, sure) = (now - median, now - next_at(0.95));
-    let next =
-        Spread { median_nm: median, interval_95_percent_nm: [next_at(0.025), next_at(0.975)] };
+    let [low, median, sure, high] = [0.025, 0.5, 0.95, 0.975].map(|part| {
+        // S1^2 = T1^2 - 2 u^2
+        (level_nm(&known.levels, part).powi(2) - 2.0 * u2).max(0.0).sqrt()
+    });
+    let gain = now - median;
     let mut decision = Decision {
         verdict: Verdict::Stop,
         reason: String::new(),
@@ -197,10 +199,10 @@ pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
         now_rms_nm: now,
         now_standard_error_nm: error,
         nominal_rms_nm: known.nominal_rms_nm,
-        next,
+        next: Spread { median_nm: median, interval_95_percent_nm: [low, high] },
         measured_next_median_nm: (median * median + sigma2).sqrt(),
         gain_median_nm: gain,
-        gain_of_95_percent_nm: sure,
+        gain_of_95_percent_nm: now - sure,
         // S1 < S0 where T1^2 < S0^2 + 2 u^2
         part_that_gains: part_below(&known.levels, (now2 + 2.0 * u2).sqrt()),
         total_time_s: known.total_time_s,
@@ -212,21 +214,20 @@ pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
 }
 
 /// Recommendation and reason, by the rule: first the specification, then the certainty of the gain, then its size.
-fn verdict(d: &Decision, settings: &Settings) -> (Verdict, String) {
-    let nm = |v: f64| format!("{} nm", significant(v, 3));
-    let (least, seen) =
-        (0.01 * settings.least_gain_percent * d.now_rms_nm, SEEN * d.now_standard_error_nm);
+fn verdict(d: &Decision, settings: &DecisionSettings) -> (Verdict, String) {
+    let least = 0.01 * settings.least_gain_percent * d.now_rms_nm;
+    let seen = SEEN * d.now_standard_error_nm;
     let expected = format!(
-        "half of the runs would gain {}, and 95 % at least {}, in {:.1} min",
-        nm(d.gain_median_nm),
-        nm(d.gain_of_95_percent_nm),
+        "half of the runs would gain {} nm, and 95 % at least {} nm, in {:.1} min",
+        significant(d.gain_median_nm, 3),
+        significant(d.gain_of_95_percent_nm, 3),
         d.total_time_s / 60.0
     );
     match d.specification {
-        Some(Kept { now: true, .. }) => {
+        Some(SpecificationKept { now: true, .. }) => {
             return (Verdict::Stop, format!("the map keeps the specification; {expected}"));
         }
-        Some(Kept { by_the_plan: true, .. }) => {
+        Some(SpecificationKept { by_the_plan: true, .. }) => {
             let reason = "the map does not keep the specification, and the plan does";
             return (Verdict::RunAgain, format!("{reason}; {expected}"));
         }
@@ -238,26 +239,28 @@ fn verdict(d: &Decision, settings: &Settings) -> (Verdict, String) {
     };
     if d.gain_of_95_percent_nm <= seen {
         let reason = format!(
-            "{expected}, which is not more than the {} to which the mirror is known now ({SEEN} standard errors){also}",
-            nm(seen)
+            "{expected}, which is not more than the {} nm to which the mirror is known now ({SEEN} standard errors){also}",
+            significant(seen, 3)
         );
         return (Verdict::Stop, reason);
     }
     if d.gain_median_nm < least {
         let reason = format!(
-            "{expected}, less than the {} ({} % of what is there) that a run is worth{also}",
-            nm(least),
+            "{expected}, less than the {} nm ({} % of what is there) that a run is worth{also}",
+            significant(least, 3),
             settings.least_gain_percent
         );
         return (Verdict::Stop, reason);
     }
-    let reason =
-        format!("{expected}; the mirror is known to {} ({SEEN} standard errors){also}", nm(seen));
+    let reason = format!(
+        "{expected}; the mirror is known to {} nm ({SEEN} standard errors){also}",
+        significant(seen, 3)
+    );
     (Verdict::RunAgain, reason)
 }
 
 /// Value that a fraction of the runs does not exceed, linear between two levels.
-fn at(levels: &[(f64, f64)], part: f64) -> f64 {
+fn level_nm(levels: &[(f64, f64)], part: f64) -> f64 {
     let after = levels.partition_point(|(p, _)| *p < part);
     match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
         (Some((p, v)), Some((q, w))) => v + (w - v) * (part - p) / (q - p),
@@ -295,7 +298,7 @@ mod tests {
     }
 
     fn decided(known: &Known) -> Decision {
-        decide(known, &Settings::default()).unwrap()
+        decide(known, &DecisionSettings::default()).unwrap()
     }
 
     #[test]
@@ -314,9 +317,9 @@ mod tests {
         assert!(d.gain_of_95_percent_nm < 0.0);
         // 1.15 is above all of them: a gain of 0.15 in the half of them, 13 % of what is there.
         assert_eq!(decided(&known(1.15, 1.0)).verdict, Verdict::RunAgain);
-        let strict = Settings { least_gain_percent: 15.0 };
+        let strict = DecisionSettings { least_gain_percent: 15.0 };
         assert_eq!(decide(&known(1.15, 1.0), &strict).unwrap().verdict, Verdict::Stop);
-        assert!(decide(&known(1.0, 1.0), &Settings { least_gain_percent: -1.0 }).is_err());
+        assert!(decide(&known(1.0, 1.0), &DecisionSettings { least_gain_percent: -1.0 }).is_err());
     }
 
     /// The mirror has waves of RMS s that the tool does not reach, measured with noise a. The map has (s^2 + a^2)^1/2,
@@ -360,7 +363,7 @@ mod tests {
             (false, false, 2.0, Verdict::RunAgain),
             (false, false, 1.05, Verdict::Stop),
         ] {
-            let specification = Some(Kept { now, by_the_plan });
+            let specification = Some(SpecificationKept { now, by_the_plan });
             let d = decided(&Known { specification, ..known(measured, 1.0) });
             assert_eq!(d.verdict, verdict, "{d:?}");
             assert!(d.reason.contains("specification"), "{}", d.reason);

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use planish_draw::{Frame, Scale, Svg, colour::LINES, frame::range, page};
 use planish_types::text::{escaped, significant};
 
-use crate::summary::{Campaign, Chains, Learnt};
+use crate::summary::{Campaign, Chains, LearntParameter};
 
 /// Height of the texts, px. Larger texts need larger margins.
 const FONT_PX: f64 = 14.0;
@@ -20,18 +20,15 @@ const CHAINS: [&str; 3] = ["with learning", "without", "known tool"];
 /// The style that the page has beside the shared one.
 const STYLE: &str = "body { max-width: 1000px; }\n";
 
-/// The residual of every chain after every run, as SVG text.
+/// Draws the residual of every chain after every run, as SVG text.
 pub fn picture(campaign: &Campaign) -> String {
     let mut svg = Svg::new(FONT_PX);
-    let line = |of: fn(&crate::summary::Run) -> f64| -> Vec<[f64; 2]> {
-        let runs = campaign.runs.iter().map(|r| [r.number as f64, of(r)]);
-        [[0.0, campaign.before_rms_nm]].into_iter().chain(runs).collect()
-    };
-    let lines = [
-        line(|r| r.left.learning.rms_nm),
-        line(|r| r.left.without.rms_nm),
-        line(|r| r.left.known.rms_nm),
-    ];
+    let mut lines = [(); 3].map(|()| vec![[0.0, campaign.before_rms_nm]]);
+    for run in &campaign.runs {
+        for (line, left) in lines.iter_mut().zip(run.left.each()) {
+            line.push([run.number as f64, left.rms_nm]);
+        }
+    }
     let all = lines.iter().flatten().map(|p| p[1]).filter(|v| *v > 0.0);
     let [low, high] = range(all);
     let scales = [
@@ -51,7 +48,7 @@ pub fn picture(campaign: &Campaign) -> String {
     svg.finish([SIZE[0] + MARGIN[0] + MARGIN[2], SIZE[1] + MARGIN[1] + MARGIN[3]])
 }
 
-/// The page as HTML.
+/// Writes the page as HTML.
 pub fn page(campaign: &Campaign) -> String {
     let mirror = escaped(&campaign.mirror);
     let mut out = format!("<h1>Campaign on {mirror}</h1>\n<p>{}</p>\n", escaped(&answer(campaign)));
@@ -104,9 +101,9 @@ pub fn page(campaign: &Campaign) -> String {
         let unit = escaped(&first.unit);
         let _ = write!(out, "<tr><th>{}, {unit}</th><td>{truth}</td>", escaped(&first.name));
         for run in &campaign.runs {
-            let Some(learnt) = run.parameters.get(p) else { continue };
-            let why = learnt.refused.as_deref().map_or(String::new(), escaped);
-            let (value, off) = shown(learnt);
+            let Some(parameter) = run.parameters.get(p) else { continue };
+            let why = parameter.refused.as_deref().map_or(String::new(), escaped);
+            let (value, off) = value_and_deviation(parameter);
             let _ = write!(out, "<td title=\"{why}\">{value}</td><td>{off}</td>");
         }
         out += "</tr>\n";
@@ -127,18 +124,19 @@ fn row(out: &mut String, name: &str, chains: &Chains) {
     let _ = writeln!(out, "<td>{learning:.3}</td><td>{without:.3}</td></tr>");
 }
 
-/// Value with its standard error, and its deviation from the truth in standard errors, as text.
-pub fn shown(learnt: &Learnt) -> (String, String) {
-    let (Some(value), Some(error)) = (learnt.value, learnt.standard_error) else {
+/// Writes a value with its standard error, and its deviation from the truth in standard errors, as text.
+pub fn value_and_deviation(parameter: &LearntParameter) -> (String, String) {
+    let (Some(value), Some(error)) = (parameter.value, parameter.standard_error) else {
         return ("not determined".into(), String::new());
     };
     let number = format!("{} &plusmn; {}", significant(value, 4), significant(error, 2));
-    let number = if learnt.is_of_this_run { number } else { format!("({number})") };
-    let off = learnt.truth.filter(|_| error > 0.0).map(|t| format!("{:.1}", (value - t) / error));
+    let number = if parameter.is_of_this_run { number } else { format!("({number})") };
+    let off =
+        parameter.truth.filter(|_| error > 0.0).map(|t| format!("{:.1}", (value - t) / error));
     (number, off.unwrap_or_default())
 }
 
-/// Sentence on the residuals with learning, without learning and with a known tool.
+/// Says in a sentence what the runs left with learning, without learning and with a known tool.
 pub fn answer(campaign: &Campaign) -> String {
     let Some(last) = campaign.runs.last() else { return String::new() };
     let count = match campaign.runs.len() {

@@ -23,7 +23,8 @@ use crate::decision::Verdict;
 /// Returns the true value of a parameter in the unit of its [`Estimate`]. The ellipticities of an otherwise round TIF
 /// that is rotated by phi transform as a tensor: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
 pub fn true_value(truth: &Truth, parameter: &str) -> Option<f64> {
-    let (e, d) = (truth.tif_ellipticity, truth.tif_diagonal_ellipticity);
+    let e = truth.tif_ellipticity;
+    let d = truth.tif_diagonal_ellipticity;
     let (sine, cosine) = (2.0 * truth.tif_rotation_rad).sin_cos();
     Some(match parameter {
         "rate_scale" => 100.0 * truth.rate_scale,
@@ -59,12 +60,12 @@ pub struct Chains {
 }
 
 impl Chains {
-    /// All three.
+    /// Returns all three results, that of the chain that learns first.
     pub fn each(&self) -> [Left; 3] {
         [self.learning, self.without, self.known]
     }
 
-    /// Ratios of the RMS with and without learning to that of the known tool.
+    /// Returns the ratios of the RMS with and without learning to that of the known tool.
     pub fn over_known(&self) -> [f64; 2] {
         [self.learning, self.without].map(|left| left.rms_nm / self.known.rms_nm)
     }
@@ -76,7 +77,7 @@ pub struct RunRecord {
     /// True result of each chain.
     pub left: Chains,
     /// Parameters that the learning chain found in this run.
-    pub found: Vec<Estimate>,
+    pub estimates: Vec<Estimate>,
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
     /// Decision of the learning chain.
@@ -89,7 +90,7 @@ pub struct RunRecord {
 
 /// Parameter after some runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Learnt {
+pub struct LearntParameter {
     /// Its name.
     pub name: String,
     /// Its unit.
@@ -111,7 +112,7 @@ pub struct Learnt {
 
 /// One run of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Run {
+pub struct CampaignRun {
     /// Number of the run, from 1.
     pub number: usize,
     /// True result of each chain.
@@ -120,7 +121,7 @@ pub struct Run {
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
     /// Parameters after the run.
-    pub parameters: Vec<Learnt>,
+    pub parameters: Vec<LearntParameter>,
     /// Decision.
     pub verdict: Verdict,
     /// Reason for the decision.
@@ -139,7 +140,7 @@ pub struct Campaign {
     /// RMS of the mirror before the first run, nm.
     pub before_rms_nm: f64,
     /// Its runs.
-    pub runs: Vec<Run>,
+    pub runs: Vec<CampaignRun>,
     /// The first run on another mirror like it, after all of them.
     pub alike: Chains,
     /// Sentence on the machine, if nobody named it; absent otherwise.
@@ -148,7 +149,7 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// Campaign from the records of the runs, in their order.
+    /// Makes a campaign of the records of the runs, in their order.
     pub fn new(
         mirror: &str,
         seed: u64,
@@ -157,11 +158,11 @@ impl Campaign {
         records: Vec<RunRecord>,
         alike: Chains,
     ) -> Self {
-        let mut runs: Vec<Run> = Vec::new();
+        let mut runs: Vec<CampaignRun> = Vec::new();
         for record in records {
             let before = runs.last().map_or(&[][..], |run| &run.parameters);
-            let parameters = record.found.iter().map(|f| after(before, f, truth)).collect();
-            runs.push(Run {
+            let parameters = record.estimates.iter().map(|f| after(before, f, truth)).collect();
+            runs.push(CampaignRun {
                 number: runs.len() + 1,
                 left: record.left,
                 measured_rms_nm: record.measured_rms_nm,
@@ -175,36 +176,39 @@ impl Campaign {
     }
 }
 
-/// Parameter after one more run.
-fn after(before: &[Learnt], found: &Estimate, truth: &Truth) -> Learnt {
-    let earlier = before.iter().find(|p| p.name == found.name);
+/// Returns a parameter after one more run, which has this estimate of it.
+fn after(before: &[LearntParameter], estimate: &Estimate, truth: &Truth) -> LearntParameter {
+    let earlier = before.iter().find(|p| p.name == estimate.name);
     let known = earlier.and_then(|p| p.value);
-    let is_factor = ["rate_scale", "magnification", "tif_width"].contains(&found.name.as_str());
-    // (1 + a)(1 + b) - 1, in percent
-    let sum = |a: f64, b: f64| if is_factor { a + b + 0.01 * a * b } else { a + b };
     // A run finds what the corrections so far have left.
     let corrected = earlier.map_or(0.0, |p| p.applied);
-    let value = found.value.map(|v| sum(corrected, v)).or(known);
-    Learnt {
-        name: found.name.clone(),
-        unit: found.unit.clone(),
+    let value = estimate.value.map(|v| combined(&estimate.name, corrected, v)).or(known);
+    LearntParameter {
+        name: estimate.name.clone(),
+        unit: estimate.unit.clone(),
         value,
-        standard_error: match found.value {
-            Some(_) => found.standard_error,
+        standard_error: match estimate.value {
+            Some(_) => estimate.standard_error,
             None => earlier.and_then(|p| p.standard_error),
         },
-        truth: true_value(truth, &found.name),
-        is_of_this_run: found.value.is_some(),
-        refused: found.refused.clone(),
-        applied: sum(corrected, found.applied),
+        truth: true_value(truth, &estimate.name),
+        is_of_this_run: estimate.value.is_some(),
+        refused: estimate.refused.clone(),
+        applied: combined(&estimate.name, corrected, estimate.applied),
     }
+}
+
+/// Combines two deviations of a parameter: a factor by the product (1 + a)(1 + b) - 1, in percent, the rest by the sum.
+fn combined(parameter: &str, a: f64, b: f64) -> f64 {
+    let is_factor = ["rate_scale", "magnification", "tif_width"].contains(&parameter);
+    if is_factor { a + b + 0.01 * a * b } else { a + b }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn found(name: &str, value: Option<f64>, standard_error: f64) -> Estimate {
+    fn estimates(name: &str, value: Option<f64>, standard_error: f64) -> Estimate {
         let refused = value.is_none().then(|| "the data say less".to_string());
         Estimate {
             name: name.into(),
@@ -219,10 +223,10 @@ mod tests {
 
     #[test]
     fn a_value_that_no_run_corrects_does_not_add_up() {
-        let first = Estimate { applied: 0.0, ..found("magnification", Some(0.2), 0.1) };
+        let first = Estimate { applied: 0.0, ..estimates("magnification", Some(0.2), 0.1) };
         let one = after(&[], &first, &Truth::default());
         assert_eq!((one.value, one.applied), (Some(0.2), 0.0));
-        let two = after(&[one], &found("magnification", Some(0.25), 0.1), &Truth::default());
+        let two = after(&[one], &estimates("magnification", Some(0.25), 0.1), &Truth::default());
         assert_eq!((two.value, two.applied), (Some(0.25), 0.25));
     }
 
@@ -233,7 +237,10 @@ mod tests {
         let chains = Chains { learning: left, without: left, known: left };
         let run = |rate, offset| RunRecord {
             left: chains,
-            found: vec![found("rate_scale", rate, 0.3), found("offset_x", offset, 0.002)],
+            estimates: vec![
+                estimates("rate_scale", rate, 0.3),
+                estimates("offset_x", offset, 0.002),
+            ],
             measured_rms_nm: 1.1,
             verdict: Verdict::Stop,
             reason: String::new(),

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use crate::{
     plan::{PROGRAM, State},
     recommended::recommended,
-    summary::{Method, Summary},
+    summary::{MethodResult, Summary},
 };
 
 /// Number of digits of a number in a sentence. Larger: sentences that are slow to read. Smaller: plans that differ
@@ -56,7 +56,7 @@ pub fn answer(summary: &Summary) -> Answer {
 }
 
 /// Returns one run for other programs and for the page: its answer, then its summary.
-pub fn with_answer(summary: &Summary) -> Value {
+pub(crate) fn with_answer(summary: &Summary) -> Value {
     json!(AnsweredSummary { answer: answer(summary), summary })
 }
 
@@ -78,46 +78,48 @@ impl Winner {
     }
 }
 
-/// The winner of several runs; `None` for a single one, or where no run has a plan. The rule is that of
+/// Returns the winner of several runs; `None` for a single one, or where no run has a plan. The rule is that of
 /// [`crate::recommended`]. Names no run where the maps before the runs differ, or where the plans are judged
 /// differently: by a specification, or after the servo.
 pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     let (_, first) = runs.first().filter(|_| runs.len() > 1)?;
-    let is_same = |s: &Summary| {
+    let same_map = |s: &Summary| {
         (s.initial.rms_nm, s.initial.pv_nm) == (first.initial.rms_nm, first.initial.pv_nm)
     };
-    if !runs.iter().all(|(_, summary)| is_same(summary)) {
+    if !runs.iter().all(|(_, summary)| same_map(summary)) {
         return Some(Winner::none("their maps before the run differ"));
     }
-    let best = |(run, summary): &(&str, &Summary)| {
-        let (method, plan) =
-            summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref())?;
-        let specification = plan.specification.as_ref().map(|judged| judged.name.clone());
-        let judged = (specification, plan.after_servo_rms_nm.is_some());
-        let plan = plan.candidate();
-        Some(((run.to_string(), method.clone(), plan), plan, judged))
-    };
-    let best: Vec<_> = runs.iter().filter_map(best).collect();
+    let mut best = Vec::new();
+    for (run, summary) in runs {
+        let mut methods = summary.methods.iter();
+        if let Some((method, plan)) = methods.find(|(name, _)| Some(name) == summary.best.as_ref())
+        {
+            best.push((*run, method, plan));
+        }
+    }
     let (.., first) = best.first()?;
-    if best.iter().any(|(.., judged)| judged.0 != first.0) {
+    let specification = |plan: &MethodResult| plan.specification.as_ref().map(|s| s.name.clone());
+    if best.iter().any(|(.., plan)| specification(plan) != specification(first)) {
         return Some(Winner::none("they are not judged by the same specification"));
     }
-    if best.iter().any(|(.., judged)| judged.1 != first.1) {
+    let is_after_servo = first.after_servo_rms_nm.is_some();
+    if best.iter().any(|(.., plan)| plan.after_servo_rms_nm.is_some() != is_after_servo) {
         return Some(Winner::none("some are predicted after the servo, others are not"));
     }
-    let candidates: Vec<_> = best.iter().map(|(named, plan, _)| (named, *plan)).collect();
-    let (run, method, plan) = recommended(&candidates)?.clone();
+    let candidates: Vec<_> = best.iter().map(|named| (named, named.2.candidate())).collect();
+    let (run, method, plan) = recommended(&candidates)?;
+    let plan = plan.candidate();
     let sentence = format!(
         "Of the {} runs, {run} is to be run, by {method}: {} nm RMS in {}.",
         runs.len(),
         significant(plan.rms_nm, DIGITS),
         duration(plan.total_time_s)
     );
-    Some(Winner { run: Some(run), method: Some(method), sentence })
+    Some(Winner { run: Some(run.to_string()), method: Some(method.to_string()), sentence })
 }
 
-/// `summary.json`: the run itself for one; `{"winner": ..., "runs": [...]}` for several.
-pub fn to_json(runs: &[(&str, &Summary)]) -> Value {
+/// Returns `summary.json`: the run itself for one; `{"winner": ..., "runs": [...]}` for several.
+pub(crate) fn to_json(runs: &[(&str, &Summary)]) -> Value {
     match runs {
         [(_, one)] => with_answer(one),
         several => {
@@ -127,8 +129,8 @@ pub fn to_json(runs: &[(&str, &Summary)]) -> Value {
     }
 }
 
-/// "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst ...; the limits of the machine are kept."
-fn sentence(summary: &Summary, name: &str, m: &Method) -> String {
+/// Returns "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst ...; the limits of the machine are kept."
+fn sentence(summary: &Summary, name: &str, m: &MethodResult) -> String {
     let machine = m.machine.as_deref().map_or(String::new(), |machine| format!(" on {machine}"));
     let mut text = format!(
         "{name} runs{machine} in {}: {} to {} nm RMS",
@@ -159,7 +161,8 @@ fn sentence(summary: &Summary, name: &str, m: &Method) -> String {
     text + "."
 }
 
-fn why(summary: &Summary, name: &str, m: &Method) -> String {
+/// Returns the reasons for the plan that is to be run, in sentences.
+fn why(summary: &Summary, name: &str, m: &MethodResult) -> String {
     let choice = match plan_of_program(summary, name, m) {
         None => format!("{name}, because {}.", reason(summary, name, m, None)),
         Some((base, plan)) => {
@@ -191,34 +194,38 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
 fn plan_of_program<'a>(
     summary: &'a Summary,
     name: &str,
-    m: &Method,
-) -> Option<(&'a String, &'a Method)> {
+    m: &MethodResult,
+) -> Option<(&'a String, &'a MethodResult)> {
     let (base, _) = name.rsplit_once('+').filter(|_| m.plan.word == PROGRAM)?;
     let (base, plan) = summary.methods.iter().find(|(other, _)| other == base)?;
     Some((base, plan)).filter(|(_, plan)| plan.is_candidate())
 }
 
 /// Returns the reason for the plan `name` in a clause; the row `program` is no rival of it.
-fn reason(summary: &Summary, name: &str, m: &Method, program: Option<&str>) -> String {
-    let is_rival = |other: &String| other != name && Some(other.as_str()) != program;
-    let rivals = summary.methods.iter().filter(|(other, m)| is_rival(other) && m.is_candidate());
-    let least = |a: &&(String, Method), b: &&(String, Method)| {
-        a.1.compared_rms_nm().total_cmp(&b.1.compared_rms_nm())
-    };
-    let Some((next, other)) = rivals.clone().min_by(least) else {
+fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>) -> String {
+    let rivals: Vec<&(String, MethodResult)> = summary
+        .methods
+        .iter()
+        .filter(|(other, _)| other != name && Some(other.as_str()) != program)
+        .filter(|(_, m)| m.is_candidate())
+        .collect();
+    let by_rms = rivals.iter().map(|rival| (rival.1.compared_rms_nm(), rival));
+    let Some((_, (next, other))) = by_rms.min_by(|a, b| a.0.total_cmp(&b.0)) else {
         return "it is the only plan here that keeps the limits".into();
     };
-    let plans = rivals.count() + 1;
-    let (mine, rival) = (m.candidate(), other.candidate());
+    let plans = rivals.len() + 1;
+    let mine = m.candidate();
+    let rival = other.candidate();
     let [_, their_nm] = apart([mine.rms_nm, rival.rms_nm], significant);
     let [my_time, their_time] = apart([mine.total_time_s, rival.total_time_s], duration_of);
     let theirs = format!("{next} with {their_nm} nm in {their_time}");
-    let keeps = |m: &Method| m.specification.as_ref().is_some_and(|judged| judged.passed);
+    let [mine_keeps, theirs_keeps] =
+        [m, other].map(|m| m.specification.as_ref().is_some_and(|judged| judged.passed));
     if mine.rms_nm <= rival.rms_nm {
         format!(
             "it leaves the least RMS of the {plans} plans that keep the limits; the next is {theirs}"
         )
-    } else if keeps(m) && !keeps(other) {
+    } else if mine_keeps && !theirs_keeps {
         format!("it keeps the specification, which {theirs} does not")
     } else {
         let more_percent = 100.0 * (mine.rms_nm / rival.rms_nm - 1.0);
@@ -230,7 +237,7 @@ fn reason(summary: &Summary, name: &str, m: &Method, program: Option<&str>) -> S
 }
 
 /// Says that the plans are compared after the servo, where the process has one.
-fn after_servo(name: &str, m: &Method) -> String {
+fn after_servo(name: &str, m: &MethodResult) -> String {
     m.after_servo_rms_nm.map_or(String::new(), |rms_nm| {
         format!(
             " The plans are compared by the RMS after the servo of the process, where {name} leaves {} nm.",
@@ -239,40 +246,46 @@ fn after_servo(name: &str, m: &Method) -> String {
     })
 }
 
+/// Returns the reasons why no plan is to be run.
 fn why_none(summary: &Summary) -> String {
-    match exceeding(summary) {
-        none if none.is_empty() => "The run has no plan that could be run.".into(),
-        some => some.trim_start().into(),
+    let exceeding = exceeding(summary);
+    if exceeding.is_empty() {
+        return "The run has no plan that could be run.".into();
     }
+    exceeding.trim_start().into()
 }
 
-/// The plans that a machine cannot follow, with the limits that each breaks.
+/// Names the plans that a machine cannot follow, with the limits that each breaks.
 fn exceeding(summary: &Summary) -> String {
-    let beyond = |m: &Method| !m.limits_respected && m.plan.state != State::WithoutMotion;
-    let broken = summary.methods.iter().filter(|(_, m)| beyond(m)).map(|(name, m)| {
-        match m.broken_limits[..] {
+    let mut text = String::new();
+    for (name, m) in &summary.methods {
+        if m.limits_respected || m.plan.state == State::WithoutMotion {
+            continue;
+        }
+        text += &match m.broken_limits[..] {
             [] => format!(" {name} exceeds the limits of the machine."),
             ref limits => format!(" {name} does not keep: {}.", limits.join(", ")),
-        }
-    });
-    broken.collect()
+        };
+    }
+    text
 }
 
-/// Reasons against the plan that is to be run.
-fn against(name: &str, m: &Method) -> Vec<String> {
-    let mut found = Vec::new();
+/// Returns the reasons against the plan that is to be run.
+fn against(name: &str, m: &MethodResult) -> Vec<String> {
+    let mut reasons = Vec::new();
     if m.plan.state == State::Unconverged {
-        found.push(format!("the plan of {name} is not optimal: {}", m.plan.text));
+        reasons.push(format!("the plan of {name} is not optimal: {}", m.plan.text));
     }
     if let Some(judged) = m.specification.as_ref().filter(|judged| !judged.passed) {
-        found.push(failing(name, judged));
+        reasons.push(failing(name, judged));
     }
-    found
+    reasons
 }
 
+/// Names the limits of a specification that a plan does not keep.
 fn failing(name: &str, judged: &SpecificationReport) -> String {
     let failed = judged.limits.iter().filter(|limit| !limit.passed);
-    let said = failed.map(|l| {
+    let limits = failed.map(|l| {
         let value =
             if l.value.is_finite() { significant(l.value, DIGITS) } else { "infinite".into() };
         let unit = if l.unit.is_empty() { String::new() } else { format!(" {}", l.unit) };
@@ -284,8 +297,8 @@ fn failing(name: &str, judged: &SpecificationReport) -> String {
         let place = l.worst.as_ref().map_or(String::new(), |worst| format!(", worst {worst}"));
         format!("{} is {value}{unit}, {bound} {limit} is allowed{place}", l.quantity)
     });
-    let said: Vec<String> = said.collect();
-    format!("{name} does not keep the specification {}: {}", judged.name, said.join("; "))
+    let limits: Vec<String> = limits.collect();
+    format!("{name} does not keep the specification {}: {}", judged.name, limits.join("; "))
 }
 
 /// Largest number of digits of two numbers that are compared. Larger: rounding of a sum looks like a difference. Smaller:
@@ -299,12 +312,12 @@ fn apart([a, b]: [f64; 2], in_words: impl Fn(f64, usize) -> String) -> [String; 
     [in_words(a, digits), in_words(b, digits)]
 }
 
-/// A duration in the unit that people plan with, three digits.
+/// Returns a duration in the unit that people plan with, three digits.
 pub fn duration(time_s: f64) -> String {
     duration_of(time_s, DIGITS)
 }
 
-/// A duration in the unit that people plan with.
+/// Returns a duration in the unit that people plan with.
 fn duration_of(time_s: f64, digits: usize) -> String {
     let (time, unit) = match time_s {
         t if t < MINUTES_FROM_S => (t, "s"),

@@ -30,7 +30,7 @@ pub struct Record {
 }
 
 impl Record {
-    /// BLAKE3 of the input with this role.
+    /// Returns the BLAKE3 of the input with this role.
     pub fn input(&self, role: &str) -> Option<&str> {
         self.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.as_str())
     }
@@ -113,30 +113,31 @@ pub fn check(run: &RunRecords, methods: &[MethodRecords]) -> Vec<Chain> {
 
 /// Returns the roles of which the dwell times of `artifact` were solved for another artifact than this run has:
 /// `surface`, `tif`, `tool-path`.
-pub fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static str> {
-    let known = [
-        ("surface", Some(run.surface.digest.as_str())),
-        ("tool-path", run.tool_path.as_ref().map(|p| p.digest.as_str())),
-    ];
-    let other = |(role, digest): &(&str, Option<&str>)| differs(artifact, role, *digest);
-    known.iter().filter(|k| other(k)).map(|(role, _)| *role).collect()
+pub(crate) fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static str> {
+    let path = run.tool_path.as_ref().map(|p| p.digest.as_str());
+    let known = [("surface", Some(run.surface.digest.as_str())), ("tool-path", path)];
+    let others = known.iter().filter(|(role, digest)| differs(artifact, role, *digest));
+    others.map(|(role, _)| *role).collect()
 }
 
-/// Sentences on shared artifacts that are out of date.
+/// Returns sentences on shared artifacts that are out of date.
 pub fn check_run(run: &RunRecords) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut sentences = Vec::new();
     let path = run.tool_path.as_ref();
     if path.is_some_and(|path| differs(path, "surface", Some(&run.surface.digest))) {
-        found.push("the tool path was made for another surface; run planish-toolpath again".into());
+        sentences
+            .push("the tool path was made for another surface; run planish-toolpath again".into());
     }
     let dwell = run.dwell.as_ref();
     for role in dwell.map(|dwell| solved_for_another(run, dwell)).unwrap_or_default() {
         let name = spoken(role);
-        found.push(format!("the dwell times are for another {name}; run the dwell solver again"));
+        sentences
+            .push(format!("the dwell times are for another {name}; run the dwell solver again"));
     }
-    found
+    sentences
 }
 
+/// Artifacts of the run that those of a method are compared with.
 struct Context<'a> {
     run: &'a RunRecords,
     tif: Option<&'a str>,
@@ -162,7 +163,7 @@ impl Context<'_> {
         Chain { standing, reasons, remarks: self.remarks(m) }
     }
 
-    /// Reasons: verdict, prediction or rounds of another motion.
+    /// Returns reasons against the method: verdict, prediction or rounds of another motion.
     fn foreign(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let trajectory = m.trajectory.digest.as_str();
@@ -176,22 +177,16 @@ impl Context<'_> {
             let remedy = "run planish-simulate --frames again, or remove its frames";
             reasons.push(format!("its frames are of another trajectory: {remedy}"));
         }
-        let key = |artifact: &Option<Recorded>| {
-            let record = artifact.as_ref()?.record.as_ref()?;
-            Some((record.tool.clone(), record.key.clone()))
-        };
-        let (motion, rounds, dwell) =
-            (key(&Some(m.trajectory.clone())), key(&m.iterations), key(&m.dwell));
+        let motion = m.trajectory.record.as_ref();
+        let record = |artifact: &'_ Option<Recorded>| artifact.clone().and_then(|a| a.record);
+        let dwell = record(&m.dwell);
         // Dwell times, motion and rounds of a refinement come from one run of it.
-        let torn = |other: &Option<(String, String)>| {
-            let same_tool = |(a, b): (&(String, String), &(String, String))| a.0 == b.0;
-            motion.as_ref().zip(other.as_ref()).is_some_and(|(a, b)| same_tool((a, b)) && a != b)
-        };
-        if torn(&rounds) || torn(&dwell) {
+        let mut others = [record(&m.iterations), dwell.clone()].into_iter().flatten();
+        if others.any(|other| motion.is_some_and(|m| m.tool == other.tool && m.key != other.key)) {
             reasons.push("its artifacts are of two refinements: run planish-refine again".into());
         }
         if let (Some(made), Some(own)) = (record_input(&m.trajectory, "dwell"), m.dwell.as_ref())
-            && dwell.as_ref().map(|d| &d.0) != motion.as_ref().map(|t| &t.0)
+            && dwell.as_ref().map(|d| &d.tool) != motion.map(|m| &m.tool)
             && made != own.digest
         {
             reasons
@@ -211,7 +206,7 @@ impl Context<'_> {
         reasons
     }
 
-    /// Reasons: predicted with another surface or tool.
+    /// Returns reasons against the method: predicted with another surface or tool.
     fn elsewhere(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let surface = Some(self.run.surface.digest.as_str());
@@ -229,10 +224,10 @@ impl Context<'_> {
         reasons
     }
 
-    /// Reasons: planned for something else.
+    /// Returns reasons against the method: planned for something else.
     fn stale(&self, m: &MethodRecords) -> Vec<String> {
         let run = self.run;
-        let mut of: Vec<&str> = Vec::new();
+        let mut others: Vec<&str> = Vec::new();
         let path = run.tool_path.as_ref().map(|p| p.digest.as_str());
         let known = [
             ("surface", Some(run.surface.digest.as_str())),
@@ -240,19 +235,20 @@ impl Context<'_> {
             ("tool-path", path),
         ];
         for artifact in std::iter::once(&m.trajectory).chain(&m.dwell) {
-            of.extend(known.iter().filter(|(r, d)| differs(artifact, r, *d)).map(|(r, _)| *r));
+            others.extend(known.iter().filter(|(r, d)| differs(artifact, r, *d)).map(|(r, _)| *r));
         }
         // The dwell times that the motion, or the refinement, started from.
         let from = record_input(&m.trajectory, "dwell");
         let own = m.dwell.as_ref().map(|d| d.digest.as_str());
         let shared = run.dwell.as_ref().map(|d| d.digest.as_str());
         if from.is_some() && shared.is_some() && from != shared && from != own {
-            of.push("dwell");
+            others.push("dwell");
         }
-        of.sort_unstable();
-        of.dedup();
+        others.sort_unstable();
+        others.dedup();
         let remedy = "plan it again, or remove its directory";
-        of.iter()
+        others
+            .iter()
             .map(|role| match *role {
                 "dwell" => format!(
                     "it is a plan from other dwell times: if they are its own, put them in dwell/ of its directory; \
@@ -263,6 +259,7 @@ impl Context<'_> {
             .collect()
     }
 
+    /// Returns remarks on a method that takes part.
     fn remarks(&self, m: &MethodRecords) -> Vec<String> {
         let mut unknown: Vec<&str> = Vec::new();
         let known = |artifact: &Recorded, role: &str| record_input(artifact, role).is_some();
@@ -288,13 +285,13 @@ impl Context<'_> {
         remarks
     }
 
+    /// Returns true if the verdict is about another machine than the motion was scheduled for.
     fn machine_differs(&self, m: &MethodRecords) -> bool {
-        let (judged, planned) =
-            (m.verdict.input("machine"), record_input(&m.trajectory, "machine"));
-        judged.zip(planned).is_some_and(|(judged, planned)| judged != planned)
+        differs(&m.trajectory, "machine", m.verdict.input("machine"))
     }
 }
 
+/// Returns the BLAKE3 of the input of this role, from the record of an artifact.
 fn record_input<'a>(artifact: &'a Recorded, role: &str) -> Option<&'a str> {
     artifact.record.as_ref()?.input(role)
 }
@@ -304,6 +301,7 @@ fn differs(artifact: &Recorded, role: &str, digest: Option<&str>) -> bool {
     record_input(artifact, role).zip(digest).is_some_and(|(recorded, digest)| recorded != digest)
 }
 
+/// Returns a role as people say it.
 fn spoken(role: &str) -> &str {
     match role {
         "tif" => "TIF",

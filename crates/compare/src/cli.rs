@@ -11,10 +11,10 @@ use planish_handoff::{Failure, Status};
 use planish_types::text::visible;
 
 #[derive(Subcommand)]
-pub enum Command {
+pub enum CompareCommand {
     /// Print the results of the methods of one or several runs side by side; write summary.json,
     /// report.html and figures (SVG)
-    Report(report::Report),
+    Report(report::ReportCommand),
     /// Draw the figures of a plan for papers and lab books, as PDF, PNG or SVG
     Figures(figures::Figures),
     /// Print the results of dwell solvers side by side, and write summary.json
@@ -26,7 +26,7 @@ pub enum Command {
     Diff(diff::Diff),
 }
 
-impl Command {
+impl CompareCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let ended = match self {
             Self::Report(arguments) => arguments.run(),

@@ -14,15 +14,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Compare runs, or two artifacts
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct CompareCli {
     #[command(subcommand)]
-    command: crate::cli::Command,
+    command: crate::cli::CompareCommand,
 }
 
 /// The command `planish compare`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: CompareCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+    planish_handoff::program(|cli: &CompareCli| cli.command.run())
 }

@@ -30,7 +30,7 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// One line: `name: largest ... at [..] (a ..., b ...), RMS ...`.
+    /// Returns one line: `name: largest ... at [..] (a ..., b ...), RMS ...`.
     pub fn line(&self, name: &str) -> String {
         match &self.at {
             None => format!("{name}: equal"),
@@ -42,25 +42,34 @@ impl Difference {
     }
 }
 
-/// Sentence on the differences, each with the name of its arrays, that are larger than `max_difference`; `None` when none
-/// is.
+/// Returns the sentence on the differences, each with the name of its arrays, that are larger than `max_difference`; `None`
+/// when none is.
+///
+/// # Errors
+/// Refuses a `max_difference` that is negative or NaN.
 pub fn beyond(
-    found: &[(String, Difference)],
+    differences: &[(String, Difference)],
     max_difference: f64,
 ) -> Result<Option<String>, Invalid> {
     if max_difference.is_nan() || max_difference < 0.0 {
         let remedy = "give a number that is not negative";
         return Err(Invalid::whole("max_difference", format!("is {max_difference}"), remedy));
     }
-    let beyond: Vec<String> = found
+    let beyond: Vec<String> = differences
         .iter()
         .filter(|(_, difference)| difference.largest > max_difference)
         .map(|(name, difference)| format!("{name} by {:e}", difference.largest))
         .collect();
-    Ok((!beyond.is_empty()).then(|| format!("above {max_difference:e}: {}", beyond.join(", "))))
+    if beyond.is_empty() {
+        return Ok(None);
+    }
+    Ok(Some(format!("above {max_difference:e}: {}", beyond.join(", "))))
 }
 
-/// Compares two arrays; the message of an error says why they cannot be compared.
+/// Compares two arrays.
+///
+/// # Errors
+/// Refuses arrays of unlike shapes, and floats against integers.
 pub fn difference(a: &Elements, b: &Elements) -> Result<Difference, String> {
     match (a, b) {
         (Elements::Float(a), Elements::Float(b)) => compare(a, b, float_distance),
@@ -78,7 +87,7 @@ impl Elements {
     }
 }
 
-/// |a - b|; `None` when both are NaN.
+/// Returns |a - b|; `None` when both are NaN.
 fn float_distance(a: f64, b: f64) -> Option<f64> {
     match (a.is_nan(), b.is_nan()) {
         (true, true) => None,
@@ -88,11 +97,12 @@ fn float_distance(a: f64, b: f64) -> Option<f64> {
     }
 }
 
-/// |a - b| without overflow; at least 1 where they differ, also after rounding.
+/// Returns |a - b| without overflow; at least 1 where they differ, also after rounding.
 fn integer_distance(a: i64, b: i64) -> Option<f64> {
     Some(a.abs_diff(b) as f64)
 }
 
+/// Compares two arrays of one element type, element by element.
 fn compare<T: Copy + std::fmt::Display>(
     a: &ArrayD<T>,
     b: &ArrayD<T>,
@@ -101,7 +111,10 @@ fn compare<T: Copy + std::fmt::Display>(
     if a.shape() != b.shape() {
         return Err(format!("A has the shape {:?}, B {:?}", a.shape(), b.shape()));
     }
-    let (mut largest, mut at, mut squares, mut count) = (0.0, None, 0.0, 0_usize);
+    let mut largest = 0.0;
+    let mut at = None;
+    let mut squares = 0.0;
+    let mut count = 0_usize;
     for ((index, &x), &y) in a.indexed_iter().zip(b) {
         let Some(d) = distance(x, y) else { continue };
         count += 1;

@@ -18,7 +18,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-use crate::{plan::Plan, table::align};
+use crate::{plan::PlanStatus, table::align};
 
 /// Result of one solver for a mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -44,13 +44,13 @@ pub struct Solver {
     /// Most memory that it held, 2^20 bytes, `null` when not measured.
     pub peak_memory_mb: Option<f64>,
     /// State of its dwell times: certified, converged or not.
-    pub plan: Plan,
+    pub plan: PlanStatus,
 }
 
 /// Numbers of a solver, or the reason why it has none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", untagged)]
-pub enum Row {
+pub enum SolverRow {
     /// It solved.
     Solved(Solver),
     /// It refused, with this message.
@@ -61,14 +61,17 @@ pub enum Row {
 }
 
 impl Solver {
-    /// The numbers of one solver; refuses dwell times of another path.
+    /// Returns the numbers of one solver.
+    ///
+    /// # Errors
+    /// Refuses dwell times of another path.
     pub fn new(
         path: &ToolPath,
         dwell: &DwellTime,
         position: &Removal,
         executed: &Removal,
         executed_time_s: f64,
-        plan: Plan,
+        plan: PlanStatus,
     ) -> Result<Self, Invalid> {
         let t = dwell.dwell_s();
         if t.len() != path.len() {
@@ -91,21 +94,27 @@ impl Solver {
     }
 }
 
-/// Roughness (1); 0 for a path without neighbours.
+/// Returns the roughness (1); 0 for a path without neighbours.
 fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
-    let density = |k: usize| {
+    let mut squares = 0.0;
+    let mut pairs = 0.0;
+    let mut sum = 0.0;
+    let mut count = 0.0;
+    let mut previous = None;
+    for (k, time_s) in t.iter().enumerate() {
         let length = path.segment_length_mm(k);
-        (length > 0.0 && path.tool_on()[k]).then(|| t[k] / length)
-    };
-    let (mut squares, mut pairs, mut sum, mut count) = (0.0, 0.0, 0.0, 0.0);
-    for k in 0..t.len() {
-        let Some(q) = density(k) else { continue };
+        if length <= 0.0 || !path.tool_on()[k] {
+            previous = None;
+            continue;
+        }
+        let q = time_s / length;
         sum += q;
         count += 1.0;
-        if let Some(before) = k.checked_sub(1).and_then(density) {
+        if let Some(before) = previous {
             squares += (q - before) * (q - before);
             pairs += 1.0;
         }
+        previous = Some(q);
     }
     if pairs > 0.0 && sum > 0.0 { f64::sqrt(squares / pairs) / (sum / count) } else { 0.0 }
 }
@@ -126,19 +135,20 @@ const HEADINGS: [[&str; 2]; 12] = [
     ["memory", "MB"],
 ];
 
-/// The table; ends with a newline.
-pub fn table(fixture: &str, desired: &Surface, rows: &[(String, Row)]) -> String {
+/// Returns the table; it ends with a newline.
+pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> String {
     let mut cells: Vec<Vec<String>> =
         (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();
-    let (mut notes, mut refused) = (String::new(), String::new());
+    let mut notes = String::new();
+    let mut refused = String::new();
     for (name, row) in rows {
         match row {
-            Row::Solved(s) => {
+            SolverRow::Solved(s) => {
                 cells.push(line(name, s));
                 let note = format!("{name}: {}: {}", s.plan.word, s.plan.text);
                 notes += &format!("{}\n", visible(&note));
             }
-            Row::Refused { refused: message } => {
+            SolverRow::Refused { refused: message } => {
                 refused += &format!("{}\n", visible(&format!("{name}: {message}")));
             }
         }
@@ -160,6 +170,7 @@ pub fn table(fixture: &str, desired: &Surface, rows: &[(String, Row)]) -> String
     text
 }
 
+/// Returns the row of a solver.
 fn line(name: &str, s: &Solver) -> Vec<String> {
     let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| fixed(v, d));
     vec![
@@ -201,8 +212,8 @@ mod tests {
         assert_eq!(roughness(&path(), &[0.5, 1.0, 0.0, 0.5, 0.0]), 0.0);
     }
 
-    fn plan() -> Plan {
-        Plan { state: State::Unconverged, word: "stagnated".into(), text: "why".into() }
+    fn plan() -> PlanStatus {
+        PlanStatus { state: State::Unconverged, word: "stagnated".into(), text: "why".into() }
     }
 
     #[test]
@@ -219,8 +230,8 @@ mod tests {
         let error = Solver::new(&path(), &other, &removal, &removal, 1.0, plan()).unwrap_err();
         assert!(error.to_string().contains("has 1 elements for 5 dwell points"));
         let rows = [
-            ("udo".to_string(), Row::Solved(Solver { wall_s: Some(0.5), ..solver })),
-            ("rifta".to_string(), Row::Refused { refused: "the TIF is larger".into() }),
+            ("udo".to_string(), SolverRow::Solved(Solver { wall_s: Some(0.5), ..solver })),
+            ("rifta".to_string(), SolverRow::Refused { refused: "the TIF is larger".into() }),
         ];
         let text = table("coupon", &desired, &rows);
         assert!(text.starts_with("coupon: initial surface 1.4142 nm RMS, 4.00 nm PV\n"));

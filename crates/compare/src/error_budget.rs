@@ -34,7 +34,7 @@ pub struct ErrorBudget {
     /// True if the distribution is that of simulated runs.
     pub simulated: bool,
     /// Errors of the process, with the RMS that each adds.
-    pub errors: Vec<Line>,
+    pub errors: Vec<ErrorEffect>,
     /// Error to improve first; none if no error adds anything.
     pub first: Option<First>,
     /// The distribution, and the map.
@@ -44,7 +44,7 @@ pub struct ErrorBudget {
 
 /// An error of the process and its effect.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Line {
+pub struct ErrorEffect {
     /// Its kind.
     pub kind: String,
     /// Its size.
@@ -61,7 +61,7 @@ pub struct Line {
     pub unreached_rms_nm: f64,
 }
 
-impl From<ErrorLine> for Line {
+impl From<ErrorLine> for ErrorEffect {
     fn from(line: ErrorLine) -> Self {
         let ErrorLine { kind, size, unit, distribution, .. } = line;
         let ErrorLine { adds_rms_nm, reached_rms_nm, unreached_rms_nm, .. } = line;
@@ -95,13 +95,13 @@ struct LevelsOfPage<'a> {
     rms_nm: &'a [f64],
 }
 
-/// A kind in words: `rate_noise` is rate noise.
+/// Returns a kind in words: `rate_noise` is rate noise.
 fn words(kind: &str) -> String {
     kind.replace('_', " ")
 }
 
 impl ErrorBudget {
-    /// The effect on the motion of `method`, from the settings, the outcome and the arrays of a tolerance artifact.
+    /// Creates the effect on the motion of `method`, from the settings, the outcome and the arrays of a tolerance artifact.
     pub fn new(
         method: &str,
         settings: ToleranceSettings,
@@ -119,7 +119,7 @@ impl ErrorBudget {
             expected_rms_nm,
             residual: outcome.residual,
             simulated: outcome.simulated,
-            errors: outcome.errors.into_iter().map(Line::from).collect(),
+            errors: outcome.errors.into_iter().map(ErrorEffect::from).collect(),
             first: outcome.first.map(|first| First {
                 kind: first.kind,
                 without_it_95_percent_nm: first.without_it_95_percent_nm,
@@ -128,9 +128,9 @@ impl ErrorBudget {
         }
     }
 
-    /// JSON for the page: the numbers of the summary, the distribution, and the map on the screen. The map has at
+    /// Returns JSON for the page: the numbers of the summary, the distribution, and the map on the screen. The map has at
     /// most `most_pixels`, and is left out if no pixel is valid.
-    pub fn for_page(&self, most_pixels: usize) -> Value {
+    pub(crate) fn for_page(&self, most_pixels: usize) -> Value {
         let ToleranceArrays { part, rms_nm, deviation_nm, grid } = &self.arrays;
         let has_pixels = deviation_nm.iter().any(|v| !v.is_nan());
         json!(ErrorBudgetOfPage {
@@ -145,7 +145,7 @@ impl ErrorBudget {
     }
 }
 
-/// Expected residual of a plan in words, and the error that costs most.
+/// Describes the expected residual of a plan, and the error that costs most.
 fn sentence(outcome: &ToleranceOutcome, method: &str) -> String {
     let [low, high] = outcome.residual.interval_95_percent_nm.map(|v| significant(v, 3));
     let mut sentence = format!(
@@ -154,9 +154,9 @@ fn sentence(outcome: &ToleranceOutcome, method: &str) -> String {
         significant(outcome.nominal_rms_nm, 3)
     );
     // The larger of equals is the first.
-    let larger = |a: &&ErrorLine, b: &&ErrorLine| a.adds_rms_nm.total_cmp(&b.adds_rms_nm);
-    let costliest = outcome.errors.iter().rev().max_by(larger).filter(|l| l.adds_rms_nm > 0.0);
-    if let Some(line) = costliest {
+    let last_first = outcome.errors.iter().rev();
+    let costliest = last_first.max_by(|a, b| a.adds_rms_nm.total_cmp(&b.adds_rms_nm));
+    if let Some(line) = costliest.filter(|line| line.adds_rms_nm > 0.0) {
         let adds = significant(line.adds_rms_nm, 3);
         sentence += &format!("; {} costs most: {adds} nm alone", words(&line.kind));
     }

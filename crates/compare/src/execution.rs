@@ -37,8 +37,11 @@ pub struct Execution {
 }
 
 impl Execution {
-    /// Execution of `dwell` by `trajectory`, which serves its points; refuses a dwell index beyond them.
-    pub fn of(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
+    /// Measures the execution of `dwell` by `trajectory`, which serves its points.
+    ///
+    /// # Errors
+    /// Refuses a dwell index beyond the points.
+    pub fn new(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
         let mut execution = Self::default();
         // A motion read back from a controller's program serves no points.
         let serves = trajectory.dwell_index().iter().any(Option::is_some);
@@ -52,8 +55,9 @@ impl Execution {
         let index = trajectory.dwell_index();
         let mut first = 0;
         while first < trajectory.len() {
-            let own = |k: &usize| index[*k] != index[first] || index[first].is_none();
-            let end = (first + 1..trajectory.len()).find(own).unwrap_or(trajectory.len());
+            let mut following = first + 1..trajectory.len();
+            let next = following.find(|k| index[*k] != index[first] || index[first].is_none());
+            let end = next.unwrap_or(trajectory.len());
             execution.add_overshoot(trajectory, first, end);
             first = end;
         }
@@ -82,13 +86,13 @@ impl Execution {
     }
 }
 
-/// Dwell errors of the points that are served with the tool on, or not at all.
+/// Returns the dwell errors of the points that are served with the tool on, or not at all, s.
 fn dwell_errors(trajectory: &Trajectory, dwell: &DwellTime) -> Result<Vec<f64>, Invalid> {
     let n = dwell.dwell_s().len();
     let on_s = trajectory.served_s(n, |segment| segment.tool_on)?;
     let off_s = trajectory.served_s(n, |segment| !segment.tool_on)?;
-    let only_lifted = |i: usize| off_s[i] > 0.0 && on_s[i] == 0.0;
-    Ok((0..n).filter(|i| !only_lifted(*i)).map(|i| on_s[i] - dwell.dwell_s()[i]).collect())
+    let served = (0..n).filter(|i| off_s[*i] <= 0.0 || on_s[*i] != 0.0);
+    Ok(served.map(|i| on_s[i] - dwell.dwell_s()[i]).collect())
 }
 
 #[cfg(test)]
@@ -113,16 +117,16 @@ mod tests {
         )
         .unwrap();
         let dwell = DwellTime::new(vec![1.5, 9.0, 0.25]).unwrap();
-        let e = Execution::of(&t, Some(&dwell)).unwrap();
+        let e = Execution::new(&t, Some(&dwell)).unwrap();
         assert_eq!(e.dwell_error_worst_s, Some(0.5));
         // Two points count: 0.5 s and -0.25 s.
         let rms = ((0.25 + 0.0625) / 2.0_f64).sqrt();
         assert!((e.dwell_error_rms_s.unwrap() - rms).abs() < 1e-15);
         assert_eq!((e.overshoot_points, e.max_overshoot_mm), ([1, 0], [0.25, 0.0]));
         assert_eq!(e.max_jerk_mm_per_s3, [12.0, 0.0]);
-        assert_eq!(Execution::of(&t, None).unwrap().dwell_error_rms_s, None);
+        assert_eq!(Execution::new(&t, None).unwrap().dwell_error_rms_s, None);
         let other = DwellTime::new(vec![1.0]).unwrap();
-        let message = Execution::of(&t, Some(&other)).unwrap_err().to_string();
+        let message = Execution::new(&t, Some(&other)).unwrap_err().to_string();
         assert!(message.contains("dwell_index[2]: is 1, the dwell times are 1"), "{message}");
     }
 }

@@ -11,16 +11,16 @@ use ndarray::Ix3;
 use planish_compare::{
     chain::{self, Chain, MethodRecords, Record, Recorded, RunRecords, Standing},
     diff::Elements,
-    dwell::{Row, Solver},
+    dwell::{Solver, SolverRow},
     error_budget::ErrorBudget,
     made::{Made, Shown},
     on_axes::{OnAxes, check_names},
     places::Division,
-    plan::Plan,
+    plan::PlanStatus,
     reach::Reach,
-    report::{Frames, Rounds, Run, RunMethod, on_axes, tool},
+    report::{Frames, Rounds, RunData, RunMethod, on_axes, tool},
     specification::Around,
-    summary::{LeftOut, Method, Summary, Told, WallTimes},
+    summary::{LeftOut, MethodFacts, MethodResult, Summary, WallTimes},
 };
 use planish_form::Form;
 use planish_handoff::{
@@ -43,7 +43,7 @@ use planish_types::{
 };
 use rayon::prelude::*;
 
-/// The last component of the path of a run.
+/// Returns the last component of the path of a run.
 pub fn name_of(run: &Path) -> String {
     // A path such as `.` has no last component of its own.
     let whole = if run.file_name().is_none() { run.canonicalize().ok() } else { None };
@@ -57,13 +57,14 @@ fn read_methods(
     number: usize,
     run: &Path,
     after_servo: bool,
-) -> Result<(Vec<Found>, Vec<LeftOut>), Failure> {
+) -> Result<(Vec<MethodFiles>, Vec<LeftOut>), Failure> {
     let methods_dir = run.join("methods");
     let schedulers = entries(&methods_dir)?.into_iter().filter(|name| {
         // A stage that runs writes into a sibling whose name begins with a dot.
         !name.starts_with('.') && methods_dir.join(name).is_dir()
     });
-    let (mut read, mut refused) = (Vec::new(), Vec::new());
+    let mut read = Vec::new();
+    let mut refused = Vec::new();
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
         if !dir.join("trajectory").exists() && dir.join(MESSAGE).is_file() {
@@ -72,26 +73,23 @@ fn read_methods(
             continue;
         }
         let role = format!("{number}/{scheduler}");
-        let (found, stale) = match lacking(&dir, after_servo) {
-            Some(problem) => (None, vec![problem]),
+        let reasons = match lacking(&dir, after_servo) {
+            Some(problem) => vec![problem],
             None => {
-                let (found, stale) = read_method(inputs, &role, &scheduler, dir, after_servo)?;
-                (Some(found), stale)
+                let (files, stale) = read_method(inputs, &role, &scheduler, dir, after_servo)?;
+                if stale.is_empty() {
+                    read.push(files);
+                    continue;
+                }
+                stale
             }
         };
-        match found.filter(|_| stale.is_empty()) {
-            Some(found) => read.push(found),
-            None => refused.push(LeftOut {
-                name: scheduler,
-                standing: Standing::OutOfDate,
-                reasons: stale,
-            }),
-        }
+        refused.push(LeftOut { name: scheduler, standing: Standing::OutOfDate, reasons });
     }
     if read.is_empty() {
         let left: Vec<String> =
             refused.iter().map(|m| format!("{}: {}", m.name, m.reasons.join("; "))).collect();
-        let left = if left.is_empty() { left.concat() } else { format!(" ({})", left.join("; ")) };
+        let left = if left.is_empty() { String::new() } else { format!(" ({})", left.join("; ")) };
         let message = "holds no method; schedule, simulate and verify at least one";
         return Err(Failure::new(format!("{}: {message}{left}", methods_dir.display())));
     }
@@ -116,52 +114,58 @@ fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
         .filter(|place| !dir.join(place).exists())
         .map(|place| place.display().to_string())
         .collect();
-    (!lacking.is_empty()).then(|| {
-        format!("it has no {}; run the stages again that make it", lacking.join(" and no "))
-    })
+    if lacking.is_empty() {
+        return None;
+    }
+    Some(format!("it has no {}; run the stages again that make it", lacking.join(" and no ")))
 }
 
 /// File that a stage leaves in the place of what it refused to make.
 const MESSAGE: &str = "message.txt";
 
-/// The reason for which a stage refused to make something, from the file that it has left in a directory.
+/// Reads the reason for which a stage refused to make something, from the file that it has left in a directory.
 fn message_in(dir: &Path) -> Result<String, Failure> {
     let file = dir.join(MESSAGE);
     let text = read_text(&file)
         .map_err(|e| Failure::new(format!("{}: cannot read: {e}", file.display())))?;
     // What a command line does not take has a hint below its error.
-    let said = || text.lines().rev().filter(|l| !l.trim().is_empty());
-    let reason = said().find_map(|l| l.strip_prefix("error: ")).or(said().next());
+    let mut lines = text.lines().rev().filter(|l| !l.trim().is_empty());
+    let reason = lines.clone().find_map(|l| l.strip_prefix("error: ")).or(lines.next());
     Ok(reason.unwrap_or("no message").to_string())
 }
 
 /// A method whose artifacts belong together, with its verdict by the specification and the remarks on it.
-type Valid = (Found, Option<SpecificationReport>, Vec<String>);
+type Valid = (MethodFiles, Option<SpecificationReport>, Vec<String>);
 
-/// The methods whose artifacts belong together, and those that are left out.
+/// Divides the methods into those whose artifacts belong together, and those that are left out.
 fn divided(
-    read: Vec<Found>,
+    read: Vec<MethodFiles>,
     chains: Vec<Chain>,
     judged: Vec<Option<SpecificationReport>>,
 ) -> (Vec<Valid>, Vec<LeftOut>) {
-    let (mut valid, mut left_out) = (Vec::new(), Vec::new());
-    for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
+    let mut valid = Vec::new();
+    let mut left_out = Vec::new();
+    for ((files, chain), judged) in read.into_iter().zip(chains).zip(judged) {
         let Chain { standing, reasons, remarks } = chain;
         match standing {
-            Standing::Valid => valid.push((found, judged, remarks)),
-            _ => left_out.push(LeftOut { name: found.name, standing, reasons }),
+            Standing::Valid => valid.push((files, judged, remarks)),
+            _ => left_out.push(LeftOut { name: files.name, standing, reasons }),
         }
     }
     (valid, left_out)
 }
 
 /// Reads the run number `number` (its surface, and the results of each method), and sums it up.
-pub fn read_run(
+///
+/// # Errors
+/// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their records
+/// contradict each other.
+pub(crate) fn read_run(
     inputs: &mut Inputs,
     number: usize,
     run: &Path,
     names: &Names,
-) -> Result<Run, Failure> {
+) -> Result<RunData, Failure> {
     let mut provenance = Provenance::default();
     let role = number.to_string();
     let desired: Known<Surface> = read_artifact(inputs, &role, run, "surface", &mut provenance)?;
@@ -198,10 +202,12 @@ pub fn read_run(
     let method_names: Vec<String> = read.iter().map(|m| m.name.clone()).collect();
     let chains = chain::check(&records, &method_records);
     let run_plan = plan.as_ref().map(|p| &p.value);
-    let planned: BTreeMap<String, DwellTime> = read
-        .iter()
-        .filter_map(|found| Some((found.name.clone(), found.dwell(&read, run_plan)?.clone())))
-        .collect();
+    let mut planned = BTreeMap::new();
+    for files in &read {
+        if let Some(dwell) = files.dwell(&read, run_plan) {
+            planned.insert(files.name.clone(), dwell.clone());
+        }
+    }
     let shared = Shared {
         desired: &desired.value,
         planned: &planned,
@@ -223,15 +229,17 @@ pub fn read_run(
     let pipeline = names.pipeline.unwrap_or(&name);
     let mut remarks = chain::check_run(&records);
     remarks.extend(judge_remarks.into_iter().chain(process_remark));
-    let (mirror, surface) = (names.fixture, &desired.value);
-    let mut summary = Summary::new(
-        pipeline, mirror, surface, &division, numbers, left_out, remarks,
-    )
-    .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
+    let surface = &desired.value;
+    let mut summary =
+        Summary::new(pipeline, names.fixture, surface, &division, numbers, left_out, remarks).with(
+            surface,
+            reach.as_ref().map(|(reach, _)| reach),
+            around,
+        );
     summary.error_budget = process;
     let path = path.map(|p| p.value);
     let tool = tif.as_ref().and_then(|tif| tool::picture(tif, &desired.value));
-    Ok(Run { name, summary, desired: desired.value, measured, path, tool, methods, provenance })
+    Ok(RunData { name, summary, desired: desired.value, measured, path, tool, methods, provenance })
 }
 
 /// Names and files of the runs on the command line.
@@ -262,26 +270,27 @@ struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// The verdicts on the residuals of the methods.
+    /// Reads the verdicts on the residuals of the methods.
     fn read_all(
         &mut self,
-        methods: &[Found],
+        methods: &[MethodFiles],
         run: &Path,
     ) -> Result<Vec<Option<SpecificationReport>>, Failure> {
-        let of = |found: &Found| {
-            let removal = ("removal", found.records.removal.digest.as_str());
-            self.read(&found.name, run, Some(removal))
-        };
-        methods.iter().map(of).collect()
+        let mut verdicts = Vec::with_capacity(methods.len());
+        for files in methods {
+            let removal = ("removal", files.records.removal.digest.as_str());
+            verdicts.push(self.read(&files.name, run, Some(removal))?);
+        }
+        Ok(verdicts)
     }
 
-    /// The verdict in `run`/specified/`name`/specification on the artifact of this role and digest; `None`, perhaps
-    /// with a remark, where there is none, or one on something else.
+    /// Reads the verdict in `run`/specified/`name`/specification on the `judged` artifact, by its role and digest. Returns
+    /// `None`, perhaps with a remark, where there is none, or one on something else.
     fn read(
         &mut self,
         name: &str,
         run: &Path,
-        of: Option<(&str, &str)>,
+        judged: Option<(&str, &str)>,
     ) -> Result<Option<SpecificationReport>, Failure> {
         let dir = run.join("specified").join(name).join("specification");
         if !dir.exists() {
@@ -290,13 +299,13 @@ impl Judge<'_> {
         let role = format!("{}/{name}/specification", self.role);
         let manifest = self.inputs.read_manifest(&role, &dir, &kind::SPECIFICATION)?;
         let outcome: SpecificationOutcome = manifest.read_outcome(&dir, "judge it again")?;
-        let Some(mut judged) = outcome.specification else {
+        let Some(mut report) = outcome.specification else {
             return Ok(None);
         };
         // The report tells values and limits; the part of the noise stands in the artifact.
-        judged.limits.iter_mut().for_each(|limit| limit.noise = None);
+        report.limits.iter_mut().for_each(|limit| limit.noise = None);
         let record = record_of(&manifest);
-        if of.is_some_and(|(role, digest)| record.input(role) != Some(digest)) {
+        if judged.is_some_and(|(role, digest)| record.input(role) != Some(digest)) {
             let remark =
                 format!("{name}: its specification was judged on another map; judge it again");
             self.remarks.push(remark);
@@ -308,7 +317,7 @@ impl Judge<'_> {
             self.remarks.push(remark);
             return Ok(None);
         }
-        Ok(Some(judged))
+        Ok(Some(report))
     }
 }
 
@@ -327,10 +336,10 @@ fn read_process(
     }
     let (arrays, manifest): (ToleranceArrays, _) =
         inputs.read_with_manifest(&format!("{role}/tolerance"), &dir)?;
-    let of = manifest.as_ref().map(record_of).and_then(|record| {
+    let method = manifest.as_ref().map(record_of).and_then(|record| {
         records.iter().position(|r| record.input("trajectory") == Some(&r.trajectory.digest))
     });
-    let (Some(manifest), Some(method)) = (manifest, of) else {
+    let (Some(manifest), Some(method)) = (manifest, method) else {
         let remark = "tolerance: it is of a motion that no method of the run has now; run planish-tolerance again";
         return Ok((None, Some(remark.into())));
     };
@@ -342,6 +351,7 @@ fn read_process(
 /// Manifests of the artifacts of a run or of a method.
 type Provenance = Vec<Made>;
 
+/// Returns the manifest of the artifact of this role.
 fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Made> {
     provenance.iter().find(|made| made.shown.role == role)
 }
@@ -377,7 +387,7 @@ fn add_manifest(
     Ok(())
 }
 
-/// Name of the machine that a method was judged by: as the verdict states it, or that of its file.
+/// Returns the name of the machine that a method was judged by: as the verdict states it, or that of its file.
 fn machine_of(verdict: &Verdict, manifest: &Manifest) -> Option<String> {
     if verdict.machine.is_some() {
         return verdict.machine.clone();
@@ -401,7 +411,8 @@ fn read_artifact<T: Artifact>(
     name: &str,
     provenance: &mut Provenance,
 ) -> Result<Known<T>, Failure> {
-    let (role, path) = (format!("{role}/{name}"), dir.join(name));
+    let role = format!("{role}/{name}");
+    let path = dir.join(name);
     let (value, manifest) = inputs.read_with_manifest(&role, &path)?;
     let digest = inputs.digest(&role).unwrap_or_default().to_string();
     let record = manifest.as_ref().map(record_of);
@@ -411,6 +422,7 @@ fn read_artifact<T: Artifact>(
     Ok(Known { value, recorded: Recorded { digest, record }, manifest })
 }
 
+/// Returns the program, the key and the inputs that a manifest records.
 fn record_of(manifest: &Manifest) -> Record {
     let inputs = manifest.inputs.iter().map(|i| (i.role.clone(), i.blake3.clone())).collect();
     Record { tool: manifest.tool.clone(), key: manifest.key.clone(), inputs }
@@ -424,12 +436,14 @@ fn read_optional_artifact<T: Artifact>(
     name: &str,
     provenance: &mut Provenance,
 ) -> Result<Option<Known<T>>, Failure> {
-    let exists = dir.join(name).exists();
-    exists.then(|| read_artifact(inputs, role, dir, name, provenance)).transpose()
+    if !dir.join(name).exists() {
+        return Ok(None);
+    }
+    read_artifact(inputs, role, dir, name, provenance).map(Some)
 }
 
 /// Artifacts of one method.
-struct Found {
+struct MethodFiles {
     name: String,
     dir: PathBuf,
     trajectory: Trajectory,
@@ -441,13 +455,13 @@ struct Found {
     frames: Option<Frames>,
     rounds: Option<Rounds>,
     after_servo_rms_nm: Option<f64>,
-    on_axes: Option<FoundOnAxes>,
+    on_axes: Option<AxesFiles>,
     wall: WallTimes,
     records: MethodRecords,
     provenance: Provenance,
 }
 
-impl Found {
+impl MethodFiles {
     /// Returns the planned dwell times: those of the method, or else those of the run; of a program that was read back, those of
     /// its plan among `methods`, if it is there. A feed along lines has no dwell times.
     fn dwell<'a>(
@@ -459,7 +473,7 @@ impl Found {
         match manifest.map(|made| made.shown.tool.as_str()) {
             Some("planish-import") => {
                 let (plan, _) = self.name.rsplit_once('+')?;
-                let plan = methods.iter().find(|found| found.name == plan)?;
+                let plan = methods.iter().find(|files| files.name == plan)?;
                 plan.dwell(&[], of_run)
             }
             Some("planish-bspline-feed") => None,
@@ -475,7 +489,7 @@ fn read_method(
     name: &str,
     dir: PathBuf,
     after_servo: bool,
-) -> Result<(Found, Vec<String>), Failure> {
+) -> Result<(MethodFiles, Vec<String>), Failure> {
     let mut stale = Vec::new();
     let mut provenance = Provenance::default();
     let trajectory: Known<Trajectory> =
@@ -492,10 +506,10 @@ fn read_method(
         read_optional_artifact(inputs, role, &dir, "frames", &mut provenance)?;
     let rounds: Option<Known<RoundsFile>> =
         read_optional_artifact(inputs, role, &dir, "iterations", &mut provenance)?;
-    let after_servo_rms_nm = match after_servo {
-        true => read_after_servo(inputs, role, &dir, &removal.recorded, &mut stale)?,
-        false => None,
-    };
+    let mut after_servo_rms_nm = None;
+    if after_servo {
+        after_servo_rms_nm = read_after_servo(inputs, role, &dir, &removal.recorded, &mut stale)?;
+    }
     let on_axes = read_on_axes(inputs, role, &dir, &trajectory.recorded, &mut stale)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
@@ -517,7 +531,7 @@ fn read_method(
         frames: frames.as_ref().map(|f| f.recorded.clone()),
         iterations: rounds.as_ref().map(|r| r.recorded.clone()),
     };
-    let found = Found {
+    let files = MethodFiles {
         name: name.into(),
         dir,
         trajectory: trajectory.value,
@@ -533,11 +547,11 @@ fn read_method(
         records,
         provenance,
     };
-    Ok((found, stale))
+    Ok((files, stale))
 }
 
-/// RMS that the motion in `dir` leaves after the servo of the process, nm; `None` where the process has no servo. A
-/// prediction of another motion, mirror or tool than that of the `removal` without a servo is `stale`.
+/// Reads the RMS that the motion in `dir` leaves after the servo of the process, nm; `None` where the process has no servo.
+/// A prediction of another motion, mirror or tool than that of the `removal` without a servo is `stale`.
 fn read_after_servo(
     inputs: &mut Inputs,
     role: &str,
@@ -555,8 +569,8 @@ fn read_after_servo(
     };
     let record = record_of(&manifest);
     for role in ["trajectory", "surface", "tif"] {
-        let of = removal.record.as_ref().and_then(|of| of.input(role));
-        if of.is_some() && of != record.input(role) {
+        let expected = removal.record.as_ref().and_then(|record| record.input(role));
+        if expected.is_some() && expected != record.input(role) {
             stale.push(format!(
                 "{AFTER_SERVO} is of another {role} than removal; run planish-simulate --servo-of again"
             ));
@@ -573,14 +587,14 @@ fn read_after_servo(
 }
 
 /// A motion of all axes that runs the plan of a method.
-struct FoundOnAxes {
+struct AxesFiles {
     outcome: MotionReport,
     motion: AxesMotion,
     verdict: AxesVerdict,
     removal: Removal,
 }
 
-/// The motion of all axes in `dir`, with its verdict and what it leaves; `None` where there is none. One of another
+/// Reads the motion of all axes in `dir`, with its verdict and what it leaves; `None` where there is none. One of another
 /// plan than the `trajectory` is `stale`, and so is a verdict or a prediction of another motion.
 fn read_on_axes(
     inputs: &mut Inputs,
@@ -588,7 +602,7 @@ fn read_on_axes(
     dir: &Path,
     trajectory: &Recorded,
     stale: &mut Vec<String>,
-) -> Result<Option<FoundOnAxes>, Failure> {
+) -> Result<Option<AxesFiles>, Failure> {
     let place = dir.join(ON_AXES);
     if !place.exists() {
         return Ok(None);
@@ -627,7 +641,7 @@ fn read_on_axes(
     let outcome: MotionReport =
         made.read_outcome(&place.join("axes"), "run planish-axes motion again")?;
     check_names(&outcome, motion.value.axes()).map_err(|e| again(e.to_string()))?;
-    Ok(Some(FoundOnAxes { outcome, motion: motion.value, verdict, removal: removal.value }))
+    Ok(Some(AxesFiles { outcome, motion: motion.value, verdict, removal: removal.value }))
 }
 
 /// Directory of a method with the motion of all axes of the machine.
@@ -650,14 +664,14 @@ struct Shared<'a> {
 }
 
 /// Name and numbers of a method.
-type Numbered = (String, Method);
+type Numbered = (String, MethodResult);
 
 impl Shared<'_> {
     /// Returns the numbers of the methods whose artifacts belong together, and the methods, in their order.
     fn methods(&self, valid: Vec<Valid>) -> Result<(Vec<Numbered>, Vec<RunMethod>), Failure> {
-        let numbered = valid.into_par_iter().map(|(found, judged, remarks)| {
-            let name = found.name.clone();
-            let (number, method) = self.method(found, judged, remarks)?;
+        let numbered = valid.into_par_iter().map(|(files, judged, remarks)| {
+            let name = files.name.clone();
+            let (number, method) = self.method(files, judged, remarks)?;
             Ok(((name, number), method))
         });
         // The first failure in the order of the methods, whichever thread met its own first.
@@ -665,69 +679,64 @@ impl Shared<'_> {
         numbered.into_iter().collect()
     }
 
-    /// The numbers of a method whose artifacts belong together, and the method.
+    /// Returns the numbers of a method whose artifacts belong together, and the method.
     fn method(
         &self,
-        found: Found,
+        files: MethodFiles,
         specification: Option<SpecificationReport>,
         remarks: Vec<String>,
-    ) -> Result<(Method, RunMethod), Failure> {
-        let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", found.dir.display()));
-        let trajectory = manifest_of(&found.provenance, "trajectory");
+    ) -> Result<(MethodResult, RunMethod), Failure> {
+        let trajectory = manifest_of(&files.provenance, "trajectory");
         // A refined plan has dwell times of its own.
-        let plan = match &found.own_plan {
-            Some(_) => {
-                Plan::of(&found.name, trajectory, manifest_of(&found.provenance, "dwell"), &[])
-            }
-            None => {
-                Plan::of(&found.name, trajectory, self.plan_manifest, &self.plan_is_for_another)
-            }
+        let (dwell_manifest, for_another) = match &files.own_plan {
+            Some(_) => (manifest_of(&files.provenance, "dwell"), &[][..]),
+            None => (self.plan_manifest, &self.plan_is_for_another[..]),
         };
-        let dwell = self.planned.get(&found.name).cloned();
+        let plan = PlanStatus::of_method(&files.name, trajectory, dwell_manifest, for_another);
+        let dwell = self.planned.get(&files.name).cloned();
         // A prediction with another tool is not told by this one.
-        let tool = found.records.removal.record.as_ref();
+        let tool = files.records.removal.record.as_ref();
         let tool = tool.and_then(|record| record.input("tif"));
-        let same = |digest: &String| tool.is_none_or(|of| of == digest);
-        let reach = self.reach.filter(|(_, digest)| same(digest));
+        let reach = self.reach.filter(|(_, digest)| tool.is_none_or(|tool| tool == digest));
         let short_wave_rms_nm =
-            reach.map(|(reach, _)| reach.short_wave_rms_nm(found.removal.residual()));
+            reach.map(|(reach, _)| reach.short_wave_rms_nm(files.removal.residual()));
         let part = self.form.map(|form| (form, self.desired));
-        let (on_axes, picture) = match &found.on_axes {
+        let (on_axes, picture) = match &files.on_axes {
             Some(o) => (
                 Some(OnAxes::new(&o.outcome, &o.motion, &o.verdict, &o.removal, self.form)),
                 Some(on_axes::picture(&o.outcome, &o.motion, &o.verdict, part)),
             ),
             None => (None, None),
         };
-        let numbers = Method::new(
+        let numbers = MethodResult::new(
             self.desired,
             self.division,
-            &found.removal,
-            &found.trajectory,
+            &files.removal,
+            &files.trajectory,
             dwell.as_ref(),
-            &found.verdict,
-            Told {
-                wall: found.wall,
-                machine: found.machine,
+            &files.verdict,
+            MethodFacts {
+                wall: files.wall,
+                machine: files.machine,
                 plan,
                 short_wave_rms_nm,
                 specification,
-                after_servo_rms_nm: found.after_servo_rms_nm,
+                after_servo_rms_nm: files.after_servo_rms_nm,
                 on_axes,
                 remarks,
             },
         )
-        .map_err(of_dir)?;
+        .map_err(|e| Failure::new(format!("{}: {e}", files.dir.display())))?;
         let method = RunMethod {
-            name: found.name,
-            trajectory: found.trajectory,
-            removal: found.removal,
-            verdict: found.verdict,
+            name: files.name,
+            trajectory: files.trajectory,
+            removal: files.removal,
+            verdict: files.verdict,
             dwell,
-            frames: found.frames,
-            rounds: found.rounds,
+            frames: files.frames,
+            rounds: files.rounds,
             on_axes: picture,
-            provenance: found.provenance,
+            provenance: files.provenance,
         };
         Ok((numbers, method))
     }
@@ -775,12 +784,15 @@ impl Artifact for RoundsFile {
 }
 
 /// Reads a run of dwell solvers along a tool path: its surface, and the result of each solver but those of `skip`.
-pub fn read_solvers(
+///
+/// # Errors
+/// Fails if an artifact cannot be read, or if the run holds no solver.
+pub(crate) fn read_solvers(
     inputs: &mut Inputs,
     run: &Path,
     tool_path: &Path,
     skip: &[String],
-) -> Result<(Surface, Vec<(String, Row)>), Failure> {
+) -> Result<(Surface, Vec<(String, SolverRow)>), Failure> {
     let surface: Surface = inputs.read("surface", &run.join("surface"))?;
     let path: ToolPath = inputs.read("tool-path", tool_path)?;
     let dir = run.join("solvers");
@@ -789,7 +801,7 @@ pub fn read_solvers(
     let mut rows = Vec::new();
     for name in names {
         let row = if skip.contains(&name) {
-            Row::Refused { refused: "left out by skip=".into() }
+            SolverRow::Refused { refused: "left out by skip=".into() }
         } else {
             read_solver(inputs, &name, &dir.join(&name), &path)?
         };
@@ -802,15 +814,15 @@ pub fn read_solvers(
     Ok((surface, rows))
 }
 
-/// A solver without dwell times has left its message.
+/// Reads the result of one solver; of one without dwell times the message that it has left.
 fn read_solver(
     inputs: &mut Inputs,
     name: &str,
     dir: &Path,
     path: &ToolPath,
-) -> Result<Row, Failure> {
+) -> Result<SolverRow, Failure> {
     if !dir.join("dwell").exists() {
-        return Ok(Row::Refused { refused: message_in(dir)? });
+        return Ok(SolverRow::Refused { refused: message_in(dir)? });
     }
     let (dwell, manifest): (DwellTime, _) =
         inputs.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;
@@ -818,7 +830,7 @@ fn read_solver(
     if let Some(manifest) = &manifest {
         add_manifest(&mut provenance, "dwell", &dir.join("dwell"), manifest)?;
     }
-    let plan = Plan::of_solver(provenance.first());
+    let plan = PlanStatus::of_solver(provenance.first());
     let position: Removal =
         inputs.read(&format!("{name}/position"), &dir.join("position/removal"))?;
     let executed: Removal =
@@ -832,20 +844,25 @@ fn read_solver(
     if wall.exists() {
         let WallTime { wall_s, peak_memory_mb } =
             inputs.read_json(&format!("{name}/dwell-wall"), &wall)?;
-        (solver.wall_s, solver.peak_memory_mb) = (Some(wall_s), peak_memory_mb);
+        solver.wall_s = Some(wall_s);
+        solver.peak_memory_mb = peak_memory_mb;
     }
-    Ok(Row::Solved(solver))
+    Ok(SolverRow::Solved(solver))
 }
 
-/// The arrays of two directories, by name; refuses unlike kinds and unlike sets of arrays.
-pub fn read_pair(a: &Path, b: &Path) -> Result<BTreeMap<String, [Elements; 2]>, Failure> {
+/// Reads the arrays of two directories, by name.
+///
+/// # Errors
+/// Refuses unlike kinds, unlike sets of arrays, and files that cannot be read.
+pub(crate) fn read_pair(a: &Path, b: &Path) -> Result<BTreeMap<String, [Elements; 2]>, Failure> {
     if let (Some(x), Some(y)) = (kind_of(a)?, kind_of(b)?)
         && x != y
     {
         let message = format!("{} holds a {x}, {} a {y}", a.display(), b.display());
         return Err(Failure::new(format!("{message}; give two artifacts of the same kind")));
     }
-    let (in_a, in_b) = (arrays_of(a)?, arrays_of(b)?);
+    let in_a = arrays_of(a)?;
+    let in_b = arrays_of(b)?;
     if in_a != in_b {
         return Err(Failure::new(format!(
             "{} holds the arrays {in_a:?}, {} {in_b:?}; give two directories with the same arrays",
@@ -853,14 +870,15 @@ pub fn read_pair(a: &Path, b: &Path) -> Result<BTreeMap<String, [Elements; 2]>, 
             b.display()
         )));
     }
-    let pair = |name: String| -> Result<_, Failure> {
+    let mut pairs = BTreeMap::new();
+    for name in in_a {
         let elements = [read_elements(&a.join(&name))?, read_elements(&b.join(&name))?];
-        Ok((name, elements))
-    };
-    in_a.into_iter().map(pair).collect()
+        pairs.insert(name, elements);
+    }
+    Ok(pairs)
 }
 
-/// The kind that the manifest names; `None` without a manifest.
+/// Reads the kind that the manifest names; `None` without a manifest.
 fn kind_of(dir: &Path) -> Result<Option<String>, Failure> {
     let path = dir.join(MANIFEST);
     if !path.exists() {
@@ -872,15 +890,15 @@ fn kind_of(dir: &Path) -> Result<Option<String>, Failure> {
     Ok(Some(head.kind))
 }
 
-/// The text of a regular file: a pipe would never end.
+/// Reads the text of a regular file. Refuses a pipe, which would never end.
 fn read_text(path: &Path) -> std::io::Result<String> {
-    match fs::metadata(path)?.is_file() {
-        true => fs::read_to_string(path),
-        false => Err(std::io::Error::other("is not a file")),
+    if !fs::metadata(path)?.is_file() {
+        return Err(std::io::Error::other("is not a file"));
     }
+    fs::read_to_string(path)
 }
 
-/// Names of the `.npy` files in `dir`, at least one.
+/// Returns the names of the `.npy` files in `dir`, at least one.
 fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
     let mut names = entries(dir)?;
     names.retain(|name| name.ends_with(".npy"));
@@ -891,7 +909,7 @@ fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Names in `dir`, sorted.
+/// Returns the names in `dir`, sorted.
 fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", dir.display()));
@@ -907,6 +925,7 @@ fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
+/// Reads an array of any element type.
 fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     Ok(match npy::read(path, dtype_of(path)?)?.array {
         ArrayData::F64(a) => Elements::Float(a.into_owned()),
@@ -915,7 +934,7 @@ fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     })
 }
 
-/// The element type that the header names; floats where it is none that artifacts have, for
+/// Reads the element type that the header names; floats where it is none that artifacts have, for
 /// [`npy::read`] to say so.
 fn dtype_of(path: &PathBuf) -> Result<Dtype, Failure> {
     let unreadable =

@@ -8,7 +8,10 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// Refuses the outcome of a motion of `axes` axes that names another number of them.
+/// Checks the outcome of a motion of `axes` axes.
+///
+/// # Errors
+/// Refuses an outcome that names another number of axes.
 pub fn check_names(outcome: &MotionReport, axes: usize) -> Result<(), Invalid> {
     if outcome.axes.len() == axes && outcome.units.len() == axes {
         return Ok(());
@@ -39,7 +42,8 @@ pub struct OnAxes {
 }
 
 impl OnAxes {
-    /// Numbers of a motion: its outcome and duration, its verdict, what it removes, and the form of the part.
+    /// Collects the numbers of a motion from its outcome and duration, its verdict, what it removes, and the form of the
+    /// part.
     pub fn new(
         outcome: &MotionReport,
         motion: &AxesMotion,
@@ -60,15 +64,13 @@ impl OnAxes {
         }
     }
 
-    /// One sentence of the plan `name` on the axes of the machine.
+    /// Describes the plan `name` on the axes of the machine in one sentence.
     pub fn sentence(&self, name: &str) -> String {
-        let longer = match self.added_tool_on_time_s > 0.0 {
-            true => format!(
-                ", with the tool on for {} s longer than planned",
-                significant(self.added_tool_on_time_s, 3)
-            ),
-            false => String::new(),
-        };
+        let mut longer = String::new();
+        if self.added_tool_on_time_s > 0.0 {
+            let added_s = significant(self.added_tool_on_time_s, 3);
+            longer = format!(", with the tool on for {added_s} s longer than planned");
+        }
         let normal = match self.rms_along_normal_nm {
             Some(rms_nm) => format!(" ({rms_nm:.4} nm along the normal)"),
             None => String::new(),
@@ -86,7 +88,7 @@ impl OnAxes {
     }
 }
 
-/// RMS of the residual along the normal, nm; pixels beside the form are left out:
+/// Returns the RMS of the residual along the normal, nm; pixels beside the form are left out:
 ///
 /// ```text
 /// RMS of (h - mean of h) cos(slope angle)

@@ -63,7 +63,7 @@ pub struct Division {
 
 /// A place and the residual there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Place {
+pub struct WorstPlace {
     /// Centre of the pixel along x, mm.
     pub x_mm: f64,
     /// Centre of the pixel along y, mm.
@@ -100,7 +100,7 @@ pub struct Times {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Places {
     /// The places farthest from the mean, the worst first.
-    pub worst: Vec<Place>,
+    pub worst: Vec<WorstPlace>,
     /// RMS of the residual in the zones.
     pub zone_rms: ZoneRms,
     /// RMS of the residual in the regions, rows from small y, columns from small x, nm; `null` where none is valid.
@@ -114,13 +114,12 @@ pub struct Places {
 }
 
 impl Division {
-    /// The division of the valid pixels of `surface`, with an edge zone as wide as the radius of `tif`.
+    /// Divides the valid pixels of `surface`, with an edge zone as wide as the radius of `tif`.
     pub fn new(surface: &Surface, tif: Option<&Tif>) -> Self {
         let grid = *surface.grid();
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
         let edge_width_mm = tif.map(tool_radius_mm);
         let edge = edge_width_mm.map(|width_mm| edge_zone(&valid, &grid, width_mm));
-        let count = |map: &Array2<bool>| map.iter().filter(|v| **v).count() as f64;
         let sides = [&grid.x, &grid.y].map(|axis| axis.len() as f64 * axis.step_mm());
         let report = DivisionReport {
             edge_width_mm,
@@ -131,12 +130,12 @@ impl Division {
         Self { grid, valid, edge, report }
     }
 
-    /// Numbers of the division.
+    /// Returns the numbers of the division.
     pub fn report(&self) -> DivisionReport {
         self.report.clone()
     }
 
-    /// Residual and time by place for `trajectory` with its `residual`, on the pixels of this mirror.
+    /// Returns residual and time by place for `trajectory` with its `residual`, on the pixels of this mirror.
     pub fn places(&self, residual: &Surface, trajectory: &Trajectory) -> Places {
         let (time, region_time_s) = self.times(trajectory);
         Places {
@@ -149,22 +148,29 @@ impl Division {
         }
     }
 
-    /// RMS of a map of this mirror in the edge zone and inside.
+    /// Returns the RMS of a map of this mirror in the edge zone and inside.
     pub fn zone_rms(&self, map: &Surface) -> ZoneRms {
         let Some(edge) = &self.edge else { return ZoneRms::default() };
         let [inside_nm, edge_nm] = self.rms_by(map, |index| usize::from(edge[index]));
         ZoneRms { edge_nm, inside_nm }
     }
 
-    fn region_rms_nm(&self, map: &Surface) -> [[Option<f64>; REGIONS]; REGIONS] {
-        let third = |i: usize, n: usize| (i * REGIONS / n).min(REGIONS - 1);
+    /// Returns row and column of the region of a pixel.
+    fn region(&self, (r, c): (usize, usize)) -> (usize, usize) {
         let (ny, nx) = self.grid.shape();
-        let flat: [Option<f64>; REGIONS * REGIONS] =
-            self.rms_by(map, |(r, c)| third(r, ny) * REGIONS + third(c, nx));
+        ((r * REGIONS / ny).min(REGIONS - 1), (c * REGIONS / nx).min(REGIONS - 1))
+    }
+
+    /// Returns the RMS of a map of this mirror in the regions, nm; `None` where a region has no valid pixel.
+    fn region_rms_nm(&self, map: &Surface) -> [[Option<f64>; REGIONS]; REGIONS] {
+        let flat: [Option<f64>; REGIONS * REGIONS] = self.rms_by(map, |pixel| {
+            let (row, column) = self.region(pixel);
+            row * REGIONS + column
+        });
         std::array::from_fn(|row| std::array::from_fn(|column| flat[row * REGIONS + column]))
     }
 
-    /// RMS about the mean of the whole map, of the valid pixels of each class; `None` where a class has none.
+    /// Returns the RMS about the mean of the whole map, of the valid pixels of each class; `None` where a class has none.
     fn rms_by<const N: usize>(
         &self,
         map: &Surface,
@@ -177,41 +183,42 @@ impl Division {
             *squares += (z - mean).powi(2);
             *count += 1.0;
         }
-        sums.map(|(squares, count)| (count > 0.0).then(|| (squares / count).sqrt()))
+        sums.map(|(squares, count)| if count > 0.0 { Some((squares / count).sqrt()) } else { None })
     }
 
-    fn worst(&self, residual: &Surface) -> Vec<Place> {
+    /// Returns the places farthest from the mean, the worst first.
+    fn worst(&self, residual: &Surface) -> Vec<WorstPlace> {
         let mean = residual.statistics().mean;
-        let mut found: Vec<Place> = Vec::new();
-        while found.len() < WORST_COUNT {
-            let free = |x_mm: f64, y_mm: f64| {
-                let far =
-                    |p: &Place| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) >= self.report.worst_apart_mm;
-                found.iter().all(far)
-            };
+        let apart_mm = self.report.worst_apart_mm;
+        let mut worst: Vec<WorstPlace> = Vec::new();
+        while worst.len() < WORST_COUNT {
             // The first of equals, in the order of the rows.
             let mut next: Option<((usize, usize), f64)> = None;
             for (index, z) in residual.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
                 let farther = next.is_none_or(|(_, most)| (z - mean).abs() > f64::abs(most));
-                if farther && free(self.grid.x.at(index.1), self.grid.y.at(index.0)) {
+                if !farther {
+                    continue;
+                }
+                let [x_mm, y_mm] = [self.grid.x.at(index.1), self.grid.y.at(index.0)];
+                if worst.iter().all(|p| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) >= apart_mm) {
                     next = Some((index, z - mean));
                 }
             }
             let Some(((r, c), from_mean_nm)) = next else { break };
-            found.push(Place {
+            worst.push(WorstPlace {
                 x_mm: self.grid.x.at(c),
                 y_mm: self.grid.y.at(r),
                 from_mean_nm,
                 at_edge: self.edge.as_ref().map(|edge| edge[[r, c]]),
             });
         }
-        found
+        worst
     }
 
+    /// Returns the time of a motion by zone, and with the tool on by region, s.
     fn times(&self, trajectory: &Trajectory) -> (Times, [[f64; REGIONS]; REGIONS]) {
         let mut times = Times { edge_s: self.edge.as_ref().map(|_| 0.0), ..Times::default() };
         let mut regions = [[0.0; REGIONS]; REGIONS];
-        let (ny, nx) = self.grid.shape();
         for segment in trajectory.segments() {
             if !segment.tool_on {
                 times.tool_off_s += segment.duration_s;
@@ -219,18 +226,19 @@ impl Division {
             }
             let mut from_s = 0.0;
             for to_s in self.pixel_changes_s(&segment) {
-                let (part_s, middle_s) = (to_s - from_s, 0.5 * (from_s + to_s));
+                let part_s = to_s - from_s;
+                let middle_s = 0.5 * (from_s + to_s);
                 from_s = to_s;
                 let [x_mm, y_mm] = segment.position_mm(middle_s);
                 let pixel = pixel_at(&self.grid.y, y_mm).zip(pixel_at(&self.grid.x, x_mm));
-                let Some((r, c)) = pixel.filter(|index| self.valid[*index]) else {
+                let Some(pixel) = pixel.filter(|index| self.valid[*index]) else {
                     times.beyond_s += part_s;
                     continue;
                 };
-                let third = |i: usize, n: usize| (i * REGIONS / n).min(REGIONS - 1);
-                regions[third(r, ny)][third(c, nx)] += part_s;
+                let (row, column) = self.region(pixel);
+                regions[row][column] += part_s;
                 match &mut times.edge_s {
-                    Some(edge_s) if self.edge.as_ref().is_some_and(|edge| edge[[r, c]]) => {
+                    Some(edge_s) if self.edge.as_ref().is_some_and(|edge| edge[pixel]) => {
                         *edge_s += part_s;
                     }
                     _ => times.inside_s += part_s,
@@ -240,7 +248,7 @@ impl Division {
         (times, regions)
     }
 
-    /// Times at which a segment enters another pixel, from its start on, in order, and its end, s.
+    /// Returns the times at which a segment enters another pixel, from its start on, in order, and its end, s.
     fn pixel_changes_s(&self, segment: &Segment<'_>) -> Vec<f64> {
         let end_s = segment.duration_s;
         let mut times_s = vec![end_s];
@@ -251,7 +259,7 @@ impl Division {
             let d = derivative(&p);
             let mut from_s = 0.0;
             for to_s in quadratic_roots(d[0], d[1], d[2], end_s).chain([end_s]) {
-                let (a, b) = (evaluate(&p, from_s), evaluate(&p, to_s));
+                let [a, b] = [from_s, to_s].map(|time_s| evaluate(&p, time_s));
                 let first = a.min(b).max(0.0).ceil() as usize;
                 let last = a.max(b).min(axis.len() as f64).floor();
                 let borders = (first..).map(|i| i as f64).take_while(|border| *border <= last);
@@ -264,17 +272,23 @@ impl Division {
     }
 }
 
-/// Radius of the disc whose area is that where the tool removes at least half of its peak rate, mm.
+/// Returns the number of pixels that are true.
+fn count(map: &Array2<bool>) -> f64 {
+    map.iter().filter(|v| **v).count() as f64
+}
+
+/// Returns the radius of the disc whose area is that where the tool removes at least half of its peak rate, mm.
 fn tool_radius_mm(tif: &Tif) -> f64 {
     let half = 0.5 * tif.peak_nm_per_s();
     let count = tif.rate_nm_per_s().iter().filter(|rate| **rate >= half).count();
     (count as f64 * tif.grid().pixel_mm2() / PI).sqrt()
 }
 
-/// The valid pixels whose centres are nearer than `width_mm` to that of an invalid pixel, or of one beyond the map.
+/// Returns the valid pixels whose centres are nearer than `width_mm` to that of an invalid pixel, or of one beyond the map.
 fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     let (ny, nx) = valid.dim();
-    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+    let dx = grid.x.step_mm();
+    let dy = grid.y.step_mm();
     // Along the row, columns to the next invalid pixel or to the first one beyond the map.
     let mut along = Array2::<usize>::zeros((ny, nx));
     for r in 0..ny {
@@ -292,13 +306,11 @@ fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     // d^2 = (columns dx)^2 + (rows dy)^2, the least over the rows that are near enough: of each, how many columns are
     // nearer than the width.
     let reach = (width_mm / dy).ceil() as isize;
-    let nearer: Vec<(isize, usize)> = (-reach..=reach)
-        .map(|offset| {
-            let near =
-                |columns: &usize| (*columns as f64 * dx).hypot(offset as f64 * dy) < width_mm;
-            (offset, (0..=nx).take_while(near).count())
-        })
-        .collect();
+    let mut nearer: Vec<(isize, usize)> = Vec::new();
+    for offset in -reach..=reach {
+        let distances = (0..=nx).map(|columns| (columns as f64 * dx).hypot(offset as f64 * dy));
+        nearer.push((offset, distances.take_while(|mm| *mm < width_mm).count()));
+    }
     let mut zone = Array2::from_elem((ny, nx), false);
     for (r, mut row) in zone.rows_mut().into_iter().enumerate() {
         for (offset, count) in &nearer {
@@ -316,7 +328,7 @@ fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     zone
 }
 
-/// The bounds of the regions along an axis, from the outer edge of its first pixel to that of its last one, mm.
+/// Returns the bounds of the regions along an axis, from the outer edge of its first pixel to that of its last one, mm.
 fn bounds_mm(axis: &Axis) -> [f64; REGIONS + 1] {
     // Whole pixels, as a pixel belongs to one region: the first whose i REGIONS / n is k.
     std::array::from_fn(|k| {
@@ -325,12 +337,13 @@ fn bounds_mm(axis: &Axis) -> [f64; REGIONS + 1] {
     })
 }
 
-/// The pixel whose part of the axis holds `mm`; `None` beyond.
+/// Returns the pixel whose part of the axis holds `mm`; `None` beyond.
 fn pixel_at(axis: &Axis, mm: f64) -> Option<usize> {
     let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
-    (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
+    if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
 }
 
+/// Returns the smallest and largest position of the motion along [x, y], mm.
 fn travel_mm(trajectory: &Trajectory) -> [[f64; 2]; 2] {
     let mut travel = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for segment in trajectory.segments() {
@@ -434,7 +447,8 @@ mod tests {
         let worst = division.worst(&map);
         let mean = 2.0 / 72.0;
         assert_eq!(worst.len(), WORST_COUNT);
-        let first = Place { x_mm: 2.5, y_mm: 1.5, from_mean_nm: 8.0 - mean, at_edge: Some(false) };
+        let first =
+            WorstPlace { x_mm: 2.5, y_mm: 1.5, from_mean_nm: 8.0 - mean, at_edge: Some(false) };
         assert_eq!(worst[0], first);
         assert_eq!((worst[1].x_mm, worst[1].y_mm), (10.5, 4.5));
         assert!((worst[1].from_mean_nm + 6.0 + mean).abs() < 1e-12);

@@ -66,7 +66,7 @@ pub enum State {
 
 /// State of a plan, in words too.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Plan {
+pub struct PlanStatus {
     /// The state.
     pub state: State,
     /// The state in a word or two.
@@ -75,15 +75,15 @@ pub struct Plan {
     pub text: String,
 }
 
-impl Plan {
+impl PlanStatus {
     fn new(state: State, word: &str, text: impl Into<String>) -> Self {
         Self { state, word: word.into(), text: text.into() }
     }
 
-    /// State of the plan of the method `name`, from the manifest of its trajectory and the manifest of the dwell
+    /// Returns the state of the plan of the method `name`, from the manifest of its trajectory and the manifest of the dwell
     /// times that the trajectory was scheduled from. `solved_for_another` has the roles of which those were solved
     /// for another artifact.
-    pub fn of(
+    pub fn of_method(
         name: &str,
         trajectory: Option<&Made>,
         dwell: Option<&Made>,
@@ -125,7 +125,7 @@ impl Plan {
         Self::of_dwell(dwell)
     }
 
-    /// State of the dwell times of a solver, from their manifest if they have one.
+    /// Returns the state of the dwell times of a solver, from their manifest if they have one.
     pub fn of_solver(manifest: Option<&Made>) -> Self {
         manifest.map_or_else(Self::without_manifest, Self::of_dwell)
     }
@@ -135,7 +135,7 @@ impl Plan {
         Self::new(State::Unknown, "not known", text)
     }
 
-    /// State of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
+    /// Returns the state of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
     fn of_dwell(manifest: &Made) -> Self {
         match Self::of_manifest(manifest) {
             Self { state: State::Certified, text, .. } => {
@@ -146,27 +146,27 @@ impl Plan {
         }
     }
 
-    /// State of the artifact of a stage, from the end that its manifest states.
+    /// Returns the state of the artifact of a stage, from the end that its manifest states.
     fn of_manifest(manifest: &Made) -> Self {
         let report = manifest.outcome.report.as_ref();
         // A stage that is not ours may end with a word of its own.
-        let (end, foreign) =
-            match report.and_then(|r| r.end.as_ref()).or(manifest.outcome.end.as_ref()) {
-                Some(StatedEnd::Known(end)) => (Some(*end), None),
-                Some(StatedEnd::Foreign(word)) => (None, Some(word)),
-                None => (None, None),
-            };
-        let word = |otherwise| match end {
+        let stated = report.and_then(|r| r.end.as_ref()).or(manifest.outcome.end.as_ref());
+        let (end, foreign) = match stated {
+            Some(StatedEnd::Known(end)) => (Some(*end), None),
+            Some(StatedEnd::Foreign(word)) => (None, Some(word)),
+            None => (None, None),
+        };
+        let unconverged = match end {
             Some(End::Stagnated) => "stagnated",
             Some(End::IterationLimit) => "iteration limit",
             Some(End::RoundLimit) => "round limit",
             Some(End::StepLimit) => "step limit",
-            _ => otherwise,
+            _ => "not converged",
         };
         let proven = proven(manifest);
         if manifest.shown.status == Some(StageStatus::Negative) {
             let reason = manifest.reason.as_deref().unwrap_or("it ended with a negative verdict");
-            return Self::new(State::Unconverged, word("not converged"), reason);
+            return Self::new(State::Unconverged, unconverged, reason);
         }
         if let Some(why) = end.and_then(without_proof) {
             let text = format!("{why}, which proves nothing of an optimum");
@@ -184,11 +184,11 @@ impl Plan {
                 let left =
                     proven.map_or("no certificate".into(), |proven| format!("only {proven}"));
                 let text = format!("stagnated: the objective changes no more; {left}");
-                Self::new(State::Unconverged, word("stagnated"), text)
+                Self::new(State::Unconverged, unconverged, text)
             }
             (Some(End::RoundLimit), _) => {
                 let text = "the last round that was allowed still improved it";
-                Self::new(State::Unconverged, word("not converged"), text)
+                Self::new(State::Unconverged, unconverged, text)
             }
             (
                 Some(
@@ -201,7 +201,7 @@ impl Plan {
                 _,
             ) => {
                 let text = "the limit of its iterations was reached before it converged";
-                Self::new(State::Unconverged, word("not converged"), text)
+                Self::new(State::Unconverged, unconverged, text)
             }
             (Some(End::NoImprovement), _) => {
                 let text = "corrected until no round improved it; no certificate of optimality";
@@ -234,7 +234,7 @@ impl Plan {
     }
 }
 
-/// An end that says nothing of an optimum, in words; `None` for one that does, or for a limit.
+/// Describes an end that says nothing of an optimum; `None` for one that does, or for a limit.
 fn without_proof(end: End) -> Option<&'static str> {
     match end {
         End::Settled => Some("its residual no longer changed"),
@@ -249,13 +249,13 @@ fn without_proof(end: End) -> Option<&'static str> {
     }
 }
 
-/// The method of a stage, by its manifest, if it is a baseline.
+/// Returns the method of a stage, by its manifest, if it is a baseline.
 fn baseline(manifest: &Made) -> Option<&str> {
     let made_by = (manifest.shown.tool.as_str(), manifest.shown.method.as_str());
-    BASELINES.contains(&made_by).then_some(made_by.1)
+    if BASELINES.contains(&made_by) { Some(made_by.1) } else { None }
 }
 
-/// Sentence on the proven gap of a stage, if it states one, with the plans that it compares with.
+/// Returns the sentence on the proven gap of a stage, if it states one, with the plans that it compares with.
 fn proven(manifest: &Made) -> Option<String> {
     let PlanReport { proven, .. } = manifest.outcome.report.as_ref()?;
     let gap = proven.relative_gap.or(proven.gap)?;
@@ -270,13 +270,11 @@ fn proven(manifest: &Made) -> Option<String> {
         }
         (None, _) => String::new(),
     };
-    Some(match gap > ROUNDING {
-        true => {
-            let gap = significant(gap, 2);
-            format!("proven within {gap} of the least objective, relative to it{covered}")
-        }
-        false => format!("proven optimal to rounding{covered}"),
-    })
+    if gap <= ROUNDING {
+        return Some(format!("proven optimal to rounding{covered}"));
+    }
+    let gap = significant(gap, 2);
+    Some(format!("proven within {gap} of the least objective, relative to it{covered}"))
 }
 
 #[cfg(test)]
@@ -317,8 +315,8 @@ mod tests {
         trajectory: Option<&Value>,
         dwell: Option<&Value>,
         other: &[&str],
-    ) -> Plan {
-        Plan::of(name, trajectory.map(read).as_ref(), dwell.map(read).as_ref(), other)
+    ) -> PlanStatus {
+        PlanStatus::of_method(name, trajectory.map(read).as_ref(), dwell.map(read).as_ref(), other)
     }
 
     fn dwell(outcome: Value) -> Value {

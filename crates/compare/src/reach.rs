@@ -21,7 +21,7 @@
 //! | T | `tif` | (my, mx) | nm/s |
 //! | S | density of the residual | (ny, nx) | nm^2 mm^2 |
 
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayView1, s};
 use planish_numerics::spectrum::{
     Density, LEAST_TRANSFER, MIN_SAMPLES, hann, largest_rectangle, transfer, without_plane,
 };
@@ -50,8 +50,8 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// The waves that the tool reaches on maps whose valid pixels are those of `surface`. `None` if their largest
-    /// rectangle is too small for a spectrum.
+    /// Finds the waves that the tool reaches on maps whose valid pixels are those of `surface`. Returns `None` if their
+    /// largest rectangle is too small for a spectrum.
     pub fn new(surface: &Surface, tif: &Tif) -> Option<Self> {
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
         let (origin, (ny, nx)) = largest_rectangle(&valid);
@@ -64,19 +64,14 @@ impl Reach {
         let flat = Array2::zeros((ny, nx));
         let Density { frequency_x, frequency_y, .. } =
             Density::new(flat.view(), step_mm, [&vec![1.0; nx], &vec![1.0; ny]]);
-        let at = [tif.grid().x.coordinates(), tif.grid().y.coordinates()];
-        let gain =
-            transfer(tif.rate_nm_per_s().view(), [&at[0], &at[1]], [&frequency_x, &frequency_y]);
+        let [x, y] = [&tif.grid().x, &tif.grid().y].map(|axis| axis.coordinates());
+        let gain = transfer(tif.rate_nm_per_s().view(), [&x, &y], [&frequency_x, &frequency_y]);
         let is_short = gain.mapv(|g| g < LEAST_TRANSFER);
-        let first = |frequencies: &[f64], below: &dyn Fn(usize) -> bool| {
-            let above_0 = frequencies.iter().enumerate().filter(|(_, f)| **f > 0.0);
-            above_0.into_iter().find(|(i, _)| below(*i)).map(|(_, f)| 1.0 / f)
-        };
-        let zero = |frequencies: &[f64]| frequencies.iter().position(|f| *f == 0.0);
-        let (zero_x, zero_y) = (zero(&frequency_x)?, zero(&frequency_y)?);
+        let zero_x = frequency_x.iter().position(|f| *f == 0.0)?;
+        let zero_y = frequency_y.iter().position(|f| *f == 0.0)?;
         let period_mm = [
-            first(&frequency_x, &|c| is_short[[zero_y, c]]),
-            first(&frequency_y, &|r| is_short[[r, zero_x]]),
+            first_period_mm(&frequency_x, is_short.row(zero_y)),
+            first_period_mm(&frequency_y, is_short.column(zero_x)),
         ];
         Some(Self {
             origin,
@@ -88,12 +83,12 @@ impl Reach {
         })
     }
 
-    /// Threshold and periods of these waves.
+    /// Returns the threshold and the periods of these waves.
     pub fn report(&self) -> ReachReport {
         self.report
     }
 
-    /// RMS of the waves of `surface` that are shorter than the tool corrects, nm.
+    /// Returns the RMS of the waves of `surface` that are shorter than the tool corrects, nm.
     pub fn short_wave_rms_nm(&self, surface: &Surface) -> f64 {
         let (ny, nx) = self.is_short.dim();
         let (r, c) = self.origin;
@@ -110,6 +105,12 @@ impl Reach {
         let fraction = if whole > 0.0 { (short / whole).min(1.0) } else { 0.0 };
         surface.detilted_rms_nm() * fraction.sqrt()
     }
+}
+
+/// Returns the period of the first positive frequency that is short, mm.
+fn first_period_mm(frequencies: &[f64], is_short: ArrayView1<bool>) -> Option<f64> {
+    let mut all = frequencies.iter().zip(is_short);
+    all.find(|(f, is_short)| **f > 0.0 && **is_short).map(|(f, _)| 1.0 / f)
 }
 
 #[cfg(test)]

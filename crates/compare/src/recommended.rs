@@ -31,18 +31,18 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Cost (1), nm^2 s^(1/2).
+    /// Returns the cost (1), nm^2 s^(1/2).
     fn cost(&self) -> f64 {
         self.rms_nm * self.rms_nm * self.total_time_s.powf(TIME_ELASTICITY)
     }
 }
 
-/// The plan that is to be executed, the first of equals; a plan is what stands beside its candidate.
+/// Returns the plan that is to be executed, the first of equals; a plan is what stands beside its candidate.
 pub fn recommended<T: Copy>(candidates: &[(T, Candidate)]) -> Option<T> {
     let some_keep = candidates.iter().any(|(_, c)| c.keeps_specification);
-    let eligible = || candidates.iter().filter(|(_, c)| c.keeps_specification || !some_keep);
-    let least_nm = eligible().map(|(_, c)| c.rms_nm).reduce(f64::min)?;
-    eligible()
+    let eligible = candidates.iter().filter(|(_, c)| c.keeps_specification || !some_keep);
+    let least_nm = eligible.clone().map(|(_, c)| c.rms_nm).reduce(f64::min)?;
+    eligible
         .filter(|(_, c)| c.rms_nm <= (1.0 + NEGLIGIBLE_RMS) * least_nm)
         .min_by(|(_, a), (_, b)| a.cost().total_cmp(&b.cost()))
         .map(|(plan, _)| *plan)

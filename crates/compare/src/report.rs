@@ -20,4 +20,4 @@ pub mod tool;
 mod view;
 
 pub use page::page;
-pub use view::{Frames, Rounds, Run, RunMethod, View, views};
+pub use view::{Frames, Rounds, RunData, RunMethod, View, views};

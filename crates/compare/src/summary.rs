@@ -33,7 +33,7 @@ use crate::{
     execution::Execution,
     on_axes::OnAxes,
     places::{Division, DivisionReport, Places, ZoneRms},
-    plan::{PROGRAM, Plan, State, WITHOUT_MOTION},
+    plan::{PROGRAM, PlanStatus, State, WITHOUT_MOTION},
     reach::{Reach, ReachReport},
     recommended::{Candidate, recommended},
     specification::Around,
@@ -96,7 +96,7 @@ pub struct Summary {
     pub without_motion: Option<WithoutMotion>,
     /// Methods by scheduler.
     #[serde(serialize_with = "as_map")]
-    pub methods: Vec<(String, Method)>,
+    pub methods: Vec<(String, MethodResult)>,
     /// Methods that take no part in the comparison.
     pub left_out: Vec<LeftOut>,
     /// Sentences on shared artifacts that are out of date, and on a machine that nobody named.
@@ -152,7 +152,7 @@ pub struct WithoutMotion {
 
 /// Result of one method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Method {
+pub struct MethodResult {
     /// RMS of the residual, mean removed, nm.
     pub rms_nm: f64,
     /// Largest minus smallest residual, nm.
@@ -192,7 +192,7 @@ pub struct Method {
     /// Residual and time by place.
     pub places: Places,
     /// State of the plan.
-    pub plan: Plan,
+    pub plan: PlanStatus,
     /// Verdict on the residual by a specification; `null` where none was asked.
     pub specification: Option<SpecificationReport>,
     /// Result of the plan when all axes of the machine run it; absent where the run has no such motion.
@@ -242,13 +242,13 @@ pub struct WallTimes {
 
 /// Information on a method beside its arrays and its verdict.
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct MethodFacts {
     /// Seconds that its stages took.
     pub wall: WallTimes,
     /// Name of the machine that its verdict is about.
     pub machine: Option<String>,
     /// State of its plan.
-    pub plan: Plan,
+    pub plan: PlanStatus,
     /// RMS of the waves of its residual that are shorter than the tool corrects, nm, where the tool is known.
     pub short_wave_rms_nm: Option<f64>,
     /// Verdict on its residual by a specification, where one was asked.
@@ -261,24 +261,24 @@ pub struct Told {
     pub remarks: Vec<String>,
 }
 
-impl Method {
-    /// RMS that the plans are compared by, nm: after the servo of the process, where it has one; otherwise on all axes of the
-    /// machine, where they run it.
-    pub fn compared_rms_nm(&self) -> f64 {
-        let on_axes = || self.on_axes.as_ref().map_or(self.rms_nm, |o| o.rms_nm);
-        self.after_servo_rms_nm.unwrap_or_else(on_axes)
+impl MethodResult {
+    /// Returns the RMS that the plans are compared by, nm: after the servo of the process, where it has one; otherwise on all
+    /// axes of the machine, where they run it.
+    pub(crate) fn compared_rms_nm(&self) -> f64 {
+        let on_axes = self.on_axes.as_ref().map_or(self.rms_nm, |o| o.rms_nm);
+        self.after_servo_rms_nm.unwrap_or(on_axes)
     }
 
     /// Returns true if the report may recommend it: a motion that keeps the limits, of all axes where they run it, and no
     /// baseline.
-    pub fn is_candidate(&self) -> bool {
+    pub(crate) fn is_candidate(&self) -> bool {
         let shown_only = matches!(self.plan.state, State::WithoutMotion | State::Baseline);
         self.limits_respected
             && !shown_only
             && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
     }
 
-    /// The numbers by which a plan is chosen.
+    /// Returns the numbers by which a plan is chosen.
     pub(crate) fn candidate(&self) -> Candidate {
         let judged = self.specification.as_ref();
         Candidate {
@@ -288,8 +288,10 @@ impl Method {
         }
     }
 
-    /// The numbers of one method; refuses a removal of another surface, a verdict on another
-    /// trajectory and dwell times of another path.
+    /// Returns the numbers of one method.
+    ///
+    /// # Errors
+    /// Refuses a removal of another surface, a verdict on another trajectory, and dwell times of another path.
     pub fn new(
         desired: &Surface,
         division: &Division,
@@ -297,9 +299,9 @@ impl Method {
         trajectory: &Trajectory,
         dwell: Option<&DwellTime>,
         verdict: &Verdict,
-        told: Told,
+        facts: MethodFacts,
     ) -> Result<Self, Invalid> {
-        let Told {
+        let MethodFacts {
             wall,
             machine,
             plan,
@@ -308,7 +310,7 @@ impl Method {
             after_servo_rms_nm,
             on_axes,
             mut remarks,
-        } = told;
+        } = facts;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -321,7 +323,7 @@ impl Method {
                 "verify this trajectory",
             ));
         }
-        let execution = Execution::of(trajectory, dwell)?;
+        let execution = Execution::new(trajectory, dwell)?;
         let departure_s = execution.dwell_error_worst_s.map_or(0.0, f64::abs);
         if plan.state == State::DwellOptimal && departure_s > SAME_DWELL_S {
             remarks.push(format!(
@@ -362,7 +364,7 @@ impl Method {
     }
 }
 
-/// Whole pixels of the base of the slopes along x and y, and their length, mm.
+/// Returns the whole pixels of the base of the slopes along x and y, and their length, mm.
 fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
     let grid = surface.grid();
     [&grid.x, &grid.y].map(|axis| {
@@ -371,38 +373,37 @@ fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
     })
 }
 
-/// RMS slope along x and y, without the mean, nrad.
+/// Returns the RMS slope along x and y, without the mean, nrad.
 fn slope_rms_nrad(surface: &Surface) -> [Option<f64>; 2] {
     let grid = surface.grid();
     let [x, y] = slope_base(surface);
-    let along = |base: Option<(usize, f64)>, coordinates: Vec<f64>, along| {
-        let values = slopes(surface.height_nm().view(), &coordinates, along, base?.0);
+    [(x, &grid.x, Along::X), (y, &grid.y, Along::Y)].map(|(base, axis, along)| {
+        let values = slopes(surface.height_nm().view(), &axis.coordinates(), along, base?.0);
         // nm/mm is urad.
         Some(1e3 * statistics(values.view())?.rms)
-    };
-    [along(x, grid.x.coordinates(), Along::X), along(y, grid.y.coordinates(), Along::Y)]
+    })
 }
 
 impl Summary {
-    /// The numbers of a run; the methods are brought into the order of the documentation.
+    /// Returns the numbers of a run. Brings the methods into the order of the documentation.
     pub fn new(
         pipeline: impl Into<String>,
         fixture: impl Into<String>,
         desired: &Surface,
         division: &Division,
-        mut methods: Vec<(String, Method)>,
+        mut methods: Vec<(String, MethodResult)>,
         left_out: Vec<LeftOut>,
         remarks: Vec<String>,
     ) -> Self {
         // A controller's program is as good as the plan that it was written from.
-        let plans: Vec<(String, Plan)> =
+        let plans: Vec<(String, PlanStatus)> =
             methods.iter().map(|(name, m)| (name.clone(), m.plan.clone())).collect();
         for (name, method) in methods.iter_mut().filter(|(_, m)| m.plan.word == PROGRAM) {
             let base_name = name.rsplit_once('+').map(|(base, _)| base);
             if let Some((base, plan)) = plans.iter().find(|(n, _)| Some(n.as_str()) == base_name) {
                 // The proof is about the plan; the word says whose motion this is.
                 let text = format!("of {base}, {}: {}", plan.word, plan.text);
-                method.plan = Plan { word: PROGRAM.into(), text, ..plan.clone() };
+                method.plan = PlanStatus { word: PROGRAM.into(), text, ..plan.clone() };
             }
         }
         methods.sort_by_cached_key(|(name, _)| {
@@ -444,7 +445,7 @@ impl Summary {
         }
     }
 
-    /// The summary with the tool of the run and the specification of the mirror added.
+    /// Returns the summary with the tool of the run and the specification of the mirror added.
     pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
         let short_wave_rms_nm = reach.map(|reach| reach.short_wave_rms_nm(desired));
         Self {
@@ -459,74 +460,76 @@ impl Summary {
     /// where that program breaks a limit of the machine.
     ///
     /// # Errors
-    /// A row that is not there, with the names of those that are.
-    pub fn recommend(&mut self, name: &str) -> Result<(), String> {
+    /// Refuses a row that is not there, with the names of those that are.
+    pub(crate) fn recommend(&mut self, name: &str) -> Result<(), String> {
         let Some((_, method)) = self.methods.iter().find(|(row, _)| row == name) else {
             let rows: Vec<&str> = self.methods.iter().map(|(row, _)| row.as_str()).collect();
             return Err(format!("there is no row {name}; the rows are {}", rows.join(", ")));
         };
-        self.best = method.is_candidate().then(|| name.into());
+        self.best = if method.is_candidate() { Some(name.into()) } else { None };
         Ok(())
     }
 
-    /// Reason for which a run whose plans are all refused has none to recommend.
-    pub fn why_no_plan(&self) -> &'static str {
-        let kept =
-            |(_, m): &(String, Method)| m.limits_respected && m.plan.state == State::Baseline;
-        match self.methods.iter().any(kept) {
-            true => {
-                "only baselines keep the limits of the machine, and a baseline is not recommended"
-            }
-            false => "no method keeps the limits of the machine",
+    /// Returns the reason for which a run whose plans are all refused has none to recommend.
+    pub(crate) fn why_no_plan(&self) -> &'static str {
+        let mut methods = self.methods.iter().map(|(_, m)| m);
+        if methods.any(|m| m.limits_respected && m.plan.state == State::Baseline) {
+            "only baselines keep the limits of the machine, and a baseline is not recommended"
+        } else {
+            "no method keeps the limits of the machine"
         }
     }
 
-    /// Reasons why the run has no plan to recommend without reserve; empty when it has one.
-    pub fn reserves(&self) -> Vec<String> {
-        let mut found = Vec::new();
+    /// Returns the reasons why the run has no plan to recommend without reserve; empty when it has one.
+    fn reserves(&self) -> Vec<String> {
+        let mut reasons = Vec::new();
         for m in self.left_out.iter().filter(|m| m.standing == Standing::NotValid) {
-            found.push(format!("{} is not valid: {}", m.name, m.reasons.join("; ")));
+            reasons.push(format!("{} is not valid: {}", m.name, m.reasons.join("; ")));
         }
         let best = self.methods.iter().find(|(name, _)| self.best.as_ref() == Some(name));
         match best {
-            None => found.push(self.why_no_plan().into()),
+            None => reasons.push(self.why_no_plan().into()),
             Some((name, m)) if m.plan.state == State::Unconverged => {
-                found.push(format!("{name} is the best, but not optimal: {}", m.plan.text));
+                reasons.push(format!("{name} is the best, but not optimal: {}", m.plan.text));
             }
             Some(_) => {}
         }
-        found
+        reasons
     }
 }
 
-/// Reasons why some of the runs have no plan to recommend without reserve, each with the name of its run; `None` when
-/// each has one.
+/// Returns the reasons why some of the runs have no plan to recommend without reserve, each with the name of its run; `None`
+/// when each has one.
 pub fn negative(runs: &[(&str, &Summary)]) -> Option<String> {
-    let several = runs.len() > 1;
-    let named = runs.iter().flat_map(|(name, summary)| {
-        let whose = if several { format!("{name}: ") } else { String::new() };
-        summary.reserves().into_iter().map(move |reserve| format!("{whose}{reserve}"))
-    });
-    let reserves: Vec<String> = named.collect();
-    (!reserves.is_empty()).then(|| reserves.join("; "))
+    let mut reserves = Vec::new();
+    for (name, summary) in runs {
+        let whose = if runs.len() > 1 { format!("{name}: ") } else { String::new() };
+        reserves.extend(summary.reserves().iter().map(|reserve| format!("{whose}{reserve}")));
+    }
+    if reserves.is_empty() { None } else { Some(reserves.join("; ")) }
 }
 
-fn as_map<S: Serializer>(methods: &[(String, Method)], serializer: S) -> Result<S::Ok, S::Error> {
+/// Writes the methods as an object whose keys are their names.
+fn as_map<S: Serializer>(
+    methods: &[(String, MethodResult)],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
     serializer.collect_map(methods.iter().map(|(name, method)| (name, method)))
 }
 
+/// Refuses a removal that was not predicted on this surface.
 fn check_same_surface(desired: &Surface, removal: &Removal) -> Result<(), Invalid> {
-    let (grid, found) = (desired.grid(), removal.residual().grid());
-    for (name, wanted, found) in [("x_mm", &grid.x, &found.x), ("y_mm", &grid.y, &found.y)] {
-        let near = |a: f64, b: f64| (a - b).abs() <= SAME_PIXEL * wanted.step_mm();
-        let same = wanted.len() == found.len()
-            && near(wanted.start_mm(), found.start_mm())
-            && near(wanted.end_mm(), found.end_mm());
+    let grid = desired.grid();
+    let other = removal.residual().grid();
+    for (name, wanted, other) in [("x_mm", &grid.x, &other.x), ("y_mm", &grid.y, &other.y)] {
+        let tolerance_mm = SAME_PIXEL * wanted.step_mm();
+        let same = wanted.len() == other.len()
+            && (wanted.start_mm() - other.start_mm()).abs() <= tolerance_mm
+            && (wanted.end_mm() - other.end_mm()).abs() <= tolerance_mm;
         if !same {
-            let axis = |a: &planish_types::Axis| {
-                format!("{} pixels from {} to {} mm", a.len(), a.start_mm(), a.end_mm())
-            };
-            let problem = format!("the removal has {}, the surface {}", axis(found), axis(wanted));
+            let [other, wanted] = [other, wanted]
+                .map(|a| format!("{} pixels from {} to {} mm", a.len(), a.start_mm(), a.end_mm()));
+            let problem = format!("the removal has {other}, the surface {wanted}");
             return Err(Invalid::whole(name, problem, "simulate on the surface of this run"));
         }
     }
@@ -584,19 +587,19 @@ mod tests {
         serde_json::from_value(verdict_json(total_time_s)).unwrap()
     }
 
-    fn method() -> Result<Method, Invalid> {
+    fn method() -> Result<MethodResult, Invalid> {
         let verdict = verdict(4.0);
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
         let told = told(wall);
-        Method::new(&desired(), &division(), &removal(), &trajectory(), None, &verdict, told)
+        MethodResult::new(&desired(), &division(), &removal(), &trajectory(), None, &verdict, told)
     }
 
     fn division() -> Division {
         Division::new(&desired(), None)
     }
 
-    fn told(wall: WallTimes) -> Told {
-        Told {
+    fn told(wall: WallTimes) -> MethodFacts {
+        MethodFacts {
             wall,
             machine: Some("fast".into()),
             plan: plan(),
@@ -608,11 +611,11 @@ mod tests {
         }
     }
 
-    fn plan() -> Plan {
-        Plan { state: State::Certified, word: "certified".into(), text: "near".into() }
+    fn plan() -> PlanStatus {
+        PlanStatus { state: State::Certified, word: "certified".into(), text: "near".into() }
     }
 
-    fn summary_of(methods: Vec<(String, Method)>) -> Summary {
+    fn summary_of(methods: Vec<(String, MethodResult)>) -> Summary {
         Summary::new("raster", "coupon", &desired(), &division(), methods, vec![], vec![])
     }
 
@@ -635,7 +638,7 @@ mod tests {
             ("mine".to_string(), method().unwrap()),
             ("pvt+refined".to_string(), method().unwrap()),
             ("pvt".to_string(), method().unwrap()),
-            ("position".to_string(), Method { total_time_s: 3.5, ..method().unwrap() }),
+            ("position".to_string(), MethodResult { total_time_s: 3.5, ..method().unwrap() }),
         ];
         let summary = summary_of(methods);
         let json = json!(summary);
@@ -708,8 +711,11 @@ mod tests {
 
     #[test]
     fn the_best_keeps_the_limits() {
-        let with =
-            |rms_nm, limits_respected| Method { rms_nm, limits_respected, ..method().unwrap() };
+        let with = |rms_nm, limits_respected| MethodResult {
+            rms_nm,
+            limits_respected,
+            ..method().unwrap()
+        };
         let methods = vec![
             ("average-velocity".to_string(), with(0.1, false)),
             ("pvt".to_string(), with(0.3, true)),
@@ -720,7 +726,7 @@ mod tests {
         assert!(summary.reserves().is_empty());
         // Time counts among plans within 5 % of the least RMS: 2 % of RMS are 4 % of its square, which 8 % of time are
         // worth; beyond 5 % it does not count, however short it is.
-        let timed = |rms_nm, total_time_s| Method { total_time_s, ..with(rms_nm, true) };
+        let timed = |rms_nm, total_time_s| MethodResult { total_time_s, ..with(rms_nm, true) };
         for (rms_nm, total_time_s, expected) in [
             (0.204, 91.0, "joint"),
             (0.204, 94.0, "pvt"),
@@ -733,8 +739,10 @@ mod tests {
         }
         // A plan that keeps the specification comes before one that leaves less.
         let judged = |passed| SpecificationReport { name: "strict".into(), passed, limits: vec![] };
-        let specified =
-            |rms_nm, passed| Method { specification: Some(judged(passed)), ..with(rms_nm, true) };
+        let specified = |rms_nm, passed| MethodResult {
+            specification: Some(judged(passed)),
+            ..with(rms_nm, true)
+        };
         let of = |first, second| {
             let methods = [("pvt", 0.1, first), ("joint", 0.2, second)];
             let of = |(name, rms_nm, passed): (&str, f64, bool)| {
@@ -747,7 +755,7 @@ mod tests {
         let none = summary_of(vec![("pvt".into(), with(0.1, false))]);
         assert_eq!((none.best.as_deref(), none.reserves().len()), (None, 1));
         // Dwell times without a motion are no plan, also on a path on which they happen to keep the limits.
-        let state = |state| Plan { state, ..plan() };
+        let state = |state| PlanStatus { state, ..plan() };
         let mut still = with(0.1, true);
         still.plan = state(State::WithoutMotion);
         let summary = summary_of(vec![("position".into(), still), ("pvt".into(), with(0.3, true))]);
@@ -767,8 +775,11 @@ mod tests {
 
     #[test]
     fn with_a_servo_the_best_is_the_one_after_it_and_the_answer_says_so() {
-        let with =
-            |rms_nm, after_servo_rms_nm| Method { rms_nm, after_servo_rms_nm, ..method().unwrap() };
+        let with = |rms_nm, after_servo_rms_nm| MethodResult {
+            rms_nm,
+            after_servo_rms_nm,
+            ..method().unwrap()
+        };
         let of = |feed, pvt| {
             summary_of(vec![
                 ("joint".to_string(), with(0.1, feed)),
@@ -794,7 +805,7 @@ mod tests {
         ]);
         let broken_limits = broken_limits(&serde_json::from_value(outcome).unwrap());
         assert_eq!(broken_limits, ["jerk"]);
-        let rough = Method { limits_respected: false, broken_limits, ..method().unwrap() };
+        let rough = MethodResult { limits_respected: false, broken_limits, ..method().unwrap() };
         let rows = [("pvt", method().unwrap()), ("constant-acceleration", rough)];
         let summary = summary_of(rows.map(|(name, m)| (name.to_string(), m)).to_vec());
         let why = crate::answer::answer(&summary).why;
@@ -828,7 +839,7 @@ mod tests {
     #[test]
     fn a_program_is_as_good_as_the_plan_behind_it() {
         let mut program = method().unwrap();
-        program.plan = Plan { state: State::Unknown, word: PROGRAM.into(), text: "".into() };
+        program.plan = PlanStatus { state: State::Unknown, word: PROGRAM.into(), text: "".into() };
         let methods = |base: &str| {
             vec![
                 (base.to_string(), method().unwrap()),
@@ -850,7 +861,7 @@ mod tests {
         let error = |desired: &Surface, removal: &Removal, verdict: &Verdict| {
             let told = told(WallTimes::default());
             let division = Division::new(desired, None);
-            Method::new(desired, &division, removal, &trajectory(), None, verdict, told)
+            MethodResult::new(desired, &division, removal, &trajectory(), None, verdict, told)
                 .unwrap_err()
                 .to_string()
         };

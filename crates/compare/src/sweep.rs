@@ -6,7 +6,7 @@
 
 mod picture;
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use planish_numerics::pareto;
 use planish_types::{
@@ -15,7 +15,10 @@ use planish_types::{
 };
 use serde::Deserialize;
 
-use crate::recommended::{Candidate, recommended};
+use crate::{
+    recommended::{Candidate, recommended},
+    table::align,
+};
 
 pub use picture::{page, svg};
 
@@ -49,8 +52,8 @@ pub enum Residual {
 }
 
 impl Residual {
-    /// Caption of an axis.
-    pub fn caption(self) -> &'static str {
+    /// Returns the caption of an axis.
+    fn caption(self) -> &'static str {
         match self {
             Self::Nominal => "RMS of the residual (nm)",
             Self::Below95 => "RMS that 95 % of the runs are below (nm)",
@@ -59,7 +62,7 @@ impl Residual {
 }
 
 impl Table {
-    /// Time and residual of a plan that keeps the constraints.
+    /// Returns time, s, and residual, nm, of a plan that keeps the constraints.
     pub fn point(&self, row: &SweepPlan, residual: Residual) -> Option<[f64; 2]> {
         let numbers = row.numbers.as_ref()?;
         let nm = match residual {
@@ -69,12 +72,12 @@ impl Table {
         nm.filter(|_| numbers.keeps(&self.0.constraints)).map(|nm| [numbers.total_time_s, nm])
     }
 
-    /// The residual by which plans are chosen.
+    /// Returns the residual by which plans are chosen.
     pub fn judged_by(&self) -> Residual {
         if self.0.has_process { Residual::Below95 } else { Residual::Nominal }
     }
 
-    /// The indices of the plans on the front, the shortest first.
+    /// Returns the indices of the plans on the front, the shortest first.
     pub fn front(&self, residual: Residual) -> Vec<usize> {
         let none = [f64::NAN; 2];
         let points: Vec<[f64; 2]> =
@@ -82,71 +85,68 @@ impl Table {
         pareto::front(&points)
     }
 
-    /// The index of the plan that is to be run: as the report of a run recommends.
+    /// Returns the index of the plan that is to be run: as the report of a run recommends.
     pub fn recommended(&self) -> Option<usize> {
-        let candidates: Vec<(usize, Candidate)> = self
-            .0
-            .plans
-            .iter()
-            .enumerate()
-            .filter_map(|(i, row)| {
-                let [total_time_s, rms_nm] = self.point(row, self.judged_by())?;
-                let keeps_specification = row.numbers.as_ref()?.keeps_specification();
-                let candidate = Candidate { rms_nm, total_time_s, keeps_specification };
-                Some((i, candidate))
-            })
-            .collect();
+        let mut candidates: Vec<(usize, Candidate)> = Vec::new();
+        for (i, row) in self.0.plans.iter().enumerate() {
+            let point = self.point(row, self.judged_by());
+            if let (Some([total_time_s, rms_nm]), Some(numbers)) = (point, &row.numbers) {
+                let keeps_specification = numbers.keeps_specification();
+                candidates.push((i, Candidate { rms_nm, total_time_s, keeps_specification }));
+            }
+        }
         recommended(&candidates)
     }
 
-    /// The plan that is to be run in one sentence, with the command that makes it again.
+    /// Names the plan that is to be run in one sentence, with the command that makes it again.
     pub fn sentence(&self) -> String {
         let count = self.0.plans.len();
         let Some(row) = self.recommended().map(|i| &self.0.plans[i]) else {
             return format!("None of the {count} plans keeps the constraints.");
         };
         let numbers = row.numbers.as_ref().expect("a plan without numbers is not recommended");
-        let nm = |x: f64| significant(x, 4);
         let errors = numbers.below_95_percent_nm.map(|x| {
-            format!(", with the errors of the process {} nm or less in 95 % of the runs,", nm(x))
+            let nm = significant(x, 4);
+            format!(", with the errors of the process {nm} nm or less in 95 % of the runs,")
         });
         format!(
             "Of the {count} plans, {} is to be run: it leaves {} nm RMS{} in {} s; made again by: {}",
             row.id,
-            nm(numbers.rms_nm),
+            significant(numbers.rms_nm, 4),
             errors.unwrap_or_default(),
             significant(numbers.total_time_s, 4),
             row.again
         )
     }
 
-    /// Names of the settings that differ between plans, in their alphabetical order.
+    /// Returns the names of the settings that differ between plans, in their alphabetical order.
     pub fn varied(&self) -> Vec<&str> {
-        let mut seen: BTreeMap<&str, Vec<Option<&SettingValue>>> = BTreeMap::new();
-        let keys: std::collections::BTreeSet<&str> =
-            self.0.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
-        for key in keys {
-            let mut values = self.0.plans.iter().map(|row| row.settings.get(key));
+        let mut keys: Vec<&str> = self.setting_names().into_iter().collect();
+        keys.retain(|key| {
+            let mut values = self.0.plans.iter().map(|row| row.settings.get(*key));
             let first = values.next().flatten();
-            if values.any(|value| value != first) {
-                seen.insert(key, vec![]);
-            }
-        }
-        seen.into_keys().collect()
+            values.any(|value| value != first)
+        });
+        keys
     }
 
-    /// The limits of the specification with the values of the first plan that has some; none without a specification.
+    /// Returns the names of all settings, in their alphabetical order.
+    fn setting_names(&self) -> BTreeSet<&str> {
+        self.0.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect()
+    }
+
+    /// Returns the limits of the specification with the values of the first plan that has some; none without a
+    /// specification.
     fn specified(&self) -> &[Limited] {
         let numbers = self.0.plans.iter().filter_map(|row| row.numbers.as_ref());
         let mut specified = numbers.filter_map(|numbers| numbers.specification.as_ref());
         specified.next().map_or(&[], |specification| &specification.limits)
     }
 
-    /// All plans as comma-separated values, the settings and numbers under their names. Every limit of a specification is
-    /// a column with the value of the plan.
+    /// Writes all plans as comma-separated values, the settings and numbers under their names. Every limit of a
+    /// specification is a column with the value of the plan.
     pub fn csv(&self) -> String {
-        let keys: std::collections::BTreeSet<&str> =
-            self.0.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
+        let keys = self.setting_names();
         let mut out = String::from("id,path,method,");
         for key in &keys {
             out += &format!("{},", quoted(&text_cell(key)));
@@ -164,32 +164,26 @@ impl Table {
         let recommended = self.recommended();
         for (i, row) in self.0.plans.iter().enumerate() {
             let mut cells = [&row.id, &row.path, &row.method].map(|word| text_cell(word)).to_vec();
-            let setting = |value: &SettingValue| match value {
-                SettingValue::Word(word) => text_cell(word),
-                SettingValue::Number(number) => number.to_string(),
-            };
-            cells.extend(
-                keys.iter().map(|key| row.settings.get(*key).map(setting).unwrap_or_default()),
-            );
+            for key in &keys {
+                cells.push(match row.settings.get(*key) {
+                    Some(SettingValue::Word(word)) => text_cell(word),
+                    Some(SettingValue::Number(number)) => number.to_string(),
+                    None => String::new(),
+                });
+            }
             let n = row.numbers.as_ref();
-            let number =
-                |of: fn(&PlanNumbers) -> Option<f64>| n.and_then(of).map(|x| x.to_string());
-            cells.extend(
-                [
-                    number(|n| Some(n.total_time_s)),
-                    number(|n| Some(n.rms_nm)),
-                    number(|n| Some(n.rms_detilted_nm)),
-                    number(|n| n.below_95_percent_nm),
-                ]
-                .map(Option::unwrap_or_default),
-            );
-            cells.push(n.map(|n| n.limits_kept.to_string()).unwrap_or_default());
+            cells.extend([
+                cell(n.map(|n| n.total_time_s)),
+                cell(n.map(|n| n.rms_nm)),
+                cell(n.map(|n| n.rms_detilted_nm)),
+                cell(n.and_then(|n| n.below_95_percent_nm)),
+                cell(n.map(|n| n.limits_kept)),
+            ]);
             if !limits.is_empty() {
                 let specification = n.and_then(|n| n.specification.as_ref());
-                cells.push(specification.map(|s| s.passed.to_string()).unwrap_or_default());
-                let value = |k: usize| specification?.limits.get(k)?.value;
-                let shown = |k| value(k).map(|v| v.to_string()).unwrap_or_default();
-                cells.extend((0..limits.len()).map(shown));
+                cells.push(cell(specification.map(|s| s.passed)));
+                let values = specification.map_or(&[][..], |s| &s.limits[..]);
+                cells.extend((0..limits.len()).map(|k| cell(values.get(k).and_then(|l| l.value))));
             }
             cells.push(self.point(row, Residual::Nominal).is_some().to_string());
             cells.extend(fronts.iter().map(|front| front.contains(&i).to_string()));
@@ -204,13 +198,15 @@ impl Table {
         out
     }
 
-    /// The plans on the front as a table for people, the shortest first.
-    pub fn front_table(&self) -> String {
+    /// Returns the plans on the front as a table for people, the shortest first.
+    pub(crate) fn front_table(&self) -> String {
         let varied = self.varied();
         let mut lines = vec![vec!["time".to_string(), "residual".into(), "95 % below".into()]];
         let is_specified = !self.specified().is_empty();
         lines[0].push("limits".into());
-        lines[0].extend(is_specified.then(|| "specification".to_string()));
+        if is_specified {
+            lines[0].push("specification".into());
+        }
         lines[0].extend(["path".into(), "method".into()]);
         lines[0].extend(varied.iter().map(|key| key.to_string()));
         lines[0].push(String::new());
@@ -222,7 +218,9 @@ impl Table {
             let mut cells = vec![significant(n.total_time_s, 4), significant(n.rms_nm, 4)];
             cells.push(n.below_95_percent_nm.map(|x| significant(x, 4)).unwrap_or_default());
             cells.push(if n.limits_kept { "kept" } else { "exceeded" }.into());
-            cells.extend(is_specified.then(|| specification_in_words(n)));
+            if is_specified {
+                cells.push(specification_in_words(n));
+            }
             cells.extend([row.path.clone(), row.method.clone()]);
             cells.extend(varied.iter().map(|key| {
                 row.settings.get(*key).map(SettingValue::to_string).unwrap_or_default()
@@ -231,44 +229,44 @@ impl Table {
             lines.push(cells);
         }
         let columns = lines[0].len();
-        let width =
-            |k: usize| lines.iter().filter_map(|l| l.get(k)).map(|c| c.chars().count()).max();
-        let widths: Vec<usize> = (0..columns).map(|k| width(k).unwrap_or(0)).collect();
-        let line = |cells: &Vec<String>| {
-            let padded: Vec<String> =
-                cells.iter().zip(&widths).map(|(c, w)| format!("{c:>w$}")).collect();
-            padded.join("  ").trim_end().to_string()
-        };
-        lines.iter().map(line).collect::<Vec<_>>().join("\n")
+        lines.iter_mut().for_each(|cells| cells.resize(columns, String::new()));
+        align(&lines, 0).trim_end_matches('\n').to_string()
     }
 
-    /// Number of plans without numbers.
+    /// Returns the number of plans without numbers.
     pub fn failed(&self) -> usize {
         self.0.plans.iter().filter(|row| row.numbers.is_none()).count()
     }
 }
 
-/// Path, method and settings of a plan in a line.
+/// Returns path, method and settings of a plan in a line.
 fn in_words(row: &SweepPlan) -> String {
     let settings: Vec<String> =
         row.settings.iter().map(|(key, value)| format!("{key}={value}")).collect();
     format!("{}, {}: {}", row.path, row.method, settings.join(" "))
 }
 
-/// A word for a cell. A spreadsheet evaluates a text that begins with one of these characters as a formula. After an
+/// Returns the cell of a value; empty if there is none.
+fn cell(value: Option<impl ToString>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
+}
+
+/// Returns a word as a cell. A spreadsheet evaluates a text that begins with one of these characters as a formula. After an
 /// apostrophe, which it does not show, it takes it as a text.
 fn text_cell(word: &str) -> String {
-    match word.starts_with(['=', '+', '-', '@', '\t', '\r']) {
-        true => format!("'{word}"),
-        false => word.into(),
+    if word.starts_with(['=', '+', '-', '@', '\t', '\r']) {
+        format!("'{word}")
+    } else {
+        word.into()
     }
 }
 
-/// A cell of RFC 4180.
+/// Returns a cell as RFC 4180 quotes it.
 fn quoted(cell: &str) -> String {
-    match cell.contains([',', '"', '\n', '\r']) {
-        true => format!("\"{}\"", cell.replace('"', "\"\"")),
-        false => cell.into(),
+    if cell.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.into()
     }
 }
 

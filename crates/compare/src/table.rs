@@ -12,7 +12,7 @@ use crate::{
     answer::winner,
     chain::Standing,
     specification::Around,
-    summary::{Method, Summary},
+    summary::{MethodResult, Summary},
 };
 
 /// Columns: two lines of heading; the first column is aligned left, the others right.
@@ -37,17 +37,13 @@ const HEADINGS: [[&str; 2]; 15] = [
 /// Spaces between columns.
 const GAP: &str = "  ";
 
-/// The table of one run; ends with a newline.
+/// Returns the table of one run; it ends with a newline.
 pub fn table(summary: &Summary) -> String {
-    render(&[("", summary)])
+    table_of_runs(&[("", summary)])
 }
 
-/// One table of several runs, each with its name; ends with a newline.
-pub fn table_of_runs(runs: &[(&str, &Summary)]) -> String {
-    render(runs)
-}
-
-fn render(runs: &[(&str, &Summary)]) -> String {
+/// Returns one table of several runs, each with its name; it ends with a newline.
+pub(crate) fn table_of_runs(runs: &[(&str, &Summary)]) -> String {
     let named = runs.iter().any(|(name, _)| !name.is_empty());
     let mut text = String::new();
     for (name, summary) in runs {
@@ -55,17 +51,18 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     }
     text.push('\n');
 
-    let prefix = |cell: &str| named.then(|| visible(cell).into_owned());
-    let mut rows: Vec<Vec<String>> = (0..2)
-        .map(|line| {
-            let first = prefix(["", "run"][line]);
-            first.into_iter().chain(HEADINGS.iter().map(|h| h[line].to_string())).collect()
-        })
-        .collect();
+    let with_run = |name: &str, cells: [String; 15]| -> Vec<String> {
+        let first = if named { Some(visible(name).into_owned()) } else { None };
+        first.into_iter().chain(cells).collect()
+    };
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for (line, first) in ["", "run"].into_iter().enumerate() {
+        rows.push(with_run(first, HEADINGS.map(|h| h[line].to_string())));
+    }
     for (name, summary) in runs {
         for (scheduler, method) in &summary.methods {
             let mark = if summary.best.as_ref() == Some(scheduler) { "*" } else { "" };
-            rows.push(prefix(name).into_iter().chain(cells(scheduler, method, mark)).collect());
+            rows.push(with_run(name, cells(scheduler, method, mark)));
         }
         for left in &summary.left_out {
             let word = match left.standing {
@@ -73,7 +70,7 @@ fn render(runs: &[(&str, &Summary)]) -> String {
                 Standing::Refused => "refused",
                 Standing::OutOfDate | Standing::Valid => continue,
             };
-            rows.push(prefix(name).into_iter().chain(cells_left_out(&left.name, word)).collect());
+            rows.push(with_run(name, cells_left_out(&left.name, word)));
         }
     }
     text += &align(&rows, if named { 2 } else { 1 });
@@ -103,21 +100,21 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     text
 }
 
-/// Remarks for which the columns have no room: the states of the plans, other remarks, and methods that are left out.
-/// Methods with the same remark share a line.
+/// Returns remarks for which the columns have no room: the states of the plans, other remarks, and methods that are left
+/// out. Methods with the same remark share a line.
 fn notes(summary: &Summary) -> Vec<String> {
-    let mut said: Vec<(String, Vec<&str>)> = Vec::new();
+    let mut remarks: Vec<(String, Vec<&str>)> = Vec::new();
     for (name, method) in &summary.methods {
         let plan = format!("{}: {}", method.plan.word, method.plan.text);
         for text in std::iter::once(plan).chain(method.remarks.iter().cloned()) {
-            match said.iter_mut().find(|(t, _)| *t == text) {
+            match remarks.iter_mut().find(|(t, _)| *t == text) {
                 Some((_, names)) => names.push(name),
-                None => said.push((text, vec![name])),
+                None => remarks.push((text, vec![name])),
             }
         }
     }
     let mut notes: Vec<String> =
-        said.into_iter().map(|(text, names)| format!("{}: {text}", names.join(", "))).collect();
+        remarks.into_iter().map(|(text, names)| format!("{}: {text}", names.join(", "))).collect();
     for left in &summary.left_out {
         let standing = match left.standing {
             Standing::OutOfDate => "out of date, left out",
@@ -130,7 +127,7 @@ fn notes(summary: &Summary) -> Vec<String> {
     notes
 }
 
-/// The RMS of the desired removal, and the RMS that the dwell times leave without a motion.
+/// Returns the RMS of the desired removal, and the RMS that the dwell times leave without a motion.
 fn heading(name: &str, summary: &Summary) -> String {
     let title: Vec<&str> = [name, &summary.pipeline, &summary.fixture]
         .into_iter()
@@ -155,7 +152,8 @@ fn heading(name: &str, summary: &Summary) -> String {
     text + "\n"
 }
 
-fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 15] {
+/// Returns the row of a method.
+fn cells(scheduler: &str, m: &MethodResult, mark: &str) -> [String; 15] {
     let wall = |s: Option<f64>| s.map_or("-".to_string(), |s| fixed(s, 3));
     [
         visible(scheduler).into_owned(),
@@ -176,7 +174,7 @@ fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 15] {
     ]
 }
 
-/// A row without numbers: none is known to be of this method.
+/// Returns a row without numbers: none is known to be of this method.
 fn cells_left_out(scheduler: &str, word: &str) -> [String; 15] {
     std::array::from_fn(|column| match HEADINGS[column][1] {
         "method" => visible(scheduler).into_owned(),
@@ -198,18 +196,14 @@ const EXECUTION_HEADINGS: [[&str; 2]; 8] = [
     ["limits", "kept"],
 ];
 
-/// Table of the executions of the plans by the methods of one or several runs, each with its name; ends with a
-/// newline.
-pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
+/// Returns the table of the executions of the plans by the methods of one or several runs, each with its name; it ends
+/// with a newline.
+pub(crate) fn execution_table(runs: &[(&str, &Summary)]) -> String {
     let ms = |s: Option<f64>| s.map_or("-".into(), |s| fixed(1e3 * s, 4));
-    let mut rows: Vec<Vec<String>> = (0..2)
-        .map(|line| {
-            let first = ["", "run"][line].to_string();
-            std::iter::once(first)
-                .chain(EXECUTION_HEADINGS.iter().map(|h| h[line].to_string()))
-                .collect()
-        })
-        .collect();
+    let mut rows: Vec<Vec<String>> = vec![vec![String::new()], vec!["run".into()]];
+    for (line, row) in rows.iter_mut().enumerate() {
+        row.extend(EXECUTION_HEADINGS.iter().map(|h| h[line].to_string()));
+    }
     for (name, summary) in runs {
         for (scheduler, m) in &summary.methods {
             let e = &m.execution;
@@ -229,7 +223,7 @@ pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
     align(&rows, 2)
 }
 
-/// The columns that were judged, with their names: before, the methods, after.
+/// Returns the columns that were judged, with their names: before, the methods, after.
 fn judged_columns(summary: &Summary) -> Vec<(&str, &SpecificationReport)> {
     let Around { before, after } = &summary.specification;
     let methods = summary.methods.iter();
@@ -239,9 +233,9 @@ fn judged_columns(summary: &Summary) -> Vec<(&str, &SpecificationReport)> {
     before.chain(methods).chain(after).collect()
 }
 
-/// Table of the limits of each run that was judged, in rows, and of the judged maps, in columns; exceeded limits have
-/// a mark. Empty if nothing was judged.
-pub fn specification_table(runs: &[(&str, &Summary)]) -> String {
+/// Returns the table of the limits of each run that was judged, in rows, and of the judged maps, in columns; exceeded limits
+/// have a mark. Empty if nothing was judged.
+pub(crate) fn specification_table(runs: &[(&str, &Summary)]) -> String {
     let mut text = String::new();
     for (name, summary) in runs {
         let columns = judged_columns(summary);
@@ -251,14 +245,14 @@ pub fn specification_table(runs: &[(&str, &Summary)]) -> String {
         let mut rows =
             vec![["specification".into(), "limit".into()].into_iter().chain(heads).collect()];
         for (i, limit) in first.limits.iter().enumerate() {
-            let found: Vec<Option<&LimitReport>> =
+            let reports: Vec<Option<&LimitReport>> =
                 columns.iter().map(|(_, judged)| judged.limits.get(i)).collect();
-            let one = found.iter().flatten().all(|l| l.limit == limit.limit);
+            let one = reports.iter().flatten().all(|l| l.limit == limit.limit);
             let sign = if limit.bound == Bound::AtMost { "<=" } else { ">=" };
             let bound = if one { significant(limit.limit, 4) } else { "line".into() };
             let unit =
                 if limit.unit.is_empty() { String::new() } else { format!(" ({})", limit.unit) };
-            let cells = found.into_iter().map(|limit| match limit {
+            let cells = reports.into_iter().map(|limit| match limit {
                 Some(l) => {
                     let value =
                         if l.value.is_finite() { significant(l.value, 4) } else { "-".into() };
@@ -285,27 +279,22 @@ pub fn specification_table(runs: &[(&str, &Summary)]) -> String {
     text
 }
 
-/// Two numbers in one cell.
+/// Returns two numbers in one cell.
 fn pair([x, y]: [f64; 2], decimals: usize) -> String {
     format!("{}, {}", fixed(x, decimals), fixed(y, decimals))
 }
 
 /// Pads every column to its widest cell; the first `left` columns are aligned left.
 pub(crate) fn align(rows: &[Vec<String>], left: usize) -> String {
-    let width = |c: usize| rows.iter().map(|r| r[c].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..rows[0].len()).map(width).collect();
+    let widths: Vec<usize> = (0..rows[0].len())
+        .map(|c| rows.iter().map(|r| r[c].chars().count()).max().unwrap_or(0))
+        .collect();
     let mut text = String::new();
     for row in rows {
-        let padded: Vec<String> = row
-            .iter()
-            .zip(&widths)
-            .enumerate()
-            .map(
-                |(c, (cell, &w))| {
-                    if c < left { format!("{cell:<w$}") } else { format!("{cell:>w$}") }
-                },
-            )
-            .collect();
+        let mut padded = Vec::with_capacity(row.len());
+        for (c, (cell, &w)) in row.iter().zip(&widths).enumerate() {
+            padded.push(if c < left { format!("{cell:<w$}") } else { format!("{cell:>w$}") });
+        }
         text += padded.join(GAP).trim_end();
         text.push('\n');
     }
@@ -316,12 +305,12 @@ pub(crate) fn align(rows: &[Vec<String>], left: usize) -> String {
 mod tests {
     use super::*;
     use crate::{
-        plan::{Plan, State},
+        plan::{PlanStatus, State},
         summary::{Initial, LeftOut, WithoutMotion},
     };
 
-    fn method(rms_nm: f64, limits_respected: bool) -> Method {
-        Method {
+    fn method(rms_nm: f64, limits_respected: bool) -> MethodResult {
+        MethodResult {
             rms_nm,
             pv_nm: 1.25,
             rms_detilted_nm: 0.75 * rms_nm,
@@ -340,7 +329,11 @@ mod tests {
             simulate_wall_s: None,
             execution: Default::default(),
             places: Default::default(),
-            plan: Plan { state: State::Certified, word: "certified".into(), text: "near".into() },
+            plan: PlanStatus {
+                state: State::Certified,
+                word: "certified".into(),
+                text: "near".into(),
+            },
             specification: None,
             on_axes: None,
             remarks: vec![],

@@ -20,7 +20,7 @@ use svg2pdf::{ConversionOptions, PageOptions};
 use crate::report::figure::PAPER_PX;
 
 /// Width of a figure in print, mm. Larger or smaller: the figure is scaled in print. Chosen: both columns of a page.
-pub const PAPER_MM: f64 = 180.0;
+const PAPER_MM: f64 = 180.0;
 
 /// Default resolution of a PNG, pixels per inch. Larger: larger files. Smaller: less sharp print. Chosen: the
 /// resolution that journals ask for.
@@ -32,12 +32,15 @@ pub const PNG_DPI_RANGE: RangeInclusive<f64> = 72.0..=1200.0;
 
 const MM_PER_INCH: f64 = 25.4;
 
-/// Pixels of the drawing an inch of the print.
+/// Returns the pixels of the drawing an inch of the print.
 fn drawn_per_inch() -> f64 {
     PAPER_PX / PAPER_MM * MM_PER_INCH
 }
 
-/// The figure in `svg` as a PDF of one page that is as large as it.
+/// Converts the figure in `svg` to a PDF of one page that is as large as it.
+///
+/// # Errors
+/// Fails if the figure cannot be converted.
 pub fn pdf(svg: &str) -> Result<Vec<u8>, Invalid> {
     let page = PageOptions { dpi: drawn_per_inch() as f32 };
     let pdf = svg2pdf::to_pdf(&parsed(svg)?, ConversionOptions::default(), page);
@@ -50,12 +53,6 @@ pub fn pdf(svg: &str) -> Result<Vec<u8>, Invalid> {
 /// as `/xo1 12 0 R`. Lines that change places within their dictionary move no object, so the table of offsets stays
 /// right.
 fn in_order(pdf: Vec<u8>) -> Vec<u8> {
-    let is_entry = |line: &[u8]| {
-        let line = line.trim_ascii();
-        line.starts_with(b"/")
-            && line.ends_with(b" 0 R")
-            && line.iter().filter(|b| **b == b'/').count() == 1
-    };
     let mut lines: Vec<&[u8]> = pdf.split(|b| *b == b'\n').collect();
     for entries in lines.chunk_by_mut(|a, b| is_entry(a) && is_entry(b)) {
         entries.sort();
@@ -63,7 +60,18 @@ fn in_order(pdf: Vec<u8>) -> Vec<u8> {
     lines.join(&b'\n')
 }
 
-/// The figure in `svg` as a PNG of `dpi` pixels an inch.
+/// Returns true if a line of a PDF is an entry of a dictionary of resources.
+fn is_entry(line: &[u8]) -> bool {
+    let line = line.trim_ascii();
+    line.starts_with(b"/")
+        && line.ends_with(b" 0 R")
+        && line.iter().filter(|b| **b == b'/').count() == 1
+}
+
+/// Converts the figure in `svg` to a PNG of `dpi` pixels an inch.
+///
+/// # Errors
+/// Fails if the figure cannot be converted, or if it is too large for the memory.
 pub fn png(svg: &str, dpi: f64) -> Result<Vec<u8>, Invalid> {
     let tree = parsed(svg)?;
     let scale = (dpi / drawn_per_inch()) as f32;

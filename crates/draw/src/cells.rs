@@ -17,16 +17,16 @@ pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Band
     let edge = |k: usize, n: usize| (k * block).min(n);
     let mut paths = vec![String::new(); bands.colours().len()];
     for (r, row) in means.outer_iter().enumerate() {
-        let (y, height) = (edge(r, ny), edge(r + 1, ny) - edge(r, ny));
-        let band = |c: usize| (!row[c].is_nan()).then(|| bands.of(row[c]));
+        let y = edge(r, ny);
+        let height = edge(r + 1, ny) - y;
+        let cells: Vec<Option<usize>> =
+            row.iter().map(|v| if v.is_nan() { None } else { Some(bands.index(*v)) }).collect();
         let mut c = 0;
-        while c < row.len() {
-            let (start, this) = (c, band(c));
-            while c < row.len() && band(c) == this {
-                c += 1;
-            }
-            if let Some(k) = this {
-                let (x, width) = (edge(start, nx), edge(c, nx) - edge(start, nx));
+        for equal in cells.chunk_by(|a, b| a == b) {
+            let x = edge(c, nx);
+            c += equal.len();
+            if let Some(k) = equal[0] {
+                let width = edge(c, nx) - x;
                 put(&mut paths[k], format_args!("M{x} {y}h{width}v{height}h-{width}"));
             }
         }
@@ -44,20 +44,20 @@ pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Band
     svg.put(format_args!("</g>"));
 }
 
-/// Means of the valid pixels of square blocks, and the side of a block in pixels. There are at most
+/// Returns the means of the valid pixels of square blocks, and the side of a block in pixels. There are at most
 /// `most` blocks along the longer axis. A block is NaN if more than half of its pixels are invalid.
 fn block_means(map: ArrayView2<'_, f64>, most: usize) -> (Array2<f64>, usize) {
     let (ny, nx) = map.dim();
     let block = nx.max(ny).div_ceil(most);
     let shape = (ny.div_ceil(block), nx.div_ceil(block));
-    let mean = |(r, c): (usize, usize)| {
+    let means = Array2::from_shape_fn(shape, |(r, c)| {
         let rows = r * block..((r + 1) * block).min(ny);
         let pixels = map.slice(s![rows, c * block..((c + 1) * block).min(nx)]);
-        let valid = || pixels.iter().filter(|v| !v.is_nan());
-        let count = valid().count();
-        if 2 * count < pixels.len() { f64::NAN } else { valid().sum::<f64>() / count as f64 }
-    };
-    (Array2::from_shape_fn(shape, mean), block)
+        let valid = pixels.iter().filter(|v| !v.is_nan());
+        let count = valid.clone().count();
+        if 2 * count < pixels.len() { f64::NAN } else { valid.sum::<f64>() / count as f64 }
+    });
+    (means, block)
 }
 
 #[cfg(test)]

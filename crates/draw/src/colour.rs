@@ -22,12 +22,12 @@ pub const LINES: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4
 /// Colour of the axes, and of the line that the other lines are compared with.
 pub const INK: &str = "#000000";
 
-/// The colour of the `k`-th of several lines.
+/// Returns the colour of the `k`-th of several lines.
 pub fn of_line(k: usize) -> &'static str {
     LINES[k % LINES.len()]
 }
 
-/// Red, green and blue at `fraction` (0 to 1) between the first and the last of `stops`. Each stop
+/// Returns red, green and blue at `fraction` (0 to 1) between the first and the last of `stops`. Each stop
 /// is written `#rrggbb`.
 pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
     let position = fraction.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
@@ -36,13 +36,13 @@ pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
         f64::from(u8::from_str_radix(&stop[1 + 2 * k..3 + 2 * k], 16).unwrap_or(0))
     };
     [0, 1, 2].map(|k| {
-        let (a, b) = (channel(stops[i], k), channel(stops[i + 1], k));
+        let [a, b] = [stops[i], stops[i + 1]].map(|stop| channel(stop, k));
         (a + (b - a) * (position - i as f64)).round() as u8
     })
 }
 
-/// Colour at `fraction` (0 to 1) between the first and the last of `stops`, written `#rrggbb`.
-pub fn at(stops: &[&str], fraction: f64) -> String {
+/// Returns the colour at `fraction` (0 to 1) between the first and the last of `stops`, written `#rrggbb`.
+pub fn hex_at(stops: &[&str], fraction: f64) -> String {
     let [r, g, b] = rgb_at(stops, fraction);
     format!("#{r:02x}{g:02x}{b:02x}")
 }
@@ -55,26 +55,26 @@ pub struct Bands {
 }
 
 impl Bands {
-    /// `count` bands from the low to the high end of `range` through `stops`.
+    /// Creates `count` bands from the low to the high end of `range` through `stops`.
     pub fn new(stops: &[&str], count: usize, range: [f64; 2]) -> Self {
-        let middle = |k: usize| at(stops, (k as f64 + 0.5) / count as f64);
-        Self { range, colours: (0..count).map(middle).collect() }
+        let middles = (0..count).map(|k| (k as f64 + 0.5) / count as f64);
+        Self { range, colours: middles.map(|middle| hex_at(stops, middle)).collect() }
     }
 
-    /// Index of the band of `value`. It is the first or the last band if the value is outside the
+    /// Returns the index of the band of `value`. It is the first or the last band if the value is outside the
     /// range, and the middle band if the range is a single value.
-    pub fn of(&self, value: f64) -> usize {
+    pub fn index(&self, value: f64) -> usize {
         let [low, high] = self.range;
         let fraction = if high > low { (value - low) / (high - low) } else { 0.5 };
         ((fraction * self.colours.len() as f64).max(0.0) as usize).min(self.colours.len() - 1)
     }
 
-    /// Colours of the bands, the lowest first.
+    /// Returns the colours of the bands, the lowest first.
     pub fn colours(&self) -> &[String] {
         &self.colours
     }
 
-    /// The smallest and the largest value.
+    /// Returns the smallest and the largest value.
     pub fn range(&self) -> [f64; 2] {
         self.range
     }
@@ -86,10 +86,10 @@ mod tests {
 
     #[test]
     fn colours_begin_and_end_as_given() {
-        assert_eq!(at(&BLUE_TO_BROWN, 0.0), BLUE_TO_BROWN[0]);
-        assert_eq!(at(&BLUE_TO_BROWN, 0.5), BLUE_TO_BROWN[3]);
-        assert_eq!(at(&VIRIDIS_FOR_LINES, 7.0), VIRIDIS_FOR_LINES[7]);
-        assert_eq!(at(&["#000000", "#ff8000"], 0.5), "#804000");
+        assert_eq!(hex_at(&BLUE_TO_BROWN, 0.0), BLUE_TO_BROWN[0]);
+        assert_eq!(hex_at(&BLUE_TO_BROWN, 0.5), BLUE_TO_BROWN[3]);
+        assert_eq!(hex_at(&VIRIDIS_FOR_LINES, 7.0), VIRIDIS_FOR_LINES[7]);
+        assert_eq!(hex_at(&["#000000", "#ff8000"], 0.5), "#804000");
     }
 
     #[test]
@@ -105,9 +105,9 @@ mod tests {
     #[test]
     fn every_value_has_a_band() {
         let bands = Bands::new(&VIRIDIS, 4, [-1.0, 1.0]);
-        let found = [-9.0, -1.0, -0.51, -0.49, 0.0, 0.99, 1.0, 9.0].map(|v| bands.of(v));
+        let found = [-9.0, -1.0, -0.51, -0.49, 0.0, 0.99, 1.0, 9.0].map(|v| bands.index(v));
         assert_eq!(found, [0, 0, 0, 1, 2, 3, 3, 3]);
-        assert_eq!(Bands::new(&VIRIDIS, 5, [3.0, 3.0]).of(3.0), 2);
+        assert_eq!(Bands::new(&VIRIDIS, 5, [3.0, 3.0]).index(3.0), 2);
         assert_eq!(bands.colours().len(), 4);
     }
 }

@@ -49,7 +49,7 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// Linear axis from `low` to `high`. It is one unit long around the value if both are equal,
+    /// Creates a linear axis from `low` to `high`. It is one unit long around the value if both are equal,
     /// and goes from 0 to 1 if there is no value.
     pub fn linear([low, high]: [f64; 2]) -> Self {
         if low < high {
@@ -61,7 +61,7 @@ impl Scale {
         }
     }
 
-    /// Logarithmic axis from `low` to `high`, both positive. It goes from half to twice the value
+    /// Creates a logarithmic axis from `low` to `high`, both positive. It goes from half to twice the value
     /// if both are equal, and from 0.1 to 1 if there is no value.
     pub fn logarithmic([low, high]: [f64; 2]) -> Self {
         if 0.0 < low && low < high && high.is_finite() {
@@ -73,13 +73,13 @@ impl Scale {
         }
     }
 
-    /// The low and the high end.
+    /// Returns the low and the high end.
     pub fn ends(&self) -> [f64; 2] {
         let (Self::Linear(ends) | Self::Counts(ends) | Self::Logarithmic(ends)) = self;
         *ends
     }
 
-    /// Fraction of the way from the low to the high end.
+    /// Returns the fraction of the way from the low to the high end.
     fn fraction(&self, value: f64) -> f64 {
         match self {
             Self::Linear([low, high]) | Self::Counts([low, high]) => (value - low) / (high - low),
@@ -87,7 +87,7 @@ impl Scale {
         }
     }
 
-    /// Round numbers for an axis of `length_px`. If fewer than two fit, the numbers may stand twice
+    /// Returns round numbers for an axis of `length_px`. If fewer than two fit, the numbers may stand twice
     /// as close.
     fn numbers(&self, length_px: f64) -> Vec<f64> {
         let most = (length_px / PX_PER_NUMBER).max(2.0);
@@ -95,6 +95,7 @@ impl Scale {
         if numbers.len() < 2 { self.at_most(2.0 * most) } else { numbers }
     }
 
+    /// Returns at most about `most` + 1 round numbers on the axis.
     fn at_most(&self, most: f64) -> Vec<f64> {
         match self {
             Self::Linear([low, high]) => round_numbers(*low, *high, most),
@@ -108,13 +109,13 @@ impl Scale {
     }
 }
 
-/// Smallest and largest of the finite `values`; [infinity, -infinity] if none is finite.
+/// Returns the smallest and the largest of the finite `values`; [infinity, -infinity] if none is finite.
 pub fn range(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     let finite = values.into_iter().filter(|v| v.is_finite());
     finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
-/// A number at an axis, short enough for the margin.
+/// Writes a number at an axis, short enough for the margin.
 fn short(value: f64) -> String {
     if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
         significant(value, AXIS_DIGITS)
@@ -143,7 +144,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame of `size_px`. The upper left corner of its margin is at `corner`.
+    /// Creates a frame of `size_px`. The upper left corner of its margin is at `corner`.
     pub fn new(
         corner: [f64; 2],
         size_px: [f64; 2],
@@ -155,37 +156,39 @@ impl Frame {
         Self { left: corner[0] + left, top: corner[1] + top, width, height, x, y, margin_px }
     }
 
-    /// Place of the point [x, y], given in the units of the axes, in px of the picture.
-    pub fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    /// Returns the place of the point [x, y], given in the units of the axes, in px of the picture.
+    pub fn px(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [
             self.left + self.x.fraction(x) * self.width,
             self.top + (1.0 - self.y.fraction(y)) * self.height,
         ]
     }
 
-    /// The lower edge, px.
+    /// Returns the lower edge, px.
     pub fn bottom(&self) -> f64 {
         self.top + self.height
     }
 
-    /// The right edge, px.
+    /// Returns the right edge, px.
     pub fn right(&self) -> f64 {
         self.left + self.width
     }
 
     /// Draws the rectangle, the numbers along it, and the titles of both axes.
     pub fn axes(&self, svg: &mut Svg, [x_title, y_title]: [&str; 2]) {
-        let (left, bottom, font) = (self.left, self.bottom(), svg.font_px());
+        let left = self.left;
+        let bottom = self.bottom();
+        let font = svg.font_px();
         let edge = format!("fill=\"none\" stroke=\"{INK}\"");
         let mark = format!("stroke=\"{INK}\"");
         svg.rectangle([left, self.top], [self.width, self.height], &edge);
         for v in self.x.numbers(self.width) {
-            let x = self.at([v, self.y.ends()[0]])[0];
+            let x = self.px([v, self.y.ends()[0]])[0];
             svg.path(&mark, &format!("M{x:.1} {bottom:.1}v{MARK_PX}"));
             svg.text([x, bottom + MARK_PX + font], MIDDLE, &short(v));
         }
         for v in self.y.numbers(self.height) {
-            let y = self.at([self.x.ends()[0], v])[1];
+            let y = self.px([self.x.ends()[0], v])[1];
             svg.path(&mark, &format!("M{left:.1} {y:.1}h-{MARK_PX}"));
             let beside = [left - MARK_PX - 3.0, y + 0.36 * font];
             svg.text(beside, END, &short(v));
@@ -200,11 +203,11 @@ impl Frame {
     pub fn grid(&self, svg: &mut Svg) {
         let mut d = String::new();
         for v in self.x.numbers(self.width) {
-            let x = self.at([v, self.y.ends()[0]])[0];
+            let x = self.px([v, self.y.ends()[0]])[0];
             put(&mut d, format_args!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
         }
         for v in self.y.numbers(self.height) {
-            let y = self.at([self.x.ends()[0], v])[1];
+            let y = self.px([self.x.ends()[0], v])[1];
             put(&mut d, format_args!("M{:.1} {y:.1}h{:.1}", self.left, self.width));
         }
         svg.path("stroke=\"#dddddd\"", &d);
@@ -222,9 +225,9 @@ impl Frame {
     pub fn note(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             let [_, _, margin_right, margin_below] = self.margin_px;
-            let at =
+            let end =
                 [self.right() + margin_right - 6.0, self.bottom() + margin_below - NOTE_DESCENT_PX];
-            svg.text(at, &format!("{END} font-size=\"11\" fill=\"#444444\""), words);
+            svg.text(end, &format!("{END} font-size=\"11\" fill=\"#444444\""), words);
         }
     }
 
@@ -233,7 +236,7 @@ impl Frame {
         let mut d = String::new();
         let mut letter = 'M';
         for point in points {
-            let [x, y] = self.at(point);
+            let [x, y] = self.px(point);
             if x.is_nan() || y.is_nan() {
                 letter = 'M';
                 continue;
@@ -247,7 +250,7 @@ impl Frame {
     /// Draws a vertical line over the height of the frame at the value `x`; `style` is its SVG
     /// attributes.
     pub fn upright(&self, svg: &mut Svg, x: f64, style: &str) {
-        let x = self.at([x, self.y.ends()[0]])[0];
+        let x = self.px([x, self.y.ends()[0]])[0];
         svg.path(style, &format!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
     }
 
@@ -275,7 +278,8 @@ impl Frame {
     /// their unit.
     pub fn colour_bar(&self, svg: &mut Svg, bands: &Bands, unit: &str) {
         let height = self.height.max(LEAST_BAR_PX);
-        let (left, bottom) = (self.right() + BAR_PX[0], self.top + height);
+        let left = self.right() + BAR_PX[0];
+        let bottom = self.top + height;
         let step = height / bands.colours().len() as f64;
         for (k, colour) in bands.colours().iter().enumerate() {
             // Each rectangle is a little higher than its step, so that no paper shows between two
@@ -304,10 +308,10 @@ mod tests {
     #[test]
     fn y_goes_up_and_equal_ratios_are_equally_long() {
         let f = frame(Scale::linear([0.0, 10.0]), Scale::logarithmic([0.01, 100.0]));
-        assert_eq!(f.at([0.0, 0.01]), [60.0, 230.0]);
-        assert_eq!(f.at([10.0, 100.0]), [460.0, 30.0]);
+        assert_eq!(f.px([0.0, 0.01]), [60.0, 230.0]);
+        assert_eq!(f.px([10.0, 100.0]), [460.0, 30.0]);
         // Four decades over 200 px.
-        let [x, y] = f.at([5.0, 0.1]);
+        let [x, y] = f.px([5.0, 0.1]);
         // Rounding of places of some hundred px.
         assert!((x - 260.0).abs() < 1e-12 && (y - 180.0).abs() < 1e-12);
     }

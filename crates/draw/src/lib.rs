@@ -10,7 +10,7 @@
 //! | [`frame`] | axes, titles, curves, legend, bar of colours |
 //! | [`cells`] | a map in rectangles of one colour |
 //! | [`colour`] | maps of colours, and colours of lines |
-//! | [`ticks`] | the round numbers of an axis |
+//! | `ticks` | the round numbers of an axis |
 //! | [`page`] | the head and the style of a page |
 
 pub mod cells;
@@ -18,7 +18,7 @@ pub mod colour;
 pub mod frame;
 pub mod page;
 pub mod svg;
-pub mod ticks;
+mod ticks;
 
 pub use colour::Bands;
 pub use frame::{Frame, Scale};

@@ -10,12 +10,12 @@ const STYLE: &str = include_str!("page.css");
 /// Content security policy of a page without a program.
 pub const WITHOUT_PROGRAM: &str = "default-src 'none'; style-src 'unsafe-inline'";
 
-/// The shared style, followed by the rules that one page has of its own.
+/// Returns the shared style, followed by the rules that one page has of its own.
 pub fn style(own: &str) -> String {
     format!("{STYLE}{own}")
 }
 
-/// The page: `title` is plain text, `style` comes from [`style`], and `body` is HTML.
+/// Returns the page: `title` is plain text, `style` comes from [`style`], and `body` is HTML.
 pub fn document(title: &str, policy: &str, style: &str, body: &str) -> String {
     let title = escaped(title);
     format!(

@@ -18,13 +18,13 @@ pub struct Svg {
 }
 
 impl Svg {
-    /// An empty picture on white. Its texts are `font_px` high unless their attributes differ.
+    /// Creates an empty picture on white. Its texts are `font_px` high unless their attributes differ.
     pub fn new(font_px: f64) -> Self {
         Self { font_px, elements: String::new() }
     }
 
-    /// Height of the font, px.
-    pub fn font_px(&self) -> f64 {
+    /// Returns the height of the font, px.
+    pub(crate) fn font_px(&self) -> f64 {
         self.font_px
     }
 
@@ -34,9 +34,8 @@ impl Svg {
         self.elements.push('\n');
     }
 
-    /// Adds a rectangle of `size` px whose upper left corner is at `corner`.
-    pub fn rectangle(&mut self, corner: [f64; 2], size: [f64; 2], attributes: &str) {
-        let ([x, y], [width, height]) = (corner, size);
+    /// Adds a rectangle of this width and height, px, whose upper left corner is at [x, y].
+    pub fn rectangle(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], attributes: &str) {
         self.put(format_args!(
             "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {attributes}/>"
         ));
@@ -57,14 +56,14 @@ impl Svg {
     }
 
     /// Adds a text that is read upwards and centred at a point; it is escaped.
-    pub fn upward_text(&mut self, [x, y]: [f64; 2], words: &str) {
+    pub(crate) fn upward_text(&mut self, [x, y]: [f64; 2], words: &str) {
         let words = escaped(words);
         self.put(format_args!(
             "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" {MIDDLE}>{words}</text>"
         ));
     }
 
-    /// The document, of [width, height] px rounded up to whole ones.
+    /// Returns the document, of [width, height] px rounded up to whole ones.
     pub fn finish(self, size_px: [f64; 2]) -> String {
         let [width, height] = size_px.map(f64::ceil);
         format!(

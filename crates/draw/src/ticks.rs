@@ -5,9 +5,9 @@
 /// number at an end is lost to rounding.
 const SLACK: f64 = 1e-9;
 
-/// Multiples of 1, 2 or 5 times a power of ten from `low` to `high` (both finite, `low` < `high`),
+/// Returns multiples of 1, 2 or 5 times a power of ten from `low` to `high` (both finite, `low` < `high`),
 /// ascending. There are at most about `most` + 1 of them.
-pub fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
+pub(crate) fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
     let least = (high - low) / most;
     let power = least.log10().floor() as i32;
     let ten = 10.0_f64.powi(power);
@@ -15,36 +15,46 @@ pub fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
     let step = step.unwrap_or(10.0 * ten);
     // Rounded to the decimals of the step: 0.3, not 0.30000000000000004.
     let decimals = usize::try_from(-power).unwrap_or(0);
-    let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
     let first = (low / step - SLACK).ceil() as i64;
     let last = (high / step + SLACK).floor() as i64;
+    let multiples = (first..=last).map(|k| k as f64 * step);
     // Adding 0.0 turns -0 into 0.
-    (first..=last).map(|k| round(k as f64 * step) + 0.0).collect()
+    multiples.map(|v| format!("{v:.decimals$}").parse().unwrap_or(v) + 0.0).collect()
 }
 
 /// Smallest number of values at a logarithmic axis. If there are fewer powers of ten, multiples of
 /// them are added. Larger: a denser axis. With 2, an axis of one decade shows its ends only.
 const FEWEST: usize = 3;
 
-/// Powers of ten from `low` to `high` (0 < `low` < `high`). If there are more than `most`, only
+/// Returns the powers of ten from `low` to `high` (0 < `low` < `high`). If there are more than `most`, only
 /// every second, third ... of them. If there are fewer than three, also multiples of them.
-pub fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
-    let inside = |mantissas: &[f64]| -> Vec<f64> {
-        let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
-        // Parsed from its decimal text: 0.3, not 0.30000000000000004.
-        let number = |m: &f64, power: i32| format!("{m}e{power}").parse().unwrap_or(f64::NAN);
-        (first..=last)
-            .flat_map(|power| mantissas.iter().map(move |m| number(m, power)))
-            .filter(|v| (low * (1.0 - SLACK)..=high * (1.0 + SLACK)).contains(v))
-            .collect()
-    };
-    let powers = inside(&[1.0]);
+pub(crate) fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
+    let powers = multiples_of_powers(low, high, &[1.0]);
     if powers.len() >= FEWEST {
         let every = (powers.len() as f64 / most).ceil().max(1.0) as usize;
         return powers.into_iter().step_by(every).collect();
     }
-    let few = inside(&[1.0, 2.0, 5.0]);
-    if few.len() >= FEWEST { few } else { inside(&[1.0, 1.5, 2.0, 3.0, 5.0, 7.0]) }
+    let few = multiples_of_powers(low, high, &[1.0, 2.0, 5.0]);
+    if few.len() >= FEWEST {
+        return few;
+    }
+    multiples_of_powers(low, high, &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
+}
+
+/// Returns the products of `mantissas` with powers of ten from `low` to `high`, ascending.
+fn multiples_of_powers(low: f64, high: f64, mantissas: &[f64]) -> Vec<f64> {
+    let interval = low * (1.0 - SLACK)..=high * (1.0 + SLACK);
+    let mut numbers = Vec::new();
+    for power in low.log10().floor() as i32..=high.log10().ceil() as i32 {
+        for mantissa in mantissas {
+            // Parsed from its decimal text: 0.3, not 0.30000000000000004.
+            let number = format!("{mantissa}e{power}").parse().unwrap_or(f64::NAN);
+            if interval.contains(&number) {
+                numbers.push(number);
+            }
+        }
+    }
+    numbers
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::{
 
 use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use planish_export::{
-    About, Origin, PATH_DEVIATION_MM, Program, Settings, check, gcode, pmac, program,
+    About, Origin, PATH_DEVIATION_MM, Program, ProgramSettings, check, gcode, pmac, program,
     program_of_axes,
 };
 use planish_form::{Form, FormFile};
@@ -19,8 +19,7 @@ use planish_handoff::{
     say, warn,
 };
 use planish_types::{
-    AxesMotion, ControllerKind, Counts, Invalid, Kinematics, Machine, PathDistance,
-    TransformNumbers,
+    AxesMotion, ControllerKind, Counts, Kinematics, Machine, PathDistance, TransformNumbers,
 };
 use serde::Serialize;
 
@@ -40,8 +39,8 @@ pub struct Export {
     controller: ControllerKind,
     /// Clock that is given, s.
     tick_s: Option<f64>,
-    pmac: pmac::Settings,
-    gcode: gcode::Settings,
+    pmac: pmac::PmacSettings,
+    gcode: gcode::GcodeSettings,
     common: CommonArgs,
 }
 
@@ -81,7 +80,7 @@ struct GcodeArgs {
     path_tolerance_mm: Option<f64>,
 }
 
-/// The flag of the clock, with the default of the controller in its help.
+/// Adds the flag of the clock, with the default of the controller in its help.
 fn with_clock(command: Command, kind: ControllerKind) -> Command {
     ClockArgs::augment_args(command).mut_arg("tick_s", |flag| {
         flag.help(format!(
@@ -124,8 +123,8 @@ impl FromArgMatches for Export {
         let mut export = Self {
             controller,
             tick_s: None,
-            pmac: pmac::Settings::default(),
-            gcode: gcode::Settings::default(),
+            pmac: pmac::PmacSettings::default(),
+            gcode: gcode::GcodeSettings::default(),
             common: CommonArgs::from_arg_matches(own)?,
         };
         if controller == ControllerKind::Galil {
@@ -136,11 +135,11 @@ impl FromArgMatches for Export {
         export.tick_s = ClockArgs::from_arg_matches(own)?.tick_s;
         if controller == ControllerKind::Pmac {
             let PmacArgs { feedrate_time_unit_s, tool_output } = PmacArgs::from_arg_matches(own)?;
-            export.pmac = pmac::Settings { feedrate_time_unit_s, tool_output };
+            export.pmac = pmac::PmacSettings { feedrate_time_unit_s, tool_output };
         }
         if controller == ControllerKind::Gcode {
             let GcodeArgs { f_word, path_tolerance_mm } = GcodeArgs::from_arg_matches(own)?;
-            export.gcode = gcode::Settings { feed: f_word, path_tolerance_mm };
+            export.gcode = gcode::GcodeSettings { feed: f_word, path_tolerance_mm };
         }
         Ok(export)
     }
@@ -197,24 +196,26 @@ struct CommonArgs {
 
 impl Export {
     /// Writes the program, and what is to be known of it beside it.
+    ///
+    /// # Errors
+    /// Fails if the motion cannot be read, if no program of it keeps the limits, or if a file cannot be written.
     pub fn run(&self) -> Result<Status, Failure> {
-        let given = &self.common;
-        let OutputFileArgs { out, force } = &given.output;
+        let common = &self.common;
+        let OutputFileArgs { out, force } = &common.output;
         let mut about = out.clone().into_os_string();
         about.push(".json");
         let about = PathBuf::from(about);
         let settings = self.settings();
         // Before the motion, which may be large, or not there yet
-        let machine = Inputs::new().read_machine(&given.machine.machine.machine)?;
-        let of_flag = |e: Invalid| {
+        let machine = Inputs::new().read_machine(&common.machine.machine.machine)?;
+        check(&machine, self.controller, &settings).map_err(|e| {
             let flag = format!("`{}`: {}; {}", e.array, e.problem, e.remedy);
             Failure::new(planish_handoff::with_flags(&flag))
-        };
-        check(&machine, self.controller, &settings).map_err(of_flag)?;
+        })?;
         let mut inputs = Inputs::new();
-        let motion = given.read(&mut inputs)?;
-        let distance = near_path::checked(&given.near_path, &motion, &mut inputs)?;
-        let program_file = given.output.begin(&inputs)?;
+        let motion = common.read(&mut inputs)?;
+        let distance = near_path::checked(&common.near_path, &motion, &mut inputs)?;
+        let program_file = common.output.begin(&inputs)?;
         // A run that was ended between its two files has left this one.
         let is_alone = fs::symlink_metadata(out).is_err();
         let about_file = OutputFile::begin("--out", &about, *force || is_alone, &inputs)?;
@@ -243,17 +244,16 @@ impl Export {
         near_path::tell(distance.as_ref());
         Ok(Status::Done)
     }
-}
 
-impl Export {
-    fn settings(&self) -> Settings {
-        let given = &self.common;
-        Settings {
-            counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
+    /// Returns the settings by the flags.
+    fn settings(&self) -> ProgramSettings {
+        let common = &self.common;
+        ProgramSettings {
+            counts: Counts { mm: common.count_mm.clone(), deg: common.count_deg.clone() },
             tick_s: self.tick_s,
-            max_step_s: given.max_step_s,
-            path_deviation_mm: given.path_deviation_mm,
-            always_on: given.always_on,
+            max_step_s: common.max_step_s,
+            path_deviation_mm: common.path_deviation_mm,
+            always_on: common.always_on,
             pmac: self.pmac.clone(),
             gcode: self.gcode.clone(),
         }
@@ -261,8 +261,8 @@ impl Export {
 }
 
 impl CommonArgs {
-    /// Reads the motion that is given, its machine, and the form of the part.
-    fn read(&self, inputs: &mut Inputs) -> Result<Given, Failure> {
+    /// Reads the motion of --trajectory or --axes, its machine, and the form of the part.
+    fn read(&self, inputs: &mut Inputs) -> Result<MotionInput, Failure> {
         match (&self.axes, &self.trajectory) {
             (Some(axes), _) => {
                 let (motion, manifest): (AxesMotion, _) =
@@ -272,7 +272,7 @@ impl CommonArgs {
                     Some(path) => inputs.read_form("form", path)?.form,
                     None => Form::new(&FormFile::plane(), None)?,
                 };
-                Ok(Given::Axes(Box::new(GivenAxes {
+                Ok(MotionInput::Axes(Box::new(AxesInput {
                     dir: axes.clone(),
                     motion,
                     manifest,
@@ -281,8 +281,8 @@ impl CommonArgs {
                 })))
             }
             (None, Some(trajectory)) => {
-                let given = TrajectoryArgs { trajectory: trajectory.clone() };
-                let on_axes = given.read_on_axes(&self.machine, inputs)?;
+                let arguments = TrajectoryArgs { trajectory: trajectory.clone() };
+                let on_axes = arguments.read_on_axes(&self.machine, inputs)?;
                 if *on_axes.machine.kinematics() != Kinematics::Xy {
                     let names: Vec<&str> = on_axes.machine.axes().iter().map(|a| a.name).collect();
                     return Err(Failure::new(format!(
@@ -292,7 +292,7 @@ impl CommonArgs {
                         names.join(", ")
                     )));
                 }
-                Ok(Given::Trajectory(trajectory.clone(), Box::new(on_axes)))
+                Ok(MotionInput::Trajectory(trajectory.clone(), Box::new(on_axes)))
             }
             (None, None) => Err(Failure::new("give --trajectory or --axes")),
         }
@@ -300,14 +300,14 @@ impl CommonArgs {
 }
 
 /// Motion for a program.
-enum Given {
+enum MotionInput {
     /// Motion of x and y, in the coordinates of the axes, and its directory.
     Trajectory(PathBuf, Box<OnAxes>),
     /// Motion of all axes.
-    Axes(Box<GivenAxes>),
+    Axes(Box<AxesInput>),
 }
 
-struct GivenAxes {
+struct AxesInput {
     dir: PathBuf,
     motion: AxesMotion,
     manifest: Option<Manifest>,
@@ -315,11 +315,12 @@ struct GivenAxes {
     form: Form,
 }
 
-impl Given {
+impl MotionInput {
+    /// Makes the program of the motion.
     fn program(
         &self,
         controller: ControllerKind,
-        settings: &Settings,
+        settings: &ProgramSettings,
         inputs: &Inputs,
     ) -> Result<Program, Failure> {
         let origin = |role: &str, dir: &Path, manifest: Option<&Manifest>| {
@@ -332,17 +333,17 @@ impl Given {
             }
         };
         match self {
-            Self::Trajectory(dir, given) => {
+            Self::Trajectory(dir, on_axes) => {
                 let origin = Origin {
-                    part_to_axes: given.part_to_axes.as_ref().map(TransformNumbers::from),
-                    was_on_axes: given.was_there,
-                    ..origin("trajectory", dir, given.manifest.as_ref())
+                    part_to_axes: on_axes.part_to_axes.as_ref().map(TransformNumbers::from),
+                    was_on_axes: on_axes.was_there,
+                    ..origin("trajectory", dir, on_axes.manifest.as_ref())
                 };
-                program(&given.motion, &given.machine, controller, settings, &origin)
+                program(&on_axes.motion, &on_axes.machine, controller, settings, &origin)
             }
-            Self::Axes(given) => {
-                let origin = origin("axes", &given.dir, given.manifest.as_ref());
-                let GivenAxes { motion, machine, form, .. } = given.as_ref();
+            Self::Axes(input) => {
+                let origin = origin("axes", &input.dir, input.manifest.as_ref());
+                let AxesInput { motion, machine, form, .. } = input.as_ref();
                 program_of_axes(motion, machine, form, controller, settings, &origin)
             }
         }
@@ -350,22 +351,22 @@ impl Given {
     }
 }
 
-/// The name of the file beside the program follows from that of the program; the user did not give it,
-/// so `--force` replaces there only what an export wrote.
+/// Refuses to replace a file beside the program that no export wrote, whatever `--force` says: its name follows from that of
+/// the program, and the user did not give it.
 fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
-    let Ok(found) = fs::metadata(about) else { return Ok(()) };
+    let Ok(metadata) = fs::metadata(about) else { return Ok(()) };
     // A pipe would never end.
-    let text = if found.is_file() { fs::read_to_string(about).ok() } else { None };
+    let text = if metadata.is_file() { fs::read_to_string(about).ok() } else { None };
     let is_ours = text.is_some_and(|text| {
         serde_json::from_str::<serde_json::Value>(&text)
             .is_ok_and(|json| json.get("controller").is_some() && json.get("segments").is_some())
     });
-    match is_ours {
-        true => Ok(()),
-        false => Err(Failure::new(format!(
-            "{}: would be replaced by what planish-export says of its program, and Planish did not \
-             write it; give another --out",
-            about.display()
-        ))),
+    if is_ours {
+        return Ok(());
     }
+    Err(Failure::new(format!(
+        "{}: would be replaced by what planish-export says of its program, and Planish did not \
+         write it; give another --out",
+        about.display()
+    )))
 }

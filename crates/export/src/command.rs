@@ -16,15 +16,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// program says what it is.
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct ExportCli {
     #[command(subcommand)]
     export: crate::cli::Export,
 }
 
 /// The command `planish export`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: ExportCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.export.run())
+    planish_handoff::program(|cli: &ExportCli| cli.export.run())
 }

@@ -19,18 +19,18 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     job.tick()?;
     let (q, about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
-        tool: match job.grids.switches_tool {
-            true => {
-                Tool::Switched("column tool_on, from its row to the next, 0 in the last row".into())
-            }
-            false => Tool::LeftToTheHost("no output of the controller does: the host switches it"),
+        tool: if job.grids.switches_tool {
+            Tool::Switched("column tool_on, from its row to the next, 0 in the last row".into())
+        } else {
+            Tool::LeftToTheHost("no output of the controller does: the host switches it")
         },
         approach: Approach::Before("go to the first row, tool off: the table does not say how"),
     })?;
     let units = if job.turns() { "s, mm, mm/s, deg, deg/s" } else { "s, mm, mm/s" };
     let mut text = about.header(&COMMENT, units);
     let columns = job.plan.axes.iter().map(|axis| {
-        let (name, unit) = (axis.name, axis.unit());
+        let name = axis.name;
+        let unit = axis.unit();
         format!("{name}_{unit},v{name}_{unit}_per_s,")
     });
     text += &format!("t_s,{}tool_on\n", columns.collect::<String>());

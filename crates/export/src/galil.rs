@@ -20,7 +20,7 @@
 //! Source: Galil DMC-40x0 command reference (PV, BT, TM, SB, CB, ST, AB) and user manual, chapter 6
 //! (PVT mode: 1024 samples per second), appendix (program size: lines of 80 characters).
 
-use planish_types::{ControllerModel, Invalid, MachineAxis};
+use planish_types::{ControllerModel, Invalid};
 
 use crate::{Abilities, About, Approach, Job, Tool, header::Comment, positive};
 
@@ -104,32 +104,28 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         about.buffer_lasts_s = Some(windows.fold(f64::INFINITY, f64::min));
     }
     let count = q.count;
-    let of_axis = |(axis, letter): (&MachineAxis, &str), count: f64| {
-        format!("{letter} = {} in counts of {count} {}, ", axis.name, axis.unit())
-    };
-    let axes = job.plan.axes.iter().zip(LETTERS);
-    let axes: String = axes.zip(count).map(|(axis, count)| of_axis(axis, count)).collect();
+    let mut axes = String::new();
+    for ((axis, letter), count) in job.plan.axes.iter().zip(LETTERS).zip(count) {
+        axes += &format!("{letter} = {} in counts of {count} {}, ", axis.name, axis.unit());
+    }
     let units = format!("{axes}counts/s, samples of {sample_s} s, TM {}", sample_s * TM_PER_S);
     let mut text = about.header(&COMMENT, &units);
     let starts = LETTERS.iter().zip(q.counts[0]).map(|(letter, c)| format!("{letter} {c}"));
     text += &format!("' start: {} counts\n", starts.collect::<Vec<_>>().join(", "));
-    let of_all = |numbers: &str| {
-        let line = |letter: &&str| format!("PV{letter}={numbers}\n");
-        LETTERS[..N].iter().map(line).collect::<String>()
-    };
-    text += &of_all("0,0,-1");
+    text += &LETTERS[..N].iter().map(|letter| format!("PV{letter}=0,0,-1\n")).collect::<String>();
     for k in 0..n {
-        let (distance, t) = (q.distance(k), q.duration(k) * SAMPLES_PER_TICK);
+        let distance = q.distance(k);
+        let t = q.duration(k) * SAMPLES_PER_TICK;
         for (axis, letter) in LETTERS[..N].iter().enumerate() {
             let name = format!("PV{letter}");
-            let (p, v) = (distance[axis], (q.velocity[k + 1][axis] / count[axis]).round());
+            let p = distance[axis];
+            let v = (q.velocity[k + 1][axis] / count[axis]).round();
             if p.abs() > MOST_DISTANCE || v.abs() > MOST_VELOCITY {
                 let problem =
                     format!("{name}={p},{v},{t} is beyond 44000000 counts, 22000000 counts/s");
-                let remedy = match job.plan.axes[axis].is_rotary {
-                    true => "give a larger `count_deg`",
-                    false => "give a larger `count_mm`",
-                };
+                let is_rotary = job.plan.axes[axis].is_rotary;
+                let count = if is_rotary { "count_deg" } else { "count_mm" };
+                let remedy = format!("give a larger `{count}`");
                 return Err(Invalid::at("segment", k, problem, remedy));
             }
             text += &format!("{name}={p},{v:.0},{t}\n").replace(",-0,", ",0,");
@@ -138,6 +134,6 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
             text += &format!("BT{}\n", LETTERS[..N].concat());
         }
     }
-    text += &of_all("0,0,0");
+    text += &LETTERS[..N].iter().map(|letter| format!("PV{letter}=0,0,0\n")).collect::<String>();
     Ok((text, about))
 }

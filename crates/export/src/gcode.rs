@@ -65,7 +65,7 @@ pub enum Feed {
 
 /// Settings of a G-code program.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct GcodeSettings {
     /// Convention of the F word.
     pub feed: Feed,
     /// Largest distance of the path from the corners, mm (G64 P); 0 for an exact path (G61). Absent: the path
@@ -73,7 +73,7 @@ pub struct Settings {
     pub path_tolerance_mm: Option<f64>,
 }
 
-impl Default for Settings {
+impl Default for GcodeSettings {
     fn default() -> Self {
         Self { feed: Feed::InverseTime, path_tolerance_mm: None }
     }
@@ -81,7 +81,7 @@ impl Default for Settings {
 
 /// Returns the largest distance of the path from the corners between lines, mm. Refuses one that means something else, and a
 /// feed for axes that turn (`turns`).
-pub(crate) fn tolerance_mm(all: &crate::Settings, turns: bool) -> Result<f64, Invalid> {
+pub(crate) fn tolerance_mm(all: &crate::ProgramSettings, turns: bool) -> Result<f64, Invalid> {
     let settings = &all.gcode;
     let tolerance = settings.path_tolerance_mm.unwrap_or(all.path_deviation_mm);
     let is_length = tolerance == 0.0 || tolerance >= LEAST_TOLERANCE_MM;
@@ -144,7 +144,8 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
                 (false, true) => "M65 P0\n",
             });
         }
-        let (from, to) = (q.position(k), q.position(k + 1));
+        let from = q.position(k);
+        let to = q.position(k + 1);
         let seconds = q.duration(k) as f64 * tick_s;
         // As the interpreter will read them.
         let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));

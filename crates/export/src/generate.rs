@@ -28,8 +28,8 @@ use planish_types::{
 use crate::{
     lines::AxisCounts,
     nodes,
-    plan::Plan,
-    slowed::{Cells, Choice, Inwards, Slowed, at, at_plan},
+    plan::AxesPlan,
+    slowed::{Choice, ClockCells, Inwards, Slowed, at_plan, position},
     velocities::{Axis, hermite},
 };
 
@@ -88,7 +88,7 @@ const WORTH: f64 = 0.3;
 
 /// Settings of the generator.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Settings {
+pub(crate) struct GeneratorSettings {
     /// Grids and law of the controller.
     pub controller: ControllerModel,
     /// Ticks of a segment, most.
@@ -122,32 +122,37 @@ pub(crate) struct Nodes<const N: usize> {
     pub contact_mm: Option<f64>,
     /// Time that the program takes longer than the plan, s.
     pub added_s: f64,
-    /// Change of the dwell times of the plan ([`Cells::uneven`]).
+    /// Change of the dwell times of the plan ([`ClockCells::uneven`]).
     pub uneven: f64,
 }
 
 impl<const N: usize> Nodes<N> {
-    /// Position of every axis at node `k`, mm or deg.
+    /// Returns the position of every axis at node `k`, mm or deg.
     pub fn position(&self, k: usize) -> [f64; N] {
         from_fn(|a| self.counts[k][a] as f64 * self.count[a])
     }
 
-    /// Time of node `k` since the start, s.
+    /// Returns the time of node `k` since the start, s.
     pub fn time_s(&self, k: usize) -> f64 {
         self.ticks[k] as f64 * self.tick_s
     }
 
-    /// Distance of segment `k` in counts.
+    /// Returns the distance of segment `k` in counts.
     pub fn distance(&self, k: usize) -> [i64; N] {
         from_fn(|a| self.counts[k + 1][a] - self.counts[k][a])
     }
 
-    /// Ticks of segment `k`.
+    /// Returns the ticks of segment `k`.
     pub fn duration(&self, k: usize) -> i64 {
         self.ticks[k + 1] - self.ticks[k]
     }
 
-    /// Number of segments n.
+    /// Returns the time of segment `k`, s.
+    fn segment_s(&self, k: usize) -> f64 {
+        self.duration(k) as f64 * self.tick_s
+    }
+
+    /// Returns the number of segments n.
     pub fn segments(&self) -> usize {
         self.tool_on.len()
     }
@@ -167,7 +172,7 @@ impl<const N: usize> Nodes<N> {
     /// Returns the time for which the controller stands in the dwell `k`, s: the parabolas beside it take the rest.
     pub fn wait_s(&self, k: usize) -> f64 {
         let parabolas_s = self.parabola_s(k) + self.parabola_s(k + 1);
-        (self.duration(k) as f64 * self.tick_s - 0.5 * parabolas_s).max(0.0)
+        (self.segment_s(k) - 0.5 * parabolas_s).max(0.0)
     }
 
     /// Returns the time of the executed motion, s.
@@ -178,45 +183,44 @@ impl<const N: usize> Nodes<N> {
             return nodes_s;
         }
         // Half a line before the first node and after the last one, and what a short dwell has too little for parabolas.
-        let at_end = |segment: usize, node: usize| match self.stands(segment) {
-            true => 0.0,
-            false => 0.5 * self.parabola_s(node),
-        };
-        let missing_s = |k: usize| {
+        let [first_s, last_s] = [(0, 0), (n - 1, n)].map(|(segment, node)| {
+            if self.stands(segment) { 0.0 } else { 0.5 * self.parabola_s(node) }
+        });
+        let mut short_s = 0.0;
+        for k in (0..n).filter(|k| self.stands(*k)) {
             let parabolas_s = self.parabola_s(k) + self.parabola_s(k + 1);
-            (0.5 * parabolas_s - self.duration(k) as f64 * self.tick_s).max(0.0)
-        };
-        let short_s: f64 = (0..n).filter(|k| self.stands(*k)).map(missing_s).sum();
-        nodes_s + at_end(0, 0) + at_end(n - 1, n) + short_s
+            short_s += (0.5 * parabolas_s - self.segment_s(k)).max(0.0);
+        }
+        nodes_s + first_s + last_s + short_s
     }
 
     /// Makes one of the lines without length that follow each other, each a dwell.
     fn stand_at_once(&mut self, most_ticks: i64) {
-        let mut kept = vec![0];
+        let mut remaining = vec![0];
         let mut tool_on: Vec<bool> = Vec::new();
         for k in 0..self.segments() {
             let is_one = k > 0
                 && self.stands(k - 1)
                 && self.stands(k)
                 && self.tool_on[k - 1] == self.tool_on[k]
-                && self.ticks[k + 1] - self.ticks[kept[kept.len() - 2]] <= most_ticks;
+                && self.ticks[k + 1] - self.ticks[remaining[remaining.len() - 2]] <= most_ticks;
             if is_one {
-                kept.pop();
+                remaining.pop();
             } else {
                 tool_on.push(self.tool_on[k]);
             }
-            kept.push(k + 1);
+            remaining.push(k + 1);
         }
-        self.keep(&kept, tool_on);
+        self.keep(&remaining, tool_on);
     }
 
     /// Gives a dwell that is shorter than the parabolas beside it to the line before it, or else to the line after it.
     fn drop_short_dwells(&mut self, most_ticks: i64) {
-        let mut kept = vec![0];
+        let mut remaining = vec![0];
         let mut tool_on: Vec<bool> = Vec::new();
         let mut k = 0;
         while k < self.segments() {
-            let before = match kept[..] {
+            let before = match remaining[..] {
                 [.., from, to] if self.counts[from] != self.counts[to] => {
                     self.ticks[to] - self.ticks[from]
                 }
@@ -227,40 +231,42 @@ impl<const N: usize> Nodes<N> {
             let own = self.duration(k);
             let is_short = self.stands(k) && 2 * own < before + after + 2;
             if is_short && before > 0 && before + own <= most_ticks {
-                kept.pop();
-                kept.push(k + 1);
+                remaining.pop();
+                remaining.push(k + 1);
                 k += 1;
             } else if is_short && after > 0 && after + own <= most_ticks {
-                kept.push(k + 2);
+                remaining.push(k + 2);
                 tool_on.push(self.tool_on[k + 1]);
                 k += 2;
             } else {
-                kept.push(k + 1);
+                remaining.push(k + 1);
                 tool_on.push(self.tool_on[k]);
                 k += 1;
             }
         }
-        self.keep(&kept, tool_on);
+        self.keep(&remaining, tool_on);
     }
 
-    /// Leaves the nodes `kept`, with the tool of the segments between them.
-    fn keep(&mut self, kept: &[usize], tool_on: Vec<bool>) {
-        self.ticks = kept.iter().map(|k| self.ticks[*k]).collect();
-        self.counts = kept.iter().map(|k| self.counts[*k]).collect();
-        self.velocity = kept.iter().map(|k| self.velocity[*k]).collect();
+    /// Removes all nodes but these, with the tool of the segments between them.
+    fn keep(&mut self, nodes: &[usize], tool_on: Vec<bool>) {
+        self.ticks = nodes.iter().map(|k| self.ticks[*k]).collect();
+        self.counts = nodes.iter().map(|k| self.counts[*k]).collect();
+        self.velocity = nodes.iter().map(|k| self.velocity[*k]).collect();
         self.tool_on = tool_on;
     }
 
-    /// The cubics that the controller runs.
-    pub(crate) fn pieces(&self) -> Vec<Piece<N>> {
+    /// Returns the cubics that the controller runs.
+    pub(crate) fn pieces(&self) -> Vec<ExecutedCubic<N>> {
         match self.interpolation {
             Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
             Interpolation::Linear => self.joined(),
         }
     }
 
-    fn cubic(&self, k: usize) -> Piece<N> {
-        let (start_s, time_s) = (self.time_s(k), self.duration(k) as f64 * self.tick_s);
+    /// Returns the cubic of segment `k`, by the positions and velocities at its ends.
+    fn cubic(&self, k: usize) -> ExecutedCubic<N> {
+        let start_s = self.time_s(k);
+        let time_s = self.segment_s(k);
         let from = self.position(k);
         let coefficient = from_fn(|a| {
             let distance = self.distance(k)[a] as f64 * self.count[a];
@@ -269,22 +275,22 @@ impl<const N: usize> Nodes<N> {
             c[0] = from[a];
             c
         });
-        Piece { segment: k, start_s, time_s, coefficient }
+        ExecutedCubic { segment: k, start_s, time_s, coefficient }
     }
 
-    /// Lines and the parabolas between them.
-    fn joined(&self) -> Vec<Piece<N>> {
+    /// Returns the lines and the parabolas between them.
+    fn joined(&self) -> Vec<ExecutedCubic<N>> {
         let n = self.segments();
-        let time = |k: usize| self.duration(k) as f64 * self.tick_s;
         let mean = |k: usize| -> [f64; N] {
-            from_fn(|a| self.distance(k)[a] as f64 * self.count[a] / time(k))
+            from_fn(|a| self.distance(k)[a] as f64 * self.count[a] / self.segment_s(k))
         };
         let at_rest = [0.0; N];
         let mut pieces = Vec::with_capacity(2 * n + 1);
         for k in 0..=n {
             let m = if k > 0 { mean(k - 1) } else { at_rest };
             let next = if k < n { mean(k) } else { at_rest };
-            let (node, at_s) = (self.position(k), self.time_s(k));
+            let node = self.position(k);
+            let node_s = self.time_s(k);
             let parabola_s = self.parabola_s(k);
             let half = 0.5 * parabola_s;
             if parabola_s > 0.0 {
@@ -295,26 +301,31 @@ impl<const N: usize> Nodes<N> {
                     let v = m[i] + a[i] * half;
                     [node[i] - half * m[i] + half * (m[i] + 0.5 * a[i] * half), v, 0.5 * a[i], 0.0]
                 });
-                pieces.push(Piece {
+                pieces.push(ExecutedCubic {
                     segment: k.saturating_sub(1),
-                    start_s: at_s - half,
+                    start_s: node_s - half,
                     time_s: half,
                     coefficient: first,
                 });
-                pieces.push(Piece {
+                pieces.push(ExecutedCubic {
                     segment: k.min(n - 1),
-                    start_s: at_s,
+                    start_s: node_s,
                     time_s: half,
                     coefficient: middle,
                 });
             }
             // The straight rest of the line until the next parabola, or the dwell.
             if k < n {
-                let rest_s = time(k) - half - 0.5 * self.parabola_s(k + 1);
+                let rest_s = self.segment_s(k) - half - 0.5 * self.parabola_s(k + 1);
                 if rest_s > 1e-12 {
                     let c = from_fn(|i| [node[i] + half * next[i], next[i], 0.0, 0.0]);
-                    let start_s = at_s + half;
-                    pieces.push(Piece { segment: k, start_s, time_s: rest_s, coefficient: c });
+                    let start_s = node_s + half;
+                    pieces.push(ExecutedCubic {
+                        segment: k,
+                        start_s,
+                        time_s: rest_s,
+                        coefficient: c,
+                    });
                 }
             }
         }
@@ -324,7 +335,7 @@ impl<const N: usize> Nodes<N> {
 
 /// A cubic of the executed motion.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Piece<const N: usize> {
+pub(crate) struct ExecutedCubic<const N: usize> {
     /// Segment of the program to which it belongs.
     pub segment: usize,
     /// Time since the first node, s.
@@ -333,19 +344,20 @@ pub(crate) struct Piece<const N: usize> {
     pub coefficient: [[f64; 4]; N],
 }
 
-/// The nodes of `plan`.
+/// Returns the nodes of `plan`. Refuses settings that no controller has, and a plan of which no program within the limits is
+/// found.
 ///
 /// The plan is continuous, keeps the limits of the machine and rests at both ends ([`crate::limits::check_plan`]).
 pub(crate) fn generate<const N: usize>(
-    plan: &Plan<N>,
-    settings: &Settings,
+    plan: &AxesPlan<N>,
+    settings: &GeneratorSettings,
 ) -> Result<Nodes<N>, Invalid> {
     Generator::new(plan, settings)?.run()
 }
 
 struct Generator<'a, const N: usize> {
-    plan: &'a Plan<'a, N>,
-    settings: &'a Settings,
+    plan: &'a AxesPlan<'a, N>,
+    settings: &'a GeneratorSettings,
     least_ticks: i64,
     inwards: Inwards<N>,
     /// Times of the plan at which the tool switches, s.
@@ -370,7 +382,7 @@ impl<const N: usize> Faults<N> {
 }
 
 impl<'a, const N: usize> Generator<'a, N> {
-    fn new(plan: &'a Plan<'a, N>, settings: &'a Settings) -> Result<Self, Invalid> {
+    fn new(plan: &'a AxesPlan<'a, N>, settings: &'a GeneratorSettings) -> Result<Self, Invalid> {
         let model = &settings.controller;
         check_counts(plan)?;
         if !(settings.path_deviation_mm.is_finite() && settings.path_deviation_mm > 0.0) {
@@ -398,11 +410,12 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
         let half = 0.5 * settings.path_deviation_mm;
         if let Some(axis) = (0..N).find(|a| plan.lever[*a] * plan.grids[*a].count > half) {
-            let (count, lever) = (plan.grids[axis].count, plan.lever[axis]);
-            let at_lever = match plan.axes[axis].is_rotary {
-                true => format!(" ({:.6} mm at the lever of the axis)", lever * count),
-                false => String::new(),
-            };
+            let count = plan.grids[axis].count;
+            let mut at_lever = String::new();
+            if plan.axes[axis].is_rotary {
+                let mm = plan.lever[axis] * count;
+                at_lever = format!(" ({mm:.6} mm at the lever of the axis)");
+            }
             let problem = format!(
                 "is {count}{at_lever}, more than half the path deviation of {} mm",
                 settings.path_deviation_mm
@@ -426,10 +439,12 @@ impl<'a, const N: usize> Generator<'a, N> {
         })
     }
 
+    /// Makes programs until one has no faults: mends what the last one had.
     fn run(mut self) -> Result<Nodes<N>, Invalid> {
         let controller = &self.settings.controller;
         let chosen_mm = CHOSEN_DEVIATION * self.settings.path_deviation_mm;
-        let mut cells = Cells::new(self.plan, self.settings.follows_tool, controller, chosen_mm);
+        let mut cells =
+            ClockCells::new(self.plan, self.settings.follows_tool, controller, chosen_mm);
         let least_growth = match controller.interpolation {
             Interpolation::Hermite => LEAST_GROWTH,
             Interpolation::Linear => LEAST_GROWTH_OF_LINES,
@@ -463,7 +478,7 @@ impl<'a, const N: usize> Generator<'a, N> {
             for k in &faults.long {
                 let longest_s = LESS_LONG * nodes.duration(*k) as f64 * nodes.tick_s;
                 let span =
-                    [*k, *k + 1].map(|node| cells.of(motion.plan_time(nodes.time_s(node)).0));
+                    [*k, *k + 1].map(|node| cells.index(motion.plan_time(nodes.time_s(node)).0));
                 for i in span[0]..=span[1] {
                     cells.longest_s[i] = cells.longest_s[i].min(longest_s);
                 }
@@ -474,7 +489,7 @@ impl<'a, const N: usize> Generator<'a, N> {
                 let from = motion.plan_time(nodes.time_s(k.saturating_sub(1))).0;
                 let to = motion.plan_time(nodes.time_s((k + 2).min(nodes.segments()))).0;
                 let grow = 1.0 + (excess - 1.0).clamp(least_growth, 0.1);
-                for i in cells.of(from)..=cells.of(to) {
+                for i in cells.index(from)..=cells.index(to) {
                     let target = cells.raised[i] * grow;
                     cells.raised[i] = target.min(MOST_FACTOR);
                 }
@@ -503,8 +518,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Err(Invalid::at("segment", k, problem, remedy))
     }
 
-    /// A program on the clock of `motion`, not proven yet.
-    fn nodes(&self, motion: &Slowed<N>, cells: &Cells) -> Result<Nodes<N>, Invalid> {
+    /// Makes a program on the clock of `motion`, not proven yet.
+    fn nodes(&self, motion: &Slowed<N>, cells: &ClockCells) -> Result<Nodes<N>, Invalid> {
         let model = &self.settings.controller;
         let choice = Choice {
             axes: self.plan.axes,
@@ -540,7 +555,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         )?;
         let ticks = nodes::choose(motion, cells, &fixed, &choice);
         let n = ticks.len() - 1;
-        let states: Vec<_> = ticks.iter().map(|t| motion.at(*t as f64 * model.tick_s)).collect();
+        let states: Vec<_> = ticks.iter().map(|t| motion.state(*t as f64 * model.tick_s)).collect();
         let mut counts = Vec::with_capacity(n + 1);
         for (k, state) in states.iter().enumerate() {
             let mut of_node = [0; N];
@@ -611,7 +626,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Lowest and highest count of an axis within its travel.
+    /// Returns the lowest and the highest count of an axis within its travel.
     fn travel_counts(&self, axis: usize) -> [i64; 2] {
         let count = self.plan.grids[axis].count;
         match self.plan.axes[axis].travel {
@@ -623,7 +638,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// A position in counts, within the travel.
+    /// Returns a position in counts, within the travel.
     fn count(&self, k: usize, axis: usize, position: f64) -> Result<i64, Invalid> {
         let count = self.plan.grids[axis].count;
         let counts = position / count;
@@ -635,26 +650,28 @@ impl<'a, const N: usize> Generator<'a, N> {
         Ok((counts.round() as i64).min(high).max(low))
     }
 
-    /// Largest count in mm, and in degrees if an axis turns.
+    /// Describes the largest count in mm, and in degrees if an axis turns.
     fn largest_counts(&self) -> String {
-        let of = |rotary: bool| {
+        let mut texts = Vec::new();
+        for (is_rotary, unit) in [(false, "mm"), (true, "deg")] {
             let counts = self.plan.grids.iter().zip(self.plan.axes);
-            counts.filter(|(_, a)| a.is_rotary == rotary).map(|(g, _)| g.count).reduce(f64::max)
-        };
-        let text = |(count, unit): (Option<f64>, &str)| count.map(|c| format!("{c} {unit}"));
-        let all = [(of(false), "mm"), (of(true), "deg")];
-        all.into_iter().filter_map(text).collect::<Vec<_>>().join(" and ")
+            let counts = counts.filter(|(_, axis)| axis.is_rotary == is_rotary);
+            if let Some(largest) = counts.map(|(grid, _)| grid.count).reduce(f64::max) {
+                texts.push(format!("{largest} {unit}"));
+            }
+        }
+        texts.join(" and ")
     }
 
-    /// Largest distance of the executed contact point from that of the plan where it is nearest, mm, at points of every
-    /// cubic.
+    /// Returns the largest distance of the executed contact point from that of the plan where it is nearest, mm, at points
+    /// of every cubic.
     fn contact_mm(&self, motion: &Slowed<N>, nodes: &Nodes<N>) -> Result<Option<f64>, Invalid> {
         let Some(contact) = self.plan.contact else { return Ok(None) };
         let mut largest: f64 = 0.0;
         for piece in nodes.pieces() {
             for j in 0..=CONTACT_POINTS {
                 let u = piece.time_s * j as f64 / CONTACT_POINTS as f64;
-                let here = at(&piece.coefficient, u);
+                let here = position(&piece.coefficient, u);
                 let plan_s = motion.nearest_plan_s(piece.start_s + u, here);
                 let there = at_plan(self.plan, plan_s).position;
                 let (Some(p), Some(q)) = (contact(&here), contact(&there)) else {
@@ -674,12 +691,13 @@ impl<'a, const N: usize> Generator<'a, N> {
     /// Finds the velocities of all axes, and where they exceed a limit.
     fn solve(&self, nodes: &mut Nodes<N>, excess: &mut [f64]) {
         let n = nodes.segments();
-        let time_s: Vec<f64> = (0..n).map(|k| nodes.duration(k) as f64 * nodes.tick_s).collect();
+        let time_s: Vec<f64> = (0..n).map(|k| nodes.segment_s(k)).collect();
         let mut rests = vec![false; n + 1];
-        (rests[0], rests[n]) = (true, true);
+        rests[0] = true;
+        rests[n] = true;
         for (a, limits) in self.plan.axes.iter().enumerate() {
-            let along = |k: usize| nodes.distance(k)[a] as f64 * nodes.count[a];
-            let distance: Vec<f64> = (0..n).map(along).collect();
+            let distance: Vec<f64> =
+                (0..n).map(|k| nodes.distance(k)[a] as f64 * nodes.count[a]).collect();
             let planned: Vec<f64> = nodes.velocity.iter().map(|v| v[a]).collect();
             let axis = Axis {
                 distance: &distance,
@@ -697,7 +715,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Solves for the velocities, and says where the program is not good enough.
+    /// Solves for the velocities. Returns where the program is not good enough.
     fn finish(&self, motion: &Slowed<N>, nodes: &mut Nodes<N>) -> Faults<N> {
         let n = nodes.segments();
         let mut excess = vec![1.0_f64; n];
@@ -772,35 +790,41 @@ pub(crate) struct AccelerationStep {
     pub allowed: f64,
 }
 
-/// Steps of the acceleration of cubics, of the axes with a limit on jerk.
+/// Returns the steps of the acceleration of cubics, of the axes with a limit on jerk.
 pub(crate) fn acceleration_steps<const N: usize>(
-    pieces: &[Piece<N>],
+    pieces: &[ExecutedCubic<N>],
     axes: &[MachineAxis; N],
 ) -> Vec<AccelerationStep> {
-    let second = |piece: &Piece<N>, axis: usize, u: f64| {
-        evaluate(&derivative(&derivative(&piece.coefficient[axis])), u)
-    };
     let mut steps = Vec::new();
     for node in 0..=pieces.len() {
-        let (before, after) = (node.checked_sub(1).and_then(|k| pieces.get(k)), pieces.get(node));
+        let before = node.checked_sub(1).and_then(|k| pieces.get(k));
+        let after = pieces.get(node);
         let time_s = before.map_or(0.0, |p| p.time_s) + after.map_or(0.0, |p| p.time_s);
         for (axis, limits) in axes.iter().enumerate() {
             let Some(jerk) = limits.max_jerk else { continue };
-            let end = before.map_or(0.0, |p| second(p, axis, p.time_s));
-            let start = after.map_or(0.0, |p| second(p, axis, 0.0));
-            let (value, allowed) = ((start - end).abs(), 0.5 * jerk * time_s);
-            steps.push(AccelerationStep { node, axis, value, allowed });
+            let end = before.map_or(0.0, |p| p.acceleration(axis, p.time_s));
+            let start = after.map_or(0.0, |p| p.acceleration(axis, 0.0));
+            let allowed = 0.5 * jerk * time_s;
+            steps.push(AccelerationStep { node, axis, value: (start - end).abs(), allowed });
         }
     }
     steps
 }
 
-/// Time of a segment in which the rounding of its positions uses [`ROUNDING`] of the acceleration limit or the jerk limit:
+impl<const N: usize> ExecutedCubic<N> {
+    /// Returns the acceleration of an axis at the time `u` since the start of the cubic.
+    fn acceleration(&self, axis: usize, u: f64) -> f64 {
+        evaluate(&derivative(&derivative(&self.coefficient[axis])), u)
+    }
+}
+
+/// Returns the time of a segment, s, in which the rounding of its positions uses [`ROUNDING`] of the acceleration limit or the
+/// jerk limit:
 ///
 /// ```text
 /// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J
 /// ```
-fn least_for_rounding_s<const N: usize>(plan: &Plan<N>) -> f64 {
+fn least_for_rounding_s<const N: usize>(plan: &AxesPlan<N>) -> f64 {
     let mut least_s = 0.0_f64;
     for (grid, limits) in plan.grids.iter().zip(plan.axes) {
         let AxisGrid { count, velocity: unit } = *grid;
@@ -828,9 +852,9 @@ const LONGEST_LEAST_S: f64 = 0.05;
 /// Smaller: rounding is mended in further rounds. Chosen far below a count.
 const TRAVEL_ROUNDING: f64 = 1e-9;
 
-/// The largest use of a limit by a cubic, as the factor by which its time has to grow; at most 1 where all are kept.
+/// Returns the largest use of a limit by a cubic, as the factor by which its time has to grow; at most 1 where all are kept.
 fn use_of_limits<const N: usize>(
-    piece: &Piece<N>,
+    piece: &ExecutedCubic<N>,
     axes: &[MachineAxis; N],
     interpolation: Interpolation,
 ) -> f64 {
@@ -853,11 +877,13 @@ fn use_of_limits<const N: usize>(
 }
 
 /// Refuses counts that no program can hold, or that are no encoder's for this motion.
-fn check_counts<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+fn check_counts<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let extents_mm = (0..N).map(|a| plan.lever[a] * plan.extent(a));
     let extent_mm = extents_mm.fold(f64::NEG_INFINITY, f64::max);
     for ((grid, limits), lever) in plan.grids.iter().zip(plan.axes).zip(plan.lever) {
-        let (name, unit, c) = (name_of_count(limits), limits.unit(), grid.count);
+        let name = name_of_count(limits);
+        let unit = limits.unit();
+        let c = grid.count;
         let remedy = format!("give the size of an encoder count in {unit}");
         crate::positive(name, c)?;
         if c < SMALLEST_COUNT {
@@ -872,7 +898,7 @@ fn check_counts<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Setting that states the count of an axis.
+/// Returns the setting that states the count of an axis.
 fn name_of_count(axis: &MachineAxis) -> &'static str {
     if axis.is_rotary { "count_deg" } else { "count_mm" }
 }

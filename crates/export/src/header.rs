@@ -15,7 +15,7 @@ pub(crate) struct Comment {
 }
 
 impl About {
-    /// The lines of a header, each a whole comment.
+    /// Returns the lines of a header, each a whole comment.
     ///
     /// Names and paths are a user's: what is not a printable ASCII character, and what ends a comment or a
     /// command somewhere (brackets, semicolon, the line continuation ` of a Galil), becomes `_`.
@@ -39,11 +39,12 @@ impl About {
             ));
         }
         lines.extend(self.warnings.iter().map(|w| format!("warning: {w}")));
-        let plain = |c: char| if (' '..='~').contains(&c) && !"();`".contains(c) { c } else { '_' };
         let room = comment.line - comment.open.len() - comment.close.len();
         let mut text = String::new();
         for line in lines {
-            let line: Vec<char> = line.chars().map(plain).collect();
+            let is_plain = |c: &char| (' '..='~').contains(c) && !"();`".contains(*c);
+            let line: Vec<char> =
+                line.chars().map(|c| if is_plain(&c) { c } else { '_' }).collect();
             for part in parts(&line, room) {
                 text += comment.open;
                 text += &part;
@@ -55,7 +56,7 @@ impl About {
     }
 }
 
-/// `line` in parts of at most `room` characters, cut at spaces where there are some.
+/// Cuts `line` into parts of at most `room` characters, at spaces where there are some.
 fn parts(line: &[char], room: usize) -> Vec<String> {
     let mut parts = Vec::new();
     let mut rest = line;
@@ -67,7 +68,8 @@ fn parts(line: &[char], room: usize) -> Vec<String> {
         let text: String = rest[..end].iter().collect();
         parts.push(format!("{begin}{}", text.trim_end()));
         rest = &rest[end..];
-        (begin, room_now) = (CONTINUED, room - CONTINUED.len());
+        begin = CONTINUED;
+        room_now = room - CONTINUED.len();
     }
     let text: String = rest.iter().collect();
     parts.push(format!("{begin}{text}"));

@@ -52,12 +52,12 @@ use serde::Serialize;
 pub use crate::limits::{Peak, Proof};
 use crate::{
     generate::{Nodes, generate},
-    plan::{Contact, Plan},
+    plan::{AxesPlan, Contact},
 };
 
 /// Settings of a program.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct ProgramSettings {
     /// Sizes of the counts. Absent: those of the machine's controller.
     pub counts: Counts,
     /// Clock, s. Absent: that of the machine's controller.
@@ -70,16 +70,16 @@ pub struct Settings {
     /// stays on.
     pub always_on: bool,
     /// Further settings of a program for a PMAC; other programs do not read them.
-    pub pmac: pmac::Settings,
+    pub pmac: pmac::PmacSettings,
     /// Further settings of a G-code program; other programs do not read them.
-    pub gcode: gcode::Settings,
+    pub gcode: gcode::GcodeSettings,
 }
 
 /// Default of the largest distance of the program's path from the plan's, mm. Larger: fewer segments, and a removal
 /// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels of a fine map.
 pub const PATH_DEVIATION_MM: f64 = 0.005;
 
-impl Default for Settings {
+impl Default for ProgramSettings {
     fn default() -> Self {
         Self {
             counts: Counts::default(),
@@ -87,8 +87,8 @@ impl Default for Settings {
             max_step_s: None,
             path_deviation_mm: PATH_DEVIATION_MM,
             always_on: false,
-            pmac: pmac::Settings::default(),
-            gcode: gcode::Settings::default(),
+            pmac: pmac::PmacSettings::default(),
+            gcode: gcode::GcodeSettings::default(),
         }
     }
 }
@@ -196,7 +196,7 @@ pub struct AboutAxis {
 }
 
 impl About {
-    /// Position of every axis before the program, with its name and its unit.
+    /// Returns the position of every axis before the program, with its name and its unit.
     fn starts(&self) -> Vec<(&'static str, &'static str, f64)> {
         match self.start_mm {
             Some([x, y]) => vec![("x", "mm", x), ("y", "mm", y)],
@@ -216,12 +216,14 @@ const MOST_UNEVEN: f64 = 2e-3;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
 ///
-/// Refuses a machine with other axes than x and y: [`program_of_axes`] writes its programs.
+/// # Errors
+/// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs; what [`check`] refuses; and
+/// a motion that does not keep the limits of the machine, or of which no program within them is found.
 pub fn program(
     trajectory: &Trajectory,
     machine: &Machine,
     controller: ControllerKind,
-    settings: &Settings,
+    settings: &ProgramSettings,
     origin: &Origin,
 ) -> Result<Program, Invalid> {
     let axes = <&[MachineAxis; 2]>::try_from(machine.axes());
@@ -232,7 +234,7 @@ pub fn program(
     };
     let grids = grids(machine, controller, settings)?;
     trajectory.check_rate_is_constant()?;
-    let plan = Plan {
+    let plan = AxesPlan {
         break_time_s: trajectory.break_time_s(),
         coefficient: trajectory.coefficient_mm(),
         tool_on: trajectory.tool_on(),
@@ -249,13 +251,17 @@ pub fn program(
 /// Writes the program of a motion of all axes of `machine` over the part `form` for `controller`.
 ///
 /// The acceleration of the motion may step at its nodes as far as a limit on jerk allows it between the middles of two
-/// segments. Refuses a motion with another number of axes.
+/// segments.
+///
+/// # Errors
+/// Refuses a motion with another number of axes, what [`check`] refuses, and a motion that does not keep the limits of the
+/// machine, or of which no program within them is found.
 pub fn program_of_axes(
     motion: &AxesMotion,
     machine: &Machine,
     form: &Form,
     controller: ControllerKind,
-    settings: &Settings,
+    settings: &ProgramSettings,
     origin: &Origin,
 ) -> Result<Program, Invalid> {
     let map = AxisMap::new(machine, form)?;
@@ -270,11 +276,14 @@ pub fn program_of_axes(
 }
 
 /// Checks all that does not depend on the motion: the clock, the counts and the further settings of a program, for
-/// `controller` on `machine`. [`program`] and [`program_of_axes`] refuse the same.
+/// `controller` on `machine`.
+///
+/// # Errors
+/// Refuses what [`program`] and [`program_of_axes`] refuse of these settings.
 pub fn check(
     machine: &Machine,
     controller: ControllerKind,
-    settings: &Settings,
+    settings: &ProgramSettings,
 ) -> Result<(), Invalid> {
     let grids = grids(machine, controller, settings)?;
     let turns = machine.axes().iter().any(|axis| axis.is_rotary);
@@ -293,20 +302,20 @@ struct AllAxes<'a> {
     motion: &'a AxesMotion,
     machine: &'a Machine,
     contact: &'a Contact<'a>,
-    settings: &'a Settings,
+    settings: &'a ProgramSettings,
     origin: &'a Origin,
 }
 
 impl AllAxes<'_> {
     fn program<const N: usize>(&self, controller: ControllerKind) -> Result<Program, Invalid> {
-        let (motion, machine) = (self.motion, self.machine);
+        let Self { motion, machine, .. } = *self;
         let coefficient = plan::by_segment::<N>(motion)?;
         let axes = <&[MachineAxis; N]>::try_from(machine.axes()).map_err(|_| {
             let problem = format!("has {} axes", machine.axes().len());
             Invalid::whole("machine", problem, "give a machine of up to 5 axes")
         })?;
         let grids = grids(machine, controller, self.settings)?;
-        let plan = Plan {
+        let plan = AxesPlan {
             break_time_s: motion.break_time_s(),
             coefficient: &coefficient,
             tool_on: motion.tool_on(),
@@ -322,16 +331,16 @@ impl AllAxes<'_> {
     }
 }
 
-/// The list with a number for every axis as an array.
+/// Returns the list with a number for every axis as an array.
 fn of_axes<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
     from_fn(|axis| list[axis])
 }
 
-/// The grids of the controller, with the settings.
+/// Returns the grids of the controller, with the settings.
 fn grids(
     machine: &Machine,
     controller: ControllerKind,
-    settings: &Settings,
+    settings: &ProgramSettings,
 ) -> Result<ControllerModel, Invalid> {
     if let Some(step) = settings.max_step_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
         return Err(Invalid::whole(
@@ -358,8 +367,8 @@ fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Pro
 
 /// Inputs of the modules of the controllers.
 struct Job<'a, const N: usize> {
-    plan: &'a Plan<'a, N>,
-    settings: &'a Settings,
+    plan: &'a AxesPlan<'a, N>,
+    settings: &'a ProgramSettings,
     origin: &'a Origin,
     grids: ControllerModel,
 }
@@ -387,7 +396,7 @@ enum Tool {
 }
 
 impl<const N: usize> Job<'_, N> {
-    /// The nodes of the program, within the abilities of the controller.
+    /// Returns the nodes of the program, within the abilities of the controller, and what the file beside it says.
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
@@ -406,7 +415,7 @@ impl<const N: usize> Job<'_, N> {
             let remedy = "give a longer `max_step_s`, or a smaller tick";
             return Err(Invalid::whole(array, problem, remedy));
         }
-        let settings = generate::Settings {
+        let settings = generate::GeneratorSettings {
             controller: self.grids,
             most_ticks,
             path_deviation_mm: self.settings.path_deviation_mm,
@@ -461,40 +470,39 @@ impl<const N: usize> Job<'_, N> {
         Ok((nodes, about))
     }
 
-    /// Refusal of lines that change the dwell times of the plan, with the grids that do not.
+    /// Returns the refusal of lines that change the dwell times of the plan, with the grids that do not.
     fn too_uneven(&self, nodes: &Nodes<N>) -> Invalid {
         let fine = self.grids.kind.model();
-        let has_coarse = |is_rotary: bool| {
+        let mut finer = Vec::new();
+        for (is_rotary, name, own) in
+            [(false, "count_mm", fine.linear[0].count), (true, "count_deg", fine.rotary[0].count)]
+        {
             let counts = self.plan.grids.iter().zip(self.plan.axes);
-            let own = if is_rotary { fine.rotary[0].count } else { fine.linear[0].count };
-            counts.filter(|(_, axis)| axis.is_rotary == is_rotary).any(|(grid, _)| grid.count > own)
-        };
-        let grids = [
-            ("count_mm", has_coarse(false), fine.linear[0].count),
-            ("count_deg", has_coarse(true), fine.rotary[0].count),
-            ("tick_s", self.grids.tick_s > fine.tick_s, fine.tick_s),
-        ];
-        let grids = grids.into_iter().filter(|(_, is_coarse, _)| *is_coarse);
-        let named: Vec<String> =
-            grids.map(|(name, _, value)| format!("`{name}` {}", decimal(value, 9))).collect();
+            let mut counts = counts.filter(|(_, axis)| axis.is_rotary == is_rotary);
+            if counts.any(|(grid, _)| grid.count > own) {
+                finer.push(format!("`{name}` {}", decimal(own, 9)));
+            }
+        }
+        if self.grids.tick_s > fine.tick_s {
+            finer.push(format!("`tick_s` {}", decimal(fine.tick_s, 9)));
+        }
         let problem = format!(
             "changes the dwell times of the plan by {:.2} % RMS over 4 mm of the path and takes {:.3} s longer: the plan \
              is at its acceleration limit, and lines on this clock and these counts are not",
             100.0 * nodes.uneven,
             nodes.added_s
         );
-        let remedy = match named.is_empty() {
-            true => "plan with 5 % less max_acceleration_mm_per_s2 in the machine file".into(),
-            false => format!(
-                "give {}: LinuxCNC computes with the numbers of the program as they stand",
-                named.join(" and ")
-            ),
+        let remedy = if finer.is_empty() {
+            "plan with 5 % less max_acceleration_mm_per_s2 in the machine file".into()
+        } else {
+            let finer = finer.join(" and ");
+            format!("give {finer}: LinuxCNC computes with the numbers of the program as they stand")
         };
         Invalid::whole("program", problem, remedy)
     }
 
-    /// Sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that lifts the tool if
-    /// the program cannot switch it, unless the tool may stay on.
+    /// Returns the sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that lifts the
+    /// tool if the program cannot switch it, unless the tool may stay on.
     fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
         let who = match tool {
             Tool::Switched(how) => return Ok((how, None)),
@@ -514,7 +522,7 @@ impl<const N: usize> Job<'_, N> {
         Ok((who, Some(warning.into())))
     }
 
-    /// The axes for the file beside a program of all axes.
+    /// Returns the axes for the file beside a program of all axes.
     fn about_axes(&self, nodes: &Nodes<N>, reach: &[[f64; 2]; N]) -> Vec<AboutAxis> {
         if !self.is_of_all_axes() {
             return Vec::new();
@@ -531,29 +539,29 @@ impl<const N: usize> Job<'_, N> {
         .collect()
     }
 
-    /// The numbers of x and y in a program for these two.
+    /// Returns the numbers of x and y in a program for these two.
     fn of_x_and_y(&self, numbers: [f64; N]) -> Option<[f64; 2]> {
         <[f64; 2]>::try_from(&numbers[..]).ok().filter(|_| !self.is_of_all_axes())
     }
 
-    /// True if the motion was one of all axes.
+    /// Returns true if the motion was one of all axes.
     fn is_of_all_axes(&self) -> bool {
         self.plan.contact.is_some()
     }
 
-    /// True if an axis turns.
+    /// Returns true if an axis turns.
     fn turns(&self) -> bool {
         self.plan.axes.iter().any(|axis| axis.is_rotary)
     }
 
-    /// Words of a program for positions: the letter of every axis and its number.
+    /// Returns the words of a program for positions: the letter of every axis and its number.
     fn words(&self, position: [f64; N], digits: usize) -> String {
         let axes = self.plan.axes.iter().zip(position);
         let words = axes.map(|(axis, p)| format!("{}{}", letter(axis), decimal(p, digits)));
         words.collect::<Vec<_>>().join(" ")
     }
 
-    /// The tick, where a text with nine decimals of a second can hold it.
+    /// Returns the tick, s, where a text with nine decimals of a second can hold it.
     fn tick(&self) -> Result<f64, Invalid> {
         tick_s(&self.grids)
     }
@@ -570,7 +578,7 @@ fn tick_s(grids: &ControllerModel) -> Result<f64, Invalid> {
     Ok(tick_s)
 }
 
-/// Letter of an axis in a PMAC or G-code program. A radius is X: neither language has an axis R.
+/// Returns the letter of an axis in a PMAC or G-code program. A radius is X: neither language has an axis R.
 fn letter(axis: &MachineAxis) -> &'static str {
     match axis.name {
         "x" | "r" => "X",
@@ -582,7 +590,7 @@ fn letter(axis: &MachineAxis) -> &'static str {
     }
 }
 
-/// `v` with at most `digits` decimals, without zeros at the end; never "-0".
+/// Returns `v` with at most `digits` decimals, without zeros at the end; never "-0".
 fn decimal(v: f64, digits: usize) -> String {
     let text = format!("{v:.digits$}");
     let text =
@@ -590,6 +598,7 @@ fn decimal(v: f64, digits: usize) -> String {
     if text == "-0" { "0".into() } else { text.into() }
 }
 
+/// Refuses a number of this setting that is not positive.
 fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 {
         Ok(v)

@@ -1,4 +1,4 @@
-//! Does the motion keep the limits of the machine? Proven from the polynomials, never from samples.
+//! Checks that a motion keeps the limits of the machine: by proof from the polynomials, never from samples.
 //!
 //! Two motions are looked at.
 //!
@@ -13,8 +13,8 @@ use planish_types::{Interpolation, Invalid, MachineAxis};
 use serde::Serialize;
 
 use crate::{
-    generate::{AccelerationStep, Nodes, Piece, acceleration_steps},
-    plan::Plan,
+    generate::{ExecutedCubic, Nodes, acceleration_steps},
+    plan::AxesPlan,
 };
 
 /// Fraction of a limit that is rounding of the plan's own numbers. Larger: plans may exceed a limit by it. Smaller:
@@ -32,12 +32,12 @@ const STEP_PER_S: f64 = 1e-6;
 /// Smaller: programs at the end of the travel are refused. Chosen far below a count.
 const TRAVEL: f64 = 1e-9;
 
-fn remedy_of_travel<const N: usize>(plan: &Plan<N>) -> &'static str {
-    match plan.may_step {
-        true => {
-            "move the part (part_origin_mm, part_origin_z_mm of the machine), or plan with a smaller overscan"
-        }
-        false => "move the part (part_origin_mm of the machine), or plan with a smaller overscan",
+/// Returns the remedy for a motion beyond the travel of an axis.
+fn remedy_of_travel<const N: usize>(plan: &AxesPlan<N>) -> &'static str {
+    if plan.may_step {
+        "move the part (part_origin_mm, part_origin_z_mm of the machine), or plan with a smaller overscan"
+    } else {
+        "move the part (part_origin_mm of the machine), or plan with a smaller overscan"
     }
 }
 
@@ -80,11 +80,11 @@ pub struct Peak {
 }
 
 /// Refuses a plan that does not keep the limits of the machine or leaves its travel; names the worst place.
-pub(crate) fn check_plan<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     check_magnitudes(plan)?;
     check_travel(plan)?;
-    let mut worst =
-        Worst { found: None, remedy: if plan.may_step { REMEDY_OF_AXES } else { REMEDY } };
+    let remedy = if plan.may_step { REMEDY_OF_AXES } else { REMEDY };
+    let mut worst = WorstExcess { fault: None, remedy };
     for (axis, limits) in plan.axes.iter().enumerate() {
         // [position, velocity, acceleration] before a break, and the duration before; at rest before the first.
         let mut before: Option<([f64; 3], f64)> = None;
@@ -93,7 +93,7 @@ pub(crate) fn check_plan<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> 
             let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
             let start = state(0.0);
             let (from, before_s) = before.unwrap_or(([start[0], 0.0, 0.0], 0.0));
-            let beside_s = plan.may_step.then_some(before_s + segment.duration_s);
+            let beside_s = if plan.may_step { before_s + segment.duration_s } else { 0.0 };
             worst.steps(i, from, start, limits, beside_s);
             for (name, unit, limit, c) in limited(limits, &orders) {
                 let (value, at_s) = range(c, segment.duration_s).peak();
@@ -102,24 +102,26 @@ pub(crate) fn check_plan<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> 
             before = Some((state(segment.duration_s), segment.duration_s));
         }
         let (end, before_s) = before.unwrap_or_default();
-        let beside_s = plan.may_step.then_some(before_s);
+        let beside_s = if plan.may_step { before_s } else { 0.0 };
         worst.steps(plan.len(), end, [end[0], 0.0, 0.0], limits, beside_s);
     }
     worst.verdict(plan.machine.name())
 }
 
 /// Refuses a motion that goes where the axes cannot.
-fn check_travel<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     for (axis, limits) in plan.axes.iter().enumerate() {
         let Some([low, high]) = limits.travel else { continue };
         let reached = plan.segments().enumerate().map(|(i, segment)| {
             let r = range(&segment.coefficient[axis], segment.duration_s);
-            let (below, above) = (low - r.min, r.max - high);
+            let below = low - r.min;
+            let above = r.max - high;
             if below > above { (i, below, r.min) } else { (i, above, r.max) }
         });
         let farthest = reached.max_by(|a, b| a.1.total_cmp(&b.1));
         if let Some((i, beyond, position)) = farthest.filter(|f| exceeds(f.1, STEP)) {
-            let (name, unit) = (limits.name, limits.unit());
+            let name = limits.name;
+            let unit = limits.unit();
             let problem = format!(
                 "{name} reaches {position:.4} {unit}, {beyond:.4} {unit} beyond its travel from {low} to {high} {unit}"
             );
@@ -135,7 +137,7 @@ type Proven<const N: usize> = (Proof, [[f64; 2]; N]);
 /// Proves the limits and the travel of the axes for the motion that the controller executes.
 pub(crate) fn prove<const N: usize>(
     nodes: &Nodes<N>,
-    plan: &Plan<N>,
+    plan: &AxesPlan<N>,
 ) -> Result<Proven<N>, Invalid> {
     // The last slot is that of the duration.
     let mut peaks = Peaks(vec![None; 3 * N + 1]);
@@ -154,7 +156,8 @@ pub(crate) fn prove<const N: usize>(
             let orders = derivatives(&piece.coefficient[axis]);
             let r = range(&orders[0], piece.time_s);
             let [low, high] = &mut reach[axis];
-            (*low, *high) = (low.min(r.min), high.max(r.max));
+            *low = low.min(r.min);
+            *high = high.max(r.max);
             for (order, (name, unit, limit, c)) in limited(limits, &orders).enumerate() {
                 // The acceleration of joined lines has steps.
                 if nodes.interpolation == Interpolation::Linear && order > 1 {
@@ -197,12 +200,13 @@ pub(crate) fn prove<const N: usize>(
 }
 
 /// Refuses a program that goes where the axes cannot.
-fn check_reach<const N: usize>(plan: &Plan<N>, reach: &[[f64; 2]; N]) -> Result<(), Invalid> {
+fn check_reach<const N: usize>(plan: &AxesPlan<N>, reach: &[[f64; 2]; N]) -> Result<(), Invalid> {
     for (limits, [low, high]) in plan.axes.iter().zip(*reach) {
         let Some([from, to]) = limits.travel else { continue };
         let beyond = (from - low).max(high - to);
         if exceeds(beyond, TRAVEL) {
-            let (name, unit) = (limits.name, limits.unit());
+            let name = limits.name;
+            let unit = limits.unit();
             let problem = format!(
                 "{name} goes from {low:.6} to {high:.6} {unit}, {beyond:.6} {unit} beyond its travel from {from} to {to} \
                  {unit}"
@@ -215,11 +219,13 @@ fn check_reach<const N: usize>(plan: &Plan<N>, reach: &[[f64; 2]; N]) -> Result<
 
 /// Refuses steps of the acceleration beyond what a limit on jerk allows.
 fn check_acceleration_steps<const N: usize>(
-    plan: &Plan<N>,
-    pieces: &[Piece<N>],
+    plan: &AxesPlan<N>,
+    pieces: &[ExecutedCubic<N>],
 ) -> Result<(), Invalid> {
-    let beyond = |s: &AccelerationStep| exceeds(s.value, s.allowed * (1.0 + LIMIT_ROUNDING));
-    if let Some(step) = acceleration_steps(pieces, plan.axes).into_iter().find(beyond) {
+    for step in acceleration_steps(pieces, plan.axes) {
+        if !exceeds(step.value, step.allowed * (1.0 + LIMIT_ROUNDING)) {
+            continue;
+        }
         let limits = &plan.axes[step.axis];
         let problem = format!(
             "{} steps by {:.6} {unit}/s^2 in its acceleration, where the jerk limit allows {:.6} {unit}/s^2",
@@ -233,7 +239,7 @@ fn check_acceleration_steps<const N: usize>(
     Ok(())
 }
 
-/// p, p', p'', p'''.
+/// Returns p, p', p'', p'''.
 fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
     let v = derivative(c);
     let a = derivative(&v);
@@ -242,7 +248,7 @@ fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
 
 type Limited<'a> = (&'static str, &'static str, f64, &'a [f64; 4]);
 
-/// Quantities that have a limit: name, unit, limit, polynomial; velocity, acceleration, jerk in this order.
+/// Returns the quantities that have a limit: name, unit, limit, polynomial; velocity, acceleration, jerk in this order.
 fn limited<'a>(
     limits: &MachineAxis,
     orders: &'a [[f64; 4]; 4],
@@ -258,11 +264,12 @@ fn limited<'a>(
     .chain(jerk)
 }
 
-/// Units of position, velocity, acceleration and jerk of an axis.
+/// Returns the units of position, velocity, acceleration and jerk of an axis.
 fn units(axis: &MachineAxis) -> [&'static str; 4] {
-    match axis.is_rotary {
-        true => ["deg", "deg/s", "deg/s^2", "deg/s^3"],
-        false => ["mm", "mm/s", "mm/s^2", "mm/s^3"],
+    if axis.is_rotary {
+        ["deg", "deg/s", "deg/s^2", "deg/s^3"]
+    } else {
+        ["mm", "mm/s", "mm/s^2", "mm/s^3"]
     }
 }
 
@@ -271,6 +278,7 @@ fn exceeds(value: f64, limit: f64) -> bool {
     value > limit || value.is_nan()
 }
 
+/// Returns the largest step of the velocity that is rounding.
 fn velocity_step(limits: &MachineAxis) -> f64 {
     STEP_PER_S + LIMIT_ROUNDING * limits.max_velocity
 }
@@ -289,7 +297,7 @@ struct Peaks(Vec<Option<Peak>>);
 const REMEDY_OF_ROUNDING: &str = "give a smaller count or tick, or plan with lower limits";
 
 impl Peaks {
-    /// `value` of segment `segment` uses the part `used` of `limit`.
+    /// Takes the `value` of a segment if it is the worst until now. Refuses one that uses more than all of its `limit`.
     fn take(
         &mut self,
         segment: usize,
@@ -298,31 +306,29 @@ impl Peaks {
         limit: f64,
         used: f64,
     ) -> Result<(), Invalid> {
-        let quantity = || format!("{} {}", what.axis, what.name);
+        let quantity = format!("{} {}", what.axis, what.name);
         let unit = what.unit;
         if exceeds(used, 1.0 + LIMIT_ROUNDING) {
             let problem = format!(
-                "{} is {value:.6} {unit} in the program, the limit is {limit} {unit}",
-                quantity()
+                "{quantity} is {value:.6} {unit} in the program, the limit is {limit} {unit}"
             );
             return Err(Invalid::at("segment", segment, problem, REMEDY_OF_ROUNDING));
         }
         let is_duration = what.slot + 1 == self.0.len();
         let slot = &mut self.0[what.slot];
-        let beyond = slot.as_ref().is_none_or(|old| match is_duration {
-            true => value < old.value,
-            false => value > old.value,
-        });
-        if beyond {
-            *slot = Some(Peak { quantity: quantity(), unit, value, limit, segment });
+        let is_worse = slot
+            .as_ref()
+            .is_none_or(|old| if is_duration { value < old.value } else { value > old.value });
+        if is_worse {
+            *slot = Some(Peak { quantity, unit, value, limit, segment });
         }
         Ok(())
     }
 }
 
 /// The worst place of a plan: how far beyond, and what to say of it.
-struct Worst {
-    found: Option<(f64, Invalid)>,
+struct WorstExcess {
+    fault: Option<(f64, Invalid)>,
     remedy: &'static str,
 }
 
@@ -331,13 +337,15 @@ const REMEDY: &str = "schedule for this machine with planish-schedule pvt or sto
 const REMEDY_OF_AXES: &str = "make the motion for this machine with planish-axes motion, from a plan that rests at both \
                               ends, and see planish-verify --axes";
 
-impl Worst {
+impl WorstExcess {
+    /// Takes a fault if it is the worst until now.
     fn add(&mut self, ratio: f64, make: impl FnOnce() -> Invalid) {
-        if self.found.as_ref().is_none_or(|(worst, _)| exceeds(ratio, *worst)) {
-            self.found = Some((ratio, make()));
+        if self.fault.as_ref().is_none_or(|(worst, _)| exceeds(ratio, *worst)) {
+            self.fault = Some((ratio, make()));
         }
     }
 
+    /// Adds the largest value of a quantity of segment `i` if it is beyond its limit.
     fn most(
         &mut self,
         i: usize,
@@ -357,19 +365,19 @@ impl Worst {
         }
     }
 
-    /// The steps into segment `i` (one beyond the last: into rest). `beside_s` is the duration of both segments if the
-    /// acceleration may step.
+    /// Adds the steps into segment `i` (one beyond the last: into rest). `beside_s` is the duration of both segments if the
+    /// acceleration may step, else 0.
     fn steps(
         &mut self,
         i: usize,
         before: [f64; 3],
         after: [f64; 3],
         limits: &MachineAxis,
-        beside_s: Option<f64>,
+        beside_s: f64,
     ) {
         let remedy = self.remedy;
         let acceleration = limits.max_jerk.map_or(f64::INFINITY, |jerk| {
-            ACCELERATION_STEP * limits.max_acceleration + 0.5 * jerk * beside_s.unwrap_or(0.0)
+            ACCELERATION_STEP * limits.max_acceleration + 0.5 * jerk * beside_s
         });
         let units = units(limits);
         for (name, unit, order, allowed) in [
@@ -391,8 +399,9 @@ impl Worst {
         }
     }
 
+    /// Refuses the plan by its worst fault, if it has one.
     fn verdict(self, machine: &str) -> Result<(), Invalid> {
-        match self.found {
+        match self.fault {
             None => Ok(()),
             Some((_, mut invalid)) => {
                 let machine: String = machine.escape_debug().collect();
@@ -403,7 +412,8 @@ impl Worst {
     }
 }
 
-fn check_magnitudes<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+/// Refuses numbers whose products would overflow.
+fn check_magnitudes<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let large = |v: &f64| v.abs() > LARGEST_NUMBER;
     let remedy = "numbers beyond 1e60 are not mm and s; check the units";
     if let Some(i) = plan.break_time_s.iter().position(large) {

@@ -20,8 +20,6 @@
 //! This is half of what the limit allows; rounding and the whole ticks of a line take the rest. From two nodes that are
 //! fixed the lines are laid towards each other, and share what is left where u is smallest.
 
-use planish_types::MachineAxis;
-
 use crate::{
     plan::length_mm,
     slowed::{Choice, Slowed, line_at_limit_s},
@@ -104,7 +102,7 @@ impl Lengths {
         let mut used = vec![LITTLE_USE; m];
         for k in 0..m {
             let time_s = k as f64 * step_s;
-            let state = motion.at(time_s);
+            let state = motion.state(time_s);
             let a = state.acceleration;
             let v_mm = length_mm(lever, state.velocity);
             let a_mm = length_mm(lever, a);
@@ -115,8 +113,8 @@ impl Lengths {
             let longest_s = near_s.min(steady_s);
             let length = (longest_s / choice.tick_s).clamp(least as f64, most as f64);
             ticks.push(length);
-            let share = |(a, axis): (&f64, &MachineAxis)| a.abs() / axis.max_acceleration;
-            let here = a.iter().zip(choice.axes).map(share).fold(0.0, f64::max);
+            let axes = a.iter().zip(choice.axes);
+            let here = axes.map(|(a, axis)| a.abs() / axis.max_acceleration).fold(0.0, f64::max);
             if here > LITTLE_USE {
                 let beside = (LINES_BESIDE * length / step as f64).ceil() as usize;
                 let near = k.saturating_sub(beside)..(k + beside + 1).min(m);
@@ -166,11 +164,11 @@ impl Lengths {
     /// Returns the tick where the plan between two nodes uses least of the acceleration, where the lines are longest.
     fn loosest(&self, start: i64, stop: i64) -> i64 {
         let places = self.place(start) + 1..self.place(stop);
-        let order = |a: &usize, b: &usize| {
+        let loosest = places.min_by(|a, b| {
             let by_use = self.used[*a].total_cmp(&self.used[*b]);
-            by_use.then(self.ticks[*b].total_cmp(&self.ticks[*a]))
-        };
-        places.min_by(order).map_or(start + (stop - start) / 2, |k| k as i64 * self.step)
+            by_use.then_with(|| self.ticks[*b].total_cmp(&self.ticks[*a]))
+        });
+        loosest.map_or(start + (stop - start) / 2, |k| k as i64 * self.step)
     }
 
     /// Adds the nodes after `start` up to `stop`.
@@ -188,9 +186,11 @@ impl Lengths {
             backward.push(next);
             next -= self.length(next);
         }
-        let (length, even) = (self.length(seam), self.change(self.used[self.place(seam)]));
+        let length = self.length(seam);
+        let even = self.change(self.used[self.place(seam)]);
         let (first, last, lines) = loop {
-            let (first, last) = (forward[forward.len() - 1], backward[backward.len() - 1]);
+            let first = forward[forward.len() - 1];
+            let last = backward[backward.len() - 1];
             let gap = last - first;
             let longest = 1.0 + even.min(LONGER_AT_SEAM - 1.0);
             let lines = (gap as f64 / (longest * length as f64)).ceil() as i64;
@@ -233,20 +233,22 @@ impl AxisCounts<'_> {
     /// Moves rounded positions (n+1) as far as the limits of the joined lines need it. Where the plan
     /// leaves room for a count, a position comes back to its own.
     pub fn keep_limits(&self, positions: &mut [i64]) {
-        let (mut velocity, mut before_s) = (0.0, f64::INFINITY);
+        let mut velocity = 0.0;
+        let mut before_s = f64::INFINITY;
         for (k, time_s) in self.time_s.iter().enumerate() {
             let change = self.acceleration * before_s.min(*time_s);
             let from = positions[k];
-            let bound = |v: f64| v.clamp(-self.velocity, self.velocity) * time_s;
+            let [slowest, fastest] = [velocity - change, velocity + change]
+                .map(|v: f64| v.clamp(-self.velocity, self.velocity) * time_s);
             // A hair is the rounding of the product.
-            let low = (bound(velocity - change) - 1e-6).ceil() as i64;
-            let high = (bound(velocity + change) + 1e-6).floor() as i64;
+            let low = (slowest - 1e-6).ceil() as i64;
+            let high = (fastest + 1e-6).floor() as i64;
             let [lowest, highest] = self.travel;
             let own = positions[k + 1];
             if low <= high {
-                let kept = own.clamp(from.saturating_add(low), from.saturating_add(high));
+                let within = own.clamp(from.saturating_add(low), from.saturating_add(high));
                 let most = self.most_moved;
-                let near = kept.clamp(own.saturating_sub(most), own.saturating_add(most));
+                let near = within.clamp(own.saturating_sub(most), own.saturating_add(most));
                 positions[k + 1] = near.clamp(lowest, highest);
             }
             velocity = (positions[k + 1] - from) as f64 / time_s;

@@ -13,11 +13,11 @@
 use std::array::from_fn;
 
 use planish_numerics::polynomial::{derivative, evaluate};
-use planish_types::{AxisGrid, Interpolation, MachineAxis};
+use planish_types::{AxisGrid, Interpolation};
 
 use crate::{
     lines,
-    slowed::{Cells, Choice, Slowed, State},
+    slowed::{Choice, ClockCells, Slowed, State},
     velocities::hermite,
 };
 
@@ -38,11 +38,11 @@ const ALONG_PATH: f64 = 2.0;
 /// over. Smaller: more trials. Chosen.
 const GROWTH: f64 = 1.4;
 
-/// Ticks of the nodes, from 0 to the last of `fixed`, through all of `fixed` (ascending, at least the shortest
+/// Returns the ticks of the nodes, from 0 to the last of `fixed`, through all of `fixed` (ascending, at least the shortest
 /// segment apart).
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
-    cells: &Cells,
+    cells: &ClockCells,
     fixed: &[i64],
     choice: &Choice<N>,
 ) -> Vec<i64> {
@@ -51,45 +51,50 @@ pub(crate) fn choose<const N: usize>(
     }
     let mut ticks = vec![0];
     for stop in fixed {
-        let mut at = ticks[ticks.len() - 1];
-        while at < *stop {
-            let rest = stop - at;
-            at += choice.landing(choice.longest(motion, cells, at, rest), rest);
-            ticks.push(at);
+        let mut tick = ticks[ticks.len() - 1];
+        while tick < *stop {
+            let rest = stop - tick;
+            tick += choice.landing(choice.longest(motion, cells, tick, rest), rest);
+            ticks.push(tick);
         }
     }
     ticks
 }
 
 impl<const N: usize> Choice<'_, N> {
-    /// `n` ticks, or what is near it and leaves either nothing or a whole segment until the next fixed node.
+    /// Returns `n` ticks, or what is near it and leaves either nothing or a whole segment until the next fixed node.
     fn landing(&self, n: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let n = n.clamp(least, most);
-        match rest {
-            _ if n >= rest => rest,
-            _ if rest - n >= least => n,
+        if n >= rest {
+            rest
+        } else if rest - n >= least {
+            n
+        } else if rest >= 2 * least {
             // Two equal halves rather than a long segment and one that is too short.
-            _ if rest >= 2 * least => rest / 2,
-            _ if rest <= most => rest,
-            _ => n,
+            rest / 2
+        } else if rest <= most {
+            rest
+        } else {
+            n
         }
     }
 
-    /// The longest segment of a cubic from the tick `at`, at most `rest` ticks.
-    fn longest(&self, motion: &Slowed<N>, cells: &Cells, at: i64, rest: i64) -> i64 {
+    /// Returns the longest segment of a cubic from the tick `start`, at most `rest` ticks.
+    fn longest(&self, motion: &Slowed<N>, cells: &ClockCells, start: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let most = most.min(rest);
-        let from = motion.at(at as f64 * self.tick_s);
+        let from = motion.state(start as f64 * self.tick_s);
         // The cells between are those of shorter segments, which are tried first.
         let longest_s =
-            |tick: i64| cells.longest_s[cells.of(motion.plan_time(tick as f64 * self.tick_s).0)];
-        let from_here_s = longest_s(at);
+            |tick: i64| cells.longest_s[cells.index(motion.plan_time(tick as f64 * self.tick_s).0)];
+        let from_here_s = longest_s(start);
         let misfit = |n: i64| {
-            let is_long = n as f64 * self.tick_s > from_here_s.min(longest_s(at + n));
-            if is_long && n > least { f64::INFINITY } else { self.misfit(motion, &from, at, n) }
+            let is_long = n as f64 * self.tick_s > from_here_s.min(longest_s(start + n));
+            if is_long && n > least { f64::INFINITY } else { self.misfit(motion, &from, start, n) }
         };
-        let (mut good, mut bad) = (None, None);
+        let mut good = None;
+        let mut bad = None;
         let mut nearest = (f64::INFINITY, least.min(rest));
         let mut n = least.min(most);
         let mut tries = 0;
@@ -115,53 +120,53 @@ impl<const N: usize> Choice<'_, N> {
         if let Some(mut bad) = bad {
             while bad - good > 1 + good / 64 {
                 let middle = good + (bad - good) / 2;
-                match misfit(middle) <= 1.0 {
-                    true => good = middle,
-                    false => bad = middle,
+                if misfit(middle) <= 1.0 {
+                    good = middle;
+                } else {
+                    bad = middle;
                 }
             }
         }
         // A node where the plan has one keeps its rests and its switches as they are.
-        let (start_s, end_s) = (at as f64 * self.tick_s, (at + good) as f64 * self.tick_s);
+        let [start_s, end_s] = [start, start + good].map(|tick| tick as f64 * self.tick_s);
         let nearest = motion.breaks_within(0.5 * (start_s + end_s), end_s).last();
-        let at_break = nearest.map_or(good, |s| (s / self.tick_s).round() as i64 - at);
-        match at_break >= least && at_break < good && misfit(at_break) <= 1.0 {
-            true => at_break,
-            false => good,
+        let at_break = nearest.map_or(good, |s| (s / self.tick_s).round() as i64 - start);
+        if at_break >= least && at_break < good && misfit(at_break) <= 1.0 {
+            return at_break;
         }
+        good
     }
 
-    /// Largest deviation or use of a limit by the cubic from `at` over `n` ticks, over its allowance; at most 1 where
-    /// it is good.
-    fn misfit(&self, motion: &Slowed<N>, from: &State<N>, at: i64, n: i64) -> f64 {
-        let (start_s, t) = (at as f64 * self.tick_s, n as f64 * self.tick_s);
+    /// Returns the worst ratio to its allowance of the cubic that starts at the tick `start` and lasts `n` ticks: deviation
+    /// from the path, acceleration, jerk. Above 1 the segment has to be shorter.
+    fn misfit(&self, motion: &Slowed<N>, from: &State<N>, start: i64, n: i64) -> f64 {
+        let start_s = start as f64 * self.tick_s;
+        let t = n as f64 * self.tick_s;
         let end_s = start_s + t;
-        let to = motion.at(end_s);
+        let to = motion.state(end_s);
         let c: [[f64; 4]; N] = from_fn(|a| {
             let v = [from.velocity[a], to.velocity[a]];
             hermite(to.position[a] - from.position[a], v, t)
         });
-        let limited = |axis: usize, limits: &MachineAxis| {
-            let second = derivative(&derivative(&c[axis]));
+        let mut misfit: f64 = 0.0;
+        for ((c, grid), limits) in c.iter().zip(self.grids).zip(self.axes) {
+            let second = derivative(&derivative(c));
             let largest = second[0].abs().max((second[0] + second[1] * t).abs());
-            let AxisGrid { count, velocity: unit } = self.grids[axis];
+            let AxisGrid { count, velocity: unit } = grid;
             let room = 6.0 * count / (t * t) + 3.0 * unit / t;
-            let mut use_of = (largest + room) / limits.max_acceleration;
+            misfit = misfit.max((largest + room) / limits.max_acceleration);
             if let Some(jerk) = limits.max_jerk {
                 let room = 12.0 * count / (t * t * t) + 6.0 * unit / (t * t);
-                use_of = use_of.max((second[1].abs() + room) / jerk);
+                misfit = misfit.max((second[1].abs() + room) / jerk);
             }
-            use_of
-        };
-        let used = self.axes.iter().enumerate().map(|(axis, limits)| limited(axis, limits));
-        let mut misfit = used.fold(0.0, f64::max);
+        }
         let mut compare = |time_s: f64| {
             let u = time_s - start_s;
             let position = from_fn(|a| from.position[a] + evaluate(&c[a], u));
-            let [from_path, at_once] = motion.distance_mm(time_s, position);
+            let [from_path, now] = motion.distance_mm(time_s, position);
             misfit = misfit
                 .max(from_path / self.deviation_mm)
-                .max(at_once / (ALONG_PATH * self.deviation_mm));
+                .max(now / (ALONG_PATH * self.deviation_mm));
         };
         for k in 1..=POINTS {
             compare(start_s + t * k as f64 / (POINTS + 1) as f64);

@@ -17,7 +17,7 @@ use planish_types::{AxesMotion, AxisGrid, Invalid, Kinematics, Machine, MachineA
 const LEAST_LEVER_MM: f64 = 1.0;
 
 /// A motion, the axes that run it, and the grids of their controller.
-pub(crate) struct Plan<'a, const N: usize> {
+pub(crate) struct AxesPlan<'a, const N: usize> {
     /// Times of the breaks (k+1), s.
     pub break_time_s: &'a [f64],
     /// Ascending coefficients of every segment (k) and axis, mm or deg per s^order.
@@ -47,8 +47,8 @@ pub(crate) struct Segment<'a, const N: usize> {
     pub tool_on: bool,
 }
 
-impl<const N: usize> Plan<'_, N> {
-    /// Number of segments k.
+impl<const N: usize> AxesPlan<'_, N> {
+    /// Returns the number of segments k.
     pub fn len(&self) -> usize {
         self.tool_on.len()
     }
@@ -70,12 +70,12 @@ impl<const N: usize> Plan<'_, N> {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }
 
-    /// Length of a difference of positions, mm.
+    /// Returns the length of a difference of positions, mm.
     pub fn length_mm(&self, difference: [f64; N]) -> f64 {
         length_mm(&self.lever, difference)
     }
 
-    /// Way that an axis goes in all, in its unit.
+    /// Returns the way between the extremes of an axis, in its unit.
     pub fn extent(&self, axis: usize) -> f64 {
         let reached = self.segments().map(|s| range(&s.coefficient[axis], s.duration_s));
         let [low, high] = reached
@@ -84,42 +84,44 @@ impl<const N: usize> Plan<'_, N> {
     }
 }
 
-/// Length of a difference of positions of axes with these levers, mm.
+/// Returns the length of a difference of positions of axes with these levers, mm.
 pub(crate) fn length_mm<const N: usize>(lever: &[f64; N], difference: [f64; N]) -> f64 {
     let first = (lever[0] * difference[0]).abs();
     (1..N).fold(first, |sum, a| sum.hypot(lever[a] * difference[a]))
 }
 
-/// Levers of the axes of `machine` in `motion`, mm per mm or per degree.
+/// Returns the levers of the axes of `machine` in `motion`, mm per mm or per degree.
 pub(crate) fn levers(machine: &Machine, motion: &AxesMotion) -> Vec<f64> {
     let pivot_mm = match machine.kinematics() {
         Kinematics::Tilts { pivot_mm, .. } => pivot_mm.abs(),
         Kinematics::Spindle { pivot_mm, .. } => pivot_mm.unwrap_or_default().abs(),
         Kinematics::Xy | Kinematics::Xyz => 0.0,
     };
-    let largest = |axis: usize| {
-        let reach = |i: usize| range(&motion.segment(i)[axis], motion.duration_s(i)).peak().0;
-        (0..motion.len()).map(reach).fold(0.0, f64::max)
-    };
-    let of = |axis: &MachineAxis| match (axis.is_rotary, axis.name) {
-        (false, _) => 1.0,
-        // The radius is the first axis of a spindle.
-        (true, "c") => largest(0).max(LEAST_LEVER_MM).to_radians(),
-        (true, _) => pivot_mm.max(LEAST_LEVER_MM).to_radians(),
-    };
-    machine.axes().iter().map(of).collect()
+    let mut levers = Vec::new();
+    for axis in machine.axes() {
+        levers.push(match (axis.is_rotary, axis.name) {
+            (false, _) => 1.0,
+            (true, "c") => largest_radius_mm(motion).max(LEAST_LEVER_MM).to_radians(),
+            (true, _) => pivot_mm.max(LEAST_LEVER_MM).to_radians(),
+        });
+    }
+    levers
 }
 
-/// The same motion with the axes of a segment in one array.
+/// Returns the largest magnitude of the first axis, which is the radius on a machine with a spindle, mm.
+fn largest_radius_mm(motion: &AxesMotion) -> f64 {
+    let segments = (0..motion.len()).map(|i| (&motion.segment(i)[0], motion.duration_s(i)));
+    segments.map(|(c, duration_s)| range(c, duration_s).peak().0).fold(0.0, f64::max)
+}
+
+/// Returns the coefficients of a motion with the axes of a segment in one array. Refuses a motion of another number of axes.
 pub(crate) fn by_segment<const N: usize>(
     motion: &AxesMotion,
 ) -> Result<Vec<[[f64; 4]; N]>, Invalid> {
-    let of = |i: usize| {
-        motion.segment(i).try_into().map_err(|_| {
-            let problem = format!("has {} axes, and the machine has {N}", motion.axes());
-            let remedy = "give the machine file that the motion was made for";
-            Invalid::whole("coefficient_mm_or_deg", problem, remedy)
-        })
-    };
-    (0..motion.len()).map(of).collect()
+    let segments: Result<_, _> = (0..motion.len()).map(|i| motion.segment(i).try_into()).collect();
+    segments.map_err(|_| {
+        let problem = format!("has {} axes, and the machine has {N}", motion.axes());
+        let remedy = "give the machine file that the motion was made for";
+        Invalid::whole("coefficient_mm_or_deg", problem, remedy)
+    })
 }

@@ -46,21 +46,25 @@ const DIGITS: usize = 9;
 
 /// Settings of a motion program.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct PmacSettings {
     /// Unit of time of the velocities, s: Isx90 in ms over 1000.
     pub feedrate_time_unit_s: f64,
     /// M-variable that switches the tool, 1 being on; absent where the program does not switch it.
     pub tool_output: Option<u32>,
 }
 
-impl Default for Settings {
+impl Default for PmacSettings {
     fn default() -> Self {
         Self { feedrate_time_unit_s: 1.0, tool_output: None }
     }
 }
 
-/// Tick and unit of time of the velocities, s, and most ticks of a segment. Refuses settings that no PMAC has.
-pub(crate) fn checked(grids: &ControllerModel, settings: &Settings) -> Result<[f64; 3], Invalid> {
+/// Returns the tick and the unit of time of the velocities, s, and the most ticks of a segment. Refuses settings that no PMAC
+/// has.
+pub(crate) fn checked(
+    grids: &ControllerModel,
+    settings: &PmacSettings,
+) -> Result<[f64; 3], Invalid> {
     let tick_s = tick_s(grids)?;
     let unit_s = positive("feedrate_time_unit_s", settings.feedrate_time_unit_s)?;
     let most = (LONGEST_S / tick_s).floor();

@@ -5,15 +5,15 @@
 
 use planish_types::{Kinematics, Machine, Tilt, Transform};
 
-use crate::{Approach, Origin, decimal, limits::Proof, plan::Plan};
+use crate::{Approach, Origin, decimal, limits::Proof, plan::AxesPlan};
 
 /// Number of decimals of a position in mm, for people. Larger: numbers that are slow to read. Smaller: positions that
 /// are too coarse to check. Chosen.
 const DIGITS: usize = 4;
 
-/// One sentence per line of a header, without the brackets and semicolons that end a comment somewhere.
+/// Returns one sentence per line of a header, without the brackets and semicolons that end a comment somewhere.
 pub(crate) fn sentences<const N: usize>(
-    plan: &Plan<N>,
+    plan: &AxesPlan<N>,
     origin: &Origin,
     (proof, reach): (&Proof, &[[f64; 2]; N]),
     approach: &Approach,
@@ -30,7 +30,8 @@ pub(crate) fn sentences<const N: usize>(
         lines.push(place(transform));
     }
     for (axis, [low, high]) in plan.axes.iter().zip(*reach) {
-        let (name, unit) = (axis.name, axis.unit());
+        let name = axis.name;
+        let unit = axis.unit();
         let travel = match axis.travel {
             Some([from, to]) => format!("its travel is {from} to {to} {unit}"),
             None if name == "c" => {
@@ -44,8 +45,8 @@ pub(crate) fn sentences<const N: usize>(
             decimal(high, DIGITS)
         ));
     }
-    let is_shown = |unit: &str| unit.ends_with("/s") || unit.ends_with("/s^2");
-    let fastest = proof.largest.iter().filter(|p| is_shown(p.unit));
+    let fastest =
+        proof.largest.iter().filter(|p| p.unit.ends_with("/s") || p.unit.ends_with("/s^2"));
     let fastest: Vec<String> = fastest
         .map(|p| format!("{} {:.4} of {} {}", p.quantity, p.value, p.limit, p.unit))
         .collect();
@@ -68,7 +69,7 @@ pub(crate) fn sentences<const N: usize>(
     lines
 }
 
-/// Sentences on the axes of a machine, and on the position of the part on them.
+/// Returns sentences on the axes of a machine, and on the position of the part on them.
 fn kinematics(machine: &Machine) -> Vec<String> {
     let pivot = |mm: f64| format!("pivot {} mm from the contact point", decimal(mm, DIGITS));
     let (kind, tilts) = match machine.kinematics() {
@@ -98,7 +99,7 @@ fn kinematics(machine: &Machine) -> Vec<String> {
     lines
 }
 
-/// Sentence on the position of a part on the axes.
+/// Returns the sentence on the position of a part on the axes.
 fn place(transform: &Transform) -> String {
     let [x, y] = transform.point([0.0, 0.0]);
     let [[xx, _], [yx, _]] = *transform.matrix();

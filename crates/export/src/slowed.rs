@@ -41,7 +41,7 @@ use std::array::from_fn;
 use planish_numerics::polynomial::{derivative, evaluate, range, shifted};
 use planish_types::{AxisGrid, ControllerModel, Interpolation, MachineAxis};
 
-use crate::plan::{Plan, length_mm};
+use crate::plan::{AxesPlan, length_mm};
 
 /// Part of the acceleration limit that a count may be in lines at the limit, where longer lines allow it. Larger: slower
 /// programs. Smaller: longer lines, within which the speed changes.
@@ -156,12 +156,12 @@ pub(crate) struct Inwards<const N: usize> {
 const INWARDS_OVER_MM: f64 = 0.5;
 
 impl<const N: usize> Inwards<N> {
-    /// The largest e, mm.
+    /// Returns the largest e, mm.
     pub fn most_mm(&self) -> f64 {
-        let of = |a: usize| self.lever[a] * self.by[a][0].max(self.by[a][1]);
-        (0..N).map(of).fold(0.0, f64::max)
+        (0..N).map(|a| self.lever[a] * self.by[a][0].max(self.by[a][1])).fold(0.0, f64::max)
     }
 
+    /// Moves a state of the plan inwards.
     fn apply(&self, state: &mut State<N>) {
         for axis in 0..N {
             let Some([low, high]) = self.travel[axis] else { continue };
@@ -184,7 +184,7 @@ impl<const N: usize> Inwards<N> {
 
 /// A plan and its slower clock.
 pub(crate) struct Slowed<'a, const N: usize> {
-    plan: &'a Plan<'a, N>,
+    plan: &'a AxesPlan<'a, N>,
     inwards: Inwards<N>,
     cell_s: f64,
     /// k at the borders of the cells (m+1).
@@ -194,7 +194,7 @@ pub(crate) struct Slowed<'a, const N: usize> {
 }
 
 /// Cells of a plan, with the slowing down that each needs.
-pub(crate) struct Cells {
+pub(crate) struct ClockCells {
     cell_s: f64,
     /// Least k of every cell (m), without the raised factors; below 1 where the plan uses less than its limits.
     need: Vec<f64>,
@@ -212,11 +212,11 @@ pub(crate) struct Cells {
     delay_s: f64,
 }
 
-impl Cells {
-    /// The cells of `plan` for this controller; the tool is on where the plan says so, or always. Lines may leave the plan
-    /// by `deviation_mm`.
+impl ClockCells {
+    /// Creates the cells of `plan` for this controller; the tool is on where the plan says so, or always. Lines may leave
+    /// the plan by `deviation_mm`.
     pub fn new<const N: usize>(
-        plan: &Plan<N>,
+        plan: &AxesPlan<N>,
         follows_tool: bool,
         controller: &ControllerModel,
         deviation_mm: f64,
@@ -241,8 +241,8 @@ impl Cells {
         let start_s = plan.break_time_s[0];
         for segment in plan.segments() {
             let from_s = segment.start_s - start_s;
-            let first = cells.of(from_s);
-            let last = cells.of(from_s + segment.duration_s);
+            let first = cells.index(from_s);
+            let last = cells.index(from_s + segment.duration_s);
             for i in first..=last {
                 cells.on[i] &= segment.tool_on || !follows_tool;
                 let begin = (i as f64 * cell_s - from_s).max(0.0).min(segment.duration_s);
@@ -285,7 +285,8 @@ impl Cells {
                 }
             }
         }
-        let (mut arc_mm, mut before) = (0.0, at_plan(plan, 0.0).position);
+        let mut arc_mm = 0.0;
+        let mut before = at_plan(plan, 0.0).position;
         for i in 0..=m {
             let here = at_plan(plan, (i as f64 * cell_s).min(total_s)).position;
             arc_mm += plan.length_mm(minus(here, before));
@@ -295,17 +296,22 @@ impl Cells {
         cells
     }
 
-    /// The cell of a time of the plan.
-    pub fn of(&self, plan_s: f64) -> usize {
+    /// Returns the index of the cell of a time of the plan.
+    pub fn index(&self, plan_s: f64) -> usize {
         ((plan_s / self.cell_s).max(0.0) as usize).min(self.need.len() - 1)
     }
 
-    /// `k` at the borders: above the need of both cells beside a border, and nowhere steeper than allowed.
+    /// Returns `k` at the borders: above the need of both cells beside a border, and nowhere steeper than allowed.
     fn factor(&self) -> Vec<f64> {
         let m = self.need.len();
-        let cell = |i: usize| self.need[i].max(1.0) * self.raised[i];
+        let cells: Vec<f64> = self
+            .need
+            .iter()
+            .zip(&self.raised)
+            .map(|(need, raised)| need.max(1.0) * raised)
+            .collect();
         let mut k: Vec<f64> =
-            (0..=m).map(|i| cell(i.saturating_sub(1)).max(cell(i.min(m - 1)))).collect();
+            (0..=m).map(|i| cells[i.saturating_sub(1)].max(cells[i.min(m - 1)])).collect();
         self.flatten(&mut k);
         self.give_back(&mut k);
         self.flatten(&mut k);
@@ -313,20 +319,24 @@ impl Cells {
         k
     }
 
-    /// Room of every border (m+1): how much smaller `k` may be. None where the program is slower than the plan.
+    /// Returns the room of every border (m+1): how much smaller `k` may be. None where the program is slower than the plan.
     fn rooms(&self, k: &[f64]) -> Vec<f64> {
         let m = self.need.len();
         let mut rooms = vec![0.0; m + 1];
         // The ends stay as they are: the last cell is shorter than the others.
         for b in 1..m - 1 {
-            let is_on = self.on[b - 1] && self.on[b];
             let is_free = k[b] <= 1.0 && self.raised[b - 1] == 1.0 && self.raised[b] == 1.0;
             let least = self.need[b - 1].max(self.need[b]);
-            if is_free && is_on {
+            if is_free && self.is_on_beside(b) {
                 rooms[b] = (k[b] - least).max(0.0);
             }
         }
         rooms
+    }
+
+    /// Returns true if the tool removes in both cells beside the border `b`.
+    fn is_on_beside(&self, b: usize) -> bool {
+        self.on[b - 1] && self.on[b]
     }
 
     /// Changes `k` in stretches with room until the delay after each is a multiple of its unit:
@@ -342,12 +352,14 @@ impl Cells {
             return;
         }
         let mut weight = self.rooms(k);
-        let left = |i: usize, k: &[f64]| self.steepest[i] * self.cell_s - (k[i + 1] - k[i]).abs();
+        let left: Vec<f64> = (0..m)
+            .map(|i| (self.steepest[i] * self.cell_s - (k[i + 1] - k[i]).abs()).max(0.0))
+            .collect();
         for i in 0..m {
-            weight[i + 1] = weight[i + 1].min(weight[i] + left(i, k).max(0.0));
+            weight[i + 1] = weight[i + 1].min(weight[i] + left[i]);
         }
         for i in (0..m).rev() {
-            weight[i] = weight[i].min(weight[i + 1] + left(i, k).max(0.0));
+            weight[i] = weight[i].min(weight[i + 1] + left[i]);
         }
         let mut delay_s = 0.5 * self.cell_s * (k[0] - 1.0);
         let mut b = 1;
@@ -389,7 +401,6 @@ impl Cells {
             return;
         }
         let inner = 1..m - 1;
-        let is_on = |b: usize| self.on[b - 1] && self.on[b];
         let mut rooms = self.rooms(k);
         // Half as steep as allowed: the part of the room that is used varies too.
         for i in 0..m {
@@ -401,7 +412,7 @@ impl Cells {
         let room_near = self.sums_within(&rooms);
         let mut wanted = vec![0.0; m + 1];
         for b in inner.clone() {
-            if is_on(b) && k[b] > 1.0 && room_near[b] > 1e-9 {
+            if self.is_on_beside(b) && k[b] > 1.0 && room_near[b] > 1e-9 {
                 wanted[b] = (k[b] - 1.0) / room_near[b];
             }
         }
@@ -421,40 +432,41 @@ impl Cells {
         (square / k.len() as f64).sqrt()
     }
 
-    /// Sums of `values` at the borders (m+1) over the borders within [`GIVEN_BACK_WITHIN_MM`] of each.
+    /// Returns the sums of `values` at the borders (m+1) over the borders within [`GIVEN_BACK_WITHIN_MM`] of each.
     fn sums_within(&self, values: &[f64]) -> Vec<f64> {
         let mut before = vec![0.0];
         for v in values {
             before.push(before[before.len() - 1] + v);
         }
-        let (mut low, mut end) = (0, 0);
-        (self.arc_mm.iter())
-            .map(|at| {
-                while self.arc_mm[low] < at - GIVEN_BACK_WITHIN_MM {
-                    low += 1;
-                }
-                while end < values.len() && self.arc_mm[end] <= at + GIVEN_BACK_WITHIN_MM {
-                    end += 1;
-                }
-                before[end] - before[low]
-            })
-            .collect()
+        let mut low = 0;
+        let mut end = 0;
+        let mut sums = Vec::with_capacity(self.arc_mm.len());
+        for place_mm in &self.arc_mm {
+            while self.arc_mm[low] < place_mm - GIVEN_BACK_WITHIN_MM {
+                low += 1;
+            }
+            while end < values.len() && self.arc_mm[end] <= place_mm + GIVEN_BACK_WITHIN_MM {
+                end += 1;
+            }
+            sums.push(before[end] - before[low]);
+        }
+        sums
     }
 }
 
 impl<'a, const N: usize> Slowed<'a, N> {
-    /// The plan on the clock that `cells` ask for.
-    pub fn new(plan: &'a Plan<'a, N>, cells: &Cells, inwards: Inwards<N>) -> Self {
+    /// Creates the plan on the clock of `cells`.
+    pub fn new(plan: &'a AxesPlan<'a, N>, cells: &ClockCells, inwards: Inwards<N>) -> Self {
         let factor = cells.factor();
         let mut time_s = Vec::with_capacity(factor.len());
-        let (mut sum, mut lost) = (0.0, 0.0);
+        let mut sum = 0.0;
+        let mut lost = 0.0;
         time_s.push(0.0);
         let m = cells.need.len();
         for i in 0..m {
-            let length = match i + 1 == m {
-                true => plan.total_time_s() - i as f64 * cells.cell_s,
-                false => cells.cell_s,
-            };
+            let is_last = i + 1 == m;
+            let length =
+                if is_last { plan.total_time_s() - i as f64 * cells.cell_s } else { cells.cell_s };
             // The factors lie at the borders of whole cells.
             let end = factor[i] + (factor[i + 1] - factor[i]) * length / cells.cell_s;
             // Compensated: a plan has up to 2e6 cells, and a program that is not slowed has the plan's times.
@@ -467,28 +479,29 @@ impl<'a, const N: usize> Slowed<'a, N> {
         Self { plan, inwards, cell_s: cells.cell_s, factor, time_s }
     }
 
-    /// The factors k at the borders of the cells.
+    /// Returns the factors k at the borders of the cells.
     pub fn factors(&self) -> &[f64] {
         &self.factor
     }
 
-    /// Duration of the slower motion, s.
+    /// Returns the duration of the slower motion, s.
     pub fn total_s(&self) -> f64 {
         self.time_s[self.time_s.len() - 1]
     }
 
-    /// Time of the plan at a time of the program, with k and k'.
+    /// Returns the time of the plan at a time of the program, s, with k and k'.
     pub fn plan_time(&self, time_s: f64) -> (f64, f64, f64) {
         let i = self.time_s.partition_point(|t| *t <= time_s).clamp(1, self.factor.len() - 1) - 1;
         let dt = (time_s - self.time_s[i]).max(0.0);
-        let (k, slope) = (self.factor[i], (self.factor[i + 1] - self.factor[i]) / self.cell_s);
+        let k = self.factor[i];
+        let slope = (self.factor[i + 1] - self.factor[i]) / self.cell_s;
         // t = k u + k' u^2 / 2
         let u = 2.0 * dt / (k + (k * k + 2.0 * slope * dt).max(0.0).sqrt());
         let plan_s = (i as f64 * self.cell_s + u).min(self.plan.total_time_s());
         (plan_s, k + slope * u, slope)
     }
 
-    /// Time of the program at a time of the plan, s.
+    /// Returns the time of the program at a time of the plan, s.
     pub fn program_time(&self, plan_s: f64) -> f64 {
         let i = ((plan_s / self.cell_s).max(0.0) as usize).min(self.factor.len() - 2);
         let u = plan_s - i as f64 * self.cell_s;
@@ -496,8 +509,8 @@ impl<'a, const N: usize> Slowed<'a, N> {
         self.time_s[i] + self.factor[i] * u + 0.5 * slope * u * u
     }
 
-    /// The motion at a time of the program; at rest beyond its end.
-    pub fn at(&self, time_s: f64) -> State<N> {
+    /// Returns the state of the motion at a time of the program; at rest beyond its end.
+    pub fn state(&self, time_s: f64) -> State<N> {
         let (plan_s, k, slope) = self.plan_time(time_s);
         let mut state = at_plan(self.plan, plan_s);
         for axis in 0..N {
@@ -512,7 +525,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
         state
     }
 
-    /// The breaks of the plan within a stretch of the program, as times of the program.
+    /// Returns the breaks of the plan within a stretch of the program, as times of the program, s.
     pub fn breaks_within(&self, from_s: f64, to_s: f64) -> impl Iterator<Item = f64> + '_ {
         let start_s = self.plan.break_time_s[0];
         let [low, high] = [from_s, to_s].map(|t| start_s + self.plan_time(t).0);
@@ -522,40 +535,42 @@ impl<'a, const N: usize> Slowed<'a, N> {
         breaks[first..end].iter().map(move |b| self.program_time(b - start_s))
     }
 
-    /// Shortest distance of `position` from the path near the program's time, mm, and the distance at this time: the plan
-    /// is asked a little earlier or later, where its velocity says that it is nearer.
+    /// Returns the shortest distance of `position` from the path near the program's time, mm, and the distance at this time.
+    /// The shortest is that a little earlier or later, where the velocity says that the plan is nearer.
     pub fn distance_mm(&self, time_s: f64, position: [f64; N]) -> [f64; 2] {
-        let here = self.at(time_s);
-        let off = |s: &State<N>| self.plan.length_mm(minus(position, s.position));
-        let at_once = off(&here);
-        match self.shift_s(&here, position) {
-            Some(shift_s) => [at_once.min(off(&self.at(time_s + shift_s))), at_once],
-            None => [at_once, at_once],
-        }
+        let here = self.state(time_s);
+        let now_mm = self.plan.length_mm(minus(position, here.position));
+        let Some(shift_s) = self.shift_s(&here, position) else { return [now_mm, now_mm] };
+        let nearer = self.state(time_s + shift_s).position;
+        [now_mm.min(self.plan.length_mm(minus(position, nearer))), now_mm]
     }
 
-    /// Time after which the state `here` comes nearest to `position` at its velocity, s; `None` where it stands or is far.
+    /// Returns the time after which the state `here` comes nearest to `position` at its velocity, s; `None` where it stands
+    /// or is far.
     fn shift_s(&self, here: &State<N>, position: [f64; N]) -> Option<f64> {
-        let (e, v, l) = (minus(position, here.position), here.velocity, self.plan.lever);
+        let e = minus(position, here.position);
+        let v = here.velocity;
+        let l = self.plan.lever;
         let along: f64 = (0..N).map(|a| l[a] * e[a] * (l[a] * v[a])).sum();
         let speed2: f64 = (0..N).map(|a| l[a] * v[a] * (l[a] * v[a])).sum();
         let shift_s = along / speed2;
-        (shift_s.is_finite() && shift_s.abs() < SHIFT_S).then_some(shift_s)
+        if shift_s.is_finite() && shift_s.abs() < SHIFT_S { Some(shift_s) } else { None }
     }
 }
 
 impl<const N: usize> Slowed<'_, N> {
-    /// Upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of the plan,
-    /// mm.
+    /// Returns an upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of
+    /// the plan, mm. A bound below `worth_mm` is not made tighter.
     ///
     /// Any map u -> s of its time to the plan's gives one: the largest |c(u) - P(s(u))|. Piecewise linear maps, which meet the
     /// nearest point at their ends, leave a cubic per axis between two breaks of the plan. Its exact extremes along
     /// the line between the ends and across it are the bound. A stretch is halved until the bound is near what is reached.
     pub fn bound_mm(&self, start_s: f64, time_s: f64, c: &[[f64; 4]; N], worth_mm: f64) -> f64 {
-        let ends = [0.0, time_s].map(|u| (u, self.nearest_plan_s(start_s + u, at(c, u))));
+        let ends = [0.0, time_s].map(|u| (u, self.nearest_plan_s(start_s + u, position(c, u))));
         self.bound_between(start_s, c, ends, worth_mm, MOST_HALVINGS)
     }
 
+    /// Returns the bound between two pairs of times (u, s), mm, after up to `halvings`.
     fn bound_between(
         &self,
         start_s: f64,
@@ -569,45 +584,48 @@ impl<const N: usize> Slowed<'_, N> {
             return bound;
         }
         let u = 0.5 * (from.0 + to.0);
-        let middle = (u, self.nearest_plan_s(start_s + u, at(c, u)));
+        let middle = (u, self.nearest_plan_s(start_s + u, position(c, u)));
         let reached = [from, middle, to].into_iter().fold(0.0_f64, |most, (u, s)| {
-            let (p, q) = (at(c, u), at_plan(self.plan, s).position);
-            most.max(self.plan.length_mm(minus(p, q)))
+            let off = minus(position(c, u), at_plan(self.plan, s).position);
+            most.max(self.plan.length_mm(off))
         });
         if bound <= TIGHT * reached {
             return bound;
         }
-        let half = |ends| self.bound_between(start_s, c, ends, worth_mm, halvings - 1);
-        half([from, middle]).max(half([middle, to]))
+        let [first, second] = [[from, middle], [middle, to]]
+            .map(|ends| self.bound_between(start_s, c, ends, worth_mm, halvings - 1));
+        first.max(second)
     }
 
-    /// Time of the plan at which it is nearest to `position`, near a time of the program, s.
+    /// Returns the time of the plan at which it is nearest to `position`, near a time of the program, s.
     pub fn nearest_plan_s(&self, time_s: f64, position: [f64; N]) -> f64 {
         let plan_s = self.plan_time(time_s.max(0.0)).0;
         let here = at_plan(self.plan, plan_s);
         let Some(shift_s) = self.shift_s(&here, position) else { return plan_s };
-        let off = |p: [f64; N]| self.plan.length_mm(minus(position, p));
         let shifted_s = (plan_s + shift_s).clamp(0.0, self.plan.total_time_s());
-        match off(at_plan(self.plan, shifted_s).position) < off(here.position) {
-            true => shifted_s,
-            false => plan_s,
-        }
+        let there = at_plan(self.plan, shifted_s);
+        let [there_mm, here_mm] =
+            [there, here].map(|state| self.plan.length_mm(minus(position, state.position)));
+        if there_mm < here_mm { shifted_s } else { plan_s }
     }
 
-    /// Largest |c(u) - P(s(u))| with s linear between two pairs (u, s), by the extremes along and across.
+    /// Returns the largest |c(u) - P(s(u))|, mm, with s linear between two pairs (u, s), by the extremes along and across.
     fn bound_of_linear(&self, c: &[[f64; 4]; N], from: (f64, f64), to: (f64, f64)) -> f64 {
         let plan_start_s = self.plan.break_time_s[0];
         let lever = &self.plan.lever;
         let rate = (to.1 - from.1).max(0.0) / (to.0 - from.0);
-        let (p, q) = (at(c, from.0), at(c, to.0));
+        let p = position(c, from.0);
+        let q = position(c, to.0);
         let length = length_mm(lever, minus(q, p));
-        let direction: [f64; N] = match length > 0.0 {
-            true => from_fn(|a| lever[a] * (q[a] - p[a]) / length),
-            false => from_fn(|a| f64::from(u8::from(a == 0))),
+        let direction: [f64; N] = if length > 0.0 {
+            from_fn(|a| lever[a] * (q[a] - p[a]) / length)
+        } else {
+            from_fn(|a| f64::from(u8::from(a == 0)))
         };
         let breaks = self.plan.break_time_s;
         let mut most = 0.0_f64;
-        let (mut u, mut time_s) = (from.0, plan_start_s + from.1);
+        let mut u = from.0;
+        let mut time_s = plan_start_s + from.1;
         let mut i = breaks.partition_point(|b| *b <= time_s).clamp(1, self.plan.len()) - 1;
         loop {
             let segment = self.plan.segment(i);
@@ -637,7 +655,7 @@ impl<const N: usize> Slowed<'_, N> {
     }
 }
 
-/// Upper bound of the length of a vector of cubics, by the extremes along a direction and across it.
+/// Returns an upper bound of the length of a vector of cubics, by the extremes along a direction and across it.
 fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s: f64) -> f64 {
     let peak = |c: [f64; 4]| range(&c, time_s).peak().0;
     let part = |w: [f64; N]| {
@@ -654,12 +672,13 @@ fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s:
     })
 }
 
+/// Returns p - q.
 fn minus<const N: usize>(p: [f64; N], q: [f64; N]) -> [f64; N] {
     from_fn(|a| p[a] - q[a])
 }
 
-/// Positions of cubics.
-pub(crate) fn at<const N: usize>(c: &[[f64; 4]; N], u: f64) -> [f64; N] {
+/// Returns the positions of cubics at the time `u` since their start.
+pub(crate) fn position<const N: usize>(c: &[[f64; 4]; N], u: f64) -> [f64; N] {
     c.each_ref().map(|c| evaluate(c, u))
 }
 
@@ -672,8 +691,8 @@ const TIGHT: f64 = 1.05;
 /// Most that the nearest point of the plan is looked for away in time, s.
 const SHIFT_S: f64 = 0.01;
 
-/// State of the plan at a time since its start.
-pub(crate) fn at_plan<const N: usize>(plan: &Plan<N>, plan_s: f64) -> State<N> {
+/// Returns the state of the plan at a time since its start.
+pub(crate) fn at_plan<const N: usize>(plan: &AxesPlan<N>, plan_s: f64) -> State<N> {
     let time_s = plan.break_time_s[0] + plan_s;
     let i = plan.break_time_s.partition_point(|b| *b <= time_s).clamp(1, plan.len()) - 1;
     let segment = plan.segment(i);
@@ -681,8 +700,8 @@ pub(crate) fn at_plan<const N: usize>(plan: &Plan<N>, plan_s: f64) -> State<N> {
     let first = segment.coefficient.each_ref().map(derivative);
     let second = first.each_ref().map(derivative);
     State {
-        position: at(segment.coefficient, u),
-        velocity: at(&first, u),
-        acceleration: at(&second, u),
+        position: position(segment.coefficient, u),
+        velocity: position(&first, u),
+        acceleration: position(&second, u),
     }
 }

@@ -46,41 +46,31 @@ pub(crate) struct Axis<'a> {
 }
 
 impl Axis<'_> {
-    /// Rounded velocities (n+1), and the use of the limits by every segment (n) that exceeds them: the factor by
+    /// Returns the rounded velocities (n+1), and the use of the limits by every segment (n) that exceeds them: the factor by
     /// which its time has to grow; 1 elsewhere.
     pub fn velocities(&self) -> (Vec<f64>, Vec<f64>) {
-        let n = self.time_s.len();
-        let mut planned: Vec<f64> = self.planned.iter().map(|v| self.rounded(*v)).collect();
-        for k in (0..=n).filter(|k| self.rests[*k]) {
-            planned[k] = 0.0;
-        }
-        let excess = self.excesses(&planned);
+        let (planned, excess) = self.rounded(self.planned);
         if excess.iter().all(|e| *e <= 1.0) {
             return (planned, excess);
         }
-        let rounded = |v: Vec<f64>| {
-            let v: Vec<f64> = (v.iter().enumerate())
-                .map(|(k, v)| if self.rests[k] { 0.0 } else { self.rounded(*v) })
-                .collect();
-            let excess = self.excesses(&v);
-            (v, excess)
-        };
-        match self.program(false) {
-            Some(v) => rounded(v),
-            // The least excess says where more time is needed.
-            None => self.program(true).map_or((planned, excess), rounded),
+        // The least excess says where more time is needed.
+        match self.program(false).or_else(|| self.program(true)) {
+            Some(v) => self.rounded(&v),
+            None => (planned, excess),
         }
     }
 
-    fn rounded(&self, v: f64) -> f64 {
-        (v / self.unit).round() * self.unit
+    /// Rounds velocities (n+1) to their unit, 0 at rests. Returns them with the use of the limits by every segment (n).
+    fn rounded(&self, v: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let rounded: Vec<f64> = (v.iter().zip(self.rests))
+            .map(|(v, rests)| if *rests { 0.0 } else { (v / self.unit).round() * self.unit })
+            .collect();
+        let segments = rounded.windows(2).enumerate();
+        let excess = segments.map(|(k, v)| self.excess(k, [v[0], v[1]])).collect();
+        (rounded, excess)
     }
 
-    fn excesses(&self, v: &[f64]) -> Vec<f64> {
-        (0..self.time_s.len()).map(|k| self.excess(k, [v[k], v[k + 1]])).collect()
-    }
-
-    /// Use of the limits by segment `k`; 1 where they are kept.
+    /// Returns the use of the limits by segment `k`; 1 where they are kept.
     fn excess(&self, k: usize, v: [f64; 2]) -> f64 {
         let t = self.time_s[k];
         let c = hermite(self.distance[k], v, t);
@@ -93,46 +83,18 @@ impl Axis<'_> {
         speed.max(acceleration.sqrt()).max(jerk.cbrt()).max(1.0)
     }
 
-    /// The quadratic program; none where it has no solution.
+    /// Solves the quadratic program; `elastic`, the limits may be exceeded at a price. Returns the velocities (n+1), `None`
+    /// where it has no solution.
     fn program(&self, elastic: bool) -> Option<Vec<f64>> {
-        let (n, t) = (self.time_s.len(), self.time_s);
+        let n = self.time_s.len();
+        let t = self.time_s;
         let most_v = (1.0 - MARGIN) * self.limits.max_velocity - self.unit;
         // Where the largest velocity of a segment is bounded, beside its ends, in units of its time.
         let mut within: Vec<Vec<f64>> = vec![Vec::new(); n];
         for _ in 0..MOST_PROGRAMS {
-            let sum = |k: usize| {
-                let before = if k > 0 { 4.0 / t[k - 1] } else { 0.0 };
-                before + if k < n { 4.0 / t[k] } else { 0.0 }
-            };
-            let diagonal: Vec<f64> = (0..=n).map(sum).collect();
-            let beside: Vec<f64> = t.iter().map(|t| 2.0 / t).collect();
-            let planned = |k: usize| if self.rests[k] { 0.0 } else { self.planned[k] };
-            let linear = (0..=n).map(|k| {
-                let mut c = diagonal[k] * planned(k);
-                if k > 0 {
-                    c += beside[k - 1] * planned(k - 1);
-                }
-                if k < n {
-                    c += beside[k] * planned(k + 1);
-                }
-                c
-            });
-            let linear = linear.collect();
-            let free = self.rests.iter().map(|rests| !rests).collect();
-            let price = match elastic {
-                false => Vec::new(),
-                true => {
-                    let stiffest = diagonal.iter().copied().fold(0.0, f64::max);
-                    let fastest = self.limits.max_velocity;
-                    let mean_s = t.iter().sum::<f64>() / n as f64;
-                    let unit = PRICE * stiffest * fastest * fastest / mean_s;
-                    t.iter().map(|t| unit * t).collect()
-                }
-            };
-            let program = chain::Program { diagonal, beside, linear, free, price };
-            let rows =
-                |k: usize, rows: &mut chain::ChainRows| self.rows(k, &within[k], most_v, rows);
-            let mut v = chain::solve(program, rows).ok()?;
+            let program = self.objective(elastic);
+            let mut v =
+                chain::solve(program, |k, rows| self.rows(k, &within[k], most_v, rows)).ok()?;
             for k in (0..=n).filter(|k| self.rests[*k]) {
                 v[k] = 0.0;
             }
@@ -154,9 +116,46 @@ impl Axis<'_> {
         None
     }
 
-    /// Rows of segment `k`.
+    /// Returns the program without its rows: H, H v*, the nodes that are free, and the price of an excess.
+    fn objective(&self, elastic: bool) -> chain::Program {
+        let n = self.time_s.len();
+        let t = self.time_s;
+        let mut diagonal = Vec::with_capacity(n + 1);
+        for k in 0..=n {
+            let before = if k > 0 { 4.0 / t[k - 1] } else { 0.0 };
+            diagonal.push(before + if k < n { 4.0 / t[k] } else { 0.0 });
+        }
+        let beside: Vec<f64> = t.iter().map(|t| 2.0 / t).collect();
+        let moving = self.planned.iter().zip(self.rests);
+        let planned: Vec<f64> = moving.map(|(v, rests)| if *rests { 0.0 } else { *v }).collect();
+        let mut linear = Vec::with_capacity(n + 1);
+        for k in 0..=n {
+            let mut c = diagonal[k] * planned[k];
+            if k > 0 {
+                c += beside[k - 1] * planned[k - 1];
+            }
+            if k < n {
+                c += beside[k] * planned[k + 1];
+            }
+            linear.push(c);
+        }
+        let mut price = Vec::new();
+        if elastic {
+            let stiffest = diagonal.iter().copied().fold(0.0, f64::max);
+            let fastest = self.limits.max_velocity;
+            let mean_s = t.iter().sum::<f64>() / n as f64;
+            let unit = PRICE * stiffest * fastest * fastest / mean_s;
+            price = t.iter().map(|t| unit * t).collect();
+        }
+        let free = self.rests.iter().map(|rests| !rests).collect();
+        chain::Program { diagonal, beside, linear, free, price }
+    }
+
+    /// Adds the rows of segment `k`.
     fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::ChainRows) {
-        let (t, m, q) = (self.time_s[k], self.distance[k] / self.time_s[k], self.unit);
+        let t = self.time_s[k];
+        let m = self.distance[k] / self.time_s[k];
+        let q = self.unit;
         let limits = self.limits;
         let mut both = |row: [f64; 2], constant: f64, slack: f64, bound: f64| {
             rows.add(row, slack, bound - constant);
@@ -174,13 +173,14 @@ impl Axis<'_> {
         }
         for u in within {
             // v(u) = (1-u)^2 v0 + 2u(1-u) (3 m - v0 - v1) + u^2 v1
-            let (w, mixed) = (1.0 - u, 2.0 * u * (1.0 - u));
+            let w = 1.0 - u;
+            let mixed = 2.0 * u * (1.0 - u);
             both([w * w - mixed, u * u - mixed], 3.0 * mixed * m, most_v, most_v);
         }
     }
 }
 
-/// The cubic (position from 0) over `distance` in `time_s` with the velocities `v` at its ends.
+/// Returns the cubic (position from 0) over `distance` in `time_s` with the velocities `v` at its ends.
 pub(crate) fn hermite(distance: f64, v: [f64; 2], time_s: f64) -> [f64; 4] {
     let mean = distance / time_s;
     [

@@ -1,6 +1,6 @@
 //! The limits of the machine on the motion that a program asks for.
 
-use planish_export::{About, Origin, Settings, program};
+use planish_export::{About, Origin, ProgramSettings, program};
 use planish_types::{
     ControllerKind, Counts, Limits, Machine, MachineFile, MachineFileAxis, Trajectory,
 };
@@ -36,7 +36,8 @@ fn export(
     count: f64,
     tick_s: Option<f64>,
 ) -> Result<About, String> {
-    let settings = Settings { counts: Counts::linear(count), tick_s, ..Settings::default() };
+    let settings =
+        ProgramSettings { counts: Counts::linear(count), tick_s, ..ProgramSettings::default() };
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
     let made = program(plan, &machine.clone().into(), controller, &settings, &origin)
         .map_err(|e| e.to_string())?;
@@ -143,7 +144,8 @@ fn the_travel_holds_between_the_nodes_too() {
         let origin =
             Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
         for controller in ControllerKind::ALL {
-            let made = program(&plan, &machine, controller, &Settings::default(), &origin).unwrap();
+            let made =
+                program(&plan, &machine, controller, &ProgramSettings::default(), &origin).unwrap();
             let [low, high] = made.about.limits.reach_mm[0];
             assert!(low >= -5.0 - 1e-9 && high <= top + 1e-9, "{controller:?}: {low} to {high}");
             // Within the path deviation of where the plan turns, not of the ends of its segments.

@@ -2,7 +2,7 @@
 //! both sides are seen: `crates/testkit/tests/programs.rs` reads them back with the reader of
 //! `planish-import`.
 
-use planish_export::{Origin, Settings, gcode, pmac, program};
+use planish_export::{Origin, ProgramSettings, gcode, pmac, program};
 use planish_types::{ControllerKind, Counts, Limits, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine() -> Limits {
@@ -38,7 +38,7 @@ fn motion(tool_on: [bool; 2]) -> Trajectory {
 fn write(
     trajectory: &Trajectory,
     controller: ControllerKind,
-    settings: &Settings,
+    settings: &ProgramSettings,
 ) -> Result<String, String> {
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
     program(trajectory, &machine().into(), controller, settings, &origin)
@@ -46,14 +46,14 @@ fn write(
         .map_err(|e| e.to_string())
 }
 
-fn settings() -> Settings {
-    Settings { counts: Counts::linear(1e-4), ..Settings::default() }
+fn settings() -> ProgramSettings {
+    ProgramSettings { counts: Counts::linear(1e-4), ..ProgramSettings::default() }
 }
 
 #[test]
 fn the_text_of_every_controller() {
     let motion = motion([true; 2]);
-    let body_with = |controller, settings: &Settings| {
+    let body_with = |controller, settings: &ProgramSettings| {
         let text = write(&motion, controller, settings).unwrap();
         let comment = |l: &&str| !["' ", "; ", "# ", "("].iter().any(|c| l.starts_with(c));
         text.lines().filter(comment).collect::<Vec<_>>().join("\n")
@@ -67,8 +67,8 @@ fn the_text_of_every_controller() {
     assert_eq!(body(ControllerKind::Xps), expected);
     let expected = "ABS\nPVT125\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0";
     assert_eq!(body(ControllerKind::Pmac), expected);
-    let pmac = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
-    let switched = Settings { pmac, ..settings() };
+    let pmac = pmac::PmacSettings { tool_output: Some(7), ..pmac::PmacSettings::default() };
+    let switched = ProgramSettings { pmac, ..settings() };
     let expected = "M7=0\nABS\nRAPID\nX1 Y-2\nDWELL0\nM7==1\nPVT125\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0\nM7==0\nDWELL0";
     assert_eq!(body_with(ControllerKind::Pmac, &switched), expected);
     // Lines, then a dwell: the tool switches with the first, and at once after the last.
@@ -78,8 +78,9 @@ fn the_text_of_every_controller() {
     let end: Vec<&str> = gcode.lines().rev().take(5).collect();
     assert_eq!(end[..3], ["M2", "G94 F60", "M65 P0"]);
     assert!(end[3].starts_with("G4 P") && end[4].starts_with("G1 X2 Y-2 F"), "{end:?}");
-    let gcode = gcode::Settings { feed: gcode::Feed::PerMinute, ..gcode::Settings::default() };
-    let per_minute = Settings { gcode, ..settings() };
+    let gcode =
+        gcode::GcodeSettings { feed: gcode::Feed::PerMinute, ..gcode::GcodeSettings::default() };
+    let per_minute = ProgramSettings { gcode, ..settings() };
     assert!(body_with(ControllerKind::Gcode, &per_minute).contains("\nG94\nM62 P0\nG1 X"));
     let expected = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.125,2,0,-2,0,1\n\
                     3.125,2,0,-2,0,0";
@@ -105,10 +106,11 @@ fn the_header_says_what_it_is() {
 #[test]
 fn what_a_controller_cannot_do_is_refused() {
     let galil = ControllerKind::Galil;
-    let refused = |t: &Trajectory, c, settings: &Settings| write(t, c, settings).unwrap_err();
+    let refused =
+        |t: &Trajectory, c, settings: &ProgramSettings| write(t, c, settings).unwrap_err();
     let lifted = motion([true, false]);
     assert!(refused(&lifted, galil, &settings()).contains("cannot switch the tool"));
-    let on = Settings { always_on: true, ..settings() };
+    let on = ProgramSettings { always_on: true, ..settings() };
     assert!(write(&lifted, galil, &on).unwrap().contains("' warning: the tool is on"));
     let text = write(&lifted, ControllerKind::Gcode, &settings()).unwrap();
     // G4 is no motion, so M63 would wait beyond it.
@@ -140,7 +142,7 @@ fn what_a_controller_cannot_do_is_refused() {
         );
     }
     // 50 mm/s of 1e-6 mm are 50 000 000 counts/s.
-    let fine = Settings { counts: Counts::linear(1e-6), ..settings() };
+    let fine = ProgramSettings { counts: Counts::linear(1e-6), ..settings() };
     let rest = [[0.0, 0.0, 50.0, 0.0], [0.0; 4]];
     let stop = [[50.0, 100.0, -50.0, 0.0], [0.0; 4]];
     let fast = line(vec![rest, stop], 1.0);
@@ -148,11 +150,11 @@ fn what_a_controller_cannot_do_is_refused() {
     let over =
         line(vec![[[0.0, 0.0, 75.0, 0.0], [0.0; 4]], [[75.0, 150.0, -75.0, 0.0], [0.0; 4]]], 1.0);
     assert!(refused(&over, gcode, &settings()).contains("x velocity reaches 150.000000 mm/s"));
-    let zero = Settings { counts: Counts::linear(0.0), ..settings() };
+    let zero = ProgramSettings { counts: Counts::linear(0.0), ..settings() };
     assert!(refused(&motion([true; 2]), gcode, &zero).contains("count_mm: is 0"));
     // 1e-10 mm would be written as G64 P0: any deviation.
-    let gcode = gcode::Settings { path_tolerance_mm: Some(1e-10), ..Default::default() };
-    let tight = Settings { gcode, ..settings() };
+    let gcode = gcode::GcodeSettings { path_tolerance_mm: Some(1e-10), ..Default::default() };
+    let tight = ProgramSettings { gcode, ..settings() };
     let said = refused(&motion([true; 2]), ControllerKind::Gcode, &tight);
     assert!(said.contains("path_tolerance_mm: is 0.0000000001, and G64 P0"), "{said}");
 }

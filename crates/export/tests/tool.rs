@@ -1,7 +1,7 @@
 //! State of the tool in every program that switches it: replayed by controllers written here from the manuals alone,
 //! which know nothing of the writers.
 
-use planish_export::{Origin, Settings, gcode, pmac, program};
+use planish_export::{Origin, ProgramSettings, gcode, pmac, program};
 use planish_types::{ControllerKind, Limits, MachineFile, MachineFileAxis, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -102,7 +102,7 @@ fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
     Trajectory::new(times, coefficients, tool_on.to_vec(), vec![Some(0); n]).unwrap()
 }
 
-fn text(plan: &Trajectory, controller: ControllerKind, settings: &Settings) -> String {
+fn text(plan: &Trajectory, controller: ControllerKind, settings: &ProgramSettings) -> String {
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
     program(plan, &limits().into(), controller, settings, &origin).unwrap().text
 }
@@ -130,8 +130,8 @@ fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
         let plan = motion(&moves, &on);
         let name = format!("case {case}: moves {moves:?}, on {on:?}");
         for feed in [gcode::Feed::InverseTime, gcode::Feed::PerMinute] {
-            let gcode = gcode::Settings { feed, ..gcode::Settings::default() };
-            let settings = Settings { gcode, ..Settings::default() };
+            let gcode = gcode::GcodeSettings { feed, ..gcode::GcodeSettings::default() };
+            let settings = ProgramSettings { gcode, ..ProgramSettings::default() };
             let events = linuxcnc(&text(&plan, ControllerKind::Gcode, &settings));
             // Off on the way to the start, as planned in every segment, off at the end.
             let last = events.len() - 1;
@@ -139,15 +139,15 @@ fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
             assert_eq!(states(&events[1..last]), changes(on.clone()), "{name}");
             assert_eq!(events[last], ("end".into(), false), "{name}");
         }
-        let output = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
-        let settings = Settings { pmac: output, ..Settings::default() };
+        let output = pmac::PmacSettings { tool_output: Some(7), ..pmac::PmacSettings::default() };
+        let settings = ProgramSettings { pmac: output, ..ProgramSettings::default() };
         let events = pmac(&text(&plan, ControllerKind::Pmac, &settings));
         // Off on the way to the start, and while the axes come to rest there.
         let last = events.len() - 2;
         assert_eq!(events[..2], [("move".into(), false), ("dwell".into(), false)], "{name}");
         assert_eq!(states(&events[2..last]), changes(on.clone()), "{name}");
         assert_eq!(events[last..], [("dwell".into(), false), ("end".into(), false)], "{name}");
-        let events = table(&text(&plan, ControllerKind::Csv, &Settings::default()));
+        let events = table(&text(&plan, ControllerKind::Csv, &ProgramSettings::default()));
         let last = events.len() - 1;
         assert_eq!(states(&events[..last]), changes(on), "{name}");
         assert_eq!(events[last..], [("row".into(), false)], "{name}");

@@ -64,12 +64,10 @@ impl Allocator {
             let held = REPORTED.fetch_add(sum, Ordering::Relaxed) + sum;
             let budget = i64::try_from(budget::memory_bytes()).unwrap_or(i64::MAX);
             if sum > 0 && held > budget && !ENDING.swap(true, Ordering::Relaxed) {
-                let gib = |bytes: i64| bytes as f64 / (1u64 << 30) as f64;
+                let [held, budget] = [held, budget].map(|n| n as f64 / (1u64 << 30) as f64);
                 end(&format!(
-                    "needs {:.2} GiB, more than the {:.2} GiB that it may take; give a coarser map or \
-                     path, or more --memory-gib",
-                    gib(held),
-                    gib(budget)
+                    "needs {held:.2} GiB, more than the {budget:.2} GiB that it may take; give a coarser map or \
+                     path, or more --memory-gib"
                 ));
             }
         });

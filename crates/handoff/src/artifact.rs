@@ -102,7 +102,7 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// BLAKE3 of the content that the manifest describes. A stage that reads the artifact records
+    /// Returns the BLAKE3 of the content that the manifest describes. A stage that reads the artifact records
     /// it as its input. `None` if this version does not know the kind.
     pub fn content(&self) -> Option<String> {
         let kind = kind::ALL.iter().find(|kind| kind.name == self.kind)?;
@@ -148,7 +148,7 @@ impl Manifest {
         })
     }
 
-    /// Text of the file: JSON whose last key is the BLAKE3 of everything before it.
+    /// Returns the text of the file: JSON whose last key is the BLAKE3 of everything before it.
     pub(crate) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("a manifest serialises");
         let body = text.strip_suffix("\n}").expect("a manifest has keys");
@@ -175,17 +175,11 @@ pub(crate) enum Seal {
     Absent,
 }
 
+/// Compares the seal of a manifest with its body.
 fn seal_of(text: &str) -> Seal {
-    match text.rsplit_once(SEAL) {
-        None => Seal::Absent,
-        Some((body, rest)) => {
-            let found = rest.trim_end_matches(['\n', '}', '"']);
-            match found == blake3::hash(body.as_bytes()).to_string() {
-                true => Seal::Whole,
-                false => Seal::Broken,
-            }
-        }
-    }
+    let Some((body, rest)) = text.rsplit_once(SEAL) else { return Seal::Absent };
+    let seal = rest.trim_end_matches(['\n', '}', '"']);
+    if seal == blake3::hash(body.as_bytes()).to_string() { Seal::Whole } else { Seal::Broken }
 }
 
 /// An artifact or file that an artifact was made from, directly or through others.
@@ -241,6 +235,10 @@ pub struct Loaded<T> {
 }
 
 /// Reads the artifact in `dir`; checks kind, version, dtypes, shapes, finiteness and hashes.
+///
+/// # Errors
+/// Fails if the directory, its manifest or an array cannot be read, is of another kind or a newer version, was changed
+/// after it was written, or holds values that the kind does not allow.
 pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     read_whole(dir, || {
         check_directory(dir, T::KIND)?;
@@ -273,7 +271,8 @@ pub(crate) fn read_arrays<T: Artifact>(
     let manifest = manifest.map(|(manifest, _)| manifest);
     let mut arrays = Arrays::default();
     let mut sizes = BTreeMap::new();
-    let (mut defaulted, mut absent) = (Vec::new(), Vec::new());
+    let mut defaulted = Vec::new();
+    let mut absent = Vec::new();
     let mut converted = Vec::new();
     let mut hasher = blake3::Hasher::new();
     for def in T::KIND.arrays {
@@ -310,7 +309,8 @@ pub(crate) fn read_arrays<T: Artifact>(
     for def in defaulted.iter().chain(&absent) {
         arrays.0.insert(def.name, default_array(def, &sizes));
     }
-    let warning = manifest.is_none().then(|| {
+    let mut warning = None;
+    if manifest.is_none() {
         let mut text =
             format!("{}: no {MANIFEST}, read as bare arrays of a {}", dir.display(), T::KIND.name);
         for def in &defaulted {
@@ -319,8 +319,8 @@ pub(crate) fn read_arrays<T: Artifact>(
         for note in &converted {
             text += &format!("; {note}");
         }
-        text
-    });
+        warning = Some(text);
+    }
     let value = T::from_arrays(arrays).map_err(|e| {
         let file = T::KIND.arrays.iter().find(|a| a.name == e.array);
         let path = file.map_or(dir.to_path_buf(), |a| dir.join(format!("{}.npy", a.name)));
@@ -341,12 +341,15 @@ pub(crate) fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffErro
     Err(HandoffError::new(dir, format!("{problem}; {remedy}")))
 }
 
-/// Manifest in `dir`, checked against `kind`; `None` if there is none.
+/// Reads the manifest in `dir`, checked against `kind`; `None` if there is none.
+///
+/// # Errors
+/// Fails if the manifest cannot be read, is of another kind or a newer version, or was changed after it was written.
 pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, HandoffError> {
     Ok(read_sealed_manifest(dir, kind)?.map(|(manifest, _)| manifest))
 }
 
-/// Manifest in `dir`, checked against `kind`, and the state of its seal; `None` if there is none. A
+/// Reads the manifest in `dir`, checked against `kind`, and the state of its seal; `None` if there is none. A
 /// broken seal is refused.
 pub(crate) fn read_sealed_manifest(
     dir: &Path,
@@ -355,7 +358,7 @@ pub(crate) fn read_sealed_manifest(
     manifest_text(dir)?.map(|text| checked_manifest(dir, kind, &text)).transpose()
 }
 
-/// Text of the manifest in `dir`; `None` if there is none.
+/// Reads the text of the manifest in `dir`; `None` if there is none.
 pub(crate) fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> {
     let path = dir.join(MANIFEST);
     if is_absent(&path) {
@@ -364,7 +367,7 @@ pub(crate) fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> 
     read_text(&path, LARGEST_MANIFEST_BYTES).map(Some)
 }
 
-/// Manifest with this text, checked against `kind`, and the state of its seal.
+/// Parses a manifest, checks it against `kind`, and returns it with the state of its seal.
 fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Seal), HandoffError> {
     let path = dir.join(MANIFEST);
     let damaged = |what: String| {
@@ -403,24 +406,27 @@ fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Se
     Ok((serde_json::from_str(text).map_err(unreadable)?, seal))
 }
 
-/// Text of a regular file of at most `most` bytes. Pipes and devices are refused, because they may
+/// Reads the text of a regular file of at most `most` bytes. Pipes and devices are refused, because they may
 /// never end.
 pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> {
     String::from_utf8(read_file(path, most)?).map_err(|e| {
-        let at = e.utf8_error().valid_up_to();
-        HandoffError::new(path, format!("is not text (byte {at} is not UTF-8); write it again"))
+        let byte = e.utf8_error().valid_up_to();
+        HandoffError::new(path, format!("is not text (byte {byte} is not UTF-8); write it again"))
     })
 }
 
-/// Bytes of a regular file. A pipe or a device is refused, because it may never end.
+/// Reads the bytes of a regular file.
+///
+/// # Errors
+/// Fails if it cannot be read. Refuses a pipe or a device, because it may never end.
 pub fn read_regular(path: &Path) -> std::io::Result<Vec<u8>> {
-    match fs::metadata(path)?.is_file() {
-        true => fs::read(path),
-        false => Err(std::io::Error::other("is not a file; give a regular file")),
+    if !fs::metadata(path)?.is_file() {
+        return Err(std::io::Error::other("is not a file; give a regular file"));
     }
+    fs::read(path)
 }
 
-/// Bytes of a regular file of at most `most` bytes.
+/// Reads the bytes of a regular file of at most `most` bytes.
 pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError> {
     let io = |e| HandoffError::io(path, "read", &e);
     if !fs::metadata(path).map_err(io)?.is_file() {
@@ -447,13 +453,16 @@ pub struct ManifestHead {
 /// value is found later. Smaller: less work in vectors. It does not change the result.
 const VALUES_PER_LOOK: usize = 1 << 12;
 
+/// Reads an array. Refuses values that its definition does not allow.
 fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> {
     let loaded = npy::read(path, def.dtype)?;
     if let ArrayData::F64(a) = &loaded.array {
         let bad = |v: f64| v.is_infinite() || (v.is_nan() && !def.nan_allowed);
         // The fold has no early exit, so that the compiler uses vectors.
-        let any = |part: &[f64]| part.iter().fold(false, |found, v| found | bad(*v));
-        let whole = a.as_slice().is_some_and(|a| !a.chunks(VALUES_PER_LOOK).any(any));
+        let whole = a.as_slice().is_some_and(|a| {
+            let mut parts = a.chunks(VALUES_PER_LOOK);
+            !parts.any(|part| part.iter().fold(false, |any, v| any | bad(*v)))
+        });
         if !whole && let Some((index, v)) = a.indexed_iter().find(|(_, v)| bad(**v)) {
             let remedy =
                 if def.nan_allowed { "mark an invalid pixel by NaN" } else { "give finite values" };
@@ -488,12 +497,12 @@ fn check_shape(
             ),
         ));
     }
-    for (symbol, found) in def.shape.iter().zip(shape) {
+    for (symbol, size) in def.shape.iter().zip(shape) {
         let expected = if let Ok(number) = symbol.parse::<usize>() {
             number
         } else {
             let (name, more) = split_symbol(symbol);
-            let Some(base) = found.checked_sub(more) else {
+            let Some(base) = size.checked_sub(more) else {
                 return Err(HandoffError::new(
                     path,
                     format!("has shape {shape:?}, needs ({wanted})"),
@@ -511,18 +520,19 @@ fn check_shape(
             }
             bound + more
         };
-        if expected != *found {
+        if expected != *size {
             return Err(HandoffError::new(path, format!("has shape {shape:?}, needs ({wanted})")));
         }
     }
     Ok(())
 }
 
-/// Symbol and offset of a size: `"n+1"` is ("n", 1); `"n"` is ("n", 0).
+/// Splits a size into its symbol and its offset: `"n+1"` is ("n", 1); `"n"` is ("n", 0).
 fn split_symbol(symbol: &'static str) -> (&'static str, usize) {
     symbol.strip_suffix("+1").map_or((symbol, 0), |name| (name, 1))
 }
 
+/// Compares an array with its record in the manifest.
 fn check_record(
     path: &Path,
     def: &ArrayDef,
@@ -567,12 +577,13 @@ fn check_record(
     }
 }
 
+/// Returns the array that stands for an absent one.
 fn default_array(
     def: &ArrayDef,
     sizes: &BTreeMap<&'static str, (usize, &'static str)>,
 ) -> ArrayData<'static> {
-    let size = |s: &&'static str| sizes.get(s).filter(|_| def.default.is_some());
-    let shape: Vec<usize> = def.shape.iter().map(|s| size(s).map_or(0, |(n, _)| *n)).collect();
+    let known = def.shape.iter().map(|s| sizes.get(s).filter(|_| def.default.is_some()));
+    let shape: Vec<usize> = known.map(|size| size.map_or(0, |(n, _)| *n)).collect();
     let value = def.default.unwrap_or(0);
     match def.dtype {
         Dtype::F64 => ArrayData::F64(ArrayD::from_elem(shape, f64::from(value)).into()),
@@ -590,31 +601,30 @@ pub(crate) fn write_arrays(
 ) -> Result<BTreeMap<String, ArrayRecord>, HandoffError> {
     let lacking = kind.arrays.get(arrays.len()..).expect("no more arrays than the kind has");
     assert!(lacking.iter().all(|a| a.optional_since.is_some()), "{}: its arrays", kind.name);
-    let each = || kind.arrays.iter().zip(arrays);
-    let file = |def: &ArrayDef| format!("{}.npy", def.name);
     // Each array has its own thread, because hashing and copying take most of the time.
     let hashes = thread::scope(|scope| {
-        let write = |(def, array)| {
-            let path = dir.join(file(def));
-            scope.spawn(move || npy::write(&path, array))
-        };
-        let threads: Vec<_> = each().map(write).collect();
+        let mut threads = Vec::with_capacity(arrays.len());
+        for (def, array) in kind.arrays.iter().zip(arrays) {
+            let path = dir.join(format!("{}.npy", def.name));
+            threads.push(scope.spawn(move || npy::write(&path, array)));
+        }
         let joined = threads.into_iter().map(|t| t.join().expect("writing does not panic"));
         joined.collect::<Result<Vec<_>, _>>()
     })?;
-    let record = |((def, array), blake3): ((&ArrayDef, &ArrayData), String)| {
+    let mut records = BTreeMap::new();
+    for ((def, array), blake3) in kind.arrays.iter().zip(arrays).zip(hashes) {
         assert_eq!(array.dtype(), def.dtype, "{}/{}", kind.name, def.name);
         let record = ArrayRecord {
-            file: file(def),
+            file: format!("{}.npy", def.name),
             dtype: def.dtype.numpy().into(),
             shape: array.shape().to_vec(),
             axes: def.axes.iter().map(|a| a.to_string()).collect(),
             unit: def.unit.into(),
             blake3,
         };
-        (def.name.to_string(), record)
-    };
-    Ok(each().zip(hashes).map(record).collect())
+        records.insert(def.name.to_string(), record);
+    }
+    Ok(records)
 }
 
 /// Writes `bytes` as the new file `path`. The file is synchronised with the disk when the function
@@ -632,7 +642,7 @@ pub(crate) fn is_complete(dir: &Path, manifest: &Manifest) -> Result<bool, Hando
     let mut known: BTreeMap<&str, &str> = BTreeMap::new();
     known.extend(manifest.arrays.values().map(|r| (r.file.as_str(), r.blake3.as_str())));
     known.extend(manifest.files.iter().map(|(file, hash)| (file.as_str(), hash.as_str())));
-    let mut found = 0;
+    let mut count = 0;
     for entry in fs::read_dir(dir).map_err(|e| HandoffError::io(dir, "read", &e))? {
         let name = entry.map_err(|e| HandoffError::io(dir, "read", &e))?.file_name();
         if *name == *MANIFEST {
@@ -649,7 +659,7 @@ pub(crate) fn is_complete(dir: &Path, manifest: &Manifest) -> Result<bool, Hando
                 ),
             ));
         }
-        found += 1;
+        count += 1;
     }
-    Ok(found == known.len())
+    Ok(count == known.len())
 }

@@ -34,6 +34,9 @@ pub struct Running {
 
 impl Running {
     /// Starts a command. Not while a signal is ending this process.
+    ///
+    /// # Errors
+    /// Fails if the system cannot start it.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         let mut running = running();
         let child = command.spawn()?;
@@ -41,12 +44,15 @@ impl Running {
         Ok(Self { child })
     }
 
-    /// Its standard error, if that is piped and was not taken before.
+    /// Takes its standard error, if that is piped and was not taken before.
     pub fn stderr(&mut self) -> Option<ChildStderr> {
         self.child.stderr.take()
     }
 
-    /// Waits until it ends.
+    /// Returns how it ended, after its end.
+    ///
+    /// # Errors
+    /// Fails if the system does not tell how it ended.
     pub fn wait(mut self) -> io::Result<ExitStatus> {
         // Its number stays its own until it is off the list, so that a signal reaches no other process.
         system::wait_for_end(self.child.id());

@@ -98,7 +98,10 @@ pub(crate) fn as_typed(tool: &str) -> String {
     words::join(std::iter::once(tool.to_string()).chain(arguments))
 }
 
-/// Value of a flag for x and y: a number for both, or two numbers as `X,Y`.
+/// Parses the value of a flag for x and y: a number for both, or two numbers as `X,Y`.
+///
+/// # Errors
+/// Refuses what is neither one number nor two.
 pub fn pair(text: &str) -> Result<[f64; 2], String> {
     let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
     match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
@@ -115,14 +118,11 @@ pub fn controller() -> impl TypedValueParser<Value = ControllerKind> {
         .try_map(|name| ControllerKind::named(&name).ok_or("is no controller"))
 }
 
-/// Message of a library in the words of the command line. A setting that it names in backquotes,
+/// Returns the message of a library in the words of the command line. A setting that it names in backquotes,
 /// such as `pitch_mm`, becomes the flag of the same name, --pitch-mm.
 pub fn with_flags(message: &str) -> String {
-    let is_name = |word: &str| {
-        word.starts_with(|c: char| c.is_ascii_lowercase())
-            && word.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-    };
-    let (mut text, mut rest) = (String::new(), message);
+    let mut text = String::new();
+    let mut rest = message;
     while let Some((before, after)) = rest.split_once('`') {
         text += before;
         rest = match after.split_once('`') {
@@ -139,7 +139,13 @@ pub fn with_flags(message: &str) -> String {
     text + rest
 }
 
-/// Baselines under a heading of their own, the examples of the program, and [`ALSO`].
+/// Returns true if a word is the name of a setting, such as `pitch_mm`.
+fn is_name(word: &str) -> bool {
+    word.starts_with(|c: char| c.is_ascii_lowercase())
+        && word.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+}
+
+/// Returns baselines under a heading of their own, the examples of the program, and [`ALSO`].
 fn after_help<C: CommandFactory>() -> String {
     let command = C::command();
     let examples = command.get_after_help().map(ToString::to_string);
@@ -147,18 +153,17 @@ fn after_help<C: CommandFactory>() -> String {
     paragraphs.chain([ALSO.to_string()]).collect::<Vec<_>>().join("\n\n")
 }
 
-/// The subcommands that exist to compare with the literature, as a list with a heading; none where a program has none.
-/// They are the hidden ones, so that the list of the other subcommands is without them.
+/// Lists the subcommands that exist to compare with the literature, under a heading; `None` where a program has none. They are the hidden ones, so that the list of the other subcommands is without them.
 fn baselines(command: &clap::Command) -> Option<String> {
     let names: Vec<&clap::Command> =
         command.get_subcommands().filter(|c| c.is_hide_set()).collect();
     let widest = names.iter().map(|c| c.get_name().len()).max()?;
-    let line = |c: &&clap::Command| {
-        let about = c.get_about().map(ToString::to_string).unwrap_or_default();
-        format!("\n  {:widest$}  {about}", c.get_name())
-    };
-    let lines: String = names.iter().map(line).collect();
-    Some(format!("Baselines, to compare with the literature:{lines}"))
+    let mut text = String::from("Baselines, to compare with the literature:");
+    for command in names {
+        let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+        text += &format!("\n  {:widest$}  {about}", command.get_name());
+    }
+    Some(text)
 }
 
 /// Returns the text that `arguments` ask to print from the definition of a program; `None` if they are those of a stage.
@@ -175,8 +180,8 @@ pub(crate) fn generated(
         "--completions" => {
             let names = "bash, zsh, fish, elvish or powershell";
             let Some(shell) = value.and_then(|name| Shell::from_str(name, true).ok()) else {
-                let given = value.unwrap_or_default();
-                return Some(Err(format!("--completions is '{given}'; give {names}")));
+                let value = value.unwrap_or_default();
+                return Some(Err(format!("--completions is '{value}'; give {names}")));
             };
             let mut command = whole();
             let name = command.get_name().to_string();
@@ -190,7 +195,7 @@ pub(crate) fn generated(
     }
 }
 
-/// Manual page: the program, then each subcommand with its flags.
+/// Returns the manual page: the program, then each subcommand with its flags.
 fn man_page(mut command: clap::Command) -> Result<Vec<u8>, String> {
     command.build();
     let mut bytes = Vec::new();

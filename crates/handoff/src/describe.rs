@@ -15,18 +15,17 @@
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
 
-/// The description of a program.
+/// Returns the description of a program.
 pub(crate) fn program(mut command: Command) -> Value {
     command.build();
-    let subcommands: Vec<Value> = command
-        .get_subcommands()
-        .filter(|c| c.get_name() != "help")
-        .map(|c| one(c.get_name(), c))
-        .collect();
+    let mut commands = Vec::new();
     // A program with subcommands may also run without one.
-    let by_itself = !command.is_subcommand_required_set();
-    let commands: Vec<Value> =
-        by_itself.then(|| one("", &command)).into_iter().chain(subcommands).collect();
+    if !command.is_subcommand_required_set() {
+        commands.push(one("", &command));
+    }
+    for own in command.get_subcommands().filter(|c| c.get_name() != "help") {
+        commands.push(one(own.get_name(), own));
+    }
     json!({
         "program": command.get_name(),
         "version": command.get_version(),

@@ -34,6 +34,9 @@ pub struct MirrorArgs {
 
 impl MirrorArgs {
     /// Reads both artifacts.
+    ///
+    /// # Errors
+    /// Fails if one of them cannot be read or is not valid.
     pub fn read(&self, inputs: &mut Inputs) -> Result<(Surface, Tif), HandoffError> {
         Ok((inputs.read("surface", &self.surface)?, inputs.read_tool_with_doubt("tif", &self.tif)?))
     }
@@ -49,11 +52,17 @@ pub struct PathArgs {
 
 impl PathArgs {
     /// Reads the tool path.
+    ///
+    /// # Errors
+    /// Fails if it cannot be read or is not valid.
     pub fn read(&self, inputs: &mut Inputs) -> Result<ToolPath, HandoffError> {
         inputs.read("tool-path", &self.tool_path)
     }
 
     /// Reads the tool path, and its overscan in mm if its manifest states one above 0.
+    ///
+    /// # Errors
+    /// Fails if the path cannot be read or is not valid.
     pub fn read_with_overscan(
         &self,
         inputs: &mut Inputs,
@@ -108,12 +117,18 @@ pub struct TrajectoryArgs {
 
 impl TrajectoryArgs {
     /// Reads the motion.
+    ///
+    /// # Errors
+    /// Fails if it cannot be read or is not valid.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Trajectory, HandoffError> {
         inputs.read("trajectory", &self.trajectory)
     }
 
     /// Reads the motion, in the coordinates of the part, and the mirror. Warns if the motion was
     /// made from another mirror.
+    ///
+    /// # Errors
+    /// Fails if one of them cannot be read or is not valid, or if the motion is not in the coordinates of the part.
     pub fn read_over(
         &self,
         mirror: &MirrorArgs,
@@ -124,6 +139,9 @@ impl TrajectoryArgs {
     }
 
     /// Reads the motion, in the coordinates of the part or of the machine, and the mirror.
+    ///
+    /// # Errors
+    /// Fails if one of them cannot be read or is not valid.
     pub fn read_on_machine(
         &self,
         mirror: &MirrorArgs,
@@ -329,6 +347,9 @@ impl NearPathArgs {
 
     /// Returns the distance that the maker of a motion states in its manifest, judged by the tolerance of the flag if
     /// there is one.
+    ///
+    /// # Errors
+    /// Refuses a tolerance that is no length.
     pub fn stated(&self, made: Option<&Manifest>) -> Result<Option<PathDistance>, HandoffError> {
         let stated = made.and_then(path_distance_of);
         let tolerance_mm = self.distance.max_path_distance_mm;
@@ -363,7 +384,10 @@ pub struct FloorArgs {
 }
 
 impl FloorArgs {
-    /// The bound of the flags, per dwell point or per length; 0 s if no flag is given.
+    /// Returns the bound of the flags, per dwell point or per length; 0 s without a flag.
+    ///
+    /// # Errors
+    /// Fails if the machine file cannot be read or is not valid.
     pub fn bound<B>(
         &self,
         seconds: fn(f64) -> B,

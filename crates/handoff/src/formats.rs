@@ -24,7 +24,7 @@ fn wrapped(text: &str) -> String {
     lines.join("\n")
 }
 
-/// Text of `docs/formats.md`.
+/// Returns the text of `docs/formats.md`.
 pub fn formats_markdown() -> String {
     let mut page = String::from(FORMATS_INTRODUCTION);
     for kind in ALL {

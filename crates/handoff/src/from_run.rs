@@ -61,15 +61,13 @@ fn with_settings(message: &str, settings: &str) -> String {
     let mut rest = message;
     while let Some((before, after)) = rest.split_once("--") {
         text += before;
-        let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
-        let end = after.find(|c| !is_name(c)).unwrap_or(after.len());
+        let end = after.find(|c: char| !(c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-'));
+        let end = end.unwrap_or(after.len());
         let flag = format!("--{}", &after[..end]);
         let begins =
             text.chars().next_back().is_none_or(|c| c.is_whitespace() || "'\"`(,".contains(c));
-        text += &match begins && end > 0 {
-            true => setting_of(&flag, settings).unwrap_or(flag),
-            false => flag,
-        };
+        let setting = if begins && end > 0 { setting_of(&flag, settings) } else { None };
+        text += &setting.unwrap_or(flag);
         rest = &after[end..];
     }
     text + rest
@@ -77,11 +75,15 @@ fn with_settings(message: &str, settings: &str) -> String {
 
 /// Returns what a user gives in the place of a flag; `None` if it is the flag of no setting.
 fn setting_of(flag: &str, settings: &str) -> Option<String> {
-    let lines = || settings.lines().filter_map(|line| line.split_once('\t'));
-    let named = lines().find(|(known, _)| *known == flag).map(|(_, setting)| setting.to_string());
-    let more = || lines().find(|(known, _)| known.is_empty());
-    let other = || more().filter(|_| !OF_EVERY_PROGRAM.contains(&flag));
-    named.or_else(|| other().map(|(_, setting)| format!("{setting}={flag}")))
+    let mut lines = settings.lines().filter_map(|line| line.split_once('\t'));
+    if let Some((_, setting)) = lines.clone().find(|(known, _)| *known == flag) {
+        return Some(setting.to_string());
+    }
+    if OF_EVERY_PROGRAM.contains(&flag) {
+        return None;
+    }
+    let (_, setting) = lines.find(|(known, _)| known.is_empty())?;
+    Some(format!("{setting}={flag}"))
 }
 
 #[cfg(test)]

@@ -66,7 +66,7 @@ impl Default for Inputs {
 }
 
 impl Inputs {
-    /// Inputs of which none is read yet.
+    /// Creates inputs of which none is read yet.
     pub fn new() -> Self {
         Self {
             records: Vec::new(),
@@ -77,12 +77,18 @@ impl Inputs {
     }
 
     /// Reads an input artifact given by the flag `--role`.
+    ///
+    /// # Errors
+    /// Fails if the artifact cannot be read or is not valid.
     pub fn read<T: Artifact>(&mut self, role: &str, dir: &Path) -> Result<T, HandoffError> {
         Ok(self.read_with_manifest(role, dir)?.0)
     }
 
     /// Reads an input artifact as [`Self::read`] does, and returns its manifest as well, if it has
     /// one.
+    ///
+    /// # Errors
+    /// Fails if the artifact cannot be read or is not valid.
     pub fn read_with_manifest<T: Artifact>(
         &mut self,
         role: &str,
@@ -110,12 +116,18 @@ impl Inputs {
 
     /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
     /// with weights holds a tool that varies.
+    ///
+    /// # Errors
+    /// Fails if the artifact cannot be read or is not valid.
     pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
         Ok(self.read_tool_with_manifest(role, dir)?.0)
     }
 
     /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a
     /// manifest.
+    ///
+    /// # Errors
+    /// Fails if the artifact cannot be read or is not valid.
     pub fn read_tool_with_doubt(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
         let (tif, manifest) = self.read_tool_with_manifest(role, dir)?;
         if let (None, Some(doubt)) = (manifest, doubts::of_tif(&tif)) {
@@ -135,12 +147,15 @@ impl Inputs {
         Ok(self.recorded(role, dir, kind, loaded))
     }
 
-    /// BLAKE3 of the content of the input that was read for this role.
+    /// Returns the BLAKE3 of the content of the input that was read for this role.
     pub fn digest(&self, role: &str) -> Option<&str> {
         self.records.iter().find(|input| input.role == role).map(|input| input.blake3.as_str())
     }
 
     /// Reads the manifest of an artifact whose readers use the numbers of its outcome.
+    ///
+    /// # Errors
+    /// Fails if there is no manifest, if it is of another kind, or if its seal is not that of its content.
     pub fn read_manifest(
         &mut self,
         role: &str,
@@ -163,6 +178,9 @@ impl Inputs {
     }
 
     /// Reads a JSON file given by the flag `--role`.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read, is larger than 16 MiB, or is not of this type.
     pub fn read_json<T: serde::de::DeserializeOwned>(
         &mut self,
         role: &str,
@@ -175,6 +193,9 @@ impl Inputs {
     }
 
     /// Reads a file of another program, given by the flag `--role`; at most `most` bytes of it.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read, or is larger than that.
     pub fn read_bytes(
         &mut self,
         role: &str,
@@ -187,7 +208,10 @@ impl Inputs {
         Ok(bytes)
     }
 
-    /// Records a file, given by the flag `--role`, that the command itself reads line by line.
+    /// Adds the record of a file, given by the flag `--role`, that the command itself reads line by line.
+    ///
+    /// # Errors
+    /// Fails if it cannot be read.
     pub fn record_file(&mut self, role: &str, path: &Path) -> Result<(), HandoffError> {
         before_reading(path);
         let io = |e| HandoffError::io(path, "read", &e);
@@ -200,12 +224,18 @@ impl Inputs {
     }
 
     /// Reads the machine file given by `--machine`.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read or describes no machine.
     pub fn read_machine(&mut self, path: &Path) -> Result<Machine, HandoffError> {
         let file: MachineFile = self.read_json("machine", path)?;
         Machine::new(file).map_err(|e| HandoffError::new(path, e.to_string()))
     }
 
     /// Reads the form of a part given by the flag `--role`: a form file, or a directory with its height along z.
+    ///
+    /// # Errors
+    /// Fails if the file or the map cannot be read, or describes no form.
     pub fn read_form(&mut self, role: &str, path: &Path) -> Result<GivenForm, HandoffError> {
         before_reading(path);
         let failure = |e: Invalid| HandoffError::new(path, e.to_string());
@@ -226,6 +256,9 @@ impl Inputs {
     }
 
     /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read, or holds no finite or invalid heights along two axes.
     pub fn read_map(&mut self, role: &str, path: &Path) -> Result<Array2<f64>, HandoffError> {
         let ArrayData::F64(a) = self.read_array(role, path, Dtype::F64)? else {
             unreachable!("read as F64")
@@ -236,6 +269,9 @@ impl Inputs {
     }
 
     /// Reads one mask (ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read, or holds other values or another number of axes.
     pub fn read_mask(&mut self, role: &str, path: &Path) -> Result<Array2<bool>, HandoffError> {
         let ArrayData::U8(a) = self.read_array(role, path, Dtype::U8)? else {
             unreachable!("read as U8")
@@ -307,8 +343,8 @@ impl Inputs {
         if known.any(|a| a.blake3 == from.blake3) {
             return None;
         }
-        let (kind, flag) = (&from.kind, &from.role);
-        Some(format!("--{role} was made from another {kind} than --{flag} {}", from.path))
+        let InputRecord { kind, role: flag, path, .. } = from;
+        Some(format!("--{role} was made from another {kind} than --{flag} {path}"))
     }
 
     /// Returns a sentence if the motion with the manifest `made` was made for another machine file
@@ -326,14 +362,15 @@ impl Inputs {
             None => ancestors.collect(),
         };
         let first = known.first()?;
-        (!known.contains(&&here.blake3)).then(|| {
-            format!(
-                "was made for another machine file (BLAKE3 {}...) than --machine {} ({}...)",
-                &first[..first.len().min(8)],
-                here.path,
-                &here.blake3[..8]
-            )
-        })
+        if known.contains(&&here.blake3) {
+            return None;
+        }
+        Some(format!(
+            "was made for another machine file (BLAKE3 {}...) than --machine {} ({}...)",
+            &first[..first.len().min(8)],
+            here.path,
+            &here.blake3[..8]
+        ))
     }
 
     /// Refuses an output that is an input, contains one, or lies in one.

@@ -19,7 +19,7 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// Number of bytes of an element.
+    /// Returns the number of bytes of an element.
     pub(crate) fn bytes(self) -> usize {
         match self {
             Self::F64 | Self::I64 => 8,
@@ -27,7 +27,7 @@ impl Dtype {
         }
     }
 
-    /// NumPy's name of the type.
+    /// Returns NumPy's name of the type.
     pub fn numpy(self) -> &'static str {
         match self {
             Self::F64 => "<f8",
@@ -85,7 +85,7 @@ impl Kind {
         self.arrays.is_empty() || self.name == SPECIFICATION.name
     }
 
-    /// Version of an artifact that has the first `arrays` arrays. Optional arrays at the end may be
+    /// Returns the version of an artifact that has the first `arrays` arrays. Optional arrays at the end may be
     /// absent.
     pub(crate) fn version_of(&self, arrays: usize) -> u32 {
         let lacking = &self.arrays[arrays..];
@@ -94,7 +94,7 @@ impl Kind {
         oldest.min().map_or(self.version, |since| since - 1)
     }
 
-    /// Names of all files that a directory of this kind may hold.
+    /// Returns the names of all files that a directory of this kind may hold.
     pub(crate) fn file_names(&self) -> impl Iterator<Item = String> {
         let arrays = self.arrays.iter().map(|a| format!("{}.npy", a.name));
         let beside = self.files.iter().map(|f| f.to_string());
@@ -118,8 +118,17 @@ const fn array(
     unit: &'static str,
     doc: &'static str,
 ) -> ArrayDef {
-    let (nan_allowed, default, optional_since) = (false, None, None);
-    ArrayDef { name, dtype, shape, axes, unit, nan_allowed, default, optional_since, doc }
+    ArrayDef {
+        name,
+        dtype,
+        shape,
+        axes,
+        unit,
+        nan_allowed: false,
+        default: None,
+        optional_since: None,
+        doc,
+    }
 }
 
 const fn or_nan(def: ArrayDef) -> ArrayDef {

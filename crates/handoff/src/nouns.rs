@@ -63,8 +63,9 @@ impl Artifact for Surface {
     const KIND: &'static Kind = &kind::SURFACE;
 
     fn to_arrays(&self) -> Vec<ArrayData<'_>> {
-        let (map, grid) = (map_array(self.height_nm()), self.grid());
-        let mut arrays = vec![map, axis_array(&grid.x), axis_array(&grid.y)];
+        let grid = self.grid();
+        let mut arrays =
+            vec![map_array(self.height_nm()), axis_array(&grid.x), axis_array(&grid.y)];
         arrays.extend(self.deviation_nm().map(map_array));
         arrays
     }
@@ -121,25 +122,22 @@ impl Artifact for Tool {
             arrays.extend([floats(&time_s), floats(&factor)]);
         }
         if pixels.is_some() || turns {
-            let none = || PixelFactor { grid: positions, factor: Array2::ones(positions.shape()) };
-            let PixelFactor { grid, factor } = pixels.unwrap_or_else(none);
+            let PixelFactor { grid, factor } = pixels.unwrap_or_else(|| PixelFactor {
+                grid: positions,
+                factor: Array2::ones(positions.shape()),
+            });
             let factor = ArrayData::F64(factor.into_dyn().into());
             arrays.extend([factor, axis_array(&grid.x), axis_array(&grid.y)]);
         }
-        let stacked = |turn: &TurnWeights| {
-            let rows = turn.weights();
-            let weights = Array2::from_shape_fn((rows.len(), rows[0].len()), |(k, i)| rows[k][i]);
-            [ArrayData::F64(weights.into_dyn().into()), floats(turn.angle_deg())]
-        };
         if let Some(azimuth) = &azimuth {
-            arrays.extend(stacked(azimuth.turn()));
+            arrays.extend(turn_arrays(azimuth.turn()));
             arrays.push(floats(&azimuth.middle_mm()));
         } else if heading.is_some() {
             let ones = Array2::<f64>::ones((kernels.len(), 1));
             arrays.extend([ArrayData::F64(ones.into_dyn().into()), floats(&[0.0])]);
             arrays.push(floats(&[0.0, 0.0]));
         }
-        arrays.extend(heading.iter().flat_map(stacked));
+        arrays.extend(heading.iter().flat_map(turn_arrays));
         arrays
     }
 
@@ -147,39 +145,25 @@ impl Artifact for Tool {
         let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
         let offsets = Grid { x: axis("offset_x_mm")?, y: axis("offset_y_mm")? };
         let positions = take_grid(&mut arrays)?;
-        let mut maps = |name| -> Vec<Array2<f64>> {
+        let [kernels, weights] = ["rate_nm_per_s", "weight"].map(|name| {
             let stack = arrays.take_f64(name).into_dimensionality::<Ix3>();
             let stack = stack.expect("the shape was checked");
-            stack.outer_iter().map(|map| map.to_owned()).collect()
-        };
-        let (kernels, weights) = (maps("rate_nm_per_s"), maps("weight"));
+            stack.outer_iter().map(|map| map.to_owned()).collect::<Vec<_>>()
+        });
         let time_s = take_vec(arrays.take_f64("time_s"));
         let time_factor = take_vec(arrays.take_f64("time_factor"));
         let is_one = time_factor.iter().all(|v| *v == 1.0);
-        let time = (!is_one).then_some(TimeFactor { time_s, factor: time_factor });
+        let time = if is_one { None } else { Some(TimeFactor { time_s, factor: time_factor }) };
         let factor = take_map(&mut arrays, "factor");
         let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
-        let pixels = match factor.iter().all(|v| *v == 1.0) {
-            true => None,
-            false => {
-                let grid = Grid { x: axis("factor_x_mm")?, y: axis("factor_y_mm")? };
-                Some(PixelFactor { grid, factor })
-            }
-        };
+        let mut pixels = None;
+        if !factor.iter().all(|v| *v == 1.0) {
+            let grid = Grid { x: axis("factor_x_mm")?, y: axis("factor_y_mm")? };
+            pixels = Some(PixelFactor { grid, factor });
+        }
         let middle = take_vec(arrays.take_f64("azimuth_middle_mm"));
-        // The angles, and the factors of every kernel at them; none where they are absent, or one factor of 1.
-        let mut turn = |weights, angles| -> Result<Option<Turn>, Invalid> {
-            let rows = take_map(&mut arrays, weights);
-            let angle_deg = take_vec(arrays.take_f64(angles));
-            if rows.is_empty() && !angle_deg.is_empty() {
-                let problem = format!("is missing beside {angles}");
-                return Err(Invalid::whole(weights, problem, "give both arrays"));
-            }
-            let is_one = rows.ncols() == 1 && rows.iter().all(|v| *v == 1.0);
-            let rows = rows.outer_iter().map(|row| row.to_vec()).collect::<Vec<_>>();
-            Ok((!is_one && rows.iter().any(|row| !row.is_empty())).then_some((angle_deg, rows)))
-        };
-        let azimuth = match (turn("azimuth_weight", "azimuth_deg")?, &middle[..]) {
+        let turn = take_turn(&mut arrays, "azimuth_weight", "azimuth_deg")?;
+        let azimuth = match (turn, &middle[..]) {
             (None, _) => None,
             (Some((angles, rows)), [x, y]) => Some(AzimuthWeights::new([*x, *y], angles, rows)?),
             (Some(_), _) => {
@@ -187,13 +171,38 @@ impl Artifact for Tool {
                 return Err(Invalid::whole("azimuth_middle_mm", "is missing", remedy));
             }
         };
-        let heading = turn("heading_weight", "heading_deg")?;
+        let heading = take_turn(&mut arrays, "heading_weight", "heading_deg")?;
         let heading = heading.map(|(angles, rows)| TurnWeights::by_heading(angles, rows));
         let heading = heading.transpose()?;
-        let given =
+        let numbers =
             VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time };
-        Tif::varying(given).map(Self)
+        Tif::varying(numbers).map(Self)
     }
+}
+
+/// Returns the factors of every kernel at the angles of a turn, and the angles.
+fn turn_arrays<'a>(turn: &TurnWeights) -> [ArrayData<'a>; 2] {
+    let rows = turn.weights();
+    let weights = Array2::from_shape_fn((rows.len(), rows[0].len()), |(k, i)| rows[k][i]);
+    [ArrayData::F64(weights.into_dyn().into()), floats(turn.angle_deg())]
+}
+
+/// Takes out a turn; `None` where its arrays are absent, or have one factor of 1. Refuses angles without factors.
+fn take_turn(
+    arrays: &mut Arrays,
+    weights: &'static str,
+    angles: &'static str,
+) -> Result<Option<Turn>, Invalid> {
+    let rows = take_map(arrays, weights);
+    let angle_deg = take_vec(arrays.take_f64(angles));
+    if rows.is_empty() && !angle_deg.is_empty() {
+        let problem = format!("is missing beside {angles}");
+        return Err(Invalid::whole(weights, problem, "give both arrays"));
+    }
+    let is_one = rows.ncols() == 1 && rows.iter().all(|v| *v == 1.0);
+    let rows = rows.outer_iter().map(|row| row.to_vec()).collect::<Vec<_>>();
+    let is_absent = is_one || rows.iter().all(|row| row.is_empty());
+    Ok(if is_absent { None } else { Some((angle_deg, rows)) })
 }
 
 /// Maps of one shape, one after the other.
@@ -301,10 +310,11 @@ impl Artifact for Trajectory {
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
         let c = arrays.take_f64("coefficient_mm");
-        let segment = |i: usize| [0, 1].map(|a| [0, 1, 2, 3].map(|o| c[[i, a, o]]));
+        let segments =
+            (0..c.shape()[0]).map(|i| [0, 1].map(|a| [0, 1, 2, 3].map(|o| c[[i, a, o]])));
         Self::new(
             take_vec(arrays.take_f64("break_time_s")),
-            (0..c.shape()[0]).map(segment).collect(),
+            segments.collect(),
             arrays.take_bool("tool_on"),
             dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
         )?
@@ -330,10 +340,10 @@ impl Artifact for AxesMotion {
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
         let c = arrays.take_f64("coefficient_mm_or_deg");
         let [k, n] = [c.shape()[0], c.shape()[1]];
-        let cubic = |(i, a): (usize, usize)| [0, 1, 2, 3].map(|o| c[[i, a, o]]);
+        let cubics = (0..k).flat_map(|i| (0..n).map(move |a| (i, a)));
         Self::new(
             take_vec(arrays.take_f64("break_time_s")),
-            (0..k).flat_map(|i| (0..n).map(move |a| (i, a))).map(cubic).collect(),
+            cubics.map(|(i, a)| [0, 1, 2, 3].map(|o| c[[i, a, o]])).collect(),
             arrays.take_bool("tool_on"),
             dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
         )
@@ -356,11 +366,10 @@ impl Artifact for Transform {
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
         let matrix = take_points(&mut arrays, "matrix");
-        let mut point = |name| {
+        let [centre_mm, image_mm] = ["centre_mm", "image_mm"].map(|name| {
             let v = take_vec(arrays.take_f64(name));
             [v[0], v[1]]
-        };
-        let (centre_mm, image_mm) = (point("centre_mm"), point("image_mm"));
+        });
         let c = take_map(&mut arrays, "covariance_mm2");
         let covariance = std::array::from_fn(|i| std::array::from_fn(|j| c[[i, j]]));
         Self::new([matrix[0], matrix[1]], centre_mm, image_mm, covariance)

@@ -34,7 +34,7 @@ pub enum ArrayData<'a> {
 }
 
 impl ArrayData<'_> {
-    /// Sizes along the axes.
+    /// Returns the sizes along the axes.
     pub fn shape(&self) -> &[usize] {
         match self {
             Self::F64(a) => a.shape(),
@@ -43,7 +43,7 @@ impl ArrayData<'_> {
         }
     }
 
-    /// Element type.
+    /// Returns the element type.
     pub fn dtype(&self) -> Dtype {
         match self {
             Self::F64(_) => Dtype::F64,
@@ -52,7 +52,7 @@ impl ArrayData<'_> {
         }
     }
 
-    /// Bytes of a `.npy` file.
+    /// Returns the bytes of a `.npy` file.
     pub fn to_npy(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.write_npy(&mut bytes).expect("writing to memory cannot fail");
@@ -127,7 +127,7 @@ pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffErr
     Ok(file.expect("it was written").finish())
 }
 
-/// BLAKE3 of the regular file `path`. Pipes and devices are refused, because they may never end.
+/// Returns the BLAKE3 of the regular file `path`. Pipes and devices are refused, because they may never end.
 pub(crate) fn hash(path: &Path) -> io::Result<String> {
     if !path.metadata()?.is_file() {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a file"));
@@ -170,13 +170,16 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     Ok(Loaded { array, blake3: whole.finish(), note: stored.note(dtype) })
 }
 
-/// The array in the bytes of a `.npy` file, or a message about the fault.
+/// Parses the bytes of a `.npy` file.
+///
+/// # Errors
+/// Returns the message about the fault of bytes that are no array of this type.
 pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData<'static>, String> {
     let stored = check(bytes, bytes.len() as u64, dtype)?;
     array(bytes, dtype, &stored)
 }
 
-/// The array in a file that has been checked.
+/// Reads the array of a file that has been checked.
 fn array(
     mut reader: impl Read,
     dtype: Dtype,
@@ -223,7 +226,7 @@ impl Stored {
         self.shape.iter().filter(|n| **n > 1).count() <= 1
     }
 
-    /// Note about the conversion for the user. Booleans read as 0 and 1 need none.
+    /// Returns a note about the conversion for the user. Booleans read as 0 and 1 need none.
     fn note(&self, dtype: Dtype) -> Option<String> {
         let as_flags = dtype == Dtype::U8 && self.element.class == Class::Bool;
         let reordered = self.is_fortran && !self.is_flat();
@@ -234,7 +237,7 @@ impl Stored {
         Some(format!("holds {}{order}, converted exactly", self.descriptor))
     }
 
-    /// Array of `values` in C order, each converted by `exact`. The error names the first value
+    /// Returns the array of `values` in C order, each converted by `exact`. The error names the first value
     /// that would change.
     fn converted<T: Clone>(
         &self,
@@ -242,23 +245,10 @@ impl Stored {
         exact: impl Fn(Value) -> Option<T>,
         dtype: Dtype,
     ) -> Result<ArrayD<T>, String> {
-        let numbers: Vec<usize> = (0..self.shape.len()).collect();
-        let fastest_first = |at: usize, axes: &mut dyn Iterator<Item = &usize>| {
-            let (mut rest, mut index) = (at, vec![0; self.shape.len()]);
-            for &axis in axes {
-                index[axis] = rest % self.shape[axis];
-                rest /= self.shape[axis];
-            }
-            index
-        };
-        let index_of = |at: usize| match self.is_fortran {
-            true => fastest_first(at, &mut numbers.iter()),
-            false => fastest_first(at, &mut numbers.iter().rev()),
-        };
         let numpy = dtype.numpy();
-        let each = values.enumerate().map(|(at, value)| {
+        let each = values.enumerate().map(|(number, value)| {
             exact(value).ok_or_else(|| {
-                let index = index_of(at);
+                let index = self.index(number);
                 format!(
                     "element {index:?} is {value} of dtype {}, which {numpy} does not have; save \
                      a.astype('{numpy}') if the loss is meant",
@@ -270,6 +260,21 @@ impl Stored {
         let shape = self.shape.clone().set_f(self.is_fortran);
         let array = ArrayD::from_shape_vec(shape, elements).map_err(|e| e.to_string())?;
         Ok(standard(array))
+    }
+
+    /// Returns the index of the element with this number in the order of the file.
+    fn index(&self, number: usize) -> Vec<usize> {
+        let mut fastest_first: Vec<usize> = (0..self.shape.len()).collect();
+        if !self.is_fortran {
+            fastest_first.reverse();
+        }
+        let mut index = vec![0; self.shape.len()];
+        let mut rest = number;
+        for axis in fastest_first {
+            index[axis] = rest % self.shape[axis];
+            rest /= self.shape[axis];
+        }
+        index
     }
 }
 
@@ -297,8 +302,8 @@ enum Value {
 }
 
 impl Element {
-    /// Element type from NumPy's name: byte order, class, bytes.
-    fn of(descriptor: &str) -> Option<Self> {
+    /// Parses NumPy's name of an element type: byte order, class, bytes.
+    fn parse(descriptor: &str) -> Option<Self> {
         let (order, rest) = descriptor.split_at_checked(1)?;
         let (class, bytes) = rest.split_at_checked(1)?;
         let bytes: usize = bytes.parse().ok()?;
@@ -309,14 +314,18 @@ impl Element {
             ("f", 4 | 8) => Class::Float,
             _ => return None,
         };
-        matches!(order, "<" | ">" | "|").then_some(Self { class, bytes, big_endian: order == ">" })
+        if !matches!(order, "<" | ">" | "|") {
+            return None;
+        }
+        Some(Self { class, bytes, big_endian: order == ">" })
     }
 
+    /// Returns the value of the bytes of an element.
     fn value(self, item: &[u8]) -> Value {
         let mut raw = [0; 8];
-        match self.big_endian {
-            true => item.iter().rev().zip(&mut raw).for_each(|(b, r)| *r = *b),
-            false => raw[..item.len()].copy_from_slice(item),
+        raw[..item.len()].copy_from_slice(item);
+        if self.big_endian {
+            raw[..item.len()].reverse();
         }
         let bits = u64::from_le_bytes(raw);
         // Up to the top of 64 bits and back keeps the sign.
@@ -336,7 +345,7 @@ impl Value {
             Self::Float(v) => Some(v),
             Self::Integer(v) => {
                 let float = v as f64;
-                (float as i128 == v).then_some(float)
+                if float as i128 == v { Some(float) } else { None }
             }
         }
     }
@@ -345,7 +354,8 @@ impl Value {
         match self {
             Self::Integer(v) => i64::try_from(v).ok(),
             // Every float below 2^63 in magnitude that is whole is an integer of 64 bits.
-            Self::Float(v) => (v.fract() == 0.0 && v.abs() < 2f64.powi(63)).then_some(v as i64),
+            Self::Float(v) if v.fract() == 0.0 && v.abs() < 2f64.powi(63) => Some(v as i64),
+            Self::Float(_) => None,
         }
     }
 
@@ -378,7 +388,7 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> 
         Some(d) => d.clone(),
         None => return Err(format!("holds structured records; save a plain {numpy} array")),
     };
-    let Some(element) = Element::of(&descriptor) else {
+    let Some(element) = Element::parse(&descriptor) else {
         let kind = descriptor.trim_start_matches(['<', '>', '=', '|']).chars().next();
         return Err(match kind {
             Some('c') => format!("is complex ({descriptor}), needs {numpy}; save a.real"),
@@ -396,18 +406,18 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> 
     }
     let count = shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s as u64));
     let expected = count.and_then(|n| n.checked_mul(element.bytes as u64));
-    let found = file_bytes.saturating_sub(header_bytes as u64);
+    let stored_bytes = file_bytes.saturating_sub(header_bytes as u64);
     match expected {
         None => return Err(format!("claims the impossible shape {shape:?}; write it again")),
-        Some(n) if n > found => {
+        Some(n) if n > stored_bytes => {
             return Err(format!(
-                "is truncated: shape {shape:?} needs {n} bytes, the file has {found}; write it again"
+                "is truncated: shape {shape:?} needs {n} bytes, the file has {stored_bytes}; write it again"
             ));
         }
-        Some(n) if n < found => {
+        Some(n) if n < stored_bytes => {
             return Err(format!(
                 "has {} bytes after the array of shape {shape:?}; write it again",
-                found - n
+                stored_bytes - n
             ));
         }
         Some(_) => {}
@@ -422,12 +432,12 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> 
     Ok(stored)
 }
 
-/// The array in C order.
+/// Returns the array in C order.
 fn standard<T: Clone>(array: ArrayD<T>) -> ArrayD<T> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
-/// Number of bytes up to the end of the header. It is checked before anything is parsed, because
+/// Returns the number of bytes up to the end of the header. It is checked before anything is parsed, because
 /// the time of the parser grows exponentially with nested brackets, and it allocates as much as the
 /// length field says.
 fn header_end(bytes: &[u8]) -> Result<usize, String> {

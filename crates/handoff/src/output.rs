@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     thread,
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -57,7 +57,7 @@ pub struct Task {
 }
 
 impl Task {
-    /// Work of version `tool_version` of `tool` by `method`. The macro [`task!`](crate::task) fills
+    /// Creates the work of version `tool_version` of `tool` by `method`. The macro [`task!`](crate::task) fills
     /// in the first two.
     pub fn new(
         tool: &'static str,
@@ -105,7 +105,7 @@ pub enum Begin {
 }
 
 impl Begin {
-    /// The writer, if there is work to do.
+    /// Returns the writer, if there is work to do.
     pub fn writer(self) -> Option<Writer> {
         match self {
             Self::Unchanged(_) => None,
@@ -115,22 +115,22 @@ impl Begin {
 }
 
 impl Output {
-    /// An output of one artifact of this kind, in the directory `--out`.
+    /// Creates an output of one artifact of this kind, in the directory `--out`.
     pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
         Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
             .and_directory("--out", &args.out, kind)
     }
 
-    /// An output of several artifacts, in directories of these names in `--out`.
+    /// Creates an output of several artifacts, in directories of these names in `--out`.
     pub fn directories<const N: usize>(
         args: &OutputArgs,
         parts: [(&str, &'static Kind); N],
     ) -> Self {
-        let empty = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
-        let add = |output: Self, (name, kind): (&str, _)| {
-            output.and_directory("--out", &args.out.join(name), kind)
-        };
-        parts.into_iter().fold(empty, add)
+        let mut output = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
+        for (name, kind) in parts {
+            output = output.and_directory("--out", &args.out.join(name), kind);
+        }
+        output
     }
 
     /// Adds an artifact, in the directory given by `flag`.
@@ -171,7 +171,7 @@ impl Output {
         Ok(Begin::Run(Box::new(self.writer(task, inputs))))
     }
 
-    /// Status of the existing artifact in this place, if it is the one that this run would make;
+    /// Returns the status of the existing artifact in this place, if it is the one that this run would make;
     /// otherwise `None`. An artifact that must not be replaced is an error.
     fn state_of(
         &self,
@@ -195,8 +195,8 @@ impl Output {
         };
         let is_complete = artifact::is_complete(dir, &manifest)?;
         if manifest.key == key {
-            let fresh = !older_than_this_program(&dir.join(MANIFEST));
-            return Ok((fresh && is_complete).then(|| status_of(&manifest)));
+            let is_fresh = !older_than_this_program(&dir.join(MANIFEST));
+            return Ok(if is_fresh && is_complete { Some(status_of(&manifest)) } else { None });
         }
         if self.args.force {
             return Ok(None);
@@ -250,11 +250,9 @@ impl Output {
         }
     }
 
+    /// Creates the writer of the announced outputs.
     fn writer(self, task: &Task, inputs: &Inputs) -> Writer {
-        let open = |d: Directory| {
-            let was_there = d.path.exists();
-            (d, was_there)
-        };
+        let were_there: Vec<bool> = self.directories.iter().map(|d| d.path.exists()).collect();
         Writer {
             manifest: Manifest {
                 tool: task.tool.into(),
@@ -267,7 +265,7 @@ impl Output {
                 lineage: inputs.lineage.clone(),
                 ..Manifest::default()
             },
-            directories: self.directories.into_iter().map(open).collect(),
+            directories: self.directories.into_iter().zip(were_there).collect(),
             files: self.files.into_iter().map(|(_, path)| path).collect(),
             force: self.args.force,
             wall_time: self.args.wall_time,
@@ -280,7 +278,7 @@ impl Output {
     }
 }
 
-/// Key of the work and its inputs. An existing output with the same key is the one that this run
+/// Returns the key of the work and its inputs. An existing output with the same key is the one that this run
 /// would make.
 fn key(task: &Task, inputs: &Inputs) -> String {
     let inputs: Vec<_> = inputs.records.iter().map(|i| (&i.role, &i.kind, &i.blake3)).collect();
@@ -317,12 +315,15 @@ impl Writer {
         self.frame = Some(frame);
     }
 
-    /// Time of each round of the work, s ([`progress::round_ended`]); empty if it has no rounds.
+    /// Returns the time of each round of the work, s ([`progress::round_ended`]); empty if it has no rounds.
     pub fn round_s(&self) -> Vec<f64> {
         self.rounds.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Writes `value` as the artifact of its kind.
+    ///
+    /// # Errors
+    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
     pub fn write<T: Artifact>(
         &mut self,
         value: &T,
@@ -333,6 +334,9 @@ impl Writer {
     }
 
     /// Writes the artifact of this kind from its arrays and the files beside them.
+    ///
+    /// # Errors
+    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
     pub fn write_arrays(
         &mut self,
         kind: &'static Kind,
@@ -341,46 +345,50 @@ impl Writer {
         outcome: impl Serialize,
         status: &Status,
     ) -> Result<(), HandoffError> {
-        let at = self.directories.iter().position(|(d, _)| d.kind.name == kind.name);
-        let at = at.unwrap_or_else(|| panic!("no {} is to be written", kind.name));
+        let index = self.directories.iter().position(|(d, _)| d.kind.name == kind.name);
+        let index = index.unwrap_or_else(|| panic!("no {} is to be written", kind.name));
         for (name, _) in beside {
             assert!(kind.files.contains(name), "{name} is no file of a {}", kind.name);
         }
-        let (directory, was_there) = &self.directories[at];
+        let (directory, was_there) = &self.directories[index];
         let staged = Staged::directory(&directory.path, kind, self.force || *was_there)?;
         let dir = staged.path();
         let records = artifact::write_arrays(dir, kind, arrays)?;
         for (name, bytes) in beside {
             artifact::write_file(&dir.join(name), bytes)?;
         }
-        let hashed =
-            |(name, bytes): &(&str, Vec<u8>)| (name.to_string(), blake3::hash(bytes).to_string());
+        let files =
+            beside.iter().map(|(name, bytes)| (name.to_string(), blake3::hash(bytes).to_string()));
         let manifest = Manifest {
             kind: kind.name.into(),
             version: kind.version_of(arrays.len()),
             frame: self.frame.unwrap_or(kind.frame).into(),
             outcome: with_status(outcome, status),
             arrays: records,
-            files: beside.iter().map(hashed).collect(),
+            files: files.collect(),
             ..self.manifest.clone()
         };
         artifact::write_file(&dir.join(MANIFEST), manifest.to_text().as_bytes())?;
-        self.directories.remove(at);
+        self.directories.remove(index);
         self.staged.push(staged);
         self.show_when_complete()
     }
 
     /// Writes one of the announced files.
+    ///
+    /// # Errors
+    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
     pub fn write_file(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
-        let at = self.files.iter().position(|p| p == path);
-        let at = at.unwrap_or_else(|| panic!("no {} is to be written", path.display()));
+        let index = self.files.iter().position(|p| p == path);
+        let index = index.unwrap_or_else(|| panic!("no {} is to be written", path.display()));
         let mut staged = Staged::file(path, self.force)?;
         staged.write_all(bytes)?;
-        self.files.remove(at);
+        self.files.remove(index);
         self.staged.push(staged);
         self.show_when_complete()
     }
 
+    /// Makes the outputs visible if this was the last one.
     fn show_when_complete(&mut self) -> Result<(), HandoffError> {
         if !(self.directories.is_empty() && self.files.is_empty()) {
             return Ok(()); // more is to come
@@ -442,9 +450,9 @@ fn shown_progress(message: String) -> ProgressBar {
 /// Prints the remaining time of a long run, from a thread of its own, until the bar is finished.
 fn tell_in_lines(message: String, bar: &ProgressBar) {
     let done = Arc::new(Mutex::new(0.0));
-    let told = done.clone();
+    let reported = done.clone();
     progress::watch(move |fraction| {
-        *told.lock().unwrap_or_else(PoisonError::into_inner) = fraction;
+        *reported.lock().unwrap_or_else(PoisonError::into_inner) = fraction;
     });
     let bar = bar.downgrade();
     thread::spawn(move || {
@@ -463,13 +471,13 @@ fn tell_in_lines(message: String, bar: &ProgressBar) {
     });
 }
 
-/// Line on a run that has worked for the time `after`, when the given fraction of the work is done. The rest takes
+/// Returns the line on a run that has worked for the time `after`, when this fraction of the work is done. The rest takes
 ///
 /// ```text
 /// after (1 - fraction) / fraction
 /// ```
 ///
-/// if the work goes on as fast as before. It cannot be told when less than one step of the bar is done.
+/// if the work goes on as fast as before. It is not known while less than one step of the bar is done.
 fn line_after(after: Duration, fraction: f64) -> String {
     let so_far = HumanDuration(after);
     if fraction * (PROGRESS_STEPS as f64) < 1.0 {
@@ -485,7 +493,8 @@ fn line_after(after: Duration, fraction: f64) -> String {
 /// Collects the time of every round that ends from now on, s.
 fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
     let rounds = Arc::new(Mutex::new(Vec::new()));
-    let (to, begun) = (rounds.clone(), Mutex::new(Instant::now()));
+    let to = rounds.clone();
+    let begun = Mutex::new(Instant::now());
     progress::watch_rounds(move || {
         let mut begun = begun.lock().unwrap_or_else(PoisonError::into_inner);
         let took = begun.elapsed();
@@ -497,6 +506,9 @@ fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
 
 /// Writes `value` as the artifact `dir`, without inputs, and replaces an existing one. It is for
 /// programs that make inputs of their own, such as tests.
+///
+/// # Errors
+/// Fails if the disk refuses it, or if the place holds something else than an artifact of this kind.
 pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
     let args = OutputArgs { out: dir.into(), force: true, wall_time: None };
     let task = crate::task!("save", json!({}));
@@ -526,11 +538,17 @@ impl OutputFile {
     }
 
     /// Writes the file.
+    ///
+    /// # Errors
+    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
     pub fn write(self, bytes: &[u8]) -> Result<(), HandoffError> {
         show_file(&self.path, self.force, bytes)
     }
 
     /// Writes a file that is too large for memory.
+    ///
+    /// # Errors
+    /// Fails if `write` fails, if the disk refuses it, or if another program has taken the place meanwhile.
     pub fn write_by(
         self,
         write: impl FnOnce(&mut File) -> Result<(), Failure>,
@@ -541,15 +559,21 @@ impl OutputFile {
     }
 
     /// Writes several files, which become visible together.
+    ///
+    /// # Errors
+    /// Fails if the disk refuses one of them, or if another program has taken a place meanwhile. None is visible then.
     pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
-        let stage = |(file, bytes): (Self, &[u8])| {
+        let mut all = Vec::with_capacity(N);
+        for (file, bytes) in files {
             let mut staged = Staged::file(&file.path, file.force)?;
-            staged.write_all(bytes).map(|()| staged)
-        };
-        publish::publish(files.into_iter().map(stage).collect::<Result<_, _>>()?)
+            staged.write_all(bytes)?;
+            all.push(staged);
+        }
+        publish::publish(all)
     }
 }
 
+/// Refuses a place where the file `flag` cannot be written, or would replace something that must stay.
 fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(), HandoffError> {
     let path = &*plain(path);
     inputs.refuse_overlap(flag, path)?;
@@ -570,13 +594,14 @@ fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(
     Ok(())
 }
 
+/// Writes a file and makes it visible.
 fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffError> {
     let mut staged = Staged::file(path, replace)?;
     staged.write_all(bytes)?;
     publish::publish(vec![staged])
 }
 
-/// Peak memory of this process, in 2^20 bytes; `None` if the system does not report it (other than
+/// Returns the peak memory of this process, in 2^20 bytes; `None` if the system does not report it (other than
 /// Linux).
 fn peak_memory_mb() -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
@@ -611,9 +636,13 @@ fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
 /// Returns true if the file was written before this program was built. A developer may change the
 /// program without a change of its version.
 fn older_than_this_program(file: &Path) -> bool {
-    let modified = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
-    let program = std::env::current_exe().ok().and_then(|p| modified(&p));
+    let program = std::env::current_exe().ok().and_then(|program| modified(&program));
     matches!((modified(file), program), (Some(f), Some(p)) if f < p)
+}
+
+/// Returns the time at which a file was last changed, if the system tells it.
+fn modified(path: &Path) -> Option<SystemTime> {
+    fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
 }
 
 /// Returns an outcome as a manifest holds it: after the status of its stage.
@@ -633,6 +662,7 @@ fn with_status(outcome: impl Serialize, status: &Status) -> Value {
     whole
 }
 
+/// Returns the status of the run that wrote a manifest.
 fn status_of(manifest: &Manifest) -> Status {
     match manifest.end() {
         StageEnd { status: Some(StageStatus::Negative), reason } => {

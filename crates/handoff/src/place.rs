@@ -11,21 +11,21 @@ use crate::{
     kind::{Kind, MANIFEST},
 };
 
-/// The path without redundant parts: a `.` within or at its end, and slashes at its end. The system
+/// Returns the path without redundant parts: a `.` within or at its end, and slashes at its end. The system
 /// accepts such an end only for an existing directory.
 pub(crate) fn plain(path: &Path) -> PathBuf {
     path.components().collect()
 }
 
-/// First existing part of `path`, from its root, that is not a directory although the rest is to be
+/// Returns the first existing part of `path`, from its root, that is not a directory although the rest is to be
 /// created in it. It is a file, or a link that leads nowhere or to itself.
 pub(crate) fn obstacle(path: &Path) -> Option<PathBuf> {
     let mut above = path.ancestors().skip(1).filter(|p| !p.as_os_str().is_empty());
     let there = above.find(|p| fs::symlink_metadata(p).is_ok())?;
-    (!there.is_dir()).then(|| there.to_path_buf())
+    if there.is_dir() { None } else { Some(there.to_path_buf()) }
 }
 
-/// Parent directory of `path`.
+/// Returns the parent directory of `path`.
 pub(crate) fn parent_of(path: &Path) -> PathBuf {
     match path.parent() {
         Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
@@ -57,7 +57,7 @@ pub(crate) fn sync_directory(dir: &Path) -> io::Result<()> {
     }
 }
 
-/// Absolute path, which another process can use.
+/// Returns the absolute path, which another process can use.
 pub(crate) fn absolute(path: &Path) -> PathBuf {
     path.canonicalize().or_else(|_| std::path::absolute(path)).unwrap_or_else(|_| path.into())
 }
@@ -119,7 +119,7 @@ pub(crate) fn is_within(path: &Path, dir: &Path) -> bool {
     resolved(path).starts_with(resolved(dir))
 }
 
-/// The path without links and `..`. A part that does not exist yet is appended unchanged.
+/// Returns the path without links and `..`. A part that does not exist yet is appended unchanged.
 fn resolved(path: &Path) -> PathBuf {
     if let Ok(whole) = path.canonicalize() {
         return whole;

@@ -89,17 +89,18 @@ enum What {
 }
 
 impl Staged {
-    /// An empty directory with the final path `place`, which may be a link to a directory.
+    /// Creates an empty directory with the final path `place`, which may be a link to a directory.
     pub(crate) fn directory(
         place: &Path,
         kind: &'static Kind,
         replace: bool,
     ) -> Result<Self, HandoffError> {
-        let create = |sibling: &Path| fs::create_dir(sibling).and_then(|()| File::open(sibling));
-        Self::new(place, What::Directory { kind, replace }, create)
+        Self::new(place, What::Directory { kind, replace }, |sibling| {
+            fs::create_dir(sibling).and_then(|()| File::open(sibling))
+        })
     }
 
-    /// An empty file with the final path `place`.
+    /// Creates an empty file with the final path `place`.
     pub(crate) fn file(place: &Path, replace: bool) -> Result<Self, HandoffError> {
         Self::new(place, What::File { replace }, |sibling| File::create_new(sibling))
     }
@@ -109,10 +110,11 @@ impl Staged {
         what: What,
         create: impl Fn(&Path) -> io::Result<File>,
     ) -> Result<Self, HandoffError> {
-        let place = match place.exists() {
-            true => place.canonicalize().map_err(|e| HandoffError::io(place, "resolve", &e))?,
+        let place = if place.exists() {
+            place.canonicalize().map_err(|e| HandoffError::io(place, "resolve", &e))?
+        } else {
             // A rename fails if the new name ends with a dot or a slash.
-            false => plain(place),
+            plain(place)
         };
         let parent = parent_of(&place);
         create_directories(&parent).map_err(|e| HandoffError::io(&parent, "create", &e))?;
@@ -127,12 +129,12 @@ impl Staged {
         matches!(self.what, What::File { .. })
     }
 
-    /// Path to write to.
+    /// Returns the path to write to.
     pub(crate) fn path(&self) -> &Path {
         &self.sibling
     }
 
-    /// Open file to write to.
+    /// Returns the open file to write to.
     pub(crate) fn open_file(&mut self) -> &mut File {
         &mut self.file
     }
@@ -161,13 +163,12 @@ impl Staged {
                 !(replace || is_empty)
             }
         };
-        match taken {
-            true => Err(HandoffError::new(
-                &self.place,
-                "exists, made while this ran; give --force to replace it, or another name",
-            )),
-            false => Ok(()),
+        if taken {
+            let problem =
+                "exists, made while this ran; give --force to replace it, or another name";
+            return Err(HandoffError::new(&self.place, problem));
         }
+        Ok(())
     }
 
     /// Renames the previous output to another sibling, so that the place is empty.
@@ -280,6 +281,7 @@ fn show(staged: &mut [Staged], parents: &[PathBuf]) -> Result<(), HandoffError> 
     synchronise(parents)
 }
 
+/// Synchronises directories with the disk.
 fn synchronise(directories: &[PathBuf]) -> Result<(), HandoffError> {
     for directory in directories {
         sync_directory(directory).map_err(|e| HandoffError::io(directory, "write", &e))?;

@@ -29,12 +29,12 @@ pub enum Status {
 pub struct Failure(String);
 
 impl Failure {
-    /// A failure with this message.
+    /// Creates a failure with this message.
     pub fn new(message: impl Into<String>) -> Self {
         Self(message.into())
     }
 
-    /// A failure from the error of a library, with its settings in the words of the command line
+    /// Creates a failure from the error of a library, with its settings in the words of the command line
     /// ([`with_flags`]).
     pub fn with_flags(error: impl std::error::Error) -> Self {
         Self(with_flags(&error.to_string()))

@@ -65,11 +65,11 @@ pub fn start(stages: &[Stage]) -> ExitCode {
     let first = words.get(1).cloned().unwrap_or_default();
     let stage = stages.iter().find(|stage| first == stage.word() || first == stage.name);
     let runner = stages.iter().find(|stage| stage.name == RUNNER && stage.has_subcommand(&first));
-    let stage_goes_first = |stage: &Stage| {
-        stage.name != RUNNER && takes_next_word(stage, words.get(2).map(OsString::as_os_str))
-    };
+    let next = words.get(2).map(OsString::as_os_str);
     match (stage, runner) {
-        (Some(stage), runner) if runner.is_none() || stage_goes_first(stage) => {
+        (Some(stage), runner)
+            if runner.is_none() || (stage.name != RUNNER && takes_next_word(stage, next)) =>
+        {
             let is_full_name = first == stage.name;
             let name = if is_full_name {
                 stage.name.into()
@@ -100,30 +100,8 @@ fn run(stage: &Stage, words: Vec<OsString>) -> ExitCode {
 
 /// Prints help, version, completions or the manual page of `planish` as a whole, or refuses an unknown command.
 fn overview(stages: &[Stage], words: &[OsString]) -> ExitCode {
-    let definition = || {
-        let mut command = clap::Command::new(PROGRAM)
-            .version(env!("CARGO_PKG_VERSION"))
-            .about("Plan the finishing of precision optics")
-            .long_about(
-                "Plan the finishing of precision optics: tool path, dwell times, motion, controller program, and the \
-                 predicted surface. `planish run raster` runs every stage; each stage is a command of its own",
-            )
-            .subcommand_required(true)
-            .arg_required_else_help(true)
-            .after_help(command_line::ALSO);
-        for stage in stages {
-            command = command.subcommand((stage.definition)().name(stage.word()));
-        }
-        for pipelines in stages.iter().filter(|stage| stage.name == RUNNER) {
-            let runner = (pipelines.definition)();
-            let is_free = |word: &str| stages.iter().all(|stage| stage.word() != word);
-            for own in runner.get_subcommands().filter(|own| is_free(own.get_name())) {
-                command = command.subcommand(own.clone());
-            }
-        }
-        command
-    };
-    match command_line::generated(definition, words.get(1..).unwrap_or_default()) {
+    let arguments = words.get(1..).unwrap_or_default();
+    match command_line::generated(|| definition(stages), arguments) {
         Some(Ok(text)) => {
             say(String::from_utf8_lossy(&text).trim_end());
             ExitCode::SUCCESS
@@ -132,11 +110,37 @@ fn overview(stages: &[Stage], words: &[OsString]) -> ExitCode {
             complain(&format!("error: {message}"));
             ExitCode::from(2)
         }
-        None => match definition().try_get_matches_from(words) {
+        None => match definition(stages).try_get_matches_from(words) {
             Ok(_) => ExitCode::from(2),
             Err(error) => command_line::end(&error),
         },
     }
+}
+
+/// Returns the definition of `planish` as a whole, with its stages, and with the subcommands of the stage that runs
+/// pipelines.
+fn definition(stages: &[Stage]) -> clap::Command {
+    let mut command = clap::Command::new(PROGRAM)
+        .version(env!("CARGO_PKG_VERSION"))
+        .about("Plan the finishing of precision optics")
+        .long_about(
+            "Plan the finishing of precision optics: tool path, dwell times, motion, controller program, and the \
+             predicted surface. `planish run raster` runs every stage; each stage is a command of its own",
+        )
+        .subcommand_required(true)
+        .arg_required_else_help(true)
+        .after_help(command_line::ALSO);
+    for stage in stages {
+        command = command.subcommand((stage.definition)().name(stage.word()));
+    }
+    for pipelines in stages.iter().filter(|stage| stage.name == RUNNER) {
+        for own in (pipelines.definition)().get_subcommands() {
+            if stages.iter().all(|stage| stage.word() != own.get_name()) {
+                command = command.subcommand(own.clone());
+            }
+        }
+    }
+    command
 }
 
 /// Returns the command that runs the stage program `name`: the file of this name in the first of `folders` that has it,

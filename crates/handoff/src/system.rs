@@ -58,8 +58,11 @@ pub fn become_command(command: Command, lock: File) -> io::Error {
     calls::become_command(command, lock)
 }
 
-/// Lets every process that this one starts inherit the open `lock`: it is free when the last of them has ended, and not
+/// Passes the open `lock` on to every process that this one starts: it is free when the last of them has ended, and not
 /// before, even if some are killed. Elsewhere than on Unix this process alone has it.
+///
+/// # Errors
+/// Fails if the system refuses it.
 pub fn let_inherit(lock: &File) -> io::Result<()> {
     calls::let_inherit(lock)
 }

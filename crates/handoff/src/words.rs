@@ -28,7 +28,10 @@ pub enum Unfinished {
     Backslash,
 }
 
-/// The words of `text`.
+/// Splits `text` into its words.
+///
+/// # Errors
+/// Refuses a quotation mark that is not closed, and a backslash at the end.
 pub fn split(text: &str) -> Result<Vec<String>, Unfinished> {
     let mut words = Vec::new();
     // `None` between two words; an empty word, '', is a word.
@@ -63,13 +66,14 @@ pub fn split(text: &str) -> Result<Vec<String>, Unfinished> {
     Ok(words)
 }
 
-/// The word as a shell, or [`split`], reads it. It gets quotation marks only if it needs them.
+/// Returns the word as a shell, or [`split`], reads it. It gets quotation marks only if it needs them.
 pub fn quote(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,+@%".contains(c);
-    match !word.is_empty() && word.chars().all(plain) {
-        true => word.to_string(),
-        false => format!("'{}'", word.replace('\'', r"'\''")),
+    let mut characters = word.chars();
+    let is_plain = characters.all(|c| c.is_ascii_alphanumeric() || "-_./:,+@%".contains(c));
+    if !word.is_empty() && is_plain {
+        return word.to_string();
     }
+    format!("'{}'", word.replace('\'', r"'\''"))
 }
 
 /// Joins words into one line, each as [`quote`] writes it.

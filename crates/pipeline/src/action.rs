@@ -42,9 +42,11 @@ impl<'a> Action<'a> {
     pub fn read(text: &'a str) -> Result<Self, String> {
         let verb = text.split(' ').next().unwrap_or_default();
         if verb.starts_with("planish-") {
-            let (text, may_be_negative) =
-                text.strip_suffix(" ?").map_or((text, false), |text| (text, true));
-            return Ok(Self::Command { text, may_be_negative });
+            let command = text.strip_suffix(" ?");
+            return Ok(Self::Command {
+                text: command.unwrap_or(text),
+                may_be_negative: command.is_some(),
+            });
         }
         if let Some((_, remedy)) = REPLACED.iter().find(|(word, _)| *word == verb) {
             return Err(format!("pipelines have no '{verb}' any more; {remedy}"));
@@ -65,13 +67,15 @@ fn call(text: &str) -> Result<Action<'_>, String> {
     let split = words::split(text).map_err(|e| e.to_string())?;
     let mut split = split.into_iter();
     let stage = split.next().ok_or("the line is empty; leave it out")?;
-    let value = |word: String| match word.split_once('=') {
-        Some((name, value)) if is_name(name) => Ok((name.to_string(), value.to_string())),
-        _ => Err(format!(
-            "'{word}' is no NAME=VALUE of the stage '{stage}'; a command begins with planish-"
-        )),
-    };
-    let values = split.map(value).collect::<Result<_, String>>()?;
+    let mut values = Vec::new();
+    for word in split {
+        let Some((name, value)) = word.split_once('=').filter(|(name, _)| is_name(name)) else {
+            return Err(format!(
+                "'{word}' is no NAME=VALUE of the stage '{stage}'; a command begins with planish-"
+            ));
+        };
+        values.push((name.to_string(), value.to_string()));
+    }
     Ok(Action::Stage(stage, values))
 }
 

@@ -6,7 +6,7 @@ use crate::{
     action::Action,
     kind::Kind,
     node::{Complaint, Node, Value, parse},
-    phrase::{Line, is_name, names},
+    phrase::{DefinitionLine, is_name, names},
 };
 
 /// Name of the file that all pipelines share, without its ending.
@@ -53,7 +53,7 @@ pub struct Setting {
     /// Type, which checks a value.
     pub kind: Kind,
     /// Default: the first line whose condition holds; empty without one.
-    pub default: Vec<Line>,
+    pub default: Vec<DefinitionLine>,
     /// True if it has no default, here or among the shared settings: then nothing is a value of it.
     pub may_be_empty: bool,
     /// Meaning.
@@ -72,9 +72,9 @@ pub struct Definition {
     /// Shared settings that the pipeline does not have; their defaults still hold in shared stages.
     pub without: Vec<Setting>,
     /// Messages with the condition under which settings are refused.
-    pub refuse: Vec<Line>,
+    pub refuse: Vec<DefinitionLine>,
     /// Names for what is made of settings and facts.
-    pub values: Vec<(String, Vec<Line>)>,
+    pub values: Vec<(String, Vec<DefinitionLine>)>,
     /// Stages.
     pub stages: Vec<(String, Stage)>,
 }
@@ -83,16 +83,16 @@ pub struct Definition {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Stage {
     /// Commands and other stages, in their order.
-    pub steps: Vec<Line>,
+    pub steps: Vec<DefinitionLine>,
     /// Directory for the message of the first command, which may refuse; the stage then ends. Without one it may not.
-    pub optional: Option<Line>,
+    pub optional: Option<DefinitionLine>,
     /// Sentence for the user when the stage has ended.
-    pub note: Option<Line>,
+    pub note: Option<DefinitionLine>,
 }
 
 impl Stage {
     /// Returns the steps, and the lines of the properties.
-    pub fn lines(&self) -> impl Iterator<Item = &Line> {
+    pub fn lines(&self) -> impl Iterator<Item = &DefinitionLine> {
         self.steps.iter().chain(&self.optional).chain(&self.note)
     }
 }
@@ -103,8 +103,8 @@ struct Part {
     title: String,
     settings: Vec<(String, Draft)>,
     without: Vec<String>,
-    refuse: Vec<Line>,
-    values: Vec<(String, Vec<Line>)>,
+    refuse: Vec<DefinitionLine>,
+    values: Vec<(String, Vec<DefinitionLine>)>,
     stages: Vec<(String, Stage)>,
 }
 
@@ -113,33 +113,32 @@ struct Part {
 struct Draft {
     line: u64,
     kind: Option<Kind>,
-    default: Option<Vec<Line>>,
+    default: Option<Vec<DefinitionLine>>,
     help: Option<String>,
 }
 
 impl Definition {
-    /// Reads the definition of the pipeline `name` from the text of the shared file and of its own. A message names the
-    /// file, the line and the remedy.
+    /// Reads the definition of the pipeline `name` from the text of the shared file and of its own.
+    ///
+    /// # Errors
+    /// Fails with a message that names the file, the line and the remedy.
     pub fn read(name: &str, shared: &str, own: &str) -> Result<Self, String> {
-        let named =
-            |file: &str, complaint: Complaint| format!("pipelines/{file}.yaml: {complaint}");
-        let shared = part(shared).map_err(|e| named(SHARED, e))?;
-        let own = part(own).map_err(|e| named(name, e))?;
-        let definition = Self::joined(name, shared, own).map_err(|e| named(name, e))?;
+        let shared = part(shared).map_err(|e| format!("pipelines/{SHARED}.yaml: {e}"))?;
+        let own = part(own);
+        let definition = own.and_then(|own| Self::joined(name, shared, own));
+        let definition = definition.map_err(|e| format!("pipelines/{name}.yaml: {e}"))?;
         definition.check().map_err(|e| format!("pipelines/{name}.yaml: {e}"))?;
         Ok(definition)
     }
 
-    /// The definition of a pipeline as it was when the program was built; `None` if there is none of this name.
+    /// Returns the definition of a pipeline as it was when the program was built; `None` if there is none of this name.
     pub fn built_in(name: &str) -> Option<Self> {
-        let text =
-            |name: &str| FILES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text);
-        let own = text(name).filter(|_| name != SHARED)?;
-        Some(Self::read(name, text(SHARED)?, own).expect("a test reads every file"))
+        let own = built_in_text(name).filter(|_| name != SHARED)?;
+        Some(Self::read(name, built_in_text(SHARED)?, own).expect("a test reads every file"))
     }
 
-    /// Settings on which the commands of a stage depend, also through values and other stages, but not through the names
-    /// in `cut`.
+    /// Returns the settings on which the commands of a stage depend, also through values and other stages, but not
+    /// through the names in `cut`.
     pub fn settings_of(&self, stage: &str, cut: &[&str]) -> BTreeSet<String> {
         let mut seen: BTreeSet<String> = cut.iter().map(|name| name.to_string()).collect();
         let mut names = Vec::new();
@@ -154,17 +153,17 @@ impl Definition {
             }
             stages.extend(self.stages_in(&stage));
         }
-        let mut found = BTreeSet::new();
+        let mut settings = BTreeSet::new();
         while let Some(name) = names.pop() {
             if !seen.insert(name.clone()) {
                 continue;
             }
             names.extend(self.made_of(&name));
             if self.setting(&name).is_some() {
-                found.insert(name);
+                settings.insert(name);
             }
         }
-        found
+        settings
     }
 
     /// The content of both files, in which the own one goes before the shared one.
@@ -172,9 +171,9 @@ impl Definition {
         let mut base = shared.settings;
         let mut settings = Vec::new();
         for (key, draft) in own.settings {
-            let at = base.iter().position(|(known, _)| *known == key);
-            let shared = at.map(|at| base.remove(at).1).unwrap_or_default();
-            let may_be_empty = at.is_some() && shared.default.is_none();
+            let shared_index = base.iter().position(|(known, _)| *known == key);
+            let shared = shared_index.map(|i| base.remove(i).1).unwrap_or_default();
+            let may_be_empty = shared_index.is_some() && shared.default.is_none();
             let draft = Draft {
                 line: draft.line,
                 kind: draft.kind.or(shared.kind),
@@ -188,9 +187,10 @@ impl Definition {
         let mut without = Vec::new();
         for (key, draft) in base {
             let setting = setting(key, draft)?;
-            match own.without.contains(&setting.name) {
-                true => without.push(setting),
-                false => settings.push(setting),
+            if own.without.contains(&setting.name) {
+                without.push(setting);
+            } else {
+                settings.push(setting);
             }
         }
         if let Some(name) = own.without.iter().find(|n| !without.iter().any(|s| s.name == **n)) {
@@ -210,13 +210,13 @@ impl Definition {
         })
     }
 
-    /// The setting of this name, whether a user can give it or not.
+    /// Returns the setting of this name, whether a user can give it or not.
     pub fn setting(&self, name: &str) -> Option<&Setting> {
         self.settings.iter().chain(&self.without).find(|setting| setting.name == name)
     }
 
-    /// Lines of a value.
-    pub fn value(&self, name: &str) -> Option<&[Line]> {
+    /// Returns the lines of a value.
+    pub fn value(&self, name: &str) -> Option<&[DefinitionLine]> {
         self.values.iter().find(|(known, _)| known == name).map(|(_, lines)| &lines[..])
     }
 
@@ -239,7 +239,7 @@ impl Definition {
     }
 
     /// Returns every line, with the name of the setting, value or stage that has it.
-    pub fn lines(&self) -> impl Iterator<Item = (&str, &Line)> {
+    pub fn lines(&self) -> impl Iterator<Item = (&str, &DefinitionLine)> {
         let settings = self.settings.iter().chain(&self.without);
         let defaults = settings.map(|setting| (setting.name.as_str(), &setting.default));
         let values = self.values.iter().map(|(name, lines)| (name.as_str(), lines));
@@ -255,7 +255,7 @@ impl Definition {
         if self.stage("run").is_none() {
             return Err("there is no stage 'run'; add it to `stages`".into());
         }
-        let mut given = BTreeSet::new();
+        let mut locals = BTreeSet::new();
         for (name, stage) in &self.stages {
             for line in &stage.steps {
                 let action = Action::read(&line.text)
@@ -264,7 +264,7 @@ impl Definition {
                 if self.stage(&called).is_none() {
                     return Err(format!("stage {name}: no stage '{called}'; add it to `stages`"));
                 }
-                given.extend(values.into_iter().map(|(name, _)| name));
+                locals.extend(values.into_iter().map(|(name, _)| name));
             }
         }
         let stages = self.stages.iter().map(|(name, _)| name);
@@ -275,19 +275,14 @@ impl Definition {
                 circle.join(" -> ")
             ));
         }
-        let known = |name: &str| {
-            self.setting(name).is_some()
-                || self.value(name).is_some()
-                || FACTS.contains(&name)
-                || name == DIRECTORY_NAME
-                || given.contains(name)
-        };
         for (owner, line) in self.lines() {
             let names = names_of(line).map_err(|e| format!("{owner}: {e}"))?;
-            if let Some(name) = names.iter().find(|name| !known(name)) {
-                return Err(format!(
-                    "{owner}: no setting or value '{name}'; add it, or correct its name"
-                ));
+            for name in names {
+                if !self.knows(&name) && !locals.contains(&name) {
+                    return Err(format!(
+                        "{owner}: no setting or value '{name}'; add it, or correct its name"
+                    ));
+                }
             }
         }
         let values = self.values.iter().map(|(name, _)| name);
@@ -299,6 +294,18 @@ impl Definition {
             None => Ok(()),
         }
     }
+
+    /// Returns whether the name is a setting, a value or a fact.
+    fn knows(&self, name: &str) -> bool {
+        self.setting(name).is_some()
+            || self.value(name).is_some()
+            || FACTS.contains(&name)
+            || name == DIRECTORY_NAME
+    }
+}
+
+fn built_in_text(name: &str) -> Option<&'static str> {
+    FILES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
 /// Returns the names of a circle, the first one also as the last, if `next` leads from one of `starts` into one.
@@ -330,10 +337,10 @@ fn circle_from(
 }
 
 /// Names in a line: in its words, and in its condition.
-fn names_of(line: &Line) -> Result<Vec<String>, String> {
-    let mut found = names(&line.text)?;
-    found.extend(line.condition.iter().map(|term| term.name.clone()));
-    Ok(found)
+fn names_of(line: &DefinitionLine) -> Result<Vec<String>, String> {
+    let mut names = names(&line.text)?;
+    names.extend(line.condition.iter().map(|term| term.name.clone()));
+    Ok(names)
 }
 
 /// The own entries, and the shared ones of other names.
@@ -344,10 +351,10 @@ fn over<T: Clone>(own: Vec<(String, T)>, shared: Vec<(String, T)>) -> Vec<(Strin
 
 /// The setting of a draft, which is complete.
 fn setting(name: String, draft: Draft) -> Result<Setting, Complaint> {
-    let lacks =
-        |what: &str| Complaint::new(draft.line, format!("the setting {name} lacks `{what}`"));
-    let kind = draft.kind.clone().ok_or_else(|| lacks("type"))?;
-    let help = draft.help.clone().ok_or_else(|| lacks("help"))?;
+    let missing = if draft.kind.is_none() { "type" } else { "help" };
+    let (Some(kind), Some(help)) = (draft.kind, draft.help) else {
+        return Err(Complaint::new(draft.line, format!("the setting {name} lacks `{missing}`")));
+    };
     let default = draft.default.unwrap_or_default();
     Ok(Setting { kind, may_be_empty: default.is_empty(), default, help, name })
 }
@@ -449,9 +456,9 @@ fn stage(name: &str, node: &Node) -> Result<Stage, Complaint> {
 }
 
 /// Lines of a list, or the single line of a text.
-fn lines(of: &str, node: &Node) -> Result<Vec<Line>, Complaint> {
+fn lines(of: &str, node: &Node) -> Result<Vec<DefinitionLine>, Complaint> {
     let line = |(text, line): &(String, u64)| {
-        Line::read(text).map_err(|e| Complaint::new(*line, format!("{of}: {e}")))
+        DefinitionLine::read(text).map_err(|e| Complaint::new(*line, format!("{of}: {e}")))
     };
     list(node)?.iter().map(line).collect()
 }

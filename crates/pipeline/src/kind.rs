@@ -39,15 +39,12 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The type that a definition names; `None` if there is no such type.
+    /// Reads the type that a definition names; returns `None` if there is no such type.
     pub fn read(text: &str) -> Option<Self> {
         if let Some(list) = text.strip_prefix("one of ") {
-            let (list, number) = match list.strip_suffix(", or a number") {
-                Some(list) => (list, true),
-                None => (list, false),
-            };
-            let words = list.split(", ").map(String::from).collect();
-            return Some(Self::OneOf { words, number });
+            let before_number = list.strip_suffix(", or a number");
+            let words = before_number.unwrap_or(list).split(", ").map(String::from).collect();
+            return Some(Self::OneOf { words, number: before_number.is_some() });
         }
         if let Some(range) = text.strip_prefix("whole number from ") {
             let (least, most) =
@@ -76,7 +73,7 @@ impl Kind {
         }
     }
 
-    /// Description of the values, for `give ...`.
+    /// Describes the values, for `give ...`.
     pub fn wanted(&self) -> String {
         match self {
             Self::Word => "a word".into(),
@@ -99,13 +96,16 @@ impl Kind {
         }
     }
 
-    /// Checks a value that is not empty; the message has no name of the setting.
+    /// Checks a value that is not empty.
+    ///
+    /// # Errors
+    /// Fails with a message, without the name of the setting, if the value does not fit.
     pub fn check(&self, value: &str) -> Result<(), String> {
-        let number = || value.parse::<f64>().ok().filter(|x| x.is_finite());
+        let number = value.parse::<f64>().ok().filter(|x| x.is_finite());
         let fits = match self {
             Self::Word | Self::Path => true,
             Self::Flags => return words::split(value).map(|_| ()).map_err(|e| e.to_string()),
-            Self::Number { least, closed, most } => number().is_some_and(|x| {
+            Self::Number { least, closed, most } => number.is_some_and(|x| {
                 (x > *least || *closed && x == *least) && most.is_none_or(|most| x <= most)
             }),
             Self::Whole { least, most } => {
@@ -115,13 +115,10 @@ impl Kind {
                 number.is_some_and(|x| x >= *least && most.is_none_or(|most| x <= most))
             }
             Self::OneOf { words, number: allowed } => {
-                words.iter().any(|word| word == value) || *allowed && number().is_some()
+                words.iter().any(|word| word == value) || *allowed && number.is_some()
             }
         };
-        match fits {
-            true => Ok(()),
-            false => Err(self.wanted()),
-        }
+        if fits { Ok(()) } else { Err(self.wanted()) }
     }
 }
 
@@ -138,7 +135,7 @@ const UNITS: [(&str, &str); 9] = [
     ("_s", "s"),
 ];
 
-/// Unit of a setting, from the end of its name; empty if it has none.
+/// Returns the unit of a setting, from the end of its name; empty if it has none.
 pub fn unit(name: &str) -> &'static str {
     UNITS.iter().find(|(end, _)| name.ends_with(end)).map_or("", |(_, unit)| unit)
 }
@@ -180,7 +177,7 @@ mod tests {
 
     #[test]
     fn the_unit_is_the_end_of_the_name() {
-        for (name, found) in [
+        for (name, expected) in [
             ("pitch_mm", "mm"),
             ("time_weight_nm2_per_s", "nm^2/s"),
             ("min_dwell_s_per_mm", "s/mm"),
@@ -188,7 +185,7 @@ mod tests {
             ("cycle_s", "s"),
             ("passes", ""),
         ] {
-            assert_eq!(unit(name), found, "{name}");
+            assert_eq!(unit(name), expected, "{name}");
         }
     }
 }

@@ -16,7 +16,7 @@ pub struct Complaint {
 }
 
 impl Complaint {
-    /// A complaint about this line.
+    /// Makes a complaint about this line.
     pub fn new(line: u64, problem: impl Into<String>) -> Self {
         Self { line, problem: problem.into() }
     }
@@ -70,7 +70,10 @@ impl fmt::Display for Value {
     }
 }
 
-/// The value that a whole text is.
+/// Parses a whole text as one value.
+///
+/// # Errors
+/// Fails if the text is no YAML of [`Value`]s.
 pub fn parse(text: &str) -> Result<Node, Complaint> {
     // YAML 1.1 took y, no and off for flags, too.
     let options = serde_saphyr::options! { strict_booleans: true };
@@ -78,10 +81,10 @@ pub fn parse(text: &str) -> Result<Node, Complaint> {
     parsed.map(node).map_err(|error| {
         let line = error.location().map_or(1, |at| at.line());
         // The crate appends where, which stands in front already, and what it calls its settings.
-        let said = error.without_snippet().to_string();
-        let said = said.split(" at line ").next().unwrap_or(&said).to_string();
-        let said = said.split(", set DuplicateKeyPolicy").next().unwrap_or(&said).to_string();
-        Complaint::new(line, format!("{said}; write keys and values as YAML"))
+        let whole = error.without_snippet().to_string();
+        let problem = whole.split(" at line ").next().unwrap_or(&whole);
+        let problem = problem.split(", set DuplicateKeyPolicy").next().unwrap_or(problem);
+        Complaint::new(line, format!("{problem}; write keys and values as YAML"))
     })
 }
 
@@ -104,11 +107,14 @@ fn node(raw: Spanned<Raw>) -> Node {
         Raw::Nothing => Value::Nothing,
         Raw::List(items) => Value::List(items.into_iter().map(node).collect()),
         Raw::Map(entries) => {
-            let key = |key: Spanned<String>| Key { line: key.referenced.line(), text: key.value };
             Value::Map(entries.into_iter().map(|(k, v)| (key(k), node(v))).collect())
         }
     };
     Node { line, value }
+}
+
+fn key(key: Spanned<String>) -> Key {
+    Key { line: key.referenced.line(), text: key.value }
 }
 
 impl<'de> Deserialize<'de> for Raw {

@@ -2,7 +2,7 @@
 
 /// A line of a definition: its text, and the condition under which it counts.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Line {
+pub struct DefinitionLine {
     /// Text before ` when `.
     pub text: String,
     /// Terms that all have to hold.
@@ -20,14 +20,17 @@ pub struct Term {
     pub negated: bool,
 }
 
-/// Returns true if `text` can be a name in braces.
+/// Returns whether `text` can be a name in braces.
 pub fn is_name(text: &str) -> bool {
     !text.is_empty()
         && text.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
 }
 
-impl Line {
+impl DefinitionLine {
     /// Reads a line.
+    ///
+    /// # Errors
+    /// Fails with a message if the condition is none.
     pub fn read(line: &str) -> Result<Self, String> {
         let Some((text, condition)) = line.rsplit_once(" when ") else {
             return Ok(Self { text: line.trim().into(), condition: vec![] });
@@ -57,7 +60,7 @@ impl Term {
         Ok(Self { name: name.into(), choices, negated })
     }
 
-    /// Returns true if the term holds where the name stands for these words.
+    /// Returns whether the term holds where the name stands for these words.
     pub fn holds(&self, words: &[String]) -> bool {
         let is_met = match &self.choices[..] {
             [] => !words.is_empty(),
@@ -75,7 +78,7 @@ fn is_list(words: &[&str]) -> bool {
 
 /// Part of a word.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Piece {
+pub enum WordPart {
     /// Characters as they are.
     Text(String),
     /// The value of a name.
@@ -87,17 +90,22 @@ pub enum Piece {
 pub struct Group {
     /// True if the words are left out when a name in them is empty.
     pub optional: bool,
-    /// The words, each of its pieces.
-    pub words: Vec<Vec<Piece>>,
+    /// The words, each in its parts.
+    pub words: Vec<Vec<WordPart>>,
 }
 
-/// The words of a text, which blanks separate; those in brackets are optional together.
+/// Returns the words of a text, which blanks separate; those in brackets are optional together.
+///
+/// # Errors
+/// Fails with a message if a bracket or a brace has no partner, or if a name in braces is none.
 pub fn groups(text: &str) -> Result<Vec<Group>, String> {
     let mut groups = Vec::new();
     let mut open: Option<Group> = None;
     for word in text.split_whitespace() {
-        let (begins, word) = word.strip_prefix('[').map_or((false, word), |rest| (true, rest));
-        let (ends, word) = word.strip_suffix(']').map_or((false, word), |rest| (true, rest));
+        let begins = word.starts_with('[');
+        let word = word.strip_prefix('[').unwrap_or(word);
+        let ends = word.ends_with(']');
+        let word = word.strip_suffix(']').unwrap_or(word);
         if begins && open.is_some() || ends && !begins && open.is_none() {
             return Err(format!("a bracket at '{word}' has no partner"));
         }
@@ -105,8 +113,8 @@ pub fn groups(text: &str) -> Result<Vec<Group>, String> {
             open = Some(Group { optional: true, words: vec![] });
         }
         match open.as_mut() {
-            Some(group) => group.words.push(pieces(word)?),
-            None => groups.push(Group { optional: false, words: vec![pieces(word)?] }),
+            Some(group) => group.words.push(word_parts(word)?),
+            None => groups.push(Group { optional: false, words: vec![word_parts(word)?] }),
         }
         if ends {
             groups.extend(open.take());
@@ -118,9 +126,8 @@ pub fn groups(text: &str) -> Result<Vec<Group>, String> {
     }
 }
 
-/// The pieces of a word.
-fn pieces(word: &str) -> Result<Vec<Piece>, String> {
-    let mut pieces = Vec::new();
+fn word_parts(word: &str) -> Result<Vec<WordPart>, String> {
+    let mut word_parts = Vec::new();
     let mut rest = word;
     while let Some((before, after)) = rest.split_once('{') {
         let (name, after) =
@@ -129,25 +136,29 @@ fn pieces(word: &str) -> Result<Vec<Piece>, String> {
             return Err(format!("'{{{name}}}' in '{word}' is no name in braces"));
         }
         if !before.is_empty() {
-            pieces.push(Piece::Text(before.into()));
+            word_parts.push(WordPart::Text(before.into()));
         }
-        pieces.push(Piece::Name(name.into()));
+        word_parts.push(WordPart::Name(name.into()));
         rest = after;
     }
-    if !rest.is_empty() || pieces.is_empty() {
-        pieces.push(Piece::Text(rest.into()));
+    if !rest.is_empty() || word_parts.is_empty() {
+        word_parts.push(WordPart::Text(rest.into()));
     }
-    Ok(pieces)
+    Ok(word_parts)
 }
 
-/// Names in the words of a text.
+/// Returns the names in the words of a text.
+///
+/// # Errors
+/// Fails with a message where [`groups`] does.
 pub fn names(text: &str) -> Result<Vec<String>, String> {
-    let pieces = groups(text)?.into_iter().flat_map(|group| group.words).flatten();
-    let name = |piece| match piece {
-        Piece::Name(name) => Some(name),
-        Piece::Text(_) => None,
-    };
-    Ok(pieces.filter_map(name).collect())
+    let mut names = Vec::new();
+    for part in groups(text)?.into_iter().flat_map(|group| group.words).flatten() {
+        if let WordPart::Name(name) = part {
+            names.push(name);
+        }
+    }
+    Ok(names)
 }
 
 #[cfg(test)]
@@ -156,7 +167,8 @@ mod tests {
 
     #[test]
     fn conditions_are_read_and_others_are_refused() {
-        let line = Line::read("x y when a and not b and c is d or e and f is not g").unwrap();
+        let line =
+            DefinitionLine::read("x y when a and not b and c is d or e and f is not g").unwrap();
         assert_eq!(line.text, "x y");
         let words = |list: &[&str]| list.iter().map(|word| word.to_string()).collect::<Vec<_>>();
         let terms = line.condition.iter().map(|t| (t.name.as_str(), t.choices.clone(), t.negated));
@@ -182,7 +194,7 @@ mod tests {
             assert_eq!(line.condition[i].holds(&words(value)), holds, "{i}: {value:?}");
         }
         for old in ["a in b", "a begins with b", "a by default"] {
-            let message = Line::read(&format!("x when {old}")).unwrap_err();
+            let message = DefinitionLine::read(&format!("x when {old}")).unwrap_err();
             assert!(message.contains("replace"), "{message}");
         }
         for bad in [
@@ -195,7 +207,8 @@ mod tests {
             "x when a or b",
         ] {
             assert!(
-                Line::read(bad).is_err() || Line::read(bad).unwrap().condition.is_empty(),
+                DefinitionLine::read(bad).is_err()
+                    || DefinitionLine::read(bad).unwrap().condition.is_empty(),
                 "{bad}"
             );
         }

@@ -7,7 +7,7 @@ use planish_handoff::words;
 use crate::{
     definition::Definition,
     kind::Kind,
-    phrase::{Line, Piece, Term, groups},
+    phrase::{DefinitionLine, Term, WordPart, groups},
 };
 
 /// Names with their words.
@@ -44,6 +44,9 @@ pub struct Scope<'a> {
 }
 
 /// Refuses the second value of a setting, of which the `first` one is there already.
+///
+/// # Errors
+/// Fails with a message if there is a first value.
 pub fn refuse_second(first: Option<String>, name: &str, second: &str) -> Result<(), String> {
     match first {
         None => Ok(()),
@@ -54,7 +57,10 @@ pub fn refuse_second(first: Option<String>, name: &str, second: &str) -> Result<
 }
 
 impl<'a> Scope<'a> {
-    /// A pipeline with settings as a user gives them, `NAME=VALUE`. Refuses a setting that is given twice.
+    /// Takes settings for a pipeline as a user gives them, `NAME=VALUE`.
+    ///
+    /// # Errors
+    /// Fails with a message if a setting is none of the pipeline, is given twice, or does not fit its type.
     pub fn new<S: AsRef<str>>(definition: &'a Definition, settings: &[S]) -> Result<Self, String> {
         let name = &definition.name;
         let mut given = BTreeMap::new();
@@ -106,12 +112,15 @@ impl<'a> Scope<'a> {
         self.fixed.insert(name.into(), words);
     }
 
-    /// Returns true if the user gave the setting.
+    /// Returns whether the user gave the setting.
     pub fn is_given(&self, name: &str) -> bool {
         self.given.contains_key(name)
     }
 
-    /// Refuses settings that do not go together.
+    /// Checks that the settings go together.
+    ///
+    /// # Errors
+    /// Fails with the message of the definition if they do not.
     pub fn check(&self) -> Result<(), String> {
         let none = Words::new();
         for line in &self.definition.refuse {
@@ -122,7 +131,10 @@ impl<'a> Scope<'a> {
         Ok(())
     }
 
-    /// The words that a name stands for; `local` are those of the stages that are running.
+    /// Returns the words that a name stands for; `local` are those of the stages that are running.
+    ///
+    /// # Errors
+    /// Fails with a message if it stands for nothing yet, or if its words or conditions cannot be read.
     pub fn words(&self, name: &str, local: &Words) -> Result<Vec<String>, String> {
         if let Some(words) = local.get(name).or_else(|| self.fixed.get(name)) {
             return Ok(words.clone());
@@ -137,25 +149,32 @@ impl<'a> Scope<'a> {
                 (Some(text), _) => Ok(vec![text.clone()]),
             };
         }
-        let value = self.definition.value(name);
-        let unknown = || format!("'{name}' is not known yet in {}", self.definition.name);
-        self.first(value.ok_or_else(unknown)?, local)
+        let Some(lines) = self.definition.value(name) else {
+            return Err(format!("'{name}' is not known yet in {}", self.definition.name));
+        };
+        self.first(lines, local)
     }
 
-    /// The text that a name stands for: its words, separated by blanks.
+    /// Returns the text that a name stands for: its words, separated by blanks.
+    ///
+    /// # Errors
+    /// Fails with a message where [`Scope::words`] does.
     pub fn text(&self, name: &str) -> Result<String, String> {
         Ok(self.words(name, &Words::new())?.join(" "))
     }
 
     /// The words of the first line whose condition holds; none if there is no such line.
-    fn first(&self, lines: &[Line], local: &Words) -> Result<Vec<String>, String> {
+    fn first(&self, lines: &[DefinitionLine], local: &Words) -> Result<Vec<String>, String> {
         match self.line_that_holds(lines, local)? {
             Some(line) => self.expand(&line.text, local),
             None => Ok(vec![]),
         }
     }
 
-    /// Returns true if all terms of a condition hold.
+    /// Returns whether all terms of a condition hold.
+    ///
+    /// # Errors
+    /// Fails with a message where [`Scope::words`] does.
     pub fn holds(&self, condition: &[Term], local: &Words) -> Result<bool, String> {
         for term in condition {
             if !term.holds(&self.words(&term.name, local)?) {
@@ -165,28 +184,31 @@ impl<'a> Scope<'a> {
         Ok(true)
     }
 
-    /// The words of a text, with what its names stand for. A name alone is all of its words; within a longer word it
-    /// has to be one.
+    /// Returns the words of a text, with what its names stand for. A name alone is all of its words; within a longer
+    /// word it has to be one.
+    ///
+    /// # Errors
+    /// Fails with a message if a name stands for nothing, or if a bracket or a brace has no partner.
     pub fn expand(&self, text: &str, local: &Words) -> Result<Vec<String>, String> {
         let mut expanded = Vec::new();
         for group in groups(text)? {
             let mut words = Vec::new();
             let mut lacks = false;
-            for pieces in &group.words {
-                if let [Piece::Name(name)] = &pieces[..] {
-                    let found = self.words(name, local)?;
-                    lacks |= found.is_empty();
-                    words.extend(found);
+            for parts in &group.words {
+                if let [WordPart::Name(name)] = &parts[..] {
+                    let values = self.words(name, local)?;
+                    lacks |= values.is_empty();
+                    words.extend(values);
                     continue;
                 }
                 let mut word = String::new();
-                for piece in pieces {
-                    match piece {
-                        Piece::Text(text) => word.push_str(text),
-                        Piece::Name(name) => {
-                            let found = self.words(name, local)?;
-                            lacks |= found.is_empty();
-                            word.push_str(&found.join(" "));
+                for part in parts {
+                    match part {
+                        WordPart::Text(text) => word.push_str(text),
+                        WordPart::Name(name) => {
+                            let values = self.words(name, local)?;
+                            lacks |= values.is_empty();
+                            word.push_str(&values.join(" "));
                         }
                     }
                 }
@@ -201,52 +223,56 @@ impl<'a> Scope<'a> {
 
     /// Returns the settings that give the flags in a text. `local` are the words of the names that stages were given, and
     /// `local_origins` the settings that give these.
+    ///
+    /// # Errors
+    /// Fails with a message where [`Scope::expand`] does.
     pub fn origins(
         &self,
         text: &str,
         local: &Words,
         local_origins: &BTreeMap<String, Origins>,
     ) -> Result<Origins, String> {
-        let mut found = Origins::default();
+        let mut origins = Origins::default();
         let mut last_flag = None;
-        for pieces in groups(text)?.into_iter().flat_map(|group| group.words) {
-            let flag = match &pieces[0] {
-                Piece::Text(text) if text.starts_with("--") => text.split('=').next(),
+        for parts in groups(text)?.into_iter().flat_map(|group| group.words) {
+            let flag = match &parts[0] {
+                WordPart::Text(text) if text.starts_with("--") => text.split('=').next(),
                 _ => None,
             };
-            let setting_alone = match &pieces[..] {
-                [Piece::Name(name)] | [Piece::Text(_), Piece::Name(name)] => Some(name),
+            let setting_alone = match &parts[..] {
+                [WordPart::Name(name)] | [WordPart::Text(_), WordPart::Name(name)] => Some(name),
                 _ => None,
             };
             match (flag, setting_alone) {
                 (Some(flag), name) => {
                     let same = flag[2..].replace('-', "_");
-                    let is_setting = |name: &&str| self.definition.setting(name).is_some();
-                    let of = name.map(String::as_str).filter(is_setting);
-                    found.settings.extend(of.map(String::from));
+                    let setting = name.and_then(|name| self.definition.setting(name));
+                    origins.settings.extend(setting.map(|s| s.name.clone()));
                     let own = self.definition.settings.iter().find(|s| s.name == same);
-                    let of = of.or(own.map(|s| s.name.as_str())).unwrap_or(flag);
-                    found.of_flag.push((flag.into(), of.into()));
+                    let origin = setting.or(own).map_or(flag, |s| s.name.as_str());
+                    origins.of_flag.push((flag.into(), origin.into()));
                 }
                 (None, Some(name)) if self.definition.setting(name).is_some() => {
-                    found.add(self.origins_of_setting(name, last_flag, local)?);
+                    origins.add(self.origins_of_setting(name, last_flag, local)?);
                 }
                 (None, Some(name)) => {
                     if let Some(known) = local_origins.get(name) {
-                        found.add(known.clone());
+                        origins.add(known.clone());
                     } else if !local.contains_key(name) && !self.fixed.contains_key(name) {
                         let lines = self.definition.value(name).unwrap_or_default();
                         if let Some(line) = self.line_that_holds(lines, local)? {
-                            found.add(self.origins(&line.text, local, local_origins)?);
+                            origins.add(self.origins(&line.text, local, local_origins)?);
                         }
                     }
                 }
                 (None, None) => {}
             }
-            let is_whole = |flag: &&str| pieces[..] == [Piece::Text(flag.to_string())];
-            last_flag = flag.filter(is_whole).map(String::from);
+            last_flag = match &parts[..] {
+                [WordPart::Text(text)] if flag == Some(text) => Some(text.clone()),
+                _ => None,
+            };
         }
-        Ok(found)
+        Ok(origins)
     }
 
     /// Returns the settings that give the words of a setting, which stand after `last_flag`, if that is a flag.
@@ -271,9 +297,9 @@ impl<'a> Scope<'a> {
     /// Returns the first line whose condition holds.
     fn line_that_holds<'b>(
         &self,
-        lines: &'b [Line],
+        lines: &'b [DefinitionLine],
         local: &Words,
-    ) -> Result<Option<&'b Line>, String> {
+    ) -> Result<Option<&'b DefinitionLine>, String> {
         for line in lines {
             if self.holds(&line.condition, local)? {
                 return Ok(Some(line));
@@ -311,8 +337,8 @@ stages:
     fn a_setting_is_one_word_whatever_it_holds() {
         let hostile = "$(touch x) 'a' \"b\" {{ c }} {v}\n[d] when e";
         let b = format!("b={hostile}");
-        let found = expand(&["w=x", &b], "p {b} --b={b} [--c {b}]").unwrap();
-        assert_eq!(found, ["p", hostile, &format!("--b={hostile}"), "--c", hostile]);
+        let words = expand(&["w=x", &b], "p {b} --b={b} [--c {b}]").unwrap();
+        assert_eq!(words, ["p", hostile, &format!("--b={hostile}"), "--c", hostile]);
         assert_eq!(expand(&["w=x", "b=-x"], "{b}").unwrap(), ["./-x"]);
     }
 
@@ -326,7 +352,7 @@ stages:
     fn the_settings_behind_the_flags_of_a_command_are_known() {
         let definition = Definition::read("p", SHARED, "title: T").unwrap();
         let text = "planish-x --out d {v} --b {b} [--w={w}] {local} --level";
-        let origins = |settings: &[&str]| {
+        let origins_with = |settings: &[&str]| {
             let scope = Scope::new(&definition, settings).unwrap();
             let by_local = BTreeMap::from([(
                 "local".to_string(),
@@ -338,7 +364,7 @@ stages:
         let of = |origins: &Origins, flag: &str| {
             origins.of_flag.iter().find(|(known, _)| known == flag).map(|(_, text)| text.clone())
         };
-        let found = origins(&["b=q", "w=x"]);
+        let origins = origins_with(&["b=q", "w=x"]);
         for (flag, text) in [
             ("--a", "a"),
             ("--b", "b"),
@@ -347,16 +373,16 @@ stages:
             ("--out", "--out"),
             ("--level", "--level"),
         ] {
-            assert_eq!(of(&found, flag).as_deref(), Some(text), "{flag}");
+            assert_eq!(of(&origins, flag).as_deref(), Some(text), "{flag}");
         }
         assert_eq!(
-            (found.more_flags, found.settings),
+            (origins.more_flags, origins.settings),
             (None, ["a", "b", "w", "a"].map(String::from).to_vec())
         );
-        let found = origins(&["f=--x=1 'a b' --out e"]);
-        assert_eq!(of(&found, "--x").as_deref(), Some("f=--x"));
-        assert_eq!(of(&found, "--out").as_deref(), Some("f=--out"));
-        assert_eq!(found.more_flags.as_deref(), Some("f"));
+        let origins = origins_with(&["f=--x=1 'a b' --out e"]);
+        assert_eq!(of(&origins, "--x").as_deref(), Some("f=--x"));
+        assert_eq!(of(&origins, "--out").as_deref(), Some("f=--out"));
+        assert_eq!(origins.more_flags.as_deref(), Some("f"));
     }
 
     #[test]

@@ -6,13 +6,13 @@ use planish_handoff::words;
 
 use crate::{
     action::Action,
-    phrase::{Line, Term},
+    phrase::{DefinitionLine, Term},
     scope::{Origins, Scope, Words},
 };
 
 /// A program with its arguments.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Command {
+pub struct StageCommand {
     /// Name of the program.
     pub program: String,
     /// Its arguments.
@@ -29,7 +29,7 @@ pub struct Command {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
     /// A command.
-    Run(Command),
+    Run(StageCommand),
     /// A line for the user.
     Say(String),
 }
@@ -37,10 +37,10 @@ pub enum Step {
 /// A stage that runs: its lines that are left, and the values that it was given.
 #[derive(Clone)]
 struct Frame<'a> {
-    lines: std::slice::Iter<'a, Line>,
+    lines: std::slice::Iter<'a, DefinitionLine>,
     /// Directory for the message of the first command, until that command is made.
-    optional: Option<&'a Line>,
-    note: Option<&'a Line>,
+    optional: Option<&'a DefinitionLine>,
+    note: Option<&'a DefinitionLine>,
     local: Words,
     /// Settings that give the flags in these words.
     origins: BTreeMap<String, Origins>,
@@ -55,15 +55,21 @@ pub struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// The steps of this stage.
+    /// Begins the steps of this stage.
+    ///
+    /// # Errors
+    /// Fails with a message if there is no such stage.
     pub fn new(scope: Scope<'a>, stage: &str) -> Result<Self, String> {
         let mut walk = Self { scope, frames: vec![] };
         walk.enter(stage, Words::new(), BTreeMap::new())?;
         Ok(walk)
     }
 
-    /// The commands of a stage, if no step of it depends on what another one finds.
-    pub fn commands(scope: Scope<'a>, stage: &str) -> Result<Vec<Command>, String> {
+    /// Returns the commands of a stage, if no step of it depends on what another one finds.
+    ///
+    /// # Errors
+    /// Fails with a message where [`Walk::new`] or [`Walk::step`] does.
+    pub fn commands(scope: Scope<'a>, stage: &str) -> Result<Vec<StageCommand>, String> {
         let mut walk = Self::new(scope, stage)?;
         let mut commands = Vec::new();
         while let Some(step) = walk.step()? {
@@ -74,10 +80,13 @@ impl<'a> Walk<'a> {
         Ok(commands)
     }
 
-    /// The next step; `None` at the end.
+    /// Makes the next step; returns `None` at the end.
+    ///
+    /// # Errors
+    /// Fails with a message if a line is no step, or if a name in it stands for nothing.
     pub fn step(&mut self) -> Result<Option<Step>, String> {
         while let Some(frame) = self.frames.last_mut() {
-            let Some(Line { text, condition }) = frame.lines.next() else {
+            let Some(DefinitionLine { text, condition }) = frame.lines.next() else {
                 let note = frame.note;
                 let text = self.text_of(note)?;
                 self.frames.pop();
@@ -149,8 +158,8 @@ impl<'a> Walk<'a> {
     }
 
     /// Returns the text of a property of the stage that runs; `None` if its condition does not hold, or it is empty.
-    fn text_of(&self, property: Option<&Line>) -> Result<Option<String>, String> {
-        let Some(Line { text, condition }) = property else { return Ok(None) };
+    fn text_of(&self, property: Option<&DefinitionLine>) -> Result<Option<String>, String> {
+        let Some(DefinitionLine { text, condition }) = property else { return Ok(None) };
         if !self.holds(condition)? {
             return Ok(None);
         }
@@ -159,10 +168,10 @@ impl<'a> Walk<'a> {
     }
 
     /// Makes a command of the stage that runs.
-    fn command(&mut self, text: &str, may_be_negative: bool) -> Result<Command, String> {
+    fn command(&mut self, text: &str, may_be_negative: bool) -> Result<StageCommand, String> {
         let optional = self.frames.last_mut().and_then(|frame| frame.optional.take());
         let mut words = self.scope.expand(text, self.local())?.into_iter();
-        Ok(Command {
+        Ok(StageCommand {
             program: words.next().unwrap_or_default(),
             arguments: words.collect(),
             may_be_negative,
@@ -172,23 +181,26 @@ impl<'a> Walk<'a> {
     }
 }
 
-impl Command {
-    /// The command as one line that a shell reads back. A value keeps its flag outside of the quotation marks.
+impl StageCommand {
+    /// Returns the command as one line that a shell reads back. A value keeps its flag outside of the quotation marks.
     pub fn line(&self) -> String {
-        let word = |word: &String| match word.split_once('=') {
-            Some((flag, value))
-                if flag.starts_with("--") && !value.is_empty() && words::quote(flag) == flag =>
-            {
-                format!("{flag}={}", words::quote(value))
-            }
-            _ => words::quote(word),
-        };
         let mut line = self.program.clone();
         for argument in &self.arguments {
             line.push(' ');
-            line.push_str(&word(argument));
+            line.push_str(&quote_argument(argument));
         }
         line
+    }
+}
+
+fn quote_argument(argument: &str) -> String {
+    match argument.split_once('=') {
+        Some((flag, value))
+            if flag.starts_with("--") && !value.is_empty() && words::quote(flag) == flag =>
+        {
+            format!("{flag}={}", words::quote(value))
+        }
+        _ => words::quote(argument),
     }
 }
 
@@ -271,7 +283,7 @@ stages:
     fn a_line_can_be_copied() {
         let arguments =
             ["--a=1", "--b=x y", "--c", "it's", "--d=", "$(e)"].map(String::from).to_vec();
-        let command = Command {
+        let command = StageCommand {
             program: "planish-x".into(),
             arguments,
             may_be_negative: false,

@@ -3,11 +3,11 @@
 use planish_pipeline::{
     definition::Definition,
     scope::Scope,
-    walk::{Command, Walk},
+    walk::{StageCommand, Walk},
 };
 
 /// A pipeline with settings, in a repository in which the user stands; the machine has these axes.
-fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) -> Vec<Command> {
+fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) -> Vec<StageCommand> {
     let definition = Definition::built_in(pipeline).unwrap();
     let mut scope = Scope::new(&definition, settings).unwrap();
     scope.check().unwrap();
@@ -29,8 +29,8 @@ fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) ->
 }
 
 /// Names of the programs without `planish-`, and the artifacts that they write, without the directory of the run.
-fn outline(commands: &[Command]) -> String {
-    let word = |command: &Command| {
+fn outline(commands: &[StageCommand]) -> String {
+    let word = |command: &StageCommand| {
         let program = command.program.trim_start_matches("planish-").to_string();
         let out = command.arguments.iter().skip_while(|a| *a != "--out").nth(1);
         let out = out.map(|out| out.splitn(4, '/').nth(3).unwrap_or(out).to_string());

@@ -14,9 +14,9 @@ use planish_pipeline::{
     action::Action,
     definition::{Definition, SHARED, Setting},
     kind::Kind,
-    phrase::Line,
+    phrase::DefinitionLine,
     scope::{Scope, Words},
-    walk::{Command, Step, Walk},
+    walk::{StageCommand, Step, Walk},
 };
 
 use crate::stages::STAGES;
@@ -133,7 +133,7 @@ struct Reader {
 
 impl Reader {
     /// Returns the paths in a command line, or what its program says of its flags.
-    fn read(&mut self, command: &Command) -> Result<Paths, String> {
+    fn read(&mut self, command: &StageCommand) -> Result<Paths, String> {
         let mut words = vec![command.program.clone()];
         words.extend(command.arguments.iter().cloned());
         if let Some(known) = self.read.get(&words) {
@@ -225,14 +225,14 @@ impl<'a> Case<'a> {
     }
 
     /// Returns the commands of a stage. The report recommends the plan of the case.
-    fn commands(&self, stage: &str) -> Vec<Command> {
+    fn commands(&self, stage: &str) -> Vec<StageCommand> {
         let mut walk = Walk::new(self.scope.clone(), stage).unwrap();
         let mut commands = Vec::new();
         while let Some(step) = walk.step().unwrap() {
             let Step::Run(command) = step else { continue };
             let is_made = |plan: &String| {
                 let made = format!("{RUN}/methods/{plan}/removal");
-                commands.iter().any(|command: &Command| command.arguments.contains(&made))
+                commands.iter().any(|command: &StageCommand| command.arguments.contains(&made))
             };
             if command.arguments[0] == "report" && self.recommended.iter().all(is_made) {
                 walk.scope.set("recommended", self.recommended.clone());
@@ -243,7 +243,7 @@ impl<'a> Case<'a> {
     }
 
     /// Notes which conditions fail and hold in this case, before and after the report.
-    fn note_conditions(&self, seen: &mut [(String, &Line, [bool; 2])]) {
+    fn note_conditions(&self, seen: &mut [(String, &DefinitionLine, [bool; 2])]) {
         let mut after_report = self.scope.clone();
         after_report.set("recommended", self.recommended.clone());
         for (_, line, known) in seen.iter_mut().filter(|(_, _, known)| *known != [true; 2]) {
@@ -333,12 +333,12 @@ impl Findings {
             settings.extend(values.into_iter().map(|value| Some((setting.name.as_str(), value))));
         }
         let by_stages = names_given_by_stages(definition);
-        let is_by_settings = |(_, line): &(&str, &Line)| {
+        let is_by_settings = |(_, line): &(&str, &DefinitionLine)| {
             let mut names = line.condition.iter().map(|term| &term.name);
             !line.condition.is_empty() && !names.any(|name| by_stages.contains(name))
         };
         let lines = definition.lines().filter(is_by_settings);
-        let mut seen: Vec<(String, &Line, [bool; 2])> =
+        let mut seen: Vec<(String, &DefinitionLine, [bool; 2])> =
             lines.map(|(owner, line)| (format!("{owner}: {line:?}"), line, [false; 2])).collect();
         for context in &CONTEXTS {
             for setting in &settings {

@@ -10,10 +10,10 @@ use std::{env, path::Path, process::ExitCode};
 use ndarray::{Array2, s};
 use planish_handoff::Inputs;
 use planish_reconcile::{
-    Comparison, Settings,
+    Comparison, ReconcileSettings,
     determined::{all_moves, refusal},
     fit::{Start, fit},
-    model::Model,
+    model::RemovalModel,
     parameter::Parameter,
 };
 use planish_simulate::{
@@ -55,7 +55,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         _ => without_map_noise(process),
     };
 
-    let settings = Settings::default();
+    let settings = ReconcileSettings::default();
     let (parameters, terms) = settings.chosen(|_| true)?;
     let first = Comparison {
         before: &before,
@@ -67,7 +67,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     };
     let moved = first.moved_tif(&settings)?;
     let runs = Runs::new(&trajectory, &tif, &moved, before.grid())?;
-    let model = Model::new(&runs, &moved, parameters.clone(), Parameter::usual_scale);
+    let model = RemovalModel::new(&runs, &moved, parameters.clone(), Parameter::usual_scale);
     let start = Start::new(&model)?;
     let mut tally = vec![Tally::default(); parameters.len()];
     for seed in 0..count as u64 {

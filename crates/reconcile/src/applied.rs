@@ -26,7 +26,7 @@ use planish_types::text::significant;
 
 use crate::{
     determined::{Part, shown},
-    fit::Fit,
+    fit::LeastSquaresFit,
     parameter::Parameter,
 };
 
@@ -56,7 +56,7 @@ pub struct Joint {
 
 impl Joint {
     /// Creates the joint distribution of the parameters of a fit.
-    pub fn new(fit: &Fit) -> Self {
+    pub fn new(fit: &LeastSquaresFit) -> Self {
         Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
     }
 
@@ -69,14 +69,21 @@ impl Joint {
         }
     }
 
-    /// Standard error of unknown `i`.
+    /// Returns the standard error of unknown `i`.
     pub fn standard_error(&self, i: usize) -> f64 {
         self.covariance[(i, i)].max(0.0).sqrt()
     }
 
+    /// Returns the distance of unknown `i` from the plan, in standard errors.
     fn over_error(&self, i: usize) -> f64 {
         let variance = self.covariance[(i, i)];
         if variance > 0.0 { self.values[i].abs() / variance.sqrt() } else { f64::INFINITY }
+    }
+
+    /// Returns the odds of the plan's value of unknown `i` over a value of this spread.
+    fn odds(&self, i: usize, spread: f64) -> f64 {
+        let z = self.over_error(i);
+        (spread / self.covariance[(i, i)].sqrt()) * (-0.5 * z * z).exp()
     }
 
     /// Takes unknown `i` to the plan; the others follow by their correlation with it.
@@ -90,34 +97,39 @@ impl Joint {
         self.values[i] = 0.0;
     }
 
-    /// The information of the data on the parameters `of` in units of their scales: eigenvalues, components of the
-    /// estimates times it, eigenvectors.
-    fn information(&self, of: &[usize], scales: &[f64]) -> (Vec<f64>, DVector<f64>, DMatrix<f64>) {
-        let n = of.len();
+    /// Returns the information of the data on the parameters with these indices, in units of their scales: eigenvalues l,
+    /// components b of the estimates times it, eigenvectors.
+    fn information(
+        &self,
+        indices: &[usize],
+        scales: &[f64],
+    ) -> (Vec<f64>, DVector<f64>, DMatrix<f64>) {
+        let n = indices.len();
         let scaled = DMatrix::from_fn(n, n, |a, b| {
-            self.covariance[(of[a], of[b])] / (scales[of[a]] * scales[of[b]])
+            let [a, b] = [indices[a], indices[b]];
+            self.covariance[(a, b)] / (scales[a] * scales[b])
         });
-        let values = DVector::from_fn(n, |a, _| self.values[of[a]] / scales[of[a]]);
+        let values = DVector::from_fn(n, |a, _| self.values[indices[a]] / scales[indices[a]]);
         let eigen = SymmetricEigen::new(scaled);
         let least = (ROUNDING * eigen.eigenvalues.max()).max(f64::MIN_POSITIVE);
         let along = eigen.eigenvectors.transpose() * values;
         // The fit has the scales as one observation more.
-        let precision = |k: usize| eigen.eigenvalues[k].max(least).recip();
-        let information = (0..n).map(|k| (precision(k) - 1.0).max(0.0)).collect();
-        let right = DVector::from_fn(n, |k, _| precision(k) * along[k]);
+        let precisions = eigen.eigenvalues.map(|variance| variance.max(least).recip());
+        let information = precisions.iter().map(|precision| (precision - 1.0).max(0.0)).collect();
+        let right = precisions.component_mul(&along);
         (information, right, eigen.eigenvectors)
     }
 
-    /// The spread t of the parameters `of`, by maximum likelihood.
-    pub fn spread(&self, of: &[usize], scales: &[f64]) -> f64 {
-        if of.is_empty() {
+    /// Returns the spread t of the parameters with these indices, by maximum likelihood: at most 1.
+    pub fn spread(&self, indices: &[usize], scales: &[f64]) -> f64 {
+        if indices.is_empty() {
             return 1.0;
         }
-        let (information, right, _) = self.information(of, scales);
+        let (information, right, _) = self.information(indices, scales);
+        // L(t)
         let likelihood = |t: f64| -> f64 {
-            let one =
-                |(l, b): (&f64, &f64)| 0.5 * b * b / (l + t.powi(-2)) - 0.5 * (t * t * l).ln_1p();
-            information.iter().zip(right.iter()).map(one).sum()
+            let pairs = information.iter().zip(right.iter());
+            pairs.map(|(l, b)| 0.5 * b * b / (l + t.powi(-2)) - 0.5 * (t * t * l).ln_1p()).sum()
         };
         let decades = -SMALLEST_SPREAD.log10();
         let count = (decades * f64::from(PER_DECADE)).round() as i32;
@@ -126,12 +138,13 @@ impl Joint {
         best.unwrap_or(1.0)
     }
 
-    /// The mean of the parameters `of` with the spread `t`.
-    pub fn mean(&self, of: &[usize], scales: &[f64], t: f64) -> Vec<f64> {
-        let (information, right, vectors) = self.information(of, scales);
-        let along = DVector::from_fn(of.len(), |k, _| right[k] / (information[k] + t.powi(-2)));
+    /// Returns the mean p* of the parameters with these indices, for the spread `t`.
+    pub fn mean(&self, indices: &[usize], scales: &[f64], t: f64) -> Vec<f64> {
+        let (information, right, vectors) = self.information(indices, scales);
+        let along =
+            DVector::from_fn(indices.len(), |k, _| right[k] / (information[k] + t.powi(-2)));
         let values = vectors * along;
-        of.iter().enumerate().map(|(a, i)| values[a] * scales[*i]).collect()
+        indices.iter().enumerate().map(|(a, i)| values[a] * scales[*i]).collect()
     }
 }
 
@@ -143,9 +156,9 @@ pub struct Held {
     pub reason: String,
 }
 
-/// Holds what only inflates: the parameters, and all unknowns with them at the plan. `may[i]` says whether parameter `i`
-/// may be held; `spread[i]` is t s of it.
-pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
+/// Holds parameters that only inflate the errors of others. Returns them, and all unknowns with them at the plan.
+/// `may_be_held[i]` says whether parameter `i` may be held; `spread[i]` is t s of it.
+pub fn hold(fit: &LeastSquaresFit, may_be_held: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
     let mut joint = Joint::new(fit);
     let mut held: Vec<Held> = Vec::new();
     loop {
@@ -153,16 +166,12 @@ pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
         let matters =
             |i: usize| fit.parameters[i] == Parameter::RateScale || joint.over_error(i) > WORTH;
         let c = &joint.covariance;
-        let odds = |q: usize| {
-            let z = joint.over_error(q);
-            (spread[q] / c[(q, q)].sqrt()) * (-0.5 * z * z).exp()
-        };
         let mut worst: Option<(usize, usize, f64)> = None;
-        for q in (0..may.len()).filter(|q| may[*q] && !is_held(*q)) {
-            if odds(q) < FAVOURED {
+        for q in (0..may_be_held.len()).filter(|q| may_be_held[*q] && !is_held(*q)) {
+            if joint.odds(q, spread[q]) < FAVOURED {
                 continue;
             }
-            for i in (0..may.len()).filter(|i| *i != q && !is_held(*i) && matters(*i)) {
+            for i in (0..may_be_held.len()).filter(|i| *i != q && !is_held(*i) && matters(*i)) {
                 let square = c[(i, q)].powi(2) / (c[(i, i)] * c[(q, q)]);
                 if square >= HALVES && worst.is_none_or(|w| square > w.2) {
                     worst = Some((q, i, square));
@@ -176,7 +185,7 @@ pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
              and it raises the standard error of {} from {} to {}",
             significant(joint.over_error(q), 2),
             shown(fit.parameters[q], c[(q, q)].sqrt()),
-            significant(odds(q), 2),
+            significant(joint.odds(q, spread[q]), 2),
             fit.parameters[i].name(),
             shown(fit.parameters[i], alone),
             shown(fit.parameters[i], c[(i, i)].sqrt()),
@@ -187,7 +196,7 @@ pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
     (held, joint)
 }
 
-/// The corrections of the next run from what is found of all unknowns, 0 for what stays at the plan.
+/// Returns the corrections of the next run from the estimates of all unknowns, 0 for what stays at the plan.
 pub fn applied(mut joint: Joint, parts: &[Part], scales: &[f64]) -> Vec<f64> {
     for i in (0..parts.len()).filter(|i| parts[*i] == Part::AtPlan) {
         joint.put_at_plan(i);

@@ -25,19 +25,25 @@ pub struct Maps<'a> {
     pub predicted: &'a Array2<f64>,
 }
 
-/// The bands of maps with these valid pixels (1, else 0); none where their largest rectangle is too small.
+/// Returns the bands of maps with these valid pixels (1, else 0); none where their largest rectangle is too small.
 pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -> Vec<Band> {
     let (origin, (ny, nx)) = largest_rectangle(&valid.mapv(|v| v > 0.5));
     if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
         return Vec::new();
     }
-    let (rows, columns) = (origin.0..origin.0 + ny, origin.1..origin.1 + nx);
-    let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-    let (w_x, w_y) = (hann(nx), hann(ny));
+    let rows = origin.0..origin.0 + ny;
+    let columns = origin.1..origin.1 + nx;
+    let x = grid.x.coordinates();
+    let y = grid.y.coordinates();
+    let windows = [hann(nx), hann(ny)];
     let density = |map: &Array2<f64>| {
         let z = map.slice(s![rows.clone(), columns.clone()]);
         let z = without_plane(z, &x[columns.clone()], &y[rows.clone()]);
-        Density::new(z.view(), [grid.x.step_mm(), grid.y.step_mm()], [&w_x, &w_y])
+        Density::new(
+            z.view(),
+            [grid.x.step_mm(), grid.y.step_mm()],
+            windows.each_ref().map(|w| &w[..]),
+        )
     };
     let measured = density(maps.measured);
     let planned = density(maps.planned);
@@ -47,25 +53,30 @@ pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -
     let mut periods: Vec<Option<f64>> = vec![None];
     periods.extend(PERIODS_OVER_WIDTH.map(|n| Some(n * width_mm)));
     periods.push(Some(0.0));
-    let band = |ends: &[Option<f64>]| {
-        let frequency = |period: Option<f64>| match period {
-            None => 0.0,
-            Some(period) if period > 0.0 => 1.0 / period,
-            Some(_) => f64::INFINITY,
-        };
+    let mut bands = Vec::new();
+    for ends in periods.windows(2) {
         let range = [frequency(ends[0]), frequency(ends[1])];
-        let square = |of: &Density| of.mean_square(range).max(0.0);
-        // 2 Re(M conj(F)) = |M|^2 + |F|^2 - |M - F|^2
-        let (m, f, r) = (square(&measured), square(&predicted), square(&rest));
-        Band {
+        let [m, p, f, less_p, r] = [&measured, &planned, &predicted, &less_planned, &rest]
+            .map(|density| density.mean_square(range).max(0.0));
+        bands.push(Band {
             period_mm: [ends[1], ends[0]],
             measured_rms_nm: m.sqrt(),
-            planned_rms_nm: square(&planned).sqrt(),
+            planned_rms_nm: p.sqrt(),
             predicted_rms_nm: f.sqrt(),
-            measured_less_planned_rms_nm: square(&less_planned).sqrt(),
+            measured_less_planned_rms_nm: less_p.sqrt(),
             rest_rms_nm: r.sqrt(),
-            transfer: (f > 0.0).then(|| 0.5 * (m + f - r) / f),
-        }
-    };
-    periods.windows(2).map(band).collect()
+            // 2 Re(M conj(F)) = |M|^2 + |F|^2 - |M - F|^2
+            transfer: if f > 0.0 { Some(0.5 * (m + f - r) / f) } else { None },
+        });
+    }
+    bands
+}
+
+/// Returns the spatial frequency of a period, 1/mm: 0 for the longest (`None`), infinite for 0.
+fn frequency(period_mm: Option<f64>) -> f64 {
+    match period_mm {
+        None => 0.0,
+        Some(period) if period > 0.0 => 1.0 / period,
+        Some(_) => f64::INFINITY,
+    }
 }

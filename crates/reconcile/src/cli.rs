@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use ndarray::Array2;
+use ndarray::Array1;
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Tool, Writer,
     flags::{OutputArgs, TrajectoryArgs},
@@ -11,11 +11,11 @@ use planish_handoff::{
     npy::ArrayData,
     say, task, with_flags,
 };
-use planish_reconcile::{Comparison, Reconciled, Settings, draw::picture, reconcile};
+use planish_reconcile::{Comparison, ReconcileSettings, Reconciled, draw::picture, reconcile};
 use planish_simulate::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{
     Surface, Tif, Transform,
-    outcome::reconciliation::{Band, Estimate, Evidence},
+    outcome::reconciliation::{Band, Estimate, Evidence, ReconciliationOutcome},
     plausible,
     text::significant,
 };
@@ -78,7 +78,7 @@ pub struct Reconcile {
 
 impl Reconcile {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = Settings {
+        let settings = ReconcileSettings {
             free: self.fit.clone(),
             hold: self.hold.clone(),
             metrology_order: self.metrology_order.as_ref().map(|n| [n[0], n[1]]),
@@ -121,60 +121,59 @@ impl Reconcile {
             transform: transform.as_ref(),
         };
 
-        let found = reconcile(&comparison, &settings).map_err(|e| match e.array {
+        let reconciled = reconcile(&comparison, &settings).map_err(|e| match e.array {
             "x_mm" | "y_mm" | "height_nm" => Failure::new(format!("{}: {e}", self.after.display())),
             _ => Failure::with_flags(e),
         })?;
 
-        let drawback = found.drawback.as_deref().map(with_flags);
+        let drawback = reconciled.drawback.as_deref().map(with_flags);
         let status = drawback.map_or(Status::Done, Status::Negative);
-        fn map(m: &Array2<f64>) -> ArrayData<'_> {
-            ArrayData::F64(m.view().into_dyn().into())
-        }
-        let list =
-            |values: Vec<f64>| ArrayData::F64(ndarray::Array1::from(values).into_dyn().into());
-        let arrays = [
-            map(&found.measured_nm),
-            map(&found.planned_nm),
-            map(&found.predicted_nm),
-            map(&found.metrology_nm),
-            map(&found.rest_nm),
-            map(&found.correlation),
-            list(before.grid().x.coordinates()),
-            list(before.grid().y.coordinates()),
+        let maps = [
+            &reconciled.measured_nm,
+            &reconciled.planned_nm,
+            &reconciled.predicted_nm,
+            &reconciled.metrology_nm,
+            &reconciled.rest_nm,
+            &reconciled.correlation,
         ];
-        let svg = picture(&found, before.grid()).into_bytes();
-        let beside = [("reconcile.svg", svg)];
-        output.write_arrays(&kind::RECONCILIATION, &arrays, &beside, &found.outcome, &status)?;
-        self.write_corrected(&found, &mut output, &status)?;
-        say(table(&found));
+        let grid = before.grid();
+        let axes = [&grid.x, &grid.y].map(|axis| Array1::from(axis.coordinates()).into_dyn());
+        let maps = maps.into_iter().map(|map| ArrayData::F64(map.view().into_dyn().into()));
+        let axes = axes.into_iter().map(|axis| ArrayData::F64(axis.into()));
+        let arrays: Vec<ArrayData<'_>> = maps.chain(axes).collect();
+        let beside = [("reconcile.svg", picture(&reconciled, grid).into_bytes())];
+        let outcome = &reconciled.outcome;
+        output.write_arrays(&kind::RECONCILIATION, &arrays, &beside, outcome, &status)?;
+        self.write_corrected(&reconciled, &mut output, &status)?;
+        say(table(outcome));
         say(format!("-> {}", self.output.out.display()));
         Ok(status)
     }
 
-    /// Writes the corrected artifacts that are asked for.
+    /// Writes the corrected tool, transform and error budget that the flags name.
     fn write_corrected(
         &self,
-        found: &Reconciled,
+        reconciled: &Reconciled,
         output: &mut Writer,
         status: &Status,
     ) -> Result<(), Failure> {
         if self.corrected_tif.is_some() {
-            let learnt = serde_json::json!({
-                "peak_nm_per_s": found.tif.peak_nm_per_s(),
-                "vrr_nm_mm2_per_s": found.tif.vrr_nm_mm2_per_s(),
-                "width_mm": found.tif.width_mm(),
+            let tif = &reconciled.tif;
+            let outcome = serde_json::json!({
+                "peak_nm_per_s": tif.peak_nm_per_s(),
+                "vrr_nm_mm2_per_s": tif.vrr_nm_mm2_per_s(),
+                "width_mm": tif.width_mm(),
             });
-            match found.tif.variation() {
-                Some(_) => output.write(&Tool(found.tif.clone()), learnt, status)?,
-                None => output.write(&found.tif, learnt, status)?,
+            match tif.variation() {
+                Some(_) => output.write(&Tool(tif.clone()), outcome, status)?,
+                None => output.write(tif, outcome, status)?,
             }
         }
         if self.corrected_transform.is_some() {
-            output.write(&found.transform, serde_json::json!({}), status)?;
+            output.write(&reconciled.transform, serde_json::json!({}), status)?;
         }
         if let Some(file) = &self.learnt_error_budget {
-            let text = format!("{}\n", serde_json::to_string_pretty(&found.error_budget)?);
+            let text = format!("{}\n", serde_json::to_string_pretty(&reconciled.error_budget)?);
             output.write_file(file, text.as_bytes())?;
         }
         Ok(())
@@ -189,28 +188,14 @@ impl Reconcile {
     }
 }
 
-fn line_of_band(band: &Band) -> String {
-    let period = match band.period_mm {
-        [Some(short), None] => format!("over {short:.1}"),
-        [Some(short), Some(long)] => format!("{short:.1} to {long:.1}"),
-        _ => "all".into(),
-    };
-    let transfer = band.transfer.map_or("-".into(), |t| format!("{t:.3}"));
-    format!(
-        "{period:<16} {:>9.4} {:>13.4} {:>10.4} {transfer:>17}",
-        band.measured_rms_nm, band.measured_less_planned_rms_nm, band.rest_rms_nm
-    )
-}
-
-/// Table for a person.
-fn table(found: &Reconciled) -> String {
-    let outcome = &found.outcome;
+/// Returns the table for a person.
+fn table(outcome: &ReconciliationOutcome) -> String {
     let mut lines =
         vec!["parameter                      found  +- standard error   known beforehand".into()];
-    lines.extend(outcome.parameters.iter().map(line));
+    lines.extend(outcome.parameters.iter().map(line_of_estimate));
     lines.push(String::new());
     lines.push("metrology".into());
-    lines.extend(outcome.metrology.iter().map(line));
+    lines.extend(outcome.metrology.iter().map(line_of_estimate));
     if let Some(e) = &outcome.ellipse
         && let (Some(direction), Some(error)) = (e.direction_deg, e.direction_standard_error_deg)
     {
@@ -234,12 +219,13 @@ fn table(found: &Reconciled) -> String {
             "the map after has other pixels: it is resampled on those of the map before by {method}"
         ));
     }
-    let little = |e: &&Estimate| {
-        let found = e.value.filter(|_| e.held_because.is_none() && e.name != "rate_drift");
-        found.is_some_and(|v| e.applied.abs() < 0.5 * v.abs())
-    };
-    let little: Vec<&str> =
-        outcome.parameters.iter().filter(little).map(|e| e.name.as_str()).collect();
+    let little: Vec<&str> = outcome
+        .parameters
+        .iter()
+        .filter(|e| e.held_because.is_none() && e.name != "rate_drift")
+        .filter(|e| e.value.is_some_and(|v| e.applied.abs() < 0.5 * v.abs()))
+        .map(|e| e.name.as_str())
+        .collect();
     if !little.is_empty() && outcome.explains_nothing.is_none() {
         lines.push(format!(
             "the written tool and transform correct less than half of what was found of {}: the data leave it too \
@@ -260,7 +246,8 @@ fn table(found: &Reconciled) -> String {
             weak.join(", ")
         ));
     }
-    let (noise, fitted) = (&outcome.noise, &outcome.fitted);
+    let noise = &outcome.noise;
+    let fitted = &outcome.fitted;
     lines.push(format!(
         "the plan missed {:.4} nm RMS of {:.4}; with what was learnt {:.4} are left, correlated over {:.2} mm{}: {} \
          independent pixels of {}",
@@ -280,6 +267,21 @@ fn table(found: &Reconciled) -> String {
     lines.join("\n")
 }
 
+/// Returns the line of one band of spatial frequency.
+fn line_of_band(band: &Band) -> String {
+    let period = match band.period_mm {
+        [Some(short), None] => format!("over {short:.1}"),
+        [Some(short), Some(long)] => format!("{short:.1} to {long:.1}"),
+        _ => "all".into(),
+    };
+    let transfer = band.transfer.map_or("-".into(), |t| format!("{t:.3}"));
+    format!(
+        "{period:<16} {:>9.4} {:>13.4} {:>10.4} {transfer:>17}",
+        band.measured_rms_nm, band.measured_less_planned_rms_nm, band.rest_rms_nm
+    )
+}
+
+/// Returns the sentence that says what both maps have in common.
 fn line_of_evidence(evidence: &Evidence) -> String {
     let removal = match (evidence.removal_factor, evidence.removal_factor_standard_error) {
         (Some(factor), Some(error)) => format!(
@@ -304,8 +306,8 @@ fn line_of_evidence(evidence: &Evidence) -> String {
     )
 }
 
-/// One unknown.
-fn line(estimate: &Estimate) -> String {
+/// Returns the line of one unknown, and below it the reasons to hold or to refuse it.
+fn line_of_estimate(estimate: &Estimate) -> String {
     // Both end at the second digit of the standard error.
     let decimals = estimate.standard_error.filter(|e| *e > 0.0).map_or(4, |e| {
         // At most 12: a value of that many digits is none of a measurement.
@@ -316,17 +318,16 @@ fn line(estimate: &Estimate) -> String {
         Some(scale) => format!("+- {} {}", significant(scale, 3), estimate.unit),
         None => String::new(),
     };
-    let (error, unit) = (number(estimate.standard_error), &estimate.unit);
-    let found = match (&estimate.refused, estimate.held) {
-        (_, true) => "held".into(),
-        (Some(_), _) => "not determined".into(),
-        _ => format!("{} {unit}", number(estimate.value)),
+    let error = number(estimate.standard_error);
+    let value = if estimate.held {
+        "held".into()
+    } else if estimate.refused.is_some() {
+        "not determined".into()
+    } else {
+        format!("{} {}", number(estimate.value), estimate.unit)
     };
-    let mut line = format!("{:<26} {found:>14}  +- {error:<10} {beforehand:>18}", estimate.name);
-    if let Some(reason) = &estimate.held_because {
-        line += &format!("\n    {}: {reason}", estimate.name);
-    }
-    if let Some(reason) = &estimate.refused {
+    let mut line = format!("{:<26} {value:>14}  +- {error:<10} {beforehand:>18}", estimate.name);
+    for reason in estimate.held_because.iter().chain(&estimate.refused) {
         line += &format!("\n    {}: {reason}", estimate.name);
     }
     line

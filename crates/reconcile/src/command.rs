@@ -13,15 +13,18 @@ const EXAMPLES: &str = "Examples:\n\
 /// Learn the rate, the place, the width and the shape of the tool from the maps before and after a run
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct ReconcileCli {
     #[command(flatten)]
     reconcile: crate::cli::Reconcile,
 }
 
 /// The command `planish reconcile`.
-pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+pub const COMMAND: planish_handoff::Stage = planish_handoff::Stage {
+    name: env!("CARGO_PKG_NAME"),
+    main,
+    definition: ReconcileCli::command,
+};
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.reconcile.run())
+    planish_handoff::program(|cli: &ReconcileCli| cli.reconcile.run())
 }

@@ -51,7 +51,7 @@ use planish_types::{
 
 use crate::{
     correlation::padded,
-    fit::{Data, Fit, Normal, dot},
+    fit::{Data, LeastSquaresFit, Normal, dot},
 };
 
 /// Logarithm of the odds from which one reading is taken and another one is left. Larger: fewer maps are accepted.
@@ -109,8 +109,8 @@ const OF_NOISE: f64 = 3.0;
 /// Chosen.
 const FIGURE: f64 = 3.0;
 
-/// The evidence, and the sentence against the map after, if there is one.
-pub struct Judgement {
+/// Evidence, and the sentence against the map after, if there is one.
+pub(crate) struct Judgement {
     /// The numbers.
     pub evidence: Evidence,
     /// Reason why nothing of the fit is applied.
@@ -162,7 +162,7 @@ pub fn judge(
     before: &Array2<f64>,
     data: &Data<'_>,
     planned: &Array2<f64>,
-    fit: &Fit,
+    fit: &LeastSquaresFit,
     fitted: &Fitted,
     tool_width_mm: f64,
     same_measurement: bool,
@@ -201,7 +201,7 @@ pub fn judge(
     Judgement { evidence, against }
 }
 
-/// Sentence that says what the maps do not tell of part, sign and scale. `None` if they tell all.
+/// Returns the sentence on what the maps do not tell of part, sign and scale. `None` if they tell all.
 fn untold(evidence: &Evidence) -> Option<String> {
     if evidence.common_standard_errors.powi(2) < 2.0 * ODDS {
         return Some(format!(
@@ -213,8 +213,8 @@ fn untold(evidence: &Evidence) -> Option<String> {
     }
     let [low, high] = evidence.scale?;
     let is_known = SCALES[0] < low && high < SCALES[1];
-    let is_same = |ratio: f64| (SAME_NOISE[0]..SAME_NOISE[1]).contains(&ratio);
-    if is_known || evidence.noise_ratio.is_some_and(is_same) {
+    let same_noise = SAME_NOISE[0]..SAME_NOISE[1];
+    if is_known || evidence.noise_ratio.is_some_and(|ratio| same_noise.contains(&ratio)) {
         return None;
     }
     let noise = match evidence.noise_ratio {
@@ -230,30 +230,34 @@ fn untold(evidence: &Evidence) -> Option<String> {
     ))
 }
 
-/// Sentence on a map in which one height stands for pixels without data. `None` if none does.
+/// Returns the sentence on a map in which one height stands for pixels without data. `None` if none does.
 fn filled(name: &str, map: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
     let pairs = map.iter().zip(valid).filter(|(_, valid)| **valid > 0.5);
     let mut heights: Vec<f64> = pairs.map(|(height, _)| *height).collect();
     heights.sort_unstable_by(f64::total_cmp);
-    let (mut first, mut second) = ((0, 0.0), 0);
-    for run in heights.chunk_by(|a, b| a == b) {
-        if run.len() > first.0 {
-            (second, first) = (first.0, (run.len(), run[0]));
+    let mut count = 0;
+    let mut height = 0.0;
+    let mut next_count = 0;
+    for equal in heights.chunk_by(|a, b| a == b) {
+        if equal.len() > count {
+            next_count = count;
+            count = equal.len();
+            height = equal[0];
         } else {
-            second = second.max(run.len());
+            next_count = next_count.max(equal.len());
         }
     }
-    let (count, height) = first;
     let [least, ratio] = LEAST_EQUAL;
-    (count >= least && count >= ratio * second).then(|| {
-        format!(
-            "{count} pixels of the map {name} have exactly the height {height} nm, and no other height is so frequent: mark \
-             pixels without data by NaN"
-        )
-    })
+    if count < least || count < ratio * next_count {
+        return None;
+    }
+    Some(format!(
+        "{count} pixels of the map {name} have exactly the height {height} nm, and no other height is so frequent: mark \
+         pixels without data by NaN"
+    ))
 }
 
-/// Part of the planned removal in before - after, with its standard error. `None` if the plan removes no shape.
+/// Returns the part of the planned removal in before - after, and its standard error. `None` if the plan removes no shape.
 ///
 /// ```text
 /// f = <d, R> / <R, R>,   error^2 = <R, C R> / <R, R>^2     R without the terms of the metrology, C of the noise
@@ -262,72 +266,71 @@ fn removal_factor(
     data: &Data<'_>,
     planned: &Array2<f64>,
     terms: &[Array2<f64>],
-    fit: &Fit,
+    fit: &LeastSquaresFit,
 ) -> Option<(f64, f64)> {
     let fields = Normal::new(&[], terms, &data.valid, Vec::new()).orthonormal();
     let removal = without(&fields, planned, &data.valid);
     let squares = dot(&removal, &removal);
     let error = dot(&removal, &fit.noise.apply(&removal)).max(0.0).sqrt() / squares;
-    (squares > 0.0).then(|| (dot(&data.data, &removal) / squares, error))
+    if squares > 0.0 { Some((dot(&data.data, &removal) / squares, error)) } else { None }
 }
 
-/// Sentence on maps between which another part of the planned removal lies. `None` if it can be all of it.
+/// Returns the sentence on maps between which another part of the planned removal lies. `None` if it can be all of it.
 fn against_removal((factor, error): (f64, f64)) -> Option<String> {
     let [low, high] = REMOVALS;
     let is_beyond = factor + ERRORS * error < low || factor - ERRORS * error > high;
-    let said = format!(
-        "the maps differ by {} +- {} times the planned removal, where 1 is expected",
+    let is_hidden = ERRORS * error > 1.0;
+    if !is_beyond && !is_hidden {
+        return None;
+    }
+    let reason = if !is_beyond {
+        "the noise hides whether a run lies between them"
+    } else if (factor + 1.0).abs() < low {
+        "the maps before and after are exchanged"
+    } else if factor.abs() < low {
+        "no run lies between them; check both maps"
+    } else {
+        "check the units of the maps and of the tool, and that all is of one run"
+    };
+    Some(format!(
+        "the maps differ by {} +- {} times the planned removal, where 1 is expected: {reason}",
         significant(factor, 2),
         significant(error, 1)
-    );
-    let is_near = |value: f64| (factor - value).abs() < low;
-    match () {
-        () if is_beyond && is_near(-1.0) => {
-            Some(format!("{said}: the maps before and after are exchanged"))
-        }
-        () if is_beyond && is_near(0.0) => {
-            Some(format!("{said}: no run lies between them; check both maps"))
-        }
-        () if is_beyond => Some(format!(
-            "{said}: check the units of the maps and of the tool, and that all is of one run"
-        )),
-        // Its standard error hides the removal itself.
-        () if ERRORS * error > 1.0 => {
-            Some(format!("{said}: the noise hides whether a run lies between them"))
-        }
-        () => None,
-    }
+    ))
 }
 
-/// Sentence on a scale that is not 1. `None` if it can be 1.
+/// Returns the sentence on a scale that is not 1. `None` if it can be 1.
 fn against_scale(scale: &Scale) -> Option<String> {
     let [low, high] = scale.bounds;
     let is_beyond =
         high + ERRORS * scale.error < SCALES[0] || low - ERRORS * scale.error > SCALES[1];
-    is_beyond.then(|| {
-        format!(
-            "the map after has {} to {} times the heights that the plan leaves there, where 1 is expected: check its unit, and \
-             that it is of this run",
-            significant(low, 2),
-            significant(high, 2)
-        )
-    })
+    if !is_beyond {
+        return None;
+    }
+    Some(format!(
+        "the map after has {} to {} times the heights that the plan leaves there, where 1 is expected: check its unit, and \
+         that it is of this run",
+        significant(low, 2),
+        significant(high, 2)
+    ))
 }
 
-/// Sentence on a fit that leaves most of what the plan missed. `None` if it explains the run.
+/// Returns the sentence on a fit that leaves most of what the plan missed. `None` if it explains the run.
 fn too_large(fitted: &Fitted, rest: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
-    let (left_nm, missed_nm) = (fitted.rest_rms_nm, fitted.measured_less_planned_rms_nm);
+    let left_nm = fitted.rest_rms_nm;
+    let missed_nm = fitted.measured_less_planned_rms_nm;
     let is_large = left_nm > OF_MISSED * missed_nm
         && left_nm > OF_REMOVAL * fitted.measured_removal_rms_nm
         && left_nm > OF_NOISE * noise_by_differences_nm(rest, valid, &SECOND, 1);
-    is_large.then(|| {
-        format!(
-            "the fit explains nothing: {} of the {} nm RMS that the plan missed are left: check that both maps, the motion \
-             and the tool are those of one run",
-            significant(left_nm, 3),
-            significant(missed_nm, 3)
-        )
-    })
+    if !is_large {
+        return None;
+    }
+    Some(format!(
+        "the fit explains nothing: {} of the {} nm RMS that the plan missed are left: check that both maps, the motion \
+         and the tool are those of one run",
+        significant(left_nm, 3),
+        significant(missed_nm, 3)
+    ))
 }
 
 impl Common {
@@ -336,18 +339,18 @@ impl Common {
             [(&expected, &expected), (&after, &after), (valid, valid)]
                 .map(|(one, other)| products(one, other));
         let (ny, nx) = valid.dim();
-        let is_near = |(r, c): (usize, usize)| {
-            let [r, c] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
-            2 * r.unsigned_abs() <= ny && 2 * c.unsigned_abs() <= nx
-        };
-        // N C_p C_a, where each C is a sum of products over N
-        let of_lag = |(at, n): ((usize, usize), &f64)| {
-            let is_counted = *n > 0.5 && is_near(at);
-            if is_counted { of_expected[at] * of_after[at] / n } else { 0.0 }
-        };
-        let variance: f64 = pairs.indexed_iter().map(of_lag).sum();
+        // sum N C_p C_a over lags of up to half of the map, where each C is a sum of products over N
+        let mut variance = 0.0;
+        for ((r, c), n) in pairs.indexed_iter() {
+            let [r_lag, c_lag] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
+            let is_near = 2 * r_lag.unsigned_abs() <= ny && 2 * c_lag.unsigned_abs() <= nx;
+            if *n > 0.5 && is_near {
+                variance += of_expected[[r, c]] * of_after[[r, c]] / n;
+            }
+        }
         let squares = dot(&expected, &expected) * dot(&after, &after);
-        let (common, least) = (dot(&expected, &after), squares / valid.sum().max(1.0));
+        let common = dot(&expected, &after);
+        let least = squares / valid.sum().max(1.0);
         Self {
             cosine: if squares > 0.0 { common / squares.sqrt() } else { 0.0 },
             common,
@@ -359,35 +362,39 @@ impl Common {
         }
     }
 
+    /// Returns X in units of its scatter.
     fn standard_errors(&self) -> f64 {
         if self.scatter > 0.0 { self.common / self.scatter } else { 0.0 }
     }
 
-    /// Part of the mean square that the maps do not have in common, which alone scatters.
+    /// Returns the part of the mean square that the maps do not have in common, which alone scatters.
     fn apart(&self) -> f64 {
         (1.0 - self.cosine.powi(2)).max(f64::EPSILON)
     }
 
-    /// Bounds of the scale; `None` where the maps have nothing in common.
+    /// Returns the bounds of the scale; `None` where the maps have nothing in common.
     fn scale(&self, noise_nm: [Option<f64>; 2]) -> Option<Scale> {
         if self.standard_errors().powi(2) < 2.0 * ODDS || self.common <= 0.0 {
             return None;
         }
-        let squares = [&self.expected, &self.after].map(|map| dot(map, map));
-        let signal = |k: usize| {
-            let left = squares[k] - noise_nm[k].unwrap_or(0.0).powi(2) * self.pixels;
-            if left >= LEAST_SIGNAL * squares[k] { left } else { squares[k] }
-        };
-        let ends = [self.common / signal(0), signal(1) / self.common];
+        let [expected, after] = [(&self.expected, noise_nm[0]), (&self.after, noise_nm[1])];
+        let ends = [self.common / self.signal(expected), self.signal(after) / self.common];
         let bounds = [ends[0].min(ends[1]), ends[0].max(ends[1])];
         let error = bounds[1] / self.standard_errors() * self.apart().sqrt();
         Some(Scale { bounds, error })
     }
 
-    /// Other places of the map after, and X there.
+    /// Returns the sum of squares of a map without its noise, where most of it is not noise.
+    fn signal(&self, (map, noise_nm): (&Array2<f64>, Option<f64>)) -> f64 {
+        let squares = dot(map, map);
+        let left = squares - noise_nm.unwrap_or(0.0).powi(2) * self.pixels;
+        if left >= LEAST_SIGNAL * squares { left } else { squares }
+    }
+
+    /// Returns the other places of the map after, and X there.
     fn other_places(&self, data: &Data<'_>, tool_width_mm: f64) -> Vec<Reading> {
-        let (all, pairs) =
-            (products(&self.expected, &self.after), products(&data.valid, &data.valid));
+        let all = products(&self.expected, &self.after);
+        let pairs = products(&data.valid, &data.valid);
         let mut places = Vec::new();
         for ((r, c), n) in pairs.indexed_iter() {
             let [r_lag, c_lag] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
@@ -415,53 +422,48 @@ impl Readings {
         data: &Data<'_>,
         tool_width_mm: f64,
     ) -> Self {
-        let orientation = |(name, map): (&str, Array2<f64>)| {
+        let mut orientations = Vec::new();
+        for (name, map) in turned(after) {
             let map = without(fields, &map, &data.valid);
             // Turned, the map has a part that the fit explained as it was: its scatter is larger.
             let size = dot(&map, &map).max(f64::MIN_POSITIVE) / dot(&common.after, &common.after);
             let size = if size.is_finite() { size.max(1.0).sqrt() } else { 1.0 };
-            Reading { name: name.into(), common: dot(&common.expected, &map) / size }
-        };
-        Self {
-            orientations: turned(after).into_iter().map(orientation).collect(),
-            places: common.other_places(data, tool_width_mm),
+            let common = dot(&common.expected, &map) / size;
+            orientations.push(Reading { name: name.into(), common });
         }
+        Self { orientations, places: common.other_places(data, tool_width_mm) }
     }
 
-    /// Sentence on the reading that the maps take for the right one. `None` if they take none of these.
-    fn clear(&self, given: &Common) -> Option<String> {
-        let said = "the part of the maps that the fit cannot explain";
-        if given.standard_errors() < -(2.0 * ODDS).sqrt() {
+    /// Returns the sentence on the reading that the maps take for the right one. `None` if they take none of these.
+    fn clear(&self, as_it_is: &Common) -> Option<String> {
+        let subject = "the part of the maps that the fit cannot explain";
+        if as_it_is.standard_errors() < -(2.0 * ODDS).sqrt() {
             return Some(format!(
-                "{said} has opposite signs ({} standard errors): read the map after with its sign turned",
-                significant(given.standard_errors(), 3)
+                "{subject} has opposite signs ({} standard errors): read the map after with its sign turned",
+                significant(as_it_is.standard_errors(), 3)
             ));
         }
-        if given.cosine > AS_IT_IS {
+        if as_it_is.cosine > AS_IT_IS {
             return None;
         }
-        // A reading has to be taken before another part, and before the given one. Of many places one is the best by
-        // chance: the logarithm of their number counts against each.
-        let is_clear = |reading: &&Reading, many: usize| {
-            let (errors, odds) = (reading.common / given.scatter, ODDS + (many as f64).ln());
-            errors > (2.0 * odds).sqrt() && errors * (errors - given.standard_errors()) > odds
-        };
-        let orientations = self.orientations.iter().filter(|reading| is_clear(reading, 1));
-        let places = self.places.iter().filter(|reading| is_clear(reading, self.places.len()));
+        let many = self.places.len();
+        let orientations = self.orientations.iter().filter(|reading| reading.is_clear(as_it_is, 1));
+        let places = self.places.iter().filter(|reading| reading.is_clear(as_it_is, many));
         let best = orientations.chain(places).max_by(|a, b| a.common.total_cmp(&b.common))?;
         Some(format!(
-            "{said} is alike by {} standard errors if the map after is read {}, and by {} as it is: check the map after",
-            significant(best.common / given.scatter, 3),
+            "{subject} is alike by {} standard errors if the map after is read {}, and by {} as it is: check the map after",
+            significant(best.common / as_it_is.scatter, 3),
             best.name,
-            significant(given.standard_errors(), 3)
+            significant(as_it_is.standard_errors(), 3)
         ))
     }
 
-    /// Sentence on a reading that is as probable as the given one. `None` if there is none.
-    fn untold(&self, given: &Common) -> Option<String> {
-        let errors = given.standard_errors();
-        let odds =
-            |reading: &Reading| errors * (errors - reading.common / given.scatter) / given.apart();
+    /// Returns the sentence on a reading that is as probable as the map as it is. `None` if there is none.
+    fn untold(&self, as_it_is: &Common) -> Option<String> {
+        let errors = as_it_is.standard_errors();
+        let odds = |reading: &Reading| {
+            errors * (errors - reading.common / as_it_is.scatter) / as_it_is.apart()
+        };
         let orientation = self.orientations.iter().find(|reading| odds(reading) < ODDS);
         // Before the data every place is as probable as any other one.
         let places: f64 = self.places.iter().map(|reading| (-odds(reading)).exp()).sum();
@@ -472,7 +474,17 @@ impl Readings {
     }
 }
 
-/// Other orientations of a map.
+impl Reading {
+    /// Returns true if this reading, the best of `many`, is clearly more probable than another part and than the map as
+    /// it is. Of many places one is the best by chance: the logarithm of their number counts against each.
+    fn is_clear(&self, as_it_is: &Common, many: usize) -> bool {
+        let errors = self.common / as_it_is.scatter;
+        let odds = ODDS + (many as f64).ln();
+        errors > (2.0 * odds).sqrt() && errors * (errors - as_it_is.standard_errors()) > odds
+    }
+}
+
+/// Returns the other orientations of a map, each with its name.
 fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
     let mirrored = |y: i32, x: i32| map.slice(s![..;y, ..;x]).to_owned();
     let mut all = vec![
@@ -491,7 +503,7 @@ fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
     all
 }
 
-/// Sums of the products of `one` with `other`, displaced by every lag (padded).
+/// Returns the sums of the products of `one` with `other`, displaced by every lag (padded).
 fn products(one: &Array2<f64>, other: &Array2<f64>) -> Array2<f64> {
     let (ny, nx) = one.dim();
     let size = (smooth_size(2 * ny), smooth_size(2 * nx));
@@ -500,19 +512,19 @@ fn products(one: &Array2<f64>, other: &Array2<f64>) -> Array2<f64> {
     transform::inverse(product)
 }
 
-/// Lag of index `k` of a padded axis of length `n`.
+/// Returns the lag of index `k` of a padded axis of length `n`.
 fn lag(k: usize, n: usize) -> isize {
     if 2 * k < n { k as isize } else { k as isize - n as isize }
 }
 
-/// The map, 0 where it is invalid.
+/// Returns the map, 0 where it is invalid.
 fn masked(map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
     let mut map = map.clone();
     map.zip_mut_with(valid, |v, valid| *v = if *valid > 0.5 { *v } else { 0.0 });
     map
 }
 
-/// The map without its part in the orthonormal `fields`; 0 where it is invalid.
+/// Returns the map without its part in the orthonormal `fields`; 0 where it is invalid.
 fn without(fields: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
     let mut left = masked(map, valid);
     for field in fields {
@@ -522,32 +534,33 @@ fn without(fields: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Ar
     left
 }
 
-/// Standard deviation of the white noise of a map, nm. `None` if its fourth differences are more of its figure than of its
-/// noise: over twice the distance, those of a figure are sixteen times as large, those of noise hardly larger.
+/// Returns the standard deviation of the white noise of a map, nm. `None` if its fourth differences are more of its figure
+/// than of its noise: over twice the distance, those of a figure are sixteen times as large, those of noise hardly larger.
 fn white_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> Option<f64> {
     let fourth = [1.0, -4.0, 6.0, -4.0, 1.0];
     let [near, far] = [1, 2].map(|lag| noise_by_differences_nm(map, valid, &fourth, lag));
-    (near > 0.0 && far < FIGURE * near).then_some(near)
+    if near > 0.0 && far < FIGURE * near { Some(near) } else { None }
 }
 
 /// Weights of second differences.
 const SECOND: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Standard deviation of white noise that has the differences of `map` along x with these weights, on pixels that are
-/// `lag` apart, nm.
+/// Returns the standard deviation of white noise, nm, that has the differences of `map` along x with these weights, on
+/// pixels that are `lag` apart.
 fn noise_by_differences_nm(
     map: &Array2<f64>,
     valid: &Array2<f64>,
     weights: &[f64],
     lag: usize,
 ) -> f64 {
-    let (mut sum, mut count) = (0.0, 0.0_f64);
+    let mut sum = 0.0;
+    let mut count = 0.0_f64;
     let variance: f64 = weights.iter().map(|w| w * w).sum();
     for (row, valid) in map.outer_iter().zip(valid.outer_iter()) {
         for c in 0..row.len().saturating_sub(lag * (weights.len() - 1)) {
-            let at = |k: usize| c + k * lag;
-            if (0..weights.len()).all(|k| valid[at(k)] > 0.5) {
-                let difference = (0..weights.len()).map(|k| weights[k] * row[at(k)]).sum::<f64>();
+            if (0..weights.len()).all(|k| valid[c + k * lag] > 0.5) {
+                let difference =
+                    (0..weights.len()).map(|k| weights[k] * row[c + k * lag]).sum::<f64>();
                 sum += difference * difference / variance;
                 count += 1.0;
             }

@@ -68,10 +68,10 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// Covariance of the noise from the `rest` of a fit of `terms` unknowns with these orthonormal `fields`. They
-    /// give the part that the fit took; without them it is not made up for. All are 0 where `valid` is 0, which is 1
-    /// elsewhere.
-    pub fn of(
+    /// Estimates the covariance of the noise from the `rest` (ny, nx), nm, of a fit of `terms` unknowns. The fit's
+    /// orthonormal `fields` correct for the part that it took; without them there is no correction. All maps are 0 where
+    /// `valid` is 0; it is 1 elsewhere.
+    pub fn new(
         rest: &Array2<f64>,
         valid: &Array2<f64>,
         grid: &Grid,
@@ -80,19 +80,18 @@ impl Covariance {
     ) -> Self {
         let (ny, nx) = rest.dim();
         let size = (smooth_size(2 * ny), smooth_size(2 * nx));
-        let pairs = |map: &Array2<f64>| {
+        let [sum, count] = [rest, valid].map(|map| {
             let power = transform::forward(padded(map, size).view());
             transform::inverse(power.mapv(|v| (v.norm_sqr()).into()))
-        };
-        let (sum, count) = (pairs(rest), pairs(valid));
+        });
         let pixels = count[[0, 0]].round().max(1.0);
         let variance = sum[[0, 0]] / pixels;
         // C(h) where at least one pair is
         let mut covariance = sum;
         covariance.zip_mut_with(&count, |c, n| *c = if *n > 0.5 { *c / n } else { 0.0 });
         let lag_mm = |(r, c): (usize, usize)| {
-            let back = |k: usize, n: usize| k.min(n - k) as f64;
-            (back(r, size.0) * grid.y.step_mm()).hypot(back(c, size.1) * grid.x.step_mm())
+            let [rows, columns] = [r.min(size.0 - r) as f64, c.min(size.1 - c) as f64];
+            (rows * grid.y.step_mm()).hypot(columns * grid.x.step_mm())
         };
         let area = grid.pixel_mm2();
         let sides = [grid.x, grid.y].map(|a| a.len() as f64 * a.step_mm());
@@ -101,11 +100,6 @@ impl Covariance {
         let largest = most.sqrt().min(0.5 * sides[0].max(sides[1]));
         let (window_mm, window_is_cut) =
             window(&covariance, variance, area, largest, &count, &lag_mm);
-        let taper = |mm: f64| match mm / window_mm {
-            part if part <= 0.5 => 1.0,
-            part if part < 1.0 => 0.5 * (1.0 + (PI * (2.0 * part - 1.0)).cos()),
-            _ => 0.0,
-        };
         // What the fit took: sum_k u_k * u_k over the pairs
         let mut taken = Array2::<f64>::zeros(size);
         for field in fields {
@@ -113,10 +107,10 @@ impl Covariance {
         }
         let mut taken = transform::inverse(taken.mapv(|v| v.into()));
         taken.zip_mut_with(&count, |t, n| *t = if *n > 0.5 { *t / n } else { 0.0 });
-        for (at, c) in covariance.indexed_iter_mut() {
-            let w = taper(lag_mm(at));
+        for (index, c) in covariance.indexed_iter_mut() {
+            let w = taper(lag_mm(index) / window_mm);
             *c *= w;
-            taken[at] *= w;
+            taken[index] *= w;
         }
         let taken = transform::forward(taken.view()).mapv(|v| v.re.clamp(0.0, LARGEST_LOST));
         let mut spectrum = transform::forward(covariance.view()).mapv(|v| v.re.max(0.0));
@@ -137,7 +131,7 @@ impl Covariance {
         Self { noise, shape: (ny, nx), spectrum }
     }
 
-    /// C w applied to a field that is 0 where the map is invalid.
+    /// Returns C w applied to a field (ny, nx) that is 0 where the map is invalid.
     pub fn apply(&self, field: &Array2<f64>) -> Array2<f64> {
         let mut transformed = transform::forward(padded(field, self.spectrum.dim()).view());
         transformed.zip_mut_with(&self.spectrum, |v, s| *v *= *s);
@@ -146,7 +140,18 @@ impl Covariance {
     }
 }
 
-/// A map with zeros beyond its last row and column.
+/// Returns w at a lag that is this part of the radius L.
+fn taper(part: f64) -> f64 {
+    if part <= 0.5 {
+        1.0
+    } else if part < 1.0 {
+        0.5 * (1.0 + (PI * (2.0 * part - 1.0)).cos())
+    } else {
+        0.0
+    }
+}
+
+/// Returns a map with zeros beyond its last row and column.
 pub(crate) fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let mut large = Array2::zeros(size);
@@ -154,8 +159,8 @@ pub(crate) fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
     large
 }
 
-/// The first L with `L >= 5 l(L)` beyond which the correlation adds nothing that is clear, and whether it is beyond the
-/// largest.
+/// Returns the first L with `L >= 5 l(L)` beyond which the correlation adds nothing that is clear, mm, and true if it would
+/// be beyond the largest.
 fn window(
     covariance: &Array2<f64>,
     variance: f64,
@@ -169,7 +174,7 @@ fn window(
     let largest_mm = largest_mm.max(least_mm);
     let mut lags: Vec<(f64, f64, f64)> = covariance
         .indexed_iter()
-        .map(|(at, c)| (lag_mm(at), *c, pairs[at]))
+        .map(|(index, c)| (lag_mm(index), *c, pairs[index]))
         .filter(|(lag, _, pairs)| *lag <= largest_mm && *pairs > 0.5)
         .collect();
     lags.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -177,8 +182,10 @@ fn window(
         return (least_mm, false);
     }
     // Sums of C / C(0) and of 1 / N(h) up to every lag
-    let (mut sums, mut scatters) = (Vec::new(), Vec::new());
-    let (mut sum, mut scatter) = (0.0, 0.0);
+    let mut sums = Vec::new();
+    let mut scatters = Vec::new();
+    let mut sum = 0.0;
+    let mut scatter = 0.0;
     for (_, c, pairs) in &lags {
         sum += c / variance;
         scatter += 1.0 / pairs;
@@ -192,9 +199,11 @@ fn window(
     let mut from = 0;
     while let Some(end) = (from..lags.len()).find(|k| ends(*k)) {
         let known: f64 = f64::max(sums[end], 1.0);
-        let by_noise = |k: usize| known * (2.0 * (scatters[k] - scatters[end])).sqrt();
-        let least = |k: usize| (CLEAR * by_noise(k)).max(LEAST_MORE * known);
-        match (end..lags.len()).find(|k| sums[*k] - sums[end] > least(*k)) {
+        let clear = (end..lags.len()).find(|k| {
+            let by_noise = known * (2.0 * (scatters[*k] - scatters[end])).sqrt();
+            sums[*k] - sums[end] > (CLEAR * by_noise).max(LEAST_MORE * known)
+        });
+        match clear {
             None => return (lags[end].0, false),
             Some(k) => from = k,
         }
@@ -231,7 +240,7 @@ mod tests {
         for side in [1, 4] {
             let each: Vec<f64> = (0..40)
                 .map(|seed| {
-                    let found = Covariance::of(&noise(seed, side), &valid, &grid(), 0, &[]).noise;
+                    let found = Covariance::new(&noise(seed, side), &valid, &grid(), 0, &[]).noise;
                     assert!(!found.window_is_cut);
                     found.effective_pixels
                 })
@@ -251,7 +260,7 @@ mod tests {
         let valid = Array2::ones(grid().shape());
         let ratio = |seed| {
             let rest = noise(seed, 1) + 0.3 * noise(2000 + seed, 12);
-            let noise = Covariance::of(&rest, &valid, &grid(), 0, &[]).noise;
+            let noise = Covariance::new(&rest, &valid, &grid(), 0, &[]).noise;
             noise.pixels as f64 / noise.effective_pixels
         };
         let mean = (0..40).map(ratio).sum::<f64>() / 40.0;
@@ -275,7 +284,7 @@ mod tests {
         let maps = 300;
         for seed in 0..maps {
             let rest = noise(1000 + seed, 3) * &valid;
-            let covariance = Covariance::of(&rest, &valid, &grid, 0, &[]);
+            let covariance = Covariance::new(&rest, &valid, &grid, 0, &[]);
             found += (covariance.apply(&masked) * &masked).sum() / maps as f64;
             squares += (&rest * &masked).sum().powi(2) / maps as f64;
         }

@@ -5,20 +5,20 @@
 //!
 //! A number is given where all of this holds, and otherwise the parameter is refused with the first that does not:
 //!
-//! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
+//! 1. **It has a signal of its own**: less than `LARGEST_INFLATION` of variance inflation, 1 / (1 - R^2) of its column
 //!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
 //!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
 //!    A standard error below `CLEAR` of its scale lifts this limit to `LARGEST_CLEAR_INFLATION`: the estimate still
 //!    beats the prior knowledge if the model errors make its error ten times larger.
-//! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates
+//! 2. **It can be told from every single other one**: a correlation below `LARGEST_CORRELATION` of the estimates
 //!    (the piston apart, which every removal has a part of).
 //! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
 //!    process where one is given ([`crate::parameter`]).
 //! 4. The fit ended at a minimum, or its last step moved the parameter by less than `UNFINISHED` standard errors or a
 //!    hundredth of its scale. The standard error then contains that step.
-//! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
+//! 5. **It is believable**: within `BELIEVABLE` scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
-//!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
+//!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than `SIGNIFICANT` standard errors of that move, or by less than its own
 //!    standard error or a hundredth of its scale. The move is a linear function of the data, the difference of the influence fields of both fits,
 //!    so its standard error takes the correlation of the noise into account as all others do (Hausman's test with the
 //!    sandwich covariance). Where the noise is correlated further than the map can tell, standard errors are lower
@@ -29,7 +29,7 @@ use ndarray::Array2;
 use planish_types::{End, text::significant};
 
 use crate::{
-    fit::{Data, Fit, Normal, dot},
+    fit::{Data, LeastSquaresFit, Normal, dot},
     metrology::terms,
     parameter::Parameter,
 };
@@ -37,7 +37,7 @@ use crate::{
 /// Largest variance inflation, dimensionless. Larger: numbers that the errors of the models decide. Smaller:
 /// parameters are refused that the data determine. Chosen: at this value the other unknowns explain 99 % of the
 /// signal of the parameter, and the models are not better than a percent.
-pub const LARGEST_INFLATION: f64 = 100.0;
+const LARGEST_INFLATION: f64 = 100.0;
 
 /// Standard error over the scale below which a parameter may share more of its signal.
 const CLEAR: f64 = 0.1;
@@ -50,15 +50,15 @@ const LARGEST_CLEAR_INFLATION: f64 = 1e4;
 const UNFINISHED: f64 = 1.0;
 
 /// Largest correlation of two estimates.
-pub const LARGEST_CORRELATION: f64 = 0.99;
+const LARGEST_CORRELATION: f64 = 0.99;
 
 /// Largest magnitude of an estimate, over its scale. Larger: numbers are given that take up what the model leaves
 /// out. Smaller: large but true errors are refused. Chosen.
-pub const BELIEVABLE: f64 = 3.0;
+const BELIEVABLE: f64 = 3.0;
 
 /// Least move, over its standard error, that is not taken for chance. Larger: parameters that depend on the metrology
 /// are given. Smaller: parameters are refused by chance. Chosen.
-pub const SIGNIFICANT: f64 = 3.0;
+const SIGNIFICANT: f64 = 3.0;
 
 /// Largest move, over the scale of the parameter, that does not matter, however small the noise is. Larger: moves
 /// that matter are accepted. Smaller: parameters of low noise are refused for moves that change no plan. Chosen.
@@ -78,10 +78,10 @@ pub struct Move {
     pub standard_error: f64,
 }
 
-/// The moves of every parameter of a fit with the orders `own`: to a wider metrology, and where it has more terms than
-/// piston, tilt and power, back to these (the power as the orders 1 x 1, which it is beyond).
+/// Returns the moves of every parameter of a fit with the orders `own`: to a wider metrology, and where it has more terms
+/// than piston, tilt and power, back to these (the power as the orders 1 x 1, which it is beyond).
 pub fn all_moves(
-    fit: &Fit,
+    fit: &LeastSquaresFit,
     data: &Data<'_>,
     own: Option<[usize; 2]>,
 ) -> Vec<Vec<(Move, [usize; 2])>> {
@@ -96,7 +96,7 @@ pub fn all_moves(
     all
 }
 
-/// The orders of the wider metrology of a fit with the orders `own`.
+/// Returns the orders of the wider metrology of a fit with the orders `own`.
 pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
     let own = own.unwrap_or([0, 0]);
     [0, 1].map(|axis| WIDER[axis].max(own[axis] + FURTHER))
@@ -111,7 +111,12 @@ struct Another {
 }
 
 impl Another {
-    fn new(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>, known: Vec<f64>) -> Self {
+    fn new(
+        fit: &LeastSquaresFit,
+        data: &Data<'_>,
+        orders: Option<[usize; 2]>,
+        known: Vec<f64>,
+    ) -> Self {
         let maps: Vec<Array2<f64>> = terms(orders).into_iter().map(|t| t.map(data.grid)).collect();
         let parameters = &fit.columns[..fit.parameters.len()];
         let normal = Normal::new(parameters, &maps, &data.valid, known);
@@ -127,50 +132,54 @@ impl Another {
     }
 }
 
-/// Standard error of what a field gives with the noise of a fit.
-fn standard_error(fit: &Fit, field: &Array2<f64>) -> f64 {
+/// Returns the standard error of the sum of the data times a field, with the noise of a fit.
+fn standard_error(fit: &LeastSquaresFit, field: &Array2<f64>) -> f64 {
     dot(field, &fit.noise.apply(field)).max(0.0).sqrt()
 }
 
-/// Moves of the parameters of a fit when the terms of these orders are free in the place of its own (`None`: piston,
-/// tilt and power), to first order at its minimum.
-pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
+/// Returns the moves of the parameters of a fit when the terms of these orders are free in the place of its own (`None`:
+/// piston, tilt and power), to first order at its minimum.
+pub fn moves(fit: &LeastSquaresFit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
     let wider = Another::new(fit, data, orders, fit.known.clone());
-    let of = |i: usize| {
+    let mut moves = Vec::with_capacity(fit.parameters.len());
+    for i in 0..fit.parameters.len() {
         let field = wider.influence(i) - fit.influence(i);
-        Move { by: wider.step[i], standard_error: standard_error(fit, &field) }
-    };
-    (0..fit.parameters.len()).map(of).collect()
+        moves.push(Move { by: wider.step[i], standard_error: standard_error(fit, &field) });
+    }
+    moves
 }
 
-/// Value of parameter `i` of a fit with the orders `own` by the data alone, without what is known of it beforehand,
-/// and its standard error, to first order at the minimum.
-fn alone(fit: &Fit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> [f64; 2] {
+/// Returns the value of parameter `i` of a fit with the orders `own` by the data alone, without what is known of it
+/// beforehand, and its standard error, to first order at the minimum.
+fn alone(fit: &LeastSquaresFit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> [f64; 2] {
     let mut known = fit.known.clone();
     known[i] = 0.0;
     let freed = Another::new(fit, data, own, known);
     [fit.values[i] + freed.step[i], standard_error(fit, &freed.influence(i))]
 }
 
-/// The parameter of which what is known beforehand contradicts the data most, if there is one: without it they put the
-/// parameter beyond [`BELIEVABLE`] of its `scale`, and [`SIGNIFICANT`] standard errors from the plan. Held near the plan all the
+/// Returns the parameter whose scale contradicts the data most, if there is one: without the scale the data put the
+/// parameter beyond `BELIEVABLE` scales and beyond `SIGNIFICANT` standard errors from the plan. Held near the plan all the
 /// same, it would leave to the others what it does.
 pub fn contradicted(
-    fit: &Fit,
+    fit: &LeastSquaresFit,
     data: &Data<'_>,
     own: Option<[usize; 2]>,
     scale: impl Fn(Parameter) -> f64,
 ) -> Option<Parameter> {
-    let of = |(i, parameter): (usize, &Parameter)| {
-        let [found, standard_error] = alone(fit, data, own, i);
-        let beyond = found.abs() / (BELIEVABLE * scale(*parameter));
-        let is_clear = found.abs() > SIGNIFICANT * standard_error;
-        (beyond > 1.0 && is_clear).then_some((*parameter, beyond))
-    };
-    // A scale as wide as the usual one is no knowledge of this run.
-    let stated = |(_, p): &(usize, &Parameter)| scale(**p) < p.usual_scale();
-    let all = fit.parameters.iter().enumerate().filter(stated).filter_map(of);
-    all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
+    let mut all: Vec<(Parameter, f64)> = Vec::new();
+    for (i, parameter) in fit.parameters.iter().enumerate() {
+        // A scale as wide as the usual one is no knowledge of this run.
+        if scale(*parameter) >= parameter.usual_scale() {
+            continue;
+        }
+        let [value, standard_error] = alone(fit, data, own, i);
+        let beyond = value.abs() / (BELIEVABLE * scale(*parameter));
+        if beyond > 1.0 && value.abs() > SIGNIFICANT * standard_error {
+            all.push((*parameter, beyond));
+        }
+    }
+    all.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
 /// Part of a parameter in the corrections.
@@ -196,41 +205,46 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// Reason for a parameter that the data do not tell from others. What they say of it together with others is corrected
-    /// where the metrology has no more than its usual terms.
-    fn weak(reason: String, is_usual: bool) -> Option<Self> {
+    /// Creates the refusal of a parameter that the data do not tell from others. What they say of it together with others
+    /// is corrected where the metrology has no more than its usual terms.
+    fn weak(reason: String, is_usual: bool) -> Self {
         let part = if is_usual { Part::Corrected } else { Part::AtPlan };
-        Some(Self { reason, part, moved: None })
+        Self { reason, part, moved: None }
     }
 
-    /// Reason for a parameter that takes up what the model leaves out.
-    pub fn of_the_model(reason: String) -> Self {
+    /// Creates the refusal of a parameter that takes up what the model leaves out.
+    pub(crate) fn of_the_model(reason: String) -> Self {
         Self { reason, part: Part::Left, moved: None }
     }
 }
 
-/// Reason why the data do not determine parameter `i` of a fit; `None` where they do.
-pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<Refusal> {
+/// Returns the reason why the data do not determine parameter `i` of a fit; `None` where they do. `scale` is its standard
+/// deviation as known beforehand, `moved` its moves with other terms of the metrology.
+pub fn refusal(
+    fit: &LeastSquaresFit,
+    i: usize,
+    scale: f64,
+    moved: &[(Move, [usize; 2])],
+) -> Option<Refusal> {
     let parameter = fit.parameters[i];
-    let (value, error) = (fit.values[i], fit.standard_error(i));
+    let error = fit.standard_error(i);
     let names = fit.names();
     // More terms of the metrology than the usual four take up errors of the model, and the rest says less of them.
     let is_usual = fit.terms.len() <= crate::metrology::NAMES.len();
     let is_clear = error < CLEAR * scale && is_usual;
     let largest = if is_clear { LARGEST_CLEAR_INFLATION } else { LARGEST_INFLATION };
     if fit.inflation[i] > largest {
-        let inflation = match fit.inflation[i].is_finite() {
-            true => significant(fit.inflation[i], 3),
-            false => "infinite".into(),
-        };
-        let is_told = is_usual && fit.inflation[i] <= LARGEST_CLEAR_INFLATION;
+        let is_finite = fit.inflation[i].is_finite();
+        let inflation =
+            if is_finite { significant(fit.inflation[i], 3) } else { "infinite".into() };
+        let is_corrected = is_usual && fit.inflation[i] <= LARGEST_CLEAR_INFLATION;
         let reason = format!(
             "the data do not tell it from {}: variance inflation {inflation} (at most {largest}), smallest \
              singular value {}",
             confounded(fit, i, &names),
             significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
         );
-        return Refusal::weak(reason, is_told);
+        return Some(Refusal::weak(reason, is_corrected));
     }
     let twin = (0..names.len())
         .filter(|j| !is_clear && *j != i && names[*j] != "piston")
@@ -241,20 +255,18 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
             significant(fit.correlation(i, j), 4),
             names[j]
         );
-        return Refusal::weak(reason, is_usual);
+        return Some(Refusal::weak(reason, is_usual));
     }
     // 1 / error^2 = 1 / scale^2 + 1 / (that of the data)^2
     if error > scale * std::f64::consts::FRAC_1_SQRT_2 {
         let of_the_data = (error.powi(-2) - scale.powi(-2)).max(0.0).sqrt().recip();
-        let size = match of_the_data.is_finite() {
-            true => shown(parameter, of_the_data),
-            false => "nothing".into(),
-        };
+        let is_finite = of_the_data.is_finite();
+        let size = if is_finite { shown(parameter, of_the_data) } else { "nothing".into() };
         let reason = format!(
             "the data alone give it to {size}, beyond the {} that are known beforehand",
             shown(parameter, scale)
         );
-        return Refusal::weak(reason, is_usual);
+        return Some(Refusal::weak(reason, is_usual));
     }
     let last = fit.unfinished[i];
     if fit.end != End::Converged && last > UNFINISHED && last * error > NEGLIGIBLE * scale {
@@ -262,9 +274,9 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
             "the fit did not end at a minimum: its last step moves the parameter by {} standard errors",
             significant(last, 2)
         );
-        return Refusal::weak(reason, is_usual);
+        return Some(Refusal::weak(reason, is_usual));
     }
-    if value.abs() > BELIEVABLE * scale {
+    if fit.values[i].abs() > BELIEVABLE * scale {
         return Some(Refusal::of_the_model(format!(
             "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
              that it takes up",
@@ -283,33 +295,37 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
                 shown(parameter, moved.by),
                 significant(moved.by.abs() / moved.standard_error, 2)
             );
-            let weak = Refusal::weak(reason, is_usual);
-            return weak.map(|weak| Refusal { moved: Some(k), ..weak });
+            return Some(Refusal { moved: Some(k), ..Refusal::weak(reason, is_usual) });
         }
     }
     None
 }
 
-/// A value of a parameter with its unit.
+/// Returns a value of a parameter with its unit, for people.
 pub fn shown(parameter: Parameter, value: f64) -> String {
     let (unit, factor) = parameter.unit();
     format!("{} {unit}", significant(value / factor, 3))
 }
 
-/// The other unknowns that together do what unknown `i` does, the largest parts first.
-fn confounded(fit: &Fit, i: usize, names: &[String]) -> String {
+/// Returns the names of the other unknowns that together do what unknown `i` does, the largest parts first.
+fn confounded(fit: &LeastSquaresFit, i: usize, names: &[String]) -> String {
     // The regression of a scaled column on the others has the coefficients -inverse_ij / inverse_ii; where it is
     // dependent the null vectors say the same, which the cosines show.
     // Of every column the part that is no piston: the inflation is without it, too.
     let piston = names.iter().position(|n| n == "piston");
-    let centred = |j: usize| piston.map_or(1.0, |k| (1.0 - fit.cosines[(j, k)].powi(2)).max(0.0));
-    let part = |j: usize| match fit.inflation[i].is_finite() {
-        true => (fit.inverse[(i, j)] / fit.inverse[(i, i)]).abs() * centred(j).sqrt(),
-        false => fit.cosines[(i, j)].abs() * centred(j).sqrt(),
-    };
-    let mut others: Vec<usize> = (0..names.len()).filter(|j| *j != i).collect();
-    others.sort_by(|a, b| part(*b).total_cmp(&part(*a)));
-    let largest = others.first().map_or(0.0, |j| part(*j));
-    let main = others.iter().take(3).filter(|j| part(**j) > 0.2 * largest);
-    main.map(|j| names[*j].as_str()).collect::<Vec<_>>().join(" and ")
+    let mut others: Vec<(&str, f64)> = Vec::new();
+    for (j, name) in names.iter().enumerate().filter(|(j, _)| *j != i) {
+        let without_piston =
+            piston.map_or(1.0, |k| (1.0 - fit.cosines[(j, k)].powi(2)).max(0.0)).sqrt();
+        let part = if fit.inflation[i].is_finite() {
+            fit.inverse[(i, j)] / fit.inverse[(i, i)]
+        } else {
+            fit.cosines[(i, j)]
+        };
+        others.push((name, part.abs() * without_piston));
+    }
+    others.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let largest = others.first().map_or(0.0, |(_, part)| *part);
+    let main = others.iter().take(3).filter(|(_, part)| *part > 0.2 * largest);
+    main.map(|(name, _)| *name).collect::<Vec<_>>().join(" and ")
 }

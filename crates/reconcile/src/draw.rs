@@ -6,7 +6,7 @@ use planish_draw::{
     colour::{BLUE_TO_BROWN, LINES, VIRIDIS},
     frame::range,
 };
-use planish_types::{Axis, Grid};
+use planish_types::{Grid, outcome::reconciliation::Band};
 
 use crate::reconcile::Reconciled;
 
@@ -25,21 +25,21 @@ const MARGIN: [f64; 4] = [64.0, 34.0, 96.0, 50.0];
 const MOST_CELLS: usize = 110;
 const COLOURS: usize = 24;
 
-/// The picture as SVG text.
-pub fn picture(found: &Reconciled, grid: &Grid) -> String {
+/// Draws the picture. Returns SVG text.
+pub fn picture(reconciled: &Reconciled, grid: &Grid) -> String {
     let mut svg = Svg::new(FONT_PX);
-    let less_planned = &found.measured_nm - &found.planned_nm;
+    let less_planned = &reconciled.measured_nm - &reconciled.planned_nm;
     // What the plan missed and what is left have the same colours, about zero.
     let largest = range(less_planned.iter().copied()).map(f64::abs);
     let largest = largest.into_iter().filter(|v| v.is_finite()).fold(0.0, f64::max);
     let about_zero = Bands::new(&BLUE_TO_BROWN, COLOURS, [-largest, largest]);
-    let heights = range(found.measured_nm.iter().copied());
+    let heights = range(reconciled.measured_nm.iter().copied());
     let upwards = Bands::new(&VIRIDIS, COLOURS, heights);
-    let fitted = &found.outcome.fitted;
+    let fitted = &reconciled.outcome.fitted;
     let maps: [(String, &Array2<f64>, &Bands); 3] = [
         (
             format!("measured removal: {:.3} nm RMS", fitted.measured_removal_rms_nm),
-            &found.measured_nm,
+            &reconciled.measured_nm,
             &upwards,
         ),
         (
@@ -49,12 +49,12 @@ pub fn picture(found: &Reconciled, grid: &Grid) -> String {
         ),
         (
             format!("less what was learnt: {:.3} nm RMS", fitted.rest_rms_nm),
-            &found.rest_nm,
+            &reconciled.rest_nm,
             &about_zero,
         ),
     ];
-    let ends = |a: &Axis| [a.start_mm() - 0.5 * a.step_mm(), a.end_mm() + 0.5 * a.step_mm()];
-    let (x, y) = (ends(&grid.x), ends(&grid.y));
+    let [x, y] = [&grid.x, &grid.y]
+        .map(|a| [a.start_mm() - 0.5 * a.step_mm(), a.end_mm() + 0.5 * a.step_mm()]);
     let size = [WIDTH, WIDTH * (y[1] - y[0]) / (x[1] - x[0])];
     let each = size[1].max(100.0) + MARGIN[1] + MARGIN[3];
     for (k, (title, map, colours)) in maps.into_iter().enumerate() {
@@ -66,14 +66,13 @@ pub fn picture(found: &Reconciled, grid: &Grid) -> String {
         frame.colour_bar(&mut svg, colours, "nm");
     }
     let top = 3.0 * each;
-    bands(&mut svg, found, top);
+    draw_bands(&mut svg, &reconciled.outcome.bands, top);
     let total = [WIDTH + MARGIN[0] + MARGIN[2], top + HEIGHT + MARGIN[1] + MARGIN[3]];
     svg.finish(total)
 }
 
-/// RMS by band: a step for each, the longest periods at the left.
-fn bands(svg: &mut Svg, found: &Reconciled, top: f64) {
-    let all = &found.outcome.bands;
+/// Draws the RMS by band: a step for each, the longest periods at the left.
+fn draw_bands(svg: &mut Svg, all: &[Band], top: f64) {
     let lines = [
         ("measured", LINES[0], all.iter().map(|b| b.measured_rms_nm).collect::<Vec<_>>()),
         ("less the plan's", LINES[1], all.iter().map(|b| b.measured_less_planned_rms_nm).collect()),

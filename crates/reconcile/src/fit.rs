@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
 use planish_types::{End, Grid, Invalid, progress};
 
-use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
+use crate::{correlation::Covariance, metrology::Term, model::RemovalModel, parameter::Parameter};
 
 /// Largest step, over the standard errors, that counts as none. Larger: estimates further from the minimum. Smaller:
 /// steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres of
@@ -67,7 +67,7 @@ pub struct Data<'a> {
 }
 
 /// Result of a fit.
-pub struct Fit {
+pub struct LeastSquaresFit {
     /// Parameters, in their order.
     pub parameters: Vec<Parameter>,
     /// Terms of the metrology, after the parameters.
@@ -116,30 +116,36 @@ pub struct Start {
 
 impl Start {
     /// Creates the start of a fit at the plan.
-    pub fn new(model: &Model<'_>) -> Result<Self, Invalid> {
-        Self::at(model, vec![0.0; model.parameters.len()])
+    ///
+    /// # Errors
+    /// Fails if the removal cannot be simulated.
+    pub fn new(model: &RemovalModel<'_>) -> Result<Self, Invalid> {
+        Self::from_values(model, vec![0.0; model.parameters.len()])
     }
 
     /// Creates the start of a fit at these parameters.
-    pub fn at(model: &Model<'_>, values: Vec<f64>) -> Result<Self, Invalid> {
+    ///
+    /// # Errors
+    /// Fails if the removal with them cannot be simulated.
+    pub fn from_values(model: &RemovalModel<'_>, values: Vec<f64>) -> Result<Self, Invalid> {
         let (removal, derivatives) = model.linear(&values)?;
         Ok(Self { values, removal, derivatives })
     }
 }
 
-impl Fit {
-    /// Standard error of unknown `i`.
+impl LeastSquaresFit {
+    /// Returns the standard error of unknown `i`.
     pub fn standard_error(&self, i: usize) -> f64 {
         self.covariance[(i, i)].max(0.0).sqrt()
     }
 
-    /// Correlation of two unknowns.
+    /// Returns the correlation of two unknowns, from -1 to 1.
     pub fn correlation(&self, i: usize, j: usize) -> f64 {
         let scale = self.standard_error(i) * self.standard_error(j);
         if scale > 0.0 { self.covariance[(i, j)] / scale } else { 0.0 }
     }
 
-    /// Names of the unknowns.
+    /// Returns the names of the unknowns.
     pub fn names(&self) -> Vec<String> {
         let parameters = self.parameters.iter().map(|p| p.name().to_string());
         parameters.chain(self.terms.iter().map(|t| t.name())).collect()
@@ -148,7 +154,7 @@ impl Fit {
     /// Takes these values of all unknowns, and their covariance.
     pub(crate) fn take(
         &mut self,
-        model: &Model<'_>,
+        model: &RemovalModel<'_>,
         data: &Data<'_>,
         values: Vec<f64>,
         covariance: DMatrix<f64>,
@@ -162,13 +168,14 @@ impl Fit {
         Ok(())
     }
 
-    /// Field by which unknown `i` is estimated: its value is the sum of the data times it (to first order).
+    /// Returns the field (ny, nx) by which unknown `i` is estimated: its value is the sum of the data times the field, to
+    /// first order.
     pub fn influence(&self, i: usize) -> Array2<f64> {
         influence(&self.columns, &self.lengths, &self.inverse, i)
     }
 }
 
-/// See [`Fit::influence`].
+/// See [`LeastSquaresFit::influence`].
 fn influence(
     columns: &[Array2<f64>],
     lengths: &[f64],
@@ -182,13 +189,13 @@ fn influence(
     field
 }
 
-/// Sum of the products over the map.
+/// Returns the sum of the products over two maps of one shape.
 pub fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     let rows = a.outer_iter().zip(b.outer_iter());
     rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>()).sum()
 }
 
-/// The normal matrix at one point.
+/// Normal matrix at one point.
 pub(crate) struct Normal {
     /// Columns of J, 0 where invalid.
     pub columns: Vec<Array2<f64>>,
@@ -200,7 +207,7 @@ pub(crate) struct Normal {
 }
 
 impl Normal {
-    /// The normal matrix of derivatives and terms.
+    /// Creates the normal matrix of derivatives and terms.
     pub fn new(
         derivatives: &[Array2<f64>],
         terms: &[Array2<f64>],
@@ -211,8 +218,10 @@ impl Normal {
             derivatives.iter().chain(terms).map(|column| column * valid).collect();
         let n = columns.len();
         // A column of nothing has the length one, and no direction.
-        let length = |c: &Array2<f64>| Some(dot(c, c).sqrt()).filter(|l| *l > 0.0).unwrap_or(1.0);
-        let lengths: Vec<f64> = columns.iter().map(length).collect();
+        let lengths: Vec<f64> = columns
+            .iter()
+            .map(|c| Some(dot(c, c).sqrt()).filter(|l| *l > 0.0).unwrap_or(1.0))
+            .collect();
         let mut cosines = DMatrix::zeros(n, n);
         for i in 0..n {
             for j in 0..=i {
@@ -233,33 +242,35 @@ impl Normal {
         matrix
     }
 
-    /// Orthonormal fields of the span of the columns.
+    /// Returns orthonormal fields that span the columns.
     pub fn orthonormal(&self) -> Vec<Array2<f64>> {
         let Some(first) = self.columns.first() else { return Vec::new() };
         let eigen = SymmetricEigen::new(self.cosines.clone());
         let least = INDEPENDENT * eigen.eigenvalues.max();
-        let field = |k: usize| {
+        let mut fields = Vec::new();
+        for k in (0..self.columns.len()).filter(|k| eigen.eigenvalues[*k] > least) {
             let mut field = Array2::zeros(first.dim());
             for (j, column) in self.columns.iter().enumerate() {
                 let weight = eigen.eigenvectors[(j, k)] / eigen.eigenvalues[k].sqrt();
                 field.scaled_add(weight / self.lengths[j], column);
             }
-            field
-        };
-        (0..self.columns.len()).filter(|k| eigen.eigenvalues[*k] > least).map(field).collect()
+            fields.push(field);
+        }
+        fields
     }
 
-    /// The inverse of H along the independent directions.
+    /// Returns the inverse of H, of scaled columns, along the independent directions.
     pub fn inverse(&self) -> DMatrix<f64> {
         inverted(&self.matrix()).inverse
     }
 
-    /// [`Fit::influence`] of a fit with these unknowns, by their [`Self::inverse`].
+    /// Returns [`LeastSquaresFit::influence`] of a fit with these unknowns, by their [`Self::inverse`].
     pub fn influence(&self, inverse: &DMatrix<f64>, i: usize) -> Array2<f64> {
         influence(&self.columns, &self.lengths, inverse, i)
     }
 
-    /// The step that `rest` asks for where the unknowns are `values`, which is at least as long as k.
+    /// Returns the step of all unknowns from `values` (at least as many as there are k) with the rest of the data there.
+    /// `lambda` damps it.
     pub fn step(
         &self,
         rest: &Array2<f64>,
@@ -272,15 +283,13 @@ impl Normal {
         let known = |i: usize| self.known.get(i).map_or(0.0, |k| k * values[i]);
         let right =
             DVector::from_fn(n, |i, _| (dot(&self.columns[i], rest) - known(i)) / self.lengths[i]);
-        let damped = || {
+        let mut damped = None;
+        if lambda > 0.0 {
             let mut matrix = self.matrix();
             (0..n).for_each(|i| matrix[(i, i)] += lambda);
-            matrix.cholesky().map(|c| c.solve(&right))
-        };
-        let scaled = match lambda > 0.0 {
-            true => damped().unwrap_or_else(|| inverse * &right),
-            false => inverse * &right,
-        };
+            damped = matrix.cholesky().map(|c| c.solve(&right));
+        }
+        let scaled = damped.unwrap_or_else(|| inverse * &right);
         DVector::from_fn(n, |i, _| scaled[i] / self.lengths[i])
     }
 }
@@ -295,6 +304,7 @@ struct Inverted {
     is_dependent: Vec<bool>,
 }
 
+/// Inverts a symmetric matrix along its independent directions.
 fn inverted(matrix: &DMatrix<f64>) -> Inverted {
     let n = matrix.nrows();
     if n == 0 {
@@ -335,60 +345,60 @@ struct Steps {
     is_stuck: bool,
 }
 
-/// Goes steps with the derivatives in `normal` while they lower the objective, shorter ones where one does not. `way` is
-/// that from the point before.
+/// Moves `point` by steps with the derivatives in `normal` while they lower the objective, and tries a shorter one where
+/// one does not. `way` leads here from the point before.
 fn steps(
-    at: &mut Point,
-    model: &Model<'_>,
+    point: &mut Point,
+    model: &RemovalModel<'_>,
     normal: &Normal,
     (variance, known): (f64, &[f64]),
     way: Option<&DVector<f64>>,
     rest_of: impl Fn(&Array2<f64>, &DVector<f64>) -> Array2<f64>,
 ) -> Result<Steps, Invalid> {
     let p = model.parameters.len();
-    let here = at.values.clone();
+    let start = point.values.clone();
     let inverse = normal.inverse();
     let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
         dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
     };
     let mut lambda = 0.0;
-    let (mut first, mut first_was_small, mut is_stuck) = (Vec::new(), false, false);
+    let errors: Vec<f64> = (0..normal.lengths.len())
+        .map(|i| (variance * inverse[(i, i)].max(0.0)).sqrt() / normal.lengths[i])
+        .map(|error| error.max(f64::MIN_POSITIVE))
+        .collect();
+    let mut first = Vec::new();
+    let mut first_was_small = false;
+    let mut is_stuck = false;
     for k in 0..MOST_STEPS {
-        let mut step = normal.step(&at.rest, at.values.as_slice(), &inverse, lambda);
-        let error = |i: usize| {
-            let error = (variance * inverse[(i, i)].max(0.0)).sqrt() / normal.lengths[i];
-            error.max(f64::MIN_POSITIVE)
-        };
+        let mut step = normal.step(&point.rest, point.values.as_slice(), &inverse, lambda);
         // The terms of the metrology are linear: they follow.
         let small = (0..p).all(|i| {
-            step[i].abs() <= SMALL_STEP * error(i) || step[i].abs() <= NOTHING * model.scales[i]
+            step[i].abs() <= SMALL_STEP * errors[i] || step[i].abs() <= NOTHING * model.scales[i]
         });
         if let (0, Some(way)) = (k, way) {
-            // In standard errors: q = step . way / |way|^2
-            let of = |a: &DVector<f64>| {
-                (0..a.len()).map(|i| a[i] * way[i] / error(i).powi(2)).sum::<f64>()
-            };
-            let q = (of(&step) / of(way).max(f64::MIN_POSITIVE)).clamp(-LARGEST_RETURN, 0.0);
+            let along = scaled_product(&step, way, &errors);
+            let square = scaled_product(way, way, &errors).max(f64::MIN_POSITIVE);
+            let q = (along / square).clamp(-LARGEST_RETURN, 0.0);
             step /= 1.0 - q;
         }
         first_was_small |= k == 0 && small;
         if k == 0 {
             first = (0..p).map(|i| step[i].abs()).collect();
         }
-        let tried = &at.values + &step;
-        let possible = model.is_possible(&tried.as_slice()[..p]);
-        let after = match possible {
-            true => Some(model.removal_nm(&tried.as_slice()[..p])?),
-            false => None,
-        };
-        let better = after.map(|r| (rest_of(&r, &tried), r));
-        match better {
+        let values = &point.values + &step;
+        let mut next = None;
+        if model.is_possible(&values.as_slice()[..p]) {
+            let removal = model.removal_nm(&values.as_slice()[..p])?;
+            let rest = rest_of(&removal, &values);
+            next = Some(Point { values, removal, rest });
+        }
+        match next {
             // A step below SMALL_STEP raises the square by less than this, whatever the derivatives err by.
-            Some((r, f))
-                if objective(&r, &tried)
-                    <= objective(&at.rest, &at.values) + SMALL_STEP.powi(2) * variance =>
+            Some(next)
+                if objective(&next.rest, &next.values)
+                    <= objective(&point.rest, &point.values) + SMALL_STEP.powi(2) * variance =>
             {
-                *at = Point { values: tried, removal: f, rest: r };
+                *point = next;
                 lambda = if lambda > LAMBDA[0] { 0.1 * lambda } else { 0.0 };
             }
             // Derivatives of a point that is left: new ones rather than a shorter step
@@ -396,20 +406,28 @@ fn steps(
             _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
         }
         if small || lambda > LAMBDA[1] {
-            is_stuck = at.values == here;
+            is_stuck = point.values == start;
             break;
         }
     }
     Ok(Steps { first, first_was_small, is_stuck })
 }
 
-/// Fits `model` and these terms to `data`, from `start`.
+/// Returns the product a . b with every unknown in units of its standard error.
+fn scaled_product(a: &DVector<f64>, b: &DVector<f64>, errors: &[f64]) -> f64 {
+    (0..a.len()).map(|i| a[i] * b[i] / errors[i].powi(2)).sum::<f64>()
+}
+
+/// Fits `model` and these terms to `data`, from `start`. A fit that ends without a minimum says so by its `end`.
+///
+/// # Errors
+/// Fails if the removal at parameters near the plan cannot be simulated.
 pub fn fit(
-    model: &Model<'_>,
+    model: &RemovalModel<'_>,
     terms: &[Term],
     data: &Data<'_>,
     start: &Start,
-) -> Result<Fit, Invalid> {
+) -> Result<LeastSquaresFit, Invalid> {
     let maps: Vec<Array2<f64>> = terms.iter().map(|t| t.map(data.grid)).collect();
     let p = model.parameters.len();
     let rest_of = |removal: &Array2<f64>, values: &DVector<f64>| {
@@ -417,28 +435,30 @@ pub fn fit(
     };
     let mut values = DVector::zeros(p + maps.len());
     values.rows_mut(0, p).copy_from_slice(&start.values);
-    let (removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
+    let removal = start.removal.clone();
+    let mut derivatives = start.derivatives.clone();
     // The terms of the metrology first: a piston of the whole removal is no noise
     let linear = Normal::new(&[], &maps, &data.valid, Vec::new());
     let alone = linear.step(&rest_of(&removal, &values), &[], &linear.inverse(), 0.0);
     values.rows_mut(p, maps.len()).copy_from(&alone);
     let rest = rest_of(&removal, &values);
-    let mut at = Point { values, removal, rest };
+    let mut point = Point { values, removal, rest };
     // v, and k = v / s^2
     let weigh = |rest: &Array2<f64>| {
-        let noise = Covariance::of(rest, &data.valid, data.grid, p + maps.len(), &[]).noise;
+        let noise = Covariance::new(rest, &data.valid, data.grid, p + maps.len(), &[]).noise;
         let v = noise.rest_rms_nm.powi(2) * noise.pixels as f64 / noise.effective_pixels;
         (v, model.scales.iter().map(|s| v / (s * s)).collect::<Vec<f64>>())
     };
-    let (mut variance, mut known) = weigh(&at.rest);
+    let (mut variance, mut known) = weigh(&point.rest);
     let mut normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
-    let (mut points, mut end) = (1, End::RoundLimit);
+    let mut points = 1;
+    let mut end = End::RoundLimit;
     let mut way: Option<DVector<f64>> = None;
     let mut last;
     loop {
         progress::done((points as f64 / USUAL_POINTS).min(BEFORE_LAST));
-        let here = at.values.clone();
-        let steps = steps(&mut at, model, &normal, (variance, &known), way.as_ref(), rest_of)?;
+        let before = point.values.clone();
+        let steps = steps(&mut point, model, &normal, (variance, &known), way.as_ref(), rest_of)?;
         last = steps.first;
         if points > 1 && steps.first_was_small {
             end = End::Converged;
@@ -453,21 +473,21 @@ pub fn fit(
             break;
         }
         points += 1;
-        way = Some(&at.values - &here);
-        (at.removal, derivatives) = model.linear(&at.values.as_slice()[..p])?;
-        at.rest = rest_of(&at.removal, &at.values);
-        (variance, known) = weigh(&at.rest);
+        way = Some(&point.values - &before);
+        (point.removal, derivatives) = model.linear(&point.values.as_slice()[..p])?;
+        point.rest = rest_of(&point.removal, &point.values);
+        (variance, known) = weigh(&point.rest);
         normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     }
-    let Point { values, removal, rest } = at;
+    let Point { values, removal, rest } = point;
     let metrology = sum_of(&maps, &values.as_slice()[p..], data.data.dim());
-    let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
+    let noise = Covariance::new(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
     let maps = (removal, metrology, rest);
     let last = if end == End::Converged { vec![0.0; p] } else { last };
     Ok(finished(model, terms, values, normal, maps, (noise, variance), (end, last), points))
 }
 
-/// Q c.
+/// Returns the product Q c (ny, nx).
 fn sum_of(maps: &[Array2<f64>], c: &[f64], shape: (usize, usize)) -> Array2<f64> {
     let mut sum = Array2::zeros(shape);
     for (map, c) in maps.iter().zip(c) {
@@ -476,10 +496,10 @@ fn sum_of(maps: &[Array2<f64>], c: &[f64], shape: (usize, usize)) -> Array2<f64>
     sum
 }
 
-/// The covariance, and all that is said of the fit.
+/// Returns the finished fit with its covariance.
 #[allow(clippy::too_many_arguments)] // the parts of a fit, each made once
 fn finished(
-    model: &Model<'_>,
+    model: &RemovalModel<'_>,
     terms: &[Term],
     values: DVector<f64>,
     normal: Normal,
@@ -487,7 +507,7 @@ fn finished(
     (noise, variance): (Covariance, f64),
     (end, last): (End, Vec<f64>),
     points: usize,
-) -> Fit {
+) -> LeastSquaresFit {
     let inverse = normal.inverse();
     // What the data alone say
     let alone = inverted(&normal.cosines);
@@ -514,15 +534,14 @@ fn finished(
     // Of the part of a column that is no piston: every removal has a mean, which says nothing of anything
     let piston = terms.iter().position(|t| *t == Term::Legendre(0, 0));
     let piston = piston.map(|k| model.parameters.len() + k);
-    let centred = |i: usize| match piston {
-        Some(k) if k != i => 1.0 - normal.cosines[(i, k)].powi(2),
-        _ => 1.0,
-    };
-    let inflation = (0..n).map(|i| match alone.is_dependent[i] {
-        true => f64::INFINITY,
-        false => alone.inverse[(i, i)] * centred(i),
+    let inflation = (0..n).map(|i| {
+        let without_piston = match piston {
+            Some(k) if k != i => 1.0 - normal.cosines[(i, k)].powi(2),
+            _ => 1.0,
+        };
+        if alone.is_dependent[i] { f64::INFINITY } else { alone.inverse[(i, i)] * without_piston }
     });
-    Fit {
+    LeastSquaresFit {
         parameters: model.parameters.clone(),
         terms: terms.to_vec(),
         values: values.iter().copied().collect(),

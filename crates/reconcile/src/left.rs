@@ -9,7 +9,7 @@ use planish_simulate::error_budget::{
     Distribution, Effect, ErrorBudget, ErrorBudgetFile, ErrorFile, Kind, Scalar,
 };
 
-use crate::{fit::Fit, parameter::Parameter};
+use crate::{fit::LeastSquaresFit, parameter::Parameter};
 
 /// Notes of `planish-reconcile` on the errors in a file.
 const LEARNT: &str = "learnt: standard error of planish-reconcile";
@@ -18,20 +18,21 @@ const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correc
 const FROM_THE_REST: &str =
     "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
 
-/// The errors of the next run. `refused[i]` says whether the data do not determine unknown `i` of the fit, `found[i]` is
-/// its estimate and standard error, and the next plan corrects it by `corrections[i]`.
+/// Returns the errors of the next run. `refused[i]` is true if the data do not determine unknown `i` of the fit,
+/// `estimates[i]` is its value and standard error, and the next plan corrects it by `corrections[i]`. `scale` is the
+/// standard deviation of a parameter as known beforehand.
 pub fn left(
     process: Option<&ErrorBudget>,
-    fit: &Fit,
-    found: &[[f64; 2]],
+    fit: &LeastSquaresFit,
+    estimates: &[[f64; 2]],
     corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
 ) -> ErrorBudgetFile {
-    let drifts = |i: usize| found[i][0].abs() > std::f64::consts::SQRT_2 * found[i][1];
-    let learnt = |p: Parameter| {
+    let drifts = |i: usize| estimates[i][0].abs() > std::f64::consts::SQRT_2 * estimates[i][1];
+    let remaining_error = |p: Parameter| {
         let i = fit.parameters.iter().position(|q| *q == p)?;
-        let [value, standard_error] = found[i];
+        let [value, standard_error] = estimates[i];
         // What stays at the plan is off by its estimate, too.
         let uncorrected = match p {
             Parameter::RateDrift if drifts(i) => 0.0,
@@ -39,21 +40,22 @@ pub fn left(
             _ if corrections[i] == 0.0 => value,
             _ => 0.0,
         };
-        (!refused[i]).then(|| standard_error.hypot(uncorrected))
+        if refused[i] { None } else { Some(standard_error.hypot(uncorrected)) }
     };
-    let is_learnt = |effect: &Effect| {
+    let is_replaced = |effect: &Effect| {
         let Effect::Scalar(scalar) = effect else { return false };
         let both = [Parameter::TifEllipticity, Parameter::TifDiagonalEllipticity];
-        match scalar {
-            Scalar::TifRotation => both.iter().all(|p| learnt(*p).is_some()),
-            _ => fit.parameters.iter().any(|p| p.scalar() == *scalar && learnt(*p).is_some()),
+        if *scalar == Scalar::TifRotation {
+            return both.iter().all(|p| remaining_error(*p).is_some());
         }
+        let mut parameters = fit.parameters.iter().filter(|p| p.scalar() == *scalar);
+        parameters.any(|p| remaining_error(*p).is_some())
     };
     let stated = process.map_or(&[][..], |p| &p.errors);
     let mut errors: Vec<ErrorFile> =
-        stated.iter().filter(|e| !is_learnt(&e.effect)).map(|e| e.stated.clone()).collect();
+        stated.iter().filter(|e| !is_replaced(&e.effect)).map(|e| e.stated.clone()).collect();
     for p in &fit.parameters {
-        match learnt(*p) {
+        match remaining_error(*p) {
             Some(error) => errors.push(entry(*p, error, LEARNT)),
             // Without a process what is believed of it stands nowhere else.
             None if process.is_none() => errors.push(entry(*p, scale(*p), BELIEVED)),
@@ -63,7 +65,7 @@ pub fn left(
     // No plan corrects a drift: where it is clear it is known, and stays.
     let drift = fit.parameters.iter().position(|p| *p == Parameter::RateDrift);
     if let Some(i) = drift.filter(|i| !refused[*i] && drifts(*i)) {
-        let mut known = entry(Parameter::RateDrift, found[i][0], DRIFTS);
+        let mut known = entry(Parameter::RateDrift, estimates[i][0], DRIFTS);
         known.distribution = Distribution::Fixed;
         errors.push(known);
     }

@@ -50,5 +50,5 @@ mod settings;
 
 pub use crate::{
     reconcile::{Comparison, Reconciled, reconcile},
-    settings::Settings,
+    settings::ReconcileSettings,
 };

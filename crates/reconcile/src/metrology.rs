@@ -6,7 +6,7 @@
 
 use ndarray::Array2;
 use planish_simulate::sample::legendre_terms;
-use planish_types::{Axis, Grid};
+use planish_types::Grid;
 
 /// A low-order term of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +21,7 @@ pub enum Term {
 pub const NAMES: [&str; 4] = ["piston", "tilt_x", "tilt_y", "power"];
 
 impl Term {
-    /// Its name on the command line and in the manifest.
+    /// Returns its name on the command line and in the manifest.
     pub fn name(self) -> String {
         match self {
             Self::Power => "power".into(),
@@ -32,15 +32,16 @@ impl Term {
         }
     }
 
-    /// Its values (ny, nx), of RMS one over the rectangle.
+    /// Returns its values (ny, nx), of RMS one over the rectangle.
     pub fn map(self, grid: &Grid) -> Array2<f64> {
         match self {
             Self::Legendre(i, j) => legendre_terms(grid, &[(i, j)]).swap_remove(0),
             Self::Power => {
-                let from_middle = |a: &Axis, i: usize| a.at(i) - 0.5 * (a.start_mm() + a.end_mm());
-                let square =
-                    |(r, c)| from_middle(&grid.x, c).powi(2) + from_middle(&grid.y, r).powi(2);
-                let mut map = Array2::from_shape_fn(grid.shape(), square);
+                let [x, y] = [&grid.x, &grid.y].map(|a| {
+                    let middle = 0.5 * (a.start_mm() + a.end_mm());
+                    (0..a.len()).map(|i| (a.at(i) - middle).powi(2)).collect::<Vec<f64>>()
+                });
+                let mut map = Array2::from_shape_fn(grid.shape(), |(r, c)| x[c] + y[r]);
                 map -= map.mean().unwrap_or(0.0);
                 let rms = (map.iter().map(|v| v * v).sum::<f64>() / map.len() as f64).sqrt();
                 map / rms
@@ -49,7 +50,7 @@ impl Term {
     }
 }
 
-/// Piston, tilt and power, and Legendre terms up to the orders [along x, along y] where they are given. Where both
+/// Returns piston, tilt and power, and Legendre terms up to the orders [along x, along y] if there are any. Where both
 /// squares are among these the power is their sum, and is left out.
 pub fn terms(order: Option<[usize; 2]>) -> Vec<Term> {
     let [m, n] = order.unwrap_or([0, 0]).map(|k| k.max(1));
@@ -67,6 +68,7 @@ pub fn terms(order: Option<[usize; 2]>) -> Vec<Term> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planish_types::Axis;
 
     #[test]
     fn terms_have_an_rms_of_one_and_are_each_there_once() {

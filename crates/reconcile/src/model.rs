@@ -29,8 +29,8 @@ const LARGEST_PART: f64 = 0.5;
 /// Step of the difference by a drift of the rate. The removal is linear in it, so any step is exact.
 const DRIFT_STEP: f64 = 0.1;
 
-/// The executed plan, and what its removal depends on.
-pub struct Model<'a> {
+/// Removal of the executed plan as a function of the free parameters.
+pub struct RemovalModel<'a> {
     /// Runs with the TIF of the derivatives.
     pub runs: &'a Runs<'a>,
     /// Runs of which the removal itself is taken, where they differ from `runs`.
@@ -45,8 +45,8 @@ pub struct Model<'a> {
     pub step: f64,
 }
 
-impl<'a> Model<'a> {
-    /// The model with these parameters free, known beforehand to the standard deviation `scale`.
+impl<'a> RemovalModel<'a> {
+    /// Creates the model with these parameters free, known beforehand to the standard deviation `scale`.
     pub fn new(
         runs: &'a Runs<'a>,
         tif: &'a Tif,
@@ -57,13 +57,13 @@ impl<'a> Model<'a> {
         Self { runs, removal_from: None, tif, parameters, scales, step: STEP }
     }
 
-    /// Change of a parameter that moves the tool by `mm`.
+    /// Returns the change of a parameter that moves the tool by `mm`.
     fn per_mm(&self, effect: Scalar, mm: f64) -> f64 {
         mm / self.runs.displacement_per_size(effect)
     }
 
     /// Returns true if the parameters can be simulated.
-    pub fn is_possible(&self, values: &[f64]) -> bool {
+    pub(crate) fn is_possible(&self, values: &[f64]) -> bool {
         let width = self.tif.width_mm();
         self.parameters.iter().zip(values).all(|(parameter, value)| {
             let largest = match (parameter, parameter.effect()) {
@@ -81,9 +81,11 @@ impl<'a> Model<'a> {
         self.removal_from.unwrap_or(self.runs)
     }
 
+    /// Splits the parameters into the factor of the rate, 1 + a, and the deviation q of the run.
     fn split(&self, values: &[f64]) -> (f64, Deviation) {
-        let (mut rate, mut run) = (0.0, Deviation::default());
+        let mut rate = 0.0;
         let mut drift = 0.0;
+        let mut run = Deviation::default();
         for (parameter, value) in self.parameters.iter().zip(values) {
             match parameter.effect() {
                 None => rate += value,
@@ -96,23 +98,29 @@ impl<'a> Model<'a> {
         (1.0 + rate, run)
     }
 
-    /// F (ny, nx), nm.
+    /// Returns F (ny, nx), nm.
+    ///
+    /// # Errors
+    /// Fails if the run with these parameters cannot be simulated.
     pub fn removal_nm(&self, values: &[f64]) -> Result<Array2<f64>, Invalid> {
         let (factor, run) = self.split(values);
         Ok(self.removal_runs().removal_nm(&run)? * factor)
     }
 
-    /// F, and its derivatives by every parameter, nm per size.
+    /// Returns F (ny, nx), nm, and its derivatives by every parameter, nm per unit of the parameter.
+    ///
+    /// # Errors
+    /// Fails if a run with these parameters, or with one of them a step away, cannot be simulated.
     pub fn linear(&self, values: &[f64]) -> Result<(Array2<f64>, Vec<Array2<f64>>), Invalid> {
         let (factor, run) = self.split(values);
         let removal = self.removal_runs().removal_nm(&run)?;
         let derivative = |parameter: &Parameter| -> Result<Array2<f64>, Invalid> {
             let Some(effect) = parameter.effect() else { return Ok(removal.clone()) };
-            let h = match effect {
-                Scalar::RateDrift => DRIFT_STEP,
-                _ => self.per_mm(effect, self.step * self.tif.width_mm()),
+            let (h, by) = if effect == Scalar::RateDrift {
+                (DRIFT_STEP, 1.0 / factor)
+            } else {
+                (self.per_mm(effect, self.step * self.tif.width_mm()), 1.0)
             };
-            let by = if effect == Scalar::RateDrift { 1.0 / factor } else { 1.0 };
             let side = |h: f64| {
                 let mut run = run.clone();
                 run.add(effect, by * h);
@@ -126,9 +134,13 @@ impl<'a> Model<'a> {
         Ok((removal * factor, derivatives))
     }
 
-    /// The TIF with the rate and the shape that `values` (of the parameters `known`) say, from `tif`.
-    pub fn corrected_tif(tif: &Tif, known: &[(Parameter, f64)]) -> Result<Tif, Invalid> {
-        let (mut factor, mut run) = (1.0, Deviation::default());
+    /// Returns `tif` with the rate and the shape that these values of parameters say.
+    ///
+    /// # Errors
+    /// Fails if they make no valid TIF.
+    pub(crate) fn corrected_tif(tif: &Tif, known: &[(Parameter, f64)]) -> Result<Tif, Invalid> {
+        let mut factor = 1.0;
+        let mut run = Deviation::default();
         for (parameter, value) in known {
             match (parameter, parameter.effect()) {
                 (Parameter::RateScale, _) => factor += value,

@@ -2,13 +2,13 @@
 
 use planish_simulate::{
     deviation::has_one_ellipse,
-    error_budget::{Effect, ErrorBudget, Kind, ProcessError, Scalar},
+    error_budget::{Effect, ErrorBudget, Kind, Scalar},
 };
 use planish_types::{Invalid, Tif};
 use serde::Serialize;
 
-/// A number that machine and tool have; the meaning and the sign are those of the error of the same name in a
-/// error budget.
+/// A number that machine and tool have; the meaning and the sign are those of the error of the same name in an error
+/// budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Parameter {
@@ -46,7 +46,7 @@ pub const ALL: [Parameter; 9] = [
 ];
 
 impl Parameter {
-    /// Its name on the command line and in the manifest.
+    /// Returns its name on the command line and in the manifest.
     pub fn name(self) -> &'static str {
         match self {
             Self::RateScale => "rate_scale",
@@ -61,7 +61,7 @@ impl Parameter {
         }
     }
 
-    /// The unit that people read, and its value in the unit of the calculation.
+    /// Returns the unit that people read, and its value in the unit of the calculation.
     pub fn unit(self) -> (&'static str, f64) {
         match self {
             Self::OffsetX | Self::OffsetY => ("mm", 1.0),
@@ -70,7 +70,7 @@ impl Parameter {
         }
     }
 
-    /// Effect on a run; `None` for the rate, which is a factor of the removal.
+    /// Returns the effect on a run; `None` for the rate, which is a factor of the removal.
     pub fn effect(self) -> Option<Scalar> {
         Some(match self {
             Self::RateScale => return None,
@@ -91,9 +91,9 @@ impl Parameter {
         !is_ellipse || has_one_ellipse(tif)
     }
 
-    /// Usual scale of the parameter without knowledge of the machine: a standard error beyond it says less than
-    /// that. A rate off, or drifting, by 10 %, a part misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF
-    /// wider or longer by 10 %.
+    /// Returns the usual scale of the parameter without knowledge of the machine: a rate off, or drifting, by 10 %, a part
+    /// misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF wider or longer by 10 %. A standard error
+    /// beyond it says less than that.
     pub fn usual_scale(self) -> f64 {
         match self {
             Self::RateScale | Self::TifWidth | Self::TifEllipticity => 0.1,
@@ -104,26 +104,23 @@ impl Parameter {
         }
     }
 
-    /// The scale that a process states for it: the sizes of its errors together; the usual one where it states none.
+    /// Returns the scale that an error budget states for it: the root of the sum of squares of its errors; the usual scale
+    /// where it states none.
     pub fn scale_in(self, process: &ErrorBudget) -> f64 {
-        let stated = |scalar: Scalar| {
-            let of = |e: &&ProcessError| e.effect == Effect::Scalar(scalar);
-            process.errors.iter().filter(of).map(|e| e.size * e.size).sum::<f64>()
-        };
+        let mut sum = sum_of_squares(process, self.scalar());
         // An ellipticity of no stated direction has that size along the diagonal, too.
-        let sum = match (stated(self.scalar()), self) {
-            (0.0, Self::TifDiagonalEllipticity) => stated(Scalar::TifEllipticity),
-            (sum, _) => sum,
-        };
+        if sum == 0.0 && self == Self::TifDiagonalEllipticity {
+            sum = sum_of_squares(process, Scalar::TifEllipticity);
+        }
         if sum > 0.0 { sum.sqrt() } else { self.usual_scale() }
     }
 
-    /// The effect of a process that it is.
+    /// Returns the effect of an error that it is.
     pub fn scalar(self) -> Scalar {
         self.effect().unwrap_or(Scalar::RateScale)
     }
 
-    /// The kind of error of an error budget that it is.
+    /// Returns the kind of error of an error budget that it is.
     pub fn kind(self) -> Kind {
         match self {
             Self::RateScale => Kind::RateScale,
@@ -138,14 +135,20 @@ impl Parameter {
         }
     }
 
-    /// The parameter of this name.
+    /// Returns the parameter of this name.
     pub fn named(name: &str) -> Option<Self> {
         ALL.into_iter().find(|p| p.name() == name)
     }
 }
 
-/// Those of `names` (a setting of this name), each once; a name that is none is refused.
-pub fn parse(setting: &'static str, names: &[String]) -> Result<Vec<String>, Invalid> {
+/// Returns the sum of squares of the errors that have this effect.
+fn sum_of_squares(process: &ErrorBudget, scalar: Scalar) -> f64 {
+    let errors = process.errors.iter().filter(|e| e.effect == Effect::Scalar(scalar));
+    errors.map(|e| e.size * e.size).sum::<f64>()
+}
+
+/// Refuses a name in `setting` that is no parameter and no term of the metrology.
+pub(crate) fn check_names(setting: &'static str, names: &[String]) -> Result<(), Invalid> {
     let terms = crate::metrology::NAMES;
     for (i, name) in names.iter().enumerate() {
         if Parameter::named(name).is_none() && !terms.contains(&name.as_str()) {
@@ -154,5 +157,5 @@ pub fn parse(setting: &'static str, names: &[String]) -> Result<Vec<String>, Inv
             return Err(Invalid::at(setting, i, format!("is {name:?}"), remedy));
         }
     }
-    Ok(names.to_vec())
+    Ok(())
 }

@@ -14,30 +14,34 @@
 use nalgebra::{DMatrix, SMatrix};
 use planish_types::{Grid, Invalid, Transform};
 
-use crate::{fit::Fit, parameter::Parameter};
+use crate::{fit::LeastSquaresFit, parameter::Parameter};
 
 /// Parameters that decide where the tool acts, in the order of the derivatives below.
 const PLACE: [Parameter; 4] =
     [Parameter::OffsetX, Parameter::OffsetY, Parameter::Rotation, Parameter::Magnification];
 
-/// T' from T with these corrections, of which `covariance` is; `refused[i]` says whether the data do not determine
-/// unknown `i` of the fit.
-pub fn place(
+/// Returns the transform T' of the next plan from the transform `before` (T) of this one. `corrections` and their
+/// `covariance` belong to the unknowns of the fit; `refused[i]` is true if the data do not determine unknown `i`.
+/// `scale` is the standard deviation of a parameter as known beforehand.
+///
+/// # Errors
+/// Fails if T' is no valid transform.
+pub fn corrected_transform(
     before: Option<&Transform>,
-    fit: &Fit,
+    fit: &LeastSquaresFit,
     covariance: &DMatrix<f64>,
     corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
     grid: &Grid,
 ) -> Result<Transform, Invalid> {
-    let at = PLACE.map(|p| fit.parameters.iter().position(|q| *q == p));
-    let learnt = at.map(|i| i.filter(|i| !refused[*i]));
-    let [x, y, theta, magnification] = at.map(|i| i.map_or(0.0, |i| corrections[i]));
-    let of_place = SMatrix::<f64, 4, 4>::from_fn(|i, j| match (learnt[i], learnt[j]) {
+    let free = PLACE.map(|p| fit.parameters.iter().position(|q| *q == p));
+    let determined = free.map(|i| i.filter(|i| !refused[*i]));
+    let [x, y, theta, magnification] = free.map(|i| i.map_or(0.0, |i| corrections[i]));
+    let of_place = SMatrix::<f64, 4, 4>::from_fn(|i, j| match (determined[i], determined[j]) {
         (Some(a), Some(b)) => covariance[(a, b)],
         // Free and refused: known beforehand. Held: as in the plan.
-        (None, None) if i == j && at[i].is_some() => scale(PLACE[i]).powi(2),
+        (None, None) if i == j && free[i].is_some() => scale(PLACE[i]).powi(2),
         _ => 0.0,
     });
     let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
@@ -52,8 +56,8 @@ pub fn place(
     let matrix = m * n;
     // d image = -M N ds;  d(M N) = -M N (J dtheta + dm / m), with J a quarter turn
     let turn = matrix * SMatrix::<f64, 2, 2>::new(0.0, -1.0, 1.0, 0.0);
-    let column = |m: &SMatrix<f64, 2, 2>| [-m[(0, 0)], -m[(0, 1)], -m[(1, 0)], -m[(1, 1)]];
-    let [by_theta, by_m] = [column(&turn), column(&(matrix / (1.0 + magnification)))];
+    let [by_theta, by_m] = [turn, matrix / (1.0 + magnification)]
+        .map(|m| [-m[(0, 0)], -m[(0, 1)], -m[(1, 0)], -m[(1, 1)]]);
     let by = SMatrix::<f64, 6, 4>::from_fn(|i, j| match (i, j) {
         (0 | 1, 0 | 1) => -matrix[(i, j)],
         (2.., 2) => by_theta[i - 2],
@@ -61,11 +65,10 @@ pub fn place(
         _ => 0.0,
     });
     let six = by * of_place * by.transpose();
-    let both = |i: usize, j: usize| 0.5 * (six[(i, j)] + six[(j, i)]);
     Transform::new(
         std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)])),
         [middle[0] + x, middle[1] + y],
         image,
-        std::array::from_fn(|i| std::array::from_fn(|j| both(i, j))),
+        std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (six[(i, j)] + six[(j, i)]))),
     )
 }

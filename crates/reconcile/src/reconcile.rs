@@ -1,6 +1,6 @@
-//! Reconciliation of two maps and a plan.
+//! Reconciliation of two maps and a plan: the fits, the verdict on each parameter, and what the next plan gets.
 
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 use ndarray::Array2;
 use planish_simulate::{
     deviation::TURNS,
@@ -15,18 +15,18 @@ use planish_types::{
 };
 
 use crate::{
-    applied::{Joint, applied, hold},
+    applied::{Held, Joint, applied, hold},
     bands::{Maps, bands},
     contradictory,
     determined::{Part, Refusal, all_moves, contradicted, refusal, shown, wider_orders},
-    fit::{Data, Fit, Start, dot, fit},
+    fit::{Data, LeastSquaresFit, Start, dot, fit},
     left::left,
     metrology::{self, Term},
-    model::Model,
+    model::RemovalModel,
     parameter::{ALL, Parameter},
-    place::place,
+    place::corrected_transform,
     resample::{METHOD, are_same, resampled},
-    settings::Settings,
+    settings::ReconcileSettings,
 };
 
 /// Fewest valid pixels for every unknown.
@@ -80,20 +80,28 @@ pub struct Reconciled {
 }
 
 impl<'a> Comparison<'a> {
-    /// The TIF that errors move.
-    pub fn moved_tif(&self, settings: &Settings) -> Result<Tif, Invalid> {
-        match settings.tif_as_sampled {
-            true => Ok(self.tif.clone()),
-            false => smooth(self.tif, self.tif.width_mm()),
+    /// Returns the TIF that errors move: smoothed, unless the settings take it as sampled.
+    ///
+    /// # Errors
+    /// Fails if the TIF cannot be smoothed.
+    pub fn moved_tif(&self, settings: &ReconcileSettings) -> Result<Tif, Invalid> {
+        if settings.tif_as_sampled {
+            Ok(self.tif.clone())
+        } else {
+            smooth(self.tif, self.tif.width_mm())
         }
     }
 
-    /// before - after on the pixels that are valid in both.
+    /// Returns before - after on the pixels that are valid in both.
+    ///
+    /// # Errors
+    /// Fails if the maps have no common pixels, or too few for this number of unknowns.
     pub fn data(&self, unknowns: usize) -> Result<Data<'a>, Invalid> {
         let grid = self.before.grid();
-        let mut data = match are_same(grid, self.after.grid()) {
-            true => self.before.height_nm() - self.after.height_nm(),
-            false => self.before.height_nm() - resampled(self.after, grid)?.height_nm(),
+        let mut data = if are_same(grid, self.after.grid()) {
+            self.before.height_nm() - self.after.height_nm()
+        } else {
+            self.before.height_nm() - resampled(self.after, grid)?.height_nm()
         };
         let valid = data.mapv(|v| if v.is_nan() { 0.0 } else { 1.0 });
         data.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
@@ -124,10 +132,10 @@ struct Tools<'a> {
     continued: Option<[Tool<'a>; 2]>,
 }
 
-/// A fit, and what it is of.
-struct Found<'a> {
-    fit: Fit,
-    model: Model<'a>,
+/// A fit of the run, and its model.
+struct RunFit<'a> {
+    fit: LeastSquaresFit,
+    model: RemovalModel<'a>,
     /// The tool as it goes on beyond its samples, where that explains more of the data.
     continued: Option<&'a Tif>,
     /// Parameters that contradict what was known beforehand.
@@ -135,55 +143,57 @@ struct Found<'a> {
 }
 
 impl<'a> Tools<'a> {
-    /// The fit of the tool that explains most of the data, with these scales of what is known beforehand.
+    /// Fits every version of the tool and returns the fit with the smallest rest. `scale` is the standard deviation of a
+    /// parameter as known beforehand.
     fn best_fit(
         &self,
         parameters: &[Parameter],
         (terms, data): (&[Term], &Data<'_>),
         scale: impl Fn(Parameter) -> f64 + Copy,
-    ) -> Result<Found<'a>, Invalid> {
+    ) -> Result<RunFit<'a>, Invalid> {
         let Tool { runs, tif } = self.smooth;
-        let model = Model::new(runs, tif, parameters.to_vec(), scale);
+        let model = RemovalModel::new(runs, tif, parameters.to_vec(), scale);
         let start = Start::new(&model)?;
         let fit_of_plan = fit(&model, terms, data, &start)?;
-        let mut found = Found { fit: fit_of_plan, model, continued: None, released: Vec::new() };
+        let mut best = RunFit { fit: fit_of_plan, model, continued: None, released: Vec::new() };
         // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
         let as_sampled = self.as_sampled.map(|removal| (self.smooth, removal, None));
         let continued = self.continued.map(|[smooth, own]| (smooth, own.runs, Some(own.tif)));
         for (Tool { runs, tif }, removal, continued) in as_sampled.into_iter().chain(continued) {
-            let mut model = Model::new(runs, tif, parameters.to_vec(), scale);
+            let mut model = RemovalModel::new(runs, tif, parameters.to_vec(), scale);
             model.removal_from = Some(removal);
-            let from = Start::at(&model, found.fit.values[..parameters.len()].to_vec())?;
+            let from = Start::from_values(&model, best.fit.values[..parameters.len()].to_vec())?;
             let again = fit(&model, terms, data, &from)?;
-            if dot(&again.rest, &again.rest) < dot(&found.fit.rest, &found.fit.rest) {
-                found = Found { fit: again, model, continued, ..found };
+            if dot(&again.rest, &again.rest) < dot(&best.fit.rest, &best.fit.rest) {
+                best = RunFit { fit: again, model, continued, ..best };
             }
         }
-        Ok(found)
+        Ok(best)
     }
 
-    /// (1), by Gauss and Newton; again with the usual scale of what contradicts the data.
+    /// Fits equation (1) of the crate's documentation. Fits again with the usual scale for each parameter whose scale
+    /// contradicts the data.
     fn fit(
         &self,
         parameters: &[Parameter],
-        of: (&[Term], &Data<'_>),
+        (terms, data): (&[Term], &Data<'_>),
         scale: impl Fn(Parameter) -> f64 + Copy,
         metrology_order: Option<[usize; 2]>,
-    ) -> Result<Found<'a>, Invalid> {
+    ) -> Result<RunFit<'a>, Invalid> {
         let mut released: Vec<Parameter> = Vec::new();
         loop {
             let known = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
-            let found = self.best_fit(parameters, of, known)?;
-            match contradicted(&found.fit, of.1, metrology_order, known) {
+            let best = self.best_fit(parameters, (terms, data), known)?;
+            match contradicted(&best.fit, data, metrology_order, known) {
                 Some(parameter) => released.push(parameter),
-                None => return Ok(Found { released, ..found }),
+                None => return Ok(RunFit { released, ..best }),
             }
         }
     }
 }
 
 /// Parameters that the data determine, and their corrections in the next plan.
-struct Judged {
+struct JudgedFit {
     /// Reason for which a parameter is not determined.
     refusals: Vec<Option<String>>,
     /// Reason for which a parameter is held at the plan.
@@ -200,47 +210,46 @@ struct Judged {
     nothing: Option<String>,
 }
 
-impl Found<'_> {
-    /// Judges the fit; parameters that only inflate the errors of others are held, in `self.fit` too.
+impl RunFit<'_> {
+    /// Judges every parameter of the fit. Holds the parameters that only inflate the errors of others, in `self.fit` too.
     fn judge(
         &mut self,
         comparison: &Comparison<'_>,
-        settings: &Settings,
+        settings: &ReconcileSettings,
         (data, runs): (&Data<'_>, &Runs<'_>),
         scale: impl Fn(Parameter) -> f64,
-    ) -> Result<Judged, Invalid> {
-        let Self { fit: found, model, released, .. } = self;
-        let count = found.parameters.len();
-        let moved_by = all_moves(found, data, settings.metrology_order);
-        let of = |i: usize| {
-            let parameter = found.parameters[i];
-            match released.contains(&parameter) {
-                true => Some(Refusal::of_the_model(contradiction(found, i, scale(parameter)))),
-                false => refusal(found, i, scale(parameter), &moved_by[i]),
-            }
-        };
-        let judged: Vec<Option<Refusal>> = (0..count).map(of).collect();
-        let part_of = |i: usize| judged[i].as_ref().map_or(Part::Corrected, |r| r.part);
-        let reason = |r: &Option<Refusal>| r.as_ref().map(|r| r.reason.clone());
-        let mut refusals: Vec<Option<String>> = judged.iter().map(reason).collect();
-        let fitted = fitted(found, data, runs);
-        let before = comparison.before.height_nm();
-        let width_mm = comparison.tif.width_mm();
+    ) -> Result<JudgedFit, Invalid> {
+        let Self { fit, model, released, .. } = self;
+        let count = fit.parameters.len();
+        let moved_by = all_moves(fit, data, settings.metrology_order);
+        let mut judged: Vec<Option<Refusal>> = Vec::with_capacity(count);
+        for (i, parameter) in fit.parameters.iter().enumerate() {
+            let scale = scale(*parameter);
+            judged.push(if released.contains(parameter) {
+                Some(Refusal::of_the_model(contradiction(fit, i, scale)))
+            } else {
+                refusal(fit, i, scale, &moved_by[i])
+            });
+        }
+        let mut parts: Vec<Part> =
+            judged.iter().map(|r| r.as_ref().map_or(Part::Corrected, |r| r.part)).collect();
+        let mut refusals: Vec<Option<String>> =
+            judged.iter().map(|r| r.as_ref().map(|r| r.reason.clone())).collect();
         let judgement = contradictory::judge(
-            before,
+            comparison.before.height_nm(),
             data,
             &runs.executed,
-            found,
-            &fitted,
-            width_mm,
+            fit,
+            &fitted(fit, data, runs),
+            comparison.tif.width_mm(),
             settings.same_measurement,
         );
         let nothing = judgement.against;
         if nothing.is_some() {
             refusals.fill(Some("the maps do not show that they are of this run".into()));
         }
-        let with_all = Joint::new(found);
-        let mut uncertain = Joint::new(found);
+        let with_all = Joint::new(fit);
+        let mut uncertain = Joint::new(fit);
         // What moves with the metrology is uncertain along the move of all parameters together.
         let mut moves: Vec<usize> = judged.iter().flatten().filter_map(|r| r.moved).collect();
         moves.sort_unstable();
@@ -249,86 +258,106 @@ impl Found<'_> {
             let along: Vec<f64> = moved_by.iter().map(|m| m[k].0.by).collect();
             uncertain.widen(&along);
         }
-        let determined: Vec<usize> =
-            (0..count).filter(|i| part_of(*i) == Part::Corrected).collect();
+        let determined: Vec<usize> = (0..count).filter(|i| parts[*i] == Part::Corrected).collect();
         let spread = uncertain.spread(&determined, &model.scales);
-        let may_be_held = |i: usize| {
-            let p = found.parameters[i];
-            let is_asked_for = settings.free.iter().any(|name| name == p.name());
-            p != Parameter::RateScale && !is_asked_for && refusals[i].is_none()
-        };
-        let may: Vec<bool> = (0..count).map(may_be_held).collect();
+        let mut may_be_held: Vec<bool> = Vec::with_capacity(count);
+        for (parameter, refusal) in fit.parameters.iter().zip(&refusals) {
+            let is_requested = settings.free.iter().any(|name| name == parameter.name());
+            may_be_held
+                .push(*parameter != Parameter::RateScale && !is_requested && refusal.is_none());
+        }
         let spreads: Vec<f64> = model.scales.iter().map(|s| spread * s).collect();
-        let (held, without) = hold(found, &may, &spreads);
-        let why = |i: usize| held.iter().find(|h| h.index == i).map(|h| h.reason.clone());
-        let why_held: Vec<Option<String>> = (0..count).map(why).collect();
-        let part = |i: usize| if why_held[i].is_some() { Part::AtPlan } else { part_of(i) };
-        let parts: Vec<Part> = (0..count).map(part).collect();
+        let (held, without) = hold(fit, &may_be_held, &spreads);
+        let mut why_held: Vec<Option<String>> = vec![None; count];
+        for Held { index, reason } in &held {
+            why_held[*index] = Some(reason.clone());
+            parts[*index] = Part::AtPlan;
+        }
         let corrections = match nothing {
             Some(_) => vec![0.0; count],
             None => applied(uncertain, &parts, &model.scales),
         };
         if !held.is_empty() {
             let values = without.values.iter().copied().collect();
-            found.take(model, data, values, without.covariance)?;
+            fit.take(model, data, values, without.covariance)?;
         }
-        let state = |i: usize| match why_held[i] {
-            Some(_) => [with_all.values[i], with_all.standard_error(i)],
-            None => [found.values[i], found.standard_error(i)],
-        };
-        let stated = (0..count).map(state).collect();
+        let mut stated = Vec::with_capacity(count);
+        for (i, why) in why_held.iter().enumerate() {
+            stated.push(match why {
+                Some(_) => [with_all.values[i], with_all.standard_error(i)],
+                None => [fit.values[i], fit.standard_error(i)],
+            });
+        }
         let evidence = judgement.evidence;
-        Ok(Judged { refusals, why_held, corrections, stated, with_all, evidence, nothing })
+        Ok(JudgedFit { refusals, why_held, corrections, stated, with_all, evidence, nothing })
     }
 }
 
-impl Judged {
-    /// The estimates of all parameters, free or not.
-    fn estimates(&self, found: &Fit, tif: &Tif, scale: impl Fn(Parameter) -> f64) -> Vec<Estimate> {
-        let of = |p: Parameter| {
-            let mut estimate = estimate(found, p, scale(p), &self.refusals);
-            if !p.is_of(tif) {
-                estimate.held_because = Some(format!("held at the plan: the tool {TURNS}"));
-            }
-            if let Some(i) = found.parameters.iter().position(|q| *q == p) {
-                let factor = p.unit().1;
-                // No plan corrects a drift.
-                let is_corrected = p != Parameter::RateDrift;
-                estimate.applied = if is_corrected { self.corrections[i] / factor } else { 0.0 };
-                estimate.held_because = self.why_held[i].clone();
-                if estimate.held_because.is_some() {
-                    estimate.value = Some(self.stated[i][0] / factor);
-                    estimate.standard_error = Some(self.stated[i][1] / factor);
-                }
-            }
-            estimate
-        };
-        ALL.into_iter().map(of).collect()
+impl JudgedFit {
+    /// Returns the estimate of a parameter, free or not, whose standard deviation beforehand is `scale`.
+    fn estimate(
+        &self,
+        fit: &LeastSquaresFit,
+        tif: &Tif,
+        parameter: Parameter,
+        scale: f64,
+    ) -> Estimate {
+        let (unit, factor) = parameter.unit();
+        let index = fit.parameters.iter().position(|p| *p == parameter);
+        let mut estimate = estimate(fit, index, parameter.name(), unit, factor);
+        estimate.known_beforehand = Some(scale / factor);
+        if !parameter.is_of(tif) {
+            estimate.held_because = Some(format!("held at the plan: the tool {TURNS}"));
+        }
+        let Some(i) = index else { return estimate };
+        estimate.refused = self.refusals[i].clone();
+        if estimate.refused.is_some() {
+            estimate.value = None;
+        }
+        // No plan corrects a drift.
+        if parameter != Parameter::RateDrift {
+            estimate.applied = self.corrections[i] / factor;
+        }
+        estimate.held_because = self.why_held[i].clone();
+        if estimate.held_because.is_some() {
+            estimate.value = Some(self.stated[i][0] / factor);
+            estimate.standard_error = Some(self.stated[i][1] / factor);
+        }
+        estimate
     }
 }
 
-/// Removal of the run, measured and planned, and the rest of a fit.
-fn fitted(found: &Fit, data: &Data<'_>, runs: &Runs<'_>) -> Fitted {
-    let measured = &data.data - &found.metrology;
+/// Returns the RMS of the measured removal, of its difference to the plan, and of the rest of a fit.
+fn fitted(fit: &LeastSquaresFit, data: &Data<'_>, runs: &Runs<'_>) -> Fitted {
+    let measured = &data.data - &fit.metrology;
     Fitted {
         measured_removal_rms_nm: rms(&measured, &data.valid),
         measured_less_planned_rms_nm: rms(&(&measured - &runs.executed), &data.valid),
-        rest_rms_nm: rms(&found.rest, &data.valid),
+        rest_rms_nm: rms(&fit.rest, &data.valid),
     }
 }
 
-/// Result of a reconciliation: the parameters and the corrections.
-pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
+/// Estimates the parameters of a run from the maps before and after it, with the corrections of the next run.
+///
+/// # Errors
+/// Fails if the settings name no parameter of this tool, if the maps have too few valid pixels in common, or if the tool
+/// differs between directions of motion.
+pub fn reconcile(
+    comparison: &Comparison<'_>,
+    settings: &ReconcileSettings,
+) -> Result<Reconciled, Invalid> {
     comparison.tif.same_in_all_directions("planish-reconcile")?;
     let (parameters, terms) = settings.chosen(|p| p.is_of(comparison.tif))?;
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
     let runs_of = |tif, moved| Runs::new(comparison.trajectory, tif, moved, data.grid);
     let runs = runs_of(comparison.tif, &moved)?;
-    let (as_sampled, with_tail) = match settings.tif_as_sampled {
-        true => (None, None),
-        false => (Some(runs_of(comparison.tif, comparison.tif)?), tail::continued(comparison.tif)?),
-    };
+    let mut as_sampled = None;
+    let mut with_tail = None;
+    if !settings.tif_as_sampled {
+        as_sampled = Some(runs_of(comparison.tif, comparison.tif)?);
+        with_tail = tail::continued(comparison.tif)?;
+    }
     let smooth_tail = with_tail.as_ref().map(|t| smooth(t, t.width_mm())).transpose()?;
     let tails = with_tail.as_ref().zip(smooth_tail.as_ref());
     let tails = tails.map(|(t, smooth)| Ok((runs_of(t, smooth)?, runs_of(t, t)?))).transpose()?;
@@ -342,71 +371,80 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     };
     let scale =
         |p: Parameter| comparison.error_budget.map_or(p.usual_scale(), |file| p.scale_in(file));
-    let mut found = tools.fit(&parameters, (&terms, &data), scale, settings.metrology_order)?;
-    let judged = found.judge(comparison, settings, (&data, &runs), scale)?;
-    result(comparison, settings, (&data, &runs), (&found, &judged), scale)
+    let mut run_fit = tools.fit(&parameters, (&terms, &data), scale, settings.metrology_order)?;
+    let judged = run_fit.judge(comparison, settings, (&data, &runs), scale)?;
+    result(comparison, settings, (&data, &runs), (&run_fit, &judged), scale)
 }
 
-/// Numbers, maps, and what the next plan has of a fit that was judged.
+/// Collects the numbers and the maps of a fit that was judged, and what the next plan gets of it.
 fn result(
     comparison: &Comparison<'_>,
-    settings: &Settings,
+    settings: &ReconcileSettings,
     (data, runs): (&Data<'_>, &Runs<'_>),
-    (fit_of_run, judged): (&Found<'_>, &Judged),
+    (run_fit, judged): (&RunFit<'_>, &JudgedFit),
     scale: impl Fn(Parameter) -> f64 + Copy,
 ) -> Result<Reconciled, Invalid> {
-    let Found { fit: found, model, continued, released, .. } = fit_of_run;
-    let Judged { refusals, corrections, stated, with_all, evidence, nothing, .. } = judged;
+    let RunFit { fit, model, continued, released, .. } = run_fit;
+    let JudgedFit { refusals, corrections, stated, with_all, evidence, nothing, .. } = judged;
     let tool = continued.unwrap_or(comparison.tif);
     let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
-    let measured = &data.data - &found.metrology;
-    let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
+    let measured = &data.data - &fit.metrology;
+    let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &fit.removal };
+    let parameters = ALL.map(|p| judged.estimate(fit, comparison.tif, p, scale(p)));
+    let is_resampled = !are_same(data.grid, comparison.after.grid());
     let outcome = ReconciliationOutcome {
-        parameters: judged.estimates(found, comparison.tif, scale),
-        metrology: metrology_estimates(found, settings),
-        ellipse: ellipse(found, refusals),
-        correlation_of: found.names(),
-        singular_values: found.singular_values.clone(),
-        noise: found.noise.noise,
-        fitted: fitted(found, data, runs),
+        parameters: parameters.into(),
+        metrology: metrology_estimates(fit, settings),
+        ellipse: ellipse(fit, refusals),
+        correlation_of: fit.names(),
+        singular_values: fit.singular_values.clone(),
+        noise: fit.noise.noise,
+        fitted: fitted(fit, data, runs),
         bands: bands(&maps, &data.valid, data.grid, comparison.tif.width_mm()),
-        end: found.end.to_string(),
-        points: found.points,
+        end: fit.end.to_string(),
+        points: fit.points,
         tried_orders: wider_orders(settings.metrology_order),
         tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
         tif_is_continued: continued.is_some(),
-        resampled: (!are_same(data.grid, comparison.after.grid())).then(|| METHOD.into()),
+        resampled: if is_resampled { Some(METHOD.into()) } else { None },
         evidence: *evidence,
         explains_nothing: nothing.clone(),
     };
-    let with_nan = |map: &Array2<f64>| {
-        let mut map = map.clone();
-        map.zip_mut_with(&data.valid, |v, valid| *v = if *valid == 0.0 { f64::NAN } else { *v });
-        map
-    };
-    let n = found.values.len();
+    let n = fit.values.len();
     let known: Vec<(Parameter, f64)> =
-        found.parameters.iter().copied().zip(corrections.iter().copied()).collect();
-    let transform = {
-        let (before, covariance) = (comparison.transform, &with_all.covariance);
-        place(before, found, covariance, corrections, &refused, scale, data.grid)?
-    };
+        fit.parameters.iter().copied().zip(corrections.iter().copied()).collect();
+    let covariance = &with_all.covariance;
     Ok(Reconciled {
-        drawback: nothing.clone().or_else(|| drawback(settings, found, refusals, released)),
-        correlation: Array2::from_shape_fn((n, n), |(i, j)| found.correlation(i, j)),
-        measured_nm: with_nan(&measured),
+        drawback: nothing.clone().or_else(|| drawback(settings, fit, refusals, released)),
+        correlation: Array2::from_shape_fn((n, n), |(i, j)| fit.correlation(i, j)),
+        measured_nm: with_nan(&measured, &data.valid),
         planned_nm: runs.executed.clone(),
-        predicted_nm: found.removal.clone(),
-        metrology_nm: found.metrology.clone(),
-        rest_nm: with_nan(&found.rest),
-        tif: Model::corrected_tif(tool, &known)?,
-        transform,
-        error_budget: left(comparison.error_budget, found, stated, corrections, &refused, scale),
+        predicted_nm: fit.removal.clone(),
+        metrology_nm: fit.metrology.clone(),
+        rest_nm: with_nan(&fit.rest, &data.valid),
+        tif: RemovalModel::corrected_tif(tool, &known)?,
+        transform: corrected_transform(
+            comparison.transform,
+            fit,
+            covariance,
+            corrections,
+            &refused,
+            scale,
+            data.grid,
+        )?,
+        error_budget: left(comparison.error_budget, fit, stated, corrections, &refused, scale),
         outcome,
     })
 }
 
-/// RMS over the valid pixels, mean removed.
+/// Returns the map with NaN where it is invalid.
+fn with_nan(map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
+    let mut map = map.clone();
+    map.zip_mut_with(valid, |v, valid| *v = if *valid == 0.0 { f64::NAN } else { *v });
+    map
+}
+
+/// Returns the RMS over the valid pixels, mean removed.
 fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     let count = valid.sum();
     let mean = (map * valid).sum() / count;
@@ -414,80 +452,90 @@ fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     (square / count).sqrt()
 }
 
-fn estimate(fit: &Fit, parameter: Parameter, scale: f64, refusals: &[Option<String>]) -> Estimate {
-    let (unit, factor) = parameter.unit();
-    let at = fit.parameters.iter().position(|p| *p == parameter);
-    let refused = at.and_then(|i| refusals[i].clone());
-    let inflation = at.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
+/// Returns what the fit says of the unknown at `index`, in units of `factor`; nothing of one that is held (`None`).
+fn estimate(
+    fit: &LeastSquaresFit,
+    index: Option<usize>,
+    name: &str,
+    unit: &str,
+    factor: f64,
+) -> Estimate {
+    let inflation = index.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
+    let with_error = index.filter(|_| inflation.is_some());
     Estimate {
-        name: parameter.name().into(),
+        name: name.into(),
         unit: unit.into(),
-        value: at.filter(|_| refused.is_none()).map(|i| fit.values[i] / factor),
-        standard_error: at.filter(|_| inflation.is_some()).map(|i| fit.standard_error(i) / factor),
-        known_beforehand: Some(scale / factor),
+        value: index.map(|i| fit.values[i] / factor),
+        standard_error: with_error.map(|i| fit.standard_error(i) / factor),
+        known_beforehand: None,
         variance_inflation: inflation,
-        refused,
-        held: at.is_none(),
+        refused: None,
+        held: index.is_none(),
         held_because: None,
         applied: 0.0,
     }
 }
 
-fn metrology_estimates(fit: &Fit, settings: &Settings) -> Vec<Estimate> {
-    let all = metrology::terms(settings.metrology_order);
-    let one = |term: Term| {
-        let at = fit.terms.iter().position(|t| *t == term).map(|k| fit.parameters.len() + k);
-        let inflation = at.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
-        let refused = at.filter(|_| inflation.is_none());
-        let refused = refused.map(|_| String::from("the data do not tell it from the others"));
-        Estimate {
-            name: term.name(),
-            unit: "nm RMS".into(),
-            value: at.filter(|_| inflation.is_some()).map(|i| fit.values[i]),
-            standard_error: at.filter(|_| inflation.is_some()).map(|i| fit.standard_error(i)),
-            known_beforehand: None,
-            variance_inflation: inflation,
-            refused,
-            held: at.is_none(),
-            held_because: None,
-            applied: 0.0,
+/// Returns the estimates of all terms of the metrology, nm RMS.
+fn metrology_estimates(fit: &LeastSquaresFit, settings: &ReconcileSettings) -> Vec<Estimate> {
+    let mut estimates = Vec::new();
+    for term in metrology::terms(settings.metrology_order) {
+        let index = fit.terms.iter().position(|t| *t == term).map(|k| fit.parameters.len() + k);
+        let mut estimate = estimate(fit, index, &term.name(), "nm RMS", 1.0);
+        if index.is_some() && estimate.variance_inflation.is_none() {
+            estimate.value = None;
+            estimate.refused = Some("the data do not tell it from the others".into());
         }
-    };
-    all.into_iter().map(one).collect()
+        estimates.push(estimate);
+    }
+    estimates
 }
 
-/// e = (E^2 + D^2)^1/2 along phi = atan2(D, E) / 2, and their standard errors to first order.
-fn ellipse(fit: &Fit, refusals: &[Option<String>]) -> Option<Ellipse> {
-    let at = |p: Parameter| {
-        let i = fit.parameters.iter().position(|q| *q == p)?;
-        refusals[i].is_none().then_some(i)
-    };
-    let i = at(Parameter::TifEllipticity)?;
-    let j = at(Parameter::TifDiagonalEllipticity)?;
-    let (e, d) = (fit.values[i], fit.values[j]);
+/// Returns the ellipticity e = (E^2 + D^2)^1/2 along phi = atan2(D, E) / 2, and their standard errors to first order.
+/// `None` if the data do not determine E and D.
+fn ellipse(fit: &LeastSquaresFit, refusals: &[Option<String>]) -> Option<Ellipse> {
+    let i = determined_index(fit, refusals, Parameter::TifEllipticity)?;
+    let j = determined_index(fit, refusals, Parameter::TifDiagonalEllipticity)?;
+    let e = fit.values[i];
+    let d = fit.values[j];
     let size = e.hypot(d);
     if size == 0.0 {
         return None;
     }
     let c = &fit.covariance;
     let covariance = Matrix2::new(c[(i, i)], c[(i, j)], c[(i, j)], c[(j, j)]);
-    let error = |along: [f64; 2]| {
-        let v = nalgebra::Vector2::from(along);
-        (v.transpose() * covariance * v)[0].max(0.0).sqrt()
-    };
-    let standard_error = error([e / size, d / size]);
-    let has_direction = size > NO_DIRECTION * standard_error;
-    Some(Ellipse {
+    let standard_error = error_along(&covariance, [e / size, d / size]);
+    let mut ellipse = Ellipse {
         ellipticity_percent: 100.0 * size,
         standard_error_percent: 100.0 * standard_error,
-        direction_deg: has_direction.then(|| (0.5 * d.atan2(e)).to_degrees()),
-        direction_standard_error_deg: has_direction
-            .then(|| (0.5 * error([-d / size, e / size]) / size).to_degrees()),
-    })
+        direction_deg: None,
+        direction_standard_error_deg: None,
+    };
+    if size > NO_DIRECTION * standard_error {
+        let error = error_along(&covariance, [-d / size, e / size]);
+        ellipse.direction_deg = Some((0.5 * d.atan2(e)).to_degrees());
+        ellipse.direction_standard_error_deg = Some((0.5 * error / size).to_degrees());
+    }
+    Some(ellipse)
 }
 
-/// Message on parameter `i`, whose scale contradicts the data.
-fn contradiction(fit: &Fit, i: usize, scale: f64) -> String {
+/// Returns the index of a parameter that the data determine.
+fn determined_index(
+    fit: &LeastSquaresFit,
+    refusals: &[Option<String>],
+    parameter: Parameter,
+) -> Option<usize> {
+    fit.parameters.iter().position(|p| *p == parameter).filter(|i| refusals[*i].is_none())
+}
+
+/// Returns the standard error along the unit vector `along`.
+fn error_along(covariance: &Matrix2<f64>, along: [f64; 2]) -> f64 {
+    let v = Vector2::from(along);
+    (v.transpose() * covariance * v)[0].max(0.0).sqrt()
+}
+
+/// Returns the message on parameter `i`, whose scale contradicts the data.
+fn contradiction(fit: &LeastSquaresFit, i: usize, scale: f64) -> String {
     let parameter = fit.parameters[i];
     format!(
         "the data contradict the {} that are known beforehand: without them they give {} +- {}; the other parameters are \
@@ -498,9 +546,10 @@ fn contradiction(fit: &Fit, i: usize, scale: f64) -> String {
     )
 }
 
+/// Returns the reason for a negative verdict, if there is one.
 fn drawback(
-    settings: &Settings,
-    fit: &Fit,
+    settings: &ReconcileSettings,
+    fit: &LeastSquaresFit,
     refusals: &[Option<String>],
     released: &[Parameter],
 ) -> Option<String> {
@@ -511,14 +560,17 @@ fn drawback(
             names.join(", ")
         ));
     }
-    let wanted = |p: &Parameter| settings.free.iter().any(|name| name == p.name());
-    let refused: Vec<&str> = (0..refusals.len())
-        .filter(|i| refusals[*i].is_some() && wanted(&fit.parameters[*i]))
-        .map(|i| fit.parameters[i].name())
+    let names = fit.parameters.iter().map(|p| p.name());
+    let refused: Vec<&str> = names
+        .zip(refusals)
+        .filter(|(name, refusal)| refusal.is_some() && settings.free.iter().any(|n| n == name))
+        .map(|(name, _)| name)
         .collect();
     if !refused.is_empty() {
         return Some(format!("the data do not determine {}", refused.join(", ")));
     }
-    let all = !refusals.is_empty() && refusals.iter().all(Option::is_some);
-    all.then(|| "the data determine none of the parameters".into())
+    if !refusals.is_empty() && refusals.iter().all(Option::is_some) {
+        return Some("the data determine none of the parameters".into());
+    }
+    None
 }

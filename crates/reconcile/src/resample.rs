@@ -14,62 +14,63 @@ const SAME_PLACE: f64 = 1e-3;
 /// Samples along each axis.
 const SAMPLES: usize = 6;
 
-/// The method, for people.
+/// Name of the method, for people.
 pub const METHOD: &str = "Lagrange interpolation of degree five along each axis";
 
 /// Returns true if both grids have the same pixels.
 pub fn are_same(a: &Grid, b: &Grid) -> bool {
-    let near = |a: f64, b: f64, step: f64| (a - b).abs() <= SAME_PLACE * step;
-    let axis = |a: &Axis, b: &Axis| {
+    [(&a.x, &b.x), (&a.y, &b.y)].into_iter().all(|(a, b)| {
+        let tolerance = SAME_PLACE * a.step_mm();
         a.len() == b.len()
-            && near(a.start_mm(), b.start_mm(), a.step_mm())
-            && near(a.end_mm(), b.end_mm(), a.step_mm())
-    };
-    axis(&a.x, &b.x) && axis(&a.y, &b.y)
+            && (a.start_mm() - b.start_mm()).abs() <= tolerance
+            && (a.end_mm() - b.end_mm()).abs() <= tolerance
+    })
 }
 
-/// First sample and weights for every coordinate of `to`; `None` outside of `from`.
-fn weights(from: &Axis, to: &Axis) -> Vec<Option<(usize, Vec<f64>)>> {
-    let of = |i: usize| {
-        let at = (to.at(i) - from.start_mm()) / from.step_mm();
-        let nearest = at.round();
-        if (at - nearest).abs() <= SAME_PLACE {
-            let inside = nearest >= 0.0 && nearest < from.len() as f64;
-            return inside.then(|| (nearest as usize, vec![1.0]));
-        }
-        let first = at.floor() - (SAMPLES / 2 - 1) as f64;
-        if first < 0.0 || first + SAMPLES as f64 > from.len() as f64 {
-            return None;
-        }
-        let u = at - first;
-        let weight = |j: usize| {
-            let others = (0..SAMPLES).filter(|k| *k != j);
-            others.map(|k| (u - k as f64) / (j as f64 - k as f64)).product()
-        };
-        Some((first as usize, (0..SAMPLES).map(weight).collect()))
-    };
-    (0..to.len()).map(of).collect()
+/// Returns the first sample and the weights of the samples from it on, for the coordinate `to_mm`; `None` outside of
+/// `from`.
+fn weights(from: &Axis, to_mm: f64) -> Option<(usize, Vec<f64>)> {
+    let position = (to_mm - from.start_mm()) / from.step_mm();
+    let nearest = position.round();
+    if (position - nearest).abs() <= SAME_PLACE {
+        let is_inside = nearest >= 0.0 && nearest < from.len() as f64;
+        return if is_inside { Some((nearest as usize, vec![1.0])) } else { None };
+    }
+    let first = position.floor() - (SAMPLES / 2 - 1) as f64;
+    if first < 0.0 || first + SAMPLES as f64 > from.len() as f64 {
+        return None;
+    }
+    // w_j = prod over k != j of (u - k) / (j - k)
+    let u = position - first;
+    let mut weights = Vec::with_capacity(SAMPLES);
+    for j in 0..SAMPLES {
+        let others = (0..SAMPLES).filter(|k| *k != j);
+        weights.push(others.map(|k| (u - k as f64) / (j as f64 - k as f64)).product());
+    }
+    Some((first as usize, weights))
 }
 
-/// `map` on the pixels of `grid`, invalid where it has too few samples.
+/// Returns `map` on the pixels of `grid`, NaN where it has too few samples.
+///
+/// # Errors
+/// Fails if no pixel of `grid` lies within the valid samples of the map.
 pub fn resampled(map: &Surface, grid: &Grid) -> Result<Surface, Invalid> {
-    let x = weights(&map.grid().x, &grid.x);
-    let y = weights(&map.grid().y, &grid.y);
+    let [x, y] = [(&map.grid().x, &grid.x), (&map.grid().y, &grid.y)]
+        .map(|(from, to)| (0..to.len()).map(|i| weights(from, to.at(i))).collect::<Vec<_>>());
     let height = map.height_nm();
-    let at = |(r, c): (usize, usize)| {
+    let height_nm = Array2::from_shape_fn(grid.shape(), |(r, c)| {
         let (Some((r0, rows)), Some((c0, columns))) = (&y[r], &x[c]) else { return f64::NAN };
         let row = |i: usize| {
             columns.iter().enumerate().map(|(j, w)| w * height[[r0 + i, c0 + j]]).sum::<f64>()
         };
         rows.iter().enumerate().map(|(i, w)| w * row(i)).sum()
-    };
-    let found = Array2::from_shape_fn(grid.shape(), at);
-    if found.iter().all(|v| v.is_nan()) {
+    });
+    if height_nm.iter().all(|v| v.is_nan()) {
         let problem = "has no pixel within the map before";
         let remedy = "give two maps of the same part in the same coordinates";
         return Err(Invalid::whole("height_nm", problem, remedy));
     }
-    Surface::new(*grid, found)
+    Surface::new(*grid, height_nm)
 }
 
 #[cfg(test)]

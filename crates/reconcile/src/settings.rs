@@ -15,7 +15,7 @@ const LARGEST_ORDER: usize = 12;
 
 /// Settings of a reconciliation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Settings {
+pub struct ReconcileSettings {
     /// Names of the free parameters and terms; all if none is given. If a parameter is named and the data do not
     /// determine it, the verdict is negative.
     pub free: Vec<String>,
@@ -30,14 +30,19 @@ pub struct Settings {
     pub same_measurement: bool,
 }
 
-impl Settings {
-    /// The free parameters and terms of the metrology, for a tool that has the parameters `has`.
+impl ReconcileSettings {
+    /// Returns the free parameters and terms of the metrology, for a tool that has the parameters `has`.
+    ///
+    /// # Errors
+    /// Refuses unknown names, names that are free and held, parameters that the tool does not have, and orders that are
+    /// too large.
     pub fn chosen(
         &self,
         has: impl Fn(Parameter) -> bool,
     ) -> Result<(Vec<Parameter>, Vec<Term>), Invalid> {
-        let free = parameter::parse("free", &self.free)?;
-        let hold = parameter::parse("hold", &self.hold)?;
+        let Self { free, hold, .. } = self;
+        parameter::check_names("free", free)?;
+        parameter::check_names("hold", hold)?;
         if let Some((i, name)) = hold.iter().enumerate().find(|(_, n)| free.contains(n)) {
             let remedy = "a parameter is free or held; leave one out";
             return Err(Invalid::at("hold", i, format!("is {name:?}, which is free"), remedy));
@@ -55,14 +60,12 @@ impl Settings {
             return Err(Invalid::at("metrology_order", axis, problem, remedy));
         }
         // Terms of the metrology stay free where parameters are named: no map has the piston of another.
-        let named = |name: &str, names: &[String]| names.iter().any(|n| n == name);
         let parameters_named = free.iter().any(|n| Parameter::named(n).is_some());
-        let parameters = parameter::ALL
-            .into_iter()
-            .filter(|p| (!parameters_named || named(p.name(), &free)) && !named(p.name(), &hold))
-            .filter(|p| has(*p));
-        let terms = metrology::terms(self.metrology_order);
-        let terms = terms.into_iter().filter(|t| !named(&t.name(), &hold)).collect();
-        Ok((parameters.collect(), terms))
+        let mut parameters = parameter::ALL.to_vec();
+        parameters.retain(|p| !parameters_named || free.iter().any(|n| n == p.name()));
+        parameters.retain(|p| !hold.iter().any(|n| n == p.name()) && has(*p));
+        let mut terms = metrology::terms(self.metrology_order);
+        terms.retain(|t| !hold.contains(&t.name()));
+        Ok((parameters, terms))
     }
 }

@@ -3,7 +3,9 @@
 
 use crate::example::{before, gaussian, grid, planned, raster};
 use ndarray::Array2;
-use planish_reconcile::{Comparison, Reconciled, Settings, parameter::Parameter, reconcile};
+use planish_reconcile::{
+    Comparison, ReconcileSettings, Reconciled, parameter::Parameter, reconcile,
+};
 use planish_simulate::{
     SimulationSettings as Simulation,
     error_budget::{ErrorBudget, ErrorBudgetFile, Kind},
@@ -76,7 +78,11 @@ fn learnt(
         error_budget: process,
         transform,
     };
-    let settings = Settings { tif_as_sampled: true, same_measurement: true, ..Settings::default() };
+    let settings = ReconcileSettings {
+        tif_as_sampled: true,
+        same_measurement: true,
+        ..ReconcileSettings::default()
+    };
     reconcile(&comparison, &settings).unwrap()
 }
 

@@ -4,12 +4,12 @@ use crate::example::{before, gaussian, grid, planned, raster};
 use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_reconcile::{
-    Comparison, Reconciled, Settings,
+    Comparison, ReconcileSettings, Reconciled,
     applied::Joint,
     determined::{moves, wider_orders},
     fit::{Start, fit},
     metrology::terms,
-    model::{Model, STEP},
+    model::{RemovalModel, STEP},
     parameter::{ALL, Parameter},
     reconcile,
 };
@@ -33,7 +33,7 @@ fn after(removal: &Array2<f64>, more: impl Fn(f64, f64) -> f64) -> Surface {
     Surface::new(grid, before().height_nm() - removal + more).unwrap()
 }
 
-fn learnt(after: &Surface, settings: &Settings) -> Reconciled {
+fn learnt(after: &Surface, settings: &ReconcileSettings) -> Reconciled {
     let (before, trajectory, tif) = (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0));
     let comparison = Comparison {
         before: &before,
@@ -43,7 +43,8 @@ fn learnt(after: &Surface, settings: &Settings) -> Reconciled {
         error_budget: None,
         transform: None,
     };
-    reconcile(&comparison, &Settings { same_measurement: true, ..settings.clone() }).unwrap()
+    reconcile(&comparison, &ReconcileSettings { same_measurement: true, ..settings.clone() })
+        .unwrap()
 }
 
 fn value(found: &Reconciled, parameter: Parameter) -> f64 {
@@ -77,7 +78,10 @@ fn what_was_planted_by_other_means_is_found() {
     let measured = after(&removal(&raster(&place), &tif), |x, y| {
         2.0 - 0.1 * x + 0.05 * y + 0.01 * x * x + 0.01 * y * y
     });
-    let found = learnt(&measured, &Settings { tif_as_sampled: true, ..Settings::default() });
+    let found = learnt(
+        &measured,
+        &ReconcileSettings { tif_as_sampled: true, ..ReconcileSettings::default() },
+    );
     // Keys' convolution of the stretched TIF errs by 1e-3 of the peak at three samples per sigma, and the width and the
     // ellipticities are second derivatives; the others follow from the removal itself.
     for (parameter, expected, bound) in [
@@ -113,7 +117,7 @@ fn derivatives_are_those_of_the_removal() {
     let grid = grid();
     let runs = Runs::new(&trajectory, &tif, &tif, &grid).unwrap();
     let by_steps = |parameter: Parameter, step: f64| {
-        let mut model = Model::new(&runs, &tif, vec![parameter], Parameter::usual_scale);
+        let mut model = RemovalModel::new(&runs, &tif, vec![parameter], Parameter::usual_scale);
         model.step = step;
         model.linear(&[0.0]).unwrap().1.swap_remove(0)
     };
@@ -155,8 +159,8 @@ fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
     let (before, trajectory, tif, grid) =
         (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0), grid());
     let runs = Runs::new(&trajectory, &tif, &tif, &grid).unwrap();
-    let (parameters, terms) = Settings::default().chosen(|_| true).unwrap();
-    let model = Model::new(&runs, &tif, parameters, Parameter::usual_scale);
+    let (parameters, terms) = ReconcileSettings::default().chosen(|_| true).unwrap();
+    let model = RemovalModel::new(&runs, &tif, parameters, Parameter::usual_scale);
     let start = Start::new(&model).unwrap();
     let (mut within, mut of, mut squares) = (0.0, 0.0, 0.0);
     for seed in 0..30 {
@@ -202,7 +206,11 @@ fn what_the_data_do_not_determine_is_refused_by_name_and_with_the_reason() {
     // As many terms as describe the removal itself leave nothing that would tell its scale.
     let order = Some([10, 8]);
     let wanted = vec!["rate_scale".to_string(), "tif_width".to_string()];
-    let settings = Settings { metrology_order: order, free: wanted.clone(), ..Settings::default() };
+    let settings = ReconcileSettings {
+        metrology_order: order,
+        free: wanted.clone(),
+        ..ReconcileSettings::default()
+    };
     let found = learnt(&measured, &settings);
     let reason = refusal(&found, Parameter::RateScale).unwrap();
     assert!(
@@ -217,7 +225,8 @@ fn what_the_data_do_not_determine_is_refused_by_name_and_with_the_reason() {
         assert_eq!(found.tif.rate_nm_per_s(), tif.rate_nm_per_s());
     }
     // Without the terms both are found, and nobody complains.
-    let found = learnt(&measured, &Settings { free: wanted, ..Settings::default() });
+    let found =
+        learnt(&measured, &ReconcileSettings { free: wanted, ..ReconcileSettings::default() });
     assert!(found.drawback.is_none(), "{:?}", found.outcome.parameters);
     // Regression bound: 2e-3 % was seen.
     assert!((value(&found, Parameter::RateScale) - 3.0).abs() < 0.05);
@@ -250,7 +259,11 @@ fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
             error_budget: Some(process),
             transform: None,
         };
-        reconcile(&comparison, &Settings { same_measurement: true, ..Settings::default() }).unwrap()
+        reconcile(
+            &comparison,
+            &ReconcileSettings { same_measurement: true, ..ReconcileSettings::default() },
+        )
+        .unwrap()
     };
     let found = learnt(&process(0.1));
     let reason = refusal(&found, Parameter::RateScale).unwrap();
@@ -282,7 +295,7 @@ fn a_move_with_the_metrology_is_that_of_the_wider_fit() {
         (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0), grid());
     let runs = Runs::new(&trajectory, &tif, &tif, &grid).unwrap();
     let few = vec![Parameter::RateScale, Parameter::OffsetX, Parameter::OffsetY];
-    let model = Model::new(&runs, &tif, few, Parameter::usual_scale);
+    let model = RemovalModel::new(&runs, &tif, few, Parameter::usual_scale);
     let start = Start::new(&model).unwrap();
     let comparison = Comparison {
         before: &before,
@@ -312,7 +325,7 @@ fn pixels_that_are_invalid_in_one_of_the_maps_are_left_out() {
     let mut height =
         after(&removal(&planned(), &gaussian(1.02, 1.0, 1.0, 0.0)), |_, _| 0.0).height_nm().clone();
     height[[10, 20]] = f64::NAN;
-    let found = learnt(&Surface::new(grid(), height).unwrap(), &Settings::default());
+    let found = learnt(&Surface::new(grid(), height).unwrap(), &ReconcileSettings::default());
     assert_eq!(found.outcome.noise.pixels, 61 * 41 - 3);
     for at in [[3, 7], [30, 50], [10, 20]] {
         assert!(found.rest_nm[at].is_nan() && found.measured_nm[at].is_nan());

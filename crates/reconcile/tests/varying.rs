@@ -3,7 +3,7 @@
 
 use crate::known::{Figure, NODES, REACH_SIGMA, middle, motion, normal, path_over, planned};
 use ndarray::Array2;
-use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
+use planish_reconcile::{Comparison, ReconcileSettings, Reconciled, reconcile};
 use planish_types::{
     Axis, AzimuthWeights, Grid, PixelFactor, Pose, Surface, Tif, TimeFactor, Trajectory, VaryingTif,
 };
@@ -153,11 +153,12 @@ fn learn(
     (before, after): (&Surface, &Surface),
     trajectory: &Trajectory,
     tif: &Tif,
-    settings: &Settings,
+    settings: &ReconcileSettings,
 ) -> Reconciled {
     let comparison =
         Comparison { before, after, trajectory, tif, error_budget: None, transform: None };
-    reconcile(&comparison, &Settings { same_measurement: true, ..settings.clone() }).unwrap()
+    reconcile(&comparison, &ReconcileSettings { same_measurement: true, ..settings.clone() })
+        .unwrap()
 }
 
 /// A run of a seed, of a rate that falls by a tenth where `wears`, and what is learnt of it.
@@ -179,7 +180,7 @@ fn run(seed: u64, wears: bool) -> (Truth, Reconciled) {
     let before = Surface::new(grid(), &real + &noise()).unwrap();
     let after = Surface::new(grid(), &real - &removal + &noise()).unwrap();
     let tif = tool(time);
-    (truth, learn((&before, &after), &trajectory, &tif, &Settings::default()))
+    (truth, learn((&before, &after), &trajectory, &tif, &ReconcileSettings::default()))
 }
 
 /// Rate, displacement, drift and width that a run was given come back within their standard errors, with all other
@@ -272,7 +273,7 @@ fn a_constant_tool_in_two_kernels_gives_the_numbers_of_one() {
     .unwrap();
     assert!(two.variation().is_some());
     for tif_as_sampled in [false, true] {
-        let settings = Settings { tif_as_sampled, ..Settings::default() };
+        let settings = ReconcileSettings { tif_as_sampled, ..ReconcileSettings::default() };
         let [a, b] = [&one, &two].map(|tif| learn((&before, &after), &trajectory, tif, &settings));
         for (a, b) in a.outcome.parameters.iter().zip(&b.outcome.parameters) {
             assert_eq!((a.refused.is_some(), a.held), (b.refused.is_some(), b.held), "{}", a.name);
@@ -320,7 +321,7 @@ fn an_ellipticity_of_a_spot_that_turns_is_held_with_the_reason() {
     );
     let removal = removal.unwrap().removal.removal_nm() * (1.0 + truth.rate);
     let after = Surface::new(grid(), &real - &removal + &noise()).unwrap();
-    let found = learn((&before, &after), &trajectory, &tif, &Settings::default());
+    let found = learn((&before, &after), &trajectory, &tif, &ReconcileSettings::default());
     for e in &found.outcome.parameters {
         let is_ellipse = e.name.contains("ellipticity");
         assert_eq!(is_ellipse, e.held, "{e:?}");
@@ -338,7 +339,8 @@ fn an_ellipticity_of_a_spot_that_turns_is_held_with_the_reason() {
         // Four standard errors.
         assert!((value - 3.0).abs() < 4.0 * rate.standard_error.unwrap(), "{rate:?}");
     }
-    let settings = Settings { free: vec!["tif_ellipticity".into()], ..Settings::default() };
+    let settings =
+        ReconcileSettings { free: vec!["tif_ellipticity".into()], ..ReconcileSettings::default() };
     let comparison = Comparison {
         before: &before,
         after: &after,
@@ -354,6 +356,6 @@ fn an_ellipticity_of_a_spot_that_turns_is_held_with_the_reason() {
     let heading = azimuth.map(|a| a.turn().clone());
     let steered = Tif::varying(VaryingTif { azimuth: None, heading, ..tif.numbers() }).unwrap();
     let comparison = Comparison { tif: &steered, ..comparison };
-    let refused = reconcile(&comparison, &Settings::default()).err().unwrap().to_string();
+    let refused = reconcile(&comparison, &ReconcileSettings::default()).err().unwrap().to_string();
     assert!(refused.contains("turns with the direction of the motion"), "{refused}");
 }

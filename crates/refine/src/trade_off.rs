@@ -283,7 +283,7 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
     frame.axes(&mut svg, [TIME_AXIS, "RMS of the executed residual (nm)"]);
     frame.upright(&mut svg, least_time_s, BOUND);
     let label = format!("volume / VRR = {} s", fixed(least_time_s, 1));
-    svg.text([frame.at([least_time_s, 1.0])[0] + 8.0, frame.top + 16.0], "", &label);
+    svg.text([frame.px([least_time_s, 1.0])[0] + 8.0, frame.top + 16.0], "", &label);
     let [left, top, right, bottom] = MARGIN_PX;
     let mut name_x = left + SIZE_PX[0];
     for (method, colour) in METHODS {
@@ -294,7 +294,7 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
         }
         frame.curve(&mut svg, curve.iter().copied(), colour);
         for point in curve {
-            let [x, y] = frame.at(point);
+            let [x, y] = frame.px(point);
             svg.put(format_args!(
                 "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>"
             ));

@@ -18,7 +18,7 @@ use clap::Subcommand;
 use planish_handoff::{Failure, Status};
 
 #[derive(Subcommand)]
-pub enum Command {
+pub enum RunCommand {
     /// Run a pipeline: print every command, then run it, in a directory that the run has for itself
     ///
     /// The settings, the machine file and the mirror are checked first, so that a mistake in them is not found after the
@@ -27,7 +27,7 @@ pub enum Command {
     ///
     /// The exit code is 1 if the recommended plan has a negative verdict. The pipelines are in the folder pipelines/ of
     /// the clone, or of PLANISH_SHARE.
-    Run(run::Run),
+    Run(run::RunPipeline),
     /// Run one stage of a pipeline, with its settings, in the directory of the run
     Stage(run::Stage),
     /// Print the settings of a pipeline as a table, with their defaults and units
@@ -66,7 +66,7 @@ pub enum Command {
     Verdict(verdict::Verdict),
 }
 
-impl Command {
+impl RunCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Run(arguments) => arguments.run(),

@@ -14,15 +14,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Run pipelines, each as the only owner of its directory, and name the stages that gave a negative verdict
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct RunCli {
     #[command(subcommand)]
-    command: crate::cli::Command,
+    command: crate::cli::RunCommand,
 }
 
 /// The command `planish run`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: RunCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+    planish_handoff::program(|cli: &RunCli| cli.command.run())
 }

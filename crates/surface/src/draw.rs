@@ -166,7 +166,7 @@ fn map(
         outline(svg, &frame, panel);
     }
     frame.axes(svg, ["x (mm)", "y (mm)"]);
-    let [right, y] = frame.at([frame.x.ends()[1], section_y_mm]);
+    let [right, y] = frame.px([frame.x.ends()[1], section_y_mm]);
     svg.path(
         "stroke=\"#000000\" stroke-width=\"2\"",
         &format!("M{:.1} {y:.1}h-8M{right:.1} {y:.1}h8", frame.left),
@@ -214,13 +214,13 @@ fn outline(svg: &mut Svg, frame: &Frame, panel: &Panel) {
         for c in 0..=nx {
             let left = x.start_mm() + c as f64 * x.step_mm() - hx;
             let below = y.start_mm() + r as f64 * y.step_mm() - hy;
-            let [px, py] = frame.at([left, below]);
+            let [px, py] = frame.px([left, below]);
             if valid[[r + 1, c + 1]] != valid[[r + 1, c]] {
-                let end = frame.at([left, below + 2.0 * hy])[1];
+                let end = frame.px([left, below + 2.0 * hy])[1];
                 put(&mut d, format_args!("M{px:.1} {py:.1}V{end:.1}"));
             }
             if valid[[r + 1, c + 1]] != valid[[r, c + 1]] {
-                let end = frame.at([left + 2.0 * hx, below])[0];
+                let end = frame.px([left + 2.0 * hx, below])[0];
                 put(&mut d, format_args!("M{px:.1} {py:.1}H{end:.1}"));
             }
         }

@@ -15,7 +15,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::plan::Plan;
+use crate::plan::SweptPlan;
 
 /// Size of a mirror.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ const BYTES_PER_PIXEL: f64 = 1000.0;
 const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
 /// Estimated seconds of a plan on one core.
-pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
+pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     let pitch_mm = plan.number("pitch_mm").or(plan.number("min_pitch_mm")).unwrap_or(1.0);
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
     let passes = plan.number("passes").unwrap_or(1.0);
@@ -85,7 +85,7 @@ pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
 }
 
 /// Returns the resources of a job with these plans that runs `jobs` of them at once.
-pub fn resources(plans: &[&Plan], size: &Size, jobs: usize) -> Resources {
+pub fn resources(plans: &[&SweptPlan], size: &Size, jobs: usize) -> Resources {
     let estimated = plans.iter().map(|plan| estimated_s(plan, size));
     let (sum_s, longest_s) =
         estimated.fold((0.0, 0.0f64), |(sum, longest), s| (sum + s, longest.max(s)));
@@ -97,17 +97,21 @@ pub fn resources(plans: &[&Plan], size: &Size, jobs: usize) -> Resources {
     }
 }
 
-/// The members of job `index` of `of`: the most expensive come first, and are dealt out in turn, so that the jobs take
-/// about the same time, and end with what is short.
-pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, of: usize) -> Vec<T> {
+/// Returns the members of job `index` of `jobs`: the most expensive come first, and are dealt out in turn, so that the
+/// jobs take about the same time, and end with what is short.
+pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, jobs: usize) -> Vec<T> {
     // Stable: equal ones stay in the order of the sweep, so that the members are the same everywhere.
     all.sort_by(|a, b| cost(b).total_cmp(&cost(a)));
-    let turn = |k: usize| {
+    let mut members = Vec::new();
+    for (k, member) in all.into_iter().enumerate() {
         // There and back: 0, 1, 2, 2, 1, 0, ...
-        let (round, at) = (k / of, k % of);
-        if round % 2 == 0 { at } else { of - 1 - at }
-    };
-    all.into_iter().enumerate().filter(|(k, _)| turn(*k) == index).map(|(_, one)| one).collect()
+        let place = k % jobs;
+        let turn = if k / jobs % 2 == 0 { place } else { jobs - 1 - place };
+        if turn == index {
+            members.push(member);
+        }
+    }
+    members
 }
 
 #[cfg(test)]
@@ -115,10 +119,10 @@ mod tests {
     use super::*;
     use planish_types::outcome::sweep::SettingValue;
 
-    fn plan(method: &str, settings: &[(&str, f64)]) -> Plan {
+    fn plan(method: &str, settings: &[(&str, f64)]) -> SweptPlan {
         let settings =
             settings.iter().map(|(k, x)| (k.to_string(), SettingValue::Number(*x))).collect();
-        Plan {
+        SweptPlan {
             id: "id".into(),
             path_id: "path".into(),
             dwell_id: None,

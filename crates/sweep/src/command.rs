@@ -15,15 +15,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// `just sweep` calls it by way of Snakemake.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct SweepCli {
     #[command(subcommand)]
-    command: crate::cli::Command,
+    command: crate::cli::SweepCommand,
 }
 
 /// The command `planish sweep`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: SweepCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+    planish_handoff::program(|cli: &SweepCli| cli.command.run())
 }

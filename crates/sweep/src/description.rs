@@ -3,7 +3,7 @@
 use planish_pipeline::node::{Complaint, Key, Node, Value, parse};
 use planish_types::outcome::sweep::{Constraints, SettingValue};
 
-use crate::setting::{EXCLUSIVE, METHODS, Of, PATHS, Setting, default, one_of};
+use crate::setting::{EXCLUSIVE, METHODS, Owner, PATHS, Setting, default, one_of};
 
 /// A sweep as its file describes it; paths are as they stand there.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,13 +58,16 @@ pub struct Block {
 }
 
 /// Reads the text of a file.
+///
+/// # Errors
+/// Fails with a complaint about the line that is not understood.
 pub fn read(text: &str) -> Result<Description, Complaint> {
-    let mut top = Table::of("the sweep", &parse(text)?)?;
+    let mut top = DescriptionTable::new("the sweep", &parse(text)?)?;
     let line = top.line;
     let mirror = top.required("mirror", "mirror: with fixture, or surface and tif")?;
     let (mirror, prepare) = mirror_of(&mirror)?;
     let tools = match top.take("tools") {
-        Some(node) => Table::of("tools", &node)?.texts()?,
+        Some(node) => DescriptionTable::new("tools", &node)?.texts()?,
         None => vec![],
     };
     let machine = text_of("machine", &top.required("machine", "machine: FILE")?)?;
@@ -104,12 +107,13 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
 
 /// The mirror, and the flags that it is prepared with.
 fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
-    let mut table = Table::of("mirror", node)?;
+    let mut table = DescriptionTable::new("mirror", node)?;
     let line = table.line;
     let fixture = table.text("fixture")?;
-    let (surface, tif) = (table.text("surface")?, table.text("tif")?);
-    let (surface_settings, tif_settings) =
-        (table.text("surface_settings")?, table.text("tif_settings")?);
+    let surface = table.text("surface")?;
+    let tif = table.text("tif")?;
+    let surface_settings = table.text("surface_settings")?;
+    let tif_settings = table.text("tif_settings")?;
     let prepare = table.text("prepare")?.unwrap_or_else(|| default("prepare"));
     table.finish()?;
     let mirror = match (fixture, surface, tif) {
@@ -133,7 +137,7 @@ fn constraints_of(node: Option<Node>, is_specified: bool) -> Result<Constraints,
     let mut constraints =
         Constraints { max_time_s: None, keep_limits: true, keep_specification: true };
     let Some(node) = node else { return Ok(constraints) };
-    let mut table = Table::of("constraints", &node)?;
+    let mut table = DescriptionTable::new("constraints", &node)?;
     if let Some(node) = table.take("max_time_s") {
         let Value::Number(time_s @ f64::MIN_POSITIVE..) = node.value else {
             let problem = format!("max_time_s is {}; give a number above 0, in s", node.value);
@@ -146,7 +150,7 @@ fn constraints_of(node: Option<Node>, is_specified: bool) -> Result<Constraints,
         ("keep_specification", &mut constraints.keep_specification),
     ] {
         let Some(node) = table.take(key) else { continue };
-        let Value::Flag(given) = node.value else {
+        let Value::Flag(flag) = node.value else {
             let problem = format!("{key} is {}; give true or false", node.value);
             return Err(Complaint::new(node.line, problem));
         };
@@ -155,14 +159,14 @@ fn constraints_of(node: Option<Node>, is_specified: bool) -> Result<Constraints,
                 "keep_specification is given without a specification; give specification: FILE";
             return Err(Complaint::new(node.line, problem));
         }
-        *keep = given;
+        *keep = flag;
     }
     table.finish()?;
     Ok(constraints)
 }
 
 fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
-    let mut table = Table::of("plans", node)?;
+    let mut table = DescriptionTable::new("plans", node)?;
     let line = table.line;
     let path = table.required("path", &format!("path: {}", PATHS.join(", ")))?;
     let paths = words("path", &path, &PATHS)?;
@@ -175,9 +179,9 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
         let setting = Setting::named(&key.text, key.line)?;
         let used = paths.iter().any(|p| methods.iter().any(|m| setting.concerns(p, m)));
         if !used {
-            let (whose, here) = match &setting.of {
-                Of::Paths(of) => (of, &paths),
-                Of::Methods(of) => (of, &methods),
+            let (whose, here) = match &setting.owner {
+                Owner::Paths(owners) => (owners, &paths),
+                Owner::Methods(owners) => (owners, &methods),
             };
             let problem = format!(
                 "{} is a setting of {}, and here is {}; leave it out",
@@ -225,14 +229,15 @@ fn words(key: &str, node: &Node, known: &[&str]) -> Result<Vec<String>, Complain
         Value::List(items) if !items.is_empty() => items.clone(),
         _ => vec![node.clone()],
     };
-    let word = |node: &Node| match one_of(node, known) {
-        Some(word) => Ok(word.to_string()),
-        None => {
+    let mut words = Vec::new();
+    for node in nodes {
+        let Some(word) = one_of(&node, known) else {
             let problem = format!("{key} is {}; give {}", node.value, known.join(", "));
-            Err(Complaint::new(node.line, problem))
-        }
-    };
-    nodes.iter().map(word).collect()
+            return Err(Complaint::new(node.line, problem));
+        };
+        words.push(word.to_string());
+    }
+    Ok(words)
 }
 
 fn text_of(key: &str, node: &Node) -> Result<String, Complaint> {
@@ -243,15 +248,15 @@ fn text_of(key: &str, node: &Node) -> Result<String, Complaint> {
 }
 
 /// The keys of a table, which are taken out one by one; what is left over is not known.
-struct Table {
+struct DescriptionTable {
     what: &'static str,
     line: u64,
     entries: Vec<(Key, Node)>,
     known: Vec<String>,
 }
 
-impl Table {
-    fn of(what: &'static str, node: &Node) -> Result<Self, Complaint> {
+impl DescriptionTable {
+    fn new(what: &'static str, node: &Node) -> Result<Self, Complaint> {
         match &node.value {
             Value::Map(entries) => {
                 Ok(Self { what, line: node.line, entries: entries.clone(), known: vec![] })
@@ -265,14 +270,14 @@ impl Table {
 
     fn take(&mut self, key: &str) -> Option<Node> {
         self.known.push(key.into());
-        let at = self.entries.iter().position(|(k, _)| k.text == key)?;
-        Some(self.entries.remove(at).1)
+        let index = self.entries.iter().position(|(k, _)| k.text == key)?;
+        Some(self.entries.remove(index).1)
     }
 
     fn required(&mut self, key: &str, remedy: &str) -> Result<Node, Complaint> {
-        let (what, line) = (self.what, self.line);
-        let lacking = || Complaint::new(line, format!("{what} lacks {key}; give {remedy}"));
-        self.take(key).ok_or_else(lacking)
+        self.take(key).ok_or_else(|| {
+            Complaint::new(self.line, format!("{} lacks {key}; give {remedy}", self.what))
+        })
     }
 
     fn text(&mut self, key: &str) -> Result<Option<String>, Complaint> {

@@ -6,7 +6,7 @@ use planish_types::outcome::sweep::SettingValue;
 
 use crate::{
     description::Block,
-    plan::{Ground, Plan, plan},
+    plan::{Ground, SweptPlan},
     setting::SETTINGS,
 };
 
@@ -14,17 +14,20 @@ use crate::{
 /// must be divided.
 const MOST_PLANS: usize = 200_000;
 
-/// The plans of these blocks, each once, in the order of the file.
+/// Makes the plans of these blocks, each once, in the order of the file.
 ///
 /// A setting that does not concern a path or a method is left out of its plans, so that they are not made twice.
-pub fn expand(blocks: &[Block], ground: &Ground) -> Result<Vec<Plan>, String> {
+///
+/// # Errors
+/// Fails with a message if there are too many plans.
+pub fn expand(blocks: &[Block], ground: &Ground) -> Result<Vec<SweptPlan>, String> {
     let mut plans = Vec::new();
     let mut seen = BTreeSet::new();
     for block in blocks {
         for path in &block.paths {
             for method in &block.methods {
                 for settings in combinations(block, path, method)? {
-                    let plan = plan(path, method, settings, ground);
+                    let plan = SweptPlan::new(path, method, settings, ground);
                     if seen.insert(plan.id.clone()) {
                         plans.push(plan);
                     }
@@ -57,13 +60,13 @@ fn combinations(
         if combinations.len().saturating_mul(values.len()) > MOST_PLANS {
             return Err(too_many());
         }
-        let longer = combinations.iter().flat_map(|shorter: &Vec<(String, SettingValue)>| {
-            let with = move |value: &SettingValue| {
-                [&shorter[..], &[(key.clone(), value.clone())]].concat()
-            };
-            values.iter().map(with)
-        });
-        combinations = longer.collect();
+        let mut longer = Vec::new();
+        for shorter in &combinations {
+            for value in values {
+                longer.push([&shorter[..], &[(key.clone(), value.clone())]].concat());
+            }
+        }
+        combinations = longer;
     }
     Ok(combinations)
 }
@@ -130,7 +133,7 @@ mod tests {
                 ("pitch_mm".into(), SettingValue::Number(pitch_mm)),
                 ("time_weight_nm2_per_s".into(), SettingValue::Number(weight)),
             ];
-            plan("raster", "joint", settings, ground)
+            SweptPlan::new("raster", "joint", settings, ground)
         };
         let base = id(&ground(), 1.0, 0.0);
         assert_eq!(base, id(&ground(), 1.0, 0.0));
@@ -147,7 +150,7 @@ mod tests {
         assert!(!changed(Ground { process: Some("p".into()), ..ground() }, 1.0, 0.0));
         assert!(!changed(ground(), 1.0, 1e-4));
         // What is given as it would be taken anyway is the same plan.
-        assert_eq!(plan("raster", "joint", vec![], &ground()).path_id, base.path_id);
+        assert_eq!(SweptPlan::new("raster", "joint", vec![], &ground()).path_id, base.path_id);
     }
 
     #[test]

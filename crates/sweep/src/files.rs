@@ -7,15 +7,18 @@ use std::{
 
 use planish_handoff::{Failure, Inputs, OutputFile, read_regular, words};
 use planish_sweep::{
-    plan::{Plan, Sweep},
-    row::Row,
+    plan::{Sweep, SweptPlan},
+    row::PlanRow,
 };
 use serde::Serialize;
 
 /// Version of the layout of `sweep.json`; a file with another version is refused.
 pub const VERSION: u32 = 1;
 
-/// The sweep that stands in this directory.
+/// Reads the sweep that stands in this directory.
+///
+/// # Errors
+/// Fails if there is none, if it cannot be read, or if no expansion of this version has written it.
 pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
     let path = dir.join("sweep.json");
     if !path.exists() {
@@ -26,9 +29,10 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
     let bytes = read_regular(&path).map_err(|e| unreadable(&path, &e))?;
     let sweep: Sweep = serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
     if sweep.version != VERSION {
-        let (there, here) = (sweep.version, VERSION);
-        let problem =
-            format!("has version {there}, this program knows {here}; expand the sweep again");
+        let problem = format!(
+            "has version {}, this program knows {VERSION}; expand the sweep again",
+            sweep.version
+        );
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
     if sweep.rounds.is_empty() {
@@ -37,12 +41,7 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
             path.display()
         )));
     }
-    let tools = |plan: &Plan| {
-        let of_ground = |text: &str| sweep.ground.varying.iter().any(|(known, _)| known == text);
-        sweep.tools.iter().any(|(name, _)| *name == plan.tool())
-            && plan.varying().is_none_or(of_ground)
-    };
-    if let Some(plan) = sweep.plans().find(|plan| !tools(plan)) {
+    if let Some(plan) = sweep.plans().find(|plan| !has_tool(&sweep, plan)) {
         let problem = format!("the tool of {} is not in it; expand the sweep again", plan.id);
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
@@ -52,18 +51,30 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
     Ok(sweep)
 }
 
-/// The command that makes a plan again, for a shell.
-pub fn again(sweep: &Sweep, plan: &Plan) -> String {
-    let quoted = |word: String| match word.split_once('=') {
-        Some((name, value)) => format!("{name}={}", words::quote(value)),
-        None => words::quote(&word),
-    };
-    let words: Vec<String> = sweep.again(plan).into_iter().map(quoted).collect();
-    format!("just run {}", words.join(" "))
+/// Returns whether the tool of a plan is one of the sweep.
+fn has_tool(sweep: &Sweep, plan: &SweptPlan) -> bool {
+    let varying = &sweep.ground.varying;
+    sweep.tools.iter().any(|(name, _)| *name == plan.tool())
+        && plan.varying().is_none_or(|text| varying.iter().any(|(known, _)| known == text))
 }
 
-/// The row of a plan, where it is there.
-pub fn read_row(dir: &Path, id: &str) -> Result<Option<Row>, Failure> {
+/// Writes the command that makes a plan again, for a shell.
+pub fn again(sweep: &Sweep, plan: &SweptPlan) -> String {
+    let mut command = "just run".to_string();
+    for word in sweep.again(plan) {
+        command += &match word.split_once('=') {
+            Some((name, value)) => format!(" {name}={}", words::quote(value)),
+            None => format!(" {}", words::quote(&word)),
+        };
+    }
+    command
+}
+
+/// Reads the row of a plan, where it is there.
+///
+/// # Errors
+/// Fails if it is there and cannot be read.
+pub fn read_row(dir: &Path, id: &str) -> Result<Option<PlanRow>, Failure> {
     let path = row_path(dir, id);
     match read_regular(&path) {
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
@@ -72,12 +83,15 @@ pub fn read_row(dir: &Path, id: &str) -> Result<Option<Row>, Failure> {
     }
 }
 
-/// Path of the row of a plan.
+/// Returns the path of the row of a plan.
 pub fn row_path(dir: &Path, id: &str) -> PathBuf {
     dir.join("plans").join(id).join("row.json")
 }
 
 /// Writes a value as a JSON file, whole or not at all, in the place of one that stands there.
+///
+/// # Errors
+/// Fails if the file cannot be written.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
     let text = format!("{}\n", serde_json::to_string_pretty(value)?);
     if read_regular(path).is_ok_and(|there| there == text.as_bytes()) {
@@ -87,7 +101,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
     Ok(file.write(text.as_bytes())?)
 }
 
-/// A file that cannot be read.
+/// Makes the failure of a file that cannot be read.
 pub fn unreadable(path: &Path, problem: &dyn std::fmt::Display) -> Failure {
     Failure::new(format!("{}: cannot read: {problem}", path.display()))
 }

@@ -5,7 +5,7 @@
 
 use planish_pipeline::{
     scope::Scope,
-    walk::{Command, Walk},
+    walk::{StageCommand, Walk},
 };
 use planish_types::outcome::sweep::{Constraints, SettingValue};
 use serde::{Deserialize, Serialize};
@@ -59,7 +59,7 @@ pub struct Round {
     /// Hash of its plans' names: another grid is another round.
     pub id: String,
     /// The plans.
-    pub plans: Vec<Plan>,
+    pub plans: Vec<SweptPlan>,
 }
 
 /// Hashes of what all plans are made of.
@@ -98,7 +98,7 @@ pub struct Step {
 /// A plan of a sweep.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Plan {
+pub struct SweptPlan {
     /// Name of the plan, which ends with the hash of its inputs.
     pub id: String,
     /// Name of its tool path.
@@ -114,20 +114,54 @@ pub struct Plan {
 }
 
 impl Step {
-    /// A run of `program`.
+    /// Makes a run of `program`.
     pub fn new(program: &str, arguments: impl IntoIterator<Item = impl Into<String>>) -> Self {
         let arguments = arguments.into_iter().map(Into::into).collect();
         Self { program: program.into(), arguments }
     }
 }
 
-impl Plan {
-    /// The value of a setting.
-    pub fn get(&self, key: &str) -> Option<&SettingValue> {
-        self.settings.iter().find(|(k, _)| k == key).map(|(_, given)| given)
+impl SweptPlan {
+    /// Makes a plan with these settings and the defaults, and names it by the hash of its inputs.
+    pub fn new(
+        path: &str,
+        method: &str,
+        settings: Vec<(String, SettingValue)>,
+        ground: &Ground,
+    ) -> Self {
+        let mut plan = Self {
+            id: String::new(),
+            path_id: String::new(),
+            dwell_id: None,
+            path: path.into(),
+            method: method.into(),
+            settings: with_defaults(path, settings, ground),
+        };
+        let varied = varied_tool(plan.tool(), plan.varying(), ground);
+        let tif = varied.or_else(|| value_of(&ground.tools, plan.tool()).cloned());
+        let of_path = resolved(path, &plan.settings, &["paths"]);
+        let of_path = json!(["path", path, ground.surface, tif, ground.machine, of_path]);
+        plan.path_id = name(path, &of_path);
+        if method == "pvt+refined" {
+            let of_dwell = resolved(path, &plan.settings, &["dwell"]);
+            plan.dwell_id = Some(name(path, &json!(["dwell", plan.path_id, of_dwell])));
+        }
+        let of_method = resolved(path, &plan.settings, stages(method));
+        let of_plan = json!(["plan", plan.path_id, method, ground.process, of_method]);
+        let whole = match &ground.specification {
+            Some(hash) => json!([of_plan, ["specification", hash]]),
+            None => of_plan,
+        };
+        plan.id = name(&format!("{path}-{method}"), &whole);
+        plan
     }
 
-    /// The number that a setting has.
+    /// Returns the value of a setting.
+    pub fn get(&self, key: &str) -> Option<&SettingValue> {
+        value_of(&self.settings, key)
+    }
+
+    /// Returns the number that a setting has.
     pub fn number(&self, key: &str) -> Option<f64> {
         match self.get(key) {
             Some(SettingValue::Number(number)) => Some(*number),
@@ -135,7 +169,7 @@ impl Plan {
         }
     }
 
-    /// Name of its tool; that of the mirror's own is empty.
+    /// Returns the name of its tool; that of the mirror's own is empty.
     pub fn tool(&self) -> &str {
         match self.get("tool") {
             Some(SettingValue::Word(name)) => name,
@@ -143,7 +177,7 @@ impl Plan {
         }
     }
 
-    /// The command that makes its tool of its TIF, if it has one.
+    /// Returns the command that makes its tool of its TIF, if it has one.
     pub fn varying(&self) -> Option<&str> {
         match self.get("varying") {
             Some(SettingValue::Word(text)) if text != varying::NONE => Some(text),
@@ -151,12 +185,12 @@ impl Plan {
         }
     }
 
-    /// Directory of the plan.
+    /// Returns the directory of the plan.
     pub fn dir(&self) -> String {
         format!("plans/{}", self.id)
     }
 
-    /// Directory of its motion.
+    /// Returns the directory of its motion.
     pub fn method_dir(&self) -> String {
         format!("plans/{}/methods/{}", self.id, self.method)
     }
@@ -168,14 +202,14 @@ impl Plan {
 }
 
 impl Round {
-    /// A round with these plans.
-    pub fn new(plans: Vec<Plan>) -> Self {
+    /// Makes a round with these plans.
+    pub fn new(plans: Vec<SweptPlan>) -> Self {
         let ids: Vec<&str> = plans.iter().map(|plan| plan.id.as_str()).collect();
         Self { id: hash(&json!(ids)), plans }
     }
 }
 
-/// The first 12 digits of the BLAKE3 of a value, and of the version that made it.
+/// Returns the first 12 digits of the BLAKE3 of a value, and of the version that made it.
 pub fn hash(content: &Value) -> String {
     let versioned = json!([env!("CARGO_PKG_VERSION"), content]);
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
@@ -187,8 +221,9 @@ const MIRROR_PROGRAMS: [&str; 4] =
 
 /// Returns true if `text` is the name of something directly in a directory that a shell keeps in one piece.
 fn is_name(text: &str) -> bool {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '+' | '.');
-    !text.is_empty() && !text.starts_with(['.', '-']) && text.chars().all(is_plain)
+    !text.is_empty()
+        && !text.starts_with(['.', '-'])
+        && text.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_+.".contains(&b))
 }
 
 /// Returns true if `path` is the path of something in the directory of the sweep.
@@ -197,8 +232,11 @@ fn is_inside(path: &str) -> bool {
 }
 
 impl Sweep {
-    /// Refuses what no expansion writes: its steps run no other programs than those of a mirror, everything is written in
-    /// the directory of the sweep, and every name is that of its content.
+    /// Checks that an expansion can have written this: its steps run no other programs than those of a mirror, everything
+    /// is written in the directory of the sweep, and every name is that of its content.
+    ///
+    /// # Errors
+    /// Fails with a message that says what no expansion writes.
     pub fn check(&self) -> Result<(), String> {
         for step in &self.mirror_steps {
             let program = &step.program;
@@ -210,12 +248,11 @@ impl Sweep {
             let mut places = step.arguments.iter().zip(step.arguments.iter().skip(1));
             let outs = places.by_ref().filter(|(flag, _)| *flag == "--out");
             let outs: Vec<&str> = outs.map(|(_, out)| out.as_str()).collect();
-            let is_written_elsewhere = |argument: &&String| {
+            for argument in &step.arguments {
                 let writes = ["--out=", "--picture", "--wall-time"];
-                writes.iter().any(|flag| argument.starts_with(flag))
-            };
-            if let Some(flag) = step.arguments.iter().find(is_written_elsewhere) {
-                return Err(format!("a step of the mirror has the flag '{flag}'"));
+                if writes.iter().any(|flag| argument.starts_with(flag)) {
+                    return Err(format!("a step of the mirror has the flag '{argument}'"));
+                }
             }
             if outs.len() != 1 || !outs.iter().all(|out| is_inside(out)) {
                 return Err(format!("{program} writes '{}', not in the sweep", outs.join("', '")));
@@ -227,50 +264,50 @@ impl Sweep {
         if let Some(round) = self.rounds.iter().find(|round| !is_name(&round.id)) {
             return Err(format!("a round is named '{}'", round.id));
         }
-        let named = |given: &Plan| {
-            let (path, method) = (given.path.as_str(), given.method.as_str());
-            PATHS.contains(&path)
-                && METHODS.contains(&method)
-                && scope(path, &given.settings).is_ok()
-                && *given == plan(path, method, given.settings.clone(), &self.ground)
-        };
-        match self.plans().find(|plan| !named(plan)) {
+        match self.plans().find(|plan| !self.is_named_by_content(plan)) {
             Some(plan) => Err(format!("the name '{}' is not that of its plan", plan.id)),
             None => Ok(()),
         }
     }
 
-    /// Path of the size of the mirror, once it is made.
+    fn is_named_by_content(&self, plan: &SweptPlan) -> bool {
+        let path = plan.path.as_str();
+        let method = plan.method.as_str();
+        PATHS.contains(&path)
+            && METHODS.contains(&method)
+            && scope(path, &plan.settings).is_ok()
+            && *plan == SweptPlan::new(path, method, plan.settings.clone(), &self.ground)
+    }
+
+    /// Returns the path of the size of the mirror, once it is made.
     pub fn mirror_file(&self) -> String {
         format!("done/mirror-{}.json", self.ground.surface)
     }
 
-    /// Every plan, round by round.
-    pub fn plans(&self) -> impl Iterator<Item = &Plan> {
+    /// Returns every plan, round by round.
+    pub fn plans(&self) -> impl Iterator<Item = &SweptPlan> {
         self.rounds.iter().flat_map(|round| &round.plans)
     }
 
-    /// Path of the TIF of a plan, which is the same everywhere, or a tool that varies by itself.
-    pub fn given_tif(&self, plan: &Plan) -> &str {
-        let name = plan.tool();
-        let found = self.tools.iter().find(|(known, _)| known == name);
-        &found.expect("a plan names a tool of its sweep").1
+    /// Returns the path of the TIF of a plan, which is the same everywhere, or a tool that varies by itself.
+    fn given_tif(&self, plan: &SweptPlan) -> &str {
+        value_of(&self.tools, plan.tool()).expect("a plan names a tool of its sweep")
     }
 
-    /// Path of the tool of a plan: that which its command makes of its TIF, or its TIF.
-    pub fn tif(&self, plan: &Plan) -> String {
+    /// Returns the path of the tool of a plan: that which its command makes of its TIF, or its TIF.
+    pub fn tif(&self, plan: &SweptPlan) -> String {
         let varied = varied_tool(plan.tool(), plan.varying(), &self.ground);
         varied.unwrap_or_else(|| self.given_tif(plan).into())
     }
 
     /// Adds the stages that make the tools of these plans that vary, each once; `words` are those of the commands, by the
     /// text of the setting.
-    pub fn add_varying(&mut self, plans: &[Plan], words: &[(String, Vec<String>)]) {
+    pub fn add_varying(&mut self, plans: &[SweptPlan], words: &[(String, Vec<String>)]) {
         let mut made: Vec<String> = Vec::new();
         for plan in plans {
             let out = self.tif(plan);
-            let of = words.iter().find(|(text, _)| Some(text.as_str()) == plan.varying());
-            let Some((_, words)) = of.filter(|_| !made.contains(&out)) else { continue };
+            let words = plan.varying().and_then(|text| value_of(words, text));
+            let Some(words) = words.filter(|_| !made.contains(&out)) else { continue };
             self.mirror_steps.extend(steps_of_mirror(
                 "vary",
                 [
@@ -284,18 +321,19 @@ impl Sweep {
         }
     }
 
-    /// Stages that make the tool path of a plan.
-    pub fn path_steps(&self, plan: &Plan) -> Vec<Step> {
+    /// Returns the stages that make the tool path of a plan.
+    pub fn path_steps(&self, plan: &SweptPlan) -> Vec<Step> {
         self.steps(plan, "paths")
     }
 
     /// The commands of a stage of the pipeline of a plan, where what it hands on stands in the sweep.
-    fn steps(&self, plan: &Plan, stage: &str) -> Vec<Step> {
+    fn steps(&self, plan: &SweptPlan, stage: &str) -> Vec<Step> {
         let mut scope =
             scope(&plan.path, &plan.settings).expect("the settings of a plan were checked");
-        let one_pass = match plan.is_repeated() {
-            true => format!("paths/{}/one-pass", plan.path_id),
-            false => self.tool_path(plan),
+        let one_pass = if plan.is_repeated() {
+            format!("paths/{}/one-pass", plan.path_id)
+        } else {
+            self.tool_path(plan)
         };
         let places = [
             ("map", self.surface.clone()),
@@ -313,27 +351,26 @@ impl Sweep {
         }
         scope.set("error_budget", self.process.iter().cloned().collect());
         scope.set("specification", self.specification.iter().cloned().collect());
-        let commands =
+        let mut commands =
             Walk::commands(scope, stage).expect("a test expands the stages of every path");
         // The residual after the servo is for the reports of runs.
-        let is_of_servo =
-            |command: &Command| command.arguments.iter().any(|a| a.starts_with("--servo-of="));
-        commands.into_iter().filter(|command| !is_of_servo(command)).map(Step::of).collect()
+        commands.retain(|command| !command.arguments.iter().any(|a| a.starts_with("--servo-of=")));
+        commands.into_iter().map(Step::from_command).collect()
     }
 
-    /// The tool path of a plan.
-    pub fn tool_path(&self, plan: &Plan) -> String {
+    /// Returns the place of the tool path of a plan.
+    pub fn tool_path(&self, plan: &SweptPlan) -> String {
         format!("paths/{}/path", plan.path_id)
     }
 
-    /// The stage that makes the first dwell times of a plan, where there is one.
-    pub fn dwell_step(&self, plan: &Plan) -> Option<Step> {
+    /// Returns the stage that makes the first dwell times of a plan, where there is one.
+    pub fn dwell_step(&self, plan: &SweptPlan) -> Option<Step> {
         plan.dwell_id.as_ref()?;
         self.steps(plan, "dwell").pop()
     }
 
-    /// Stages of the plan itself.
-    pub fn plan_steps(&self, plan: &Plan) -> Vec<Step> {
+    /// Returns the stages of the plan itself.
+    pub fn plan_steps(&self, plan: &SweptPlan) -> Vec<Step> {
         let mut steps = self.steps(plan, if plan.dwell_id.is_some() { "refined" } else { "joint" });
         if self.process.is_some() {
             steps.extend(self.steps(plan, "tolerance"));
@@ -341,8 +378,8 @@ impl Sweep {
         steps
     }
 
-    /// The stage that makes the report of a plan, which stands in a directory like that of a run.
-    pub fn report_step(&self, plan: &Plan) -> Step {
+    /// Returns the stage that makes the report of a plan, which stands in a directory like that of a run.
+    pub fn report_step(&self, plan: &SweptPlan) -> Step {
         let dir = plan.dir();
         let out = format!("{dir}/report");
         let called =
@@ -352,24 +389,27 @@ impl Sweep {
         Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
     }
 
-    /// The settings of `just run` that make a plan again, the pipeline first.
-    pub fn again(&self, plan: &Plan) -> Vec<String> {
+    /// Returns the settings of `just run` that make a plan again, the pipeline first.
+    pub fn again(&self, plan: &SweptPlan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
         // A plan of motion and times as one problem does not depend on the process.
         let is_joint = plan.method == "joint";
-        let concerns = |word: &&String| {
-            !(is_joint && word.starts_with("error_budget=")
-                || plan.get("tool").is_some() && word.starts_with("tif="))
-        };
-        words.extend(self.again.iter().filter(concerns).cloned());
-        for (key, given) in &plan.settings {
+        let has_tool = plan.get("tool").is_some();
+        for word in &self.again {
+            let is_replaced = is_joint && word.starts_with("error_budget=")
+                || has_tool && word.starts_with("tif=");
+            if !is_replaced {
+                words.push(word.clone());
+            }
+        }
+        for (key, value) in &plan.settings {
             match key.as_str() {
                 "tool" => words.push(format!("tif={}", self.given_tif(plan))),
                 "varying" if plan.varying().is_none() => {}
-                key => words.push(format!("{key}={given}")),
+                key => words.push(format!("{key}={value}")),
             }
         }
-        let method = if plan.method == "joint" {
+        let method = if is_joint {
             ["plan_joint=yes", "refine=no"]
         } else {
             ["plan_joint=no", "refine=yes"]
@@ -380,8 +420,8 @@ impl Sweep {
 }
 
 impl Step {
-    /// The step of a command, whose time nobody measures and whose picture nobody sees: the same plan gives the same bytes.
-    fn of(command: Command) -> Self {
+    /// Makes the step of a command, whose time nobody measures and whose picture nobody sees: the same plan gives the same bytes.
+    fn from_command(command: StageCommand) -> Self {
         let mut arguments = Vec::new();
         let mut words = command.arguments.into_iter();
         while let Some(word) = words.next() {
@@ -394,22 +434,22 @@ impl Step {
     }
 }
 
-/// The commands of a stage that makes the mirror, the same for all pipelines, where these names stand for these words.
+/// Returns the commands of a stage that makes the mirror, the same for all pipelines, where these names stand for these
+/// words.
 pub fn steps_of_mirror<const N: usize>(stage: &str, names: [(&str, Vec<String>); N]) -> Vec<Step> {
     let mut scope = scope(PATHS[0], &[]).expect("a pipeline needs no setting");
     for (name, words) in names {
         scope.set(name, words);
     }
     let commands = Walk::commands(scope, stage).expect("a test expands the stages of the mirror");
-    commands.into_iter().map(Step::of).collect()
+    commands.into_iter().map(Step::from_command).collect()
 }
 
 /// The pipeline of a path with the settings of a plan.
 fn scope(path: &str, settings: &[(String, SettingValue)]) -> Result<Scope<'static>, String> {
     let definition = pipeline(path).ok_or_else(|| format!("there is no path '{path}'"))?;
-    let is_tool = |key: &str| matches!(key, "tool" | "varying");
-    let settings = settings.iter().filter(|(key, _)| !is_tool(key));
-    let settings: Vec<String> = settings.map(|(key, given)| format!("{key}={given}")).collect();
+    let settings = settings.iter().filter(|(key, _)| !matches!(key.as_str(), "tool" | "varying"));
+    let settings: Vec<String> = settings.map(|(key, value)| format!("{key}={value}")).collect();
     Scope::new(definition, &settings)
 }
 
@@ -420,38 +460,20 @@ fn resolved(
     stages: &[&str],
 ) -> Vec<(String, String)> {
     let Ok(scope) = scope(path, settings) else { return vec![] };
-    let value = |name: &str| (name.to_string(), scope.text(name).unwrap_or_default());
-    settings_of(path, stages).into_iter().map(value).collect()
-}
-
-/// A plan with these settings, and its names.
-pub fn plan(path: &str, method: &str, given: Vec<(String, SettingValue)>, ground: &Ground) -> Plan {
-    let settings = with_defaults(path, given, ground);
-    let word = |key: &str| settings.iter().find(|(k, _)| k == key).map(|(_, g)| g.to_string());
-    let tool = word("tool").unwrap_or_default();
-    let text = word("varying").filter(|text| text != varying::NONE);
-    let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash.clone());
-    let tif = varied_tool(&tool, text.as_deref(), ground).or(tif);
-    let of = |stages: &[&str]| resolved(path, &settings, stages);
-    let of_path = json!(["path", path, ground.surface, tif, ground.machine, of(&["paths"])]);
-    let path_id = name(path, &of_path);
-    let dwell_id =
-        (method == "pvt+refined").then(|| name(path, &json!(["dwell", path_id, of(&["dwell"])])));
-    let mut whole = vec![json!(["plan", path_id, method, ground.process, of(stages(method))])];
-    whole.extend(ground.specification.iter().map(|hash| json!(["specification", hash])));
-    let whole = if whole.len() == 1 { whole.remove(0) } else { json!(whole) };
-    let id = name(&format!("{path}-{method}"), &whole);
-    Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
+    let names = settings_of(path, stages).into_iter();
+    names.map(|name| (name.to_string(), scope.text(name).unwrap_or_default())).collect()
 }
 
 /// Directory of the tool that a command makes of a TIF, in the directory of the sweep; none without a command.
 fn varied_tool(tool: &str, text: Option<&str>, ground: &Ground) -> Option<String> {
-    let hash_of = |list: &[(String, String)], name: &str| {
-        list.iter().find(|(known, _)| known == name).map(|(_, hash)| hash.clone())
-    };
-    let command = hash_of(&ground.varying, text?)?;
-    let tif = hash_of(&ground.tools, tool);
+    let command = value_of(&ground.varying, text?)?;
+    let tif = value_of(&ground.tools, tool);
     Some(format!("tool/{}", hash(&json!(["tool", tif, ground.surface, command]))))
+}
+
+/// Returns the value of a key in a list of keys and values.
+fn value_of<'a, T>(list: &'a [(String, T)], key: &str) -> Option<&'a T> {
+    list.iter().find(|(known, _)| known == key).map(|(_, value)| value)
 }
 
 /// Adds the defaults of `just run` for settings that a stage needs and that are not given.
@@ -460,18 +482,18 @@ fn with_defaults(
     mut settings: Vec<(String, SettingValue)>,
     ground: &Ground,
 ) -> Vec<(String, SettingValue)> {
-    let has =
-        |settings: &[(String, SettingValue)], key: &str| settings.iter().any(|(k, _)| k == key);
     // A tool that is given by name is what it is, as in `just run tif=DIR`.
-    let is_own = !has(&settings, "varying") && !has(&settings, "tool");
+    let is_own = !settings.iter().any(|(key, _)| matches!(key.as_str(), "varying" | "tool"));
     if let Some(text) = ground.own_varying.as_ref().filter(|_| is_own) {
         settings.push(("varying".into(), SettingValue::Word(text.clone())));
     }
     // Those that people compare plans by are stated.
     if let (Some(definition), Ok(scope)) = (pipeline(path), scope(path, &settings)) {
         for key in ["pitch_mm", "step_mm"] {
-            let lacks = definition.setting(key).is_some() && !has(&settings, key);
-            if let Some(Ok(number)) = lacks.then(|| scope.text(key).unwrap_or_default().parse()) {
+            if definition.setting(key).is_some()
+                && value_of(&settings, key).is_none()
+                && let Ok(number) = scope.text(key).unwrap_or_default().parse()
+            {
                 settings.push((key.into(), SettingValue::Number(number)));
             }
         }
@@ -525,9 +547,9 @@ mod tests {
         }
     }
 
-    fn given(sweep: &Sweep, method: &str, settings: &[(&str, SettingValue)]) -> Plan {
+    fn given(sweep: &Sweep, method: &str, settings: &[(&str, SettingValue)]) -> SweptPlan {
         let settings = settings.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
-        plan("raster", method, settings, &sweep.ground)
+        SweptPlan::new("raster", method, settings, &sweep.ground)
     }
 
     fn line(step: &Step) -> String {
@@ -660,7 +682,7 @@ mod tests {
                         Err(_) => SettingValue::Word(value.into()),
                     };
                     let of = |settings: Vec<(String, SettingValue)>| {
-                        let plan = plan(path, method, settings, &sweep.ground);
+                        let plan = SweptPlan::new(path, method, settings, &sweep.ground);
                         let steps =
                             sweep.path_steps(&plan).into_iter().chain(sweep.dwell_step(&plan));
                         let steps: Vec<String> =

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// The numbers of a plan, or why there are none. The same plan gives the same bytes, wherever it was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Row {
+pub struct PlanRow {
     /// The plan.
     pub id: String,
     /// Status at the end.
@@ -17,8 +17,8 @@ pub struct Row {
     pub numbers: Option<PlanNumbers>,
 }
 
-impl Row {
-    /// A plan that was not made.
+impl PlanRow {
+    /// Makes the row of a plan that was not made.
     pub fn failed(id: &str, message: impl Into<String>) -> Self {
         Self {
             id: id.into(),
@@ -28,7 +28,7 @@ impl Row {
         }
     }
 
-    /// The numbers, where the plan keeps the constraints.
+    /// Returns the numbers, where the plan keeps the constraints.
     pub fn eligible(&self, constraints: &Constraints) -> Option<&PlanNumbers> {
         self.numbers.as_ref().filter(|numbers| numbers.keeps(constraints))
     }

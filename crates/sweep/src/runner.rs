@@ -39,22 +39,28 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// The stages beside this program, running in `dir`.
+    /// Finds the stages beside this program, which run in `dir`.
+    ///
+    /// # Errors
+    /// Fails if the system does not tell where this program is.
     pub fn beside(dir: &Path) -> Result<Self, Failure> {
-        let unknown = |e| Failure::new(format!("this program does not know where it is: {e}"));
-        let program = std::env::current_exe().map_err(unknown)?;
+        let program = std::env::current_exe()
+            .map_err(|e| Failure::new(format!("this program does not know where it is: {e}")))?;
         let programs = program.parent().unwrap_or(Path::new(".")).to_path_buf();
         Ok(Self { programs, dir: dir.into() })
     }
 
     /// Returns the time at which the newest of these programs, or this one that they start, was built.
     pub fn newest(&self, programs: &[&str]) -> Option<SystemTime> {
-        let built = |file: PathBuf| fs::metadata(file).ok()?.modified().ok();
         let files = programs.iter().map(|name| self.programs.join(name));
-        files.chain(std::env::current_exe().ok()).filter_map(built).max()
+        let files = files.chain(std::env::current_exe().ok());
+        files.filter_map(|file| fs::metadata(file).ok()?.modified().ok()).max()
     }
 
     /// Runs a stage to its end, on one core. It ends with this process.
+    ///
+    /// # Errors
+    /// Fails if its program cannot be run.
     pub fn run(&self, step: &Step) -> Result<End, Failure> {
         let program = self.programs.join(&step.program);
         let cannot =
@@ -70,7 +76,7 @@ impl Stages {
             .stderr(Stdio::piped());
         let mut child = Running::start(&mut command).map_err(cannot)?;
         // Of all that it says the last line that is an end counts.
-        let mut said = None;
+        let mut last_line = None;
         if let Some(stderr) = child.stderr() {
             for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
                 let line = String::from_utf8_lossy(&line).into_owned();
@@ -78,24 +84,27 @@ impl Stages {
                     .iter()
                     .any(|start| line.starts_with(start))
                 {
-                    said = Some(line);
+                    last_line = Some(line);
                 }
             }
         }
         let status = child.wait().map_err(cannot)?;
-        let said = |start: &str| {
-            let said = said.as_deref().unwrap_or("it said nothing");
-            said.strip_prefix(start).unwrap_or(said).to_string()
-        };
+        let message = last_line.as_deref().unwrap_or("it said nothing");
+        let verdict = message.strip_prefix("verdict: ").unwrap_or(message);
+        let error = message.strip_prefix("error: ").unwrap_or(message);
         Ok(match status.code() {
             Some(0) => End::Done,
-            Some(1) => End::Negative(format!("{}: {}", step.program, said("verdict: "))),
-            Some(2) => End::Failed(format!("{}: {}", step.program, said("error: "))),
+            Some(1) => End::Negative(format!("{}: {verdict}", step.program)),
+            Some(2) => End::Failed(format!("{}: {error}", step.program)),
             _ => End::Killed(format!("{}: {status}", step.program)),
         })
     }
 
-    /// Runs stages one after the other: the first that failed or was killed, else the first negative verdict.
+    /// Runs stages one after the other; returns the end of the first that failed or was killed, else the first negative
+    /// verdict.
+    ///
+    /// # Errors
+    /// Fails if a program cannot be run.
     pub fn run_all(&self, steps: &[Step]) -> Result<End, Failure> {
         let mut end = End::Done;
         for step in steps {
@@ -112,6 +121,9 @@ impl Stages {
 
 /// Does the work for every item, `at_once` of them at the same time, in their order. The first error ends it when what
 /// is under way has ended.
+///
+/// # Errors
+/// Fails with the first error of the work.
 pub fn each<T: Sync>(
     items: &[T],
     at_once: usize,
@@ -137,12 +149,13 @@ pub fn each<T: Sync>(
     error.into_inner().expect("no worker panics with the lock").map_or(Ok(()), Err)
 }
 
-/// Processor seconds of the stages that have ended, where the system tells (Linux).
+/// Reads the processor seconds of the stages that have ended, where the system tells (Linux).
 pub fn processor_s_of_stages() -> Option<f64> {
     let stat = fs::read_to_string("/proc/self/stat").ok()?;
     // After the name, which is in brackets and may hold anything: state is field 3, cutime and cstime are 16 and 17.
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    let ticks = |number: usize| fields.get(number - 3)?.parse::<f64>().ok();
+    let user: f64 = fields.get(16 - 3)?.parse().ok()?;
+    let system: f64 = fields.get(17 - 3)?.parse().ok()?;
     // Linux tells these in 1/100 s on every machine.
-    Some((ticks(16)? + ticks(17)?) / 100.0)
+    Some((user + system) / 100.0)
 }

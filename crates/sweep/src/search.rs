@@ -11,7 +11,7 @@ use planish_numerics::pareto::{dominated_area, front};
 use planish_types::outcome::sweep::SettingValue;
 
 use crate::{
-    plan::{Ground, Plan, plan},
+    plan::{Ground, SweptPlan},
     setting::SETTINGS,
 };
 
@@ -20,16 +20,16 @@ use crate::{
 const BEYOND: f64 = 1.1;
 
 /// A plan and what came of it.
-pub type Made<'a> = (&'a Plan, [f64; 2]);
+pub type Made<'a> = (&'a SweptPlan, [f64; 2]);
 
-/// The plans to be tried next.
-pub fn proposals(made: &[Made<'_>], all: &[&Plan], ground: &Ground) -> Vec<Plan> {
+/// Proposes the plans to be tried next.
+pub fn proposals(made: &[Made<'_>], all: &[&SweptPlan], ground: &Ground) -> Vec<SweptPlan> {
     let points: Vec<[f64; 2]> = made.iter().map(|(_, point)| *point).collect();
     let front = front(&points);
     let mut seen: BTreeSet<String> = all.iter().map(|plan| plan.id.clone()).collect();
     let mut proposed = Vec::new();
     for pair in front.windows(2) {
-        let (one, other) = (made[pair[0]].0, made[pair[1]].0);
+        let [one, other] = [0, 1].map(|i| made[pair[i]].0);
         for (own, towards) in [(one, other), (other, one)] {
             let between = half_way(own, towards, ground);
             if seen.insert(between.id.clone()) {
@@ -40,37 +40,37 @@ pub fn proposals(made: &[Made<'_>], all: &[&Plan], ground: &Ground) -> Vec<Plan>
     proposed
 }
 
-/// Relative growth of the area of the front from the first `before` of the points to all of them.
-pub fn moved(points: &[[f64; 2]], before: usize) -> f64 {
-    let ends = |k: usize| {
-        let of_front = front(points).into_iter().map(|i| points[i][k]);
-        BEYOND * of_front.fold(0.0, f64::max)
-    };
-    let corner = [ends(0), ends(1)];
-    let (old, new) = (dominated_area(&points[..before], corner), dominated_area(points, corner));
+/// Returns the relative growth of the area of the front from the first `before` of the points to all of them.
+pub fn growth(points: &[[f64; 2]], before: usize) -> f64 {
+    let front = front(points);
+    let corner = [0, 1].map(|k| BEYOND * front.iter().map(|&i| points[i][k]).fold(0.0, f64::max));
+    let old = dominated_area(&points[..before], corner);
+    let new = dominated_area(points, corner);
     if old > 0.0 { new / old - 1.0 } else { f64::INFINITY }
 }
 
 /// `own` with its numbers half way to those of the other; seeds and passes are no quantities between which others lie.
-fn half_way(own: &Plan, other: &Plan, ground: &Ground) -> Plan {
-    let settings = own.settings.iter().map(|(key, given)| {
+fn half_way(own: &SweptPlan, other: &SweptPlan, ground: &Ground) -> SweptPlan {
+    let settings = own.settings.iter().map(|(key, value)| {
         let is_whole = SETTINGS.iter().any(|setting| setting.key == *key && setting.is_whole());
-        let given = match (given, other.get(key)) {
+        let between = match (value, other.get(key)) {
             (SettingValue::Number(a), Some(SettingValue::Number(b))) if !is_whole => {
                 SettingValue::Number(mean(*a, *b))
             }
-            _ => given.clone(),
+            _ => value.clone(),
         };
-        (key.clone(), given)
+        (key.clone(), between)
     });
-    plan(&own.path, &own.method, settings.collect(), ground)
+    SweptPlan::new(&own.path, &own.method, settings.collect(), ground)
 }
 
 fn mean(a: f64, b: f64) -> f64 {
-    match () {
-        () if a == b => a,
-        () if a > 0.0 && b > 0.0 => rounded((a * b).sqrt()),
-        () => rounded((a + b) / 2.0),
+    if a == b {
+        a
+    } else if a > 0.0 && b > 0.0 {
+        rounded((a * b).sqrt())
+    } else {
+        rounded((a + b) / 2.0)
     }
 }
 
@@ -79,11 +79,11 @@ fn rounded(x: f64) -> f64 {
     format!("{x:.3e}").parse().expect("a formatted number is one")
 }
 
-/// Settings as a sentence: the names without settings that the sweep does not vary.
-pub fn in_words(plan: &Plan) -> String {
-    let known = |key: &str| SETTINGS.iter().any(|setting| setting.key == key);
-    let settings = plan.settings.iter().filter(|(key, _)| known(key));
-    let settings: Vec<String> = settings.map(|(key, given)| format!("{key}={given}")).collect();
+/// Writes the settings as a sentence: the names without settings that the sweep does not vary.
+pub fn in_words(plan: &SweptPlan) -> String {
+    let settings = plan.settings.iter();
+    let settings = settings.filter(|(key, _)| SETTINGS.iter().any(|setting| setting.key == *key));
+    let settings: Vec<String> = settings.map(|(key, value)| format!("{key}={value}")).collect();
     format!("{}, {}: {}", plan.path, plan.method, settings.join(" "))
 }
 
@@ -103,10 +103,10 @@ mod tests {
         }
     }
 
-    fn made(path: &str, pitch_mm: f64, price: f64) -> Plan {
+    fn made(path: &str, pitch_mm: f64, price: f64) -> SweptPlan {
         let settings = [("pitch_mm", pitch_mm), ("time_weight_nm2_per_s", price)];
         let settings = settings.map(|(k, x)| (k.to_string(), SettingValue::Number(x)));
-        plan(path, "joint", settings.to_vec(), &ground())
+        SweptPlan::new(path, "joint", settings.to_vec(), &ground())
     }
 
     #[test]
@@ -136,7 +136,7 @@ mod tests {
     fn a_search_on_a_known_curve_ends() {
         // Residual 1 / price against time price: the front is the hyperbola, and every point lies on it. Halving gaps
         // fills the area below the hyperbola, so the front moves less and less.
-        let point = |plan: &Plan| {
+        let point = |plan: &SweptPlan| {
             let price = plan.number("time_weight_nm2_per_s").unwrap();
             [price, 1.0 / price]
         };
@@ -148,7 +148,7 @@ mod tests {
             let next = proposals(&found, &plans.iter().collect::<Vec<_>>(), &ground());
             plans.extend(next);
             let points: Vec<[f64; 2]> = plans.iter().map(point).collect();
-            steps.push(moved(&points, before));
+            steps.push(growth(&points, before));
             if steps.last().unwrap() < &0.01 {
                 break;
             }

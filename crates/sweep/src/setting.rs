@@ -55,31 +55,31 @@ pub struct Setting {
     /// Name of the setting, which ends with its unit.
     pub key: String,
     kind: Kind,
-    /// Owner of a setting.
-    pub of: Of,
+    /// Owner of the setting.
+    pub owner: Owner,
 }
 
 /// Paths or methods that have a setting.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Of {
+pub enum Owner {
     /// Setting of these paths.
     Paths(Vec<&'static str>),
     /// Setting of these methods.
     Methods(Vec<&'static str>),
 }
 
-/// The pipeline of a family of paths.
+/// Returns the pipeline of a family of paths.
 pub fn pipeline(path: &str) -> Option<&'static Definition> {
     PIPELINES.iter().find(|definition| definition.name == path)
 }
 
-/// Default of a setting that all pipelines share.
+/// Returns the default of a setting that all pipelines share.
 pub fn default(name: &str) -> String {
     let scope = Scope::new::<&str>(&PIPELINES[0], &[]).expect("no settings");
     scope.text(name).expect("a setting that all pipelines share")
 }
 
-/// Stages that make the plan of a method, but for its path.
+/// Returns the stages that make the plan of a method, but for its path.
 pub fn stages(method: &str) -> &'static [&'static str] {
     if method == "joint" { &["joint"] } else { &["dwell", "refined"] }
 }
@@ -91,7 +91,7 @@ static SETTINGS_OF_STAGES: LazyLock<Vec<(&str, &str, BTreeSet<String>)>> = LazyL
     pairs.map(|(p, stage)| (p.name.as_str(), stage, p.settings_of(stage, &OWN))).collect()
 });
 
-/// Settings of a path on which these stages depend, in the order of their names.
+/// Returns the settings of a path on which these stages depend, in the order of their names.
 pub fn settings_of(path: &str, stages: &[&str]) -> BTreeSet<&'static str> {
     let known = SETTINGS_OF_STAGES.iter();
     let known = known.filter(|(p, stage, _)| *p == path && stages.contains(stage));
@@ -99,37 +99,34 @@ pub fn settings_of(path: &str, stages: &[&str]) -> BTreeSet<&'static str> {
 }
 
 fn settings() -> Vec<Setting> {
-    let tool = |key: &&str| Setting {
-        key: key.to_string(),
-        kind: Kind::Word,
-        of: Of::Paths(PATHS.to_vec()),
-    };
-    let mut found: Vec<Setting> = TOOLS.iter().map(tool).collect();
+    let mut settings = Vec::new();
+    for key in TOOLS {
+        add(&mut settings, key, &Kind::Word, Owner::Paths(PATHS.to_vec()));
+    }
     for definition in PIPELINES.iter() {
         for setting in &definition.settings {
-            let has =
-                |path: &&'static str| settings_of(path, &["paths"]).contains(setting.name.as_str());
-            let paths: Vec<_> = PATHS.into_iter().filter(has).collect();
+            let name = setting.name.as_str();
+            let mut paths = PATHS.to_vec();
+            paths.retain(|path| settings_of(path, &["paths"]).contains(name));
             if paths.contains(&definition.name.as_str()) {
-                add(&mut found, &setting.name, &setting.kind, Of::Paths(paths));
+                add(&mut settings, name, &setting.kind, Owner::Paths(paths));
             }
         }
     }
     for setting in &PIPELINES[0].settings {
-        let has = |method: &&'static str| {
-            settings_of(PATHS[0], stages(method)).contains(setting.name.as_str())
-        };
-        let methods: Vec<_> = METHODS.into_iter().filter(has).collect();
+        let name = setting.name.as_str();
+        let mut methods = METHODS.to_vec();
+        methods.retain(|method| settings_of(PATHS[0], stages(method)).contains(name));
         if !methods.is_empty() {
-            add(&mut found, &setting.name, &setting.kind, Of::Methods(methods));
+            add(&mut settings, name, &setting.kind, Owner::Methods(methods));
         }
     }
-    found
+    settings
 }
 
-fn add(settings: &mut Vec<Setting>, key: &str, kind: &Kind, of: Of) {
+fn add(settings: &mut Vec<Setting>, key: &str, kind: &Kind, owner: Owner) {
     if !settings.iter().any(|setting| setting.key == key) {
-        settings.push(Setting { key: key.into(), kind: kind.clone(), of });
+        settings.push(Setting { key: key.into(), kind: kind.clone(), owner });
     }
 }
 
@@ -141,10 +138,13 @@ pub const EXCLUSIVE: [[&str; 2]; 2] =
     [["min_dwell_s", "min_dwell_s_per_mm"], ["time_elasticity", "time_weight_nm2_per_s"]];
 
 impl Setting {
-    /// The setting of this name; a complaint with the remedy where there is none.
+    /// Returns the setting of this name.
+    ///
+    /// # Errors
+    /// Fails with a complaint about `line` that names the remedy if there is none.
     pub fn named(key: &str, line: u64) -> Result<&'static Self, Complaint> {
-        if let Some(found) = SETTINGS.iter().find(|s| s.key == key) {
-            return Ok(found);
+        if let Some(setting) = SETTINGS.iter().find(|s| s.key == key) {
+            return Ok(setting);
         }
         let stem = stem(key);
         let alike: Vec<&str> = SETTINGS
@@ -152,27 +152,21 @@ impl Setting {
             .map(|s| s.key.as_str())
             .filter(|known| self::stem(known) == stem)
             .collect();
-        let problem = match alike.is_empty() {
-            true => {
-                let known: Vec<&str> = SETTINGS.iter().map(|s| s.key.as_str()).collect();
-                format!("no setting '{key}'; there are path, method, {}", known.join(", "))
-            }
-            false => format!("no setting '{key}'; write {}, in that unit", alike.join(" or ")),
+        let problem = if alike.is_empty() {
+            let known: Vec<&str> = SETTINGS.iter().map(|s| s.key.as_str()).collect();
+            format!("no setting '{key}'; there are path, method, {}", known.join(", "))
+        } else {
+            format!("no setting '{key}'; write {}, in that unit", alike.join(" or "))
         };
         Err(Complaint::new(line, problem))
     }
 
     /// Returns true if a plan with this path and method has this setting.
     pub fn concerns(&self, path: &str, method: &str) -> bool {
-        match &self.of {
-            Of::Paths(paths) => paths.contains(&path),
-            Of::Methods(methods) => methods.contains(&method),
+        match &self.owner {
+            Owner::Paths(paths) => paths.contains(&path),
+            Owner::Methods(methods) => methods.contains(&method),
         }
-    }
-
-    /// Returns true if the tool path depends on the setting.
-    pub fn is_of_paths(&self) -> bool {
-        matches!(self.of, Of::Paths(_))
     }
 
     /// Returns true if the text is a value of the setting.
@@ -185,7 +179,10 @@ impl Setting {
         matches!(self.kind, Kind::Whole { .. })
     }
 
-    /// The values of the setting that stand in a node: one, a list, or a range.
+    /// Reads the values of the setting that stand in a node: one, a list, or a range.
+    ///
+    /// # Errors
+    /// Fails if one is no value of the setting, or if the list or the range has none.
     pub fn values(&self, node: &Node, tools: &[String]) -> Result<Vec<SettingValue>, Complaint> {
         let nodes = match &node.value {
             Value::List(items) if items.is_empty() => {
@@ -263,7 +260,7 @@ impl Setting {
     }
 }
 
-/// The word that stands there, where it is one of these.
+/// Returns the word that stands there, where it is one of these.
 pub fn one_of(node: &Node, words: &[&str]) -> Option<SettingValue> {
     match &node.value {
         Value::Text(text) if words.contains(&text.as_str()) => {
@@ -365,12 +362,14 @@ fn range(
     if count > MOST_OF_A_RANGE {
         return refused(format!("has {count} values; give at most {MOST_OF_A_RANGE}"));
     }
-    let at = move |i: f64| match step {
-        Some(step) => from + i * step,
-        None if logarithmic => from * (to / from).powf(i / (count - 1.0)),
-        None => from + (to - from) * i / (count - 1.0),
-    };
-    Ok((0..count as usize).map(move |i| rounded(at(i as f64))))
+    Ok((0..count as usize).map(move |i| {
+        let i = i as f64;
+        rounded(match step {
+            Some(step) => from + i * step,
+            None if logarithmic => from * (to / from).powf(i / (count - 1.0)),
+            None => from + (to - from) * i / (count - 1.0),
+        })
+    }))
 }
 
 /// Rounds to 12 digits, so that 0.8 + 2 * 0.2 is 1.2.

@@ -15,12 +15,15 @@ const OWN_FLAGS: [&str; 6] = ["--tif", "--surface", "--out", "--force", "--pictu
 /// Flags whose value is the path of a file or directory.
 const PATH_FLAGS: [&str; 2] = ["--form", "--table"];
 
-/// The values that the setting may have.
+/// Describes the values that the setting may have.
 pub fn wanted() -> String {
     format!("{NONE}, or the words of planish-tool {}, with their flags", COMMANDS.join(", "))
 }
 
-/// Refuses a text that is no command of the setting, with the values that it may have.
+/// Checks that a text is a command of the setting.
+///
+/// # Errors
+/// Fails with the values that the setting may have.
 pub fn check(text: &str) -> Result<(), String> {
     if text == NONE {
         return Ok(());
@@ -38,14 +41,17 @@ pub fn check(text: &str) -> Result<(), String> {
     }
 }
 
-/// Flag in a text that the sweep gives itself.
+/// Returns the first flag in a text that the sweep gives itself.
 pub fn own_flag(text: &str) -> Option<&str> {
     let flags =
         text.split_whitespace().map(|word| word.split_once('=').map_or(word, |(flag, _)| flag));
     flags.into_iter().find(|flag| OWN_FLAGS.contains(flag))
 }
 
-/// The words of a command, with every path replaced by what `place` makes of it.
+/// Replaces every path in the words of a command by what `place` makes of it.
+///
+/// # Errors
+/// Fails where `place` does.
 pub fn with_places<E>(
     words: Vec<String>,
     mut place: impl FnMut(&str) -> Result<String, E>,

@@ -5,7 +5,7 @@
 use planish_axes::{MotionSettings, contact, motion};
 use planish_dwell::bounded_least_squares;
 use planish_export::{
-    About, Origin, PATH_DEVIATION_MM, Settings, gcode, pmac, program, program_of_axes,
+    About, Origin, PATH_DEVIATION_MM, ProgramSettings, gcode, pmac, program, program_of_axes,
 };
 use planish_fixture::{Fixture, Recipe, make};
 use planish_form::{Form, FormFile};
@@ -84,7 +84,7 @@ impl Plan {
         (squares / n - (sum / n) * (sum / n)).sqrt()
     }
 
-    fn program(&self, controller: ControllerKind, settings: &Settings) -> (String, About) {
+    fn program(&self, controller: ControllerKind, settings: &ProgramSettings) -> (String, About) {
         let origin = Origin { made_from: "a test".into(), ..Origin::default() };
         let (motion, machine) = (&self.motion, &self.machine);
         let made = program_of_axes(motion, machine, &self.form, controller, settings, &origin)
@@ -106,8 +106,8 @@ fn programs_of_five_axes_and_of_a_spindle_keep_the_limits_and_the_residual() {
     for is_spindle in [false, true] {
         let plan = Plan::new(is_spindle);
         let planned_nm = plan.residual_nm(&plan.motion);
-        let pmac = pmac::Settings { tool_output: Some(1), ..Default::default() };
-        let settings = Settings { pmac, ..Settings::default() };
+        let pmac = pmac::PmacSettings { tool_output: Some(1), ..Default::default() };
+        let settings = ProgramSettings { pmac, ..ProgramSettings::default() };
         for controller in ControllerKind::ALL {
             let name = format!("{}, {controller:?}", plan.machine.name());
             let (text, about) = plan.program(controller, &settings);
@@ -136,7 +136,7 @@ fn programs_of_five_axes_and_of_a_spindle_keep_the_limits_and_the_residual() {
 #[test]
 fn a_program_says_its_axes_and_their_units() {
     let plan = Plan::new(true);
-    let (text, about) = plan.program(ControllerKind::Csv, &Settings::default());
+    let (text, about) = plan.program(ControllerKind::Csv, &ProgramSettings::default());
     let columns =
         "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,b_deg,vb_deg_per_s,tool_on";
     assert!(text.contains(columns), "{text:.2000}");
@@ -149,11 +149,11 @@ fn a_program_says_its_axes_and_their_units() {
     let axes: Vec<(&str, &str)> = about.axes.iter().map(|a| (a.name, a.unit)).collect();
     assert_eq!(axes, [("r", "mm"), ("z", "mm"), ("c", "deg"), ("b", "deg")]);
     // Every line of G-code has the four words, and a radius is X.
-    let (text, _) = plan.program(ControllerKind::Gcode, &Settings::default());
+    let (text, _) = plan.program(ControllerKind::Gcode, &ProgramSettings::default());
     let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G1 ")).collect();
     let has = |line: &str| [" X", " Z", " C", " B", " F"].iter().all(|word| line.contains(word));
     assert!(lines.len() > 100 && lines.iter().all(|line| has(line)));
-    let (text, _) = plan.program(ControllerKind::Galil, &Settings::default());
+    let (text, _) = plan.program(ControllerKind::Galil, &ProgramSettings::default());
     // The header has lines of 80 characters.
     let header = text.replace("\n' ... ", " ");
     assert!(header.contains("C = c in counts of 0.0001 deg") && text.contains("\nBTABCD\n"));
@@ -163,27 +163,34 @@ fn a_program_says_its_axes_and_their_units() {
 fn what_no_program_of_all_axes_can_do_is_refused() {
     let plan = Plan::new(false);
     let origin = Origin::default();
-    let refused = |controller: ControllerKind, settings: &Settings| {
+    let refused = |controller: ControllerKind, settings: &ProgramSettings| {
         let (motion, machine) = (&plan.motion, &plan.machine);
         let made = program_of_axes(motion, machine, &plan.form, controller, settings, &origin);
         made.unwrap_err().to_string()
     };
-    let gcode = gcode::Settings { feed: gcode::Feed::PerMinute, path_tolerance_mm: None };
-    let said = refused(ControllerKind::Gcode, &Settings { gcode, ..Settings::default() });
+    let gcode = gcode::GcodeSettings { feed: gcode::Feed::PerMinute, path_tolerance_mm: None };
+    let said =
+        refused(ControllerKind::Gcode, &ProgramSettings { gcode, ..ProgramSettings::default() });
     assert!(said.contains("f_word: is per-minute") && said.contains("give inverse-time"), "{said}");
     // A count of 0.01 degrees is 14 um at the pivot of 80 mm.
     let coarse = Counts { mm: None, deg: Some(vec![0.01]) };
-    let said = refused(ControllerKind::Csv, &Settings { counts: coarse, ..Settings::default() });
+    let said = refused(
+        ControllerKind::Csv,
+        &ProgramSettings { counts: coarse, ..ProgramSettings::default() },
+    );
     assert!(said.contains("count_deg: is 0.01 (0.013963 mm at the lever of the axis)"), "{said}");
     let three = Counts { mm: None, deg: Some(vec![1e-4; 3]) };
-    let said = refused(ControllerKind::Csv, &Settings { counts: three, ..Settings::default() });
+    let said = refused(
+        ControllerKind::Csv,
+        &ProgramSettings { counts: three, ..ProgramSettings::default() },
+    );
     assert!(
         said.contains("count_deg: has 3 numbers; give one for each of the axes a, b"),
         "{said}"
     );
     // The motion of another machine.
     let spindle = machine("spindle", |_| {});
-    let settings = Settings::default();
+    let settings = ProgramSettings::default();
     let made = program_of_axes(
         &plan.motion,
         &spindle,

@@ -1,6 +1,6 @@
 //! What stages write, and what others read of it (`types::outcome`).
 
-use planish_compare::plan::{Plan, State};
+use planish_compare::plan::{PlanStatus, State};
 use planish_simulate::virtual_machine;
 use planish_tolerance::Free;
 use planish_toolpath::{RasterSettings, SpiralSettings};
@@ -78,7 +78,7 @@ fn an_outcome_of_a_foreign_program_may_lack_what_is_not_needed() {
     assert_eq!(specification.specification, None);
     let removal = from_value::<RemovalOutcome>(json!({ "total_time_s": 1.0 }));
     assert!(removal.unwrap_err().to_string().contains("missing field `rms_nm`"));
-    assert_eq!(Plan::of_solver(None).state, State::Unknown);
+    assert_eq!(PlanStatus::of_solver(None).state, State::Unknown);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! planned. The reference positions of `planish-schedule interpolate` are continuous.
 
 use ndarray::Array2;
-use planish_export::{Origin, PATH_DEVIATION_MM, Settings, pmac, program};
+use planish_export::{Origin, PATH_DEVIATION_MM, ProgramSettings, pmac, program};
 use planish_import::program::{self as reader, Configuration};
 use planish_schedule::{
     interpolator::{Interpolator, Record, linked_records, records},
@@ -27,7 +27,7 @@ use rand_chacha::ChaCha8Rng;
 /// A controller, and how it is read.
 struct Target {
     controller: ControllerKind,
-    pmac: pmac::Settings,
+    pmac: pmac::PmacSettings,
     tick_s: Option<f64>,
     /// True if the program switches the tool.
     switches: bool,
@@ -36,7 +36,7 @@ struct Target {
 fn targets() -> Vec<Target> {
     use ControllerKind::*;
     let target = |controller, tool_output, tick_s, switches| {
-        let pmac = pmac::Settings { feedrate_time_unit_s: 0.001, tool_output };
+        let pmac = pmac::PmacSettings { feedrate_time_unit_s: 0.001, tool_output };
         Target { controller, pmac, tick_s, switches }
     };
     vec![
@@ -148,12 +148,12 @@ fn every_program_keeps_the_limits_and_the_path() {
         let machine = machine_of(&plan);
         for target in targets() {
             let name = format!("case {case}, count {count_mm}, {:?}", target.controller);
-            let settings = Settings {
+            let settings = ProgramSettings {
                 pmac: target.pmac.clone(),
                 counts: Counts { mm: Some(vec![count_mm, 2.0 * count_mm]), deg: None },
                 tick_s: target.tick_s,
                 always_on: true,
-                ..Settings::default()
+                ..ProgramSettings::default()
             };
             let made = program(&plan, &machine, target.controller, &settings, &origin)
                 .unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -360,18 +360,18 @@ fn programs_of_random_problems_keep_the_limits() {
         let count_mm = [1e-4, 1e-3, 1e-5][random.random_range(0..3)];
         let tick_s = [None, Some(5e-4), Some(1e-3), Some(2e-3), Some(4e-3)];
         let tick_s = tick_s[random.random_range(0..5)];
-        let pmac = pmac::Settings { feedrate_time_unit_s: 1.0, tool_output: Some(1) };
+        let pmac = pmac::PmacSettings { feedrate_time_unit_s: 1.0, tool_output: Some(1) };
         for controller in ControllerKind::ALL {
             let name =
                 format!("case {case}, tick {tick_s:?} s, count {count_mm} mm, {controller:?}");
             // Samples of a Galil are whole parts of a second of their own.
             let is_galil = controller == ControllerKind::Galil;
-            let mut settings = Settings {
+            let mut settings = ProgramSettings {
                 pmac: pmac.clone(),
                 counts: Counts::linear(count_mm),
                 tick_s: tick_s.filter(|_| !is_galil),
                 always_on: true,
-                ..Settings::default()
+                ..ProgramSettings::default()
             };
             let mut made = program(&plan, &machine, controller, &settings, &origin);
             if let Err(e) = &made {
@@ -451,7 +451,8 @@ fn a_plan_at_its_limits_takes_little_longer_on_a_coarse_clock() {
     let (plan, machine) = plan_at_its_limits();
     for target in targets() {
         let pmac = target.pmac.clone();
-        let settings = Settings { pmac, tick_s: target.tick_s, ..Settings::default() };
+        let settings =
+            ProgramSettings { pmac, tick_s: target.tick_s, ..ProgramSettings::default() };
         let made =
             program(&plan, &machine, target.controller, &settings, &Origin::default()).unwrap();
         let ratio = made.about.total_time_s / plan.total_time_s();
@@ -495,7 +496,7 @@ fn lines_of_a_plan_at_its_limits_take_its_time_or_are_refused() {
     let (plan, machine) = plan_at_its_limits();
     let export = |tick_s: Option<f64>, count_mm: Option<f64>| {
         let counts = count_mm.map_or(Counts::default(), Counts::linear);
-        let settings = Settings { counts, tick_s, ..Settings::default() };
+        let settings = ProgramSettings { counts, tick_s, ..ProgramSettings::default() };
         program(&plan, &machine, ControllerKind::Gcode, &settings, &Origin::default())
     };
     for tick_s in [None, Some(5e-4), Some(1e-3), Some(2e-3), Some(4e-3)] {
@@ -556,7 +557,7 @@ fn dwells_of_a_plan_keep_their_time_as_gcode() {
         }
         let n = on.len();
         let plan = Trajectory::new(time_s, cubics, on, vec![None; n]).unwrap();
-        let (kind, settings) = (ControllerKind::Gcode, Settings::default());
+        let (kind, settings) = (ControllerKind::Gcode, ProgramSettings::default());
         let made = program(&plan, &machine, kind, &settings, &Origin::default()).unwrap();
         let about = serde_json::to_string(&made.about).unwrap();
         let about: Configuration = serde_json::from_str(&about).unwrap();

@@ -1,7 +1,7 @@
 //! The published run of the reference mirror, reconciled with the published plan, where `PLANISH_REFERENCE` names its
 //! folder. `cargo test -p planish-testkit --test all reconcile:: -- --nocapture` prints the numbers of docs/campaign.md.
 
-use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
+use planish_reconcile::{Comparison, ReconcileSettings, Reconciled, reconcile};
 use planish_schedule::pvt;
 use planish_testkit::{
     ion_beam,
@@ -9,7 +9,7 @@ use planish_testkit::{
 };
 use planish_types::{Surface, text::significant};
 
-fn learnt(mirror: &Mirror, path: &str, settings: &Settings) -> Reconciled {
+fn learnt(mirror: &Mirror, path: &str, settings: &ReconcileSettings) -> Reconciled {
     let how = pvt::PvtSettings::new(pvt::Mode::Monotone);
     let trajectory = pvt::schedule(&mirror.path(path), &mirror.dwell(path), &ion_beam(), &how);
     let trajectory = trajectory.unwrap().trajectory;
@@ -23,7 +23,7 @@ fn learnt(mirror: &Mirror, path: &str, settings: &Settings) -> Reconciled {
         error_budget: None,
         transform: None,
     };
-    let settings = Settings { same_measurement: true, ..settings.clone() };
+    let settings = ReconcileSettings { same_measurement: true, ..settings.clone() };
     let found = reconcile(&comparison, &settings).unwrap();
     println!("{path}, {settings:?}");
     for e in found.outcome.parameters.iter().filter(|e| !e.held) {
@@ -50,18 +50,18 @@ fn names(names: &[&str]) -> Vec<String> {
 fn the_published_run_teaches_a_rate_and_no_displacement() {
     let Some(mirror) = mirror() else { return };
     let few = names(&["rate_scale", "offset_x", "offset_y"]);
-    let settings = |hold: &[&str], order| Settings {
+    let settings = |hold: &[&str], order| ReconcileSettings {
         free: few.clone(),
         hold: names(hold),
         metrology_order: order,
-        ..Settings::default()
+        ..ReconcileSettings::default()
     };
     let alone = learnt(&mirror, "raster", &settings(&["tilt_x", "tilt_y", "power"], None));
     learnt(&mirror, "raster", &settings(&["power"], None));
     learnt(&mirror, "raster", &settings(&[], Some([4, 3])));
     let highest = learnt(&mirror, "raster", &settings(&[], Some([8, 6])));
-    learnt(&mirror, "raster", &Settings::default());
-    learnt(&mirror, "maze", &Settings::default());
+    learnt(&mirror, "raster", &ReconcileSettings::default());
+    learnt(&mirror, "maze", &ReconcileSettings::default());
     let rate = |found: &Reconciled| found.outcome.parameters[0].clone();
     let found = rate(&alone);
     if let (Some(value), Some(error)) = (found.value, found.standard_error) {

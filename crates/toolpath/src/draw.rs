@@ -61,8 +61,8 @@ fn draw_aperture(svg: &mut Svg, frame: &Frame, aperture: &Aperture) {
     let mut d = String::new();
     for (y, runs) in &aperture.rows {
         for run in runs {
-            let [left, top] = frame.at([run.low - hx, y + hy]);
-            let [right, bottom] = frame.at([run.high + hx, y - hy]);
+            let [left, top] = frame.px([run.low - hx, y + hy]);
+            let [right, bottom] = frame.px([run.high + hx, y - hy]);
             put(&mut d, format_args!("M{left:.2} {top:.2}H{right:.2}V{bottom:.2}H{left:.2}Z"));
         }
     }
@@ -91,20 +91,20 @@ fn draw_path(svg: &mut Svg, frame: &Frame, path: &ToolPath) {
             Some(c) => format!("stroke=\"{}\"", COLOURS[c]),
             None => "stroke=\"#d62728\" stroke-dasharray=\"6 5\"".into(),
         };
-        let [x, y] = frame.at(path.point_mm()[i]);
+        let [x, y] = frame.px(path.point_mm()[i]);
         let mut d = format!("M{x:.2} {y:.2}L");
         let this = (colour(i), pass[i]);
         while i < n && (colour(i), pass[i]) == this {
             i += 1;
-            let [x, y] = frame.at(path.point_mm()[i]);
+            let [x, y] = frame.px(path.point_mm()[i]);
             put(&mut d, format_args!("{x:.2} {y:.2} "));
         }
         svg.path(&style, &d);
     }
     svg.put(format_args!("</g>"));
-    let [x, y] = frame.at(path.point_mm()[0]);
+    let [x, y] = frame.px(path.point_mm()[0]);
     svg.put(format_args!("<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"5\"/>"));
-    let [x, y] = frame.at(path.point_mm()[n]);
+    let [x, y] = frame.px(path.point_mm()[n]);
     let square = "fill=\"none\" stroke=\"#000000\" stroke-width=\"2\"";
     svg.rectangle([x - 6.0, y - 6.0], [12.0; 2], square);
     let length: f64 = (0..n).filter(|i| on[*i]).map(|i| path.segment_length_mm(i)).sum();

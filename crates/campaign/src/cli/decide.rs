@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use planish_campaign::decision::{self, Decision, Kept, Known, MapError, Settings, Verdict};
+use planish_campaign::decision::{
+    self, Decision, DecisionSettings, Known, MapError, SpecificationKept, Verdict,
+};
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status,
     flags::{OutputArgs, TrajectoryArgs},
@@ -35,7 +37,7 @@ pub struct Decide {
     #[arg(long, value_name = "DIR", requires = "specified_now")]
     specified_next: Option<PathBuf>,
     /// Least median gain for another run, in percent of the RMS on the mirror now; raise it if a run is expensive
-    #[arg(long, value_name = "P", default_value_t = Settings::default().least_gain_percent)]
+    #[arg(long, value_name = "P", default_value_t = DecisionSettings::default().least_gain_percent)]
     least_gain_percent: f64,
     #[command(flatten)]
     output: OutputArgs,
@@ -43,7 +45,7 @@ pub struct Decide {
 
 impl Decide {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = Settings { least_gain_percent: self.least_gain_percent };
+        let settings = DecisionSettings { least_gain_percent: self.least_gain_percent };
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let trajectory = self.trajectory.read(&mut inputs)?;
@@ -55,16 +57,15 @@ impl Decide {
         for from in ["surface", "trajectory"] {
             inputs.refuse_unrelated("tolerance", manifest.as_ref(), from)?;
         }
-        let about =
-            |problem: String| Failure::new(format!("{}: {problem}", self.tolerance.display()));
         let manifest = manifest.ok_or_else(|| {
-            about("has no manifest, in which the errors of the map are; give the output of planish-tolerance".into())
+            let problem = "has no manifest, in which the errors of the map are; give the output of planish-tolerance";
+            Failure::new(format!("{}: {problem}", self.tolerance.display()))
         })?;
         let remedy = "make it again by planish-tolerance";
         let outcome: ToleranceOutcome = manifest.read_outcome(&self.tolerance, remedy)?;
         let ToleranceSettings { free } = manifest.read_settings(&self.tolerance)?;
         let specification = match (&self.specified_now, &self.specified_next) {
-            (Some(now), Some(next)) => Some(Kept {
+            (Some(now), Some(next)) => Some(SpecificationKept {
                 now: is_kept(&mut inputs, "specified-now", now)?,
                 by_the_plan: is_kept(&mut inputs, "specified-next", next)?,
             }),

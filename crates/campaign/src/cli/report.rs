@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use planish_campaign::{
     decision::Decision,
-    page::{answer, page, picture},
+    page::{answer, page, picture, value_and_deviation},
     summary::{Campaign, Chains, Left, RunRecord},
 };
 use planish_handoff::{
@@ -26,8 +26,11 @@ use serde_json::json;
 /// are refused.
 const MOST_RUNS: usize = 100;
 
+/// Directories of the chains.
+const CHAINS: [&str; 3] = ["learning", "without", "known"];
+
 #[derive(Args)]
-pub struct Report {
+pub struct CampaignReport {
     /// Directory of the campaign, with the directories learning/K, without/K, known/K and alike
     dir: PathBuf,
     /// Map of the mirror before the first run [surface artifact]
@@ -46,7 +49,7 @@ pub struct Report {
     output: OutputArgs,
 }
 
-impl Report {
+impl CampaignReport {
     pub fn run(&self) -> Result<Status, Failure> {
         if !(1..=MOST_RUNS).contains(&self.runs) {
             return Err(Failure::new(format!("--runs: is {}; give 1 to {MOST_RUNS}", self.runs)));
@@ -56,12 +59,12 @@ impl Report {
         let mut records = Vec::new();
         let mut hidden: Option<(u64, Truth)> = None;
         for k in 1..=self.runs {
-            let place = |chain: &str| Path::new(chain).join(k.to_string());
-            let left = self.chains(&mut inputs, place, k, &mut hidden)?;
+            let places = CHAINS.map(|chain| Path::new(chain).join(k.to_string()));
+            let left = self.chains(&mut inputs, &places, k, &mut hidden)?;
             records.push(self.record(&mut inputs, k, left)?);
         }
-        let place = |chain: &str| Path::new("alike").join(chain);
-        let alike = self.chains(&mut inputs, place, self.runs + 1, &mut hidden)?;
+        let places = CHAINS.map(|chain| Path::new("alike").join(chain));
+        let alike = self.chains(&mut inputs, &places, self.runs + 1, &mut hidden)?;
         let settings = json!({
             "mirror": self.mirror, "runs": self.runs, "assumed_machine": self.assumed_machine,
         });
@@ -98,16 +101,19 @@ impl Report {
         Ok((dir, manifest))
     }
 
-    /// True result of run `k` of each chain.
+    /// Reads the true result of run `k` of each of [`CHAINS`], which stand in these places.
     fn chains(
         &self,
         inputs: &mut Inputs,
-        place: impl Fn(&str) -> PathBuf,
+        [learning, without, known]: &[PathBuf; 3],
         k: usize,
         hidden: &mut Option<(u64, Truth)>,
     ) -> Result<Chains, Failure> {
-        let mut of = |chain: &str| self.left(inputs, &place(chain), k, chain == "known", hidden);
-        Ok(Chains { learning: of("learning")?, without: of("without")?, known: of("known")? })
+        Ok(Chains {
+            learning: self.left(inputs, learning, k, false, hidden)?,
+            without: self.left(inputs, without, k, false, hidden)?,
+            known: self.left(inputs, known, k, true, hidden)?,
+        })
     }
 
     /// True result of a run of a chain. All runs must be of the same machine: its seed and truth go into `hidden`.
@@ -143,9 +149,9 @@ impl Report {
 
     fn record(&self, inputs: &mut Inputs, k: usize, left: Chains) -> Result<RunRecord, Failure> {
         let place = Path::new("learning").join(k.to_string());
-        let (dir, found) =
+        let (dir, reconciled) =
             self.manifest(inputs, &place, "reconciliation", &kind::RECONCILIATION)?;
-        let outcome: ReconciliationOutcome = found.read_outcome(&dir, "reconcile again")?;
+        let outcome: ReconciliationOutcome = reconciled.read_outcome(&dir, "reconcile again")?;
         let (dir, measured) = self.manifest(inputs, &place, "measured", &kind::SURFACE)?;
         let MeasuredOutcome { rms_nm: measured_rms_nm, .. } =
             measured.read_outcome(&dir, "measure it again")?;
@@ -154,13 +160,23 @@ impl Report {
         let [low, high] = decision.next.interval_95_percent_nm;
         Ok(RunRecord {
             left,
-            found: outcome.parameters,
+            estimates: outcome.parameters,
             measured_rms_nm,
             verdict: decision.verdict,
             reason: decision.reason,
             expected_nm: [decision.next.median_nm, low, high],
         })
     }
+}
+
+/// Writes a row of the residuals for the terminal.
+fn row(name: &str, chains: &Chains) -> String {
+    let mut line = format!("{name:<22}");
+    for left in chains.each() {
+        line += &format!(" {:>9.4} {:>7.1}", left.rms_nm, left.total_time_s / 60.0);
+    }
+    let [learning, without] = chains.over_known();
+    line + &format!(" {learning:>10.3} {without:>9.3}")
 }
 
 /// Table for the terminal.
@@ -171,16 +187,8 @@ fn table(campaign: &Campaign) -> String {
         "residual on the mirror     with learning          without       known tool   over the known tool".into(),
         "run                       nm RMS     min    nm RMS     min    nm RMS     min   learning   without".into(),
     ];
-    let row = |name: String, chains: &Chains| {
-        let mut line = format!("{name:<22}");
-        for left in chains.each() {
-            line += &format!(" {:>9.4} {:>7.1}", left.rms_nm, left.total_time_s / 60.0);
-        }
-        let [learning, without] = chains.over_known();
-        line + &format!(" {learning:>10.3} {without:>9.3}")
-    };
-    lines.extend(campaign.runs.iter().map(|run| row(run.number.to_string(), &run.left)));
-    lines.push(row("another mirror like it".into(), &campaign.alike));
+    lines.extend(campaign.runs.iter().map(|run| row(&run.number.to_string(), &run.left)));
+    lines.push(row("another mirror like it", &campaign.alike));
     lines.push(String::new());
     lines.push("learnt, with its standard error (in brackets: by an earlier run), and how many of them it is off".into());
     let mut head = format!("{:<32} {:>10}", "parameter", "truth");
@@ -192,8 +200,8 @@ fn table(campaign: &Campaign) -> String {
         let first = &campaign.runs[0].parameters[p];
         let truth = first.truth.map_or("-".into(), |t| significant(t, 4));
         let mut line = format!("{:<32} {truth:>10}", format!("{}, {}", first.name, first.unit));
-        for learnt in campaign.runs.iter().filter_map(|run| run.parameters.get(p)) {
-            let (value, off) = planish_campaign::page::shown(learnt);
+        for parameter in campaign.runs.iter().filter_map(|run| run.parameters.get(p)) {
+            let (value, off) = value_and_deviation(parameter);
             let value = value.replace("&plusmn;", "+-");
             line += &format!(" {value:>22} {off:>5}");
         }

@@ -19,12 +19,14 @@ impl Spread {
         let mut campaigns: Vec<Campaign> = Vec::new();
         for (k, dir) in self.reports.iter().enumerate() {
             let manifest = inputs.read_manifest(&format!("report {k}"), dir, &kind::CAMPAIGN)?;
-            let about = |problem: String| Failure::new(format!("{}: {problem}", dir.display()));
             let campaign: Campaign = manifest.read_outcome(dir, "make it again")?;
             let runs = campaigns.first().map_or(campaign.runs.len(), |first| first.runs.len());
             if campaign.runs.len() != runs || runs == 0 {
-                let problem = format!("has {} runs, and the first has {runs}", campaign.runs.len());
-                return Err(about(format!("{problem}; give campaigns with as many runs each")));
+                return Err(Failure::new(format!(
+                    "{}: has {} runs, and the first has {runs}; give campaigns with as many runs each",
+                    dir.display(),
+                    campaign.runs.len()
+                )));
             }
             campaigns.push(campaign);
         }
@@ -42,62 +44,70 @@ fn table(campaigns: &[Campaign]) -> String {
         "run                     median   least    most  <= 1.1     median   least    most  run again".into(),
     ];
     for k in 0..=runs {
-        let left = |c: &Campaign| c.runs.get(k).map_or(c.alike, |run| run.left).over_known();
-        let [learning, without] =
-            [0, 1].map(|i| sorted(campaigns.iter().map(|c| left(c)[i]).collect()));
+        let mut ratios = [vec![], vec![]];
+        let mut again = 0;
+        for campaign in campaigns {
+            let run = campaign.runs.get(k);
+            let [learning, without] = run.map_or(campaign.alike, |run| run.left).over_known();
+            ratios[0].push(learning);
+            ratios[1].push(without);
+            again += usize::from(run.is_some_and(|run| run.verdict == Verdict::RunAgain));
+        }
+        let [learning, without] = ratios.map(sorted);
         let within = learning.iter().filter(|v| **v <= 1.1).count();
-        let again =
-            |c: &&Campaign| c.runs.get(k).is_some_and(|run| run.verdict == Verdict::RunAgain);
-        let (name, again) = match k < runs {
-            true => {
-                let again = campaigns.iter().filter(again).count();
-                (format!("{}", k + 1), format!("{again:>10}"))
-            }
-            false => ("another mirror like it".into(), String::new()),
-        };
-        let numbers = |v: &[f64]| {
-            let median = 0.5 * (v[(v.len() - 1) / 2] + v[v.len() / 2]);
-            format!("{median:>7.3} {:>7.3} {:>7.3}", v[0], v[v.len() - 1])
-        };
-        lines.push(format!(
-            "{name:<22} {} {within:>7}    {}{again}",
-            numbers(&learning),
-            numbers(&without)
-        ));
+        let numbers = format!("{} {within:>7}    {}", spread(&learning), spread(&without));
+        lines.push(if k < runs {
+            format!("{:<22} {numbers}{again:>10}", k + 1)
+        } else {
+            format!("another mirror like it {numbers}")
+        });
     }
     lines.extend(expected(campaigns));
     lines.push(parameters(campaigns));
     lines.join("\n")
 }
 
+/// Writes the median, the least and the largest of values that ascend.
+fn spread(values: &[f64]) -> String {
+    let median = 0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2]);
+    format!("{median:>7.3} {:>7.3} {:>7.3}", values[0], values[values.len() - 1])
+}
+
 /// Lines on the results of each next run: ratio to the expected median, and number of results within the interval.
 fn expected(campaigns: &[Campaign]) -> Vec<String> {
     let runs = campaigns[0].runs.len();
-    let line = |k: usize| {
-        let (mut below, mut within, mut ratio) = (0, 0, 0.0);
+    let mut lines = Vec::new();
+    for k in 0..runs - 1 {
+        let mut below = 0;
+        let mut within = 0;
+        let mut ratio = 0.0;
         for c in campaigns {
-            let ([median, low, high], left) =
-                (c.runs[k].expected_nm, c.runs[k + 1].left.learning.rms_nm);
+            let [median, low, high] = c.runs[k].expected_nm;
+            let left = c.runs[k + 1].left.learning.rms_nm;
             below += usize::from(left <= high);
             within += usize::from((low..=high).contains(&left));
             ratio += left / median / campaigns.len() as f64;
         }
-        format!(
+        lines.push(format!(
             "run {} left {ratio:.3} times the median that was expected of it (mean); in {within} of {} campaigns within the \
              interval of 95 %, in {below} not more than its end",
             k + 2,
             campaigns.len()
-        )
-    };
-    (0..runs - 1).map(line).collect()
+        ));
+    }
+    lines
 }
 
 /// Line on the parameters after the last run: number whose truth is within two standard errors of the learnt value.
 fn parameters(campaigns: &[Campaign]) -> String {
-    let (mut determined, mut all, mut within) = (0, 0, 0);
-    for learnt in campaigns.iter().flat_map(|c| c.runs.last()).flat_map(|run| &run.parameters) {
+    let mut determined = 0;
+    let mut all = 0;
+    let mut within = 0;
+    for parameter in campaigns.iter().flat_map(|c| c.runs.last()).flat_map(|run| &run.parameters) {
         all += 1;
-        if let (Some(v), Some(e), Some(t)) = (learnt.value, learnt.standard_error, learnt.truth) {
+        if let (Some(v), Some(e), Some(t)) =
+            (parameter.value, parameter.standard_error, parameter.truth)
+        {
             determined += 1;
             within += usize::from((v - t).abs() <= 2.0 * e);
         }

@@ -23,14 +23,14 @@ pub struct Diff {
 
 impl Diff {
     pub fn run(&self) -> Result<Status, Failure> {
-        let mut found = Vec::new();
+        let mut differences = Vec::new();
         for (name, [x, y]) in files::read_pair(&self.a, &self.b)? {
             let difference = difference(&x, &y)
                 .map_err(|e| Failure::new(format!("{name}: {e}; nothing compared")))?;
-            found.push((name, difference));
+            differences.push((name, difference));
         }
-        let beyond = beyond(&found, self.max_difference)?;
-        for (name, difference) in &found {
+        let beyond = beyond(&differences, self.max_difference)?;
+        for (name, difference) in &differences {
             say(difference.line(name));
         }
         Ok(beyond.map_or(Status::Done, Status::Negative))

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use planish_compare::{
     report::{
-        Run,
+        RunData,
         figure::{Layout, figures},
         views,
     },
@@ -119,8 +119,8 @@ impl Figures {
     }
 }
 
-/// The run with the method that is to be drawn alone.
-fn with_one_method(mut run: Run, wanted: Option<&str>) -> Result<Run, String> {
+/// Returns the run with the method that is to be drawn alone.
+fn with_one_method(mut run: RunData, wanted: Option<&str>) -> Result<RunData, String> {
     let there: Vec<String> = run.methods.iter().map(|m| m.name.clone()).collect();
     let there = there.join(", ");
     let Some(name) = wanted.map(String::from).or_else(|| run.summary.best.clone()) else {

@@ -10,7 +10,7 @@ use planish_compare::{
     answer::to_json,
     chain::Standing,
     report::{
-        Run,
+        RunData,
         figure::{Layout, figures},
         page, sparkline, views,
     },
@@ -24,7 +24,7 @@ use serde_json::json;
 use super::super::files::{self, Names};
 
 #[derive(Args)]
-pub struct Report {
+pub struct ReportCommand {
     /// Run: a directory with surface/ and methods/<scheduler>/{trajectory,removal,verdict}/
     #[arg(required = true, value_name = "RUN_DIR")]
     runs: Vec<PathBuf>,
@@ -84,9 +84,9 @@ impl Plots {
     }
 }
 
-impl Report {
+impl ReportCommand {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Report {
+        let ReportCommand {
             runs,
             pipeline,
             mirror: fixture,
@@ -116,8 +116,8 @@ impl Report {
             after_servo: *after_servo,
         };
         if measured.is_some() && runs.len() > 1 {
-            let given = runs.len();
-            let message = format!("--measured is of one run, {given} are given; leave it out");
+            let count = runs.len();
+            let message = format!("--measured is of one run, {count} are given; leave it out");
             return Err(Failure::new(message));
         }
         let read = runs.iter().enumerate();
@@ -164,7 +164,7 @@ impl Report {
 }
 
 /// Recommends the row `program` of the only run, where one is named; refuses it beside several runs.
-fn recommend(program: Option<&str>, read: &mut [Run]) -> Result<(), Failure> {
+fn recommend(program: Option<&str>, read: &mut [RunData]) -> Result<(), Failure> {
     match (program, read) {
         (None, _) => Ok(()),
         (Some(row), [run]) => run.summary.recommend(row).map_err(Failure::new),
@@ -175,7 +175,7 @@ fn recommend(program: Option<&str>, read: &mut [Run]) -> Result<(), Failure> {
     }
 }
 
-/// One line on standard error; a closed pipe is not an error.
+/// Prints one line on standard error; a closed pipe is not an error.
 fn warn(message: &str) {
     let _ = writeln!(std::io::stderr(), "{}", visible(message));
 }
@@ -192,8 +192,8 @@ fn tell(runs: &[(&str, &Summary)]) {
         say(judged);
     }
     for (name, method) in runs.iter().flat_map(|(_, s)| &s.methods) {
-        if let Some(told) = &method.on_axes {
-            say(visible(&told.sentence(name)));
+        if let Some(on_axes) = &method.on_axes {
+            say(visible(&on_axes.sentence(name)));
         }
     }
     for process in runs.iter().filter_map(|(_, s)| s.error_budget.as_ref()) {

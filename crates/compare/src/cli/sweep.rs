@@ -24,10 +24,9 @@ impl Sweep {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let bytes = inputs.read_bytes("table", &self.table, LARGEST_TABLE_BYTES)?;
-        let unusable = |e| {
+        let table: Table = serde_json::from_slice(&bytes).map_err(|e| {
             Failure::new(format!("{}: {e}; write it by planish-sweep table", self.table.display()))
-        };
-        let table: Table = serde_json::from_slice(&bytes).map_err(unusable)?;
+        })?;
         let to_table = self.to_table();
         let task = task!("sweep", json!({ "to_table": to_table }));
         let recommended = table.recommended().map(|i| table.0.plans[i].id.as_str());
@@ -49,15 +48,17 @@ impl Sweep {
                     beside.push((name, drawn.into_bytes()));
                 }
             }
-            let front = |residual| -> Vec<&str> {
-                table.front(residual).into_iter().map(|i| table.0.plans[i].id.as_str()).collect()
-            };
+            let [front, front_95_percent] =
+                [Residual::Nominal, Residual::Below95].map(|residual| {
+                    let front = table.front(residual).into_iter();
+                    front.map(|i| table.0.plans[i].id.as_str()).collect::<Vec<_>>()
+                });
             let outcome = json!({
                 "plans": table.0.plans.len(),
                 "failed": table.failed(),
                 "recommended": recommended,
-                "front": front(Residual::Nominal),
-                "front_95_percent": front(Residual::Below95),
+                "front": front,
+                "front_95_percent": front_95_percent,
             });
             writer.write_arrays(&kind::SWEEP, &[], &beside, outcome, &status)?;
         }
@@ -76,19 +77,20 @@ impl Sweep {
         Ok(status)
     }
 
-    /// Path from the page to the folder of the table, to which the reports are relative: one step up if the page is
-    /// beside the table, otherwise from the root.
+    /// Returns the path from the page to the folder of the table, to which the reports are relative: one step up if the
+    /// page is beside the table, otherwise from the root.
     fn to_table(&self) -> String {
-        let folder = |path: &Path| path.parent().map(|p| Path::new(".").join(p).canonicalize());
-        match (folder(&self.table), folder(&self.output.out)) {
-            (Some(Ok(table)), Some(Ok(out))) if table == out => "../".into(),
-            (Some(Ok(table)), _) => format!("{}/", table.display()),
-            _ => String::new(),
+        let [table, out] = [&self.table, &self.output.out]
+            .map(|path| Path::new(".").join(path.parent()?).canonicalize().ok());
+        match table {
+            Some(table) if Some(&table) == out.as_ref() => "../".into(),
+            Some(table) => format!("{}/", table.display()),
+            None => String::new(),
         }
     }
 }
 
-/// The lines without characters that could command a terminal.
+/// Returns the lines without characters that could command a terminal.
 fn visible_lines(text: &str) -> String {
     text.lines().map(visible).collect::<Vec<_>>().join("\n")
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{
     map::ScreenMap,
-    motion::{Dwell, Line},
+    motion::{Dwell, SpeedLine},
     pack::base64,
     spectrum::{BAND_PERIOD_MM, Spectrum},
     view::{MethodView, View},
@@ -58,12 +58,12 @@ impl Panels {
         Self { columns, width_px, height_px }
     }
 
-    /// A sheet of panels of this height.
+    /// Creates a sheet of panels of this height.
     fn sheet(&self) -> Sheet {
         Sheet::new(self.columns, [self.width_px, self.height_px])
     }
 
-    /// A sheet of panels with this height over width.
+    /// Creates a sheet of panels with this height over width.
     fn sheet_of_shape(&self, shape: f64) -> Sheet {
         Sheet::new(self.columns, [self.width_px, self.width_px * shape])
     }
@@ -101,7 +101,8 @@ impl Layout {
     /// Layout for papers and lab books: every figure is [`PAPER_PX`] wide.
     pub const PAPER: Self = {
         let margin = MARGIN_PX[0] + MARGIN_PX[2];
-        let (whole, half) = (PAPER_PX - margin, 0.5 * PAPER_PX - margin);
+        let whole = PAPER_PX - margin;
+        let half = 0.5 * PAPER_PX - margin;
         Self {
             overview: Panels::new(3, PAPER_PX / 3.0 - MARGIN_OF_THREE_PX, 0.0),
             overview_narrow: Panels::new(1, whole, 0.0),
@@ -141,7 +142,7 @@ const ROUNDING_S: f64 = 1e-6;
 /// Derived: its texts of 14 px are 7.5 pt high when it is printed 180 mm wide.
 pub const PAPER_PX: f64 = 952.0;
 
-/// The figures of a report: names and SVG; only those that have something to show.
+/// Draws the figures of a report. Returns names and SVG of those that have something to show.
 pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
     type Figure = fn(&[View], &Layout) -> Option<String>;
     let figures: [(&str, Figure); 10] = [
@@ -163,8 +164,8 @@ pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
 // ---------------------------------------------------------------------------------------------
 // The figures
 
-/// Maps of every method: desired removal, predicted removal and, where it is visible, residual on one scale; the residual
-/// on its own scale, that of 99 % of its pixels.
+/// Draws the maps of every method: desired removal, predicted removal and, where it is visible, residual on one scale; the
+/// residual on its own scale, that of 99 % of its pixels.
 fn maps(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 2.0);
@@ -174,15 +175,15 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
         let common = scale_of(&view.desired);
         for m in &view.methods {
             let own = m.residual.reach_99_nm;
-            let of = label(views, view, m);
+            let label = label(views, view, m);
             panels.extend([
                 (&view.desired, common, "desired removal".to_string()),
-                (&m.removal, common, format!("predicted removal, {of}")),
+                (&m.removal, common, format!("predicted removal, {label}")),
             ]);
             if own >= LEAST_CONTRAST * common {
-                panels.push((&m.residual, common, format!("residual, {of}")));
+                panels.push((&m.residual, common, format!("residual, {label}")));
             }
-            panels.push((&m.residual, own, format!("residual, {of}, own scale (99 %)")));
+            panels.push((&m.residual, own, format!("residual, {label}, own scale (99 %)")));
         }
     }
     let images: Vec<_> = panels.par_iter().map(|(map, scale, _)| png_of(map, *scale)).collect();
@@ -194,15 +195,17 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// The motion of all axes: that of the recommended plan if it has one, or else of the first plan that has.
+/// Returns the picture of the motion of all axes: that of the recommended plan if it has one, or else of the first plan
+/// that has.
 fn axes(views: &[View], _: &Layout) -> Option<String> {
-    let recommended =
-        |(view, m): &(&View, &MethodView)| view.summary.best.as_ref() == Some(&m.name);
-    let with_axes = || methods(views).filter(|(_, m)| m.on_axes.is_some());
-    let (_, m) = with_axes().find(recommended).or_else(|| with_axes().next())?;
+    let with_axes: Vec<_> = methods(views).filter(|(_, m)| m.on_axes.is_some()).collect();
+    let mut all = with_axes.iter();
+    let recommended = all.find(|(view, m)| view.summary.best.as_ref() == Some(&m.name));
+    let (_, m) = recommended.or(with_axes.first())?;
     m.on_axes.clone()
 }
 
+/// Draws the path of every method in colours of its speed.
 fn path(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -215,7 +218,7 @@ fn path(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// The whole in three panels: the surface before, the path by its speed, the residual on its own scale.
+/// Draws the whole in three panels: the surface before, the path by its speed, the residual on its own scale.
 fn overview(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -226,8 +229,8 @@ fn overview(views: &[View], layout: &Layout) -> Option<String> {
         sheet.margin_px = [56.0, 34.0, MARGIN_OF_THREE_PX - 56.0, 56.0];
     }
     for (view, m) in methods(views) {
-        let found = view.summary.methods.iter().find(|(name, _)| *name == m.name);
-        let time = duration(found.map_or(f64::NAN, |(_, numbers)| numbers.total_time_s));
+        let result = view.summary.methods.iter().find(|(name, _)| *name == m.name);
+        let time = duration(result.map_or(f64::NAN, |(_, result)| result.total_time_s));
         let scales = [scale_of(&view.desired), m.residual.reach_99_nm].map(two_digits_up);
         let maps = [(&view.desired, scales[0]), (&m.residual, scales[1])];
         let images = maps.map(|(map, scale)| png_of(map, scale));
@@ -240,7 +243,7 @@ fn overview(views: &[View], layout: &Layout) -> Option<String> {
         let frame = sheet.panel(scales);
         draw_path(&mut sheet.svg, &frame, &m.line);
         let [x, y] = extent(&view.desired);
-        let ([left, top], [right, bottom]) = (frame.at([x[0], y[1]]), frame.at([x[1], y[0]]));
+        let [[left, top], [right, bottom]] = [[x[0], y[1]], [x[1], y[0]]].map(|p| frame.px(p));
         let outline = format!("fill=\"none\" stroke=\"{INK}\" stroke-width=\"0.7\"");
         sheet.svg.rectangle([left, top], [right - left, bottom - top], &outline);
         frame.title(&mut sheet.svg, &format!("path: {}, {time}", label(views, view, m)));
@@ -251,7 +254,7 @@ fn overview(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// A map in colours (`image`, as PNG) over the whole of `frame`, with its axes and its bar of colours.
+/// Draws a map in colours (`image`, as PNG) over the whole of `frame`, with its axes and its bar of colours.
 fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
     let corner = [frame.left, frame.top];
     put_image(svg, corner, [frame.width, frame.height], image);
@@ -263,20 +266,21 @@ fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
 /// Draws a map as [`draw_map`] does, in a part of the frame.
 fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&ScreenMap, f64)) {
     let [x, y] = extent(map);
-    let ([left, top], [right, bottom]) = (frame.at([x[0], y[1]]), frame.at([x[1], y[0]]));
+    let [[left, top], [right, bottom]] = [[x[0], y[1]], [x[1], y[0]]].map(|p| frame.px(p));
     put_image(svg, [left, top], [right - left, bottom - top], image);
     frame.axes(svg, ["x (mm)", "y (mm)"]);
     frame.colour_bar(svg, &Bands::new(&BLUE_TO_BROWN, BAR_BANDS, [-scale, scale]), "nm");
     note_below(svg, frame, "height from the mean");
 }
 
-/// Small print below a panel that has room for it beside the title of its axis.
+/// Adds small print below a panel that has room for it beside the title of its axis.
 fn note_below(svg: &mut Svg, frame: &Frame, words: &str) {
     if frame.width >= NOTED_FROM_PX {
         frame.note(svg, words);
     }
 }
 
+/// Adds an image (PNG) over a rectangle with this upper left corner, px.
 fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: &[u8]) {
     svg.put(format_args!(
         "<image x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
@@ -286,19 +290,19 @@ fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: 
     ));
 }
 
-/// A path in colours of its speed, with its axes and its bar of colours; jumps are dotted.
-fn draw_path(svg: &mut Svg, frame: &Frame, line: &Line) {
+/// Draws a path in colours of its speed, with its axes and its bar of colours; jumps are dotted.
+fn draw_path(svg: &mut Svg, frame: &Frame, line: &SpeedLine) {
     let speeds: Vec<f64> = line.speed_mm_per_s.iter().copied().filter(|v| v.is_finite()).collect();
     let bands = Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, or_one(quantile(&speeds, 0.99))]);
     let every = line.point_mm.len().div_ceil(MAX_POINTS);
-    let kept: Vec<usize> = (0..line.point_mm.len()).step_by(every).collect();
+    let drawn: Vec<usize> = (0..line.point_mm.len()).step_by(every).collect();
     let mut jumps = String::new();
     let mut moves = vec![String::new(); BINS];
-    for pair in kept.windows(2) {
+    for pair in drawn.windows(2) {
         let jump = (pair[0] + 1..=pair[1]).any(|i| line.speed_mm_per_s[i].is_nan());
         let bin =
-            if jump { &mut jumps } else { &mut moves[bands.of(line.speed_mm_per_s[pair[1]])] };
-        let [a, b] = [pair[0], pair[1]].map(|i| frame.at(line.point_mm[i]));
+            if jump { &mut jumps } else { &mut moves[bands.index(line.speed_mm_per_s[pair[1]])] };
+        let [a, b] = [pair[0], pair[1]].map(|i| frame.px(line.point_mm[i]));
         put(bin, format_args!("M{:.1} {:.1}L{:.1} {:.1}", a[0], a[1], b[0], b[1]));
     }
     for (colour, d) in bands.colours().iter().zip(&moves) {
@@ -311,6 +315,7 @@ fn draw_path(svg: &mut Svg, frame: &Frame, line: &Line) {
     note_below(svg, frame, "99 % of the speeds are below the top");
 }
 
+/// Draws velocity, acceleration and jerk of every method against time, with the limits of the machine.
 fn motion(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let mut sheet = layout.motion.sheet();
@@ -326,24 +331,27 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
                 .axes
                 .each_ref()
                 .map(|axis| axis.derivatives()[order].limit.unwrap_or(f64::NAN));
-            let far = |l: f64| l > 3.0 * reach;
-            let shown = 1.05 * limits.into_iter().filter(|l| !far(*l)).fold(reach, f64::max);
+            let near = limits.map(|l| l <= 3.0 * reach);
+            let largest = limits.into_iter().filter(|l| *l <= 3.0 * reach).fold(reach, f64::max);
+            let shown = 1.05 * largest;
             let frame = sheet.panel([Scale::linear(time), Scale::linear([-shown, shown])]);
             let svg = &mut sheet.svg;
             let mut notes = vec![];
             for (axis, envelope) in envelopes.iter().enumerate() {
                 let mut d = String::new();
                 for (x, low, high) in envelope.over_columns(ends, COLUMNS) {
-                    let [px, bottom] = frame.at([x, low]);
-                    let top = frame.at([x, high])[1];
+                    let [px, bottom] = frame.px([x, low]);
+                    let top = frame.px([x, high])[1];
                     put(&mut d, format_args!("M{px:.1} {bottom:.1}V{:.1}", top.min(bottom - 0.7)));
                 }
                 let colour = AXIS_COLOURS[axis];
                 svg.path(&format!("fill=\"none\" stroke=\"{colour}\" stroke-opacity=\"0.75\""), &d);
-                let (limit, axis_name) = (limits[axis], ["x", "y"][axis]);
-                if limit.is_finite() && !far(limit) {
-                    let [above, below] = [limit, -limit].map(|l| frame.at([time[0], l])[1]);
-                    let (x0, x1) = (frame.left, frame.right());
+                let limit = limits[axis];
+                let axis_name = ["x", "y"][axis];
+                if limit.is_finite() && near[axis] {
+                    let [above, below] = [limit, -limit].map(|l| frame.px([time[0], l])[1]);
+                    let x0 = frame.left;
+                    let x1 = frame.right();
                     svg.path(
                         &format!("stroke=\"{colour}\" stroke-dasharray=\"7 4\""),
                         &format!("M{x0:.1} {below:.1}H{x1:.1}M{x0:.1} {above:.1}H{x1:.1}"),
@@ -363,21 +371,24 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
+/// Draws the dwell times of every method, and executed minus planned where they differ.
 fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
-    let departs = |d: &Dwell| dwell_errors_s(d).iter().any(|e| e.abs() > ROUNDING_S);
     // Without a difference to show, one panel of a method takes the whole width.
-    let some_depart = methods(views).filter_map(|(_, m)| m.dwell.as_ref()).any(departs);
+    let some_depart = methods(views)
+        .filter_map(|(_, m)| m.dwell.as_ref())
+        .any(|d| dwell_errors_s(d).iter().any(|e| e.abs() > ROUNDING_S));
     let panels = if some_depart { &layout.dwell } else { &layout.path };
     let mut sheet = panels.sheet_of_shape(shape);
     for (view, m) in methods(views) {
         let Some(d) = &m.dwell else { continue };
         let error = dwell_errors_s(d);
-        let gap = |p: &[[f64; 2]]| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1]);
-        let gap_mm = quantile(&d.point_mm.windows(2).map(gap).collect::<Vec<_>>(), 0.5);
+        let pairs = d.point_mm.windows(2);
+        let gaps: Vec<f64> = pairs.map(|p| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1])).collect();
+        let gap_mm = quantile(&gaps, 0.5);
         let top = or_one(quantile(&d.planned_s, 0.99));
         let reach = error.iter().fold(ROUNDING_S, |m, e| m.max(e.abs()));
-        let of = label(views, view, m);
+        let label = label(views, view, m);
         let shown = [
             (&d.planned_s, Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, top]), "dwell time"),
             (&error, Bands::new(&BLUE_TO_BROWN, BINS, [-reach, reach]), "executed - planned"),
@@ -386,18 +397,18 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
             let frame = sheet.panel(same_scale(&d.point_mm, shape));
             if values.is_empty() {
                 frame.axes(&mut sheet.svg, ["x (mm)", "y (mm)"]);
-                frame.title(&mut sheet.svg, &format!("not known of a program: {title}, {of}"));
+                frame.title(&mut sheet.svg, &format!("not known of a program: {title}, {label}"));
                 continue;
             }
             // A square as large as its fraction of the picture, and no gap to the next one on the
             // path.
-            let px_per_mm = frame.at([1.0, 0.0])[0] - frame.at([0.0, 0.0])[0];
+            let px_per_mm = frame.px([1.0, 0.0])[0] - frame.px([0.0, 0.0])[0];
             let own_px = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
             let side = own_px.max((1.1 * px_per_mm * gap_mm).min(frame.width / 25.0));
             let mut squares = vec![String::new(); BINS];
             for (p, v) in d.point_mm.iter().zip(values) {
-                let [px, py] = frame.at(*p);
-                let d = &mut squares[bands.of(*v)];
+                let [px, py] = frame.px(*p);
+                let d = &mut squares[bands.index(*v)];
                 put(d, format_args!("M{:.1} {py:.1}h{side:.1}", px - 0.5 * side));
             }
             let svg = &mut sheet.svg;
@@ -410,7 +421,7 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
                 let s = significant(ROUNDING_S, 1);
                 note_below(svg, &frame, &format!("executed within {s} s of planned"));
             }
-            frame.title(svg, &format!("{title}, {of}"));
+            frame.title(svg, &format!("{title}, {label}"));
         }
     }
     sheet.finish_if_any()
@@ -422,6 +433,7 @@ fn dwell_errors_s(d: &Dwell) -> Vec<f64> {
     executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
 }
 
+/// Draws the histograms of the heights before and after, one panel for a run.
 fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.histogram.sheet();
     for view in views {
@@ -433,9 +445,9 @@ fn histograms(views: &[View], layout: &Layout) -> Option<String> {
         let reach = histograms.iter().fold(0.0_f64, |m, (_, h)| m.max(-h.low_nm));
         let scales = [Scale::linear([-reach, reach]), Scale::logarithmic([low, 2.0 * high])];
         let curves = histograms.iter().map(|(name, h)| {
-            let middle = |k: usize| h.low_nm + (k as f64 + 0.5) * h.width_nm;
             let points = h.density_per_nm.iter().enumerate();
-            (*name, points.map(|(k, v)| [middle(k), v.max(low)]).collect())
+            let middles = points.map(|(k, v)| (h.low_nm + (k as f64 + 0.5) * h.width_nm, v));
+            (*name, middles.map(|(middle, v)| [middle, v.max(low)]).collect())
         });
         let frame = sheet.panel(scales);
         curves_of(&mut sheet.svg, &frame, &curves.collect::<Vec<_>>());
@@ -445,6 +457,7 @@ fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
+/// Draws the spectra of the heights before and after, one panel for a run.
 fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.spectrum.sheet();
     for view in views {
@@ -453,21 +466,19 @@ fn spectra(views: &[View], layout: &Layout) -> Option<String> {
         let named = before.chain(after).filter_map(|(name, s)| Some((name, s.as_ref()?)));
         let spectra: Vec<(&str, &Spectrum)> = named.collect();
         let Some((_, first)) = spectra.first() else { continue };
-        let positive = |values: fn(&Spectrum) -> &Vec<f64>| {
-            let all = spectra.iter().flat_map(move |(_, s)| values(s)).copied();
-            range(all.filter(|v| *v > 0.0))
-        };
-        let [low, high] = positive(|s| &s.psd_nm2_mm2);
+        let densities = spectra.iter().flat_map(|(_, s)| &s.psd_nm2_mm2).copied();
+        let [low, high] = range(densities.filter(|v| *v > 0.0));
         let low = low.max(high * 1e-10);
-        let x = positive(|s| &s.frequency_per_mm);
+        let frequencies = spectra.iter().flat_map(|(_, s)| &s.frequency_per_mm).copied();
+        let x = range(frequencies.filter(|v| *v > 0.0));
         let frame = sheet.panel([Scale::logarithmic(x), Scale::logarithmic([low, 2.0 * high])]);
         let svg = &mut sheet.svg;
         for period in BAND_PERIOD_MM {
             let f = 1.0 / period;
             if f > x[0] && f < x[1] {
                 frame.upright(svg, f, "stroke=\"#888888\" stroke-dasharray=\"3 3\"");
-                let at = [frame.at([f, low])[0] + 4.0, frame.bottom() - 6.0];
-                svg.text(at, "font-size=\"12\" fill=\"#555555\"", &format!("{period} mm"));
+                let place = [frame.px([f, low])[0] + 4.0, frame.bottom() - 6.0];
+                svg.text(place, "font-size=\"12\" fill=\"#555555\"", &format!("{period} mm"));
             }
         }
         let curves = spectra.iter().map(|(name, s)| {
@@ -478,14 +489,14 @@ fn spectra(views: &[View], layout: &Layout) -> Option<String> {
         curves_of(svg, &frame, &curves.collect::<Vec<_>>());
         let [width, height] = first.size_mm.map(|mm| significant(mm, 4));
         let percent = fixed(100.0 * first.fraction_of_valid_pixels, 1);
-        let of = format!("of {width} x {height} mm, {percent} % of the valid pixels");
-        frame.note(svg, &of);
+        frame.note(svg, &format!("of {width} x {height} mm, {percent} % of the valid pixels"));
         frame.axes(svg, ["spatial frequency (1/mm)", "PSD (nm² mm²)"]);
         frame.title(svg, title(views, view));
     }
     sheet.finish_if_any()
 }
 
+/// Draws the RMS of every refinement round by round.
 fn refinement(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.refinement.sheet();
     for (view, m) in methods(views) {
@@ -498,7 +509,7 @@ fn refinement(views: &[View], layout: &Layout) -> Option<String> {
         let points = rounds.rms_nm.iter().enumerate().map(|(i, v)| [i as f64, *v]);
         frame.curve(svg, points.clone(), LINES[0]);
         for (i, p) in points.enumerate() {
-            let [x, y] = frame.at(p);
+            let [x, y] = frame.px(p);
             let fill = if rounds.best == Some(i) { LINES[0] } else { "#ffffff" };
             svg.put(format_args!(
                 "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"{}\"/>",
@@ -512,14 +523,14 @@ fn refinement(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Curves with their names; the first is the one that the others are compared with.
+/// Draws curves with their names; the first is the one that the others are compared with.
 fn curves_of(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
-    let colour = |k: usize| if k == 0 { INK } else { of_line(k - 1) };
-    for (k, (_, points)) in curves.iter().enumerate() {
-        frame.curve(svg, points.iter().copied(), colour(k));
+    let mut names = Vec::new();
+    for (k, (name, points)) in curves.iter().enumerate() {
+        let colour = if k == 0 { INK } else { of_line(k - 1) };
+        frame.curve(svg, points.iter().copied(), colour);
+        names.push((*name, colour));
     }
-    let names: Vec<_> =
-        curves.iter().enumerate().map(|(k, (name, _))| (*name, colour(k))).collect();
     frame.legend(svg, &names);
 }
 
@@ -537,15 +548,17 @@ impl Sheet {
         Self { columns, size_px, margin_px: MARGIN_PX, count: 0, svg: Svg::new(FONT_PX) }
     }
 
+    /// Returns width and height of a panel with its margins, px.
     fn cell_px(&self) -> [f64; 2] {
         let [left, top, right, bottom] = self.margin_px;
         [self.size_px[0] + left + right, self.size_px[1] + top + bottom]
     }
 
-    /// The next panel.
+    /// Adds a panel to the sheet.
     fn panel(&mut self, scales: [Scale; 2]) -> Frame {
         let [w, h] = self.cell_px();
-        let (column, row) = (self.count % self.columns, self.count / self.columns);
+        let column = self.count % self.columns;
+        let row = self.count / self.columns;
         self.count += 1;
         Frame::new([column as f64 * w, row as f64 * h], self.size_px, self.margin_px, scales)
     }
@@ -557,13 +570,14 @@ impl Sheet {
     }
 
     fn finish_if_any(self) -> Option<String> {
-        (self.count > 0).then(|| self.finish())
+        if self.count > 0 { Some(self.finish()) } else { None }
     }
 }
 
 // ---------------------------------------------------------------------------------------------
 // What they are drawn from
 
+/// Returns every method with its run.
 fn methods(views: &[View]) -> impl Iterator<Item = (&View, &MethodView)> {
     views.iter().flat_map(|v| v.methods.iter().map(move |m| (v, m)))
 }
@@ -579,7 +593,7 @@ fn title<'a>(views: &[View], view: &'a View) -> &'a str {
     if views.len() > 1 { &view.name } else { "" }
 }
 
-/// The outer edges of the pixels along x and y, mm.
+/// Returns the outer edges of the pixels along x and y, mm.
 fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     [0, 1].map(|a| {
         let low = map.start_mm[a] - 0.5 * map.step_mm[a];
@@ -587,7 +601,7 @@ fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     })
 }
 
-/// Height over width of the extent of `points`, within the range that a panel can show.
+/// Returns height over width of the extent of `points`, within the range that a panel can show.
 fn shape_of(points: &[[f64; 2]]) -> f64 {
     let [w, h] = [0, 1].map(|a| {
         let [low, high] = range(points.iter().map(|p| p[a]));
@@ -597,32 +611,31 @@ fn shape_of(points: &[[f64; 2]]) -> f64 {
     if shape.is_finite() { shape.clamp(0.15, 1.2) } else { 1.0 }
 }
 
-/// Height over width.
+/// Returns height over width.
 fn aspect(map: &ScreenMap) -> f64 {
     let [x, y] = extent(map);
     (y[1] - y[0]) / (x[1] - x[0])
 }
 
-/// Largest distance from the mean; 1 nm for a map that is flat but for rounding.
+/// Returns the largest distance from the mean, nm; 1 nm for a map that is flat but for rounding.
 fn scale_of(map: &ScreenMap) -> f64 {
     let [low, high] = map.range_nm;
     let reach = (high - map.mean_nm).max(map.mean_nm - low);
     if reach > FLAT * low.abs().max(high.abs()) { reach } else { 1.0 }
 }
 
-/// The next number of two digits.
+/// Rounds up to a number of two digits.
 fn two_digits_up(value: f64) -> f64 {
     let step = 10.0_f64.powf(value.log10().floor() - 1.0);
     (value / step).ceil() * step
 }
 
-/// 1 in place of 0, for the end of a range that must not be empty.
+/// Returns 1 in place of 0, for the end of a range that must not be empty.
 fn or_one(end: f64) -> f64 {
     if end == 0.0 { 1.0 } else { end }
 }
 
-/// Axes about `points` on which a mm is as long along x as along y, for a panel of this height over
-/// width.
+/// Returns axes about `points` on which a mm is as long along x as along y, for a panel of this height over width.
 fn same_scale(points: &[[f64; 2]], shape: f64) -> [Scale; 2] {
     let ends = [0, 1].map(|a| range(points.iter().map(|p| p[a])));
     let [w, h] = ends.map(|[low, high]| high - low);
@@ -631,11 +644,11 @@ fn same_scale(points: &[[f64; 2]], shape: f64) -> [Scale; 2] {
     let (w, h) = if w.max(h) > FLAT * far { (w, h) } else { (1.0, 1.0) };
     let width = 1.04 * w.max(h / shape);
     let [x, y] = ends.map(|[low, high]| 0.5 * (low + high));
-    let around = |middle: f64, size: f64| [middle - 0.5 * size, middle + 0.5 * size];
-    [around(x, width), around(y, width * shape)].map(Scale::linear)
+    let sides = [(x, width), (y, width * shape)];
+    sides.map(|(middle, size)| Scale::linear([middle - 0.5 * size, middle + 0.5 * size]))
 }
 
-/// The value below which this fraction of `values` is.
+/// Returns the value below which this fraction of `values` is; 1 of none.
 fn quantile(values: &[f64], fraction: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -645,16 +658,16 @@ fn quantile(values: &[f64], fraction: f64) -> f64 {
         .unwrap_or(1.0)
 }
 
-/// The map in colours, row 0 at the bottom; invalid pixels are clear.
+/// Returns the map in colours as PNG, row 0 at the bottom; invalid pixels are clear.
 fn png_of(map: &ScreenMap, scale: f64) -> Vec<u8> {
     let [nx, ny] = map.size;
     let mut palette = vec![255; 3];
     palette.extend((0..255).flat_map(|i| rgb_at(&BLUE_TO_BROWN, f64::from(i) / 254.0)));
-    let fraction = |v: f64| ((v - map.mean_nm) / scale * 127.0 + 127.0).round().clamp(0.0, 254.0);
-    let index = |v: f64| if v.is_nan() { 0 } else { 1 + fraction(v) as u8 };
-    let rows = map.means_nm.outer_iter().rev();
-    let pixels: Vec<u8> =
-        rows.flat_map(|row| row.iter().map(|v| index(*v)).collect::<Vec<_>>()).collect();
+    let mut pixels: Vec<u8> = Vec::with_capacity(nx * ny);
+    for v in map.means_nm.outer_iter().rev().flatten() {
+        let index = ((v - map.mean_nm) / scale * 127.0 + 127.0).round().clamp(0.0, 254.0);
+        pixels.push(if v.is_nan() { 0 } else { 1 + index as u8 });
+    }
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, nx as u32, ny as u32);
     encoder.set_color(png::ColorType::Indexed);

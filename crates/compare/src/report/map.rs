@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, ArrayView2};
 use planish_numerics::statistics::statistics;
-use planish_types::{Axis, Grid};
+use planish_types::Grid;
 use serde::Serialize;
 
 use super::pack::{Packed, pack};
@@ -34,21 +34,21 @@ pub struct ScreenMap {
     pub means_nm: Array2<f64>,
 }
 
-/// The smallest side of a block that brings `grid` to at most `most` pixels.
-pub fn block_side(grid: &Grid, most: usize) -> usize {
-    let pixels = |k: usize| grid.x.len().div_ceil(k) * grid.y.len().div_ceil(k);
-    (1..).find(|k| pixels(*k) <= most.max(4)).expect("a large block leaves one pixel")
+/// Returns the smallest side of a block that brings `grid` to at most `most` pixels.
+pub(crate) fn block_side(grid: &Grid, most: usize) -> usize {
+    (1..)
+        .find(|k| grid.x.len().div_ceil(*k) * grid.y.len().div_ceil(*k) <= most.max(4))
+        .expect("a large block leaves one pixel")
 }
 
-/// `map` in means over blocks of `every` x `every` pixels.
-pub fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> ScreenMap {
+/// Returns `map` in means over blocks of `every` x `every` pixels.
+pub(crate) fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> ScreenMap {
     let means = block_means(map, every);
-    let start = |axis: &Axis| axis.start_mm() + 0.5 * (every - 1) as f64 * axis.step_mm();
-    let step = |axis: &Axis| axis.step_mm() * every as f64;
+    let axes = [&grid.x, &grid.y];
     let s = statistics(map).expect("a map has a valid pixel");
     ScreenMap {
-        start_mm: [start(&grid.x), start(&grid.y)],
-        step_mm: [step(&grid.x), step(&grid.y)],
+        start_mm: axes.map(|a| a.start_mm() + 0.5 * (every - 1) as f64 * a.step_mm()),
+        step_mm: axes.map(|a| a.step_mm() * every as f64),
         size: [means.ncols(), means.nrows()],
         every,
         mean_nm: s.mean,
@@ -60,25 +60,26 @@ pub fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> ScreenMap 
     }
 }
 
-/// The distance from `mean` that 99 % of the valid pixels do not exceed: a pit does not decide the colours of all
-/// others. The largest distance where that is 0, and 1 nm where the map is flat.
+/// Returns the distance from `mean` that 99 % of the valid pixels do not exceed, nm: a pit does not decide the colours of
+/// all others. The largest distance where that is 0, and 1 nm where the map is flat.
 fn reach_99(map: ArrayView2<f64>, mean: f64) -> f64 {
     let valid = map.iter().filter(|v| !v.is_nan());
     let mut sizes: Vec<f64> = valid.map(|v| (v - mean).abs()).collect();
-    let at = (0.99 * (sizes.len() - 1) as f64) as usize;
-    let (_, reach, beyond) = sizes.select_nth_unstable_by(at, f64::total_cmp);
+    let index = (0.99 * (sizes.len() - 1) as f64) as usize;
+    let (_, reach, beyond) = sizes.select_nth_unstable_by(index, f64::total_cmp);
     let largest = beyond.iter().fold(*reach, |m, v| m.max(*v));
     [*reach, largest].into_iter().find(|v| *v > 0.0).unwrap_or(1.0)
 }
 
-/// Means of the valid pixels of each block; NaN where it has none. The last blocks may be smaller.
+/// Returns the means of the valid pixels of each block; NaN where it has none. The last blocks may be smaller.
 pub fn block_means(map: ArrayView2<f64>, every: usize) -> Array2<f64> {
     if every == 1 {
         return map.to_owned();
     }
     let (ny, nx) = map.dim();
     let shape = (ny.div_ceil(every), nx.div_ceil(every));
-    let (mut sum, mut count) = (Array2::zeros(shape), Array2::<f64>::zeros(shape));
+    let mut sum = Array2::zeros(shape);
+    let mut count = Array2::<f64>::zeros(shape);
     for ((r, c), v) in map.indexed_iter().filter(|(_, v)| !v.is_nan()) {
         sum[[r / every, c / every]] += v;
         count[[r / every, c / every]] += 1.0;
@@ -106,7 +107,7 @@ const BINS: usize = 101;
 /// Chosen: a Gaussian has 6e-5 of its pixels beyond it.
 const REACH_RMS: f64 = 4.0;
 
-/// Bins over four RMS on both sides of the mean.
+/// Returns bins over four RMS on both sides of the mean.
 pub fn histogram(map: ArrayView2<f64>) -> Histogram {
     let s = statistics(map).expect("a map has a valid pixel");
     // A map that is flat but for rounding gets bins of some width all the same.
@@ -130,8 +131,10 @@ pub fn histogram(map: ArrayView2<f64>) -> Histogram {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use ndarray::array;
+    use planish_types::Axis;
+
+    use super::*;
 
     const NAN: f64 = f64::NAN;
 

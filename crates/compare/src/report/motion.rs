@@ -16,7 +16,7 @@ const MOST_PER_SEGMENT: usize = 4;
 
 /// A line through the points of a motion.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Line {
+pub struct SpeedLine {
     /// Points [x, y], mm.
     pub point_mm: Vec<[f64; 2]>,
     /// Their times from the start of the motion, s.
@@ -27,40 +27,46 @@ pub struct Line {
     pub every: usize,
 }
 
-/// The line of a motion in about `most` points.
-pub fn line(t: &Trajectory, most: usize) -> Line {
+/// Returns the line of a motion in about `most` points.
+pub fn line(t: &Trajectory, most: usize) -> SpeedLine {
     let every = t.len().div_ceil(most.max(1));
     let per_segment = (most / t.len()).clamp(1, MOST_PER_SEGMENT);
     let start_s = t.break_time_s()[0];
-    let mut line = Line { every, ..Line::default() };
+    let mut line = SpeedLine { every, ..SpeedLine::default() };
     let mut push = |p: [f64; 2], time_s: f64, speed: f64| {
         line.point_mm.push(p);
         line.time_s.push(time_s);
         line.speed_mm_per_s.push(speed);
     };
-    let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let mut at = t.segment(0).position_mm(0.0);
-    push(at, 0.0, f64::NAN);
-    let (mut length_mm, mut duration_s) = (0.0, 0.0);
+    let mut place = t.segment(0).position_mm(0.0);
+    push(place, 0.0, f64::NAN);
+    let mut length_mm = 0.0;
+    let mut duration_s = 0.0;
     for (i, segment) in t.segments().enumerate() {
         let first = segment.position_mm(0.0);
-        if distance(first, at) > JUMP_MM {
+        if distance(first, place) > JUMP_MM {
             push(first, segment.start_s - start_s, f64::NAN);
-            at = first;
+            place = first;
         }
         for j in 1..=per_segment {
             let u = segment.duration_s * j as f64 / per_segment as f64;
             let p = segment.position_mm(u);
-            length_mm += distance(p, at);
+            length_mm += distance(p, place);
             duration_s += segment.duration_s / per_segment as f64;
-            at = p;
+            place = p;
             if (i + 1) % every == 0 || i + 1 == t.len() {
                 push(p, segment.start_s + u - start_s, length_mm / duration_s);
-                (length_mm, duration_s) = (0.0, 0.0);
+                length_mm = 0.0;
+                duration_s = 0.0;
             }
         }
     }
     line
+}
+
+/// Returns the distance of two points, mm.
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 /// Smallest and largest value of one quantity on one axis, piece by piece (min-max envelope).
@@ -73,21 +79,24 @@ pub struct Envelope {
 }
 
 impl Envelope {
-    /// Ranges over `count` equal lengths of time, of pieces with these ends (s from the start of the motion): middle of the
-    /// time, smallest and largest value of all pieces that reach into it.
-    pub fn over_columns(&self, end_s: &[f64], count: usize) -> Vec<(f64, f64, f64)> {
+    /// Returns ranges over `count` equal lengths of time, of pieces with these ends (s from the start of the motion): middle
+    /// of the time, smallest and largest value of all pieces that reach into it.
+    pub(crate) fn over_columns(&self, end_s: &[f64], count: usize) -> Vec<(f64, f64, f64)> {
         let total_s = end_s.last().copied().unwrap_or(0.0);
-        let mut found = vec![(f64::INFINITY, f64::NEG_INFINITY); count];
+        let mut columns: Vec<(f64, f64, f64)> = (0..count)
+            .map(|c| total_s * (c as f64 + 0.5) / count as f64)
+            .map(|middle| (middle, f64::INFINITY, f64::NEG_INFINITY))
+            .collect();
         let column = |t: f64| ((t / total_s * count as f64) as usize).min(count - 1);
         let mut start = 0.0;
         for (i, end) in end_s.iter().enumerate() {
-            for (low, high) in &mut found[column(start)..=column(*end)] {
-                (*low, *high) = (low.min(self.low[i]), high.max(self.high[i]));
+            for (_, low, high) in &mut columns[column(start)..=column(*end)] {
+                *low = low.min(self.low[i]);
+                *high = high.max(self.high[i]);
             }
             start = *end;
         }
-        let middle = |c: usize| total_s * (c as f64 + 0.5) / count as f64;
-        found.iter().enumerate().map(|(c, (low, high))| (middle(c), *low, *high)).collect()
+        columns
     }
 }
 
@@ -105,10 +114,10 @@ pub struct Ranges {
     pub every: usize,
 }
 
-/// The ranges of a motion in at most `most` pieces, exact on each.
+/// Returns the ranges of a motion in at most `most` pieces, exact on each.
 pub fn ranges(t: &Trajectory, most: usize) -> Ranges {
     let every = t.len().div_ceil(most.max(1));
-    let mut found = Ranges { every, ..Ranges::default() };
+    let mut ranges = Ranges { every, ..Ranges::default() };
     let start_s = t.break_time_s()[0];
     for first in (0..t.len()).step_by(every) {
         let last = (first + every).min(t.len());
@@ -124,15 +133,15 @@ pub fn ranges(t: &Trajectory, most: usize) -> Ranges {
                 }
             }
         }
-        for (envelopes, reached) in found.envelope.iter_mut().zip(low_high) {
+        for (envelopes, reached) in ranges.envelope.iter_mut().zip(low_high) {
             for (envelope, (low, high)) in envelopes.iter_mut().zip(reached) {
                 envelope.low.push(low);
                 envelope.high.push(high);
             }
         }
-        found.end_s.push(t.break_time_s()[last] - start_s);
+        ranges.end_s.push(t.break_time_s()[last] - start_s);
     }
-    found
+    ranges
 }
 
 /// Planned and executed time of the dwell points.
@@ -151,7 +160,7 @@ pub struct Dwell {
     pub total_error_s: Option<f64>,
 }
 
-/// Times of at most `most` dwell points; `None` where path, plan and motion do not belong together.
+/// Returns the times of at most `most` dwell points; `None` where path, plan and motion do not belong together.
 pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> Option<Dwell> {
     let n = path.len();
     if plan.dwell_s().len() != n {

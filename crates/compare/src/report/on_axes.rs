@@ -41,8 +41,8 @@ const FAR: f64 = 4.0;
 const QUANTITIES: [(&str, &str); 4] =
     [("position", ""), ("velocity", "/s"), ("acceleration", "/s²"), ("jerk", "/s³")];
 
-/// The picture, as SVG: position, velocity, acceleration and jerk of every axis over the time, with their limits in the
-/// verdict; below, the form of the part where it is known.
+/// Draws the picture, as SVG: position, velocity, acceleration and jerk of every axis over the time, with their limits in
+/// the verdict; below, the form of the part where it is known.
 pub fn picture(
     outcome: &MotionReport,
     motion: &AxesMotion,
@@ -70,24 +70,26 @@ pub fn picture(
     svg.finish([QUANTITIES.len() as f64 * cell[0], height])
 }
 
-/// Ranges of the derivative of this order of an axis over [`COLUMNS`] equal lengths of time: (middle of the time, s; smallest
-/// and largest value). Exact for every cubic piece.
+/// Returns the ranges of the derivative of this order of an axis over [`COLUMNS`] equal lengths of time: (middle of the time,
+/// s; smallest and largest value). Exact for every cubic piece.
 fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Vec<(f64, f64, f64)> {
-    let of = |i: usize| {
+    let mut envelope = Envelope::default();
+    for i in 0..motion.len() {
         let mut cubic = motion.segment(i)[axis];
         for _ in 0..order {
             cubic = polynomial::derivative(&cubic);
         }
-        polynomial::range(&cubic, motion.duration_s(i))
-    };
-    let (low, high) = (0..motion.len()).map(of).map(|reached| (reached.min, reached.max)).unzip();
+        let reached = polynomial::range(&cubic, motion.duration_s(i));
+        envelope.low.push(reached.min);
+        envelope.high.push(reached.max);
+    }
     let breaks = motion.break_time_s();
     let end_s: Vec<f64> = breaks[1..].iter().map(|t| t - breaks[0]).collect();
-    Envelope { low, high }.over_columns(&end_s, COLUMNS)
+    envelope.over_columns(&end_s, COLUMNS)
 }
 
-/// Limits of a quantity of an axis in its verdict: the travel of the position, and plus and minus the limit of the others.
-/// Empty where the machine states none.
+/// Returns the limits of a quantity of an axis in its verdict: the travel of the position, and plus and minus the limit of
+/// the others. Empty where the machine states none.
 fn bounds(verdict: Option<&MachineAxisVerdict>, order: usize) -> Vec<f64> {
     let Some(verdict) = verdict else { return Vec::new() };
     match order.checked_sub(1) {
@@ -118,13 +120,13 @@ fn panel(
     let frame = Frame::new(corner, PANEL_PX, MARGIN_PX, scales);
     let mut d = String::new();
     for (time, low, high) in columns {
-        let [x, bottom] = frame.at([*time, *low]);
-        let top = frame.at([*time, *high])[1];
+        let [x, bottom] = frame.px([*time, *low]);
+        let top = frame.px([*time, *high])[1];
         put(&mut d, format_args!("M{x:.1} {bottom:.1}V{:.1}", top.min(bottom - 0.8)));
     }
     svg.path(&format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.2\"", LINES[0]), &d);
     for bound in &near {
-        let y = frame.at([0.0, *bound])[1];
+        let y = frame.px([0.0, *bound])[1];
         let across = format!("M{:.1} {y:.1}H{:.1}", frame.left, frame.right());
         svg.path(&format!("stroke=\"{}\" stroke-dasharray=\"7 4\"", LINES[1]), &across);
     }

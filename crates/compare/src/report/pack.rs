@@ -57,40 +57,35 @@ pub fn pack_between(
     let mut bytes = Vec::new();
     for v in values {
         let steps = (v - offset) / scale;
-        let q = match rounding {
-            _ if v.is_nan() => i16::MIN,
-            Rounding::Nearest => {
-                steps.round().clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16
-            }
-            Rounding::Down => {
-                steps.floor().clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16
-            }
-            Rounding::Up => {
-                steps.ceil().clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16
-            }
+        let rounded = match rounding {
+            Rounding::Nearest => steps.round(),
+            Rounding::Down => steps.floor(),
+            Rounding::Up => steps.ceil(),
         };
+        let stored = rounded.clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16;
+        let q = if v.is_nan() { i16::MIN } else { stored };
         bytes.extend(q.to_le_bytes());
     }
     Packed { offset, scale, i16: base64(&bytes) }
 }
 
-/// Base64 of little-endian 32-bit floats.
+/// Returns base64 of little-endian 32-bit floats.
 pub fn floats(values: impl Iterator<Item = f64>) -> String {
     base64(&values.flat_map(|v| (v as f32).to_le_bytes()).collect::<Vec<u8>>())
 }
 
-/// Base64 of little-endian 64-bit floats: times, of which the last must be the end of the motion.
+/// Returns base64 of little-endian 64-bit floats: times, of which the last must be the end of the motion.
 pub fn doubles(values: impl Iterator<Item = f64>) -> String {
     base64(&values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// RFC 4648, with padding.
+/// Returns base64 by RFC 4648, with padding.
 pub fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for chunk in bytes.chunks(3) {
-        let byte = |i: usize| u32::from(chunk.get(i).copied().unwrap_or(0));
-        let word = byte(0) << 16 | byte(1) << 8 | byte(2);
+        let [a, b, c] = [0, 1, 2].map(|i| u32::from(chunk.get(i).copied().unwrap_or(0)));
+        let word = a << 16 | b << 8 | c;
         for i in 0..4 {
             let letter = LETTERS[(word >> (18 - 6 * i) & 63) as usize] as char;
             text.push(if i <= chunk.len() { letter } else { '=' });

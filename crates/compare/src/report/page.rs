@@ -5,6 +5,7 @@ use planish_draw::{
     page,
 };
 use planish_types::{
+    Grid,
     outcome::verdict::{Check, Verdict},
     text::escaped,
 };
@@ -46,7 +47,7 @@ const JS: &str = concat!(
     include_str!("page/start.js"),
 );
 
-/// The page: one file, the same for the same views.
+/// Returns the page: one file, the same for the same views.
 pub fn page(views: &[View], summaries: &Value) -> String {
     let names: Vec<String> = match views {
         [one] => one.summary.part_and_pipeline(&one.name),
@@ -72,7 +73,7 @@ pub fn page(views: &[View], summaries: &Value) -> String {
     page::document(&title, &policy(&style), &style, &body)
 }
 
-/// The section of the tools that vary; empty where there is none.
+/// Returns the section of the tools that vary; empty where there is none.
 fn tools(views: &[View]) -> String {
     let pictures: String = views.iter().filter_map(|view| view.tool.as_deref()).collect();
     if pictures.is_empty() {
@@ -85,17 +86,17 @@ fn tools(views: &[View]) -> String {
     )
 }
 
-/// The section of the motions of all axes of a machine; empty where no run has one.
+/// Returns the section of the motions of all axes of a machine; empty where no run has one.
 fn axes(views: &[View]) -> String {
     let mut parts = String::new();
     for view in views {
         for m in &view.methods {
-            let told = view.summary.methods.iter().find(|(name, _)| *name == m.name);
-            let told = told.and_then(|(_, numbers)| numbers.on_axes.as_ref());
-            if let (Some(picture), Some(told)) = (&m.on_axes, told) {
+            let result = view.summary.methods.iter().find(|(name, _)| *name == m.name);
+            let on_axes = result.and_then(|(_, result)| result.on_axes.as_ref());
+            if let (Some(picture), Some(on_axes)) = (&m.on_axes, on_axes) {
                 parts += &format!(
                     "<p>{}</p>\n<div class=\"scroll\">{picture}</div>\n",
-                    escaped(&told.sentence(&m.name))
+                    escaped(&on_axes.sentence(&m.name))
                 );
             }
         }
@@ -110,19 +111,18 @@ fn axes(views: &[View]) -> String {
     )
 }
 
-/// Content security policy of the page. The browser runs only the program and the style of this page, known by their
-/// hashes, whatever the names and manifests of a run contain.
+/// Returns the content security policy of the page. The browser runs only the program and the style of this page, known by
+/// their hashes, whatever the names and manifests of a run contain.
 fn policy(style: &str) -> String {
-    let hash = |text: &str| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes())));
+    let [style, script] =
+        [style, JS].map(|text| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes()))));
     format!(
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data: blob:; \
-         style-src {}; script-src {}",
-        hash(style),
-        hash(JS)
+         style-src {style}; script-src {script}"
     )
 }
 
-/// JSON inside a script element: nothing in it can end the element or open a comment.
+/// Returns JSON for a script element: nothing in it can end the element or open a comment.
 fn in_script(data: &Value) -> String {
     let text = data.to_string();
     let mut out = String::with_capacity(text.len());
@@ -135,7 +135,7 @@ fn in_script(data: &Value) -> String {
     out
 }
 
-/// `template` with every `{{key}}` replaced by its value; keys within values are not replaced.
+/// Returns `template` with every `{{key}}` replaced by its value; keys within values are not replaced.
 fn filled(template: &str, values: &[(&str, &str)]) -> String {
     let mut out = String::new();
     let mut rest = template;
@@ -167,8 +167,6 @@ fn run_json(view: &View) -> Value {
 }
 
 fn method_json(m: &MethodView) -> Value {
-    let points = &m.line.point_mm;
-    let axis = |a: usize| pack(points.iter().map(move |p| p[a]));
     json!({
         "name": m.name,
         "removal": m.removal,
@@ -177,8 +175,8 @@ fn method_json(m: &MethodView) -> Value {
         "spectrum": m.after.1,
         "line": {
             "every": m.line.every,
-            "x_mm": axis(0),
-            "y_mm": axis(1),
+            "x_mm": pack(m.line.point_mm.iter().map(|p| p[0])),
+            "y_mm": pack(m.line.point_mm.iter().map(|p| p[1])),
             "time_s": doubles(m.line.time_s.iter().copied()),
             "speed_mm_per_s": floats(m.line.speed_mm_per_s.iter().copied()),
         },
@@ -215,7 +213,7 @@ fn ranges_json(ranges: &Ranges) -> Value {
     json
 }
 
-/// Per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
+/// Returns per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
 /// of the worst steps in position and velocity, which no machine can do.
 fn limits_json(verdict: &Verdict) -> Value {
     let mut json = Map::new();
@@ -238,11 +236,10 @@ fn check_json(check: &Check) -> Value {
 }
 
 fn dwell_json(d: &Dwell) -> Value {
-    let axis = |a: usize| pack(d.point_mm.iter().map(move |p| p[a]));
     json!({
         "every": d.every,
-        "x_mm": axis(0),
-        "y_mm": axis(1),
+        "x_mm": pack(d.point_mm.iter().map(|p| p[0])),
+        "y_mm": pack(d.point_mm.iter().map(|p| p[1])),
         "planned_s": floats(d.planned_s.iter().copied()),
         "executed_s": d.executed_s.as_ref().map(|s| floats(s.iter().copied())),
         "total_error_s": d.total_error_s,
@@ -250,7 +247,7 @@ fn dwell_json(d: &Dwell) -> Value {
 }
 
 fn frames_json(f: &FrameView) -> Value {
-    let (x, y) = (&f.grid.x, &f.grid.y);
+    let Grid { x, y } = &f.grid;
     json!({
         "time_s": f.time_s,
         "start_mm": [x.start_mm(), y.start_mm()],
@@ -260,7 +257,7 @@ fn frames_json(f: &FrameView) -> Value {
     })
 }
 
-/// Manifests for the page, without the arrays.
+/// Returns manifests for the page, without the arrays.
 fn provenance_json(manifests: &[Made]) -> Value {
     manifests.iter().map(|made| json!(made.shown)).collect()
 }

@@ -9,10 +9,10 @@ pub const FONT_PX: f64 = 14.0;
 
 /// Width of the map, px. Larger: the picture does not fit beside the nine footprints of a tool. Smaller: the numbers of
 /// their places overlap.
-pub const MAP_PX: f64 = 380.0;
+pub(super) const MAP_PX: f64 = 380.0;
 
 /// Distances from the map to the right and the bottom of its panel, px. Larger: empty space. Smaller: numbers are cut off.
-pub const RIGHT_BOTTOM_PX: [f64; 2] = [96.0, 56.0];
+pub(super) const RIGHT_BOTTOM_PX: [f64; 2] = [96.0, 56.0];
 
 /// Largest number of cells of a map along an axis. Larger: finer details and a larger file. Smaller: a coarser picture.
 pub const MOST_CELLS: usize = 60;
@@ -20,17 +20,17 @@ pub const MOST_CELLS: usize = 60;
 /// Number of colours. Larger: smoother colours and a larger file. Smaller: visible steps.
 pub const BANDS: usize = 32;
 
-/// A quantity at the middle pixels of at most [`MOST_CELLS`] x [`MOST_CELLS`] cells (ny, nx); NaN where that pixel is not
-/// valid. `of` takes the place [x, y], mm, and the index [row, column] of the pixel.
-pub fn cells(surface: &Surface, of: impl Fn([f64; 2], [usize; 2]) -> f64) -> Array2<f64> {
+/// Returns a quantity at the middle pixels of at most [`MOST_CELLS`] x [`MOST_CELLS`] cells (ny, nx); NaN where that pixel
+/// is not valid. `quantity` takes the place [x, y], mm, and the index [row, column] of the pixel.
+pub fn cells(surface: &Surface, quantity: impl Fn([f64; 2], [usize; 2]) -> f64) -> Array2<f64> {
     let grid = surface.grid();
     let every = grid.x.len().max(grid.y.len()).div_ceil(MOST_CELLS);
     let shape = (grid.y.len().div_ceil(every), grid.x.len().div_ceil(every));
     Array2::from_shape_fn(shape, |(r, c)| {
-        let at = |k: usize, axis: &Axis| (k * every + every / 2).min(axis.len() - 1);
-        let (r, c) = (at(r, &grid.y), at(c, &grid.x));
+        let [r, c] =
+            [(r, &grid.y), (c, &grid.x)].map(|(k, a)| (k * every + every / 2).min(a.len() - 1));
         let valid = !surface.height_nm()[[r, c]].is_nan();
-        if valid { of([grid.x.at(c), grid.y.at(r)], [r, c]) } else { f64::NAN }
+        if valid { quantity([grid.x.at(c), grid.y.at(r)], [r, c]) } else { f64::NAN }
     })
 }
 
@@ -44,10 +44,10 @@ pub struct Look<'a> {
     pub title: &'a str,
 }
 
-/// Draws the cells of a quantity over the part, with their panel at `corner`, and the map `left_top` px from there.
+/// Draws the cells of a quantity over the part, with their panel at `corner`, and the map [left, top] px from there.
 pub fn draw(
     svg: &mut Svg,
-    (corner, left_top): ([f64; 2], [f64; 2]),
+    (corner, [left, top]): ([f64; 2], [f64; 2]),
     surface: &Surface,
     map: &Array2<f64>,
     look: &Look,
@@ -55,7 +55,7 @@ pub fn draw(
     let axes = [&surface.grid().x, &surface.grid().y];
     let [width, height] = axes.map(side_mm);
     let size = [MAP_PX, MAP_PX * (height / width).clamp(0.15, 2.0)];
-    let ([left, top], [right, bottom]) = (left_top, RIGHT_BOTTOM_PX);
+    let [right, bottom] = RIGHT_BOTTOM_PX;
     let scales = axes.map(|axis| Scale::linear(axis.edges_mm()));
     let frame = Frame::new(corner, size, [left, top, right, bottom], scales);
     let bands = Bands::new(look.colours, BANDS, range(map.iter().copied()));
@@ -66,7 +66,7 @@ pub fn draw(
     frame
 }
 
-/// Length between the outer edges, mm.
+/// Returns the length between the outer edges, mm.
 pub fn side_mm(axis: &Axis) -> f64 {
     axis.len() as f64 * axis.step_mm()
 }

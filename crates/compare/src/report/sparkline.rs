@@ -9,18 +9,23 @@ const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█
 /// Width of a plot, characters. Larger: lines that do not fit into a terminal. Smaller: coarser plots. Chosen.
 const WIDTH: usize = 48;
 
-/// One character per value, from 0 to the largest; a blank where there is none.
-pub fn sparkline(values: &[f64]) -> String {
+/// Returns one character per value, from 0 to the largest; a blank where there is none.
+fn sparkline(values: &[f64]) -> String {
     let top = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
-    let block = |v: &f64| match top > 0.0 && v.is_finite() {
-        true => BLOCKS[((v / top * 8.0) as usize).min(7)],
-        false if v.is_finite() => BLOCKS[0],
-        false => ' ',
-    };
-    values.iter().map(block).collect()
+    let mut text = String::new();
+    for v in values {
+        text.push(if !v.is_finite() {
+            ' '
+        } else if top > 0.0 {
+            BLOCKS[((v / top * 8.0) as usize).min(7)]
+        } else {
+            BLOCKS[0]
+        });
+    }
+    text
 }
 
-/// The heights before and after, and the speed in the course of the run, method by method.
+/// Plots the heights before and after, and the speed in the course of the run, method by method.
 pub fn plots(views: &[View]) -> String {
     let mut rows: Vec<[String; 3]> = Vec::new();
     for view in views {
@@ -28,9 +33,9 @@ pub fn plots(views: &[View]) -> String {
             1 => visible(method).into_owned(),
             _ => visible(&format!("{} {method}", view.name)).into_owned(),
         };
-        rows.push([name("before"), heights(&view.before.0), of_heights(&view.before.0)]);
+        rows.push([name("before"), heights(&view.before.0), caption(&view.before.0)]);
         for m in &view.methods {
-            rows.push([name(&m.name), heights(&m.after.0), of_heights(&m.after.0)]);
+            rows.push([name(&m.name), heights(&m.after.0), caption(&m.after.0)]);
             let (speed, top) = speed(&m.ranges);
             rows.push([String::new(), speed, format!("speed over time, at most {top:.2} mm/s")]);
             if let Some(rounds) = m.rounds.as_ref().filter(|r| !r.rms_nm.is_empty()) {
@@ -41,39 +46,38 @@ pub fn plots(views: &[View]) -> String {
         }
     }
     let widest = rows.iter().map(|r| r[0].chars().count()).max().unwrap_or(0);
-    let line =
-        |[name, plot, text]: &[String; 3]| format!("{name:<widest$}  {plot:<WIDTH$}  {text}\n");
-    rows.iter().map(line).collect()
+    rows.iter()
+        .map(|[name, plot, text]| format!("{name:<widest$}  {plot:<WIDTH$}  {text}\n"))
+        .collect()
 }
 
-fn of_heights(h: &Histogram) -> String {
+/// Returns the caption of a histogram.
+fn caption(h: &Histogram) -> String {
     let [low, high] = [h.low_nm, -h.low_nm].map(|nm| fixed(nm, 3));
     format!("heights, {low} to {high} nm about the mean")
 }
 
-/// Means over equal numbers of bins.
+/// Plots the means over equal numbers of bins.
 fn heights(h: &Histogram) -> String {
     let n = h.density_per_nm.len();
-    let mean = |i: usize| {
+    let mut means = Vec::with_capacity(WIDTH);
+    for i in 0..WIDTH {
         let bins = &h.density_per_nm[i * n / WIDTH..((i + 1) * n / WIDTH).max(i * n / WIDTH + 1)];
-        bins.iter().sum::<f64>() / bins.len() as f64
-    };
-    sparkline(&(0..WIDTH).map(mean).collect::<Vec<_>>())
+        means.push(bins.iter().sum::<f64>() / bins.len() as f64);
+    }
+    sparkline(&means)
 }
 
-/// Largest speed in equal lengths of time, from the ranges of both axes, and the largest of all.
+/// Plots the largest speed in equal lengths of time, from the ranges of both axes. Returns the largest of all, too, mm/s.
 fn speed(ranges: &Ranges) -> (String, f64) {
     let total = ranges.end_s.last().copied().unwrap_or(1.0);
     let column = |t: f64| ((t / total * WIDTH as f64) as usize).min(WIDTH - 1);
     let mut largest = vec![0.0_f64; WIDTH];
     let mut start = 0.0;
     for (i, end) in ranges.end_s.iter().enumerate() {
-        let peak = |a: usize| {
-            let e = &ranges.envelope[0][a];
-            e.low[i].abs().max(e.high[i].abs())
-        };
+        let [x, y] = ranges.envelope[0].each_ref().map(|e| e.low[i].abs().max(e.high[i].abs()));
         for c in &mut largest[column(start)..=column(*end)] {
-            *c = c.max(peak(0).hypot(peak(1)));
+            *c = c.max(x.hypot(y));
         }
         start = *end;
     }

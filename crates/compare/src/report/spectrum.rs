@@ -60,15 +60,17 @@ pub struct Spectrum {
     pub not_in_spectrum_rms_nm: f64,
 }
 
-/// The spectrum of `map` (ny, nx); `None` where no rectangle of valid pixels is large enough.
+/// Returns the spectrum of `map` (ny, nx), nm; `None` where no rectangle of valid pixels is large enough.
 pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let valid = map.mapv(|v| !v.is_nan());
     let ((row, column), (ny, nx)) = largest_rectangle(&valid);
     if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
         return None;
     }
-    let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-    let (columns, rows) = (column..column + nx, row..row + ny);
+    let x = grid.x.coordinates();
+    let y = grid.y.coordinates();
+    let columns = column..column + nx;
+    let rows = row..row + ny;
     let rectangle = map.slice(s![rows.clone(), columns.clone()]);
     let z = without_plane(rectangle, &x[columns], &y[rows]);
     let step_mm = [grid.x.step_mm(), grid.y.step_mm()];
@@ -81,14 +83,13 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let count = ((highest / lowest).log10() * PER_DECADE).ceil().max(1.0) as usize;
     let ring_of = |f: f64| {
         let ring = ((f / lowest).log10() * PER_DECADE + SLACK).floor();
-        (ring >= 0.0).then_some(ring as usize)
+        if ring >= 0.0 { Some(ring as usize) } else { None }
     };
     let rings: Vec<Ring> = density.rings(count, ring_of).into_iter().flatten().collect();
     // Sums of squares of the map without its plane, in the rectangle and in all.
     let z = without_mean_of_valid(map, &x, &y);
-    let squares = |z: ArrayView2<f64>| z.iter().filter(|v| !v.is_nan()).map(|v| v * v).sum::<f64>();
-    let all = squares(z.view());
-    let inside = squares(z.slice(s![row..row + ny, column..column + nx])).min(all);
+    let all = sum_of_squares(z.view());
+    let inside = sum_of_squares(z.slice(s![row..row + ny, column..column + nx])).min(all);
     let count = valid.iter().filter(|v| **v).count() as f64;
     let pixels = (nx * ny) as f64;
     let contributions = bands(&density, size_mm, step_mm, inside / pixels)
@@ -105,7 +106,12 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     })
 }
 
-/// `map` without the plane of its valid pixels, and without their mean.
+/// Returns the sum of squares of the valid pixels.
+fn sum_of_squares(z: ArrayView2<f64>) -> f64 {
+    z.iter().filter(|v| !v.is_nan()).map(|v| v * v).sum::<f64>()
+}
+
+/// Returns `map` without the plane of its valid pixels, and without their mean.
 fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f64> {
     let z = match fit_plane(map, x, y) {
         Some(plane) => subtract_plane(map, x, y, plane),
@@ -115,7 +121,8 @@ fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f
     z - mean
 }
 
-/// Mean squares of the bands in the rectangle, whose own mean square is `rectangle_nm2`; they do not exceed it together.
+/// Returns the mean squares of the bands in the rectangle, nm^2. Together they do not exceed its own mean square,
+/// `rectangle_nm2`.
 fn bands(
     density: &Density,
     size_mm: [f64; 2],
@@ -134,9 +141,9 @@ fn bands(
         left_nm2 -= taken;
         taken
     };
-    let below = has_short.then(|| take(short, f64::INFINITY));
+    let below = if has_short { Some(take(short, f64::INFINITY)) } else { None };
     let between = take(from, to);
-    let above = has_long.then(|| take(0.0, long));
+    let above = if has_long { Some(take(0.0, long)) } else { None };
     [above, Some(between), below]
 }
 

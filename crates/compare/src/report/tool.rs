@@ -8,7 +8,7 @@ use planish_draw::{
     frame::range,
     svg::MIDDLE,
 };
-use planish_types::{Axis, Pose, Surface, Tif, Variation, text::significant};
+use planish_types::{Pose, Surface, Tif, Variation, text::significant};
 
 use super::part::{self, BANDS, FONT_PX, Look, MAP_PX, MOST_CELLS, RIGHT_BOTTOM_PX, side_mm};
 
@@ -27,14 +27,13 @@ const TIME_PX: f64 = 150.0;
 /// Places of the footprints along an axis, as fractions of the side of the map. On a disk all nine are on the part.
 const PLACES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 
-/// The picture, as SVG, of how the tool varies over the part; none for a tool that is the same everywhere.
+/// Draws the picture, as SVG, of how the tool varies over the part; none for a tool that is the same everywhere.
 pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let variation = tif.variation()?;
     let mut svg = Svg::new(FONT_PX);
     let grid = surface.grid();
-    let middles =
-        |axis: &Axis| PLACES.map(|f| axis.start_mm() + f * (axis.end_mm() - axis.start_mm()));
-    let (columns, rows) = (middles(&grid.x), middles(&grid.y));
+    let [columns, rows] = [&grid.x, &grid.y]
+        .map(|axis| PLACES.map(|f| axis.start_mm() + f * (axis.end_mm() - axis.start_mm())));
     let places: Vec<[f64; 2]> = rows.iter().rev().flat_map(|y| columns.map(|x| [x, *y])).collect();
 
     let map = rate_over_mean(variation, surface);
@@ -47,7 +46,7 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let frame = part::draw(&mut svg, corners, surface, &map, &look);
     let map_bottom = frame.bottom();
     for (k, place) in places.iter().enumerate() {
-        let [x, y] = frame.at(*place);
+        let [x, y] = frame.px(*place);
         svg.text([x, y + 0.36 * FONT_PX], MIDDLE, &(k + 1).to_string());
     }
 
@@ -90,13 +89,13 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     if let Some(time) = variation.time_factor() {
         let points: Vec<[f64; 2]> =
             time.time_s.iter().zip(&time.factor).map(|(t, c)| [*t, *c]).collect();
-        let over = |k: usize| {
+        let scales = [0, 1].map(|k| {
             let [low, high] = range(points.iter().map(|p| p[k]));
             let rim = if high > low { 0.04 * (high - low) } else { 0.5 };
             Scale::linear([low - rim, high + rim])
-        };
+        });
         let size = [width - MARGIN_PX[0] - MARGIN_PX[2], TIME_PX];
-        let frame = Frame::new([0.0, height], size, MARGIN_PX, [over(0), over(1)]);
+        let frame = Frame::new([0.0, height], size, MARGIN_PX, scales);
         frame.grid(&mut svg);
         frame.curve(&mut svg, points.iter().copied(), LINES[0]);
         frame.axes(&mut svg, ["time since the start of the run (s)", "rate factor"]);
@@ -105,8 +104,8 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     Some(svg.finish([width, height]))
 }
 
-/// Volume that the tool removes per second at the places of a coarse grid over the valid pixels, times the factor of the
-/// pixel there, over the mean of all. NaN beside the part.
+/// Returns the volume that the tool removes per second at the places of a coarse grid over the valid pixels, times the factor
+/// of the pixel there, over the mean of all. NaN beside the part.
 fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
     let factor = variation.factor_on(surface.grid());
     let volume: Vec<f64> =
@@ -119,7 +118,7 @@ fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
             .sum();
         rate * factor.as_ref().map_or(1.0, |f| f[pixel])
     });
-    let valid = || map.iter().filter(|v| !v.is_nan());
-    let mean = valid().sum::<f64>() / valid().count().max(1) as f64;
+    let valid = map.iter().filter(|v| !v.is_nan());
+    let mean = valid.clone().sum::<f64>() / valid.count().max(1) as f64;
     map / mean
 }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{
     map::{Histogram, ScreenMap, block_side, histogram, screen_map},
-    motion::{self, Dwell, Line, Ranges},
+    motion::{self, Dwell, Ranges, SpeedLine},
     spectrum::{Spectrum, spectrum},
 };
 use crate::{made::Made, summary::Summary};
@@ -38,7 +38,7 @@ const MAX_ALL_FRAME_PIXELS: usize = 450_000;
 
 /// Everything of one run.
 #[derive(Debug)]
-pub struct Run {
+pub struct RunData {
     /// Name.
     pub name: String,
     /// Numbers; its methods are those of `methods`, maybe in another order.
@@ -122,7 +122,7 @@ pub(super) struct MethodView {
     pub(super) removal: ScreenMap,
     pub(super) residual: ScreenMap,
     pub(super) after: (Histogram, Option<Spectrum>),
-    pub(super) line: Line,
+    pub(super) line: SpeedLine,
     pub(super) ranges: Ranges,
     pub(super) verdict: Verdict,
     pub(super) dwell: Option<Dwell>,
@@ -141,8 +141,8 @@ pub(super) struct FrameView {
     pub(super) grid: Grid,
 }
 
-/// Data of `runs` for the screen, the methods in the order of their summaries.
-pub fn views(runs: Vec<Run>) -> Vec<View> {
+/// Returns the data of `runs` for the screen, the methods in the order of their summaries.
+pub fn views(runs: Vec<RunData>) -> Vec<View> {
     let methods: usize = runs.iter().map(|r| r.methods.len()).sum::<usize>().max(1);
     let maps = 2 * methods + runs.len() + runs.iter().filter(|r| r.measured.is_some()).count();
     let allotment = Allotment {
@@ -165,7 +165,7 @@ struct Allotment {
     frame_pixels: usize,
 }
 
-/// The motion that the verdict is about: that of the axes, where they do not read the coordinates of the part.
+/// Returns the motion that the verdict is about: that of the axes, where they do not read the coordinates of the part.
 fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory> {
     verdict
         .part_to_axes
@@ -173,15 +173,12 @@ fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory>
         .map_or(Cow::Borrowed(motion), Cow::Owned)
 }
 
-fn view(run: Run, allotment: &Allotment) -> View {
+/// Returns the data of one run for the screen.
+fn view(run: RunData, allotment: &Allotment) -> View {
     let grid = *run.desired.grid();
     let every = block_side(&grid, allotment.pixels);
-    let on_screen = |s: &Surface, every| screen_map(s.height_nm().view(), s.grid(), every);
-    let analysed =
-        |s: &Surface| (histogram(s.height_nm().view()), spectrum(s.height_nm().view(), s.grid()));
-    let rank = |name: &str| run.summary.methods.iter().position(|(n, _)| n == name);
     let mut methods = run.methods;
-    methods.sort_by_key(|m| rank(&m.name));
+    methods.sort_by_key(|m| run.summary.methods.iter().position(|(name, _)| *name == m.name));
     let methods = methods.into_par_iter().map(|m| MethodView {
         removal: screen_map(m.removal.removal_nm().view(), &grid, every),
         residual: on_screen(m.removal.residual(), every),
@@ -213,23 +210,35 @@ fn view(run: Run, allotment: &Allotment) -> View {
     }
 }
 
-/// residual(t) = desired - removal(t) on the pixels of the frames; every k-th frame, the last in
+/// Returns a surface for the screen, in means over blocks of `every` x `every` pixels.
+fn on_screen(surface: &Surface, every: usize) -> ScreenMap {
+    screen_map(surface.height_nm().view(), surface.grid(), every)
+}
+
+/// Returns the histogram of the heights, and their spectrum if they have one.
+fn analysed(surface: &Surface) -> (Histogram, Option<Spectrum>) {
+    let height_nm = surface.height_nm().view();
+    (histogram(height_nm), spectrum(height_nm, surface.grid()))
+}
+
+/// Returns residual(t) = desired - removal(t) on the pixels of the frames; every k-th frame, the last in
 /// any case, where there are too many.
 fn frame_view(frames: Frames, desired: &Surface, most_pixels: usize) -> FrameView {
     let (m, ny, nx) = frames.removal_nm.dim();
     let every = m.div_ceil((most_pixels / (ny * nx)).max(1));
-    let kept: Vec<usize> =
-        (0..m).rev().step_by(every).collect::<Vec<_>>().into_iter().rev().collect();
-    let full = desired.grid();
-    let nearest = |axis: &Axis, mm: f64| {
-        let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
-        (i.max(0.0) as usize).min(axis.len() - 1)
-    };
-    let columns: Vec<usize> = (0..nx).map(|c| nearest(&full.x, frames.grid.x.at(c))).collect();
-    let rows: Vec<usize> = (0..ny).map(|r| nearest(&full.y, frames.grid.y.at(r))).collect();
-    let residual_nm = Array3::from_shape_fn((kept.len(), ny, nx), |(i, r, c)| {
-        desired.height_nm()[[rows[r], columns[c]]] - frames.removal_nm[[kept[i], r, c]]
+    let mut shown: Vec<usize> = (0..m).rev().step_by(every).collect();
+    shown.reverse();
+    let columns = nearest_pixels(&desired.grid().x, &frames.grid.x);
+    let rows = nearest_pixels(&desired.grid().y, &frames.grid.y);
+    let residual_nm = Array3::from_shape_fn((shown.len(), ny, nx), |(i, r, c)| {
+        desired.height_nm()[[rows[r], columns[c]]] - frames.removal_nm[[shown[i], r, c]]
     });
-    let time_s = kept.iter().map(|i| frames.time_s[*i]).collect();
+    let time_s = shown.iter().map(|i| frames.time_s[*i]).collect();
     FrameView { time_s, residual_nm, grid: frames.grid }
+}
+
+/// Returns the pixel of `axis` that is nearest to each pixel of `other`.
+fn nearest_pixels(axis: &Axis, other: &Axis) -> Vec<usize> {
+    let positions = (0..other.len()).map(|i| (other.at(i) - axis.start_mm()) / axis.step_mm());
+    positions.map(|i| (i.round().max(0.0) as usize).min(axis.len() - 1)).collect()
 }

@@ -1,12 +1,10 @@
 //! Picture of the front, and the page around it.
 
-use std::fmt::Write;
-
 use planish_draw::{
     colour,
     frame::{Frame, Scale, range},
     page,
-    svg::Svg,
+    svg::{Svg, put},
 };
 use planish_types::{
     outcome::sweep::{SettingValue, SweepPlan},
@@ -36,7 +34,7 @@ const ROOM: f64 = 1.1;
 /// Smaller: few round numbers have a place on a short logarithmic one. Chosen.
 const DECADES_FROM: f64 = 10.0;
 
-/// The plans that keep the constraints, each a point that is a link to its report; those of the front are joined.
+/// Draws the plans that keep the constraints, each a point that is a link to its report; those of the front are joined.
 /// `to_table` leads from the picture to the folder of the table. Empty where there is no point.
 pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     let front = table.front(residual);
@@ -44,15 +42,15 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     if points.is_empty() {
         return String::new();
     }
-    let scale = |k: usize| {
+    let scales = [0, 1].map(|k| {
         let [low, high] = range(points.iter().map(|(_, p)| p[k]));
         if low > 0.0 && high > DECADES_FROM * low {
             return Scale::logarithmic([low / ROOM, high * ROOM]);
         }
         let room = (ROOM - 1.0) * (high - low);
         Scale::linear([low - room, high + room])
-    };
-    let frame = Frame::new([0.0; 2], SIZE_PX, MARGIN_PX, [scale(0), scale(1)]);
+    });
+    let frame = Frame::new([0.0; 2], SIZE_PX, MARGIN_PX, scales);
     let mut svg = Svg::new(FONT_PX);
     frame.grid(&mut svg);
     frame.axes(&mut svg, ["time of the run (s)", residual.caption()]);
@@ -72,14 +70,14 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     for (i, point) in points {
         let row = &table.0.plans[i];
         let family = families.iter().position(|name| *name == family_of(row)).unwrap_or(0);
-        let [x, y] = frame.at(point);
+        let [x, y] = frame.px(point);
         let (radius, opacity) = if front.contains(&i) { (5.0, 1.0) } else { (3.0, 0.55) };
         let ring =
             if recommended == Some(i) { " stroke=\"black\" stroke-width=\"2.5\"" } else { "" };
         let circle = format!(
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{}\" fill-opacity=\"{opacity}\"{ring}><title>{}</title></circle>",
             colour::of_line(family),
-            escaped(&told(row, point))
+            escaped(&caption(row, point))
         );
         match &row.report {
             Some(report) => {
@@ -92,7 +90,7 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     svg.finish([MARGIN_PX[0] + SIZE_PX[0] + MARGIN_PX[2], MARGIN_PX[1] + SIZE_PX[1] + MARGIN_PX[3]])
 }
 
-/// Plans that are drawn: the others first, so that those of the front lie over them.
+/// Returns the plans that are drawn: the others first, so that those of the front lie over them.
 fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f64; 2])> {
     let all = (0..table.0.plans.len())
         .filter_map(|i| Some((i, table.point(&table.0.plans[i], residual)?)));
@@ -101,7 +99,7 @@ fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f6
     others.into_iter().step_by(every).chain(on_front).collect()
 }
 
-/// Family of a plan, which has a colour of its own: path and method.
+/// Returns the family of a plan, which has a colour of its own: path and method.
 fn family_of(row: &SweepPlan) -> String {
     format!("{}, {}", row.path, row.method)
 }
@@ -113,8 +111,8 @@ fn families(table: &Table) -> Vec<String> {
     families
 }
 
-/// Text of a point.
-fn told(row: &SweepPlan, [time_s, rms_nm]: [f64; 2]) -> String {
+/// Returns the text of a point.
+fn caption(row: &SweepPlan, [time_s, rms_nm]: [f64; 2]) -> String {
     format!("{}: {} nm in {} s", in_words(row), significant(rms_nm, 4), significant(time_s, 4))
 }
 
@@ -122,7 +120,7 @@ fn told(row: &SweepPlan, [time_s, rms_nm]: [f64; 2]) -> String {
 const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: right; position: static; font-weight: 700; }\n\
                      tr.best td { font-weight: bold; }\n";
 
-/// The page: the sentence, the pictures, the plans of the front, those that failed, and all others.
+/// Returns the page: the sentence, the pictures, the plans of the front, those that failed, and all others.
 pub fn page(table: &Table, to_table: &str) -> String {
     let title = format!("sweep {}, {}", table.0.name, table.0.mirror);
     let mut html =
@@ -159,7 +157,7 @@ pub fn page(table: &Table, to_table: &str) -> String {
     page::document(&title, page::WITHOUT_PROGRAM, &page::style(STYLE), &html)
 }
 
-/// The sentence, its command as code.
+/// Returns the sentence, its command as code.
 fn with_command(table: &Table) -> String {
     let sentence = table.sentence();
     match sentence.split_once("just run ") {
@@ -170,25 +168,32 @@ fn with_command(table: &Table) -> String {
     }
 }
 
+/// Returns the sentence on the constraints of the plans.
 fn constraints(table: &Table) -> String {
-    let time =
-        table.0.constraints.max_time_s.map(|s| format!("takes {} s at most", significant(s, 6)));
-    let limits =
-        table.0.constraints.keep_limits.then(|| "keeps the limits of the machine".to_string());
-    let is_specified = !table.specified().is_empty() && table.0.constraints.keep_specification;
-    let specification = is_specified.then(|| "keeps the specification".to_string());
-    let kept: Vec<String> = limits.into_iter().chain(specification).chain(time).collect();
+    let constraints = &table.0.constraints;
+    let mut conditions: Vec<String> = Vec::new();
+    if constraints.keep_limits {
+        conditions.push("keeps the limits of the machine".into());
+    }
+    if constraints.keep_specification && !table.specified().is_empty() {
+        conditions.push("keeps the specification".into());
+    }
+    if let Some(s) = constraints.max_time_s {
+        conditions.push(format!("takes {} s at most", significant(s, 6)));
+    }
     let failed = table.failed();
     let judged = match table.judged_by() {
         Residual::Nominal => "its residual without errors",
         Residual::Below95 => "the residual that 95 % of its runs are below",
     };
-    let asked = if kept.is_empty() { "is made".into() } else { kept.join(" and ") };
+    let conditions =
+        if conditions.is_empty() { "is made".into() } else { conditions.join(" and ") };
     format!(
-        "A plan counts that {asked}; it is judged by {judged} and by its time. {failed} plans have no numbers."
+        "A plan counts that {conditions}; it is judged by {judged} and by its time. {failed} plans have no numbers."
     )
 }
 
+/// Returns the table of these plans.
 fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     let varied = table.varied();
     let mut html =
@@ -214,13 +219,16 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
         let row = &table.0.plans[i];
         let Some(n) = &row.numbers else { continue };
         html += if recommended == Some(i) { "<tr class=\"best\">" } else { "<tr>" };
-        let numbers = [Some(n.total_time_s), Some(n.rms_nm)].into_iter();
-        for number in numbers.chain(table.0.has_process.then_some(n.below_95_percent_nm)) {
+        let mut numbers = vec![Some(n.total_time_s), Some(n.rms_nm)];
+        if table.0.has_process {
+            numbers.push(n.below_95_percent_nm);
+        }
+        for number in numbers {
             let number = number.map(|x| significant(x, 4)).unwrap_or_default();
             put(&mut html, format_args!("<td>{number}</td>"));
         }
-        let kept = if n.limits_kept { "kept" } else { "exceeded" };
-        put(&mut html, format_args!("<td class=\"words\">{kept}</td>"));
+        let limits_kept = if n.limits_kept { "kept" } else { "exceeded" };
+        put(&mut html, format_args!("<td class=\"words\">{limits_kept}</td>"));
         if !limits.is_empty() {
             let words = specification_in_words(n);
             put(&mut html, format_args!("<td class=\"words\">{words}</td>"));
@@ -253,10 +261,6 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
         put(&mut html, format_args!("<td class=\"words\">{cell}</td></tr>\n"));
     }
     html + "</table></div>\n"
-}
-
-fn put(out: &mut String, words: std::fmt::Arguments<'_>) {
-    out.write_fmt(words).expect("a text takes what is written to it");
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use planish_handoff::{Failure, Inputs, flags::NearPathArgs, say, warn, with_flags};
 use planish_types::PathDistance;
 
-use super::Given;
+use super::MotionInput;
 
 /// Returns the distance of the plan from its path; `None` if neither a path nor the maker of the plan states it.
 ///
@@ -12,18 +12,18 @@ use super::Given;
 /// A plan that leaves its path by more than the tolerance, and a path of another plan.
 pub(super) fn checked(
     flags: &NearPathArgs,
-    motion: &Given,
+    motion: &MotionInput,
     inputs: &mut Inputs,
 ) -> Result<Option<PathDistance>, Failure> {
     let (dir, distance) = match motion {
-        Given::Trajectory(dir, on_axes) => (dir, flags.measure(on_axes, inputs)?),
-        Given::Axes(_) if flags.tool_path.is_some() => {
+        MotionInput::Trajectory(dir, on_axes) => (dir, flags.measure(on_axes, inputs)?),
+        MotionInput::Axes(_) if flags.tool_path.is_some() => {
             return Err(Failure::new(
                 "--tool-path: is for a motion of x and y; of --axes, planish-axes motion states the distance of the \
                  contact point",
             ));
         }
-        Given::Axes(axes) => (&axes.dir, flags.stated(axes.manifest.as_ref())?),
+        MotionInput::Axes(axes) => (&axes.dir, flags.stated(axes.manifest.as_ref())?),
     };
     match distance.and_then(|distance| distance.excess()) {
         None => Ok(distance),

@@ -3,7 +3,7 @@
 #![allow(dead_code)] // the test and the example use a part each
 
 use ndarray::Array2;
-use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
+use planish_reconcile::{Comparison, ReconcileSettings, Reconciled, reconcile};
 use planish_simulate::error_budget::ErrorBudgetFile;
 use planish_testkit::mirror::Mirror;
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
@@ -272,7 +272,11 @@ impl Case {
             error_budget: None,
             transform: None,
         };
-        reconcile(&comparison, &Settings { same_measurement, ..Settings::default() }).unwrap()
+        reconcile(
+            &comparison,
+            &ReconcileSettings { same_measurement, ..ReconcileSettings::default() },
+        )
+        .unwrap()
     }
 
     /// The same with the sizes from which the errors of these machines are drawn as an error budget.
@@ -302,7 +306,11 @@ impl Case {
             error_budget: Some(&budget),
             transform: None,
         };
-        reconcile(&comparison, &Settings { same_measurement: true, ..Settings::default() }).unwrap()
+        reconcile(
+            &comparison,
+            &ReconcileSettings { same_measurement: true, ..ReconcileSettings::default() },
+        )
+        .unwrap()
     }
 
     /// Error of every parameter over its standard error; `None` where it is not determined.

@@ -23,10 +23,10 @@ use planish_types::assumed_machine;
 
 use super::{
     claim::{Claim, Named},
-    execute::{Programs, Said, as_typed},
-    place::{Place, directory_name, name_of},
+    execute::{Messages, Programs, as_typed},
+    place::{Installation, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, count, with_plain},
+    several::{Silent, UserSettings, command, count, with_plain},
 };
 
 #[derive(Args)]
@@ -63,40 +63,41 @@ struct Course<'a> {
 
 impl Campaign {
     pub fn run(&self) -> Result<Status, Failure> {
-        let code = campaign(&self.words, Said::Shown)?;
+        let code = campaign(&self.words, Messages::Shown)?;
         end(code)
     }
 }
 
-/// Runs a campaign; its last table goes where `said` says.
-pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
-    let place = Place::find()?;
-    let mut given = Given::new(words)?;
-    let setting =
-        |given: &mut Given, name: &str, default: &str| given.take(name).unwrap_or(default.into());
-    let fixture = given.take_fixture()?.unwrap_or("coupon".into());
-    if given.get("export").is_some() {
+/// Runs a campaign; its last table goes to `messages`. Returns the exit code.
+///
+/// # Errors
+/// Fails if a setting, an input or the directory is refused, or if a command cannot be run.
+pub fn campaign(words: &[String], messages: Messages) -> Result<u8, Failure> {
+    let place = Installation::find()?;
+    let mut user = UserSettings::new(words)?;
+    let fixture = user.take_fixture()?.unwrap_or("coupon".into());
+    if user.get("export").is_some() {
         return Err(Failure::new("a campaign writes no programs; leave export out"));
     }
-    let runs = count("runs", &setting(&mut given, "runs", "3"), 99)?;
-    let definition = place.definition_of_plans(&setting(&mut given, "pipeline", "raster"))?;
-    let [surface, tif] = take_mirror(&mut given)?;
-    let reconcile = setting(&mut given, "reconcile", "");
+    let runs = count("runs", &user.take_or("runs", "3"), 99)?;
+    let definition = place.definition_of_plans(&user.take_or("pipeline", "raster"))?;
+    let [surface, tif] = take_mirror(&mut user)?;
+    let reconcile = user.take_or("reconcile", "");
     let reconcile = words::split(&reconcile)
         .map_err(|e| Failure::new(format!("reconcile={reconcile}: {e}")))?;
-    let error_budget = given
+    let error_budget = user
         .take_path("error_budget")
         .unwrap_or_else(|| format!("{}fixtures/error-budgets/hidden.json", place.repository()));
-    let seed = setting(&mut given, "seed", "1");
-    let least_gain_percent = setting(&mut given, "least_gain_percent", "5");
+    let seed = user.take_or("seed", "1");
+    let least_gain_percent = user.take_or("least_gain_percent", "5");
     let is_own = surface.is_some() || tif.is_some();
     let is_users = is_own
-        || ["form", "varying"].iter().any(|name| given.get(name).is_some_and(|v| !v.is_empty()));
+        || ["form", "varying"].iter().any(|name| user.get(name).is_some_and(|v| !v.is_empty()));
     let name = match &surface {
         Some(map) => name_of(&std::path::absolute(map)?),
         None => fixture.clone(),
     };
-    let out = given
+    let out = user
         .take_path("out")
         .unwrap_or_else(|| format!("{}out/campaign/{}", place.home(), directory_name(&name)));
     if !Path::new(&error_budget).is_file() {
@@ -104,16 +105,16 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
             "error_budget {error_budget} is no file; give the errors of the virtual machine (docs/tolerance.md)"
         )));
     }
-    let settings = with_plain(&definition, &given);
+    let settings = with_plain(&definition, &user);
     let scope = place.settings(&definition, &settings)?;
     let machine = scope.text("machine").map_err(Failure::new)?;
-    let assumed_name = if is_users { given.assumed_machine(&machine)? } else { None };
+    let assumed_name = if is_users { user.assumed_machine(&machine)? } else { None };
     let assumed_machine = assumed_name.as_deref().map(assumed_machine);
     let recipe = format!("{}fixtures/{fixture}.json", place.repository());
     let claim = Claim {
         out: out.clone().into(),
         pipeline: "campaign".into(),
-        fixture: (!is_own).then(|| recipe.clone().into()),
+        fixture: if is_own { None } else { Some(recipe.clone().into()) },
         surface: surface.clone().map(Into::into),
         tif: tif.clone().map(Into::into),
         machine: machine.into(),
@@ -124,7 +125,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let mut course = Course {
         silent: Silent::new(&place)?,
         definition: &definition,
-        is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
+        is_specified: user.get("specification").is_some_and(|file| !file.is_empty()),
         settings,
         surface: surface.unwrap_or_else(|| format!("{out}/fixture/surface")),
         tif: tif.unwrap_or_else(|| format!("{out}/fixture/tif")),
@@ -144,14 +145,14 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     }
     course.run()?;
     let report = course.report(&name, assumed_name.as_deref());
-    let code = Programs::new(&place, said)?.run(&report)?;
+    let code = Programs::new(&place, messages)?.run(&report)?;
     assumed_machine.iter().for_each(warn);
     Ok(code)
 }
 
 /// Takes the map and the tool of a measured mirror from the settings. Refuses files: they are artifacts.
-fn take_mirror(given: &mut Given) -> Result<[Option<String>; 2], Failure> {
-    let mirror = [given.take_path("surface"), given.take_path("tif")];
+fn take_mirror(user: &mut UserSettings) -> Result<[Option<String>; 2], Failure> {
+    let mirror = [user.take_path("surface"), user.take_path("tif")];
     if let Some(map) = mirror.iter().flatten().find(|map| Path::new(map).is_file()) {
         return Err(Failure::new(format!(
             "{map} is a file; read it with planish-import, and give the directory"
@@ -175,7 +176,7 @@ fn named_words(
 }
 
 impl Course<'_> {
-    /// All chains, and the mirror that is like the first one.
+    /// Runs all chains, and the mirror that is like the first one.
     fn run(&mut self) -> Result<(), Failure> {
         let measured = format!("{}/measured", self.out);
         self.measure(&measured, None)?;
@@ -189,7 +190,7 @@ impl Course<'_> {
         self.alike(&learnt_tif)
     }
 
-    /// A chain whose plans know nothing of the runs before.
+    /// Runs a chain whose plans know nothing of the runs before.
     fn without_learning(&mut self, chain: &str, flags: &[&str]) -> Result<(), Failure> {
         let mut map = format!("{}/measured", self.out);
         let mut run = format!("{}/first", self.out);
@@ -206,7 +207,7 @@ impl Course<'_> {
         Ok(())
     }
 
-    /// The chain that learns: the tool as it is known after the last run.
+    /// Runs the chain that learns. Returns the tool as it is known after the last run.
     fn learning(&mut self) -> Result<String, Failure> {
         let mut map = format!("{}/measured", self.out);
         let mut run = format!("{}/first", self.out);
@@ -247,8 +248,11 @@ impl Course<'_> {
             flags.extend(["--learnt-error-budget", &learnt, "--same-measurement", "--force"]);
             let words: Vec<&str> = self.reconcile.iter().map(String::as_str).chain(flags).collect();
             self.silent.command(&command("planish-reconcile", &words))?;
-            (map, run, tool, knowledge, place) =
-                (measured, format!("{at}/plan"), tif, learnt, Some(transform));
+            map = measured;
+            run = format!("{at}/plan");
+            tool = tif;
+            knowledge = learnt;
+            place = Some(transform);
             self.plan(&run, &map, &tool)?;
             self.decide(&at, &run, &tool, &knowledge)?;
         }
@@ -257,8 +261,9 @@ impl Course<'_> {
 
     /// Computes what the next plan is expected to leave, and decides whether it is worth its time.
     fn decide(&mut self, at: &str, run: &str, tool: &str, knowledge: &str) -> Result<(), Failure> {
-        let (motion, map) = (self.motion(run), format!("{run}/surface"));
-        let (tolerance, decision) = (format!("{at}/tolerance"), format!("{at}/decision"));
+        let motion = self.motion(run);
+        let map = format!("{run}/surface");
+        let [tolerance, decision] = ["tolerance", "decision"].map(|part| format!("{at}/{part}"));
         let over = [
             "--trajectory",
             &motion,
@@ -270,10 +275,7 @@ impl Course<'_> {
             knowledge,
         ];
         self.quiet("planish-tolerance", &[&over[..], &["--out", &tolerance, "--force"]].concat())?;
-        let judged = match self.is_specified {
-            true => specified(run, &self.planned),
-            false => vec![],
-        };
+        let judged = if self.is_specified { specified(run, &self.planned) } else { vec![] };
         let least = format!("--least-gain-percent={}", self.least_gain_percent);
         let mut flags = vec![
             "decide",
@@ -290,12 +292,14 @@ impl Course<'_> {
         self.quiet("planish-campaign", &flags)
     }
 
-    /// Another mirror like the first one, in each chain.
+    /// Plans and runs another mirror like the first one, in each chain.
     fn alike(&mut self, tool: &str) -> Result<(), Failure> {
-        let (k, runs) = (self.runs + 1, self.runs);
+        let runs = self.runs;
+        let k = runs + 1;
         let at = format!("{}/alike", self.out);
-        let (measured, first, last) =
-            (format!("{at}/measured"), format!("{at}/first"), format!("{at}/plan-after-{runs}"));
+        let measured = format!("{at}/measured");
+        let first = format!("{at}/first");
+        let last = format!("{at}/plan-after-{runs}");
         let tif = self.tif.clone();
         self.measure(&measured, Some(k))?;
         self.plan(&first, &measured, &tif)?;
@@ -312,12 +316,12 @@ impl Course<'_> {
         self.machine_runs(&format!("{at}/learning"), k, &measured, &commanded, &[])
     }
 
-    /// Motion of the plan in a run.
+    /// Returns the path of the motion of the plan in a run.
     fn motion(&self, run: &str) -> String {
         format!("{run}/methods/{}/trajectory", self.planned)
     }
 
-    /// The map as it is measured before the run of this number.
+    /// Measures the map before the run of this number.
     fn measure(&mut self, to: &str, run_number: Option<u32>) -> Result<(), Failure> {
         let seed = format!("--seed={}", self.seed);
         let number = run_number.map(|k| format!("--run-number={k}"));
@@ -334,14 +338,14 @@ impl Course<'_> {
         self.silent.command(&command("planish-campaign", &flags)).map(|_| ())
     }
 
-    /// The motion of a plan where the part lies.
+    /// Moves the motion of a plan to where the part lies.
     fn command_motion(&mut self, transform: &str, motion: &str, to: &str) -> Result<(), Failure> {
         let flags =
             ["apply", "--transform", transform, "--trajectory", motion, "--out", to, "--force"];
         self.quiet("planish-register", &flags)
     }
 
-    /// The run of this number on the virtual machine, which has the true tool.
+    /// Runs the virtual machine, which has the true tool, for the run of this number.
     fn machine_runs(
         &mut self,
         at: &str,
@@ -350,8 +354,9 @@ impl Course<'_> {
         motion: &str,
         more: &[&str],
     ) -> Result<(), Failure> {
-        let (seed, number) = (format!("--seed={}", self.seed), format!("--run-number={k}"));
-        let (measured, truth) = (format!("{at}/measured"), format!("{at}/truth"));
+        let seed = format!("--seed={}", self.seed);
+        let number = format!("--run-number={k}");
+        let [measured, truth] = ["measured", "truth"].map(|part| format!("{at}/{part}"));
         let flags = [
             &["--trajectory", motion, "--tif", &self.tif, "--surface", map][..],
             &["--error-budget", &self.error_budget, &seed, &number],
@@ -381,13 +386,19 @@ impl Course<'_> {
         Ok(())
     }
 
+    /// Runs a command in silence.
     fn quiet(&mut self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         self.silent.command(&command(program, flags)).map(|_| ())
     }
 
-    /// The command that makes the page of the campaign.
-    fn report(&self, name: &str, assumed_machine: Option<&str>) -> planish_pipeline::walk::Command {
-        let (runs, mirror) = (format!("--runs={}", self.runs), format!("--mirror={name}"));
+    /// Returns the command that makes the page of the campaign.
+    fn report(
+        &self,
+        name: &str,
+        assumed_machine: Option<&str>,
+    ) -> planish_pipeline::walk::StageCommand {
+        let runs = format!("--runs={}", self.runs);
+        let mirror = format!("--mirror={name}");
         let out = format!("{}/report", self.out);
         let assumed = assumed_machine.map(|name| format!("--assumed-machine={name}"));
         let mut flags = vec!["report", &self.out, "--surface", &self.surface, &runs, &mirror];
@@ -397,8 +408,9 @@ impl Course<'_> {
     }
 }
 
-/// Flags for the verdicts of a specification: on the map before the next run, and on what its plan leaves.
+/// Returns the flags for the verdicts of a specification: on the map before the next run, and on what its plan leaves.
 pub fn specified(run: &str, planned: &str) -> Vec<String> {
-    let at = |part: &str| format!("{run}/specified/{part}/specification");
-    vec!["--specified-now".into(), at("before"), "--specified-next".into(), at(planned)]
+    let [now, next] =
+        ["before", planned].map(|part| format!("{run}/specified/{part}/specification"));
+    vec!["--specified-now".into(), now, "--specified-next".into(), next]
 }

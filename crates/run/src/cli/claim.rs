@@ -66,6 +66,9 @@ impl Claim {
     /// Checks the inputs, locks the directory and copies the machine file into it. The lock holds until the file is
     /// closed, here and in all processes that have inherited it. `command` is shown to others that want the directory. The
     /// text beside the lock, if there is one, warns of a limit on jerk that the machine file does not state.
+    ///
+    /// # Errors
+    /// Fails if an input is missing or overlaps the directory, or if the directory belongs to another run or is in use.
     pub fn take(&self, command: &str) -> Result<(File, Option<String>), Failure> {
         let Self { out, machine, .. } = self;
         // The reader is that of the stages.
@@ -86,7 +89,7 @@ impl Claim {
         Ok((lock, assumed))
     }
 
-    /// The mirror, which is there.
+    /// Returns the mirror, which is there.
     fn mirror(&self) -> Result<Mirror, Failure> {
         match (&self.fixture, &self.surface, &self.tif) {
             (Some(recipe), ..) => fixture(recipe).map(Mirror::Fixture),
@@ -103,7 +106,7 @@ impl Claim {
     }
 }
 
-/// The machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time
+/// Reads the machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time
 /// to full acceleration that is assumed, and a warning that says so.
 fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
     let failed = |e: &dyn std::fmt::Display| {
@@ -128,28 +131,28 @@ fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<St
     Ok((text.into_bytes(), Some(warning)))
 }
 
-/// Name of the recipe; refuses a recipe that does not exist.
+/// Returns the name of the recipe; refuses a recipe that does not exist.
 fn fixture(recipe: &Path) -> Result<String, Failure> {
-    let name = |path: &Path| Some(path.file_stem()?.to_string_lossy().into_owned());
-    if let (true, Some(name)) = (recipe.is_file(), name(recipe)) {
+    let name = recipe.file_stem().map(|name| name.to_string_lossy().into_owned());
+    if let Some(name) = name.clone().filter(|_| recipe.is_file()) {
         return Ok(name);
     }
     let siblings = recipe.parent().and_then(|dir| fs::read_dir(dir).ok()).into_iter().flatten();
     let siblings = siblings.filter_map(|entry| Some(entry.ok()?.path()));
     let mut names: Vec<String> = siblings
         .filter(|path| path.extension().is_some_and(|e| e == "json"))
-        .filter_map(|path| name(&path))
+        .filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned()))
         .collect();
     names.sort();
-    let there = match names.is_empty() {
-        true => "there are none beside it".into(),
-        false => format!("there are: {}", names.join(", ")),
-    };
-    let name = name(recipe).unwrap_or_default();
+    let mut there = String::from("there are none beside it");
+    if !names.is_empty() {
+        there = format!("there are: {}", names.join(", "));
+    }
+    let name = name.unwrap_or_default();
     Err(Failure::new(format!("no fixture '{name}' ({}); {there}", recipe.display())))
 }
 
-/// Absolute path of an existing input, without links.
+/// Returns the absolute path of an existing input, without links.
 fn existing(role: &str, path: &Path) -> Result<String, Failure> {
     let here = path.canonicalize().map_err(|e| {
         Failure::new(format!(
@@ -163,8 +166,11 @@ fn existing(role: &str, path: &Path) -> Result<String, Failure> {
 }
 
 impl Named {
-    /// Words of the settings of a pipeline that may name an input: settings that are paths, and the words of those that
-    /// are flags.
+    /// Returns the words of the settings of a pipeline that may name an input: settings that are paths, and the words of
+    /// those that are flags.
+    ///
+    /// # Errors
+    /// Fails if a setting cannot be split into words.
     pub fn all(scope: &Scope) -> Result<Vec<Self>, Failure> {
         let mut named = Vec::new();
         for Setting { name, kind, .. } in &scope.definition.settings {
@@ -178,7 +184,7 @@ impl Named {
         Ok(named)
     }
 
-    /// The words of one setting. A flag names the path after its `=`, and the time of a stage is an output.
+    /// Returns the words of one setting. A flag names the path after its `=`, and the time of a stage is an output.
     pub fn words(setting: &str, words: &[String], is_path: bool) -> Vec<Self> {
         let mut named = Vec::new();
         let mut is_output = false;
@@ -206,9 +212,11 @@ impl Named {
             refuse_overlap(out, setting, path)?;
         }
         let out_resolved = resolved(out);
-        let is_inside = |path: &Path| path != out_resolved && path.starts_with(&out_resolved);
         let is_there = fs::symlink_metadata(path).is_ok();
-        if (is_there || *is_path) && (is_inside(&resolved(path)) || is_inside(&place_of(path))) {
+        let mut places = [resolved(path), place_of(path)].into_iter();
+        let is_inside =
+            places.any(|place| place != out_resolved && place.starts_with(&out_resolved));
+        if (is_there || *is_path) && is_inside {
             return Err(Failure::new(format!(
                 "{setting} names {}, which lies in out {}, where the run writes; copy it to another place, or give \
                  another out",
@@ -220,7 +228,7 @@ impl Named {
     }
 }
 
-/// Absolute path of a name: links above it are followed, and the name itself may be a link.
+/// Returns the absolute path of a name: links above it are followed, and the name itself may be a link.
 fn place_of(path: &Path) -> PathBuf {
     match (path.parent(), path.file_name()) {
         (Some(parent), Some(name)) => resolved(parent).join(name),
@@ -230,12 +238,15 @@ fn place_of(path: &Path) -> PathBuf {
 
 /// Refuses an output that is, contains or lies inside an input.
 fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
-    let (o, i) = (resolved(out), resolved(input));
-    let how = match () {
-        () if o == i => "is",
-        () if i.starts_with(&o) => "contains",
-        () if o.starts_with(&i) => "lies inside",
-        () => return Ok(()),
+    let [o, i] = [out, input].map(resolved);
+    let how = if o == i {
+        "is"
+    } else if i.starts_with(&o) {
+        "contains"
+    } else if o.starts_with(&i) {
+        "lies inside"
+    } else {
+        return Ok(());
     };
     Err(Failure::new(format!(
         "out {} {how} the {role} {}; give another out, a new directory",
@@ -244,7 +255,7 @@ fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
     )))
 }
 
-/// Absolute path, without links as far as it exists.
+/// Returns the absolute path, without links as far as it exists.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     for there in path.ancestors() {
@@ -341,10 +352,10 @@ fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
         Err(e) => return refused(format!("cannot be read ({e}); give another out")),
     };
     match serde_json::from_slice::<Owner>(&text) {
-        Ok(found) if found == *owner => Ok(true),
-        Ok(found) => refused(format!(
+        Ok(other) if other == *owner => Ok(true),
+        Ok(other) => refused(format!(
             "belongs to another run ({}; this is {}); give another out, or remove it",
-            found.describe(),
+            other.describe(),
             owner.describe()
         )),
         Err(e) => {
@@ -353,7 +364,7 @@ fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     }
 }
 
-/// First file, by name, that is neither the lock nor a temporary file; `None` if there is no directory.
+/// Returns the first file, by name, that is neither the lock nor a temporary file; `None` if there is no directory.
 fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     let entries = match fs::read_dir(out) {
         Ok(entries) => entries,

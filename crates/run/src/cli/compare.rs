@@ -7,14 +7,14 @@ use planish_handoff::{Failure, Status, warn};
 use planish_pipeline::scope::Words;
 
 use super::{
-    execute::{Programs, Said, assumed_machine, run},
-    place::{Place, directory_name},
+    execute::{Messages, Programs, assumed_machine, run},
+    place::{Installation, directory_name},
     run::end,
-    several::{Given, command, no_flag},
+    several::{UserSettings, command, no_flag},
 };
 
-/// Fixture of the first of these pipelines.
-fn default_fixture(place: &Place) -> Result<String, Failure> {
+/// Returns the fixture of the first of these pipelines.
+fn default_fixture(place: &Installation) -> Result<String, Failure> {
     let definition = place.definition(PATHS[0])?;
     place.settings::<&str>(&definition, &[])?.text("fixture").map_err(Failure::new)
 }
@@ -32,40 +32,37 @@ pub struct Compare {
 
 impl Compare {
     pub fn run(&self) -> Result<Status, Failure> {
-        let place = Place::find()?;
-        let mut given = Given::new(&self.words)?;
-        if given.get("export").is_some() {
+        let place = Installation::find()?;
+        let mut user = UserSettings::new(&self.words)?;
+        if user.get("export").is_some() {
             return Err(Failure::new("a comparison writes no programs; leave export out"));
         }
-        let fixture = match given.take_fixture()? {
+        let fixture = match user.take_fixture()? {
             None => default_fixture(&place)?,
             Some(fixture) => fixture,
         };
         let fixture = fixture.as_str();
-        let skip = given.take("skip").unwrap_or_default();
-        let out = given
+        let skip = user.take("skip").unwrap_or_default();
+        let out = user
             .take_path("out")
             .unwrap_or_else(|| format!("{}out/compare/{}", place.home(), directory_name(fixture)));
-        let tif = given.get("tif").map(|path| no_flag(&path)).unwrap_or_default();
-        let settings = given.settings;
+        let tif = user.get("tif").map(|path| no_flag(&path)).unwrap_or_default();
+        let settings = user.settings;
         let is_all = fixture == "all";
         if !is_all && !skip.is_empty() {
             return Err(Failure::new(
                 "skip leaves out mirrors of `all`; leave it out for one mirror",
             ));
         }
-        let mirrors = match is_all {
-            false => vec![fixture.to_string()],
-            true => place.fixtures(),
-        };
-        let left_out = |mirror: &String| skip.split_whitespace().any(|name| name == mirror);
-        let mirrors: Vec<String> = mirrors.into_iter().filter(|m| !left_out(m)).collect();
+        let mut mirrors = if is_all { place.fixtures() } else { vec![fixture.to_string()] };
+        mirrors.retain(|mirror| !skip.split_whitespace().any(|name| name == mirror));
         if mirrors.is_empty() {
             return Err(Failure::new("skip leaves out every mirror of fixtures/"));
         }
         let mut runs = Vec::new();
         let mut code = 0;
-        let (mut assumed, mut assumed_text) = (Vec::new(), None);
+        let mut assumed = Vec::new();
+        let mut assumed_text = None;
         for mirror in &mirrors {
             for path in PATHS {
                 let at =
@@ -77,7 +74,7 @@ impl Compare {
                 ];
                 let definition = place.definition(path)?;
                 let scope = place.scope(&definition, &own.concat())?;
-                let ended = run(&place, scope, "compare", Said::Shown)?;
+                let ended = run(&place, scope, "compare", Messages::Shown)?;
                 match ended.code {
                     one @ 0..=1 => code |= one,
                     other => return end(other),
@@ -88,21 +85,23 @@ impl Compare {
             }
         }
         let mut flags = [vec!["report".to_string()], runs].concat();
-        match is_all {
-            true => flags.extend(["--pipeline".into(), "compare".into()]),
+        if is_all {
+            flags.extend(["--pipeline".into(), "compare".into()]);
+        } else {
             // The tool is the same along every path: that of the fixture, or the user's as it is or as it was imported.
-            false => {
-                let tif = match () {
-                    () if tif.is_empty() => format!("{out}/raster/fixture/tif"),
-                    () if Path::new(&tif).is_file() => format!("{out}/raster/import/tif"),
-                    () => tif,
-                };
-                flags.extend([format!("--mirror={fixture}"), "--tif".into(), tif]);
-            }
+            let tif = if tif.is_empty() {
+                format!("{out}/raster/fixture/tif")
+            } else if Path::new(&tif).is_file() {
+                format!("{out}/raster/import/tif")
+            } else {
+                tif
+            };
+            flags.extend([format!("--mirror={fixture}"), "--tif".into(), tif]);
         }
         flags.extend(assumed);
         flags.extend(["--out".into(), format!("{out}/report"), "--force".into()]);
-        let ended = Programs::new(&place, Said::Shown)?.run(&command("planish-compare", &flags))?;
+        let ended =
+            Programs::new(&place, Messages::Shown)?.run(&command("planish-compare", &flags))?;
         assumed_text.iter().for_each(warn);
         end(if ended == 0 { code } else { ended })
     }

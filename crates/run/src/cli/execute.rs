@@ -17,13 +17,13 @@ use planish_handoff::{
 };
 use planish_pipeline::{
     scope::{Origins, Scope, Words},
-    walk::{Command, Step, Walk},
+    walk::{StageCommand, Step, Walk},
 };
 use planish_types::{ControllerKind, ToolPath};
 
 use super::{
     claim::{Claim, Named, refuse_special},
-    place::Place,
+    place::Installation,
     program::{plan_of, read_answer},
 };
 
@@ -44,7 +44,7 @@ const NOT_REHEARSED: [&str; 4] =
     ["planish-run", "planish-compare", "planish-fixture", "planish-import"];
 
 /// Destination of the messages of a run.
-pub enum Said {
+pub enum Messages {
     /// The user's terminal.
     Shown,
     /// This file, which is shown if a command fails.
@@ -62,59 +62,67 @@ pub struct Ended<'a> {
 /// Programs of Planish, and where they say what they do.
 pub struct Programs {
     path: ffi::OsString,
-    said: Said,
+    messages: Messages,
 }
 
 impl Programs {
-    /// The programs of this place.
-    pub fn new(place: &Place, said: Said) -> Result<Self, Failure> {
+    /// Creates the programs of this installation.
+    ///
+    /// # Errors
+    /// Fails if their folder cannot be in the PATH.
+    pub fn new(place: &Installation, messages: Messages) -> Result<Self, Failure> {
         let rest = env::var_os("PATH").unwrap_or_default();
         let folders = [place.programs.clone()].into_iter().chain(env::split_paths(&rest));
         let path = env::join_paths(folders).map_err(|e| {
             Failure::new(format!("{}: cannot be in the PATH: {e}", place.programs.display()))
         })?;
-        Ok(Self { path, said })
+        Ok(Self { path, messages })
     }
 
-    /// Prints a command and runs it: its exit code, or 2 if a signal ended it.
-    pub fn run(&self, command: &Command) -> Result<u8, Failure> {
+    /// Prints a command and runs it. Returns its exit code, or [`KILLED`] if a signal ended it.
+    ///
+    /// # Errors
+    /// Fails if the command cannot be run.
+    pub fn run(&self, command: &StageCommand) -> Result<u8, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
-        if let Said::Kept(file) = &self.said {
+        if let Messages::Kept(file) = &self.messages {
             process.stdout(file.try_clone()?).stderr(file.try_clone()?);
         }
         Ok(code(self.ended(command, ended(&mut process))?))
     }
 
     /// Runs a command whose messages go to a file.
-    fn attempt(&self, command: &Command, message: &Path) -> Result<u8, Failure> {
+    fn attempt(&self, command: &StageCommand, message: &Path) -> Result<u8, Failure> {
         self.print(&format!("{} 2> {}", command.line(), words::quote(&message.to_string_lossy())));
         let mut process = self.process(command);
         refuse_special(message)?;
         let file = File::create(message)
             .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
         process.stderr(file);
-        if let Said::Kept(file) = &self.said {
+        if let Messages::Kept(file) = &self.messages {
             process.stdout(file.try_clone()?);
         }
         Ok(code(self.ended(command, ended(&mut process))?))
     }
 
-    /// Runs a command in silence: what it said, if it failed.
-    fn refusal(&self, command: &Command) -> Result<Option<String>, Failure> {
+    /// Runs a command in silence. Returns its message if it failed.
+    fn refusal(&self, command: &StageCommand) -> Result<Option<String>, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
         process.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-        let (status, said) = self.ended(command, heard(&mut process))?;
-        let said = String::from_utf8_lossy(&said).trim().to_string();
-        Ok((!status.success()).then_some(said))
+        let (status, message) = self.ended(command, heard(&mut process))?;
+        if status.success() {
+            return Ok(None);
+        }
+        Ok(Some(String::from_utf8_lossy(&message).trim().to_string()))
     }
 
     /// Runs a command up to where its work begins. `run` is the directory of the run, and `made` the paths in it that are
     /// there already. Returns what the command said if it refuses its flags or its inputs.
     fn rehearsal(
         &self,
-        command: &Command,
+        command: &StageCommand,
         run: &str,
         made: &[String],
     ) -> Result<Option<String>, Failure> {
@@ -126,19 +134,20 @@ impl Programs {
         Ok(if code(status) == 2 { Some(message) } else { None })
     }
 
-    fn process(&self, command: &Command) -> Process {
+    /// Returns the process of a command, which knows the settings that give its flags.
+    fn process(&self, command: &StageCommand) -> Process {
         let mut process = stage_command(&command.program, env::split_paths(&self.path));
         process.args(&command.arguments).env("PATH", &self.path);
         let Origins { of_flag, more_flags, .. } = &command.origins;
         let more = more_flags.iter().map(|setting| format!("\t{setting}"));
-        let is_line = |(flag, _): &&(String, String)| !flag.contains(char::is_control);
-        let lines = of_flag.iter().filter(is_line).map(|(flag, text)| format!("{flag}\t{text}"));
-        let lines = lines.chain(more);
+        let flags = of_flag.iter().filter(|(flag, _)| !flag.contains(char::is_control));
+        let lines = flags.map(|(flag, text)| format!("{flag}\t{text}")).chain(more);
         process.env(SETTINGS_OF_FLAGS, lines.collect::<Vec<_>>().join("\n"));
         process
     }
 
-    fn ended<T>(&self, command: &Command, ended: io::Result<T>) -> Result<T, Failure> {
+    /// Returns the end of a process, or the failure to run it.
+    fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
                 "cannot run {}: {e}; build the programs with just build",
@@ -149,16 +158,17 @@ impl Programs {
 
     /// Prints a line on standard error; a closed pipe is not an error.
     fn print(&self, line: &str) {
-        let _ = match &self.said {
-            Said::Shown => writeln!(io::stderr(), "{line}"),
-            Said::Kept(file) => writeln!(&*file, "{line}"),
+        let _ = match &self.messages {
+            Messages::Shown => writeln!(io::stderr(), "{line}"),
+            Messages::Kept(file) => writeln!(&*file, "{line}"),
         };
     }
 
+    /// Prints a line on standard output, or where all messages go.
     fn say(&self, line: &str) {
-        match &self.said {
-            Said::Shown => say(line),
-            Said::Kept(_) => self.print(line),
+        match &self.messages {
+            Messages::Shown => say(line),
+            Messages::Kept(_) => self.print(line),
         }
     }
 }
@@ -171,40 +181,42 @@ fn ended(process: &mut Process) -> io::Result<ExitStatus> {
 /// Runs a process to its end, and returns what it said on standard error too. It ends with this one.
 fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
     let mut running = Running::start(process)?;
-    let mut said = Vec::new();
+    let mut message = Vec::new();
     if let Some(mut stderr) = running.stderr() {
-        stderr.read_to_end(&mut said)?;
+        stderr.read_to_end(&mut message)?;
     }
-    Ok((running.wait()?, said))
+    Ok((running.wait()?, message))
 }
 
-/// Exit code of a process; [`KILLED`] if a signal ended it, which is no refusal.
+/// Returns the exit code of a process; [`KILLED`] if a signal ended it, which is no refusal.
 fn code(status: ExitStatus) -> u8 {
     status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(KILLED)
 }
 
 /// Runs a stage of a pipeline as the only owner of its directory.
+///
+/// # Errors
+/// Fails if an input is missing, if the directory belongs to another run or is in use, or if a command cannot be run.
 pub fn run<'a>(
-    place: &Place,
+    place: &Installation,
     scope: Scope<'a>,
     stage: &str,
-    said: Said,
+    messages: Messages,
 ) -> Result<Ended<'a>, Failure> {
     let text = |name: &str| scope.text(name).map_err(Failure::new);
-    let path = |name: &str| {
-        Ok::<_, Failure>(Some(text(name)?).filter(|t| !t.is_empty()).map(PathBuf::from))
-    };
+    let [recipe, surface, tif] = [text("recipe")?, text("surface")?, text("tif")?]
+        .map(|path| if path.is_empty() { None } else { Some(PathBuf::from(path)) });
     let is_own = text("own")? == "yes";
     let claim = Claim {
         out: text("out")?.into(),
         pipeline: text("pipeline")?,
-        fixture: path("recipe")?.filter(|_| !is_own),
-        surface: path("surface")?.filter(|_| is_own),
-        tif: path("tif")?.filter(|_| is_own),
+        fixture: recipe.filter(|_| !is_own),
+        surface: surface.filter(|_| is_own),
+        tif: tif.filter(|_| is_own),
         machine: text("machine")?.into(),
         named: Named::all(&scope)?,
     };
-    let programs = Programs::new(place, said)?;
+    let programs = Programs::new(place, messages)?;
     let assumed_machine = assumed_machine(&scope)?;
     let mut walk = Walk::new(scope, stage).map_err(Failure::new)?;
     let mut rehearsed = Rehearsal::new(&walk.scope)?;
@@ -281,7 +293,7 @@ fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Fai
     })
 }
 
-/// Command line of this process.
+/// Returns the command line of this process.
 pub fn as_typed() -> String {
     words::join(env::args_os().map(|word| word.to_string_lossy().into_owned()))
 }
@@ -317,10 +329,13 @@ fn estimate_of_rounds(program: &str, took_s: &BTreeMap<String, f64>) -> Option<S
 
 /// Returns the sentence on the machine of a pipeline that plans for a part or a tool of the user; `None` if the user named a
 /// machine.
+///
+/// # Errors
+/// Fails if the pipeline does not define these names.
 pub fn assumed_machine(scope: &Scope) -> Result<Option<String>, Failure> {
-    let text = |name: &str| scope.text(name).map_err(Failure::new);
-    let is_assumed = !scope.is_given("machine") && text("users")? == "yes";
-    let title = text("machine_title")?;
+    let [users, title] = ["users", "machine_title"].map(|name| scope.text(name));
+    let is_assumed = !scope.is_given("machine") && users.map_err(Failure::new)? == "yes";
+    let title = title.map_err(Failure::new)?;
     Ok(if is_assumed { Some(planish_types::assumed_machine(&title)) } else { None })
 }
 
@@ -359,7 +374,7 @@ impl Rehearsal {
         }
         if SHORT.contains(&command.program.as_str()) {
             let flag = command.arguments.iter().position(|word| word == "--out");
-            self.made.extend(flag.and_then(|at| command.arguments.get(at + 1)).cloned());
+            self.made.extend(flag.and_then(|i| command.arguments.get(i + 1)).cloned());
             return Ok(true);
         }
         self.is_over = true;
@@ -400,8 +415,9 @@ fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     let Some(kind) = ControllerKind::named(&export) else { return Ok(None) };
     let machine = Inputs::new().read_machine(Path::new(&text("machine")?))?;
     let words = walk.scope.words("export_settings", &Words::new()).map_err(Failure::new)?;
-    let gives = |flag: &str| words.iter().any(|word| word.split('=').next() == Some(flag));
-    if machine.controller_for(kind).switches_tool || gives("--always-on") || gives("--tool-output")
+    let mut flags = words.iter().filter_map(|word| word.split('=').next());
+    if machine.controller_for(kind).switches_tool
+        || flags.any(|flag| flag == "--always-on" || flag == "--tool-output")
     {
         return Ok(None);
     }
@@ -428,7 +444,7 @@ fn attempt(
     programs: &Programs,
     walk: &mut Walk,
     dir: &Path,
-    command: &Command,
+    command: &StageCommand,
 ) -> Result<u8, Failure> {
     fs::create_dir_all(dir)?;
     let message = dir.join(MESSAGE);
@@ -441,8 +457,8 @@ fn attempt(
         return Ok(0);
     }
     // Warnings, the reason of a negative verdict, or of a program that broke.
-    let said = fs::read(&message)?;
-    String::from_utf8_lossy(&said).lines().for_each(|line| programs.print(line));
+    let text = fs::read(&message)?;
+    String::from_utf8_lossy(&text).lines().for_each(|line| programs.print(line));
     Ok(if code > 1 { 2 } else { 0 })
 }
 

@@ -18,10 +18,10 @@ use planish_types::assumed_machine;
 use super::{
     campaign::specified,
     claim::{Claim, Named},
-    execute::{Programs, Said, as_typed},
-    place::{Place, directory_name, name_of},
+    execute::{Messages, Programs, as_typed},
+    place::{Installation, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, is_directory, with_plain},
+    several::{Silent, UserSettings, command, is_directory, with_plain},
 };
 
 /// Remedy for a setting that is not given.
@@ -47,35 +47,36 @@ struct Last {
 }
 
 impl Last {
-    /// The inputs, which are there.
-    fn take(given: &mut Given) -> Result<Self, Failure> {
-        if let Some(word) = given.words.first() {
+    /// Takes the inputs from the settings. Refuses inputs that are not there.
+    fn take(user: &mut UserSettings) -> Result<Self, Failure> {
+        if let Some(word) = user.words.first() {
             return Err(Failure::new(format!("'{word}' is no setting; {NEEDED}")));
         }
         for name in ["surface", "fixture"] {
-            if given.get(name).is_some() {
+            if user.get(name).is_some() {
                 return Err(Failure::new(format!(
                     "the map of the next plan is after=DIR; leave {name} out"
                 )));
             }
         }
-        if given.get("export").is_some() {
+        if user.get("export").is_some() {
             return Err(Failure::new(
                 "the program is that of the commanded motion; leave export out, and give planish-export OUT/commanded",
             ));
         }
         let mut needed = |name: &str| {
-            let lacking = || Failure::new(format!("{name} is not given; {NEEDED}"));
-            let path = given.take_path(name).ok_or_else(lacking)?;
+            let path = user.take_path(name);
+            let path =
+                path.ok_or_else(|| Failure::new(format!("{name} is not given; {NEEDED}")))?;
             is_directory(name, &path).map(|()| path)
         };
         let [before, after, trajectory, tif] =
             [needed("before")?, needed("after")?, needed("trajectory")?, needed("tif")?];
-        let transform = given.take_path("transform");
+        let transform = user.take_path("transform");
         if let Some(transform) = &transform {
             is_directory("transform", transform)?;
         }
-        let error_budget = given.take_path("error_budget");
+        let error_budget = user.take_path("error_budget");
         if let Some(file) = error_budget.as_ref().filter(|file| !Path::new(file).is_file()) {
             return Err(Failure::new(format!(
                 "error_budget {file} is no file; give the errors that are known beforehand"
@@ -84,7 +85,7 @@ impl Last {
         Ok(Self { before, after, trajectory, tif, transform, error_budget })
     }
 
-    /// Paths of the inputs, with their settings.
+    /// Returns the paths of the inputs, with their settings.
     fn named(&self) -> Vec<Named> {
         let Self { before, after, trajectory, tif, transform, error_budget } = self;
         let all = [
@@ -105,23 +106,23 @@ impl Last {
 
 impl NextRun {
     pub fn run(&self) -> Result<Status, Failure> {
-        let place = Place::find()?;
-        let mut given = Given::new(&self.settings)?;
-        let last = Last::take(&mut given)?;
+        let place = Installation::find()?;
+        let mut user = UserSettings::new(&self.settings)?;
+        let last = Last::take(&mut user)?;
         let definition =
-            place.definition_of_plans(&given.take("pipeline").unwrap_or("raster".into()))?;
-        let reconcile = given.take("reconcile").unwrap_or_default();
+            place.definition_of_plans(&user.take("pipeline").unwrap_or("raster".into()))?;
+        let reconcile = user.take("reconcile").unwrap_or_default();
         let reconcile = words::split(&reconcile)
             .map_err(|e| Failure::new(format!("reconcile={reconcile}: {e}")))?;
-        let least_gain_percent = given.take("least_gain_percent").unwrap_or("5".into());
-        let out = given.take_path("out").unwrap_or_else(|| {
+        let least_gain_percent = user.take("least_gain_percent").unwrap_or("5".into());
+        let out = user.take_path("out").unwrap_or_else(|| {
             let after = std::path::absolute(&last.after).unwrap_or_default();
             format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
         });
-        let settings = with_plain(&definition, &given);
+        let settings = with_plain(&definition, &user);
         let scope = place.settings(&definition, &settings)?;
         let machine = scope.text("machine").map_err(Failure::new)?;
-        let assumed_machine = given.assumed_machine(&machine)?.map(|name| assumed_machine(&name));
+        let assumed_machine = user.assumed_machine(&machine)?.map(|name| assumed_machine(&name));
         let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
         let limits = format!("{out}/machine/{name}");
         let claim = Claim {
@@ -143,8 +144,8 @@ impl NextRun {
         let (_lock, assumed) = claim.take(&as_typed())?;
         assumed.iter().chain(&assumed_machine).for_each(warn);
         let next = Next {
-            programs: Programs::new(&place, Said::Shown)?,
-            is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
+            programs: Programs::new(&place, Messages::Shown)?,
+            is_specified: user.get("specification").is_some_and(|file| !file.is_empty()),
             out,
             limits,
             least_gain_percent,
@@ -153,8 +154,8 @@ impl NextRun {
         // The next plan, whose pages and tables are its own
         let own = [
             format!("surface={}", last.after),
-            format!("tif={}", next.at("tif")),
-            format!("out={}", next.at("plan")),
+            format!("tif={}", next.path("tif")),
+            format!("out={}", next.path("plan")),
         ];
         let plan = Silent::new(&place)?.pipeline(&definition, &[&settings[..], &own].concat())?;
         let planned = plan.scope.text("planned").map_err(Failure::new)?;
@@ -178,12 +179,12 @@ struct Next {
 }
 
 impl Next {
-    /// A path in the directory of the run.
-    fn at(&self, part: &str) -> String {
+    /// Returns a path in the directory of the run.
+    fn path(&self, part: &str) -> String {
         format!("{}/{part}", self.out)
     }
 
-    /// Runs a command; a negative verdict is a result, and everything else is the end, whose message is printed.
+    /// Runs a command. A negative verdict is a result; with any other exit code this process ends.
     fn go_on(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         match self.programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
@@ -193,7 +194,7 @@ impl Next {
 
     /// Estimates what the last run taught.
     fn reconcile(&self, last: &Last, more: &[String]) -> Result<(), Failure> {
-        let place = self.at("place");
+        let place = self.path("place");
         // Where the part lay, if nobody measured it: as the machine file says
         let lay = match &last.transform {
             Some(transform) => transform,
@@ -204,7 +205,7 @@ impl Next {
             }
         };
         let [reconciliation, tif, transform, learnt] =
-            ["reconciliation", "tif", "transform", "error_budget.json"].map(|part| self.at(part));
+            ["reconciliation", "tif", "transform", "error_budget.json"].map(|part| self.path(part));
         let mut flags: Vec<&str> = more.iter().map(String::as_str).collect();
         flags.extend(["--before", &last.before, "--after", &last.after]);
         flags.extend(["--trajectory", &last.trajectory, "--tif", &last.tif]);
@@ -215,14 +216,14 @@ impl Next {
         self.go_on("planish-reconcile", &flags)
     }
 
-    /// The commanded motion of the plan, the verdict on it, and whether to run again.
+    /// Makes the commanded motion of the plan and the verdict on it, and decides whether to run again.
     fn decide(&self, planned: &str) -> Result<(), Failure> {
         let [run, tif, transform, learnt, commanded] =
-            ["plan", "tif", "transform", "error_budget.json", "commanded"].map(|p| self.at(p));
+            ["plan", "tif", "transform", "error_budget.json", "commanded"].map(|p| self.path(p));
         let [verdict, tolerance, decision] =
-            ["verdict", "tolerance", "decision"].map(|part| self.at(part));
-        let (motion, map) =
-            (format!("{run}/methods/{planned}/trajectory"), format!("{run}/surface"));
+            ["verdict", "tolerance", "decision"].map(|part| self.path(part));
+        let motion = format!("{run}/methods/{planned}/trajectory");
+        let map = format!("{run}/surface");
         let to = ["--trajectory", &motion, "--out", &commanded, "--force"];
         self.go_on("planish-register", &[&["apply", "--transform", &transform], &to[..]].concat())?;
         let of = ["--trajectory", &commanded, "--machine", &self.limits];

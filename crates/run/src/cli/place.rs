@@ -16,7 +16,7 @@ use planish_types::Kinematics;
 const NO_PLANS: [&str; 1] = ["compare-dwell"];
 
 /// Folders of Planish.
-pub struct Place {
+pub struct Installation {
     /// Folder with `pipelines/` and `fixtures/`.
     root: PathBuf,
     /// Folder of the programs.
@@ -27,26 +27,26 @@ pub struct Place {
     is_installed: bool,
 }
 
-impl Place {
+impl Installation {
     /// Finds the folders. PLANISH_SHARE and PLANISH_PROGRAMS name them for an installed Planish. In a clone, the pipelines
     /// are above the program, and the other programs are beside it.
+    ///
+    /// # Errors
+    /// Fails if there are no pipelines.
     pub fn find() -> Result<Self, Failure> {
-        let given =
-            |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let [share, programs] = ["PLANISH_SHARE", "PLANISH_PROGRAMS"]
+            .map(|name| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from));
         let program = env::current_exe()?;
         let beside = program.parent().unwrap_or(Path::new(".")).to_path_buf();
-        let above = || {
-            let has = |folder: &&Path| folder.join(format!("pipelines/{SHARED}.yaml")).is_file();
-            program.ancestors().find(has).map(Path::to_path_buf)
-        };
-        let root = given("PLANISH_SHARE").or_else(above).ok_or_else(|| {
+        let shared = format!("pipelines/{SHARED}.yaml");
+        let above = program.ancestors().find(|folder| folder.join(&shared).is_file());
+        let root = share.or(above.map(Path::to_path_buf)).ok_or_else(|| {
             Failure::new(format!(
                 "there is no pipelines/{SHARED}.yaml above {}; set PLANISH_SHARE to the folder with pipelines/ and \
                  fixtures/",
                 program.display()
             ))
         })?;
-        let programs = given("PLANISH_PROGRAMS");
         Ok(Self {
             root: root.canonicalize().unwrap_or(root),
             is_installed: programs.is_some(),
@@ -55,31 +55,29 @@ impl Place {
         })
     }
 
-    /// Path of the folder of the pipelines, as it stands before a path in it; empty if the user stands there.
+    /// Returns the path of the folder of the pipelines, as it stands before a path in it; empty if the user stands there.
     pub fn repository(&self) -> String {
-        match self.root == self.here {
-            true => String::new(),
-            false => format!("{}/", self.root.display()),
-        }
+        if self.root == self.here { String::new() } else { format!("{}/", self.root.display()) }
     }
 
-    /// The same before the path of an output.
+    /// Returns the same before the path of an output.
     pub fn home(&self) -> String {
         if self.is_installed { String::new() } else { self.repository() }
     }
 
-    /// Names of the pipelines.
+    /// Returns the names of the pipelines.
     pub fn pipelines(&self) -> Vec<String> {
         let mut names = self.names("pipelines", "yaml");
         names.retain(|name| name != SHARED);
         names
     }
 
-    /// Names of the fixtures.
+    /// Returns the names of the fixtures.
     pub fn fixtures(&self) -> Vec<String> {
         self.names("fixtures", "json")
     }
 
+    /// Returns the names of the files with this ending in a folder, in alphabetical order.
     fn names(&self, folder: &str, ending: &str) -> Vec<String> {
         let entries = fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten();
         let files = entries
@@ -91,7 +89,10 @@ impl Place {
         names
     }
 
-    /// The definition of a pipeline.
+    /// Reads the definition of a pipeline.
+    ///
+    /// # Errors
+    /// Refuses an unknown name, and a file that cannot be read or is no definition.
     pub fn definition(&self, name: &str) -> Result<Definition, Failure> {
         let all = self.pipelines();
         if !all.iter().any(|known| known == name) {
@@ -100,25 +101,31 @@ impl Place {
                 all.join(" ")
             )));
         }
-        let text = |name: &str| {
+        let [shared, own] = [SHARED, name].map(|name| {
             let path = self.root.join("pipelines").join(format!("{name}.yaml"));
             fs::read_to_string(&path)
                 .map_err(|e| Failure::new(format!("{}: cannot read: {e}", path.display())))
-        };
-        Definition::read(name, &text(SHARED)?, &text(name)?).map_err(Failure::new)
+        });
+        Definition::read(name, &shared?, &own?).map_err(Failure::new)
     }
 
-    /// The definition of a pipeline that plans a run.
+    /// Reads the definition of a pipeline that plans a run.
+    ///
+    /// # Errors
+    /// Refuses an unknown name and a pipeline without a plan.
     pub fn definition_of_plans(&self, name: &str) -> Result<Definition, Failure> {
-        match self.pipelines().iter().any(|known| known == name) && !NO_PLANS.contains(&name) {
-            true => self.definition(name),
-            false => Err(Failure::new(format!(
+        if NO_PLANS.contains(&name) || !self.pipelines().iter().any(|known| known == name) {
+            return Err(Failure::new(format!(
                 "'{name}' is no pipeline that plans a run; give raster, maze, spiral"
-            ))),
+            )));
         }
+        self.definition(name)
     }
 
-    /// The settings of a pipeline with the facts that need no file.
+    /// Returns the settings of a pipeline with the facts that need no file.
+    ///
+    /// # Errors
+    /// Refuses a setting that the pipeline does not have, and a value that it cannot have.
     pub fn settings<'a, S: AsRef<str>>(
         &self,
         definition: &'a Definition,
@@ -135,7 +142,10 @@ impl Place {
         Ok(scope)
     }
 
-    /// The settings of a pipeline, which go together, with all facts.
+    /// Returns the settings of a pipeline, which go together, with all facts.
+    ///
+    /// # Errors
+    /// Refuses settings that the pipeline does not take, alone or together, and a machine file that cannot be read.
     pub fn scope<'a, S: AsRef<str>>(
         &self,
         definition: &'a Definition,
@@ -164,7 +174,7 @@ impl Place {
         Ok(scope)
     }
 
-    /// Words of the command that makes the tool of a fixture of its TIF, if there is one.
+    /// Reads the words of the command that makes the tool of a fixture of its TIF, if there is one.
     fn fixture_tool(&self, fixture: &str) -> Result<Vec<String>, Failure> {
         let path = self.root.join("fixtures").join(format!("{fixture}.tool"));
         match fs::read_to_string(&path) {
@@ -175,18 +185,21 @@ impl Place {
     }
 }
 
-/// Kind of an input: the directory of an artifact, of arrays alone, or a file.
+/// Returns the kind of an input: the directory of an artifact, of arrays alone, or a file.
 fn kind_of(path: &str) -> &'static str {
     let dir = Path::new(path);
-    match () {
-        () if path.is_empty() => "none",
-        () if !dir.is_dir() => "file",
-        () if dir.join("manifest.json").exists() || dir.join("weight.npy").exists() => "artifact",
-        () => "bare",
+    if path.is_empty() {
+        "none"
+    } else if !dir.is_dir() {
+        "file"
+    } else if dir.join("manifest.json").exists() || dir.join("weight.npy").exists() {
+        "artifact"
+    } else {
+        "bare"
     }
 }
 
-/// Last name of a path, without links and steps upwards.
+/// Returns the last name of a path, without links and steps upwards.
 pub fn name_of(path: &Path) -> String {
     let mut parts = Vec::new();
     for part in path.components() {
@@ -199,10 +212,12 @@ pub fn name_of(path: &Path) -> String {
     parts.last().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// A name as that of a directory: every character that is neither a letter, a digit nor one of `._+-` becomes `_`.
+/// Returns a name as that of a directory: every character that is neither a letter, a digit nor one of `._+-` becomes `_`.
 pub fn directory_name(name: &str) -> String {
-    let plain = |c: char| if c.is_alphanumeric() || "._+-".contains(c) { c } else { '_' };
-    let plain: String = name.chars().map(plain).collect();
+    let characters = name.chars();
+    let plain: String = characters
+        .map(|c| if c.is_alphanumeric() || "._+-".contains(c) { c } else { '_' })
+        .collect();
     match plain.strip_prefix('.') {
         _ if plain.chars().all(|c| c == '.') => "_".into(),
         Some(rest) => format!("_{rest}"),

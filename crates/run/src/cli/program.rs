@@ -23,6 +23,9 @@ pub struct Program {
 }
 
 /// Reads the recommendation of the report in `run`.
+///
+/// # Errors
+/// Fails if there is no report, or if it cannot be read.
 pub fn read_answer(run: &Path) -> Result<Answer, Failure> {
     let path = run.join("report/summary.json");
     let about = |e: &dyn std::fmt::Display| {
@@ -33,8 +36,8 @@ pub fn read_answer(run: &Path) -> Result<Answer, Failure> {
     Ok(summary.answer)
 }
 
-/// Name of the plan from which the program `method` was written, such as `pvt+galil`; the name of a plan itself is
-/// unchanged.
+/// Returns the name of the plan from which the program `method` was written, such as `pvt+galil`; the name of a plan itself
+/// is unchanged.
 pub fn plan_of(method: &str) -> &str {
     match method.rsplit_once('+') {
         Some((plan, controller)) if ControllerKind::named(controller).is_some() => plan,
@@ -45,22 +48,23 @@ pub fn plan_of(method: &str) -> &str {
 impl Program {
     pub fn run(&self) -> Result<Status, Failure> {
         let answer = read_answer(&self.run)?;
-        let (of, controller) = (&self.of, self.controller.name());
+        let plan = &self.of;
+        let controller = self.controller.name();
         let program = self.run.join(format!("program.{controller}"));
-        let read_back = format!("{of}+{controller}");
+        let read_back = format!("{plan}+{controller}");
         say(format!(
-            "program: {} is of the plan {of}; {read_back} is that program, read back and judged",
+            "program: {} is of the plan {plan}; {read_back} is that program, read back and judged",
             program.display()
         ));
         match answer.method.as_deref() {
-            Some(best) if plan_of(best) == of => {
+            Some(best) if plan_of(best) == plan => {
                 say(format!(
                     "program: the plan is the one that the report recommends: {}",
                     answer.why
                 ));
             }
             Some(best) => warn(format!(
-                "the program is of the plan {of}, and the report recommends {best}: {} For a program of it give \
+                "the program is of the plan {plan}, and the report recommends {best}: {} For a program of it give \
                  program_of={best}",
                 answer.why
             )),

@@ -7,12 +7,12 @@ use planish_handoff::{Failure, Status, say};
 use planish_pipeline::kind::{Kind, unit};
 
 use super::{
-    execute::{Said, run},
-    place::Place,
+    execute::{Messages, run},
+    place::Installation,
 };
 
 #[derive(Args)]
-pub struct Run {
+pub struct RunPipeline {
     /// Name of the pipeline, such as raster
     pipeline: String,
     /// Settings of the pipeline
@@ -37,7 +37,7 @@ pub struct Show {
     pipeline: String,
 }
 
-impl Run {
+impl RunPipeline {
     pub fn run(&self) -> Result<Status, Failure> {
         stage(&self.pipeline, "run", &self.settings)
     }
@@ -50,14 +50,17 @@ impl Stage {
 }
 
 fn stage(pipeline: &str, stage: &str, settings: &[String]) -> Result<Status, Failure> {
-    let place = Place::find()?;
+    let place = Installation::find()?;
     let definition = place.definition(pipeline)?;
     let scope = place.scope(&definition, settings)?;
-    let ended = run(&place, scope, stage, Said::Shown)?;
+    let ended = run(&place, scope, stage, Messages::Shown)?;
     end(ended.code)
 }
 
 /// Ends with the exit code of a run, whose last program has said why.
+///
+/// # Errors
+/// Never fails; it fits the end of a command.
 pub fn end(code: u8) -> Result<Status, Failure> {
     match code {
         0 => Ok(Status::Done),
@@ -72,7 +75,7 @@ const INDENT: usize = 64;
 
 impl Show {
     pub fn run(&self) -> Result<Status, Failure> {
-        let place = Place::find()?;
+        let place = Installation::find()?;
         let definition = place.definition(&self.pipeline)?;
         let scope = place.settings::<&str>(&definition, &[])?;
         say(format!("{}: {}\n", definition.name, definition.title));

@@ -5,10 +5,10 @@ use planish_handoff::{Failure, Status};
 
 use super::{
     campaign::campaign,
-    execute::{Programs, Said},
-    place::{Place, directory_name, name_of},
+    execute::{Messages, Programs},
+    place::{Installation, directory_name, name_of},
     run::end,
-    several::{Given, command, count, log},
+    several::{UserSettings, command, count, log},
 };
 
 #[derive(Args)]
@@ -21,31 +21,31 @@ pub struct CampaignSpread {
 
 impl CampaignSpread {
     pub fn run(&self) -> Result<Status, Failure> {
-        let place = Place::find()?;
-        let mut given = Given::new(&self.words)?;
-        if given.get("seed").is_some() {
+        let place = Installation::find()?;
+        let mut user = UserSettings::new(&self.words)?;
+        if user.get("seed").is_some() {
             return Err(Failure::new(
                 "every campaign has a seed of its own; give seeds=N, how many",
             ));
         }
-        let seeds = count("seeds", &given.take("seeds").unwrap_or("20".into()), 999)?;
-        let surface = given.get("surface").map(|path| name_of(path.as_ref()));
-        let fixture = given.take_fixture()?;
+        let seeds = count("seeds", &user.take("seeds").unwrap_or("20".into()), 999)?;
+        let surface = user.get("surface").map(|path| name_of(path.as_ref()));
+        let fixture = user.take_fixture()?;
         let mirror = surface.or(fixture.clone());
-        let out = given.take_path("out").unwrap_or_else(|| {
+        let out = user.take_path("out").unwrap_or_else(|| {
             let mirror = mirror.unwrap_or("coupon".into());
             format!("{}out/campaign-spread/{}", place.home(), directory_name(&mirror))
         });
         let mut reports = vec!["spread".to_string()];
         for seed in 1..=seeds {
             let own = [format!("seed={seed}"), format!("out={out}/{seed}")];
-            let words = [fixture.as_slice(), &given.settings[..], &own].concat();
-            let code = campaign(&words, Said::Kept(log()?))?;
+            let words = [fixture.as_slice(), &user.settings[..], &own].concat();
+            let code = campaign(&words, Messages::Kept(log()?))?;
             if code != 0 {
                 return end(code);
             }
             reports.push(format!("{out}/{seed}/report"));
         }
-        end(Programs::new(&place, Said::Shown)?.run(&command("planish-campaign", &reports))?)
+        end(Programs::new(&place, Messages::Shown)?.run(&command("planish-campaign", &reports))?)
     }
 }

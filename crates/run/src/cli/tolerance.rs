@@ -11,10 +11,10 @@ use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, warn};
 use serde_json::Value;
 
 use super::{
-    execute::{Programs, Said, assumed_machine},
-    place::{Place, name_of},
+    execute::{Messages, Programs, assumed_machine},
+    place::{Installation, name_of},
     run::end,
-    several::{Given, Silent, command},
+    several::{Silent, UserSettings, command},
 };
 
 /// Word for the mirror in the folder that PLANISH_REFERENCE names.
@@ -30,11 +30,11 @@ pub struct Tolerance {
 
 impl Tolerance {
     pub fn run(&self) -> Result<Status, Failure> {
-        let place = Place::find()?;
-        let mut given = Given::new(&self.words)?;
-        let is_reference = given.words.iter().any(|word| word == REFERENCE);
+        let place = Installation::find()?;
+        let mut user = UserSettings::new(&self.words)?;
+        let is_reference = user.words.iter().any(|word| word == REFERENCE);
         let mut pipelines: Vec<&str> =
-            given.words.iter().map(String::as_str).filter(|word| *word != REFERENCE).collect();
+            user.words.iter().map(String::as_str).filter(|word| *word != REFERENCE).collect();
         let known = place.pipelines();
         if let Some(word) = pipelines.iter().find(|word| !known.iter().any(|name| name == *word)) {
             return Err(Failure::new(format!(
@@ -46,15 +46,15 @@ impl Tolerance {
         }
         let pipelines: Vec<String> = pipelines.into_iter().map(String::from).collect();
         let errors = if is_reference { "single-errors" } else { "ion-beam" };
-        let error_budget = given.take_path("error_budget").unwrap_or_else(|| {
+        let error_budget = user.take_path("error_budget").unwrap_or_else(|| {
             format!("{}fixtures/error-budgets/{errors}.json", place.repository())
         });
-        let out = given.take_path("out").unwrap_or_else(|| {
-            format!("{}out/tolerance/{}", place.home(), mirror(&given, is_reference))
+        let out = user.take_path("out").unwrap_or_else(|| {
+            format!("{}out/tolerance/{}", place.home(), mirror(&user, is_reference))
         });
         if is_reference {
             for (part, path) in reference(Path::new(&out))? {
-                given.settings.push(format!("{part}={}", path.display()));
+                user.settings.push(format!("{part}={}", path.display()));
             }
         }
         let mut ranks = Vec::new();
@@ -62,21 +62,22 @@ impl Tolerance {
         for pipeline in &pipelines {
             let definition = place.definition(pipeline)?;
             let at = format!("{out}/{pipeline}");
-            let settings = [given.settings.clone(), vec![format!("out={at}")]].concat();
+            let settings = [user.settings.clone(), vec![format!("out={at}")]].concat();
             let scope = Silent::new(&place)?.pipeline(&definition, &settings)?.scope;
             assumed = assumed_machine(&scope)?;
             let text = |name: &str| scope.text(name).map_err(Failure::new);
             let trajectory = format!("{}/{}/trajectory", text("methods")?, text("exported")?);
             let own = format!("{at}/tolerance");
             let free = if is_reference { "plane" } else { "piston" };
-            let (tif, map) = (text("constant_tool")?, text("map")?);
+            let tif = text("constant_tool")?;
+            let map = text("map")?;
             let flags = [
                 &["--trajectory", &trajectory, "--tif", &tif, "--surface", &map][..],
                 &["--error-budget", &error_budget, "--free", free, "--out", &own, "--force"],
             ];
             // The program goes on in this line.
             let _ = write!(stdout(), "\n{pipeline}: ").and_then(|()| stdout().flush());
-            let code = Programs::new(&place, Said::Shown)?
+            let code = Programs::new(&place, Messages::Shown)?
                 .run(&command("planish-tolerance", &flags.concat()))?;
             if code != 0 {
                 return end(code);
@@ -93,12 +94,12 @@ impl Tolerance {
     }
 }
 
-/// Name of the mirror as that of a directory.
-fn mirror(given: &Given, is_reference: bool) -> String {
+/// Returns the name of the mirror as that of a directory.
+fn mirror(user: &UserSettings, is_reference: bool) -> String {
     let name = match (
         is_reference,
-        given.get("surface").filter(|path| !path.is_empty()),
-        given.get("fixture"),
+        user.get("surface").filter(|path| !path.is_empty()),
+        user.get("fixture"),
     ) {
         (true, ..) => REFERENCE.into(),
         (false, Some(surface), _) => name_of(&env::current_dir().unwrap_or_default().join(surface)),
@@ -112,7 +113,7 @@ fn mirror(given: &Given, is_reference: bool) -> String {
     }
 }
 
-/// Copies the reference mirror and its tool to `out` as arrays: the settings that name them, and their paths.
+/// Copies the reference mirror and its tool to `out` as arrays. Returns the settings that name them, and their paths.
 fn reference(out: &Path) -> Result<[(&'static str, PathBuf); 2], Failure> {
     let folder =
         env::var_os("PLANISH_REFERENCE").filter(|folder| !folder.is_empty()).ok_or_else(|| {
@@ -138,7 +139,7 @@ fn reference(out: &Path) -> Result<[(&'static str, PathBuf); 2], Failure> {
     Ok(places)
 }
 
-/// Residual RMS that 95 % of the runs stay below, nm, from the manifest of `planish-tolerance`.
+/// Reads the residual RMS that 95 % of the runs stay below, nm, from the manifest of `planish-tolerance`.
 fn below_95_percent_nm(tolerance: &Path) -> Result<f64, Failure> {
     fn find(value: &Value) -> Option<f64> {
         match value {

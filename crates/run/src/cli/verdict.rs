@@ -43,14 +43,14 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     let mut negative = Vec::new();
     let mut whole = Whole { run, seen: BTreeSet::new(), shared: BTreeMap::new() };
     for plan in std::iter::once(Path::new("")).chain(plans.iter().map(PathBuf::as_path)) {
-        let found = manifests(run, plan)?;
-        let is_there = |name: &str| found.iter().any(|(at, _)| *at == plan.join(name));
+        let manifests = manifests(run, plan)?;
+        let is_there = |name: &str| manifests.iter().any(|(place, _)| *place == plan.join(name));
         if is_there("trajectory")
             && let Some(lacking) = NEEDED.iter().find(|name| !is_there(name))
         {
             return Err(whole.mixed(&format!("{} has no {lacking}", plan.display())));
         }
-        for (at, manifest) in &found {
+        for (at, manifest) in &manifests {
             let name = at.file_name().unwrap_or_default();
             if *at == Path::new("report") || JUDGED.iter().any(|judged| *judged == name) {
                 whole.check(at, manifest)?;
@@ -62,10 +62,10 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
             }
         }
     }
-    Ok(match negative.is_empty() {
-        true => Status::Done,
-        false => Status::Negative(negative.join("; ")),
-    })
+    if negative.is_empty() {
+        return Ok(Status::Done);
+    }
+    Ok(Status::Negative(negative.join("; ")))
 }
 
 /// Check that the artifacts of a run were made from each other. A run with other settings that was ended early
@@ -92,19 +92,20 @@ impl Whole<'_> {
             }
             let inside = run_as_given.as_ref().map(|run| Path::new(&input.path).strip_prefix(run));
             let Some(Ok(from)) = inside else { continue };
+            let [made, source] = [at, from].map(Path::display);
             let Some(made_from) = manifest_in(&self.run.join(from))? else {
-                let (at, from) = (at.display(), from.display());
-                return Err(self.mixed(&format!("{at} was made from {from}, which is not there")));
+                let problem = format!("{made} was made from {source}, which is not there");
+                return Err(self.mixed(&problem));
             };
             if made_from.content().is_some_and(|content| content != input.blake3) {
-                let (at, from) = (at.display(), from.display());
-                return Err(self.mixed(&format!("{at} was made from another {from}")));
+                return Err(self.mixed(&format!("{made} was made from another {source}")));
             }
             self.check(from, &made_from)?;
         }
         Ok(())
     }
 
+    /// Refuses an artifact that was made with another machine, error budget or specification than the others.
     fn check_shared(&mut self, at: &Path, role: &str, hash: &str) -> Result<(), Failure> {
         if !SHARED.contains(&role) {
             return Ok(());
@@ -121,6 +122,7 @@ impl Whole<'_> {
         Err(self.mixed(&problem))
     }
 
+    /// Returns the failure of a run whose artifacts do not belong together.
     fn mixed(&self, problem: &str) -> Failure {
         Failure::new(format!(
             "{}: {problem}: a run was ended before its last stage, or a part is left over from an older run; run the \
@@ -130,7 +132,7 @@ impl Whole<'_> {
     }
 }
 
-/// Path of the run when the artifact at a place in it was made. It can differ from the present path, because a run
+/// Returns the path of the run when the artifact at a place in it was made. It can differ from the present path, because a run
 /// may be moved, and checked from another directory.
 fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     let words = words::split(&manifest.command).ok()?;
@@ -145,32 +147,32 @@ fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     Some(run.into())
 }
 
-/// Places in the run, and manifests, of the directories in `plan` that have a manifest, in the order of their
-/// names.
+/// Returns the places in the run, and the manifests, of the directories in `plan` that have a manifest, in the order of
+/// their names.
 fn manifests(run: &Path, plan: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failure> {
     let dir = run.join(plan);
-    let unreadable = |path: &Path, e: &dyn std::fmt::Display| {
-        Failure::new(format!("{}: cannot read: {e}", path.display()))
-    };
-    let mut found = Vec::new();
+    let mut manifests = Vec::new();
     for entry in fs::read_dir(&dir).map_err(|e| unreadable(&dir, &e))? {
         let entry = entry.map_err(|e| unreadable(&dir, &e))?;
         if let Some(manifest) = manifest_in(&entry.path())? {
-            found.push((plan.join(entry.file_name()), manifest));
+            manifests.push((plan.join(entry.file_name()), manifest));
         }
     }
-    found.sort_by(|a, b| a.0.cmp(&b.0));
-    Ok(found)
+    manifests.sort_by(|a, b| a.0.cmp(&b.0));
+    Ok(manifests)
 }
 
-/// Manifest in a directory; `None` if there is none.
+/// Reads the manifest in a directory; `None` if there is none.
 fn manifest_in(dir: &Path) -> Result<Option<Manifest>, Failure> {
     let file = dir.join(MANIFEST);
-    let unreadable =
-        |e: &dyn std::fmt::Display| Failure::new(format!("{}: cannot read: {e}", file.display()));
     match read_regular(&file) {
-        Ok(text) => serde_json::from_slice(&text).map(Some).map_err(|e| unreadable(&e)),
+        Ok(text) => serde_json::from_slice(&text).map(Some).map_err(|e| unreadable(&file, &e)),
         Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
-        Err(e) => Err(unreadable(&e)),
+        Err(e) => Err(unreadable(&file, &e)),
     }
+}
+
+/// Returns the failure to read a file.
+fn unreadable(path: &Path, problem: &dyn std::fmt::Display) -> Failure {
+    Failure::new(format!("{}: cannot read: {problem}", path.display()))
 }

@@ -84,12 +84,12 @@ impl Expand {
         if out.join("sweep.json").exists() {
             return Ok(());
         }
-        let found = match fs::read_dir(out) {
+        let first_entry = match fs::read_dir(out) {
             Ok(entries) => entries.flatten().map(|e| e.file_name()).next(),
             Err(_) if !out.exists() => None,
             Err(e) => return Err(Failure::new(format!("{}: cannot read: {e}", out.display()))),
         };
-        match found {
+        match first_entry {
             // What the recipe makes before, and what an expansion that was ended leaves.
             None => Ok(()),
             Some(name) if name == "inputs" => Ok(()),
@@ -103,7 +103,7 @@ impl Expand {
 }
 
 /// A mirror and its tool: the stages that make them, where each stands and its hash, and the settings of `just run`.
-struct Made {
+struct MadeMirror {
     steps: Vec<Step>,
     map: (String, String),
     tool: (String, String),
@@ -135,7 +135,7 @@ impl Grounds<'_> {
         if let Some(file) = &d.specification {
             Inputs::new().read_json::<Value>("specification", &self.folder.join(file))?;
         }
-        let Made {
+        let MadeMirror {
             mut steps,
             map: (map, map_hash),
             tool: (tif, tif_hash),
@@ -208,8 +208,8 @@ impl Grounds<'_> {
             sweep.ground.own_varying = Some(text.clone());
             texts.push(text);
         }
-        let given = d.blocks.iter().flat_map(|block| &block.settings);
-        for value in given.filter(|(key, _)| key == "varying").flat_map(|(_, values)| values) {
+        let settings = d.blocks.iter().flat_map(|block| &block.settings);
+        for value in settings.filter(|(key, _)| key == "varying").flat_map(|(_, values)| values) {
             let text = value.to_string();
             if text != varying::NONE && !texts.contains(&text) {
                 texts.push(text);
@@ -238,16 +238,18 @@ impl Grounds<'_> {
         if !path.exists() {
             return Ok(None);
         }
-        let named = |problem: String| Failure::new(format!("{}: {problem}", path.display()));
         let bytes = self.inputs.read_bytes("fixture-tool", &path, LARGEST_FILE_BYTES)?;
-        let text = String::from_utf8(bytes).map_err(|_| named("is not UTF-8".into()))?;
+        let text = String::from_utf8(bytes)
+            .map_err(|_| Failure::new(format!("{}: is not UTF-8", path.display())))?;
         let text = text.trim().to_string();
-        varying::check(&text).map_err(|wanted| named(format!("is '{text}'; give {wanted}")))?;
+        varying::check(&text).map_err(|wanted| {
+            Failure::new(format!("{}: is '{text}'; give {wanted}", path.display()))
+        })?;
         Ok(Some(text))
     }
 
     /// Adds the steps that make map and tool, and returns the names by which `just run` calls them.
-    fn mirror(&mut self, d: &Description) -> Result<Made, Failure> {
+    fn mirror(&mut self, d: &Description) -> Result<MadeMirror, Failure> {
         match &d.mirror {
             Mirror::Fixture(recipe) => {
                 let (file, digest) = self.frozen("fixture", recipe)?;
@@ -256,40 +258,44 @@ impl Grounds<'_> {
                 let names = [("recipe", vec![file]), ("made", vec![own.clone()])];
                 let steps = steps_of_mirror("fixture", names);
                 let plain = self.plain(recipe);
-                let (map, tif) = (format!("{own}/surface"), format!("{own}/tif"));
+                let map = format!("{own}/surface");
+                let tif = format!("{own}/tif");
                 let is_known = plain == Path::new("fixtures").join(format!("{name}.json"));
                 // Another tool is given with the map; and a map of one's own has no command that is not given.
                 let has_command = self.folder.join(recipe).with_extension("tool").exists();
                 let again = if is_known && d.tools.is_empty() && !has_command {
                     vec![format!("fixture={name}")]
                 } else {
-                    let at = |dir: &str| self.out.join(dir).display().to_string();
-                    vec![format!("surface={}", at(&map)), format!("tif={}", at(&tif))]
+                    [("surface", &map), ("tif", &tif)]
+                        .map(|(key, dir)| format!("{key}={}", self.out.join(dir).display()))
+                        .to_vec()
                 };
-                let (map, tool) = ((map, digest.clone()), (tif, digest));
-                Ok(Made { steps, map, tool, name, again })
+                let map = (map, digest.clone());
+                Ok(MadeMirror { steps, map, tool: (tif, digest), name, again })
             }
             Mirror::Measured { surface, tif, surface_settings, tif_settings } => {
-                let (mut steps, mut made, mut again) = (Vec::new(), Vec::new(), Vec::new());
-                for (kind, given, settings) in
+                let mut steps = Vec::new();
+                let mut made = Vec::new();
+                let mut again = Vec::new();
+                for (kind, source, settings) in
                     [("surface", surface, surface_settings), ("tif", tif, tif_settings)]
                 {
-                    let at = self.existing(kind, given)?;
-                    again.push(format!("{kind}={}", self.plain(given).display()));
-                    let extension = at.extension().map(|e| e.to_string_lossy().to_lowercase());
+                    let path = self.existing(kind, source)?;
+                    again.push(format!("{kind}={}", self.plain(source).display()));
+                    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
                     if !extension.is_some_and(|e| FILES.contains(&e.as_str())) {
-                        made.push((text(&at)?, content(&at)?));
+                        made.push((text(&path)?, content(&path)?));
                         continue;
                     }
                     let flags = words::split(settings)
                         .map_err(|e| Failure::new(format!("{kind}_settings: {settings}: {e}")))?;
                     again.push(format!("{kind}_settings={settings}"));
-                    let digest = hash(&json!([kind, content(&at)?, flags]));
+                    let digest = hash(&json!([kind, content(&path)?, flags]));
                     let out = format!("mirror/{digest}");
-                    let (settings, imported) =
-                        (format!("{kind}_settings"), format!("imported_{kind}"));
+                    let settings = format!("{kind}_settings");
+                    let imported = format!("imported_{kind}");
                     let names = [
-                        (kind, vec![text(&at)?]),
+                        (kind, vec![text(&path)?]),
                         (settings.as_str(), flags),
                         (imported.as_str(), vec![out.clone()]),
                     ];
@@ -297,7 +303,7 @@ impl Grounds<'_> {
                     made.push((out, digest));
                 }
                 let [map, tool] = <[_; 2]>::try_from(made).expect("a map and a tool");
-                Ok(Made { steps, map, tool, name: stem(Path::new(surface)), again })
+                Ok(MadeMirror { steps, map, tool, name: stem(Path::new(surface)), again })
             }
         }
     }
@@ -317,8 +323,8 @@ impl Grounds<'_> {
     }
 
     /// An input that is there, from the root.
-    fn existing(&self, role: &str, given: &str) -> Result<PathBuf, Failure> {
-        let path = self.folder.join(given);
+    fn existing(&self, role: &str, path: &str) -> Result<PathBuf, Failure> {
+        let path = self.folder.join(path);
         path.canonicalize().map_err(|e| {
             let remedy = "give a directory or a file, from the folder of the sweep's file";
             Failure::new(format!("{role} {}: cannot read: {e}; {remedy}", path.display()))
@@ -326,9 +332,9 @@ impl Grounds<'_> {
     }
 
     /// The path as a person would write it where the sweep was started.
-    fn plain(&self, given: &str) -> PathBuf {
+    fn plain(&self, path: &str) -> PathBuf {
         let mut plain = PathBuf::new();
-        for part in self.folder.join(given).components() {
+        for part in self.folder.join(path).components() {
             match part {
                 Component::CurDir => {}
                 Component::ParentDir

@@ -6,7 +6,7 @@ use clap::Args;
 use planish_handoff::{Failure, Status, say};
 use planish_sweep::{
     plan::Round,
-    search::{Made, in_words, moved, proposals},
+    search::{Made, growth, in_words, proposals},
 };
 
 use super::super::files::{read_row, read_sweep, write_json};
@@ -46,7 +46,7 @@ impl Propose {
         let rounds = sweep.rounds.len() - 1;
         if rounds > 0 {
             let points: Vec<[f64; 2]> = made.iter().map(|(_, point)| *point).collect();
-            let moved = moved(&points, before);
+            let moved = growth(&points, before);
             say(format!("round {rounds}: the front moved by {:.2} %", 100.0 * moved));
             if moved < self.least_move {
                 let most = 100.0 * self.least_move;

@@ -17,8 +17,8 @@ use planish_handoff::{
 };
 use planish_sweep::{
     batch::{Size, estimated_s, members},
-    plan::{Plan, Round, Sweep},
-    row::Row,
+    plan::{Round, Sweep, SweptPlan},
+    row::PlanRow,
 };
 use planish_types::{
     Surface,
@@ -38,7 +38,7 @@ use super::super::{
 };
 
 #[derive(Args)]
-pub struct Run {
+pub struct RunJob {
     /// Directory of the sweep
     dir: PathBuf,
     #[command(flatten)]
@@ -93,7 +93,7 @@ struct NoPath {
 
 /// Time of a job. It is kept apart from the results, which do not depend on it.
 #[derive(Serialize)]
-struct Took {
+struct JobTime {
     wall_s: f64,
     processor_s: Option<f64>,
     at_once: usize,
@@ -101,14 +101,17 @@ struct Took {
 }
 
 impl Job {
-    /// The plans of the job, the most expensive first; of the paths, one plan for each.
-    pub fn plans<'a>(&self, sweep: &'a Sweep, size: &Size) -> Result<Vec<&'a Plan>, Failure> {
+    /// Returns the plans of the job, the most expensive first; of the paths, one plan for each.
+    ///
+    /// # Errors
+    /// Fails if there is no such job or round.
+    pub fn plans<'a>(&self, sweep: &'a Sweep, size: &Size) -> Result<Vec<&'a SweptPlan>, Failure> {
         let Self { job, jobs: of, layer, .. } = *self;
         if !(1..=of).contains(&job) {
             return Err(Failure::new(format!("--job is {job} of {of}; give 1 to {of}")));
         }
         let plans = &self.round(sweep)?.plans;
-        let mut all: Vec<&Plan> = plans.iter().collect();
+        let mut all: Vec<&SweptPlan> = plans.iter().collect();
         if layer == Layer::Paths {
             let mut seen = BTreeSet::new();
             all.retain(|plan| seen.insert(&plan.path_id));
@@ -119,8 +122,8 @@ impl Job {
     /// The round of the job.
     fn round<'a>(&self, sweep: &'a Sweep) -> Result<&'a Round, Failure> {
         let Some(wanted) = &self.round else { return Ok(&sweep.rounds[0]) };
-        let found = sweep.rounds.iter().find(|round| round.id == *wanted);
-        found.ok_or_else(|| {
+        let round = sweep.rounds.iter().find(|round| round.id == *wanted);
+        round.ok_or_else(|| {
             let known: Vec<&str> = sweep.rounds.iter().map(|round| round.id.as_str()).collect();
             Failure::new(format!("--round is {wanted}; the sweep has {}", known.join(", ")))
         })
@@ -139,7 +142,7 @@ impl Job {
     }
 }
 
-impl Run {
+impl RunJob {
     pub fn run(&self) -> Result<Status, Failure> {
         if self.at_once == 0 {
             return Err(Failure::new("--at-once is 0; give the number of cores"));
@@ -172,7 +175,7 @@ impl Run {
                 made
             }
         };
-        let took = Took {
+        let took = JobTime {
             wall_s: begun.elapsed().as_secs_f64(),
             processor_s: processor_s_of_stages(),
             at_once: self.at_once,
@@ -189,7 +192,10 @@ impl Run {
     }
 }
 
-/// The size of the mirror, which the job `mirror` has left.
+/// Reads the size of the mirror, which the job `mirror` has left.
+///
+/// # Errors
+/// Fails if it is not there or cannot be read.
 pub fn read_size(sweep: &Sweep, dir: &Path) -> Result<Size, Failure> {
     let path = dir.join(sweep.mirror_file());
     let bytes = read_regular(&path).map_err(|e| {
@@ -260,8 +266,9 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// Makes tool paths and first dwell times; how many were made, and how many failed.
-    fn paths(&self, job: &Job, plans: &[&Plan]) -> Result<(usize, usize), Failure> {
-        let (made, failed) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    fn paths(&self, job: &Job, plans: &[&SweptPlan]) -> Result<(usize, usize), Failure> {
+        let made = AtomicUsize::new(0);
+        let failed = AtomicUsize::new(0);
         each(plans, self.at_once, |plan| {
             let mut steps = self.sweep.path_steps(plan);
             let mut seen = BTreeSet::new();
@@ -291,12 +298,12 @@ impl Work<'_> {
         Ok((made.into_inner(), failed.into_inner()))
     }
 
-    fn no_path(&self, plan: &Plan) -> PathBuf {
+    fn no_path(&self, plan: &SweptPlan) -> PathBuf {
         self.dir.join("paths").join(&plan.path_id).join("failed.json")
     }
 
     /// Makes plans and their rows; how many were made, and how many of all failed.
-    fn plans(&self, plans: &[&Plan]) -> Result<(usize, usize), Failure> {
+    fn plans(&self, plans: &[&SweptPlan]) -> Result<(usize, usize), Failure> {
         let newest = self.stages.newest(&[
             "planish-joint",
             "planish-refine",
@@ -320,9 +327,10 @@ impl Work<'_> {
                 plans.len()
             ));
         }
-        let (done, failed) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let done = AtomicUsize::new(0);
+        let failed = AtomicUsize::new(0);
         let begun = Instant::now();
-        let keep = |row: &Row| {
+        let keep = |row: &PlanRow| {
             if row.status == PlanStatus::Failed {
                 failed.fetch_add(1, Ordering::Relaxed);
                 warn(format!("{}: {}", row.id, row.message.as_deref().unwrap_or_default()));
@@ -348,19 +356,19 @@ impl Work<'_> {
         let mut killed = killed.into_inner().expect("no worker panics with the lock");
         killed.sort_by(|a, b| a.id.cmp(&b.id));
         for plan in killed {
-            let twice = |message| {
-                Row::failed(
+            let row = self.plan(plan)?.unwrap_or_else(|message| {
+                PlanRow::failed(
                     &plan.id,
                     format!("{message}, twice, the second time alone; give the job more memory"),
                 )
-            };
-            keep(&self.plan(plan)?.unwrap_or_else(twice))?;
+            });
+            keep(&row)?;
         }
         Ok((to_do.len(), failed.into_inner()))
     }
 
     /// Returns true if the row of a plan exists and was made by the present programs. Failed plans are tried again.
-    fn is_made(&self, plan: &Plan, newest: Option<SystemTime>) -> Result<bool, Failure> {
+    fn is_made(&self, plan: &SweptPlan, newest: Option<SystemTime>) -> Result<bool, Failure> {
         let path = row_path(self.dir, &plan.id);
         let modified = fs::metadata(&path).and_then(|m| m.modified()).ok();
         let is_older = matches!((modified, newest), (Some(row), Some(program)) if row < program);
@@ -371,17 +379,17 @@ impl Work<'_> {
     }
 
     /// Makes a plan; its row, or how a stage was killed.
-    fn plan(&self, plan: &Plan) -> Result<Result<Row, String>, Failure> {
+    fn plan(&self, plan: &SweptPlan) -> Result<Result<PlanRow, String>, Failure> {
         let problem = self.no_path(plan);
         if let Ok(bytes) = read_regular(&problem) {
             let NoPath { message } =
                 serde_json::from_slice(&bytes).map_err(|e| unreadable(&problem, &e))?;
-            return Ok(Ok(Row::failed(&plan.id, message)));
+            return Ok(Ok(PlanRow::failed(&plan.id, message)));
         }
         let (status, message) = match self.stages.run_all(&self.sweep.plan_steps(plan))? {
             End::Done => (PlanStatus::Done, None),
             End::Negative(message) => (PlanStatus::Negative, Some(message)),
-            End::Failed(message) => return Ok(Ok(Row::failed(&plan.id, message))),
+            End::Failed(message) => return Ok(Ok(PlanRow::failed(&plan.id, message))),
             End::Killed(message) => return Ok(Err(message)),
         };
         self.link(plan)?;
@@ -389,19 +397,19 @@ impl Work<'_> {
             // Exit code 1 says of its only method what its verdict has said.
             match self.stages.run(&self.sweep.report_step(plan))? {
                 End::Done | End::Negative(_) => {}
-                End::Failed(message) => return Ok(Ok(Row::failed(&plan.id, message))),
+                End::Failed(message) => return Ok(Ok(PlanRow::failed(&plan.id, message))),
                 End::Killed(message) => return Ok(Err(message)),
             }
         }
         let numbers = Some(self.numbers(plan)?);
-        Ok(Ok(Row { id: plan.id.clone(), status, message, numbers }))
+        Ok(Ok(PlanRow { id: plan.id.clone(), status, message, numbers }))
     }
 
     /// The numbers that the stages have left in their manifests.
-    fn numbers(&self, plan: &Plan) -> Result<PlanNumbers, Failure> {
-        let at = plan.method_dir();
-        let removal: RemovalOutcome = self.outcome(&format!("{at}/removal"))?;
-        let verdict: Verdict = self.outcome(&format!("{at}/verdict"))?;
+    fn numbers(&self, plan: &SweptPlan) -> Result<PlanNumbers, Failure> {
+        let dir = plan.method_dir();
+        let removal: RemovalOutcome = self.outcome(&format!("{dir}/removal"))?;
+        let verdict: Verdict = self.outcome(&format!("{dir}/verdict"))?;
         let below_95_percent_nm = match &self.sweep.process {
             None => None,
             Some(_) => {
@@ -423,7 +431,7 @@ impl Work<'_> {
             }
         };
         let rms_detilted_nm = removal.rms_detilted_nm.ok_or_else(|| {
-            unreadable(&self.dir.join(at).join("removal"), &"its outcome has no rms_detilted_nm")
+            unreadable(&self.dir.join(dir).join("removal"), &"its outcome has no rms_detilted_nm")
         })?;
         Ok(PlanNumbers {
             total_time_s: removal.total_time_s,
@@ -446,7 +454,7 @@ impl Work<'_> {
 
     /// The directory of a plan becomes that of a run, which reports and figures are made of: its map and its path are
     /// links to those that it shares.
-    fn link(&self, plan: &Plan) -> Result<(), Failure> {
+    fn link(&self, plan: &SweptPlan) -> Result<(), Failure> {
         for (name, target) in
             [("surface", &self.sweep.surface), ("tool_path", &self.sweep.tool_path(plan))]
         {

@@ -4,32 +4,33 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{Failure, Status, say};
-use planish_sweep::row::Row;
+use planish_sweep::row::PlanRow;
 use planish_types::outcome::sweep::{SweepPlan, SweepTable};
 use serde_json::{Map, Value, json};
 
 use super::super::files::{again, read_row, read_sweep, write_json};
 
 #[derive(Args)]
-pub struct Table {
+pub struct TableCommand {
     /// Directory of the sweep
     dir: PathBuf,
 }
 
-impl Table {
+impl TableCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let sweep = read_sweep(&self.dir)?;
         let mut plans = Vec::new();
         let mut failed = 0;
         for plan in sweep.plans() {
             let row = read_row(&self.dir, &plan.id)?;
-            let Row { status, message, numbers, .. } =
-                row.unwrap_or_else(|| Row::failed(&plan.id, "it is not made; run the sweep again"));
+            let PlanRow { status, message, numbers, .. } = row.unwrap_or_else(|| {
+                PlanRow::failed(&plan.id, "it is not made; run the sweep again")
+            });
             failed += usize::from(numbers.is_none());
             let report = format!("{}/report/report.html", plan.dir());
             let has_report = self.dir.join(&report).is_file();
             let settings: Map<String, Value> =
-                plan.settings.iter().map(|(key, given)| (key.clone(), json!(given))).collect();
+                plan.settings.iter().map(|(key, value)| (key.clone(), json!(value))).collect();
             plans.push(SweepPlan {
                 id: plan.id.clone(),
                 path: plan.path.clone(),
