@@ -16,7 +16,7 @@
 //! of first order.
 
 use planish_tolerance::{
-    Tolerance, ToleranceSettings, error_budget::ErrorBudget, quadratic::Sources, tolerance,
+    ToleranceSettings, error_budget::ErrorBudget, quadratic::Sources, tolerance,
 };
 use planish_types::{DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath};
 use serde::Serialize;

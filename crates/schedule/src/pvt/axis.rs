@@ -501,7 +501,7 @@ fn beside_node(node: usize, n: usize) -> Range<usize> {
 }
 
 /// Adds the rows of `|row . v + constant| <= bound`.
-fn add_both(rows: &mut chain::Rows, row: [f64; 2], constant: f64, bound: f64) {
+fn add_both(rows: &mut chain::ChainRows, row: [f64; 2], constant: f64, bound: f64) {
     rows.add(row, bound, bound - constant);
     rows.add(row.map(|v| -v), bound, bound + constant);
 }
