@@ -106,7 +106,7 @@ pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, jobs:
     for (k, member) in all.into_iter().enumerate() {
         // There and back: 0, 1, 2, 2, 1, 0, ...
         let place = k % jobs;
-        let turn = if k / jobs % 2 == 0 { place } else { jobs - 1 - place };
+        let turn = if (k / jobs).is_multiple_of(2) { place } else { jobs - 1 - place };
         if turn == index {
             members.push(member);
         }

@@ -336,7 +336,7 @@ impl Work<'_> {
                 warn(format!("{}: {}", row.id, row.message.as_deref().unwrap_or_default()));
             }
             let count = done.fetch_add(1, Ordering::Relaxed) + 1;
-            if count % to_do.len().div_ceil(10) == 0 {
+            if count.is_multiple_of(to_do.len().div_ceil(10)) {
                 let left_s =
                     begun.elapsed().as_secs_f64() * (to_do.len() - count) as f64 / count as f64;
                 say(format!("{count} of {} plans, about {left_s:.0} s left", to_do.len()));
