@@ -140,7 +140,7 @@ fn motion(controller: ControllerKind, bytes: &[u8]) {
 /// A log in every format, with everything given that it may leave out.
 fn log(bytes: &[u8]) {
     let formats = [LogFormat::Csv, LogFormat::Xps, LogFormat::Aerotech, LogFormat::Galil];
-    let formats = match LogFormat::of(bytes, None) {
+    let formats = match LogFormat::recognise(bytes, None) {
         Some(format) => vec![format],
         None => formats.to_vec(),
     };

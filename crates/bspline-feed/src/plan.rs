@@ -223,7 +223,7 @@ impl Plan {
             _ => match (r.model_rms_nm, r.model_rms_detilted_nm) {
                 (Some(rms_nm), Some(detilted_nm)) => {
                     let after = Rms { rms_nm, detilted_nm };
-                    plausible::drawback(Rms::of(surface), after, total_time_s)
+                    plausible::drawback(Rms::of_surface(surface), after, total_time_s)
                 }
                 _ => plausible::too_long(total_time_s),
             },
@@ -584,7 +584,7 @@ fn residual(residual_nm: &Array2<f64>, surface: &Surface) -> Option<Rms> {
     let masked = ndarray::Zip::from(residual_nm)
         .and(surface.height_nm())
         .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r });
-    Surface::new(*surface.grid(), masked).ok().map(|s| Rms::of(&s))
+    Surface::new(*surface.grid(), masked).ok().map(|s| Rms::of_surface(&s))
 }
 
 fn report(

@@ -103,7 +103,7 @@ fn samples(trajectory: &Trajectory, tif: &Tif, steps: usize) -> Vec<Sample> {
         let time_s = segment.duration_s / steps as f64;
         samples.extend((0..steps).map(|q| {
             let u_s = (q as f64 + 0.5) * time_s;
-            let factor = time.map_or(1.0, |time| time.at(segment.start_s + u_s));
+            let factor = time.map_or(1.0, |time| time.factor_at(segment.start_s + u_s));
             Sample {
                 pose: headings.pose(k, &segment, u_s),
                 time_s: segment.rate_factor * factor * time_s,
