@@ -145,7 +145,9 @@ fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> 
         let is_of_another = customary.is_some()
             && owners.any(|[z, ..]| arrays.shape(&format!("{group}{z}")).is_some());
         let names = pair.map(|name| format!("{group}{name}"));
-        let [Some(x), Some(y)] = [arrays.shape(&names[0]), arrays.shape(&names[1])] else { continue };
+        let [Some(x), Some(y)] = [arrays.shape(&names[0]), arrays.shape(&names[1])] else {
+            continue;
+        };
         if !is_of_another && are_coordinates(x, y, shape) {
             return Some(names);
         }
@@ -208,11 +210,10 @@ pub(crate) fn named_coordinates(
     Ok(Coordinates { x: along("x", x, columns, true)?, y: along("y", y, rows, false)?, unit })
 }
 
-/// True where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.
+/// Returns true where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.
 pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
     let (rows, columns) = size;
-    let is_vector = |a: &Array2<f64>| a.nrows() == 1 || a.ncols() == 1;
-    if is_vector(x) && is_vector(y) {
+    if [x, y].iter().all(|a| a.nrows() == 1 || a.ncols() == 1) {
         return rows != columns && x.len() == rows && y.len() == columns;
     }
     let goes_along_rows = |a: &Array2<f64>| {
@@ -220,6 +221,11 @@ pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) 
             && a[[0, 0]] != a[[rows - 1, 0]]
     };
     x.dim() == size && y.dim() == size && goes_along_rows(x) && !goes_along_rows(y)
+}
+
+/// Returns an array, transposed where the map [`is_turned`].
+pub(crate) fn upright(values: Array2<f64>, is_turned: bool) -> Array2<f64> {
+    if is_turned { values.reversed_axes().as_standard_layout().into_owned() } else { values }
 }
 
 /// The warning where [`is_turned`] transposed a map.

@@ -617,7 +617,11 @@ fn header_words(text: &str) -> Vec<HeaderWord<'_>> {
             continue;
         }
         let word = &rest[..end];
-        words.push(if word.parse::<f64>().is_ok() { HeaderWord::Number } else { HeaderWord::Word(word) });
+        words.push(if word.parse::<f64>().is_ok() {
+            HeaderWord::Number
+        } else {
+            HeaderWord::Word(word)
+        });
         rest = &rest[end..];
     }
     words
