@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{budget::too_many, format::hdf5};
 
-/// Reads the datasets that are requested for. Refuses a file without those of x and y or of all axes, datasets of several
+/// Reads the datasets that are asked for. Refuses a file without those of x and y or of all axes, datasets of several
 /// lengths, and numbers that are not finite.
 pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     let file = hdf5::open(bytes)?;
@@ -48,7 +48,7 @@ pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
         columns.push(column);
     }
     if requested.setpoint_x.is_some() != requested.setpoint_y.is_some() {
-        let problem = "was requested for the setpoint of one axis";
+        let problem = "was asked for the setpoint of one axis";
         return Err(Invalid::whole(NAME, problem, "give `setpoint_x` and `setpoint_y`"));
     }
     let own = columns.iter().position(|column| column.role == Role::TimeY);
