@@ -55,8 +55,8 @@ pub(crate) fn prefix(name: &str) -> &str {
     &name[..name.rfind(['/', '.']).map_or(0, |end| end + 1)]
 }
 
-/// Returns the names to read out of `arrays`: those asked for, else customary ones that are there, else the only map, with the
-/// coordinates beside it.
+/// Returns the names to read out of `arrays`: those asked for, else customary ones that are there, else the only map,
+/// with the coordinates beside it.
 pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<Pick, Invalid> {
     if pick.x.is_some() != pick.y.is_some() {
         return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
@@ -127,8 +127,8 @@ fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), In
     Err(Invalid::whole(file, problem, remedy))
 }
 
-/// Returns the names of the coordinates x and y beside a map: its own ones beside a customary map; beside another one, vectors or
-/// matrices of its size that are not those of another customary map.
+/// Returns the names of the coordinates x and y beside a map: its own ones beside a customary map; beside another one,
+/// vectors or matrices of its size that are not those of another customary map.
 fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> {
     let group = prefix(map);
     let customary = CUSTOMARY.iter().find(|[z, ..]| map[group.len()..] == **z);
@@ -155,8 +155,8 @@ fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> 
     None
 }
 
-/// Returns true if arrays of the shapes `x` and `y` may be coordinates of a map: both are of its shape, or vectors of its
-/// two lengths, in either order.
+/// Returns true if arrays of the shapes `x` and `y` may be coordinates of a map: both are of its shape, or vectors of
+/// its two lengths, in either order.
 fn are_coordinates(x: &[u64], y: &[u64], map: &[u64]) -> bool {
     let mut counts =
         [x, y].map(|shape| shape.iter().try_fold(1u64, |n, size| n.checked_mul(*size)));
@@ -191,8 +191,8 @@ pub(crate) fn along(
     Ok(line)
 }
 
-/// Returns the coordinates of the columns and rows of a map of `(rows, columns)` from arrays called as `pick` says, with the unit at
-/// the end of their names.
+/// Returns the coordinates of the columns and rows of a map of `(rows, columns)` from arrays called as `pick` says,
+/// with the unit at the end of their names.
 pub(crate) fn named_coordinates(
     pick: &Pick,
     x: &Array2<f64>,
@@ -210,7 +210,8 @@ pub(crate) fn named_coordinates(
     Ok(Coordinates { x: along("x", x, columns, true)?, y: along("y", y, rows, false)?, unit })
 }
 
-/// Returns true where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.
+/// Returns true where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be
+/// transposed.
 pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
     let (rows, columns) = size;
     if [x, y].iter().all(|a| a.nrows() == 1 || a.ncols() == 1) {

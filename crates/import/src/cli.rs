@@ -185,8 +185,8 @@ impl FileArgs {
         })
     }
 
-    /// Writes the picture that is requested. It appears with the map; an older one is replaced with --force. Fails if it
-    /// cannot be written.
+    /// Writes the picture that is requested. It appears with the map; an older one is replaced with --force. Fails if
+    /// it cannot be written.
     pub fn put_picture(
         &self,
         output: &mut Writer,

@@ -157,8 +157,8 @@ impl Format {
         }
     }
 
-    /// Returns the format of a text of numbers from the ending of the file's name, in lower case, and from its first lines where
-    /// several formats have that ending.
+    /// Returns the format of a text of numbers from the ending of the file's name, in lower case, and from its first
+    /// lines where several formats have that ending.
     pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
         match ending {
             "csv" => Some(Self::Csv),

@@ -153,8 +153,8 @@ impl Configuration {
 /// part if the configuration has the transform from the part to the axes.
 ///
 /// # Errors
-/// Refuses a program of other axes, which [`read_axes`] reads, a configuration of another program, and what the reader of the
-/// controller refuses.
+/// Refuses a program of other axes, which [`read_axes`] reads, a configuration of another program, and what the reader
+/// of the controller refuses.
 pub fn read(
     controller: ControllerKind,
     bytes: &[u8],

@@ -398,8 +398,8 @@ impl Reading {
 /// Returns the map of a reading, heights in nm.
 ///
 /// # Errors
-/// Refuses a reading whose unit or pitch neither the file nor the settings state, settings that contradict the file, and
-/// maps without a valid pixel.
+/// Refuses a reading whose unit or pitch neither the file nor the settings state, settings that contradict the file,
+/// and maps without a valid pixel.
 pub fn surface(
     reading: Reading,
     settings: &ReadingSettings,
@@ -408,8 +408,8 @@ pub fn surface(
     Ok((Surface::new(grid, values)?, statement))
 }
 
-/// Returns the map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it has a
-/// time. A spot that has to be cut out or divided by its time is one for `planish-tool`.
+/// Returns the map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it
+/// has a time. A spot that has to be cut out or divided by its time is one for `planish-tool`.
 ///
 /// # Errors
 /// Refuses what [`surface`] refuses, and rates of which [`Tif::new`] makes no TIF.
@@ -441,26 +441,7 @@ fn map(
         return Err(Invalid::whole("unit", problem, remedy));
     }
     let wavelength_nm = wavelength(&reading, unit, settings, &mut warnings)?;
-    if !(settings.surface_per_value.is_finite() && settings.surface_per_value > 0.0) {
-        let problem = format!("is {}", settings.surface_per_value);
-        let remedy = "give a positive factor, and `negate` for the other sign";
-        return Err(Invalid::whole("surface_per_value", problem, remedy));
-    }
-    if let Some(applied) = reading.scale_applied
-        && settings.surface_per_value != 1.0
-    {
-        let requested = settings.surface_per_value;
-        if !settings.override_file {
-            let problem =
-                format!("is {applied} in the file and applied, {requested} was asked for");
-            let remedy = "leave out `surface_per_value`, or give `override_file`";
-            return Err(Invalid::whole("surface_per_value", problem, remedy));
-        }
-        reading.factor /= applied;
-        warnings.push(format!(
-            "`surface_per_value` {requested} takes the place of {applied} in the file"
-        ));
-    }
+    apply_surface_per_value(&mut reading, settings, &mut warnings)?;
     let Reading { factor, offset, .. } = reading;
     if !(factor.is_finite() && factor != 0.0 && offset.is_finite()) {
         let problem = format!("of the heights is {factor}, their offset {offset}");
@@ -510,11 +491,36 @@ fn map(
     Ok((grid, values, statement))
 }
 
+/// Takes out the factor of the file where the settings have another one. Refuses a factor that is not positive, or that
+/// contradicts the file.
+fn apply_surface_per_value(
+    reading: &mut Reading,
+    settings: &ReadingSettings,
+    warnings: &mut Vec<String>,
+) -> Result<(), Invalid> {
+    let requested = settings.surface_per_value;
+    if !(requested.is_finite() && requested > 0.0) {
+        let remedy = "give a positive factor, and `negate` for the other sign";
+        return Err(Invalid::whole("surface_per_value", format!("is {requested}"), remedy));
+    }
+    let Some(applied) = reading.scale_applied.filter(|_| requested != 1.0) else { return Ok(()) };
+    if !settings.override_file {
+        let problem = format!("is {applied} in the file and applied, {requested} was asked for");
+        let remedy = "leave out `surface_per_value`, or give `override_file`";
+        return Err(Invalid::whole("surface_per_value", problem, remedy));
+    }
+    reading.factor /= applied;
+    warnings
+        .push(format!("`surface_per_value` {requested} takes the place of {applied} in the file"));
+    Ok(())
+}
+
 /// Distance of an extreme stored value from all other ones, relative to their range, from which on it is doubted as a mark
 /// of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches are doubted.
 const FAR: f64 = 3.0;
 
-/// Returns the warning for two pixels or more with exactly the least or the largest value, if it lies far from all others.
+/// Returns the warning for two pixels or more with exactly the least or the largest value, if it lies far from all
+/// others.
 fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
     let finite = values.iter().copied().filter(|v| v.is_finite());
     let least = finite.clone().fold(f64::INFINITY, f64::min);
@@ -589,7 +595,8 @@ fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
             && agree(sizes[0], sizes[1])
 }
 
-/// Returns [`unit`] of a file that states none for its values, but perhaps one of which it does not say what it is the unit of.
+/// Returns [`unit`] of a file that states none for its values, but perhaps one of which it does not say what it is the
+/// unit of.
 fn unit_of_user(
     reading: &Reading,
     requested: Option<Unit>,
@@ -793,7 +800,8 @@ fn coordinate_unit(
     Ok(settings.coordinate_unit.or(stated))
 }
 
-/// Returns the distance of pixel centres, mm, and where it is from: the user or the file, who must not contradict each other.
+/// Returns the distance of pixel centres, mm, and where it is from: the user or the file, who must not contradict each
+/// other.
 fn pitch(
     of_file: Option<[f64; 2]>,
     settings: &ReadingSettings,
@@ -976,8 +984,8 @@ fn started_at(axis: &Axis, start_mm: f64) -> Result<Axis, Invalid> {
     Axis::new(start_mm, axis.step_mm(), axis.len())
 }
 
-/// Returns the grid with its coordinate 0, or its first pixel, where the user wants it; `has_place` is true if the file states
-/// its place.
+/// Returns the grid with its coordinate 0, or its first pixel, where the user wants it; `has_place` is true if the file
+/// states its place.
 fn set_origin(
     grid: Grid,
     settings: &ReadingSettings,

@@ -51,8 +51,8 @@ fn length(a: Point2<f64>, b: Point2<f64>) -> f64 {
     (a.x - b.x).hypot(a.y - b.y)
 }
 
-/// Returns the height at a place, NaN in no triangle whose sides are at most `longest`, and a vertex near it, from which the search
-/// for the next place begins.
+/// Returns the height at a place, NaN in no triangle whose sides are at most `longest`, and a vertex near it, from
+/// which the search for the next place begins.
 fn interpolated(
     mesh: &DelaunayTriangulation<Corner>,
     point: Point2<f64>,
@@ -94,8 +94,8 @@ fn interpolated(
     }
 }
 
-/// Grids `points` (x and y in mm, height) with a pitch along (x, y). Refuses fewer points than a triangle has, two heights at
-/// one place, and grids that do not fit into the memory.
+/// Grids `points` (x and y in mm, height) with a pitch along (x, y). Refuses fewer points than a triangle has, two
+/// heights at one place, and grids that do not fit into the memory.
 pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, Invalid> {
     if let Some(p) = pixel_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Invalid::whole("grid_mm", format!("is {p}"), "a pitch is positive"));
@@ -157,8 +157,8 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
     Ok(Gridded { values, x_mm, y_mm, warnings })
 }
 
-/// Returns a point whose coordinates are 0 where the predicates of the triangulation cannot decide of them. These are tiny
-/// beside a pitch.
+/// Returns a point whose coordinates are 0 where the predicates of the triangulation cannot decide of them. These are
+/// tiny beside a pitch.
 fn tidy(place: [f64; 2]) -> Point2<f64> {
     let [x, y] = place.map(|v| if v.abs() < 1e-30 { 0.0 } else { v });
     Point2::new(x, y)

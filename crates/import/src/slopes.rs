@@ -308,13 +308,14 @@ fn judge_signs(
     let [residual_text, other_text, size_text] = [residual, other, size].map(|v| significant(v, 3));
     if residual > DECISIVE * other && residual > 1e-6 * size && !settings.trust_signs {
         let problem = format!(
-            "contradict each other: {residual_text} urad RMS belong to no surface, and {other_text} urad with the other \
-             sign along y"
+            "contradict each other: {residual_text} urad RMS belong to no surface, and {other_text} urad with the \
+             other sign along y"
         );
         let remedy = if settings.negate_y {
             "leave out `negate_y`; `trust_signs` takes them as they are"
         } else {
-            "give `negate_y` where slopes along y count down the rows, or `first_row`; `trust_signs` takes them as they are"
+            "give `negate_y` where slopes along y count down the rows, or `first_row`; `trust_signs` takes them \
+             as they are"
         };
         return Err(Invalid::whole("slopes", problem, remedy));
     }
@@ -418,7 +419,8 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
     total - sizes[largest]
 }
 
-/// Returns (2): the difference of the heights of every pixel and the next one along `axis`, nm; 0 where one of them is absent.
+/// Returns (2): the difference of the heights of every pixel and the next one along `axis`, nm; 0 where one of them is
+/// absent.
 fn differences(
     slope: &Array2<f64>,
     valid: &Array2<bool>,

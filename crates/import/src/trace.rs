@@ -224,8 +224,8 @@ fn pair(columns: &[Column], [x, y]: [Role; 2]) -> Option<Vec<[f64; 2]>> {
     Some(x.values.iter().zip(&y.values).map(|(x, y)| [*x, *y]).collect())
 }
 
-/// Returns the times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is interpolated to the
-/// times of the log, and the log is cut to the times that all quantities have.
+/// Returns the times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is
+/// interpolated to the times of the log, and the log is cut to the times that all quantities have.
 fn on_one_clock(
     columns: &mut [Column],
     times: &[Column],
@@ -325,7 +325,8 @@ fn warning_of_own_times(
     )
 }
 
-/// Returns the values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they are `held`.
+/// Returns the values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they
+/// are `held`.
 fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f64> {
     let n = time_s.len().min(values.len());
     let pieces = motion::pieces(&time_s[..n], &values[..n], f64::INFINITY, Between::Cubic);
@@ -608,7 +609,8 @@ impl Trace {
         }
     }
 
-    /// Returns the motion of the log; its time counts from the first sample. Refuses numbers of which no motion is made.
+    /// Returns the motion of the log; its time counts from the first sample. Refuses numbers of which no motion is
+    /// made.
     pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;

@@ -194,7 +194,8 @@ fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
     Ok(fiducials)
 }
 
-/// Returns the fields of a line, of which the header has `count`: a separator at the end is that of an empty field where one is absent.
+/// Returns the fields of a line, of which the header has `count`: a separator at the end is that of an empty field
+/// where one is absent.
 fn fields_of(line: &str, count: usize) -> Vec<&str> {
     let mut fields: Vec<&str> = file_text::fields(line).collect();
     if fields.len() + 1 == count && file_text::is_closed(line) {

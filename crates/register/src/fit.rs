@@ -309,8 +309,8 @@ pub fn fit(fiducials: &[Fiducial], model: TransformModel) -> Result<Registration
     Ok(Registration { transform, report })
 }
 
-/// Returns the standard deviation of the coordinates of each fiducial, mm, and true if the file states them; 1 where it does
-/// not. Refuses a file that states some of them.
+/// Returns the standard deviation of the coordinates of each fiducial, mm, and true if the file states them; 1 where it
+/// does not. Refuses a file that states some of them.
 fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
     let with = fiducials.iter().filter(|f| f.uncertainty_mm.is_some()).count();
     if with == 0 {

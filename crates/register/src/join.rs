@@ -123,8 +123,8 @@ const MOST_STACKED_PIXELS: usize = 1 << 28;
 /// Joins maps whose coordinates are those of the part.
 ///
 /// # Errors
-/// Refuses fewer than 2 maps or more than [`MOST_MAPS`], maps that no chain of overlaps connects with the first one, and
-/// joined maps that are too large.
+/// Refuses fewer than 2 maps or more than [`MOST_MAPS`], maps that no chain of overlaps connects with the first one,
+/// and joined maps that are too large.
 pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, RefusedMap> {
     let refused = |index: usize| move |reason: Invalid| RefusedMap { index, reason };
     if !(2..=MOST_MAPS).contains(&maps.len()) {
@@ -268,8 +268,8 @@ fn refuse_islands(counts: &[Vec<usize>], least: usize) -> Result<(), RefusedMap>
     Err(RefusedMap { index, reason: Invalid::whole("mosaic", problem, remedy) })
 }
 
-/// Solves (2). Returns the coefficients of every map; those of the first one are 0. Refuses overlaps that do not determine
-/// them.
+/// Solves (2). Returns the coefficients of every map; those of the first one are 0. Refuses overlaps that do not
+/// determine them.
 fn solve(pieces: &[Array2<f64>], low_order: &LowOrder) -> Result<Vec<Vec<f64>>, RefusedMap> {
     let terms = low_order.len();
     let maps = pieces.len();

@@ -22,7 +22,8 @@ pub(crate) struct LowOrder {
 }
 
 impl LowOrder {
-    /// Returns the terms up to the total order `order` on the rectangle of `grid`. Refuses an order above [`MOST_ORDER`].
+    /// Returns the terms up to the total order `order` on the rectangle of `grid`. Refuses an order above
+    /// [`MOST_ORDER`].
     pub fn new(grid: &Grid, order: usize) -> Result<Self, Invalid> {
         if order > MOST_ORDER {
             let remedy = format!("give 0 to {MOST_ORDER}");

@@ -158,8 +158,8 @@ pub(crate) type Pose = [f64; 3];
 /// Finds the place of `after` on `before`: shift and rotation with their standard errors.
 ///
 /// # Errors
-/// Refuses settings that are not positive, maps with too few pixels or features in common, and a place beyond the limits of
-/// the search.
+/// Refuses settings that are not positive, maps with too few pixels or features in common, and a place beyond the
+/// limits of the search.
 pub fn register(
     before: &Surface,
     after: &Surface,
@@ -622,8 +622,8 @@ fn fisher(correlations: [f64; 3]) -> [f64; 3] {
     correlations.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh())
 }
 
-/// Returns the mean product of the pixels that lie `i` rows (not below 0) and `j` columns apart, and their number. NaN marks
-/// pixels that do not count.
+/// Returns the mean product of the pixels that lie `i` rows (not below 0) and `j` columns apart, and their number. NaN
+/// marks pixels that do not count.
 fn autocovariance(map: &Array2<f64>, i: isize, j: isize) -> (f64, f64) {
     let (ny, nx) = map.dim();
     let from = j.unsigned_abs();

@@ -30,8 +30,8 @@ impl<'a> Resampled<'a> {
         self.offset.is_some()
     }
 
-    /// Returns the height, nm, at the pixel (row, column) of the grid, which lies at `p` [x, y], mm. `None` beyond the map and where
-    /// a pixel that it needs is invalid.
+    /// Returns the height, nm, at the pixel (row, column) of the grid, which lies at `p` [x, y], mm. `None` beyond the
+    /// map and where a pixel that it needs is invalid.
     pub fn at_pixel(&self, (row, column): (usize, usize), p: [f64; 2]) -> Option<f64> {
         let Some([first_row, first_column]) = self.offset else { return self.at_point(p) };
         let height = self.map.height_nm();
@@ -46,8 +46,8 @@ impl<'a> Resampled<'a> {
     }
 }
 
-/// Returns the pixel of the axis `own` on which the first pixel of `other` lies, if all pixels of `other` lie on pixels of
-/// `own`, which go on beyond its ends.
+/// Returns the pixel of the axis `own` on which the first pixel of `other` lies, if all pixels of `other` lie on pixels
+/// of `own`, which go on beyond its ends.
 fn offset(other: &Axis, own: &Axis) -> Option<isize> {
     let [begin, end] =
         [other.start_mm(), other.end_mm()].map(|mm| (mm - own.start_mm()) / own.step_mm());

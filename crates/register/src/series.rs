@@ -101,8 +101,8 @@ pub struct RefusedMap {
 /// Takes the mean of a series of maps.
 ///
 /// # Errors
-/// Refuses fewer than 2 maps or more than [`MOST_MAPS`], a map that does not register on the first one, and maps that have
-/// no pixels in common.
+/// Refuses fewer than 2 maps or more than [`MOST_MAPS`], a map that does not register on the first one, and maps that
+/// have no pixels in common.
 pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, RefusedMap> {
     let refused = |index: usize| move |reason: Invalid| RefusedMap { index, reason };
     if !(2..=MOST_MAPS).contains(&maps.len()) {

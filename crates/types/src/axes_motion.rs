@@ -21,8 +21,8 @@ pub struct AxesMotion {
 impl AxesMotion {
     /// Returns the motion of n axes in k segments.
     ///
-    /// `break_time_s` (k+1); `coefficient` (k n), mm or deg, with the n axes of a segment one after the other, ascending
-    /// orders; `tool_on` (k); `dwell_index` (k).
+    /// `break_time_s` (k+1); `coefficient` (k n), mm or deg, with the n axes of a segment one after the other,
+    /// ascending orders; `tool_on` (k); `dwell_index` (k).
     ///
     /// # Errors
     /// Refuses arrays of other lengths, numbers that are not finite, and break times that do not ascend strictly.

@@ -219,8 +219,8 @@ impl Counts {
 }
 
 impl ControllerModel {
-    /// Returns the controller with another clock or other counts, if they are given, for a machine with these axes. Refuses
-    /// numbers that are not positive, and counts of other axes.
+    /// Returns the controller with another clock or other counts, if they are given, for a machine with these axes.
+    /// Refuses numbers that are not positive, and counts of other axes.
     pub fn with(
         self,
         tick_s: Option<f64>,
@@ -317,8 +317,8 @@ impl ControllerFile {
         }
     }
 
-    /// Returns the checked controller of a machine with these axes, with the defaults of its kind. Refuses settings that no
-    /// controller of the kind supports.
+    /// Returns the checked controller of a machine with these axes, with the defaults of its kind. Refuses settings
+    /// that no controller of the kind supports.
     pub fn checked(&self, axes: &[MachineAxis]) -> Result<ControllerModel, Invalid> {
         let default = self.kind.model();
         let tick_s = positive_or("controller.tick_s", self.tick_s, default.tick_s)?;

@@ -37,8 +37,8 @@ pub struct DensityNodes {
 }
 
 impl DwellDensity {
-    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, arc lengths that
-    /// do not ascend or differ from the distances of the points, and corners that are none.
+    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, arc lengths
+    /// that do not ascend or differ from the distances of the points, and corners that are none.
     pub fn new(nodes: DensityNodes) -> Result<Self, Invalid> {
         let DensityNodes { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner } =
             &nodes;

@@ -13,7 +13,8 @@ pub struct DwellTime {
 }
 
 impl DwellTime {
-    /// Returns the dwell times (n), s. Refuses an empty array, and dwell times that are negative, above 1e9 s or not finite.
+    /// Returns the dwell times (n), s. Refuses an empty array, and dwell times that are negative, above 1e9 s or not
+    /// finite.
     pub fn new(dwell_s: Vec<f64>) -> Result<Self, Invalid> {
         if dwell_s.is_empty() {
             return Err(Invalid::whole(

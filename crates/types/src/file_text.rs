@@ -74,8 +74,8 @@ pub fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Inv
     Err(refused())
 }
 
-/// Returns true for a line that starts with `#` or `%`, unless that is the first cell of a row of a spreadsheet, such as
-/// `#N/A`.
+/// Returns true for a line that starts with `#` or `%`, unless that is the first cell of a row of a spreadsheet, such
+/// as `#N/A`.
 pub fn is_comment(line: &str) -> bool {
     let line = line.trim_start();
     if line.starts_with('#') {
@@ -96,8 +96,8 @@ pub fn is_closed(line: &str) -> bool {
     separator(line).is_some_and(|c| line.ends_with(c))
 }
 
-/// Returns the fields of a line: by comma, semicolon or tab where there is one, else by white space. A separator at the end
-/// of the line closes it. Quotes around a field are no part of it.
+/// Returns the fields of a line: by comma, semicolon or tab where there is one, else by white space. A separator at the
+/// end of the line closes it. Quotes around a field are no part of it.
 pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     fn plain(field: &str) -> &str {
         let field = field.trim();

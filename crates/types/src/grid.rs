@@ -53,8 +53,8 @@ impl Axis {
     /// Returns the axis through the coordinates `mm`, which the messages call `name`.
     ///
     /// # Errors
-    /// Refuses fewer than 2 coordinates, coordinates beyond 1e7 mm, and coordinates that do not ascend in equal steps (to
-    /// 1e-4 of a step).
+    /// Refuses fewer than 2 coordinates, coordinates beyond 1e7 mm, and coordinates that do not ascend in equal steps
+    /// (to 1e-4 of a step).
     pub fn from_coordinates(name: &'static str, mm: &[f64]) -> Result<Self, Invalid> {
         if mm.len() < 2 {
             return Err(Invalid::whole(

@@ -40,7 +40,8 @@ impl Headings {
         Self { at_rest_rad: held(first_rad, last_rad) }
     }
 
-    /// Returns the place and the direction of the tool at the local time `u_s` of `segment`, which has the index `index`.
+    /// Returns the place and the direction of the tool at the local time `u_s` of `segment`, which has the index
+    /// `index`.
     pub fn pose(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> Pose {
         Pose {
             position_mm: segment.position_mm(u_s),
@@ -61,8 +62,8 @@ fn along_rad([x, y]: [f64; 2]) -> Option<f64> {
     if x.hypot(y) > AT_REST_MM { Some(y.atan2(x)) } else { None }
 }
 
-/// Returns the directions, in the place of one that is `None` the one before it, and before them that of the first motion,
-/// or 0.
+/// Returns the directions, in the place of one that is `None` the one before it, and before them that of the first
+/// motion, or 0.
 fn held(first: Option<f64>, directions: Vec<Option<f64>>) -> Vec<f64> {
     let mut last_rad = first.unwrap_or(0.0);
     let mut held_rad = Vec::with_capacity(directions.len());

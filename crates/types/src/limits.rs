@@ -136,8 +136,8 @@ impl MachineFile {
     /// Returns the limits along x and y.
     ///
     /// # Errors
-    /// Refuses what the JSON types do not: other axes than those that the kinematics ask for (x and y without them), and
-    /// limits that are not positive and of a plausible size.
+    /// Refuses what the JSON types do not: other axes than those that the kinematics ask for (x and y without them),
+    /// and limits that are not positive and of a plausible size.
     pub fn checked(self) -> Result<Limits, Invalid> {
         self.check_names()?;
         let time_s = self.checked_time_to_full_acceleration_s()?;
@@ -197,8 +197,8 @@ pub(crate) struct StatedLimits {
 }
 
 impl StatedLimits {
-    /// Returns velocity and acceleration, and the jerk limit, which follows from the time to full acceleration where none is
-    /// stated. Refuses limits that are not positive and of a plausible size.
+    /// Returns velocity and acceleration, and the jerk limit, which follows from the time to full acceleration where
+    /// none is stated. Refuses limits that are not positive and of a plausible size.
     pub(crate) fn checked(&self, time_s: f64) -> Result<([f64; 2], Option<f64>), Invalid> {
         let largest = LARGEST_VELOCITY_MM_PER_S;
         let unit = self.unit;

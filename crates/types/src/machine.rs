@@ -59,8 +59,8 @@ impl From<Limits> for Machine {
 }
 
 impl Machine {
-    /// Returns the machine of a file. Refuses limits, travels, kinematics, controllers and positions of the part that are
-    /// none, see [`MachineFile`].
+    /// Returns the machine of a file. Refuses limits, travels, kinematics, controllers and positions of the part that
+    /// are none, see [`MachineFile`].
     pub fn new(file: MachineFile) -> Result<Self, Invalid> {
         let limits = file.clone().checked()?;
         let axes = checked_axes(&file)?;
@@ -99,7 +99,8 @@ impl Machine {
         self.limits.name()
     }
 
-    /// Returns the limits of the axes x and y. A spindle machine has no such axes: limits of the contact point, as stated.
+    /// Returns the limits of the axes x and y. A spindle machine has no such axes: limits of the contact point, as
+    /// stated.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }

@@ -16,15 +16,15 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Returns the map with the heights (ny, nx), nm. Refuses another shape than that of the grid, heights beyond 1e12 nm
-    /// and a map without a valid pixel.
+    /// Returns the map with the heights (ny, nx), nm. Refuses another shape than that of the grid, heights beyond 1e12
+    /// nm and a map without a valid pixel.
     pub fn new(grid: Grid, height_nm: Array2<f64>) -> Result<Self, Invalid> {
         check_map("height_nm", &grid, &height_nm)?;
         Ok(Self { grid, height_nm, deviation_nm: None })
     }
 
-    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that of
-    /// the stored height: of a mean, it is that of the mean.
+    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that
+    /// of the stored height: of a mean, it is that of the mean.
     ///
     /// # Errors
     /// Refuses another shape than that of the heights, and deviations below 0 or above 1e12 nm.
@@ -46,13 +46,14 @@ impl Surface {
         Ok(Self { deviation_nm: Some(deviation_nm), ..self })
     }
 
-    /// Returns the standard deviation of every height (ny, nx), nm, NaN = unknown, or `None` for a map without deviations.
+    /// Returns the standard deviation of every height (ny, nx), nm, NaN = unknown, or `None` for a map without
+    /// deviations.
     pub fn deviation_nm(&self) -> Option<&Array2<f64>> {
         self.deviation_nm.as_ref()
     }
 
-    /// Returns the RMS of the known standard deviations of the valid pixels, nm: the noise level of the map. `None` if none
-    /// is known.
+    /// Returns the RMS of the known standard deviations of the valid pixels, nm: the noise level of the map. `None` if
+    /// none is known.
     pub fn noise_rms_nm(&self) -> Option<f64> {
         let deviation = self.deviation_nm.as_ref()?;
         let known =
@@ -147,8 +148,8 @@ pub struct RemovalMaps {
 }
 
 impl Removal {
-    /// Returns the removal `removal_nm` (ny, nx) and the residual that it leaves of `desired`. Refuses another shape than
-    /// that of `desired`, and a removal that is NaN at any pixel, also at the invalid ones.
+    /// Returns the removal `removal_nm` (ny, nx) and the residual that it leaves of `desired`. Refuses another shape
+    /// than that of `desired`, and a removal that is NaN at any pixel, also at the invalid ones.
     pub fn new(desired: &Surface, removal_nm: Array2<f64>) -> Result<Self, Invalid> {
         let mut residual_nm = desired.height_nm().clone();
         if removal_nm.dim() == residual_nm.dim() {
@@ -157,8 +158,8 @@ impl Removal {
         Self::from_maps(*desired.grid(), RemovalMaps { removal_nm, residual_nm })
     }
 
-    /// Returns the removal with both maps, as stored. Refuses maps of another shape than that of the grid, and a removal
-    /// that is NaN at any pixel.
+    /// Returns the removal with both maps, as stored. Refuses maps of another shape than that of the grid, and a
+    /// removal that is NaN at any pixel.
     pub fn from_maps(grid: Grid, maps: RemovalMaps) -> Result<Self, Invalid> {
         let RemovalMaps { removal_nm, residual_nm } = maps;
         check_map("removal_nm", &grid, &removal_nm)?;

@@ -144,8 +144,8 @@ impl Tif {
     /// like any other.
     ///
     /// # Errors
-    /// Refuses arrays of wrong shape, numbers that are not finite, and a tool that removes no material, or adds some, at
-    /// a sample of the weights.
+    /// Refuses arrays of wrong shape, numbers that are not finite, and a tool that removes no material, or adds some,
+    /// at a sample of the weights.
     pub fn varying(numbers: VaryingTif) -> Result<Self, Invalid> {
         let VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time } =
             numbers;
@@ -209,7 +209,8 @@ impl Tif {
         Ok(Self { variation: Some(Arc::new(variation)), ..Self::new(offsets, mean)? })
     }
 
-    /// Returns the variation of the tool over the part and in time, or `None` if it is the same everywhere and at all times.
+    /// Returns the variation of the tool over the part and in time, or `None` if it is the same everywhere and at all
+    /// times.
     pub fn variation(&self) -> Option<&Variation> {
         self.variation.as_deref()
     }
@@ -323,16 +324,16 @@ impl Tif {
         }
     }
 
-    /// Returns the rate (1) of [`Variation`] without the factors of pixels and time, nm/s, at the offset (pixel - tool) in
-    /// mm of a tool in a pose.
+    /// Returns the rate (1) of [`Variation`] without the factors of pixels and time, nm/s, at the offset (pixel - tool)
+    /// in mm of a tool in a pose.
     pub fn rate_of_tool_at(&self, tool: Pose, [dx_mm, dy_mm]: [f64; 2]) -> f64 {
         let Some(variation) = &self.variation else { return self.rate_at(dx_mm, dy_mm) };
         let components = variation.components().iter().enumerate();
         components.map(|(k, c)| variation.weight(k, tool) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
     }
 
-    /// Returns the tool with other samples. `resample` returns the grid and the samples, nm/s, that replace those of the
-    /// mean tool and of every kernel; those of a kernel may be negative.
+    /// Returns the tool with other samples. `resample` returns the grid and the samples, nm/s, that replace those of
+    /// the mean tool and of every kernel; those of a kernel may be negative.
     ///
     /// # Errors
     /// Refuses what `resample` refuses, and samples of which [`Self::new`] makes no TIF.
@@ -551,8 +552,8 @@ impl Tif {
         border.map(|(_, v)| v.abs()).fold(0.0, f64::max) / self.peak_nm_per_s()
     }
 
-    /// Returns the least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level if
-    /// the border is one line of samples.
+    /// Returns the least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level
+    /// if the border is one line of samples.
     pub fn border_plane_nm_per_s(&self) -> Array2<f64> {
         let shape = self.grid.shape();
         let border = Array2::from_shape_fn(shape, |index| {
@@ -601,8 +602,8 @@ impl Tif {
         }
     }
 
-    /// Returns the upper edge [x, y], mm: the TIF is zero at larger offsets. It is the offset of the last sample, or up to a step
-    /// beyond it.
+    /// Returns the upper edge [x, y], mm: the TIF is zero at larger offsets. It is the offset of the last sample, or up
+    /// to a step beyond it.
     pub fn edge_mm(&self) -> [f64; 2] {
         self.edge_mm
     }

@@ -55,8 +55,8 @@ impl ToolPath {
         Ok(Self { point_mm, dwell_point_mm, tool_on, pass_idx })
     }
 
-    /// Returns the path through `point_mm` whose dwell points are the midpoints of its segments. Refuses what [`Self::new`]
-    /// refuses.
+    /// Returns the path through `point_mm` whose dwell points are the midpoints of its segments. Refuses what
+    /// [`Self::new`] refuses.
     pub fn through(
         point_mm: Vec<[f64; 2]>,
         tool_on: Vec<bool>,

@@ -25,8 +25,8 @@ pub struct Transform {
 }
 
 impl Transform {
-    /// Returns the transform. Refuses numbers that are not finite, scales above 10 or below 0.1, and a covariance that is
-    /// not symmetric or has negative variances.
+    /// Returns the transform. Refuses numbers that are not finite, scales above 10 or below 0.1, and a covariance that
+    /// is not symmetric or has negative variances.
     pub fn new(
         matrix: [[f64; 2]; 2],
         centre_mm: [f64; 2],
@@ -144,8 +144,8 @@ impl Transform {
         sum.max(0.0)
     }
 
-    /// Returns the transform from the machine to the part, with its covariance to first order. Refuses a centre or an image
-    /// beyond 1e7 mm.
+    /// Returns the transform from the machine to the part, with its covariance to first order. Refuses a centre or an
+    /// image beyond 1e7 mm.
     pub fn inverse(&self) -> Result<Self, Invalid> {
         // p = N (q - image) + centre with N = M^-1:  dN = -N dM N,  d centre = -N d image
         let [[a, b], [c, d]] = self.matrix;

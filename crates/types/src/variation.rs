@@ -58,8 +58,8 @@ pub struct TurnWeights {
 }
 
 impl TurnWeights {
-    /// Returns the factors (k, n), dimensionless, of the k kernels at n headings: directions of the motion, in degrees from
-    /// positive x towards positive y, uniform over one turn without its end.
+    /// Returns the factors (k, n), dimensionless, of the k kernels at n headings: directions of the motion, in degrees
+    /// from positive x towards positive y, uniform over one turn without its end.
     ///
     /// # Errors
     /// Refuses headings that are not uniform over a turn, and rows that are not n finite factors.
@@ -138,8 +138,8 @@ pub struct AzimuthWeights {
 }
 
 impl AzimuthWeights {
-    /// Returns the factors (k, n), dimensionless, of the k kernels at n azimuths about the point `middle_mm` [x, y]. The
-    /// azimuths, in degrees from positive x towards positive y, are uniform over one turn without its end.
+    /// Returns the factors (k, n), dimensionless, of the k kernels at n azimuths about the point `middle_mm` [x, y].
+    /// The azimuths, in degrees from positive x towards positive y, are uniform over one turn without its end.
     ///
     /// # Errors
     /// Refuses a middle that is not finite, azimuths that are not uniform over a turn, and rows that are not n finite
@@ -228,15 +228,16 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Returns the pose of a tool at a place, in a motion along positive x: for tools that do not turn with their motion.
+    /// Returns the pose of a tool at a place, in a motion along positive x: for tools that do not turn with their
+    /// motion.
     pub fn along_x(position_mm: [f64; 2]) -> Self {
         Self { position_mm, heading_rad: 0.0 }
     }
 }
 
 impl Variation {
-    /// Returns the variation with kernels and weights that [`Tif::varying`] has checked. Refuses factors that are not of
-    /// their shape, or not between 0.001 and 1000.
+    /// Returns the variation with kernels and weights that [`Tif::varying`] has checked. Refuses factors that are not
+    /// of their shape, or not between 0.001 and 1000.
     pub(crate) fn new(
         kernels: Vec<Tif>,
         weights: &[Array2<f64>],
@@ -370,8 +371,8 @@ impl Variation {
         rate
     }
 
-    /// Returns `g` on the pixels of a map, (ny, nx), or `None` if it is 1. Pixels beyond the samples have the factor of the
-    /// nearest one.
+    /// Returns `g` on the pixels of a map, (ny, nx), or `None` if it is 1. Pixels beyond the samples have the factor of
+    /// the nearest one.
     pub fn factor_on(&self, map: &Grid) -> Option<Cow<'_, Array2<f64>>> {
         let PixelFactor { grid, factor } = self.pixels.as_ref()?;
         if grid == map {

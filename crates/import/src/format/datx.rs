@@ -205,7 +205,8 @@ fn pitch_mm(
     Ok(<[f64; 2]>::try_from(pitches).ok())
 }
 
-/// Returns the first column, the first row, the width and the height of the map in the camera, by the compound `Coordinates`.
+/// Returns the first column, the first row, the width and the height of the map in the camera, by the compound
+/// `Coordinates`.
 fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     let Some(attribute) = attributes.get("Coordinates")? else { return Ok(None) };
     let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };

@@ -44,8 +44,8 @@ fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
     })
 }
 
-/// Returns the images with two axes, the number of all HDUs, and true if an image is compressed. Refuses a `requested` HDU
-/// that is anything else.
+/// Returns the images with two axes, the number of all HDUs, and true if an image is compressed. Refuses a `requested`
+/// HDU that is anything else.
 fn images(
     b: &Bytes<'_>,
     requested: [Option<&str>; 2],
@@ -285,7 +285,8 @@ impl Header {
         })
     }
 
-    /// Returns the statements in cards beside those of the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in comments.
+    /// Returns the statements in cards beside those of the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in
+    /// comments.
     fn statements(&self) -> Result<Beside, Invalid> {
         let mut beside = Beside::default();
         let mut cards: Vec<(&String, &String)> = self.0.iter().collect();

@@ -647,8 +647,8 @@ fn may_state(a: &RawAttribute) -> bool {
     !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
 }
 
-/// Returns the statements beside a dataset: its attributes, those of its group and of the file, and arrays of one number or
-/// one text in its group.
+/// Returns the statements beside a dataset: its attributes, those of its group and of the file, and arrays of one
+/// number or one text in its group.
 fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Invalid> {
     let mut variables = Vec::new();
     let attributes = set.raw_attributes().map_err(broken)?;
@@ -702,7 +702,8 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
     Ok(beside)
 }
 
-/// Returns the paths of the dimension scales of the rows and the columns of a dataset, where both have one with coordinates.
+/// Returns the paths of the dimension scales of the rows and the columns of a dataset, where both have one with
+/// coordinates.
 fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid> {
     let Some(list) = Attributes::list(set)?.get("DIMENSION_LIST")? else { return Ok(None) };
     let size = set.vlen_reference_size();
@@ -723,8 +724,8 @@ fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid
     Ok(rows.zip(columns).map(|(rows, columns)| [rows, columns]))
 }
 
-/// Returns the path of the first scale of an axis, by its reference, which is the address of one of the vectors. `None` for
-/// a dimension of netCDF that has no coordinates.
+/// Returns the path of the first scale of an axis, by its reference, which is the address of one of the vectors. `None`
+/// for a dimension of netCDF that has no coordinates.
 fn scale_of_axis(
     set: &Dataset,
     reference: &[u8],

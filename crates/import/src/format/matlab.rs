@@ -371,8 +371,8 @@ fn element<'a>(b: &Bytes<'a>, at: usize) -> Result<Element<'a>, Invalid> {
     Ok(Element { kind, data: b.slice(at, size)?, next })
 }
 
-/// Reads the header of a numeric matrix from the first bytes of its element, which has `size` in all; `None` for anything
-/// else.
+/// Reads the header of a numeric matrix from the first bytes of its element, which has `size` in all; `None` for
+/// anything else.
 fn matrix<'a>(
     head: &[u8],
     size: usize,

@@ -461,7 +461,8 @@ fn first_word(name: &str) -> String {
     word.unwrap_or_default().to_string()
 }
 
-/// Returns true if the first word of a name says that its column holds the coordinates of an axis: `x`, `xpos`, `x(mm)`.
+/// Returns true if the first word of a name says that its column holds the coordinates of an axis: `x`, `xpos`,
+/// `x(mm)`.
 fn is_axis(word: &str, axis: &str) -> bool {
     word.strip_prefix(axis).is_some_and(|rest| {
         rest.is_empty() || rest.starts_with("pos") || rest.starts_with(['(', '[', '/'])
@@ -583,7 +584,8 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
             let count = text::fields(line).count();
             let problem = format!("has {count} fields in line {number}, not x y z");
             let remedy = if count > 3 {
-                "give `xyz_columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix"
+                "give `xyz_columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for \
+                 a matrix"
             } else {
                 "give three numbers per line, or `format` csv for a matrix"
             };
@@ -680,8 +682,8 @@ struct UniformAxis {
     rounded_steps: Option<[f64; 2]>,
 }
 
-/// Returns the axis whose step is the least distance of the coordinates; where that is none, the one on which they lie to
-/// the units of their last digits (value, unit); else the place where they jump.
+/// Returns the axis whose step is the least distance of the coordinates; where that is none, the one on which they lie
+/// to the units of their last digits (value, unit); else the place where they jump.
 fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<UniformAxis, Invalid> {
     coordinates.sort_by(|a, b| a.0.total_cmp(&b.0));
     let values: Vec<f64> = coordinates.iter().map(|c| c.0).collect();
@@ -710,7 +712,8 @@ fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<Unifo
     rounded(&coordinates).ok_or_else(|| jump(name, &values))
 }
 
-/// Returns the axis of ascending coordinates (value, unit of its last digit) that were rounded, or `None` where there is none.
+/// Returns the axis of ascending coordinates (value, unit of its last digit) that were rounded, or `None` where there
+/// is none.
 ///
 /// The least-squares line through value against number of the pixel has the pitch. A pixel may be absent: the numbers
 /// follow from the median step.

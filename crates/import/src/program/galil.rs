@@ -99,6 +99,18 @@ pub(super) fn read(
         }
     }
     check_complete(&axes, &ended, begun, letters)?;
+    through(&knots(&axes, layout, sample_s, letters)?)
+}
+
+/// Returns the states at the ends of the segments: distance, velocity and samples of every one, by axis. Refuses absent
+/// settings, and segments of which the axes have other times.
+fn knots(
+    axes: &[Vec<[i64; 3]>],
+    layout: &Layout,
+    sample_s: Option<f64>,
+    letters: &str,
+) -> Result<Vec<Knot>, Invalid> {
+    let n = axes.len();
     let count = needed("count_mm", layout.count.clone())?;
     let sample_s = positive("sample_s", needed("sample_s", sample_s)?)?;
     let start = needed("start_mm", layout.start.clone())?;
@@ -125,11 +137,11 @@ pub(super) fn read(
         }
         // Both are bounded by the length of the text: 1e9 lines of 44e6 counts stay below 2^63.
         samples += first[2];
-        counts.iter_mut().zip(&axes).for_each(|(sum, axis)| *sum += axis[i][0]);
+        counts.iter_mut().zip(axes).for_each(|(sum, axis)| *sum += axis[i][0]);
         let velocity: Vec<i64> = axes.iter().map(|axis| axis[i][1]).collect();
         knots.push(state(samples, &counts, &velocity));
     }
-    through(&knots)
+    Ok(knots)
 }
 
 /// Refuses axes with different numbers of segments, and a motion that does not begin or end.

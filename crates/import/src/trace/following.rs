@@ -291,7 +291,8 @@ impl Pair<'_> {
         Following { reference_begins_s: begin_s - self.time_s[0], axes, drift: None }
     }
 
-    /// Returns the drift of the log against the reference, which begins at `begin_s`; `None` if it does not move enough to tell.
+    /// Returns the drift of the log against the reference, which begins at `begin_s`; `None` if it does not move enough
+    /// to tell.
     fn drift(&self, begin_s: f64) -> Option<Drift> {
         let stride = self.stride(LAG_SAMPLES);
         let total_s = self.reference.total_time_s();
@@ -434,8 +435,8 @@ impl Extent {
             tool_on_absent_s += (s.duration_s - seen_s).max(0.0);
         }
         let planned = tool_of_plan(time_s, plan, begin_s);
-        // Index and duration of the intervals in the plan. Before and after the plan its tool is off, and the state of the
-        // machine does not matter.
+        // Index and duration of the intervals in the plan. Before and after the plan its tool is off, and the state of
+        // the machine does not matter.
         let mut intervals = Vec::new();
         for (i, t) in time_s.windows(2).enumerate() {
             let middle_s = 0.5 * (t[0] + t[1]) - begin_s;
@@ -514,8 +515,8 @@ impl Extent {
         ]
         .map(|s| significant(s, 4));
         format!(
-            "the log holds {log} s, and the plan takes {plan} s: it lacks the first {before} s and the last {after} s of \
-             the plan, in which the plan has the tool on for {absent} s of {on} s"
+            "the log holds {log} s, and the plan takes {plan} s: it lacks the first {before} s and the last {after} s \
+             of the plan, in which the plan has the tool on for {absent} s of {on} s"
         )
     }
 

@@ -204,8 +204,8 @@ pub struct Times {
     pub resolution_s: f64,
 }
 
-/// Returns the times of `moments` since the first one. The error is the index of the first that has no date where others
-/// have one, or whose date is none in the order of the others.
+/// Returns the times of `moments` since the first one. The error is the index of the first that has no date where
+/// others have one, or whose date is none in the order of the others.
 pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     let digits = moments.iter().map(|m| m.digits).max().unwrap_or(0);
     let resolution_s = 10f64.powi(-i32::from(digits));

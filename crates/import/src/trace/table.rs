@@ -394,8 +394,8 @@ fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
     (head.collect(), has_commas)
 }
 
-/// Returns a line with points in the place of its decimal commas; `None` if it has none. Numbers beside marks of thousands
-/// are converted here, and refused where all lines are looked at.
+/// Returns a line with points in the place of its decimal commas; `None` if it has none. Numbers beside marks of
+/// thousands are converted here, and refused where all lines are looked at.
 fn with_points(line: &str) -> Option<String> {
     text::with_points(NAME, line).unwrap_or_else(|_| Some(line.replace(',', ".")))
 }
