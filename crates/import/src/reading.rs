@@ -896,8 +896,8 @@ fn place_by_pitch(
             view.invert_axis(ndarray::Axis(1 - k));
         }
         // coordinate of the first pixel of an ascending axis = coordinate - pitch (pixel - first pixel)
-        let start = reference.map_or(start_mm.map_or(0.0, |start| start[k]), |of| {
-            let (pixel, coordinate_mm) = of[k];
+        let start = reference.map_or(start_mm.map_or(0.0, |start| start[k]), |pixels| {
+            let (pixel, coordinate_mm) = pixels[k];
             let last = (len - 1) as f64;
             coordinate_mm - pitch[k] * if descends[k] { last - pixel } else { pixel }
         });

@@ -499,7 +499,7 @@ impl<'a> Problem<'a> {
             .flat_map(|j| range.clone().map(move |i| [i, j]))
             .filter(|by| *by != [0, 0])
             .collect();
-        let pieces = progress::Pieces::new(wrong.len());
+        let pieces = progress::PieceCounter::new(wrong.len());
         let elsewhere = wrong.par_iter().map(|by| {
             let by_mm = [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a]);
             let correlations = fisher(self.common(pose, by_mm));

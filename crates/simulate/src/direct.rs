@@ -9,7 +9,9 @@
 //! Order 2 in 1/m for a TIF that ends smoothly, order 1 where its samples end with a step.
 
 use ndarray::Array2;
-use planish_types::{Grid, Headings, Invalid, Pose, Tif, Trajectory, Variation, progress::Pieces};
+use planish_types::{
+    Grid, Headings, Invalid, Pose, Tif, Trajectory, Variation, progress::PieceCounter,
+};
 use rayon::prelude::*;
 
 use crate::{Numerics, Tell};
@@ -52,7 +54,7 @@ pub(crate) fn removal_told(
     let samples = samples(trajectory, tif, steps);
     let factor = tif.variation().and_then(|v| v.factor_on(grid));
     let mut removal_nm = Array2::zeros(grid.shape());
-    let pieces = Pieces::new(grid.y.len());
+    let pieces = PieceCounter::new(grid.y.len());
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
         let y = grid.y.at(r);
         let reach = |s: &&Sample| {

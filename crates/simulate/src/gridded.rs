@@ -55,7 +55,7 @@ use planish_numerics::fft::{
 };
 use planish_types::{
     Component, Grid, Headings, Invalid, OnLattice, PARTS_TOLERANCE, Tif, TifLattice, Trajectory,
-    budget, progress::Pieces,
+    budget, progress::PieceCounter,
 };
 use rayon::prelude::*;
 
@@ -194,7 +194,7 @@ impl OfKernel {
             }
         }
         let alone = jobs.len() == 1;
-        let pieces = Pieces::new(jobs.len());
+        let pieces = PieceCounter::new(jobs.len());
         let idle = || self.idle.lock().expect("no thread panics with the lock");
         let quadrature_points = jobs
             .into_par_iter()

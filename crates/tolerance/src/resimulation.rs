@@ -105,7 +105,7 @@ impl Work<'_> {
         columns: Option<&Columns<'_>>,
         seed: u64,
     ) -> Result<Vec<Pair>, Invalid> {
-        let pieces = progress::Pieces::new(count);
+        let pieces = progress::PieceCounter::new(count);
         let of = |k: u64| -> Result<Pair, Invalid> {
             let mut rng = stream(seed, RUN_STREAM + k);
             let mut run = Deviation::default();

@@ -222,7 +222,7 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let distance_of = |(r, c): (usize, usize)| cells.distance_mm([x.at(c), y.at(r)]);
     let outermost = if beside { outermost(surface) } else { Vec::new() };
     let seed = outermost.into_iter().map(distance_of).fold(0.0, f64::max);
-    let pieces = progress::Pieces::new(y.len().div_ceil(BAND));
+    let pieces = progress::PieceCounter::new(y.len().div_ceil(BAND));
     let farthest = |(band, rows): (usize, ArrayView2<f64>)| {
         let mut worst = seed;
         for (r, row) in rows.outer_iter().enumerate() {

@@ -72,12 +72,12 @@ pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
 }
 
 /// Counter of equal pieces of work, which threads end in any order.
-pub struct Pieces {
+pub struct PieceCounter {
     count: usize,
     ended: AtomicUsize,
 }
 
-impl Pieces {
+impl PieceCounter {
     /// Returns a counter of `count` pieces, none of which has ended.
     pub fn new(count: usize) -> Self {
         Self { count, ended: AtomicUsize::new(0) }
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn pieces_count_up_to_the_whole() {
-        let pieces = Pieces::new(4);
+        let pieces = PieceCounter::new(4);
         let fractions = [0; 4].map(|_| pieces.one_more());
         assert_eq!(fractions, [0.25, 0.5, 0.75, 1.0]);
     }

@@ -249,19 +249,19 @@ impl<'a> Object<'a> {
 }
 
 /// Returns the object at a place, and the place after it.
-fn object<'a>(b: &Bytes<'a>, at: usize) -> Result<(Object<'a>, usize), Invalid> {
-    let (name, after) = string(b, at)?;
+fn object<'a>(b: &Bytes<'a>, start: usize) -> Result<(Object<'a>, usize), Invalid> {
+    let (name, after) = string(b, start)?;
     let size = b.u32(after)? as usize;
     let all = b.slice(after + 4, size)?;
     Ok((Object { name, bytes: Bytes { all, ..*b } }, after + 4 + size))
 }
 
 /// Returns the text up to its NUL, and the place after that.
-fn string(b: &Bytes, at: usize) -> Result<(String, usize), Invalid> {
-    let rest = b.slice(at, b.all.len().saturating_sub(at))?;
+fn string(b: &Bytes, start: usize) -> Result<(String, usize), Invalid> {
+    let rest = b.slice(start, b.all.len().saturating_sub(start))?;
     let end = rest.iter().take(MOST_TEXT_BYTES).position(|c| *c == 0);
-    let end = end.ok_or_else(|| broken(format!("is truncated in a text at byte {at}")))?;
-    Ok((String::from_utf8_lossy(&rest[..end]).into_owned(), at + end + 1))
+    let end = end.ok_or_else(|| broken(format!("is truncated in a text at byte {start}")))?;
+    Ok((String::from_utf8_lossy(&rest[..end]).into_owned(), start + end + 1))
 }
 
 /// Returns the bytes of a number of a type.
@@ -275,29 +275,29 @@ fn bytes_each(kind: u8) -> Option<usize> {
 }
 
 /// Returns the value of a component of a type, and the place after it.
-fn value<'a>(b: &Bytes<'a>, kind: u8, at: usize) -> Result<(Value<'a>, usize), Invalid> {
-    let unknown = || broken(format!("has a component of type {kind:02X} at byte {at}"));
+fn value<'a>(b: &Bytes<'a>, kind: u8, start: usize) -> Result<(Value<'a>, usize), Invalid> {
+    let unknown = || broken(format!("has a component of type {kind:02X} at byte {start}"));
     if kind.is_ascii_lowercase() {
         return Ok(match kind {
-            b'i' => (Value::Int(b.i32(at)?), at + 4),
-            b'd' => (Value::Double(b.f64(at)?), at + 8),
+            b'i' => (Value::Int(b.i32(start)?), start + 4),
+            b'd' => (Value::Double(b.f64(start)?), start + 8),
             b's' => {
-                let (text, next) = string(b, at)?;
+                let (text, next) = string(b, start)?;
                 (Value::Text(text), next)
             }
             b'o' => {
-                let (object, next) = object(b, at)?;
+                let (object, next) = object(b, start)?;
                 (Value::Object(object), next)
             }
             kind => {
                 let size = bytes_each(kind).ok_or_else(unknown)?;
-                b.slice(at, size)?;
-                (Value::Other, at + size)
+                b.slice(start, size)?;
+                (Value::Other, start + size)
             }
         });
     }
-    let count = b.u32(at)? as usize;
-    let mut next = at + 4;
+    let count = b.u32(start)? as usize;
+    let mut next = start + 4;
     let single = kind.to_ascii_lowercase();
     if let Some(size) = bytes_each(single) {
         let len = count.checked_mul(size).ok_or_else(unknown)?;

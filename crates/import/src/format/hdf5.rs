@@ -61,7 +61,9 @@ const LONGEST_NAMES: u64 = 1 << 16;
 /// Returns true if the signature is where HDF5 has it.
 pub(crate) fn is_hdf5(bytes: &[u8]) -> bool {
     // A user block of 512 bytes, or twice that again and again, may come first.
-    [0, 512, 1024, 2048].iter().any(|at| bytes.get(*at..).is_some_and(|b| b.starts_with(SIGNATURE)))
+    [0, 512, 1024, 2048]
+        .iter()
+        .any(|start| bytes.get(*start..).is_some_and(|b| b.starts_with(SIGNATURE)))
 }
 
 /// Returns the error of a file that the crate hdf5-reader does not read.

@@ -63,7 +63,7 @@ struct Variable<'a> {
     /// The element that holds it, inflated or to be inflated.
     element: Element<'a>,
     /// Place of its numbers in the element as inflated, and their length, bytes.
-    at: usize,
+    start: usize,
     len: usize,
     /// True for a field of a structure, after which other ones may follow in the element.
     is_field: bool,
@@ -236,7 +236,7 @@ impl<'a> Content<'a> {
         self,
         head: &[u8],
         size: usize,
-        at: usize,
+        start: usize,
         path: &[String],
         found: &mut Vec<Variable<'a>>,
     ) -> Result<(), Invalid> {
@@ -246,7 +246,7 @@ impl<'a> Content<'a> {
         }
         if class_of(&b)? != STRUCTURE {
             if let Some(mut variable) = matrix(head, size, self.element, self.big_endian)? {
-                variable.at += at;
+                variable.start += start;
                 variable.is_field = !path.is_empty();
                 if !path.is_empty() {
                     variable.name = path.join(".");
@@ -277,11 +277,11 @@ impl<'a> Content<'a> {
             let end = field.iter().position(|c| *c == 0).unwrap_or(field.len());
             let mut path = own.clone();
             path.push(String::from_utf8_lossy(&field[..end]).into_owned());
-            let Tag { kind, size, at: begin, next: after } = tag(&b, next)?;
+            let Tag { kind, size, start: begin, next: after } = tag(&b, next)?;
             let content = b.slice(begin, size)?;
             next = after;
             if kind == MATRIX {
-                self.matrices(content, size, at + begin, &path, found)?;
+                self.matrices(content, size, start + begin, &path, found)?;
             }
             if found.len() > MOST_ARRAYS {
                 return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
@@ -312,11 +312,11 @@ impl Variable<'_> {
     /// Returns the bytes of the numbers.
     fn data(&self) -> Result<Cow<'_, [u8]>, Invalid> {
         if self.element.kind == MATRIX {
-            let data = self.element.data.get(self.at..self.at + self.len);
+            let data = self.element.data.get(self.start..self.start + self.len);
             return data.map(Cow::Borrowed).ok_or_else(|| self.truncated());
         }
         // The tag of the matrix comes first, the padding to 8 bytes last.
-        let start = 8 + self.at;
+        let start = 8 + self.start;
         let most = (start + self.len).next_multiple_of(8);
         let mut all = inflate(self.element.data, most + 1)?;
         if all.len() > most && !self.is_field {
@@ -344,31 +344,31 @@ struct Element<'a> {
 struct Tag {
     kind: u32,
     size: usize,
-    at: usize,
+    start: usize,
     next: usize,
 }
 
 /// Reads the head of the data element at a place.
-fn tag(b: &Bytes, at: usize) -> Result<Tag, Invalid> {
-    let word = b.u32(at)?;
+fn tag(b: &Bytes, start: usize) -> Result<Tag, Invalid> {
+    let word = b.u32(start)?;
     if word >> 16 != 0 {
         // The small format: size and type in one word, up to 4 bytes after it.
         let (kind, size) = (word & 0xffff, (word >> 16) as usize);
         if size > 4 {
-            return Err(broken(format!("has a small element of {size} bytes at byte {at}")));
+            return Err(broken(format!("has a small element of {size} bytes at byte {start}")));
         }
-        return Ok(Tag { kind, size, at: at + 4, next: at + 8 });
+        return Ok(Tag { kind, size, start: start + 4, next: start + 8 });
     }
-    let size = b.u32(at + 4)? as usize;
+    let size = b.u32(start + 4)? as usize;
     // Elements start at multiples of 8 bytes, but compressed ones follow each other.
     let padded = if word == COMPRESSED { size } else { size.div_ceil(8) * 8 };
-    Ok(Tag { kind: word, size, at: at + 8, next: at + 8 + padded })
+    Ok(Tag { kind: word, size, start: start + 8, next: start + 8 + padded })
 }
 
 /// Reads the data element at a place.
-fn element<'a>(b: &Bytes<'a>, at: usize) -> Result<Element<'a>, Invalid> {
-    let Tag { kind, size, at, next } = tag(b, at)?;
-    Ok(Element { kind, data: b.slice(at, size)?, next })
+fn element<'a>(b: &Bytes<'a>, start: usize) -> Result<Element<'a>, Invalid> {
+    let Tag { kind, size, start, next } = tag(b, start)?;
+    Ok(Element { kind, data: b.slice(start, size)?, next })
 }
 
 /// Reads the header of a numeric matrix from the first bytes of its element, which has `size` in all; `None` for
@@ -413,7 +413,7 @@ fn matrix<'a>(
         text: None,
         number: Number::U8,
         element: whole,
-        at: values.at,
+        start: values.start,
         len: values.size,
         is_field: false,
     };
@@ -435,7 +435,7 @@ fn matrix<'a>(
         other => return Err(broken(format!("has \"{}\" stored as type {other}", variable.name))),
     };
     let len = rows.checked_mul(columns).and_then(|n| n.checked_mul(variable.number.size()));
-    if len != Some(values.size) || values.at + values.size > size {
+    if len != Some(values.size) || values.start + values.size > size {
         let name = &variable.name;
         let problem = format!("has \"{name}\" of {rows} x {columns} in {} bytes", values.size);
         return Err(broken(problem));
@@ -448,7 +448,7 @@ fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     if values.size > LONGEST_TEXT {
         return None;
     }
-    let bytes = b.slice(values.at, values.size).ok()?;
+    let bytes = b.slice(values.start, values.size).ok()?;
     match values.kind {
         // Bytes, and UTF-8.
         1 | 2 | 16 => Some(String::from_utf8_lossy(bytes).into_owned()),

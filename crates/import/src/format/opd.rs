@@ -33,7 +33,7 @@ const MAPS: [&str; 4] = ["RAW_DATA", "RAW DATA", "OPD", "SAMPLE_DATA"];
 struct Block {
     name: String,
     kind: u16,
-    at: usize,
+    start: usize,
     len: usize,
 }
 
@@ -53,9 +53,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let blocks = blocks(&b)?;
     let block = chosen(&blocks, pick)?;
     let parameter = |name: &str| parameter(&b, &blocks, name);
-    let columns = usize::from(b.u16(block.at)?);
-    let rows = usize::from(b.u16(block.at + 2)?);
-    let (number, invalid) = match b.u16(block.at + 4)? {
+    let columns = usize::from(b.u16(block.start)?);
+    let rows = usize::from(b.u16(block.start + 2)?);
+    let (number, invalid) = match b.u16(block.start + 4)? {
         2 => (Number::I16, 32766.0),
         4 => (Number::F32, 1e38),
         other => return Err(bad(format!("has numbers of {other} bytes in {}", block.name))),
@@ -65,7 +65,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let problem = format!("has {rows} x {columns} pixels in {} bytes", block.len);
         return Err(bad(problem));
     }
-    let raw = b.slice(block.at + 6, count * number.size())?;
+    let raw = b.slice(block.start + 6, count * number.size())?;
     let values = number.decode(raw, count, false)?;
     let values = Array2::from_shape_vec((columns, rows), values).expect("one value per pixel");
     let values = values.reversed_axes().as_standard_layout().into_owned();
@@ -110,12 +110,12 @@ fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
         return Err(too_many(NAME, MOST_ARRAYS, "blocks", "export only the map"));
     }
     let mut blocks = Vec::new();
-    let mut at = 2usize;
+    let mut start = 2usize;
     for i in 0..entries {
         let entry = 2 + ENTRY * i;
         let len = b.u32(entry + 18)? as usize;
-        blocks.push(Block { name: b.text(entry, 16)?, kind: b.u16(entry + 16)?, at, len });
-        at = at.saturating_add(len);
+        blocks.push(Block { name: b.text(entry, 16)?, kind: b.u16(entry + 16)?, start, len });
+        start = start.saturating_add(len);
     }
     Ok(blocks)
 }
@@ -129,10 +129,10 @@ fn find<'a>(blocks: &'a [Block], name: &str) -> Option<&'a Block> {
 fn parameter(b: &Bytes<'_>, blocks: &[Block], name: &str) -> Result<Option<f64>, Invalid> {
     let Some(block) = find(blocks, name) else { return Ok(None) };
     let value = match block.kind {
-        6 => f64::from(b.i16(block.at)?),
-        7 => f64::from(b.f32(block.at)?),
-        8 => b.f64(block.at)?,
-        12 => f64::from(b.i32(block.at)?),
+        6 => f64::from(b.i16(block.start)?),
+        7 => f64::from(b.f32(block.start)?),
+        8 => b.f64(block.start)?,
+        12 => f64::from(b.i32(block.start)?),
         other => return Err(bad(format!("has {name} of type {other}"))),
     };
     if !value.is_finite() {

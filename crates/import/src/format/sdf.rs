@@ -181,7 +181,7 @@ fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     };
     let scales = [b.f64(46 + more)?, b.f64(54 + more)?, b.f64(62 + more)?];
     let [compression, kind, check] =
-        [78, 79, 80].map(|at| at + more).map(|at| b.slice(at, 1).map(|s| s[0]));
+        [78, 79, 80].map(|start| start + more).map(|start| b.slice(start, 1).map(|s| s[0]));
     let number = number(kind?)?;
     let count = check_size("SDF map", rows, columns)?;
     let raw = b.slice(HEADER + more, count * number.size())?;

@@ -40,8 +40,8 @@ pub(crate) const MAGIC: &[u8] = b"DIGITAL SURF";
 pub(crate) const COMPRESSED: &[u8] = b"DSCOMPRESSED";
 
 /// Returns the unit that the 16 bytes at `at` name.
-fn unit_word(b: &Bytes<'_>, at: usize) -> Result<String, Invalid> {
-    let raw = b.slice(at, 16)?;
+fn unit_word(b: &Bytes<'_>, start: usize) -> Result<String, Invalid> {
+    let raw = b.slice(start, 16)?;
     // Older writers use one byte per letter.
     let text = match std::str::from_utf8(raw) {
         Ok(text) => text.to_string(),
@@ -51,8 +51,8 @@ fn unit_word(b: &Bytes<'_>, at: usize) -> Result<String, Invalid> {
 }
 
 /// Returns the length at `at` in mm, whose unit is at `unit_at`.
-fn length_mm(b: &Bytes<'_>, at: usize, unit_at: usize) -> Result<f64, Invalid> {
-    let length = f64::from(b.f32(at)?);
+fn length_mm(b: &Bytes<'_>, start: usize, unit_at: usize) -> Result<f64, Invalid> {
+    let length = f64::from(b.f32(start)?);
     Ok(length * Unit::stated("coordinate_unit", &unit_word(b, unit_at)?)?.mm()?)
 }
 
