@@ -69,11 +69,11 @@ pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result
     if pick.mask.is_none() && pick.dataset.is_none() {
         refuse_marks(arrays, &map, file)?;
     }
-    if chosen.x.is_none() {
-        if let Some([x, y]) = coordinates(arrays, &map, pick.is_tif) {
-            chosen.x = Some(x);
-            chosen.y = Some(y);
-        }
+    if chosen.x.is_none()
+        && let Some([x, y]) = coordinates(arrays, &map, pick.is_tif)
+    {
+        chosen.x = Some(x);
+        chosen.y = Some(y);
     }
     Ok(chosen)
 }
