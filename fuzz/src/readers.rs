@@ -5,7 +5,7 @@
 
 use planish_handoff::{Manifest, kind::Dtype, npy};
 use planish_import::{
-    Format, Origin, Pick, Settings, Unit,
+    Format, Origin, Pick, ReadingSettings, Unit,
     program::{self, Configuration, ProgramAxis},
     read, surface, tif,
     trace::{self, LogFormat, TraceSettings, following, motion::Between},
@@ -59,14 +59,14 @@ pub fn prepare() {
 
 /// A map: as a surface and as a TIF, with everything given that a file may leave out.
 fn map(format: Format, bytes: &[u8]) {
-    let _ = Format::of(bytes);
+    let _ = Format::recognise(bytes);
     for is_tif in [false, true] {
         let pick = Pick { is_tif, ..Pick::default() };
         let reading = match read(format, bytes, &pick) {
             Ok(reading) => reading,
             Err(error) => return readable(&error.to_string()),
         };
-        let settings = Settings {
+        let settings = ReadingSettings {
             override_file: true,
             unit: reading.unit.or(Some(Unit::named("nm"))),
             wavelength_nm: reading.wavelength_nm.or(Some(632.8)),
@@ -76,7 +76,7 @@ fn map(format: Format, bytes: &[u8]) {
                 .as_ref()
                 .map(|coordinates| coordinates.unit.unwrap_or(Unit::named("mm"))),
             origin: Origin::Centre,
-            ..Settings::default()
+            ..ReadingSettings::default()
         };
         let made = match is_tif {
             false => surface(reading, &settings).map(|made| made.1),
@@ -140,7 +140,7 @@ fn motion(controller: ControllerKind, bytes: &[u8]) {
 /// A log in every format, with everything given that it may leave out.
 fn log(bytes: &[u8]) {
     let formats = [LogFormat::Csv, LogFormat::Xps, LogFormat::Aerotech, LogFormat::Galil];
-    let formats = match LogFormat::of(bytes, None) {
+    let formats = match LogFormat::recognise(bytes, None) {
         Some(format) => vec![format],
         None => formats.to_vec(),
     };

@@ -223,7 +223,7 @@ impl FeedPlan {
             _ => match (r.model_rms_nm, r.model_rms_detilted_nm) {
                 (Some(rms_nm), Some(detilted_nm)) => {
                     let after = Rms { rms_nm, detilted_nm };
-                    plausible::drawback(Rms::of(surface), after, total_time_s)
+                    plausible::drawback(Rms::of_surface(surface), after, total_time_s)
                 }
                 _ => plausible::too_long(total_time_s),
             },
@@ -595,7 +595,7 @@ fn rms_nm(residual_nm: &Array2<f64>, surface: &Surface) -> f64 {
 /// Returns the RMS of the residual as a map.
 fn residual(residual_nm: &Array2<f64>, surface: &Surface) -> Option<Rms> {
     let map = Surface::new(*surface.grid(), masked(residual_nm, surface));
-    map.ok().map(|s| Rms::of(&s))
+    map.ok().map(|s| Rms::of_surface(&s))
 }
 
 /// Returns the residual with NaN on invalid pixels.

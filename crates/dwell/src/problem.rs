@@ -72,11 +72,11 @@ impl<'a> Problem<'a> {
 /// Returns the RMS of the map before the plan, over the pixels of a weight that is not 0. Accepts weights of
 /// another shape, which the solver refuses later.
 pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
-    let Some(weight) = weight else { return Rms::of(desired) };
+    let Some(weight) = weight else { return Rms::of_surface(desired) };
     let mut height = desired.height_nm().clone();
     height.iter_mut().zip(weight).filter(|(_, w)| **w == 0.0).for_each(|(z, _)| *z = f64::NAN);
     let counted = Surface::new(*desired.grid(), height);
-    counted.map_or_else(|_| Rms::of(desired), |surface| Rms::of(&surface))
+    counted.map_or_else(|_| Rms::of_surface(desired), |surface| Rms::of_surface(&surface))
 }
 
 /// Dwell times, their effect, and the report of the solver.

@@ -38,18 +38,25 @@ pub(crate) struct Arrays {
     pub marks: Vec<Named>,
 }
 
-/// The name of an array without its groups.
+impl Arrays {
+    /// Returns the shape of an array of real numbers.
+    fn shape(&self, name: &str) -> Option<&[u64]> {
+        self.numbers.iter().find(|a| a.0 == name).map(|a| &a.1[..])
+    }
+}
+
+/// Returns the name of an array without its groups.
 pub(crate) fn leaf(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
-/// The groups or structures of an array, with the sign after them.
+/// Returns the groups or structures of an array, with the sign after them.
 pub(crate) fn prefix(name: &str) -> &str {
-    &name[..name.rfind(['/', '.']).map_or(0, |at| at + 1)]
+    &name[..name.rfind(['/', '.']).map_or(0, |end| end + 1)]
 }
 
-/// The names to read out of `arrays`: those asked for, else customary ones that are there, else the only map, with the
-/// coordinates beside it.
+/// Returns the names to read out of `arrays`: those asked for, else customary ones that are there, else the only map,
+/// with the coordinates beside it.
 pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<Pick, Invalid> {
     if pick.x.is_some() != pick.y.is_some() {
         return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
@@ -62,18 +69,19 @@ pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result
     if pick.mask.is_none() && pick.dataset.is_none() {
         refuse_marks(arrays, &map, file)?;
     }
-    if chosen.x.is_none() {
-        let coordinates = coordinates(arrays, &map, pick.is_tif);
-        (chosen.x, chosen.y) = coordinates.map_or((None, None), |[x, y]| (Some(x), Some(y)));
+    if chosen.x.is_none()
+        && let Some([x, y]) = coordinates(arrays, &map, pick.is_tif)
+    {
+        chosen.x = Some(x);
+        chosen.y = Some(y);
     }
     Ok(chosen)
 }
 
-/// The name of the map that nobody names.
+/// Returns the name of the map that nobody names. Refuses a file with several maps or none.
 fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, Invalid> {
-    let is_map = |shape: &[u64]| shape.len() == 2 && shape.iter().all(|n| *n > 1);
-    let maps: Vec<&str> =
-        arrays.numbers.iter().filter(|a| is_map(&a.1)).map(|a| a.0.as_str()).collect();
+    let maps = arrays.numbers.iter().filter(|a| a.1.len() == 2 && a.1.iter().all(|n| *n > 1));
+    let maps: Vec<&str> = maps.map(|a| a.0.as_str()).collect();
     let customary = CUSTOMARY[usize::from(pick.is_tif)][0];
     if arrays.numbers.iter().any(|a| a.0 == customary) {
         return Ok(customary.into());
@@ -104,11 +112,10 @@ fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, 
 /// Refuses a map beside which lies an array of its size that may say which pixels are valid.
 fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), Invalid> {
     let Some((_, shape)) = arrays.numbers.iter().find(|a| a.0 == map) else { return Ok(()) };
-    let is_named = |name: &str| {
-        let own = leaf(name).to_lowercase();
-        own == "dq" || MARKS.iter().any(|word| own.contains(word))
-    };
-    let named = arrays.numbers.iter().filter(|a| is_named(&a.0) && a.0 != map);
+    let named = arrays.numbers.iter().filter(|a| {
+        let own = leaf(&a.0).to_lowercase();
+        a.0 != map && (own == "dq" || MARKS.iter().any(|word| own.contains(word)))
+    });
     let Some((mask, _)) = arrays.marks.iter().chain(named).find(|a| a.1 == *shape) else {
         return Ok(());
     };
@@ -120,38 +127,46 @@ fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), In
     Err(Invalid::whole(file, problem, remedy))
 }
 
-/// The names of the coordinates x and y beside a map: its own ones beside a customary map; beside another one, vectors or
-/// matrices of its size that are not those of another customary map.
+/// Returns the names of the coordinates x and y beside a map: its own ones beside a customary map; beside another one,
+/// vectors or matrices of its size that are not those of another customary map.
 fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> {
-    let shape = |name: &str| arrays.numbers.iter().find(|a| a.0 == name).map(|a| &a.1);
-    let (own, name) = (prefix(map), &map[prefix(map).len()..]);
-    let of_group = |[x, y]: [&str; 2]| [format!("{own}{x}"), format!("{own}{y}")];
-    let are_there = |names: &[String; 2]| names.iter().all(|name| shape(name).is_some());
-    let customary = CUSTOMARY.iter().find(|[z, ..]| name == *z);
-    if let Some(pair) = customary.map(|[_, x, y]| of_group([x, y])).filter(are_there) {
-        return Some(pair);
+    let group = prefix(map);
+    let customary = CUSTOMARY.iter().find(|[z, ..]| map[group.len()..] == **z);
+    if let Some([_, x, y]) = customary {
+        let names = [x, y].map(|name| format!("{group}{name}"));
+        if names.iter().all(|name| arrays.shape(name).is_some()) {
+            return Some(names);
+        }
     }
-    let of_map = shape(map)?;
-    let count = |shape: &[u64]| shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s));
-    let fits = |names: &[String; 2]| {
-        let (Some(x), Some(y)) = (shape(&names[0]), shape(&names[1])) else { return false };
-        let mut counts = [count(x), count(y)];
-        let mut sizes = [of_map.first().copied(), of_map.last().copied()];
-        counts.sort_unstable();
-        sizes.sort_unstable();
-        (x == of_map && y == of_map) || counts == sizes
-    };
-    let of_another = |pair: &[&str; 2]| {
-        let owners = CUSTOMARY.iter().filter(|[_, x, y]| *pair == [*x, *y]);
-        customary.is_some()
-            && owners.into_iter().any(|[z, ..]| shape(&format!("{own}{z}")).is_some())
-    };
+    let shape = arrays.shape(map)?;
     let [_, x, y] = CUSTOMARY[usize::from(is_tif)];
-    let pairs = [[x, y]].into_iter().chain(BESIDE).filter(|pair| !of_another(pair));
-    pairs.map(of_group).find(fits)
+    for pair in [[x, y]].into_iter().chain(BESIDE) {
+        let mut owners = CUSTOMARY.iter().filter(|[_, x, y]| pair == [*x, *y]);
+        let is_of_another = customary.is_some()
+            && owners.any(|[z, ..]| arrays.shape(&format!("{group}{z}")).is_some());
+        let names = pair.map(|name| format!("{group}{name}"));
+        let [Some(x), Some(y)] = [arrays.shape(&names[0]), arrays.shape(&names[1])] else {
+            continue;
+        };
+        if !is_of_another && are_coordinates(x, y, shape) {
+            return Some(names);
+        }
+    }
+    None
 }
 
-/// The coordinates of an axis from a vector, or from a matrix that varies along one axis only.
+/// Returns true if arrays of the shapes `x` and `y` may be coordinates of a map: both are of its shape, or vectors of
+/// its two lengths, in either order.
+fn are_coordinates(x: &[u64], y: &[u64], map: &[u64]) -> bool {
+    let mut counts =
+        [x, y].map(|shape| shape.iter().try_fold(1u64, |n, size| n.checked_mul(*size)));
+    let mut sizes = [map.first().copied(), map.last().copied()];
+    counts.sort_unstable();
+    sizes.sort_unstable();
+    (x == map && y == map) || counts == sizes
+}
+
+/// Returns the coordinates of an axis from a vector, or from a matrix that varies along one axis only.
 pub(crate) fn along(
     name: &'static str,
     values: &Array2<f64>,
@@ -176,31 +191,30 @@ pub(crate) fn along(
     Ok(line)
 }
 
-/// The coordinates of the columns and rows of a map of `(rows, columns)` from arrays called as `pick` says, with the unit at
-/// the end of their names.
+/// Returns the coordinates of the columns and rows of a map of `(rows, columns)` from arrays called as `pick` says,
+/// with the unit at the end of their names.
 pub(crate) fn named_coordinates(
     pick: &Pick,
     x: &Array2<f64>,
     y: &Array2<f64>,
     (rows, columns): (usize, usize),
 ) -> Result<Coordinates, Invalid> {
-    let unit_of = |name: &Option<String>| {
+    let [unit, unit_of_y] = [&pick.x, &pick.y].map(|name| {
         let name = name.as_deref().unwrap_or_default();
         Unit::of_name(&name[prefix(name).len()..]).ok().and_then(|(_, unit)| unit)
-    };
-    let unit = unit_of(&pick.x);
-    if unit != unit_of(&pick.y) {
+    });
+    if unit != unit_of_y {
         let problem = format!("{:?} and {:?} are in two units", pick.x, pick.y);
         return Err(Invalid::whole("coordinates", problem, "give both the same unit"));
     }
     Ok(Coordinates { x: along("x", x, columns, true)?, y: along("y", y, rows, false)?, unit })
 }
 
-/// True where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.
+/// Returns true where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be
+/// transposed.
 pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
     let (rows, columns) = size;
-    let is_vector = |a: &Array2<f64>| a.nrows() == 1 || a.ncols() == 1;
-    if is_vector(x) && is_vector(y) {
+    if [x, y].iter().all(|a| a.nrows() == 1 || a.ncols() == 1) {
         return rows != columns && x.len() == rows && y.len() == columns;
     }
     let goes_along_rows = |a: &Array2<f64>| {
@@ -208,6 +222,11 @@ pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) 
             && a[[0, 0]] != a[[rows - 1, 0]]
     };
     x.dim() == size && y.dim() == size && goes_along_rows(x) && !goes_along_rows(y)
+}
+
+/// Returns an array, transposed where the map [`is_turned`].
+pub(crate) fn upright(values: Array2<f64>, is_turned: bool) -> Array2<f64> {
+    if is_turned { values.reversed_axes().as_standard_layout().into_owned() } else { values }
 }
 
 /// The warning where [`is_turned`] transposed a map.

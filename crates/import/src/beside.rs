@@ -168,7 +168,7 @@ impl Beside {
     /// Reads a comment without its mark; `line` counts from 1.
     ///
     /// # Errors
-    /// A unit that is not understood, or a statement that contradicts another one.
+    /// Refuses a unit that is not understood, and a statement that contradicts another one.
     pub fn add_comment(&mut self, comment: &str, line: usize) -> Result<(), Invalid> {
         let end = comment.char_indices().nth(LONGEST).map_or(comment.len(), |(end, _)| end);
         let comment = &comment[..end];
@@ -357,11 +357,11 @@ impl Beside {
     /// As [`Self::add_comment`].
     pub fn add_variables(&mut self, variables: &[Variable]) -> Result<(), Invalid> {
         let plain_keys: Vec<String> = variables.iter().map(|v| plain(&v.key)).collect();
-        let companion = |key: &str| {
+        let companions = plain_keys.iter().map(|key| {
             let names = [format!("{key} unit"), format!("{key} units")];
             plain_keys.iter().position(|other| names.contains(other))
-        };
-        let companions: Vec<Option<usize>> = plain_keys.iter().map(|key| companion(key)).collect();
+        });
+        let companions: Vec<Option<usize>> = companions.collect();
         for (i, variable) in variables.iter().enumerate() {
             if companions.contains(&Some(i)) {
                 continue;
@@ -388,6 +388,7 @@ impl Beside {
         Ok(true)
     }
 
+    /// Takes the units of x, y and z. Refuses two units of the coordinates, and another unit of the values than before.
     fn take_columns(&mut self, [x, y, z]: [Option<Unit>; 3]) -> Result<(), Invalid> {
         if let (Some(x), Some(y)) = (x, y)
             && x != y
@@ -409,7 +410,7 @@ impl Beside {
     /// Takes a unit of the values.
     ///
     /// # Errors
-    /// Another one before.
+    /// Refuses another one than before.
     pub fn state_unit(&mut self, unit: Unit) -> Result<(), Invalid> {
         if let Some(before) = self.unit.filter(|before| *before != unit) {
             let problem = format!("is {before} in one statement of the file, {unit} in another");
@@ -430,7 +431,7 @@ impl Beside {
     /// Gives the statements to a reading that has none of its own.
     ///
     /// # Errors
-    /// A statement that contradicts the numbers or another statement.
+    /// Refuses a statement that contradicts the numbers or another statement.
     pub fn apply(self, reading: &mut Reading) -> Result<(), Invalid> {
         let (rows, columns) = reading.values.dim();
         if let Some(unit) = self.unit {
@@ -440,7 +441,8 @@ impl Beside {
                 let remedy = "correct the one that is wrong, or give `unit` and `override_file`";
                 reading.unit_problem = Some(Invalid::whole("unit", problem, remedy));
             } else {
-                (reading.unit, reading.unit_by_custom) = (Some(unit), false);
+                reading.unit = Some(unit);
+                reading.unit_by_custom = false;
             }
         }
         if reading.unit.is_none() && reading.unit_word.is_none() {
@@ -467,10 +469,9 @@ impl Beside {
         if let Some(coordinates) = &mut reading.coordinates {
             coordinates.unit = coordinates.unit.or(self.coordinate_unit);
         } else if reading.rule.is_none() && reading.pixel_mm.is_none() {
-            let counts = [columns, rows];
-            let of_size = |k: usize| size_mm[k].map(|mm| mm / counts[k] as f64);
-            let pitch = |k: usize| of_size(k).or(self.pitch_mm[k]);
-            if let (Some(x), Some(y)) = (pitch(0), pitch(1)) {
+            let [x, y] = [(0, columns), (1, rows)]
+                .map(|(k, count)| size_mm[k].map(|mm| mm / count as f64).or(self.pitch_mm[k]));
+            if let (Some(x), Some(y)) = (x, y) {
                 reading.pixel_mm = Some([x, y]);
                 // Programs that write the size into a text write the picture from its top.
                 if reading.format == Format::Csv && size_mm.iter().all(Option::is_some) {
@@ -479,7 +480,8 @@ impl Beside {
             }
         }
         if let Some(row) = self.first_row {
-            (reading.first_row, reading.first_row_stated) = (row, true);
+            reading.first_row = row;
+            reading.first_row_stated = true;
         }
         reading.wavelength_nm = reading.wavelength_nm.or(self.wavelength_nm);
         for (k, (stated, count)) in self.counts.into_iter().zip([columns, rows]).enumerate() {
@@ -537,11 +539,11 @@ fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
 /// Returns the side that a text says the first row is.
 fn row_of(value: &str) -> Option<FirstRow> {
     let value = value.to_lowercase();
-    let has = |words: &[&str]| words.iter().any(|word| value.contains(word));
-    let top =
-        has(&["top", "upper", "oben", "haut", "superior", "arriba", "largest y", "descending"]);
-    let bottom =
-        has(&["bottom", "lower", "unten", "bas", "inferior", "abajo", "smallest y", "ascending"]);
+    let [top, bottom] = [
+        ["top", "upper", "oben", "haut", "superior", "arriba", "largest y", "descending"],
+        ["bottom", "lower", "unten", "bas", "inferior", "abajo", "smallest y", "ascending"],
+    ]
+    .map(|words| words.iter().any(|word| value.contains(word)));
     match (top, bottom) {
         (true, false) => Some(FirstRow::Top),
         (false, true) => Some(FirstRow::SmallestY),
@@ -586,15 +588,15 @@ fn wavelength_nm(value: f64) -> Option<f64> {
 
 /// A piece of a line that names columns.
 #[derive(Debug, PartialEq)]
-enum Piece<'a> {
+enum HeaderWord<'a> {
     Word(&'a str),
     Bracket(&'a str),
     Number,
 }
 
 /// Returns the words, numbers and brackets of a text.
-fn pieces(text: &str) -> Vec<Piece<'_>> {
-    let mut found = Vec::new();
+fn header_words(text: &str) -> Vec<HeaderWord<'_>> {
+    let mut words = Vec::new();
     let mut rest = text;
     while let Some(c) = rest.chars().next() {
         let closing = match c {
@@ -604,47 +606,49 @@ fn pieces(text: &str) -> Vec<Piece<'_>> {
             _ => None,
         };
         if let Some((inside, after)) = closing.and_then(|close| rest[1..].split_once(close)) {
-            found.push(Piece::Bracket(inside.trim()));
+            words.push(HeaderWord::Bracket(inside.trim()));
             rest = after;
             continue;
         }
-        let is_mark = |c: char| c.is_whitespace() || "()[]{},;:=|\"：".contains(c);
-        let end = rest.find(is_mark).unwrap_or(rest.len());
+        let end = rest.find(|c: char| c.is_whitespace() || "()[]{},;:=|\"：".contains(c));
+        let end = end.unwrap_or(rest.len());
         if end == 0 {
             rest = &rest[c.len_utf8()..];
             continue;
         }
         let word = &rest[..end];
-        found.push(if word.parse::<f64>().is_ok() { Piece::Number } else { Piece::Word(word) });
+        words.push(if word.parse::<f64>().is_ok() {
+            HeaderWord::Number
+        } else {
+            HeaderWord::Word(word)
+        });
         rest = &rest[end..];
     }
-    found
+    words
 }
 
 /// Returns which of x, y and z a word names.
 fn axes_of_name(word: &str) -> [bool; 3] {
     let word = plain(word);
-    let of = |letter: &str| {
-        word == letter || word.strip_prefix(letter).is_some_and(|rest| rest.starts_with(' '))
-    };
     if is_key(COORDINATE_NAMES, &word) {
         return [true, true, false];
     }
-    [of("x"), of("y"), is_key(VALUE_NAMES, &word)]
+    let first = word.split(' ').next();
+    [first == Some("x"), first == Some("y"), is_key(VALUE_NAMES, &word)]
 }
 
 /// Returns the units that a text gives to the columns x, y and z; `None` where it gives none.
 ///
 /// # Errors
-/// A word in brackets after the name of a column that is no unit.
+/// Refuses a word in brackets after the name of a column that is no unit.
 fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
-    let pieces = pieces(text);
+    let header_words = header_words(text);
     let mut units = [None; 3];
-    let words: Vec<Option<Unit>> = pieces
+    let words: Vec<Option<Unit>> = header_words
         .iter()
         .map(|piece| match piece {
-            Piece::Word(word) | Piece::Bracket(word) => Unit::spelled(word),
-            Piece::Number => None,
+            HeaderWord::Word(word) | HeaderWord::Bracket(word) => Unit::spelled(word),
+            HeaderWord::Number => None,
         })
         .collect();
     if let [Some(x), Some(y), Some(z)] = words[..] {
@@ -654,23 +658,27 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
         return Ok([Some(xy), Some(xy), Some(z)]);
     }
     let mut named = [false; 3];
-    let (mut after_number, mut after_in) = (false, false);
-    for piece in &pieces {
+    let mut after_number = false;
+    let mut after_in = false;
+    for piece in &header_words {
         let unit = match piece {
-            Piece::Number => {
-                (after_number, after_in) = (true, false);
+            HeaderWord::Number => {
+                after_number = true;
+                after_in = false;
                 continue;
             }
-            Piece::Word(word) => {
-                let (name, of_name) = match word.contains(['_', '/']) {
-                    true => Unit::of_name(word).unwrap_or_else(|_| ((*word).into(), None)),
-                    false => ((*word).into(), None),
+            HeaderWord::Word(word) => {
+                let (name, of_name) = if word.contains(['_', '/']) {
+                    Unit::of_name(word).unwrap_or_else(|_| ((*word).into(), None))
+                } else {
+                    ((*word).into(), None)
                 };
                 let axes = axes_of_name(&name);
                 if axes != [false; 3] {
                     named = [0, 1, 2].map(|k| named[k] || axes[k]);
                     if of_name.is_none() {
-                        (after_number, after_in) = (false, false);
+                        after_number = false;
+                        after_in = false;
                         continue;
                     }
                     of_name
@@ -686,7 +694,7 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
                     if after_in || is_certain { Unit::spelled(word) } else { None }
                 }
             }
-            Piece::Bracket(word) => {
+            HeaderWord::Bracket(word) => {
                 let word = word.split('@').next().unwrap_or_default().trim();
                 let unit = Unit::spelled(word);
                 let is_word = word.chars().any(char::is_alphabetic) && !word.contains(' ');
@@ -705,19 +713,20 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
             }
             named = [false; 3];
         }
-        (after_number, after_in) = (false, false);
+        after_number = false;
+        after_in = false;
     }
     Ok(units)
 }
 
 /// Returns true if a word of a text is a unit.
 fn names_a_unit(text: &str) -> bool {
-    pieces(text).iter().any(|piece| match piece {
-        Piece::Word(word) => {
+    header_words(text).iter().any(|piece| match piece {
+        HeaderWord::Word(word) => {
             word.chars().count() > 1 && *word != "in" && Unit::spelled(word).is_some()
         }
-        Piece::Bracket(word) => Unit::spelled(word).is_some(),
-        Piece::Number => false,
+        HeaderWord::Bracket(word) => Unit::spelled(word).is_some(),
+        HeaderWord::Number => false,
     })
 }
 

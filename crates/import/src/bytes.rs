@@ -12,51 +12,52 @@ pub(crate) struct Bytes<'a> {
 }
 
 impl<'a> Bytes<'a> {
-    /// `len` bytes at `at`.
-    pub fn slice(&self, at: usize, len: usize) -> Result<&'a [u8], Invalid> {
-        at.checked_add(len).and_then(|end| self.all.get(at..end)).ok_or_else(|| {
+    /// Returns `len` bytes from byte `start` on. Refuses what lies beyond the end.
+    pub fn slice(&self, start: usize, len: usize) -> Result<&'a [u8], Invalid> {
+        start.checked_add(len).and_then(|end| self.all.get(start..end)).ok_or_else(|| {
             let problem =
-                format!("is truncated: {len} bytes at byte {at}, {} are there", self.all.len());
+                format!("is truncated: {len} bytes at byte {start}, {} are there", self.all.len());
             Invalid::whole(self.name, problem, "export it again")
         })
     }
 
-    fn array<const N: usize>(&self, at: usize) -> Result<[u8; N], Invalid> {
+    /// Returns the bytes of a number, in the order of this machine.
+    fn array<const N: usize>(&self, start: usize) -> Result<[u8; N], Invalid> {
         let mut bytes = [0; N];
-        bytes.copy_from_slice(self.slice(at, N)?);
+        bytes.copy_from_slice(self.slice(start, N)?);
         if self.big_endian != cfg!(target_endian = "big") {
             bytes.reverse();
         }
         Ok(bytes)
     }
 
-    pub fn u16(&self, at: usize) -> Result<u16, Invalid> {
-        self.array(at).map(u16::from_ne_bytes)
+    pub fn u16(&self, start: usize) -> Result<u16, Invalid> {
+        self.array(start).map(u16::from_ne_bytes)
     }
 
-    pub fn i16(&self, at: usize) -> Result<i16, Invalid> {
-        self.array(at).map(i16::from_ne_bytes)
+    pub fn i16(&self, start: usize) -> Result<i16, Invalid> {
+        self.array(start).map(i16::from_ne_bytes)
     }
 
-    pub fn u32(&self, at: usize) -> Result<u32, Invalid> {
-        self.array(at).map(u32::from_ne_bytes)
+    pub fn u32(&self, start: usize) -> Result<u32, Invalid> {
+        self.array(start).map(u32::from_ne_bytes)
     }
 
-    pub fn i32(&self, at: usize) -> Result<i32, Invalid> {
-        self.array(at).map(i32::from_ne_bytes)
+    pub fn i32(&self, start: usize) -> Result<i32, Invalid> {
+        self.array(start).map(i32::from_ne_bytes)
     }
 
-    pub fn f32(&self, at: usize) -> Result<f32, Invalid> {
-        self.array(at).map(f32::from_ne_bytes)
+    pub fn f32(&self, start: usize) -> Result<f32, Invalid> {
+        self.array(start).map(f32::from_ne_bytes)
     }
 
-    pub fn f64(&self, at: usize) -> Result<f64, Invalid> {
-        self.array(at).map(f64::from_ne_bytes)
+    pub fn f64(&self, start: usize) -> Result<f64, Invalid> {
+        self.array(start).map(f64::from_ne_bytes)
     }
 
-    /// Text up to a NUL, without spaces at its ends.
-    pub fn text(&self, at: usize, len: usize) -> Result<String, Invalid> {
-        let bytes = self.slice(at, len)?;
+    /// Returns the text up to a NUL, without spaces at its ends. Refuses what lies beyond the end.
+    pub fn text(&self, start: usize, len: usize) -> Result<String, Invalid> {
+        let bytes = self.slice(start, len)?;
         let end = bytes.iter().position(|b| *b == 0).unwrap_or(len);
         let text = String::from_utf8_lossy(&bytes[..end]);
         Ok(text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_string())
@@ -80,7 +81,7 @@ pub(crate) enum Number {
 }
 
 impl Number {
-    /// Bytes of one.
+    /// Returns the bytes of one number.
     pub fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -90,7 +91,7 @@ impl Number {
         }
     }
 
-    /// `count` numbers from `bytes`, which must hold them; exactly, so a 64-bit integer that a 64-bit
+    /// Returns `count` numbers from `bytes`, which must hold them; exactly, so a 64-bit integer that a 64-bit
     /// float does not have is refused.
     pub fn decode(self, bytes: &[u8], count: usize, big_endian: bool) -> Result<Vec<f64>, Invalid> {
         fn each<const N: usize>(
@@ -132,9 +133,10 @@ impl Number {
     }
 }
 
-/// The number that the bits of a 16-bit float (IEEE 754 binary16) mean.
+/// Returns the number that the bits of a 16-bit float (IEEE 754 binary16) mean.
 fn half(bits: u16) -> f64 {
-    let (exponent, fraction) = (i32::from(bits >> 10) & 31, f64::from(bits & 1023));
+    let exponent = i32::from(bits >> 10) & 31;
+    let fraction = f64::from(bits & 1023);
     let magnitude = match exponent {
         0 => fraction * 2f64.powi(-24),
         31 if fraction == 0.0 => f64::INFINITY,
@@ -144,7 +146,7 @@ fn half(bits: u16) -> f64 {
     if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
-/// A 64-bit integer as a float; infinite where no float is equal to it.
+/// Returns a 64-bit integer as a float; infinite where no float is equal to it.
 pub(crate) fn exact<T: Copy + Into<i128>>(v: T) -> f64 {
     let v: i128 = v.into();
     let float = v as f64;

@@ -17,13 +17,13 @@ use planish_handoff::{
     warn, with_flags,
 };
 use planish_import::{
-    FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale, Settings, Statement,
-    Unit, read, svg, unknown,
+    FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, ReadingSettings, Rotation, Scale,
+    Statement, Unit, read, svg, unknown,
 };
 use planish_types::{Grid, Surface, Tif, text::significant};
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Method<Others: Subcommands> {
+pub(crate) enum ImportMethod<Others: Subcommands> {
     /// A height map
     Surface(surface::SurfaceArgs),
     /// A height map from two maps of slopes, along x and along y
@@ -37,7 +37,7 @@ pub(crate) enum Method<Others: Subcommands> {
     Others(Others),
 }
 
-impl<Others: Subcommands> Method<Others> {
+impl<Others: Subcommands> ImportMethod<Others> {
     pub(crate) fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Surface(arguments) => arguments.run(),
@@ -149,8 +149,8 @@ impl FileArgs {
     }
 
     /// Returns the settings of the library from the flags.
-    pub fn settings(&self, origin: Origin) -> Settings {
-        Settings {
+    pub fn settings(&self, origin: Origin) -> ReadingSettings {
+        ReadingSettings {
             override_file: self.override_file,
             unit: self.unit,
             wavelength_nm: self.wavelength_nm,
@@ -168,29 +168,25 @@ impl FileArgs {
         }
     }
 
-    /// Returns the format that was given, or that the content or the ending of the file tells; `bytes` are `None`
-    /// for a directory.
-    ///
-    /// # Errors
-    ///
-    /// If neither the flags nor the file tell it.
+    /// Returns the format of the flag, or that the content or the ending of the file tells; `bytes` are `None`
+    /// for a directory. Refuses a file of which neither the flag nor the file tells it.
     pub fn format(&self, bytes: Option<&[u8]>) -> Result<Format, Failure> {
         let path = &self.file;
         let Some(bytes) = bytes else { return Ok(Format::Directory) };
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        let by_ending = || Format::of_ending(ending.as_deref()?, bytes);
-        self.format.or_else(|| Format::of(bytes)).or_else(by_ending).ok_or_else(|| {
+        let format = self
+            .format
+            .or_else(|| Format::recognise(bytes))
+            .or_else(|| Format::of_ending(ending.as_deref()?, bytes));
+        format.ok_or_else(|| {
             let named = Format::value_variants().iter().filter_map(|f| f.to_possible_value());
             let formats: Vec<String> = named.map(|f| f.get_name().to_string()).collect();
             Failure::new(format!("{}: {}", path.display(), with_flags(&unknown(bytes, &formats))))
         })
     }
 
-    /// Writes the picture that was asked for. It appears with the map; an older one is replaced with --force.
-    ///
-    /// # Errors
-    ///
-    /// If it cannot be written.
+    /// Writes the picture that is requested. It appears with the map; an older one is replaced with --force. Fails if
+    /// it cannot be written.
     pub fn put_picture(
         &self,
         output: &mut Writer,
@@ -201,7 +197,7 @@ impl FileArgs {
     }
 }
 
-/// Three names or numbers, with commas between them.
+/// Reads three names or numbers, with commas between them.
 fn columns(text: &str) -> Result<[String; 3], String> {
     let names: Vec<String> = text.split(',').map(|name| name.trim().to_string()).collect();
     let all =
@@ -216,29 +212,22 @@ pub fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
     Failure::new(format!("{}: {}", path.display(), with_flags(&error.to_string())))
 }
 
-/// The bytes of a file of another program.
+/// Returns the bytes of a file of another program. Refuses an empty one.
 fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = inputs.read_bytes(role, path, MOST_FILE_BYTES)?;
-    match bytes.is_empty() {
-        true => Err(Failure::new(format!("{}: is empty; export it again", path.display()))),
-        false => Ok(bytes),
+    if bytes.is_empty() {
+        return Err(Failure::new(format!("{}: is empty; export it again", path.display())));
     }
+    Ok(bytes)
 }
 
-/// Returns the bytes of a map; `None` for a directory.
-///
-/// # Errors
-///
-/// If the file cannot be read, or is empty.
+/// Returns the bytes of a map, or `None` for a directory. Refuses a file that is empty, or that cannot be read.
 pub fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
     if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
 }
 
-/// Reads a map from the bytes of its file, or from its directory.
-///
-/// # Errors
-///
-/// If the file is not of the format, or does not have what `pick` names.
+/// Reads a map from the bytes of its file, or from its directory. Refuses a file that is not of the format, or does not
+/// have what `pick` names.
 pub fn open(
     inputs: &mut Inputs,
     role: &str,
@@ -255,16 +244,12 @@ pub fn open(
             let problem = "is a directory; leave out --dataset, --x, --y, --mask, --xyz-columns and --grid-mm";
             return Err(Failure::new(format!("{}: {problem}", path.display())));
         }
-        return Ok(match pick.is_tif {
-            false => {
-                let map: Surface = inputs.read(role, path)?;
-                Reading::of_map(map.grid(), map.height_nm())
-            }
-            true => {
-                let map: Tif = inputs.read(role, path)?;
-                Reading::of_map(map.grid(), map.rate_nm_per_s())
-            }
-        });
+        if pick.is_tif {
+            let map: Tif = inputs.read(role, path)?;
+            return Ok(Reading::of_map(map.grid(), map.rate_nm_per_s()));
+        }
+        let map: Surface = inputs.read(role, path)?;
+        return Ok(Reading::of_map(map.grid(), map.height_nm()));
     };
     read(format, &bytes, pick).map_err(|e| about(path, &e))
 }

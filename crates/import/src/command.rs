@@ -12,9 +12,9 @@ const EXAMPLES: &str = "Examples:\n\
 /// Read files of instruments and of other programs
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli<Others: Subcommands> {
+struct ImportCli<Others: Subcommands> {
     #[command(subcommand)]
-    method: crate::cli::Method<Others>,
+    method: crate::cli::ImportMethod<Others>,
 }
 
 /// Returns the command `planish import`, with further subcommands of another stage, which have a second name here.
@@ -22,10 +22,10 @@ pub const fn command<Others: Subcommands>() -> Stage {
     Stage {
         name: env!("CARGO_PKG_NAME"),
         main: main::<Others>,
-        definition: <Cli<Others> as CommandFactory>::command,
+        definition: <ImportCli<Others> as CommandFactory>::command,
     }
 }
 
 fn main<Others: Subcommands>() -> ExitCode {
-    planish_handoff::program(|cli: &Cli<Others>| cli.method.run())
+    planish_handoff::program(|cli: &ImportCli<Others>| cli.method.run())
 }

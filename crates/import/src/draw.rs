@@ -38,10 +38,10 @@ pub enum Scale {
     RateNmPerS,
 }
 
-/// A picture of `map` (ny, nx) on `grid`, with a title.
+/// Returns a picture of `map` (ny, nx) on `grid`, with a title, as SVG.
 pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String {
-    let (x, y) = (grid.x.edges_mm(), grid.y.edges_mm());
-    let (width_mm, height_mm) = (x[1] - x[0], y[1] - y[0]);
+    let [x, y] = [grid.x.edges_mm(), grid.y.edges_mm()];
+    let [width_mm, height_mm] = [x, y].map(|[low, high]| high - low);
     let px_per_mm = SIZE_PX / width_mm.max(height_mm);
     let size = [width_mm * px_per_mm, height_mm * px_per_mm];
     let scales = [AxisScale::linear(x), AxisScale::linear(y)];

@@ -106,8 +106,8 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format of a file from its first bytes, where they tell; text of numbers does not.
-    pub fn of(bytes: &[u8]) -> Option<Self> {
+    /// Returns the format of a file from its first bytes, where they tell; text of numbers does not.
+    pub fn recognise(bytes: &[u8]) -> Option<Self> {
         let starts = |magic: &[u8]| bytes.starts_with(magic);
         if metropro::is_magic(bytes) {
             Some(Self::Metropro)
@@ -116,11 +116,13 @@ impl Format {
         } else if starts(b"SIMPLE  =") {
             Some(Self::Fits)
         } else if hdf5::is_hdf5(bytes) {
-            Some(match () {
-                () if datx::is_datx(bytes) => Self::Datx,
-                () if four_sight::is_four_sight(bytes) => Self::FourSight,
-                () => Self::Hdf5,
-            })
+            if datx::is_datx(bytes) {
+                Some(Self::Datx)
+            } else if four_sight::is_four_sight(bytes) {
+                Some(Self::FourSight)
+            } else {
+                Some(Self::Hdf5)
+            }
         } else if starts(b"MATLAB 5.0") {
             Some(Self::Mat5)
         } else if starts(b"Zygo XYZ Data File") || starts(b"Zygo ASCII Data File") {
@@ -141,31 +143,36 @@ impl Format {
             Some(Self::X3p)
         } else {
             let text = text::text("text", bytes).ok()?;
-            let text = text.as_ref();
-            match () {
-                () if codev::is_codev(text) => Some(Self::CodevInt),
-                () if grid_sag::is_grid_sag(text) => Some(Self::GridSag),
-                () if wft::is_wft(text) => Some(Self::Wft),
-                () if presurface::is_presurface(text) => Some(Self::Presurface),
-                () => None,
+            if codev::is_codev(&text) {
+                Some(Self::CodevInt)
+            } else if grid_sag::is_grid_sag(&text) {
+                Some(Self::GridSag)
+            } else if wft::is_wft(&text) {
+                Some(Self::Wft)
+            } else if presurface::is_presurface(&text) {
+                Some(Self::Presurface)
+            } else {
+                None
             }
         }
     }
 
-    /// The format of a text of numbers from the ending of the file's name, in lower case, and from its first lines where
-    /// several formats have that ending.
+    /// Returns the format of a text of numbers from the ending of the file's name, in lower case, and from its first
+    /// lines where several formats have that ending.
     pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
-        let is_srw = || text::text("text", bytes).is_ok_and(|text| srw::is_srw(&text));
         match ending {
             "csv" => Some(Self::Csv),
             "xyz" => Some(Self::Xyz),
-            "dat" | "txt" if is_srw() => Some(Self::Srw),
+            "dat" | "txt" if srw::is_srw(&text::text("text", bytes).ok()?) => Some(Self::Srw),
             _ => None,
         }
     }
 }
 
 /// Reads the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
+///
+/// # Errors
+/// Refuses a file that is not of the format, names that the format does not have, and what its reader refuses.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.grid_mm.is_some() && format != Format::Xyz {
         let problem = "was given, but only lines x y z are interpolated";

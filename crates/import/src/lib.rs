@@ -3,7 +3,7 @@
 //!
 //! A reader turns the bytes of a file into a [`Reading`]: the numbers as they are stored, and what the file
 //! says about them. [`surface`] and [`tif`] turn a reading into a map or a TIF: one multiplication to nm,
-//! pitch in mm, row 0 at the smallest y. The user must state what the file does not say ([`Settings`]); it
+//! pitch in mm, row 0 at the smallest y. The user must state what the file does not say ([`ReadingSettings`]); it
 //! is never guessed.
 //!
 //! | module | contents |
@@ -39,8 +39,8 @@ pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
 pub use format::{Format, read};
 pub use reading::{
-    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Window,
-    surface, tif,
+    Coordinates, FirstRow, Origin, Pick, Reading, ReadingSettings, Rotation, Rule, Statement,
+    Window, surface, tif,
 };
 pub use unit::Unit;
 pub use unknown::unknown;

@@ -75,19 +75,18 @@ struct Layout {
 }
 
 impl Layout {
+    /// Returns the number of axes.
     fn len(&self) -> usize {
         self.names.len()
     }
 
-    /// Letter of every axis in a PMAC or G-code program. A radius is X.
+    /// Returns the letter of every axis in a PMAC or G-code program. A radius is X.
     fn letters(&self) -> Vec<char> {
-        let letter = |name: &String| match name.as_str() {
-            "r" => 'X',
-            name => name.chars().next().unwrap_or('?').to_ascii_uppercase(),
-        };
-        self.names.iter().map(letter).collect()
+        let first = self.names.iter().map(|name| name.chars().next().unwrap_or('?'));
+        first.map(|letter| if letter == 'r' { 'X' } else { letter.to_ascii_uppercase() }).collect()
     }
 
+    /// Returns true if an axis turns.
     fn turns(&self) -> bool {
         self.units.iter().any(|unit| unit == "deg")
     }
@@ -98,7 +97,7 @@ const AXES: [(&str, &str); 7] =
     [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
 
 impl Configuration {
-    /// The axes; refuses unknown ones, one twice, and numbers that are not finite.
+    /// Returns the axes; refuses unknown ones, one twice, and numbers that are not finite.
     fn layout(&self) -> Result<Layout, Invalid> {
         if self.axes.is_empty() {
             return Ok(Layout {
@@ -111,8 +110,11 @@ impl Configuration {
         for (i, axis) in self.axes.iter().enumerate() {
             let is_known = AXES.contains(&(axis.name.as_str(), axis.unit.as_str()));
             // A radius has the letter of x.
-            let place = |name: &str| if name == "r" { "x".to_string() } else { name.to_string() };
-            let is_new = self.axes[..i].iter().all(|other| place(&other.name) != place(&axis.name));
+            let is_new = self.axes[..i].iter().all(|other| {
+                let [a, b] =
+                    [other, axis].map(|axis| if axis.name == "r" { "x" } else { &axis.name });
+                a != b
+            });
             if !(is_known && is_new && axis.start.is_finite() && axis.count.is_finite()) {
                 let problem = format!("is {axis:?}");
                 let remedy =
@@ -132,7 +134,7 @@ impl Configuration {
         })
     }
 
-    /// This configuration, with absent settings taken from `about`, the file beside the program.
+    /// Returns this configuration, with absent settings taken from `about`, the file beside the program.
     pub fn completed_by(self, about: Self) -> Self {
         Self {
             start_mm: self.start_mm.or(about.start_mm),
@@ -150,7 +152,9 @@ impl Configuration {
 /// Reads a program of `controller` as the motion of x and y that it makes. The motion is in the coordinates of the
 /// part if the configuration has the transform from the part to the axes.
 ///
-/// Refuses a program of other axes: [`read_axes`] reads it.
+/// # Errors
+/// Refuses a program of other axes, which [`read_axes`] reads, a configuration of another program, and what the reader
+/// of the controller refuses.
 pub fn read(
     controller: ControllerKind,
     bytes: &[u8],
@@ -160,33 +164,28 @@ pub fn read(
         let problem = "are given, and a trajectory moves x and y";
         return Err(Invalid::whole("axes", problem, "read a motion of all axes"));
     }
-    let motion = of_axes(controller, bytes, configuration)?;
-    let pair = |i: usize| {
+    let motion = read_axes(controller, bytes, configuration)?;
+    let coefficients = (0..motion.len()).map(|i| {
         let c = motion.segment(i);
         [c[0], c[1]]
-    };
-    let of_axes = Trajectory::new(
+    });
+    let trajectory = Trajectory::new(
         motion.break_time_s().to_vec(),
-        (0..motion.len()).map(pair).collect(),
+        coefficients.collect(),
         motion.tool_on().to_vec(),
         motion.dwell_index().to_vec(),
     )?;
     match &configuration.part_to_axes {
-        Some(numbers) => numbers.checked()?.inverse()?.trajectory(&of_axes),
-        None => Ok(of_axes),
+        Some(numbers) => numbers.checked()?.inverse()?.trajectory(&trajectory),
+        None => Ok(trajectory),
     }
 }
 
 /// Reads a program of `controller` as the motion of all axes that it makes. The configuration has the list of axes.
+///
+/// # Errors
+/// Refuses a configuration of another program, and what the reader of the controller refuses.
 pub fn read_axes(
-    controller: ControllerKind,
-    bytes: &[u8],
-    configuration: &Configuration,
-) -> Result<AxesMotion, Invalid> {
-    of_axes(controller, bytes, configuration)
-}
-
-fn of_axes(
     controller: ControllerKind,
     bytes: &[u8],
     configuration: &Configuration,
@@ -217,14 +216,14 @@ pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
 /// of this program.
 fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     let Some(expected) = &configuration.program_blake3 else { return Ok(()) };
-    let found = blake3::hash(bytes).to_hex();
-    if expected.eq_ignore_ascii_case(&found) {
+    let hash = blake3::hash(bytes).to_hex();
+    if expected.eq_ignore_ascii_case(&hash) {
         return Ok(());
     }
     let short: String = expected.chars().take(16).collect();
     let problem = format!(
         "is {short:?}... in the file of `about`, that of the program is \"{}\"...",
-        &found[..16]
+        &hash[..16]
     );
     let remedy = "give the file that was written with this program, or export again";
     Err(Invalid::whole("program_blake3", problem, remedy))
@@ -240,7 +239,7 @@ struct Knot {
     tool_on: bool,
 }
 
-/// The cubic through position and velocity at both ends of a time T:
+/// Returns the cubic through position and velocity at both ends of a time T:
 ///
 /// ```text
 /// p(u) = p0 + v0 u + (3 (p1 - p0)/T - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 (p1 - p0)/T)/T^2 u^3
@@ -255,6 +254,7 @@ fn hermite(p: [f64; 2], v: [f64; 2], time_s: f64) -> [f64; 4] {
     ]
 }
 
+/// Returns the motion through knots. Refuses fewer than two.
 fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     if knots.len() < 2 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
@@ -279,11 +279,12 @@ fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
 /// Way out for a line that is not read.
 const REMEDY: &str = "correct the line, or leave it out if it moves nothing and switches nothing";
 
-/// An error in a line, counted from 1.
+/// Returns the error of a line, counted from 1.
 fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
     Invalid::at("program line", line, problem, REMEDY)
 }
 
+/// Returns the finite number that a text is.
 fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     text.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
         let short: String = text.trim().chars().take(20).collect();
@@ -291,6 +292,7 @@ fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     })
 }
 
+/// Returns a setting that the program needs. Refuses an absent one.
 fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| {
         let remedy = format!("give `{name}`, or `about` with the file beside the program");
@@ -298,6 +300,7 @@ fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     })
 }
 
+/// Returns a positive number; refuses any other.
 fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 {
         Ok(v)

@@ -6,7 +6,7 @@
 //!
 //! Without an offset this is one multiplication, so that a map comes back to the last bit its file
 //! holds. A unit or a pitch that the file does not state is asked for. A setting that contradicts the
-//! file is refused with both values; with [`Settings::override_file`] it takes the file's place.
+//! file is refused with both values; with [`ReadingSettings::override_file`] it takes the file's place.
 
 use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, text::significant};
@@ -154,15 +154,19 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Reading of a directory of `.npy`: `map` (ny, nx) in nm or nm/s on `grid`.
+    /// Returns the reading of a directory of `.npy`: `map` (ny, nx) in nm or nm/s on `grid`.
     pub fn of_map(grid: &Grid, map: &Array2<f64>) -> Self {
         let mut reading = Self::new(Format::Directory, map.clone(), FirstRow::SmallestY);
         reading.unit = Some(Unit::named("nm"));
-        let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-        reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::named("mm")) });
+        reading.coordinates = Some(Coordinates {
+            x: grid.x.coordinates(),
+            y: grid.y.coordinates(),
+            unit: Some(Unit::named("mm")),
+        });
         reading
     }
 
+    /// Returns a reading of which the file states nothing but its values.
     pub(crate) fn new(format: Format, values: Array2<f64>, first_row: FirstRow) -> Self {
         Self {
             format,
@@ -201,11 +205,12 @@ impl Reading {
     /// Takes the unit at the end of the name of a variable, such as `height_nm` or `rate_nm_per_min`.
     pub(crate) fn state_unit_of_name(&mut self, name: &str) {
         let mut words = name.rsplit('_');
-        let (time, length) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+        let time = words.next().unwrap_or_default();
+        let length = words.next().unwrap_or_default();
         // Such as tif_nm_s: a slash is no letter of a name.
         let rate = Unit::spelled(&format!("{length}/{time}")).filter(|unit| unit.is_rate());
-        let of_name = || Unit::of_name(name).ok().and_then(|(_, unit)| unit);
-        let Some(unit) = rate.or_else(of_name) else { return };
+        let unit = rate.or_else(|| Unit::of_name(name).ok().and_then(|(_, unit)| unit));
+        let Some(unit) = unit else { return };
         if name.ends_with("_in") || name.ends_with("_A") || name.ends_with(" A") {
             // It may be any word: an input, or the first of two maps.
             let problem = format!("may be {unit} by the name \"{name}\"");
@@ -289,7 +294,7 @@ pub enum Rotation {
 
 /// Statements of the user about a file. `None` leaves a quantity to the file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct ReadingSettings {
     /// True: a unit, pitch or wavelength given here takes the place of a different one in the file, with a warning.
     /// False: it is refused.
     pub override_file: bool,
@@ -322,7 +327,7 @@ pub struct Settings {
     pub place_mm: Option<[f64; 2]>,
 }
 
-impl Default for Settings {
+impl Default for ReadingSettings {
     fn default() -> Self {
         Self {
             override_file: false,
@@ -379,72 +384,65 @@ pub struct Statement {
 }
 
 impl Reading {
-    /// Place of the offset 0 of a map of rates, if nobody states it: as the coordinates of the file have
+    /// Returns the place of the offset 0 of a map of rates, if nobody states it: as the coordinates of the file have
     /// it, or in the middle if there are none.
-    pub fn usual_tif_origin(&self, settings: &Settings) -> Origin {
-        let by_rule = |rule: &Rule| {
-            let known = rule.unit.iter().all(|unit| unit.or(settings.coordinate_unit).is_some());
-            known && rule.reference.is_some()
-        };
-        let has_places = self.coordinates.is_some() || self.rule.as_ref().is_some_and(by_rule);
-        if has_places { Origin::File } else { Origin::Centre }
+    pub fn usual_tif_origin(&self, settings: &ReadingSettings) -> Origin {
+        let by_rule = self.rule.as_ref().is_some_and(|rule| {
+            rule.reference.is_some()
+                && rule.unit.iter().all(|unit| unit.or(settings.coordinate_unit).is_some())
+        });
+        if self.coordinates.is_some() || by_rule { Origin::File } else { Origin::Centre }
     }
 }
 
-/// The map of a reading, heights in nm.
-pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statement), Invalid> {
-    let (grid, values, statement) = map(reading, settings, Values::Heights)?;
+/// Returns the map of a reading, heights in nm.
+///
+/// # Errors
+/// Refuses a reading whose unit or pitch neither the file nor the settings state, settings that contradict the file,
+/// and maps without a valid pixel.
+pub fn surface(
+    reading: Reading,
+    settings: &ReadingSettings,
+) -> Result<(Surface, Statement), Invalid> {
+    let (grid, values, statement) = map(reading, settings, MapQuantity::Heights)?;
     Ok((Surface::new(grid, values)?, statement))
 }
 
-/// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it has a time.
-/// A spot that has to be cut out or divided by its time is one for `planish-tool`.
-pub fn tif(reading: Reading, settings: &Settings) -> Result<(Tif, Statement), Invalid> {
-    let (grid, values, statement) = map(reading, settings, Values::Rates)?;
+/// Returns the map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it
+/// has a time. A spot that has to be cut out or divided by its time is one for `planish-tool`.
+///
+/// # Errors
+/// Refuses what [`surface`] refuses, and rates of which [`Tif::new`] makes no TIF.
+pub fn tif(reading: Reading, settings: &ReadingSettings) -> Result<(Tif, Statement), Invalid> {
+    let (grid, values, statement) = map(reading, settings, MapQuantity::Rates)?;
     Ok((Tif::new(grid, values)?, statement))
 }
 
 /// Quantity of the values of a map.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Values {
+enum MapQuantity {
     /// Lengths.
     Heights,
     /// Lengths per time; per second where the unit has no time.
     Rates,
 }
 
+/// Returns grid, values (ny, nx) in nm or nm/s, and the statement of a reading.
 fn map(
     mut reading: Reading,
-    settings: &Settings,
-    kind: Values,
+    settings: &ReadingSettings,
+    kind: MapQuantity,
 ) -> Result<(Grid, Array2<f64>, Statement), Invalid> {
     let mut warnings = std::mem::take(&mut reading.warnings);
     let (unit, unit_from) = unit(&reading, settings, kind, &mut warnings)?;
-    if unit.is_rate() && kind == Values::Heights {
+    if unit.is_rate() && kind == MapQuantity::Heights {
         let remedy = "planish-tool from-maps reads rates by `rate`; leave out `dwell_s`";
         let problem = format!("of the values is {unit}, a removal rate, and heights are wanted");
         return Err(Invalid::whole("unit", problem, remedy));
     }
     let wavelength_nm = wavelength(&reading, unit, settings, &mut warnings)?;
-    if !(settings.surface_per_value.is_finite() && settings.surface_per_value > 0.0) {
-        let problem = format!("is {}", settings.surface_per_value);
-        let remedy = "give a positive factor, and `negate` for the other sign";
-        return Err(Invalid::whole("surface_per_value", problem, remedy));
-    }
-    if let Some(applied) = reading.scale_applied
-        && settings.surface_per_value != 1.0
-    {
-        let asked = settings.surface_per_value;
-        if !settings.override_file {
-            let problem = format!("is {applied} in the file and applied, {asked} was asked for");
-            let remedy = "leave out `surface_per_value`, or give `override_file`";
-            return Err(Invalid::whole("surface_per_value", problem, remedy));
-        }
-        reading.factor /= applied;
-        warnings
-            .push(format!("`surface_per_value` {asked} takes the place of {applied} in the file"));
-    }
-    let (factor, offset) = (reading.factor, reading.offset);
+    apply_surface_per_value(&mut reading, settings, &mut warnings)?;
+    let Reading { factor, offset, .. } = reading;
     if !(factor.is_finite() && factor != 0.0 && offset.is_finite()) {
         let problem = format!("of the heights is {factor}, their offset {offset}");
         return Err(Invalid::whole("scale", problem, "correct the file, or export it again"));
@@ -461,10 +459,11 @@ fn map(
     }
     warnings.extend(unnamed_marker(&reading.values));
     // height (nm) = (offset + factor x stored value) x nm_per_unit
-    reading.values.mapv_inplace(|v| match offset == 0.0 {
-        true => v * nm_per_value,
-        false => (offset + factor * v) * nm_per_unit,
-    });
+    if offset == 0.0 {
+        reading.values.mapv_inplace(|v| v * nm_per_value);
+    } else {
+        reading.values.mapv_inplace(|v| (offset + factor * v) * nm_per_unit);
+    }
     let Placed { grid, values, first_row, pitch_from, has_coordinates } =
         place(&reading, settings, &mut warnings)?;
     let (mut grid, values) = turn(grid, values, settings);
@@ -492,34 +491,61 @@ fn map(
     Ok((grid, values, statement))
 }
 
+/// Takes out the factor of the file where the settings have another one. Refuses a factor that is not positive, or that
+/// contradicts the file.
+fn apply_surface_per_value(
+    reading: &mut Reading,
+    settings: &ReadingSettings,
+    warnings: &mut Vec<String>,
+) -> Result<(), Invalid> {
+    let requested = settings.surface_per_value;
+    if !(requested.is_finite() && requested > 0.0) {
+        let remedy = "give a positive factor, and `negate` for the other sign";
+        return Err(Invalid::whole("surface_per_value", format!("is {requested}"), remedy));
+    }
+    let Some(applied) = reading.scale_applied.filter(|_| requested != 1.0) else { return Ok(()) };
+    if !settings.override_file {
+        let problem = format!("is {applied} in the file and applied, {requested} was asked for");
+        let remedy = "leave out `surface_per_value`, or give `override_file`";
+        return Err(Invalid::whole("surface_per_value", problem, remedy));
+    }
+    reading.factor /= applied;
+    warnings
+        .push(format!("`surface_per_value` {requested} takes the place of {applied} in the file"));
+    Ok(())
+}
+
 /// Distance of an extreme stored value from all other ones, relative to their range, from which on it is doubted as a mark
 /// of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches are doubted.
 const FAR: f64 = 3.0;
 
-/// The warning for two pixels or more with exactly the least or the largest value, if it lies far from all others.
+/// Returns the warning for two pixels or more with exactly the least or the largest value, if it lies far from all
+/// others.
 fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
-    let finite = || values.iter().copied().filter(|v| v.is_finite());
-    let [least, most] =
-        [finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max)];
-    [least, most].into_iter().find_map(|extreme| {
-        let others = || finite().filter(|v| *v != extreme);
-        let (low, high) =
-            (others().fold(f64::INFINITY, f64::min), others().fold(f64::NEG_INFINITY, f64::max));
+    let finite = values.iter().copied().filter(|v| v.is_finite());
+    let least = finite.clone().fold(f64::INFINITY, f64::min);
+    let most = finite.clone().fold(f64::NEG_INFINITY, f64::max);
+    for extreme in [least, most] {
+        let others = finite.clone().filter(|v| *v != extreme);
+        let low = others.clone().fold(f64::INFINITY, f64::min);
+        let high = others.fold(f64::NEG_INFINITY, f64::max);
         let away = (low - extreme).max(extreme - high);
-        let count = finite().filter(|v| *v == extreme).count();
-        (count >= 2 && high > low && away > FAR * (high - low)).then(|| {
-            format!(
+        let count = finite.clone().filter(|v| *v == extreme).count();
+        if count >= 2 && high > low && away > FAR * (high - low) {
+            return Some(format!(
                 "{count} pixels have the stored value {extreme}, and all others lie between {low} and {high}: give \
                  `no_data` {extreme} where it marks invalid pixels"
-            )
-        })
-    })
+            ));
+        }
+    }
+    None
 }
 
+/// Returns the unit of the values, and its source. Refuses a setting that contradicts the file.
 fn unit(
     reading: &Reading,
-    settings: &Settings,
-    kind: Values,
+    settings: &ReadingSettings,
+    kind: MapQuantity,
     warnings: &mut Vec<String>,
 ) -> Result<(Unit, &'static str), Invalid> {
     if let Some(problem) = &reading.unit_problem {
@@ -533,15 +559,6 @@ fn unit(
             }
         };
     }
-    // Rates without a time are per second.
-    let is_same = |a: Unit, b: Unit| {
-        let sizes = [a, b].map(|unit| unit.nm(Some(1.0)).unwrap_or(f64::NAN));
-        a == b
-            || kind == Values::Rates
-                && a.is_waves() == b.is_waves()
-                && a.is_rate() != b.is_rate()
-                && agree(sizes[0], sizes[1])
-    };
     match (reading.unit, settings.unit) {
         (None, requested) => unit_of_user(reading, requested, settings, warnings),
         (Some(custom), None) if reading.unit_by_custom => {
@@ -552,9 +569,9 @@ fn unit(
             Ok((custom, "custom of the format"))
         }
         (Some(_), Some(requested)) if reading.unit_by_custom => Ok((requested, "asked for")),
-        (Some(stated), Some(requested)) if !is_same(requested, stated) => {
+        (Some(stated), Some(requested)) if !is_same_unit(requested, stated, kind) => {
             // The file states the length, the user its time.
-            let adds_time = kind == Values::Rates
+            let adds_time = kind == MapQuantity::Rates
                 && !stated.is_rate()
                 && requested.is_rate()
                 && requested.without_time() == stated;
@@ -568,11 +585,22 @@ fn unit(
     }
 }
 
-/// [`unit`] of a file that states none for its values, but perhaps one of which it does not say what it is the unit of.
+/// Returns true for two names of one unit. Rates without a time are per second.
+fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
+    let sizes = [a, b].map(|unit| unit.nm(Some(1.0)).unwrap_or(f64::NAN));
+    a == b
+        || kind == MapQuantity::Rates
+            && a.is_waves() == b.is_waves()
+            && a.is_rate() != b.is_rate()
+            && agree(sizes[0], sizes[1])
+}
+
+/// Returns [`unit`] of a file that states none for its values, but perhaps one of which it does not say what it is the
+/// unit of.
 fn unit_of_user(
     reading: &Reading,
     requested: Option<Unit>,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<(Unit, &'static str), Invalid> {
     match (reading.lone_unit, requested) {
@@ -600,29 +628,30 @@ fn unit_of_user(
     }
 }
 
-/// A setting that is not what the file says: refused with both values, or a warning where it overrides.
+/// Refuses a setting that is not what the file says, with both values; it is a warning where the setting overrides.
 fn contradicts(
     name: &'static str,
     stated: String,
-    asked: String,
-    settings: &Settings,
+    requested: String,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<(), Invalid> {
     if settings.override_file {
-        warnings.push(format!("`{name}` {asked} takes the place of {stated} in the file"));
+        warnings.push(format!("`{name}` {requested} takes the place of {stated} in the file"));
         return Ok(());
     }
     Err(Invalid::whole(
         name,
-        format!("is {stated} in the file, {asked} was asked for"),
+        format!("is {stated} in the file, {requested} was asked for"),
         format!("leave out `{name}`, or give `override_file` where the file is wrong"),
     ))
 }
 
+/// Returns the wavelength of heights in waves, nm. Refuses a setting that contradicts the file.
 fn wavelength(
     reading: &Reading,
     unit: Unit,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<Option<f64>, Invalid> {
     match (reading.wavelength_nm, settings.wavelength_nm) {
@@ -646,11 +675,11 @@ fn wavelength(
             warnings.push(format!("the heights are in {unit:?}: `wavelength_nm` has no effect"));
             Ok(None)
         }
-        (stated, asked) => Ok(asked.or(stated)),
+        (stated, requested) => Ok(requested.or(stated)),
     }
 }
 
-/// True where two numbers are one: writers keep 6 digits or more.
+/// Returns true where two numbers are one: writers keep 6 digits or more.
 fn agree(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-5 * a.abs()
 }
@@ -665,9 +694,10 @@ struct Placed {
     has_coordinates: bool,
 }
 
+/// Places the values on their grid, by the coordinates of the file or by a pitch.
 fn place(
     reading: &Reading,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<Placed, Invalid> {
     let Some(coordinates) = &reading.coordinates else {
@@ -682,20 +712,19 @@ fn place(
     if in_pixels {
         return place_by_coordinates(reading, coordinates, settings.pixel_mm.unwrap_or([1.0; 2]));
     }
-    if let (Some(asked), true) = (settings.pixel_mm, settings.override_file) {
-        warnings
-            .push(format!("`pixel_mm` {asked:?} takes the place of the coordinates in the file"));
+    if let (Some(requested), true) = (settings.pixel_mm, settings.override_file) {
+        warnings.push(format!(
+            "`pixel_mm` {requested:?} takes the place of the coordinates in the file"
+        ));
         return place_by_pitch(reading, settings, warnings);
     }
-    if let Some(asked) = settings.pixel_mm {
-        let step = |c: &[f64]| match c {
+    if let Some(requested) = settings.pixel_mm {
+        let [x, y] = [&coordinates.x, &coordinates.y].map(|c| match c[..] {
             [first, .., last] => (last - first) / (c.len() - 1) as f64,
             _ => 0.0,
-        };
+        });
         let problem = format!(
-            "{asked:?} was given, but the file has coordinates with the steps {} and {}",
-            step(&coordinates.x),
-            step(&coordinates.y)
+            "{requested:?} was given, but the file has coordinates with the steps {x} and {y}"
         );
         let remedy = "leave it out; give `coordinate_unit` where the file does not state it (pixels, if they are \
                       numbers of pixels, together with `pixel_mm`)";
@@ -711,7 +740,7 @@ fn place(
     place_by_coordinates(reading, coordinates, [unit.mm()?; 2])
 }
 
-/// [`place`] of a file with arrays of coordinates; `unit_mm` are their units along (x, y), mm.
+/// Returns [`place`] of a file with arrays of coordinates; `unit_mm` are their units along (x, y), mm.
 fn place_by_coordinates(
     reading: &Reading,
     coordinates: &Coordinates,
@@ -719,20 +748,8 @@ fn place_by_coordinates(
 ) -> Result<Placed, Invalid> {
     let values = &reading.values;
     let (rows, columns) = values.dim();
-    let axis = |name: &'static str, given: &[f64], len: usize, to_mm: f64| {
-        if given.len() != len {
-            let problem = format!("has {} coordinates for {len} pixels", given.len());
-            return Err(Invalid::whole(name, problem, "give one per pixel"));
-        }
-        let mut mm: Vec<f64> = given.iter().map(|v| v * to_mm).collect();
-        let descends = mm.first() > mm.last();
-        if descends {
-            mm.reverse();
-        }
-        Axis::from_coordinates(name, &mm).map(|axis| (axis, descends))
-    };
-    let (x, x_descends) = axis("x", &coordinates.x, columns, unit_mm[0])?;
-    let (y, y_descends) = axis("y", &coordinates.y, rows, unit_mm[1])?;
+    let (x, x_descends) = ascending("x", &coordinates.x, columns, unit_mm[0])?;
+    let (y, y_descends) = ascending("y", &coordinates.y, rows, unit_mm[1])?;
     let mut view = values.view();
     if x_descends {
         view.invert_axis(ndarray::Axis(1));
@@ -750,10 +767,29 @@ fn place_by_coordinates(
     })
 }
 
-/// The unit of coordinates that the file states or the user gives, who must not contradict each other.
+/// Returns the axis through coordinates of `len` pixels, in units of `to_mm`, and true if they descend.
+fn ascending(
+    name: &'static str,
+    coordinates: &[f64],
+    len: usize,
+    to_mm: f64,
+) -> Result<(Axis, bool), Invalid> {
+    if coordinates.len() != len {
+        let problem = format!("has {} coordinates for {len} pixels", coordinates.len());
+        return Err(Invalid::whole(name, problem, "give one per pixel"));
+    }
+    let mut mm: Vec<f64> = coordinates.iter().map(|v| v * to_mm).collect();
+    let descends = mm.first() > mm.last();
+    if descends {
+        mm.reverse();
+    }
+    Ok((Axis::from_coordinates(name, &mm)?, descends))
+}
+
+/// Returns the unit of coordinates that the file states or the user gives, who must not contradict each other.
 fn coordinate_unit(
     stated: Option<Unit>,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Unit>, Invalid> {
     if let (Some(a), Some(b)) = (stated, settings.coordinate_unit)
@@ -764,10 +800,11 @@ fn coordinate_unit(
     Ok(settings.coordinate_unit.or(stated))
 }
 
-/// Distance of pixel centres, mm, and where it is from: the user or the file, who must not contradict each other.
+/// Returns the distance of pixel centres, mm, and where it is from: the user or the file, who must not contradict each
+/// other.
 fn pitch(
     of_file: Option<[f64; 2]>,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<([f64; 2], &'static str), Invalid> {
     let (pitch, pitch_from) = match (settings.pixel_mm, of_file) {
@@ -778,16 +815,15 @@ fn pitch(
                 "give `pixel_mm`, the distance of pixel centres",
             ));
         }
-        (Some(asked), stated) => {
+        (Some(requested), stated) => {
             if let Some(s) = stated
-                && !(agree(s[0], asked[0]) && agree(s[1], asked[1]))
+                && !(agree(s[0], requested[0]) && agree(s[1], requested[1]))
             {
-                let text = |p: [f64; 2]| {
-                    format!("{} x {} mm", significant(p[0], 10), significant(p[1], 10))
-                };
-                contradicts("pixel_mm", text(s), text(asked), settings, warnings)?;
+                let [a, b] = [s, requested]
+                    .map(|p| format!("{} x {} mm", significant(p[0], 10), significant(p[1], 10)));
+                contradicts("pixel_mm", a, b, settings, warnings)?;
             }
-            (asked, "asked for")
+            (requested, "asked for")
         }
         (None, Some(stated)) => (stated, "file"),
     };
@@ -800,10 +836,10 @@ fn pitch(
     Ok((pitch, pitch_from))
 }
 
-/// [`place`] of a file without arrays of coordinates: with its [`Rule`], or with a pitch alone.
+/// Returns [`place`] of a file without arrays of coordinates: with its [`Rule`], or with a pitch alone.
 fn place_by_pitch(
     reading: &Reading,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<Placed, Invalid> {
     if settings.coordinate_unit.is_some() && reading.rule.is_none() {
@@ -826,7 +862,7 @@ fn place_by_pitch(
                  are used; give `coordinate_unit` in the place of `pixel_mm`",
                 stated.step
             )),
-            found => rule = found,
+            in_mm => rule = in_mm,
         }
     }
     let of_file = rule.as_ref().map(|rule| rule.step.map(f64::abs)).or(reading.pixel_mm);
@@ -840,8 +876,8 @@ fn place_by_pitch(
         && reading.first_row_stated
         && requested != reading.first_row
     {
-        let word = |row| if row == FirstRow::Top { "top" } else { "bottom" };
-        let [a, b] = [reading.first_row, requested].map(|row| word(row).to_string());
+        let [a, b] = [reading.first_row, requested]
+            .map(|row| if row == FirstRow::Top { "top".into() } else { "bottom".into() });
         contradicts("first_row", a, b, settings, warnings)?;
     }
     let mut view = reading.values.view();
@@ -860,8 +896,8 @@ fn place_by_pitch(
             view.invert_axis(ndarray::Axis(1 - k));
         }
         // coordinate of the first pixel of an ascending axis = coordinate - pitch (pixel - first pixel)
-        let start = reference.map_or(start_mm.map_or(0.0, |start| start[k]), |of| {
-            let (pixel, coordinate_mm) = of[k];
+        let start = reference.map_or(start_mm.map_or(0.0, |start| start[k]), |pixels| {
+            let (pixel, coordinate_mm) = pixels[k];
             let last = (len - 1) as f64;
             coordinate_mm - pitch[k] * if descends[k] { last - pixel } else { pixel }
         });
@@ -877,37 +913,35 @@ fn place_by_pitch(
     })
 }
 
-/// A rule in mm; `None` where nobody knows its unit.
+/// Returns a rule in mm, or `None` where nobody knows its unit.
 fn in_mm(
     rule: &Rule,
-    settings: &Settings,
+    settings: &ReadingSettings,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Rule>, Invalid> {
-    let mut made = rule.clone();
+    let mut in_mm = rule.clone();
     for (k, stated) in rule.unit.iter().enumerate() {
         let Some(unit) = coordinate_unit(*stated, settings, warnings)? else { return Ok(None) };
         let to_mm = unit.mm()?;
-        made.step[k] *= to_mm;
-        made.unit[k] = Some(Unit::named("mm"));
-        if let Some(reference) = &mut made.reference {
+        in_mm.step[k] *= to_mm;
+        in_mm.unit[k] = Some(Unit::named("mm"));
+        if let Some(reference) = &mut in_mm.reference {
             reference[k].1 *= to_mm;
         }
     }
-    Ok(Some(made))
+    Ok(Some(in_mm))
 }
 
 /// Mirrors, then turns. A mirrored axis keeps its numbers; a quarter turn swaps the axes.
 /// [`turned_about_0`] corrects the numbers if they are coordinates of the file.
-fn turn(grid: Grid, values: Array2<f64>, settings: &Settings) -> (Grid, Array2<f64>) {
+fn turn(grid: Grid, values: Array2<f64>, settings: &ReadingSettings) -> (Grid, Array2<f64>) {
     let mut view = values.view();
-    let (mut flip_x, mut flip_y) = (settings.flip_x, settings.flip_y);
-    if settings.rotation == Rotation::Half {
-        (flip_x, flip_y) = (!flip_x, !flip_y);
-    }
-    if flip_x {
+    // Half a turn mirrors both axes.
+    let is_half = settings.rotation == Rotation::Half;
+    if settings.flip_x != is_half {
         view.invert_axis(ndarray::Axis(1));
     }
-    if flip_y {
+    if settings.flip_y != is_half {
         view.invert_axis(ndarray::Axis(0));
     }
     // 90 degrees: (x, y) -> (-y, x); 270 degrees: (x, y) -> (y, -x)
@@ -927,12 +961,11 @@ fn turn(grid: Grid, values: Array2<f64>, settings: &Settings) -> (Grid, Array2<f
     }
 }
 
-/// Grid of a map that was turned, with the coordinate 0 at the same place of the part as in the file.
+/// Returns the grid of a map that was turned, with the coordinate 0 at the same place of the part as in the file.
 /// Coordinates are mirrored and turned with the pixels. Otherwise a tool would act at a distance from the
 /// place from which the file counts its offsets, and a mark of the part would lie elsewhere on its map.
-fn turned_about_0(grid: &Grid, settings: &Settings) -> Result<Grid, Invalid> {
-    let sign = |flip: bool| if flip { -1.0 } else { 1.0 };
-    let (x, y) = (sign(settings.flip_x), sign(settings.flip_y));
+fn turned_about_0(grid: &Grid, settings: &ReadingSettings) -> Result<Grid, Invalid> {
+    let [x, y] = [settings.flip_x, settings.flip_y].map(|flip| if flip { -1.0 } else { 1.0 });
     // Sign of the coordinate of the file that became x, and of the one that became y; 90 degrees: (x, y) -> (-y, x)
     let [along_x, along_y] = match settings.rotation {
         Rotation::None => [x, y],
@@ -940,22 +973,26 @@ fn turned_about_0(grid: &Grid, settings: &Settings) -> Result<Grid, Invalid> {
         Rotation::Half => [-x, -y],
         Rotation::ThreeQuarters => [y, -x],
     };
-    let turned = |axis: &Axis, sign: f64| {
-        let start = if sign < 0.0 { -axis.end_mm() } else { axis.start_mm() };
-        Axis::new(start, axis.step_mm(), axis.len())
-    };
-    Ok(Grid { x: turned(&grid.x, along_x)?, y: turned(&grid.y, along_y)? })
+    let [x, y] = [(&grid.x, along_x), (&grid.y, along_y)].map(|(axis, sign)| {
+        started_at(axis, if sign < 0.0 { -axis.end_mm() } else { axis.start_mm() })
+    });
+    Ok(Grid { x: x?, y: y? })
 }
 
-/// The grid with its coordinate 0, or its first pixel, where the user wants it; `has_place` is true if the file states
-/// its place.
+/// Returns the axis with another first coordinate.
+fn started_at(axis: &Axis, start_mm: f64) -> Result<Axis, Invalid> {
+    Axis::new(start_mm, axis.step_mm(), axis.len())
+}
+
+/// Returns the grid with its coordinate 0, or its first pixel, where the user wants it; `has_place` is true if the file
+/// states its place.
 fn set_origin(
     grid: Grid,
-    settings: &Settings,
+    settings: &ReadingSettings,
     has_place: bool,
     warnings: &mut Vec<String>,
 ) -> Result<Grid, Invalid> {
-    let at = [grid.x.start_mm(), grid.y.start_mm()];
+    let start_mm = [grid.x.start_mm(), grid.y.start_mm()];
     if let Some(place) = settings.place_mm {
         if settings.origin != Origin::File {
             let problem = "was given beside `origin`";
@@ -964,22 +1001,24 @@ fn set_origin(
         let apart = [&grid.x, &grid.y]
             .into_iter()
             .enumerate()
-            .any(|(k, axis)| (place[k] - at[k]).abs() > 1e-3 * axis.step_mm());
+            .any(|(k, axis)| (place[k] - start_mm[k]).abs() > 1e-3 * axis.step_mm());
         if has_place && apart {
-            let text =
-                |p: [f64; 2]| format!("{}, {} mm", significant(p[0], 8), significant(p[1], 8));
-            contradicts("place_mm", text(at), text(place), settings, warnings)?;
+            let [a, b] = [start_mm, place]
+                .map(|p| format!("{}, {} mm", significant(p[0], 8), significant(p[1], 8)));
+            contradicts("place_mm", a, b, settings, warnings)?;
         }
-        let moved = |axis: &Axis, start: f64| Axis::new(start, axis.step_mm(), axis.len());
-        return Ok(Grid { x: moved(&grid.x, place[0])?, y: moved(&grid.y, place[1])? });
+        let [x, y] = place;
+        return Ok(Grid { x: started_at(&grid.x, x)?, y: started_at(&grid.y, y)? });
     }
-    let start = |axis: &Axis| match settings.origin {
-        Origin::File => axis.start_mm(),
-        Origin::Corner => 0.0,
-        Origin::Centre => -0.5 * (axis.len() - 1) as f64 * axis.step_mm(),
-    };
-    let moved = |axis: &Axis| Axis::new(start(axis), axis.step_mm(), axis.len());
-    Ok(Grid { x: moved(&grid.x)?, y: moved(&grid.y)? })
+    let [x, y] = [&grid.x, &grid.y].map(|axis| {
+        let start_mm = match settings.origin {
+            Origin::File => axis.start_mm(),
+            Origin::Corner => 0.0,
+            Origin::Centre => -0.5 * (axis.len() - 1) as f64 * axis.step_mm(),
+        };
+        started_at(axis, start_mm)
+    });
+    Ok(Grid { x: x?, y: y? })
 }
 
 #[cfg(test)]
@@ -996,15 +1035,15 @@ mod tests {
         reading
     }
 
-    fn height(settings: &Settings) -> Array2<f64> {
+    fn height(settings: &ReadingSettings) -> Array2<f64> {
         surface(reading(), settings).unwrap().0.height_nm().clone()
     }
 
     #[test]
     fn every_orientation_by_hand() {
         let k = 1e3;
-        let set = |change: fn(&mut Settings)| {
-            let mut settings = Settings::default();
+        let set = |change: fn(&mut ReadingSettings)| {
+            let mut settings = ReadingSettings::default();
             change(&mut settings);
             height(&settings) / k
         };
@@ -1026,8 +1065,11 @@ mod tests {
 
     #[test]
     fn a_quarter_turn_takes_the_pitch_with_it_and_the_centre_is_the_origin() {
-        let settings =
-            Settings { rotation: Rotation::Quarter, origin: Origin::Centre, ..Settings::default() };
+        let settings = ReadingSettings {
+            rotation: Rotation::Quarter,
+            origin: Origin::Centre,
+            ..ReadingSettings::default()
+        };
         let (surface, statement) = surface(reading(), &settings).unwrap();
         assert_eq!(statement.pixel_mm, [0.25, 0.5]);
         let grid = surface.grid();
@@ -1054,7 +1096,8 @@ mod tests {
                     (Rotation::Half, -1.0, 0.0),
                     (Rotation::ThreeQuarters, 0.0, -1.0),
                 ] {
-                    let settings = Settings { flip_x, flip_y, rotation, ..Settings::default() };
+                    let settings =
+                        ReadingSettings { flip_x, flip_y, rotation, ..ReadingSettings::default() };
                     let made = tif(reading(), &settings).unwrap().0;
                     // A map of heights lies on the same pixels.
                     assert_eq!(surface(reading(), &settings).unwrap().0.grid(), made.grid());
@@ -1069,7 +1112,7 @@ mod tests {
                         }
                     }
                     // The middle of the samples is asked for, and stays there.
-                    let settings = Settings { origin: Origin::Centre, ..settings };
+                    let settings = ReadingSettings { origin: Origin::Centre, ..settings };
                     let g = *tif(reading(), &settings).unwrap().0.grid();
                     assert_eq!(
                         [g.x.start_mm() + g.x.end_mm(), g.y.start_mm() + g.y.end_mm()],
@@ -1082,37 +1125,38 @@ mod tests {
 
     #[test]
     fn nothing_is_guessed_and_contradictions_are_refused() {
-        let message = |change: &dyn Fn(&mut Reading), settings: &Settings| {
+        let message = |change: &dyn Fn(&mut Reading), settings: &ReadingSettings| {
             let mut reading = reading();
             change(&mut reading);
             surface(reading, settings).unwrap_err().to_string()
         };
-        let plain = Settings::default();
+        let plain = ReadingSettings::default();
         assert!(message(&|r| r.unit = None, &plain).contains("give `unit`"));
         assert!(message(&|r| r.pixel_mm = None, &plain).contains("give `pixel_mm`"));
         assert!(
             message(&|r| r.unit = Some(Unit::named("waves")), &plain).contains("`wavelength_nm`")
         );
         assert!(message(&|r| r.pixel_mm = Some([0.1, 0.0]), &plain).contains("pixel_mm: is 0"));
-        let asked = Settings { unit: Some(Unit::named("nm")), ..plain.clone() };
-        assert!(message(&|_| (), &asked).contains("um in the file, nm was asked for"));
-        let asked = Settings { pixel_mm: Some([0.5, 0.3]), ..plain.clone() };
-        let said = message(&|_| (), &asked);
+        let requested = ReadingSettings { unit: Some(Unit::named("nm")), ..plain.clone() };
+        assert!(message(&|_| (), &requested).contains("um in the file, nm was asked for"));
+        let requested = ReadingSettings { pixel_mm: Some([0.5, 0.3]), ..plain.clone() };
+        let said = message(&|_| (), &requested);
         assert!(said.contains("0.5 x 0.25 mm in the file, 0.5 x 0.3 mm was asked for"), "{said}");
-        let asked = Settings { surface_per_value: 0.5, ..plain.clone() };
-        let said = message(&|r| r.scale_applied = Some(0.5), &asked);
+        let requested = ReadingSettings { surface_per_value: 0.5, ..plain.clone() };
+        let said = message(&|r| r.scale_applied = Some(0.5), &requested);
         assert!(said.contains("is 0.5 in the file and applied"), "{said}");
-        let asked = Settings { wavelength_nm: Some(600.0), ..plain.clone() };
-        let said = message(&|r| r.wavelength_nm = Some(632.8), &asked);
+        let requested = ReadingSettings { wavelength_nm: Some(600.0), ..plain.clone() };
+        let said = message(&|r| r.wavelength_nm = Some(632.8), &requested);
         assert!(said.contains("is 632.8 in the file, 600 was asked for"), "{said}");
-        let asked = Settings { pixel_mm: Some([-1.0; 2]), ..plain.clone() };
-        assert!(message(&|r| r.pixel_mm = None, &asked).contains("pixel_mm: is -1"));
+        let requested = ReadingSettings { pixel_mm: Some([-1.0; 2]), ..plain.clone() };
+        assert!(message(&|r| r.pixel_mm = None, &requested).contains("pixel_mm: is -1"));
         assert!(message(&|r| r.factor = 0.0, &plain).contains("of the heights is 0"));
         let coordinates = Coordinates { x: vec![0.0, 1.0, 2.0], y: vec![1.0, 0.0], unit: None };
         let with = |r: &mut Reading| r.coordinates = Some(coordinates.clone());
         assert!(message(&with, &plain).contains("give `coordinate_unit`"));
-        let asked = Settings { coordinate_unit: Some(Unit::named("waves")), ..plain.clone() };
-        assert!(message(&with, &asked).contains("is waves"));
+        let requested =
+            ReadingSettings { coordinate_unit: Some(Unit::named("waves")), ..plain.clone() };
+        assert!(message(&with, &requested).contains("is waves"));
         assert!(Unit::stated("BUNIT", "furlong").unwrap_err().to_string().contains("furlong"));
     }
 
@@ -1149,7 +1193,7 @@ mod tests {
             y: vec![7.0, 6.0],
             unit: Some(Unit::named("m")),
         });
-        let (surface, statement) = surface(reading, &Settings::default()).unwrap();
+        let (surface, statement) = surface(reading, &ReadingSettings::default()).unwrap();
         assert_eq!(surface.height_nm() / 1e3, array![[6.0, 5.0, 4.0], [3.0, 2.0, 1.0]]);
         assert_eq!(surface.grid().y.start_mm(), 6000.0);
         assert_eq!((statement.first_row, statement.pitch_from), (FirstRow::Top, "file"));
@@ -1171,12 +1215,12 @@ mod tests {
 
     #[test]
     fn a_pitch_overrides_with_a_warning_and_no_data_is_nan() {
-        let settings = Settings {
+        let settings = ReadingSettings {
             override_file: true,
             pixel_mm: Some([0.1, 0.1]),
             no_data: Some(5.0),
             surface_per_value: 0.5,
-            ..Settings::default()
+            ..ReadingSettings::default()
         };
         let (surface, statement) = surface(reading(), &settings).unwrap();
         assert_eq!(statement.warnings.len(), 1);

@@ -23,7 +23,7 @@ const LONGEST_SIDE: f64 = 3.0;
 const BYTES_PER_CORNER: usize = 400;
 
 struct Corner {
-    at: Point2<f64>,
+    place: Point2<f64>,
     z: f64,
 }
 
@@ -31,7 +31,7 @@ impl HasPosition for Corner {
     type Scalar = f64;
 
     fn position(&self) -> Point2<f64> {
-        self.at
+        self.place
     }
 }
 
@@ -46,32 +46,33 @@ pub(crate) struct Gridded {
     pub warnings: Vec<String>,
 }
 
+/// Returns the distance of two points.
 fn length(a: Point2<f64>, b: Point2<f64>) -> f64 {
     (a.x - b.x).hypot(a.y - b.y)
 }
 
-/// Height at a place, NaN in no triangle whose sides are at most `longest`, and a vertex near it, from which the search
-/// for the next place begins.
+/// Returns the height at a place, NaN in no triangle whose sides are at most `longest`, and a vertex near it, from
+/// which the search for the next place begins.
 fn interpolated(
     mesh: &DelaunayTriangulation<Corner>,
-    at: Point2<f64>,
+    point: Point2<f64>,
     hint: Option<FixedVertexHandle>,
     longest: f64,
 ) -> (f64, Option<FixedVertexHandle>) {
     let place = match hint {
-        Some(hint) => mesh.locate_with_hint(at, hint),
-        None => mesh.locate(at),
+        Some(hint) => mesh.locate_with_hint(point, hint),
+        None => mesh.locate(point),
     };
     match place {
         PositionInTriangulation::OnVertex(v) => (mesh.vertex(v).data().z, Some(v)),
         PositionInTriangulation::OnEdge(e) => {
             let [a, b] = mesh.directed_edge(e).vertices();
-            let (p, q) = (a.position(), b.position());
+            let [p, q] = [a.position(), b.position()];
             let side = length(p, q);
             if side > longest {
                 return (f64::NAN, Some(a.fix()));
             }
-            let t = length(p, at) / side;
+            let t = length(p, point) / side;
             (a.data().z + t * (b.data().z - a.data().z), Some(a.fix()))
         }
         PositionInTriangulation::OnFace(f) => {
@@ -80,9 +81,8 @@ fn interpolated(
             if ![length(p, q), length(q, s), length(s, p)].iter().all(|l| *l <= longest) {
                 return (f64::NAN, Some(a.fix()));
             }
-            // z = za + u (zb - za) + v (zc - za) with at - p = u (q - p) + v (s - p)
-            let (d, e) = ([q.x - p.x, q.y - p.y], [s.x - p.x, s.y - p.y]);
-            let w = [at.x - p.x, at.y - p.y];
+            // z = za + u (zb - za) + v (zc - za) with point - p = u (q - p) + v (s - p)
+            let [d, e, w] = [q, s, point].map(|other| [other.x - p.x, other.y - p.y]);
             let area = d[0] * e[1] - d[1] * e[0];
             let u = (w[0] * e[1] - w[1] * e[0]) / area;
             let v = (d[0] * w[1] - d[1] * w[0]) / area;
@@ -94,23 +94,22 @@ fn interpolated(
     }
 }
 
-/// Grids `points` (x and y in mm, height) with a pitch along (x, y).
+/// Grids `points` (x and y in mm, height) with a pitch along (x, y). Refuses fewer points than a triangle has, two
+/// heights at one place, and grids that do not fit into the memory.
 pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, Invalid> {
     if let Some(p) = pixel_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Invalid::whole("grid_mm", format!("is {p}"), "a pitch is positive"));
     }
     let valid: Vec<&[f64; 3]> = points.iter().filter(|p| !p[2].is_nan()).collect();
-    let axis = |k: usize| -> Result<(f64, usize), Invalid> {
-        let (low, high) = valid
-            .iter()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[k]), h.max(p[k])));
+    let [(x0, columns), (y0, rows)] = [0, 1].map(|k| {
+        let low = valid.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min);
+        let high = valid.iter().map(|p| p[k]).fold(f64::NEG_INFINITY, f64::max);
         // A point that lies on a pixel but for rounding is on it.
         let first = (low / pixel_mm[k] - 1e-6).ceil();
         let last = (high / pixel_mm[k] + 1e-6).floor();
         // A float to an integer saturates; the size is checked next.
-        Ok((first, if last >= first { (last - first + 1.0) as usize } else { 0 }))
-    };
-    let [(x0, columns), (y0, rows)] = [axis(0)?, axis(1)?];
+        (first, if last >= first { (last - first + 1.0) as usize } else { 0 })
+    });
     check_size("grid of the points", rows, columns)?;
     budget::affordable("points", valid.len() as f64, BYTES_PER_CORNER, "leave some out")?;
 
@@ -120,9 +119,7 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
         let problem = format!("has two heights at x {}, y {} mm", w[0][0], w[0][1]);
         return Err(Invalid::whole("XYZ file", problem, "give every point once"));
     }
-    // Coordinates of which the predicates of the triangulation cannot decide are tiny beside a pitch.
-    let tidy = |v: f64| if v.abs() < 1e-30 { 0.0 } else { v };
-    let corners = valid.iter().map(|p| Corner { at: Point2::new(tidy(p[0]), tidy(p[1])), z: p[2] });
+    let corners = valid.iter().map(|p| Corner { place: tidy([p[0], p[1]]), z: p[2] });
     let mesh = DelaunayTriangulation::<Corner>::bulk_load(corners.collect()).map_err(|e| {
         let remedy = "correct the coordinates or their unit";
         Invalid::whole("XYZ file", format!("has points that cannot be triangulated ({e})"), remedy)
@@ -137,12 +134,12 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
     let median = *sides.select_nth_unstable_by(middle, f64::total_cmp).1;
     let longest = LONGEST_SIDE * median;
 
-    let coordinate = |k: usize, first: f64, i: usize| (first + i as f64) * pixel_mm[k];
+    let x_mm: Vec<f64> = (0..columns).map(|i| (x0 + i as f64) * pixel_mm[0]).collect();
+    let y_mm: Vec<f64> = (0..rows).map(|i| (y0 + i as f64) * pixel_mm[1]).collect();
     let mut values = Array2::from_elem((rows, columns), f64::NAN);
     let mut hint = None;
     for ((r, c), value) in values.indexed_iter_mut() {
-        let at = Point2::new(tidy(coordinate(0, x0, c)), tidy(coordinate(1, y0, r)));
-        (*value, hint) = interpolated(&mesh, at, hint, longest);
+        (*value, hint) = interpolated(&mesh, tidy([x_mm[c], y_mm[r]]), hint, longest);
     }
     let invalid = values.iter().filter(|v| v.is_nan()).count();
     let mut warnings = vec![format!(
@@ -157,9 +154,14 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
              an effect"
         ));
     }
-    let x_mm = (0..columns).map(|i| coordinate(0, x0, i)).collect();
-    let y_mm = (0..rows).map(|i| coordinate(1, y0, i)).collect();
     Ok(Gridded { values, x_mm, y_mm, warnings })
+}
+
+/// Returns a point whose coordinates are 0 where the predicates of the triangulation cannot decide of them. These are
+/// tiny beside a pitch.
+fn tidy(place: [f64; 2]) -> Point2<f64> {
+    let [x, y] = place.map(|v| if v.abs() < 1e-30 { 0.0 } else { v });
+    Point2::new(x, y)
 }
 
 #[cfg(test)]

@@ -30,13 +30,13 @@
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::fft::transform;
 use planish_types::{
-    Grid, Invalid, Surface,
+    Axis, Grid, Invalid, Surface,
     text::significant,
     units::{self, Quantity},
 };
 use serde::Serialize;
 
-use crate::reading::{Reading, Settings, Statement, surface};
+use crate::reading::{Reading, ReadingSettings, Statement, surface};
 
 /// Relative residual of the normal equations at which the iteration ends. Larger: heights are less exact. Smaller: rounding
 /// keeps it going.
@@ -66,7 +66,7 @@ pub struct SlopeSettings {
     /// True to take the maps as they are, although another sign fits them better.
     pub trust_signs: bool,
     /// Everything else, as for a map of heights.
-    pub map: Settings,
+    pub map: ReadingSettings,
 }
 
 /// Unit of slopes.
@@ -88,19 +88,19 @@ impl std::str::FromStr for SlopeUnit {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let made = |size: f64, is_angle: bool| Self { name: text.trim().into(), size, is_angle };
+        let name = text.trim().to_string();
         let unit = |text: &str| units::Unit::read(text, &[Quantity::Angle, Quantity::Length]);
         if let Some(angle) = unit(text).filter(|unit| unit.quantity() == Quantity::Angle) {
-            return Ok(made(angle.size(0), true));
+            return Ok(Self { name, size: angle.size(0), is_angle: true });
         }
         if matches!(text.trim(), "1" | "") {
-            return Ok(made(1.0, false));
+            return Ok(Self { name, size: 1.0, is_angle: false });
         }
         let lower = text.replace(" per ", "/").replace("_per_", "/");
         let lengths = lower.split_once('/').and_then(|(a, b)| Some((unit(a)?, unit(b)?)));
         match lengths {
             Some((a, b)) if [a, b].iter().all(|u| u.quantity() == Quantity::Length) => {
-                Ok(made(a.size(0) / b.size(0), false))
+                Ok(Self { name, size: a.size(0) / b.size(0), is_angle: false })
             }
             _ => Err(
                 "give rad, mrad, urad, nrad, deg, arcsec, or a length over a length such as nm/mm"
@@ -144,7 +144,7 @@ pub struct SlopeReport {
 /// Integrates maps of slopes along x and y.
 ///
 /// # Errors
-/// Maps of two grids, a unit that is no slope, and signs that contradict each other.
+/// Refuses maps of two grids, a unit that is no slope, and signs that contradict each other.
 pub fn slopes(
     along_x: Reading,
     along_y: Reading,
@@ -154,7 +154,7 @@ pub fn slopes(
     let unit = unit(&along_x, &along_y, settings, &mut warnings)?;
     let has_place =
         along_x.coordinates.is_some() || along_x.rule.is_some() || along_x.window.is_some();
-    let plain = Settings {
+    let plain = ReadingSettings {
         unit: None,
         flip_x: false,
         flip_y: false,
@@ -165,14 +165,9 @@ pub fn slopes(
     };
     let (x_map, x) = map_of_slopes(along_x, &unit, settings.negate_x, &plain)?;
     let (y_map, y) = map_of_slopes(along_y, &unit, settings.negate_y, &plain)?;
-    let (grid, other) = (*x_map.grid(), y_map.grid());
-    let is_apart = |a: f64, b: f64, step: f64| (a - b).abs() > 1e-3 * step;
-    let differs = |a: &planish_types::Axis, b: &planish_types::Axis| {
-        a.len() != b.len()
-            || is_apart(a.start_mm(), b.start_mm(), a.step_mm())
-            || is_apart(a.end_mm(), b.end_mm(), a.step_mm())
-    };
-    if differs(&grid.x, &other.x) || differs(&grid.y, &other.y) {
+    let grid = *x_map.grid();
+    let other = y_map.grid();
+    if differ(&grid.x, &other.x) || differ(&grid.y, &other.y) {
         let problem = format!(
             "have {:?} and {:?} pixels of {} and {} mm",
             grid.shape(),
@@ -199,7 +194,7 @@ pub fn slopes(
         heights.coordinates = None;
         heights.pixel_mm = Some([grid.x.step_mm(), grid.y.step_mm()]);
     }
-    let own = Settings {
+    let own = ReadingSettings {
         unit: None,
         wavelength_nm: None,
         pixel_mm: None,
@@ -225,7 +220,13 @@ pub fn slopes(
     Ok((map, report))
 }
 
-/// The unit of both maps: that of the files, or of the user.
+/// Returns true if two axes have other pixels.
+fn differ(a: &Axis, b: &Axis) -> bool {
+    let ends = [(a.start_mm(), b.start_mm()), (a.end_mm(), b.end_mm())];
+    a.len() != b.len() || ends.iter().any(|(a_mm, b_mm)| (a_mm - b_mm).abs() > 1e-3 * a.step_mm())
+}
+
+/// Returns the unit of both maps: that of the files, or of the user. Refuses two units, and one that is no slope.
 fn unit(
     along_x: &Reading,
     along_y: &Reading,
@@ -274,23 +275,25 @@ fn unit(
     }
 }
 
-/// The slopes of a reading on their grid, urad in the place of nm.
+/// Returns the slopes of a reading on their grid, urad in the place of nm.
 fn map_of_slopes(
     mut reading: Reading,
     unit: &SlopeUnit,
     negate: bool,
-    settings: &Settings,
+    settings: &ReadingSettings,
 ) -> Result<(Surface, Statement), Invalid> {
     if let Some(marker) = settings.no_data {
         reading.invalidate(marker);
     }
-    let (factor, offset) = (reading.factor, reading.offset);
+    let Reading { factor, offset, .. } = reading;
     let sign = if negate { -1.0 } else { 1.0 };
     reading.values.mapv_inplace(|v| sign * unit.urad(offset + factor * v));
-    (reading.factor, reading.offset) = (1.0, 0.0);
-    (reading.unit, reading.unit_problem, reading.lone_unit) =
-        (Some(crate::Unit::named("nm")), None, None);
-    surface(reading, &Settings { no_data: None, ..settings.clone() })
+    reading.factor = 1.0;
+    reading.offset = 0.0;
+    reading.unit = Some(crate::Unit::named("nm"));
+    reading.unit_problem = None;
+    reading.lone_unit = None;
+    surface(reading, &ReadingSettings { no_data: None, ..settings.clone() })
 }
 
 /// Refuses slopes along y of which the other sign is certainly right, and doubts maps that do not belong together.
@@ -300,27 +303,26 @@ fn judge_signs(
     warnings: &mut Vec<String>,
 ) -> Result<(), Invalid> {
     let size = made.slope_rms_urad[0].hypot(made.slope_rms_urad[1]);
-    let (residual, other) = (made.residual_urad, made.residual_of_other_sign_urad);
-    let text = |v: f64| significant(v, 3);
+    let residual = made.residual_urad;
+    let other = made.residual_of_other_sign_urad;
+    let [residual_text, other_text, size_text] = [residual, other, size].map(|v| significant(v, 3));
     if residual > DECISIVE * other && residual > 1e-6 * size && !settings.trust_signs {
         let problem = format!(
-            "contradict each other: {} urad RMS belong to no surface, and {} urad with the other sign along y",
-            text(residual),
-            text(other)
+            "contradict each other: {residual_text} urad RMS belong to no surface, and {other_text} urad with the \
+             other sign along y"
         );
-        let remedy = match settings.negate_y {
-            true => "leave out `negate_y`; `trust_signs` takes them as they are",
-            false => {
-                "give `negate_y` where slopes along y count down the rows, or `first_row`; `trust_signs` takes them as they are"
-            }
+        let remedy = if settings.negate_y {
+            "leave out `negate_y`; `trust_signs` takes them as they are"
+        } else {
+            "give `negate_y` where slopes along y count down the rows, or `first_row`; `trust_signs` takes them \
+             as they are"
         };
         return Err(Invalid::whole("slopes", problem, remedy));
     }
     if residual > MOST_RESIDUAL * size {
         warnings.push(format!(
-            "{} of {} urad RMS of the slopes belong to no surface: noise, another order of x and y, or maps of two parts?",
-            text(residual),
-            text(size)
+            "{residual_text} of {size_text} urad RMS of the slopes belong to no surface: noise, another order of x and \
+             y, or maps of two parts?"
         ));
     } else if other <= DECISIVE * residual || other <= 1e-6 * size {
         warnings.push(
@@ -346,8 +348,8 @@ fn integrate(
     slope_y: &Array2<f64>,
     grid: &Grid,
 ) -> Result<Integrated, Invalid> {
-    let mut valid = Array2::from_shape_fn(slope_x.dim(), |at| {
-        slope_x[at].is_finite() && slope_y[at].is_finite()
+    let mut valid = Array2::from_shape_fn(slope_x.dim(), |pixel| {
+        slope_x[pixel].is_finite() && slope_y[pixel].is_finite()
     });
     let unconnected_pixels = keep_largest_region(&mut valid);
     let count = valid.iter().filter(|v| **v).count();
@@ -368,17 +370,17 @@ fn integrate(
     let residual_of_other_sign_urad =
         laplacian.residual_urad(&(&of_x - &of_y), &along_x, &along_y.mapv(|v| -v));
     let mean = height.sum() / count as f64;
-    let height_nm = Array2::from_shape_fn(height.dim(), |at| {
-        if laplacian.valid[at] { height[at] - mean } else { f64::NAN }
+    let height_nm = Array2::from_shape_fn(height.dim(), |pixel| {
+        if laplacian.valid[pixel] { height[pixel] - mean } else { f64::NAN }
     });
-    let rms = |slope: &Array2<f64>| {
-        let some = || slope.iter().zip(&laplacian.valid).filter(|(_, v)| **v).map(|(s, _)| *s);
-        let mean = some().sum::<f64>() / count as f64;
-        (some().map(|s| (s - mean).powi(2)).sum::<f64>() / count as f64).sqrt()
-    };
+    let slope_rms_urad = [slope_x, slope_y].map(|slope| {
+        let slopes = slope.iter().zip(&laplacian.valid).filter(|(_, v)| **v).map(|(s, _)| *s);
+        let mean = slopes.clone().sum::<f64>() / count as f64;
+        (slopes.map(|s| (s - mean).powi(2)).sum::<f64>() / count as f64).sqrt()
+    });
     Ok(Integrated {
         height_nm,
-        slope_rms_urad: [rms(slope_x), rms(slope_y)],
+        slope_rms_urad,
         residual_urad,
         residual_of_other_sign_urad,
         unconnected_pixels,
@@ -403,10 +405,10 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
             sizes[number] += 1;
             let neighbours =
                 [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
-            for at in neighbours {
-                if at.0 < rows && at.1 < columns && valid[at] && region[at] == 0 {
-                    region[at] = number;
-                    next.push(at);
+            for pixel in neighbours {
+                if pixel.0 < rows && pixel.1 < columns && valid[pixel] && region[pixel] == 0 {
+                    region[pixel] = number;
+                    next.push(pixel);
                 }
             }
         }
@@ -417,7 +419,8 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
     total - sizes[largest]
 }
 
-/// (2): the difference of the heights of every pixel and the next one along `axis`, nm; 0 where one of them is absent.
+/// Returns (2): the difference of the heights of every pixel and the next one along `axis`, nm; 0 where one of them is
+/// absent.
 fn differences(
     slope: &Array2<f64>,
     valid: &Array2<bool>,
@@ -452,6 +455,11 @@ fn step_of_run(s: ArrayView1<f64>, i: usize) -> f64 {
     }
 }
 
+/// Returns the sum of the products of the elements.
+fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
 /// The normal matrix of (1) on the valid pixels.
 struct Laplacian {
     valid: Array2<bool>,
@@ -465,10 +473,10 @@ impl Laplacian {
     fn new(valid: Array2<bool>, pitch_mm: [f64; 2]) -> Self {
         let weight = pitch_mm.map(|h| 1.0 / (h * h));
         let (rows, columns) = valid.dim();
-        let of =
-            |k: usize, n: usize| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos();
         let inverse = Array2::from_shape_fn((2 * rows, 2 * columns), |(k, l)| {
-            let eigenvalue = weight[1] * of(k, rows) + weight[0] * of(l, columns);
+            let [along_y, along_x] = [(k, rows), (l, columns)]
+                .map(|(k, n)| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos());
+            let eigenvalue = weight[1] * along_y + weight[0] * along_x;
             if (k, l) == (0, 0) { 0.0 } else { 1.0 / eigenvalue }
         });
         Self { valid, weight, inverse }
@@ -503,6 +511,7 @@ impl Laplacian {
         sum
     }
 
+    /// Returns the left side of the normal equations.
     fn apply(&self, z: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(z.dim());
         self.for_each_edge(|a, b, axis| {
@@ -523,14 +532,17 @@ impl Laplacian {
         let mut spectrum = transform::forward(mirrored.view());
         spectrum.zip_mut_with(&self.inverse, |f, inverse| *f *= *inverse);
         let solved = transform::inverse(spectrum);
-        Array2::from_shape_fn((rows, columns), |at| if self.valid[at] { solved[at] } else { 0.0 })
+        Array2::from_shape_fn(
+            (rows, columns),
+            |pixel| {
+                if self.valid[pixel] { solved[pixel] } else { 0.0 }
+            },
+        )
     }
 
     /// Solves by preconditioned conjugate gradients; returns the number of steps too. The heights are known up to a
     /// constant.
     fn solve(&self, right: &Array2<f64>) -> (Array2<f64>, usize) {
-        let dot =
-            |a: &Array2<f64>, b: &Array2<f64>| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let mut z = Array2::zeros(right.dim());
         let mut residual = right.clone();
         let goal = TOLERANCE * dot(right, right).sqrt();
@@ -552,9 +564,10 @@ impl Laplacian {
         (z, MOST_STEPS)
     }
 
-    /// RMS of what (1) leaves of the slopes, urad.
+    /// Returns the RMS of what (1) leaves of the slopes, urad.
     fn residual_urad(&self, z: &Array2<f64>, along_x: &Array2<f64>, along_y: &Array2<f64>) -> f64 {
-        let (mut sum, mut count) = (0.0, 0usize);
+        let mut sum = 0.0;
+        let mut count = 0usize;
         self.for_each_edge(|a, b, axis| {
             let difference = if axis == 0 { along_x[a] } else { along_y[a] };
             sum += self.weight[axis] * (z[b] - z[a] - difference).powi(2);
@@ -672,7 +685,7 @@ mod tests {
             negate_x: false,
             negate_y: false,
             trust_signs: false,
-            map: Settings::default(),
+            map: ReadingSettings::default(),
         };
         let (right, report) = slopes(map(1, 1.0), map(2, 1.0), &settings).unwrap();
         assert!(report.warnings.is_empty(), "{:?}", report.warnings);

@@ -40,7 +40,7 @@ pub mod table;
 
 use planish_numerics::polynomial;
 use planish_types::{
-    AxesMotion, Invalid, Trajectory,
+    AxesMotion, Invalid, Trajectory, is_plausible_mm,
     text::significant,
     units::{Quantity, Unit},
 };
@@ -72,8 +72,8 @@ pub enum LogFormat {
 }
 
 impl LogFormat {
-    /// The format of a log from its first bytes, or from the ending of its name in lower case.
-    pub fn of(bytes: &[u8], ending: Option<&str>) -> Option<Self> {
+    /// Returns the format of a log from its first bytes, or from the ending of its name in lower case.
+    pub fn recognise(bytes: &[u8], ending: Option<&str>) -> Option<Self> {
         match ending {
             _ if crate::format::hdf5::is_hdf5(bytes) => Some(Self::Hdf5),
             Some("csv") => Some(Self::Csv),
@@ -167,33 +167,32 @@ const USUAL_RATE_FACTOR: f64 = 2.0;
 const BEAM_ON: f64 = 0.5;
 
 /// Reads the bytes of a log.
+///
+/// # Errors
+/// Refuses a log without the columns that are needed, columns whose unit nobody states or that contradict the settings,
+/// times that do not ascend or have long gaps, and positions or currents that no machine has.
 pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result<Trace, Invalid> {
     check(settings)?;
     let Log { mut columns, times, mut warnings } = match format {
         LogFormat::Hdf5 => datasets::read(bytes, &settings.columns)?,
         _ => table::read(format, bytes, &settings.columns)?,
     };
-    let scale = Scale::of(&columns, settings)?;
-    for (column, factor) in positions(&mut columns).zip(&scale.factors) {
+    let scale = PositionScale::new(&columns, settings)?;
+    let positions = columns.iter_mut().filter(|column| column.role.is_position());
+    for (column, factor) in positions.zip(&scale.factors) {
         column.values.iter_mut().for_each(|v| *v *= factor);
     }
-    let named = |column: &Column| (settings.columns.name(column.role), column.name.clone());
-    let names = columns.iter().map(named).collect();
+    let names = columns.iter().map(|c| (settings.columns.name(c.role), c.name.clone())).collect();
     let (time_s, clock) = on_one_clock(&mut columns, &times, settings, &mut warnings)?;
     warnings.extend(clock.warnings());
-    let find = |role: Role| columns.iter().find(|c| c.role == role);
-    let pair = |roles: [Role; 2]| -> Option<Vec<[f64; 2]>> {
-        let [x, y] = [find(roles[0])?, find(roles[1])?];
-        Some(x.values.iter().zip(&y.values).map(|(x, y)| [*x, *y]).collect())
-    };
-    let axes =
-        (0..settings.columns.axes.len()).filter_map(|k| Some(find(Role::Axis(k))?.values.clone()));
+    let axes = (0..settings.columns.axes.len())
+        .filter_map(|k| Some(find(&columns, Role::Axis(k))?.values.clone()));
     let trace = Trace {
-        actual_mm: pair([Role::X, Role::Y]).unwrap_or_default(),
+        actual_mm: pair(&columns, [Role::X, Role::Y]).unwrap_or_default(),
         axes: axes.collect(),
-        setpoint_mm: pair([Role::SetpointX, Role::SetpointY]),
-        tool_on: find(Role::ToolOn).map(switched).transpose()?,
-        rate_factor: match find(Role::Current) {
+        setpoint_mm: pair(&columns, [Role::SetpointX, Role::SetpointY]),
+        tool_on: find(&columns, Role::ToolOn).map(switched).transpose()?,
+        rate_factor: match find(&columns, Role::Current) {
             Some(column) => Some(rate_factor(column, settings.nominal_current, &mut warnings)?),
             None => None,
         },
@@ -209,46 +208,57 @@ pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result
     };
     trace.check_plausible()?;
     let mut trace = trace.cropped(settings)?;
-    let found: Vec<String> = trace.positions(settings).iter().filter_map(jumps::doubt).collect();
-    trace.statement.warnings.extend(found);
+    let jumps: Vec<String> = trace.positions(settings).iter().filter_map(jumps::doubt).collect();
+    trace.statement.warnings.extend(jumps);
     Ok(trace)
 }
 
-/// The columns of positions.
-fn positions(columns: &mut [Column]) -> impl Iterator<Item = &mut Column> {
-    columns.iter_mut().filter(|column| column.role.is_position())
+/// Returns the column of a quantity.
+fn find(columns: &[Column], role: Role) -> Option<&Column> {
+    columns.iter().find(|c| c.role == role)
 }
 
-/// Times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is interpolated to the
-/// times of the log, and the log is cut to the times that all quantities have.
+/// Returns the pairs of two quantities (n); `None` if one of them is absent.
+fn pair(columns: &[Column], [x, y]: [Role; 2]) -> Option<Vec<[f64; 2]>> {
+    let [x, y] = [find(columns, x)?, find(columns, y)?];
+    Some(x.values.iter().zip(&y.values).map(|(x, y)| [*x, *y]).collect())
+}
+
+/// Returns the times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is
+/// interpolated to the times of the log, and the log is cut to the times that all quantities have.
 fn on_one_clock(
     columns: &mut [Column],
     times: &[Column],
     settings: &TraceSettings,
     warnings: &mut Vec<String>,
 ) -> Result<(Vec<f64>, Clock), Invalid> {
-    let on_log = || columns.iter().filter(|c| c.own_time.is_none());
-    let samples = on_log().map(|c| c.values.len()).min().unwrap_or(0);
+    let on_log = columns.iter().filter(|c| c.own_time.is_none());
+    let samples = on_log.map(|c| c.values.len()).min().unwrap_or(0);
     if samples < 2 {
         let problem = format!("holds {samples} samples of position");
         return Err(Invalid::whole(NAME, problem, "give a log of a motion"));
     }
     let main = columns.iter().find(|c| c.role == Role::Time).cloned();
-    let timing = |stamps, samples, unit| Timing {
-        stamps,
+    let timing = Timing {
+        stamps: main.as_ref(),
         samples,
-        unit,
+        unit: settings.time_unit,
         sample_s: settings.sample_s,
         rate_hz: settings.rate_hz,
         most_gap_s: settings.most_gap_s,
     };
-    let (mut time_s, clock) = timing(main.as_ref(), samples, settings.time_unit).clock()?;
+    let (mut time_s, clock) = timing.clock()?;
     let Some(main) = &main else { return Ok((time_s, clock)) };
     let unit = settings.time_unit.or(main.unit);
     let mut span_s = [time_s[0], time_s[samples - 1]];
     let mut own: Vec<Vec<f64>> = Vec::with_capacity(times.len());
     for stamps in times {
-        let timing = timing(Some(stamps), stamps.values.len(), stamps.unit.or(unit));
+        let timing = Timing {
+            stamps: Some(stamps),
+            samples: stamps.values.len(),
+            unit: stamps.unit.or(unit),
+            ..timing
+        };
         let unit_s = timing.unit_s(stamps)?;
         let later_s = match (main.first_moment, stamps.first_moment) {
             (Some(a), Some(b)) => {
@@ -315,23 +325,28 @@ fn warning_of_own_times(
     )
 }
 
-/// Values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they are `held`.
+/// Returns the values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they
+/// are `held`.
 fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f64> {
     let n = time_s.len().min(values.len());
     let pieces = motion::pieces(&time_s[..n], &values[..n], f64::INFINITY, Between::Cubic);
-    let at = |t: &f64| {
-        let i = time_s[..n].partition_point(|s| s <= t).saturating_sub(1);
+    let mut resampled = Vec::with_capacity(at_s.len());
+    for t in at_s {
+        let mut i = time_s[..n].partition_point(|s| s <= t).saturating_sub(1);
         // Rounding of times must not turn a switch back.
-        let i = if i + 1 < n && time_s[i + 1] - t < 1e-9 * (time_s[i + 1] - time_s[i]) {
-            i + 1
+        if i + 1 < n && time_s[i + 1] - t < 1e-9 * (time_s[i + 1] - time_s[i]) {
+            i += 1;
+        }
+        resampled.push(if held || i + 1 >= n {
+            values[i]
         } else {
-            i
-        };
-        if held || i + 1 >= n { values[i] } else { polynomial::evaluate(&pieces[i], t - time_s[i]) }
-    };
-    at_s.iter().map(at).collect()
+            polynomial::evaluate(&pieces[i], t - time_s[i])
+        });
+    }
+    resampled
 }
 
+/// Refuses settings that are not positive, and units of another quantity.
 fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     let positive = [
         ("rate_hz", settings.rate_hz),
@@ -345,55 +360,53 @@ fn check(settings: &TraceSettings) -> Result<(), Invalid> {
         ("angle_unit", settings.angle_unit, [Quantity::Angle; 2], "of an angle"),
         ("time_unit", settings.time_unit, [Quantity::Time, Quantity::Samples], "of a time"),
     ];
-    for (name, unit, wanted, of) in units {
+    for (name, unit, wanted, quantity) in units {
         if let Some(unit) = unit.filter(|unit| !wanted.contains(&unit.quantity())) {
             let problem = format!("is {unit}");
-            return Err(Invalid::whole(name, problem, format!("give the unit {of}")));
+            return Err(Invalid::whole(name, problem, format!("give the unit {quantity}")));
         }
     }
     for (name, value) in positive {
         if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
-            let name_of = format!("is {v}");
-            return Err(Invalid::whole(name, name_of, "give a positive number"));
+            return Err(Invalid::whole(name, format!("is {v}"), "give a positive number"));
         }
     }
     Ok(())
 }
 
 /// mm, or degrees, per stored value of the positions.
-struct Scale {
+struct PositionScale {
     factors: Vec<f64>,
     unit_from: &'static str,
 }
 
-impl Scale {
-    /// Units of the positions, by the log or by the settings, which must not contradict each other.
-    fn of(columns: &[Column], settings: &TraceSettings) -> Result<Self, Invalid> {
+impl PositionScale {
+    /// Returns the units of the positions, by the log or by the settings, which must not contradict each other.
+    fn new(columns: &[Column], settings: &TraceSettings) -> Result<Self, Invalid> {
         let mut scale = Self { factors: Vec::new(), unit_from: "the log" };
         for column in columns.iter().filter(|c| c.role.is_position()) {
             let is_rotary =
                 matches!(column.role, Role::Axis(k) if settings.columns.axes[k].is_rotary);
-            let (setting, given) = match is_rotary {
-                true => ("angle_unit", settings.angle_unit),
-                false => ("unit", settings.unit),
+            let (setting, requested, remedy) = if is_rotary {
+                let remedy = "give `angle_unit`: deg, rad, mrad, urad, arcsec, arcmin";
+                ("angle_unit", settings.angle_unit, remedy)
+            } else {
+                let remedy = "give `unit`: m, mm, um, nm, in, mil, or count with `count_mm`";
+                ("unit", settings.unit, remedy)
             };
-            let unit = match (given, column.unit) {
-                (Some(given), Some(stated)) if given != stated => {
+            let unit = match (requested, column.unit) {
+                (Some(requested), Some(stated)) if requested != stated => {
                     let problem =
-                        format!("is {given}, but the log has \"{}\" in {stated}", column.name);
+                        format!("is {requested}, but the log has \"{}\" in {stated}", column.name);
                     let remedy = format!("leave `{setting}` out, or correct the log");
                     return Err(Invalid::whole(setting, problem, remedy));
                 }
-                (Some(given), _) => {
+                (Some(requested), _) => {
                     scale.unit_from = "asked for";
-                    given
+                    requested
                 }
                 (None, Some(stated)) => stated,
                 (None, None) => {
-                    let remedy = match is_rotary {
-                        true => "give `angle_unit`: deg, rad, mrad, urad, arcsec, arcmin",
-                        false => "give `unit`: m, mm, um, nm, in, mil, or count with `count_mm`",
-                    };
                     let problem =
                         format!("of the positions is not in the log, in \"{}\"", column.name);
                     return Err(Invalid::whole(setting, problem, remedy));
@@ -409,7 +422,7 @@ impl Scale {
     }
 }
 
-/// mm per count of a position.
+/// Returns the mm per count of a position.
 fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
     let axis = match role {
         Role::X | Role::SetpointX => 0,
@@ -419,25 +432,23 @@ fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
             return Err(Invalid::whole("unit", "is counts in a log of all axes", remedy));
         }
     };
-    let remedy = "give `count_mm`, negative where an axis counts backwards";
-    let absent = || Invalid::whole("count_mm", "is not in a log in counts", remedy);
-    Ok(settings.count_mm.ok_or_else(absent)?[axis])
-}
-
-/// Switch of the tool, from numbers that are 0 or 1.
-fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
-    let one = |(i, v): (usize, &f64)| match *v {
-        0.0 => Ok(false),
-        1.0 => Ok(true),
-        v => {
-            let remedy = "a switch of the tool is 0 (off) or 1 (on); give such a column, or the beam current as `current`";
-            Err(Invalid::at("tool_on", i, format!("is {v}"), remedy))
-        }
+    let Some(count_mm) = settings.count_mm else {
+        let remedy = "give `count_mm`, negative where an axis counts backwards";
+        return Err(Invalid::whole("count_mm", "is not in a log in counts", remedy));
     };
-    column.values.iter().enumerate().map(one).collect()
+    Ok(count_mm[axis])
 }
 
-/// w = I / I_nominal; a value slightly below zero becomes zero.
+/// Returns the switch of the tool, from numbers that are 0 or 1.
+fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
+    if let Some(i) = column.values.iter().position(|v| *v != 0.0 && *v != 1.0) {
+        let remedy = "a switch of the tool is 0 (off) or 1 (on); give such a column, or the beam current as `current`";
+        return Err(Invalid::at("tool_on", i, format!("is {}", column.values[i]), remedy));
+    }
+    Ok(column.values.iter().map(|v| *v == 1.0).collect())
+}
+
+/// Returns w = I / I_nominal; a value slightly below zero becomes zero.
 fn rate_factor(
     column: &Column,
     nominal: Option<f64>,
@@ -475,8 +486,8 @@ fn rate_factor(
         let i = factors.iter().position(|f| *f == largest).unwrap_or(0);
         return Err(Invalid::at("current", i, other_unit(largest * nominal, nominal), SAME_UNIT));
     }
-    let on = || factors.iter().filter(|f| **f > BEAM_ON * largest);
-    let mean = on().sum::<f64>() / on().count() as f64;
+    let on: Vec<f64> = factors.iter().copied().filter(|f| *f > BEAM_ON * largest).collect();
+    let mean = on.iter().sum::<f64>() / on.len() as f64;
     if !(USUAL_RATE_FACTOR.recip()..=USUAL_RATE_FACTOR).contains(&mean) {
         warnings.push(format!(
             "the mean current with the beam on is {}, and `nominal_current` is {}: the tool removes {} times as fast \
@@ -492,7 +503,7 @@ fn rate_factor(
 const SAME_UNIT: &str =
     "give the nominal current in the unit of the log, or check the column of the current";
 
-/// The current of a log beside a nominal one in another unit.
+/// Returns the problem of a current of a log beside a nominal one in another unit.
 fn other_unit(current: f64, nominal: f64) -> String {
     format!(
         "is {}, and `nominal_current` is {}: the tool would remove {} times as fast as its TIF says",
@@ -507,14 +518,14 @@ impl Trace {
     fn check_plausible(&self) -> Result<(), Invalid> {
         let all = [Some(&self.actual_mm), self.setpoint_mm.as_ref()];
         for positions in all.into_iter().flatten() {
-            let far = |p: &[f64; 2]| p.iter().any(|v| !planish_types::is_plausible_mm(*v));
-            if let Some(i) = positions.iter().position(far) {
+            let far = positions.iter().position(|p| !p.iter().all(|v| is_plausible_mm(*v)));
+            if let Some(i) = far {
                 let problem = format!("is {:?} mm", positions[i]);
                 return Err(Invalid::at("position", i, problem, "check `unit` and `count_mm`"));
             }
         }
         for positions in &self.axes {
-            if let Some(i) = positions.iter().position(|v| !planish_types::is_plausible_mm(*v)) {
+            if let Some(i) = positions.iter().position(|v| !is_plausible_mm(*v)) {
                 let problem = format!("is {} mm or degrees", positions[i]);
                 return Err(Invalid::at("position", i, problem, "check `unit` and `angle_unit`"));
             }
@@ -524,33 +535,30 @@ impl Trace {
 
     /// Returns the measured positions of each axis, with its name and unit.
     fn positions(&self, settings: &TraceSettings) -> Vec<jumps::Axis<'_>> {
-        let axis = |name: &str, unit, positions| jumps::Axis {
-            name: name.to_string(),
-            unit,
-            time_s: &self.time_s,
-            positions,
-        };
+        let time_s = &self.time_s;
         if !self.axes.is_empty() {
-            let each = settings.columns.axes.iter().zip(&self.axes);
-            return each
-                .map(|(column, positions)| {
-                    let unit = if column.is_rotary { "deg" } else { "mm" };
-                    axis(&column.name, unit, positions.as_slice().into())
-                })
-                .collect();
+            let columns = settings.columns.axes.iter().zip(&self.axes);
+            let axes = columns.map(|(column, positions)| jumps::Axis {
+                name: column.name.clone(),
+                unit: if column.is_rotary { "deg" } else { "mm" },
+                time_s,
+                positions: positions.as_slice().into(),
+            });
+            return axes.collect();
         }
-        [0, 1]
-            .map(|a| {
-                let positions: Vec<f64> = self.actual_mm.iter().map(|p| p[a]).collect();
-                axis(["x", "y"][a], "mm", positions.into())
-            })
-            .into()
+        let axes = ["x", "y"].into_iter().enumerate().map(|(a, name)| jumps::Axis {
+            name: name.to_string(),
+            unit: "mm",
+            time_s,
+            positions: self.actual_mm.iter().map(|p| p[a]).collect(),
+        });
+        axes.collect()
     }
 
-    /// The samples from `from_s` to `until_s`.
+    /// Returns the samples from `from_s` to `until_s`.
     fn cropped(mut self, settings: &TraceSettings) -> Result<Self, Invalid> {
-        let (from_s, until_s) =
-            (settings.from_s.unwrap_or(0.0), settings.until_s.unwrap_or(f64::INFINITY));
+        let from_s = settings.from_s.unwrap_or(0.0);
+        let until_s = settings.until_s.unwrap_or(f64::INFINITY);
         let first = self.time_s.partition_point(|t| *t < from_s);
         let end = self.time_s.partition_point(|t| *t <= until_s);
         if first + 2 > end || from_s.is_nan() || until_s.is_nan() {
@@ -578,7 +586,7 @@ impl Trace {
         Ok(self)
     }
 
-    /// State of the tool in the intervals between the samples (n-1), true if it removed. It is from the
+    /// Returns the state of the tool in the intervals between the samples (n-1), true if it removed. It is from the
     /// switch, the current, or both; `None` if the log has neither.
     pub fn removes(&self) -> Option<Vec<bool>> {
         let intervals = self.time_s.len() - 1;
@@ -592,20 +600,25 @@ impl Trace {
         })
     }
 
-    /// Motion of the log; its time counts from the first sample.
+    /// Returns the switch of the tool in the intervals (n-1); on where the log has none.
+    fn switched_on(&self) -> Vec<bool> {
+        let intervals = self.time_s.len() - 1;
+        match &self.tool_on {
+            Some(on) => on[..intervals].to_vec(),
+            None => vec![true; intervals],
+        }
+    }
+
+    /// Returns the motion of the log; its time counts from the first sample. Refuses numbers of which no motion is
+    /// made.
     pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;
-        let k = motion.len();
-        let tool_on = match &self.tool_on {
-            Some(on) => on[..k].to_vec(),
-            None => vec![true; k],
-        };
         let motion = Trajectory::new(
             motion.break_time_s().to_vec(),
             motion.coefficient_mm().to_vec(),
-            tool_on,
-            vec![None; k],
+            self.switched_on(),
+            vec![None; motion.len()],
         )?;
         match &self.rate_factor {
             // The current of an interval is the mean of those at its ends.
@@ -614,7 +627,8 @@ impl Trace {
         }
     }
 
-    /// Motion of all axes of a machine; its time counts from the first sample.
+    /// Returns the motion of all axes of a machine; its time counts from the first sample. Refuses numbers of which no
+    /// motion is made.
     pub fn axes_motion(&self, between: Between) -> Result<AxesMotion, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let by_axis: Vec<Vec<[f64; 4]>> = (self.axes.iter())
@@ -622,18 +636,14 @@ impl Trace {
             .collect();
         let k = self.time_s.len() - 1;
         let coefficient = (0..k).flat_map(|i| by_axis.iter().map(move |axis| axis[i])).collect();
-        let tool_on = match &self.tool_on {
-            Some(on) => on[..k].to_vec(),
-            None => vec![true; k],
-        };
-        AxesMotion::new(self.time_s.clone(), coefficient, tool_on, vec![None; k])
+        AxesMotion::new(self.time_s.clone(), coefficient, self.switched_on(), vec![None; k])
     }
 
-    /// Motion of the setpoint, if the log has it.
+    /// Returns the motion of the setpoint, if the log has it. Refuses numbers of which no motion is made.
     pub fn setpoint(&self, between: Between) -> Result<Option<Trajectory>, Invalid> {
+        let Some(setpoint_mm) = &self.setpoint_mm else { return Ok(None) };
         let gap_s = self.clock.longest_step_s();
-        let through = |p: &Vec<[f64; 2]>| motion::through(&self.time_s, p, gap_s, between);
-        self.setpoint_mm.as_ref().map(through).transpose()
+        motion::through(&self.time_s, setpoint_mm, gap_s, between).map(Some)
     }
 }
 

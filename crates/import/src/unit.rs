@@ -58,7 +58,8 @@ impl Unit {
     /// Returns the unit, if values or coordinates of a map can have it.
     fn checked(unit: units::Unit) -> Option<Self> {
         let quantity = unit.quantity();
-        (VALUES.contains(&quantity) || quantity == Quantity::Pixels).then_some(Self(unit))
+        let is_checked = VALUES.contains(&quantity) || quantity == Quantity::Pixels;
+        if is_checked { Some(Self(unit)) } else { None }
     }
 
     /// Returns the unit that `text` spells, if values or coordinates of a map can have it.
@@ -69,7 +70,7 @@ impl Unit {
     /// Returns the unit that a file calls `name` in its field `place`.
     ///
     /// # Errors
-    /// A word that is no unit of a map, by its name.
+    /// Refuses a word that is no unit of a map, by its name.
     pub fn stated(place: &'static str, name: &str) -> Result<Self, Invalid> {
         let unit = units::Unit::read(name, &VALUES);
         if let Some(unit) = unit.and_then(Self::checked) {
@@ -164,9 +165,10 @@ impl Unit {
         if self.0.quantity() == Quantity::Length {
             return Ok(self.0.size(-3));
         }
-        let remedy = match self.is_pixels() {
-            true => "give `pixel_mm`, the distance of pixel centres",
-            false => "coordinates are in m, mm, um, nm, in or another length, or in pixels",
+        let remedy = if self.is_pixels() {
+            "give `pixel_mm`, the distance of pixel centres"
+        } else {
+            "coordinates are in m, mm, um, nm, in or another length, or in pixels"
         };
         Err(Invalid::whole("coordinate_unit", format!("is {self}"), remedy))
     }

@@ -46,7 +46,7 @@ const OTHERS: [(&[u8], &str, &str); 24] = [
     (b"Wyko ASCII", "an ASCII export of Wyko", "export it as .opd"),
 ];
 
-/// The problem and the remedy for a file that starts with `bytes`; `formats` are the names that `format` takes.
+/// Returns the problem and the remedy for a file that starts with `bytes`; `formats` are the names that `format` takes.
 pub fn unknown(bytes: &[u8], formats: &[String]) -> String {
     let (looks, remedy) = looks(bytes);
     format!(
@@ -55,16 +55,18 @@ pub fn unknown(bytes: &[u8], formats: &[String]) -> String {
     )
 }
 
+/// Returns what a file looks like, and the remedy.
 fn looks(bytes: &[u8]) -> (String, String) {
-    let known = |k: &&(&[u8], &str, &str)| bytes.starts_with(k.0);
-    if let Some((_, name, remedy)) = OTHERS.iter().find(known) {
+    if let Some((_, name, remedy)) = OTHERS.iter().find(|other| bytes.starts_with(other.0)) {
         return ((*name).into(), (*remedy).into());
     }
     // Types of MATLAB 4: 1000 x byte order + 10 x number + kind, then rows, columns and a flag for complex numbers.
-    let word =
-        |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-    if let [Some(kind), Some(1..=0xFFFFFF), Some(1..=0xFFFFFF), Some(0 | 1), Some(1..=64)] =
-        [0, 4, 8, 12, 16].map(word)
+    let words: Vec<u32> = bytes
+        .chunks_exact(4)
+        .take(5)
+        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect();
+    if let [kind, 1..=0xFFFFFF, 1..=0xFFFFFF, 0 | 1, 1..=64] = words[..]
         && kind <= 52
         && kind % 10 <= 2
     {

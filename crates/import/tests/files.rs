@@ -8,7 +8,7 @@ use std::panic;
 use flate2::{Compress, Compression, FlushCompress};
 use ndarray::{Array2, array};
 use planish_import::{
-    FirstRow, Format, Pick, Rotation, Settings, Unit,
+    FirstRow, Format, Pick, ReadingSettings, Rotation, Unit,
     program::{self, Configuration},
     read, surface,
 };
@@ -182,16 +182,16 @@ fn seeds() -> Vec<(Format, Vec<u8>)> {
 
 fn message(format: Format, bytes: &[u8]) -> String {
     let made = read(format, bytes, &Pick::default())
-        .and_then(|reading| surface(reading, &Settings::default()));
+        .and_then(|reading| surface(reading, &ReadingSettings::default()));
     made.expect_err("a refusal").to_string()
 }
 
 #[test]
 fn metropro_factors_sign_and_invalid_pixels() {
     let mut b = metropro(2, 3, &[1, -2, 3, 40, 50, 2_147_483_640]);
-    let settings = Settings::default();
+    let settings = ReadingSettings::default();
     let made = |b: &[u8]| {
-        assert_eq!(Format::of(b), Some(Format::Metropro));
+        assert_eq!(Format::recognise(b), Some(Format::Metropro));
         surface(read(Format::Metropro, b, &Pick::default()).unwrap(), &settings).unwrap()
     };
     let (map, statement) = made(&b);
@@ -232,7 +232,7 @@ fn fits_scale_blank_unit_and_pitch() {
     assert!(reading.values[[1, 2]].is_nan());
     assert_eq!(reading.unit, Some(Unit::named("um")));
     // Steps alone: 0 is at the first pixel.
-    let (map, statement) = surface(reading, &Settings::default()).unwrap();
+    let (map, statement) = surface(reading, &ReadingSettings::default()).unwrap();
     // Halves of these numbers are exact, in um: nm.
     assert_eq!(map.height_nm().row(0), raw().row(0).mapv(|v| (10.0 + 0.5 * v) * 1e3));
     assert_eq!((statement.nm_of_zero, statement.nm_per_value), (1e4, 500.0));
@@ -249,7 +249,7 @@ fn placed(cards: &[&str]) -> Vec<u8> {
 }
 
 /// The height at every coordinate, as (x, y, z), or the message.
-fn heights(bytes: &[u8], settings: &Settings) -> Result<Vec<[f64; 3]>, String> {
+fn heights(bytes: &[u8], settings: &ReadingSettings) -> Result<Vec<[f64; 3]>, String> {
     let reading = read(Format::Fits, bytes, &Pick::default()).map_err(|e| e.to_string())?;
     let (map, _) = surface(reading, settings).map_err(|e| e.to_string())?;
     let (g, z) = (map.grid(), map.height_nm());
@@ -271,7 +271,7 @@ fn fits_pixels_lie_where_the_header_says() {
     let without = |key: &str| -> Vec<&str> {
         linear.into_iter().filter(|card| !card.starts_with(key)).collect()
     };
-    let plain = Settings::default();
+    let plain = ReadingSettings::default();
     // Every height with its coordinate by the formula of the standard, pixels counted from 1; these steps and places
     // are exact in binary, but for um.
     let expected = |x: &dyn Fn(f64) -> f64, y: &dyn Fn(f64) -> f64| -> Vec<[f64; 3]> {
@@ -299,13 +299,14 @@ fn fits_pixels_lie_where_the_header_says() {
         &expected(&|i| 10.0 + 0.5 * i, &|j| -4.0 - 0.25 * j),
     );
     // Another pitch leaves the reference where it is.
-    let pitch = Settings { pixel_mm: Some([0.25, 0.5]), override_file: true, ..plain.clone() };
+    let pitch =
+        ReadingSettings { pixel_mm: Some([0.25, 0.5]), override_file: true, ..plain.clone() };
     same(
         heights(&placed(&linear), &pitch).unwrap(),
         &expected(&|i| 10.0 + 0.25 * (i - 2.0), &|j| -4.0 - 0.5 * (j - 2.5)),
     );
     // The part is turned about 0: (x, y) -> (-y, x), mirrored before.
-    let turned = Settings { flip_x: true, rotation: Rotation::Quarter, ..plain.clone() };
+    let turned = ReadingSettings { flip_x: true, rotation: Rotation::Quarter, ..plain.clone() };
     let there: Vec<[f64; 3]> = expected(&x, &y).into_iter().map(|[x, y, z]| [-y, -x, z]).collect();
     same(heights(&placed(&linear), &turned).unwrap(), &there);
 
@@ -313,7 +314,7 @@ fn fits_pixels_lie_where_the_header_says() {
     let bare: Vec<&str> = without("CUNIT");
     let said = heights(&placed(&bare), &plain).unwrap_err();
     assert!(said.contains("give `coordinate_unit`, or `pixel_mm`"), "{said}");
-    let um = Settings { coordinate_unit: Some(Unit::named("um")), ..plain.clone() };
+    let um = ReadingSettings { coordinate_unit: Some(Unit::named("um")), ..plain.clone() };
     same(
         heights(&placed(&bare), &um).unwrap(),
         &expected(&|i| 0.01 + 5e-4 * (i - 2.0), &|j| -4.0 - 0.25 * (j - 2.5)),
@@ -332,18 +333,18 @@ fn fits_pixels_lie_where_the_header_says() {
 fn fits_axes_that_are_no_coordinates_of_a_map_are_refused() {
     let linear =
         ["CRVAL1  = 10.0", "CDELT1  = 0.5", "CUNIT1  = 'mm'", "CDELT2  = 0.5", "CUNIT2  = 'mm'"];
-    let said = |card: &str, settings: &Settings| {
+    let said = |card: &str, settings: &ReadingSettings| {
         heights(&placed(&[&linear[..], &[card]].concat()), settings).unwrap_err()
     };
-    let plain = Settings::default();
+    let plain = ReadingSettings::default();
     // 3 pixels at a slope of 1e-4 lie 3e-4 steps beside the axis, three times what is allowed.
     for card in ["PC1_2   = 0.3", "PC2_1   = -1E-4", "CD2_1   = 1.0", "CROTA2  = 5.0"] {
         assert!(said(card, &plain).contains("lies at an angle"), "{card}");
     }
     assert!(said("CTYPE1  = 'X----LOG'", &plain).contains("not linear"));
-    let top = Settings { first_row: Some(FirstRow::Top), ..plain.clone() };
+    let top = ReadingSettings { first_row: Some(FirstRow::Top), ..plain.clone() };
     assert!(said("CTYPE1  = 'X'", &top).contains("says where its rows lie"));
-    let um = Settings { coordinate_unit: Some(Unit::named("um")), ..plain.clone() };
+    let um = ReadingSettings { coordinate_unit: Some(Unit::named("um")), ..plain.clone() };
     assert!(said("CTYPE1  = 'X'", &um).contains("mm in the file, um was asked for"));
     let zero = placed(&["CDELT1  = 0.0", "CDELT2  = 1.0"]);
     assert!(heights(&zero, &plain).unwrap_err().contains("CDELT1 = 0"));
@@ -374,7 +375,7 @@ fn sdf_in_text_and_bytes() {
 fn hdf5_and_datx_of_a_real_library() {
     // Written by h5py 3.16: docs/instruments.py, recipe `just test-interop`.
     for (format, bytes) in seeds().iter().filter(|s| matches!(s.0, Format::Hdf5 | Format::Datx)) {
-        assert_eq!(Format::of(bytes), Some(*format));
+        assert_eq!(Format::recognise(bytes), Some(*format));
         let reading = read(*format, bytes, &Pick::default()).unwrap();
         assert_eq!(reading.values.row(0), raw().row(0), "{format:?}");
         match format {
@@ -492,12 +493,12 @@ fn executions() -> usize {
 /// No damage makes a reader panic; what it still reads is a map.
 #[test]
 fn damaged_files_are_read_or_refused() {
-    let settings = Settings {
+    let settings = ReadingSettings {
         override_file: true,
         unit: Some(Unit::named("nm")),
         coordinate_unit: Some(Unit::named("mm")),
         pixel_mm: Some([1.0; 2]),
-        ..Settings::default()
+        ..ReadingSettings::default()
     };
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for (format, seed) in seeds() {
@@ -505,7 +506,7 @@ fn damaged_files_are_read_or_refused() {
         for _ in 0..executions() {
             let bytes = damaged(&seed, &mut random);
             let outcome = panic::catch_unwind(|| {
-                let _ = Format::of(&bytes);
+                let _ = Format::recognise(&bytes);
                 read(format, &bytes, &Pick::default()).map(|r| surface(r, &settings))
             });
             match outcome {

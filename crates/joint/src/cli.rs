@@ -144,7 +144,7 @@ impl Joint {
         let plan = plan.map_err(Failure::with_flags)?;
 
         let r = &plan.report;
-        let rms = Rms::of(plan.removal.residual());
+        let rms = Rms::of_surface(plan.removal.residual());
         let total_time_s = plan.trajectory.total_time_s();
         // The corners are rounded as the settings allow, which the tolerance of the motion includes.
         let tolerance_mm = path.tolerance_mm(None)?.max(r.corner_deviation_mm);

@@ -249,7 +249,7 @@ impl JointPlan {
                 r.relative_gap()
             ))
         };
-        let (before, after) = (Rms::of(desired), Rms::of(self.removal.residual()));
+        let (before, after) = (Rms::of_surface(desired), Rms::of_surface(self.removal.residual()));
         let total_time_s = self.trajectory.total_time_s();
         let other_rates = r.rates_of_time.filter(|rates| rates.rate_error > SAME_RATE).map(|rates| {
             format!(

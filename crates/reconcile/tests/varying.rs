@@ -125,7 +125,7 @@ fn executed(trajectory: &Trajectory, t: &Truth, time: Option<&TimeFactor>) -> Ar
         let h = breaks[k + 1] - breaks[k];
         for node in NODES {
             let at_s = breaks[k] + node * h;
-            let of_time = time.map_or(1.0, |time| time.at(at_s));
+            let of_time = time.map_or(1.0, |time| time.factor_at(at_s));
             let seconds = 0.25 * h * of_time * (1.0 + t.rate + t.drift * (at_s / total - 0.5));
             let at = [0, 1].map(|a| c[a][0] + c[a][1] * node * h + t.offset_mm[a]);
             for ((r, c), v) in removal.indexed_iter_mut() {

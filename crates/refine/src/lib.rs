@@ -228,7 +228,7 @@ impl Refined {
             ))
         } else {
             let after = Rms { rms_nm: best.rms_nm, detilted_nm: best.detilted_nm };
-            plausible::drawback(Rms::of(desired), after, best.total_time_s)
+            plausible::drawback(Rms::of_surface(desired), after, best.total_time_s)
         }
     }
 }
@@ -450,7 +450,7 @@ impl<'a> Rounds<'a> {
         let predicted = self.simulation.predict(&trajectory, desired)?;
         let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
         let residual = predicted.removal.residual();
-        let Rms { rms_nm, detilted_nm } = Rms::of(residual);
+        let Rms { rms_nm, detilted_nm } = Rms::of_surface(residual);
         let total_time_s = trajectory.total_time_s();
         let price = 2.0 * self.solver.time_weight_nm2_per_s * total_time_s;
         // E |e|^2 = |P (e - m)|^2 + h'Q h

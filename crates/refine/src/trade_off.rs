@@ -219,7 +219,7 @@ pub fn feed_trade_off(
         let settings =
             planish_joint::JointSettings { min_dwell_s_per_mm, price, ..Default::default() };
         let plan = progress::part(k, prices.len(), || plan(desired, tif, path, limits, &settings))?;
-        let rms = Rms::of(plan.removal.residual());
+        let rms = Rms::of_surface(plan.removal.residual());
         let best = Iterate {
             dwell_s: plan.dwell.dwell_s().to_vec(),
             rms_nm: rms.rms_nm,

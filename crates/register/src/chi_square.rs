@@ -1,6 +1,6 @@
 //! The distribution of a sum of squares.
 
-/// Probability that the sum of the squares of `degrees` standard normal numbers exceeds `sum`, by the cube
+/// Returns the probability that the sum of the squares of `degrees` standard normal numbers exceeds `sum`, by the cube
 /// root of Wilson and Hilferty. Its error is below 0.005 for three degrees and more, and below 0.02 for
 /// one.
 pub fn exceeded(sum: f64, degrees: f64) -> f64 {
@@ -10,7 +10,7 @@ pub fn exceeded(sum: f64, degrees: f64) -> f64 {
     0.5 * complementary_error_function(z / std::f64::consts::SQRT_2)
 }
 
-/// erfc(x), to a relative error of 1.2e-7. Source: W. H. Press et al., Numerical Recipes, section 6.2.2, a
+/// Returns erfc(x), to a relative error of 1.2e-7. Source: W. H. Press et al., Numerical Recipes, section 6.2.2, a
 /// Chebyshev fit in t = 1 / (1 + |x| / 2).
 fn complementary_error_function(x: f64) -> f64 {
     const C: [f64; 10] = [

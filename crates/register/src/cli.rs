@@ -15,7 +15,7 @@ use planish_register::{fit::Estimate, series::RefusedMap};
 use planish_types::{Surface, text::significant};
 
 #[derive(Debug, Subcommand)]
-pub enum Method {
+pub enum RegisterMethod {
     /// Fit the transform from map to machine to fiducials
     Fit(fit::FitArgs),
     /// Write the transform that a machine file states, for a part that nobody measured
@@ -30,7 +30,7 @@ pub enum Method {
     Join(join::JoinArgs),
 }
 
-impl Method {
+impl RegisterMethod {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Fit(arguments) => arguments.run(),
@@ -43,18 +43,18 @@ impl Method {
     }
 }
 
-/// Text of a value with its standard error; the value with `digits` decimals.
+/// Returns a value with its standard error as text; the value with `digits` decimals.
 fn with_error(estimate: Estimate, digits: usize) -> String {
     let error = significant(estimate.standard_error, 2);
     format!("{:.digits$} (standard error {error})", estimate.value)
 }
 
-/// The maps in these directories.
+/// Reads the maps in these directories.
 fn read_maps(inputs: &mut Inputs, paths: &[PathBuf]) -> Result<Vec<Surface>, Failure> {
     paths.iter().map(|dir| Ok(inputs.read("maps", dir)?)).collect()
 }
 
-/// A refusal of one map, with its directory, and a further remedy.
+/// Returns the refusal of one map, with its directory, and a further remedy.
 fn about_map(paths: &[PathBuf], refused: &RefusedMap, remedy: &str) -> Failure {
     // What is wrong with a setting is not about a map.
     const SETTINGS: [&str; 4] =

@@ -14,15 +14,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Find where a part lies on its machine, and take paths and motions there
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct RegisterCli {
     #[command(subcommand)]
-    method: crate::cli::Method,
+    method: crate::cli::RegisterMethod,
 }
 
 /// The command `planish register`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: RegisterCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+    planish_handoff::program(|cli: &RegisterCli| cli.method.run())
 }

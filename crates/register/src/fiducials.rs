@@ -17,7 +17,7 @@ const NAME: &str = "fiducial";
 /// Largest number of fiducials that a file may hold; more are refused. Larger: more memory and time for a
 /// file that is no list of fiducials. Smaller: a real list might be refused. Chosen: far more than anybody
 /// measures.
-pub const MOST_FIDUCIALS: usize = 100_000;
+const MOST_FIDUCIALS: usize = 100_000;
 
 /// A point in the map and on the machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,15 +39,19 @@ pub struct Fiducial {
 }
 
 /// Reads fiducials from JSON, where the text begins with `[`, or CSV.
+///
+/// # Errors
+/// Refuses text that is neither, columns that are unknown or twice, and coordinates or uncertainties that are none.
 pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
     let text = file_text::text(NAME, bytes)?;
     let text = text.trim_start();
-    let mut fiducials: Vec<Fiducial> = match text.starts_with('[') {
-        true => serde_json::from_str(text).map_err(|e| {
+    let mut fiducials: Vec<Fiducial> = if text.starts_with('[') {
+        serde_json::from_str(text).map_err(|e| {
             let remedy = "give a list of objects with map_mm, machine_mm and uncertainty_mm";
             Invalid::whole(NAME, format!("cannot be read ({e})"), remedy)
-        })?,
-        false => csv(text)?,
+        })?
+    } else {
+        csv(text)?
     };
     if fiducials.len() > MOST_FIDUCIALS {
         let problem = format!("is one of {}", fiducials.len());
@@ -67,9 +71,9 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
             ("uncertainty_mm", fiducial.uncertainty_mm, false),
             ("map_uncertainty_mm", fiducial.map_uncertainty_mm, true),
         ];
-        for (name, value, zero) in uncertainties {
-            let valid = |v: f64| v.is_finite() && (v > 0.0 || (zero && v == 0.0));
-            if let Some(v) = value.filter(|v| !valid(*v)) {
+        for (name, value, may_be_0) in uncertainties {
+            let wrong = value.filter(|v| !v.is_finite() || *v < 0.0 || (*v == 0.0 && !may_be_0));
+            if let Some(v) = wrong {
                 let remedy = "give a positive standard deviation in mm, or leave it out for all";
                 return Err(Invalid::at(name, i, format!("is {v}"), remedy));
             }
@@ -118,13 +122,14 @@ fn column(text: &str) -> Result<Option<Column>, Invalid> {
     }
 }
 
+/// Reads fiducials from the lines of a CSV.
 fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
-    let is_line = |(_, line): &(usize, &str)| !line.is_empty() && !line.starts_with('#');
-    let lines_of = |text: &'_ str| -> Vec<(usize, String)> {
-        let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
-        lines.filter(is_line).map(|(i, line)| (i, line.to_string())).collect()
-    };
-    let mut lines = lines_of(text);
+    // Lines with their numbers, from 1.
+    let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+    let mut lines: Vec<(usize, String)> = lines
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+        .map(|(i, line)| (i, line.to_string()))
+        .collect();
     if lines.is_empty() {
         let all = "give a header: map_x_mm, map_y_mm, machine_x_mm, machine_y_mm";
         return Err(Invalid::whole(NAME, "is not in the file", all));
@@ -189,7 +194,8 @@ fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
     Ok(fiducials)
 }
 
-/// The fields of a line, of which the header has `count`: a separator at the end is that of an empty field where one is absent.
+/// Returns the fields of a line, of which the header has `count`: a separator at the end is that of an empty field
+/// where one is absent.
 fn fields_of(line: &str, count: usize) -> Vec<&str> {
     let mut fields: Vec<&str> = file_text::fields(line).collect();
     if fields.len() + 1 == count && file_text::is_closed(line) {

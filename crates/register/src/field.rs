@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 use planish_numerics::keys;
-use planish_types::{Grid, Invalid, Surface};
+use planish_types::{Axis, Grid, Invalid, Surface};
 
 /// A map that gives heights and gradients at any point whose sixteen surrounding pixels are valid.
 pub(crate) struct Field {
@@ -10,54 +10,55 @@ pub(crate) struct Field {
 }
 
 impl Field {
+    /// Returns the field of a map.
     pub fn new(map: Surface) -> Self {
         Self { map }
     }
 
+    /// Returns the pixel centres of the map.
     pub fn grid(&self) -> &Grid {
         self.map.grid()
     }
 
-    /// Pixels with their places [x, y] in mm and heights in nm.
+    /// Returns the valid pixels [row, column] with their places [x, y] in mm and heights in nm.
     pub fn valid_indexed(&self) -> impl Iterator<Item = ([usize; 2], [f64; 2], f64)> + '_ {
         let grid = self.grid();
-        let each = self.map.height_nm().indexed_iter().filter(|(_, z)| z.is_finite());
-        each.map(|((r, c), z)| ([r, c], [grid.x.at(c), grid.y.at(r)], *z))
+        let valid = self.map.height_nm().indexed_iter().filter(|(_, z)| z.is_finite());
+        valid.map(|((r, c), z)| ([r, c], [grid.x.at(c), grid.y.at(r)], *z))
     }
 
+    /// Returns the places [x, y] in mm and the heights in nm of the valid pixels.
     pub fn valid(&self) -> impl Iterator<Item = ([f64; 2], f64)> + '_ {
         self.valid_indexed().map(|(_, x, z)| (x, z))
     }
 
-    /// All pixels row by row, `of` (place, height) where they are valid.
-    pub fn map_values(&self, mut of: impl FnMut([f64; 2], f64) -> f64) -> Vec<f64> {
-        let grid = self.grid();
-        let each = self.map.height_nm().indexed_iter();
-        each.map(
-            |((r, c), z)| {
-                if z.is_finite() { of([grid.x.at(c), grid.y.at(r)], *z) } else { f64::NAN }
-            },
-        )
-        .collect()
+    /// Returns `value` (place, height) of all pixels row by row; NaN where a pixel is invalid.
+    pub fn map_values(&self, mut value: impl FnMut([f64; 2], f64) -> f64) -> Vec<f64> {
+        let mut values = vec![f64::NAN; self.map.height_nm().len()];
+        for ([r, c], p, z) in self.valid_indexed() {
+            values[r * self.grid().x.len() + c] = value(p, z);
+        }
+        values
     }
 
-    /// Height (nm) and gradient (nm/mm) at a point.
-    pub fn at(&self, p: [f64; 2]) -> Option<(f64, [f64; 2])> {
-        let (grid, z) = (self.grid(), self.map.height_nm());
+    /// Returns height (nm) and gradient (nm/mm) at a point, or `None` where a pixel around it is absent or invalid.
+    pub fn height_and_gradient(&self, p: [f64; 2]) -> Option<(f64, [f64; 2])> {
+        let grid = self.grid();
+        let z = self.map.height_nm();
         let (ny, nx) = grid.shape();
-        let split =
-            |s: f64| if s.is_finite() && s.abs() < 1e9 { Some(keys::split(s)) } else { None };
-        let (cx, fx) = split((p[0] - grid.x.start_mm()) / grid.x.step_mm())?;
-        let (cy, fy) = split((p[1] - grid.y.start_mm()) / grid.y.step_mm())?;
+        let (cx, fx) = cell(&grid.x, p[0])?;
+        let (cy, fy) = cell(&grid.y, p[1])?;
         if cx < 1 || cy < 1 || cx + 2 >= nx as isize || cy + 2 >= ny as isize {
             return None;
         }
-        let (wx, wy) = (keys::weights(fx), keys::weights(fy));
-        let (vx, vy) = (slopes(fx), slopes(fy));
-        let (mut height, mut gradient) = (0.0, [0.0; 2]);
+        let [wx, wy] = [fx, fy].map(keys::weights);
+        let [vx, vy] = [fx, fy].map(slopes);
+        let mut height = 0.0;
+        let mut gradient = [0.0; 2];
         for b in 0..4 {
             let r = cy as usize + b - 1;
-            let (mut line, mut slope) = (0.0, 0.0);
+            let mut line = 0.0;
+            let mut slope = 0.0;
             for a in 0..4 {
                 let v = z[[r, cx as usize + a - 1]];
                 line += wx[a] * v;
@@ -69,22 +70,21 @@ impl Field {
         }
         let gradient = [gradient[0] / grid.x.step_mm(), gradient[1] / grid.y.step_mm()];
         // An invalid pixel makes all of them NaN.
-        (height.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((height, gradient))
+        if !height.is_finite() || !gradient.iter().all(|g| g.is_finite()) {
+            return None;
+        }
+        Some((height, gradient))
     }
 
-    /// The pixel whose middle is nearest to a point.
+    /// Returns the pixel [row, column] whose middle is nearest to a point, or `None` beyond the map.
     pub fn nearest(&self, p: [f64; 2]) -> Option<[usize; 2]> {
-        let grid = self.grid();
-        let index = |v: f64, axis: &planish_types::Axis| {
-            let i = ((v - axis.start_mm()) / axis.step_mm()).round();
-            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
-        };
-        Some([index(p[1], &grid.y)?, index(p[0], &grid.x)?])
+        Some([nearest_index(&self.grid().y, p[1])?, nearest_index(&self.grid().x, p[0])?])
     }
 
-    /// Central differences at a pixel, nm/mm.
+    /// Returns the central differences at a pixel, nm/mm, or `None` where a neighbour is absent or invalid.
     pub fn gradient(&self, [r, c]: [usize; 2]) -> Option<[f64; 2]> {
-        let (grid, z) = (self.grid(), self.map.height_nm());
+        let grid = self.grid();
+        let z = self.map.height_nm();
         let (ny, nx) = grid.shape();
         if r == 0 || c == 0 || r + 1 >= ny || c + 1 >= nx {
             return None;
@@ -93,11 +93,23 @@ impl Field {
             (z[[r, c + 1]] - z[[r, c - 1]]) / (2.0 * grid.x.step_mm()),
             (z[[r + 1, c]] - z[[r - 1, c]]) / (2.0 * grid.y.step_mm()),
         ];
-        g.iter().all(|g| g.is_finite()).then_some(g)
+        if g.iter().all(|g| g.is_finite()) { Some(g) } else { None }
     }
 }
 
-/// Derivatives of Keys' weights by the offset.
+/// Returns the cell of a coordinate, and the place in it, in steps.
+fn cell(axis: &Axis, mm: f64) -> Option<(isize, f64)> {
+    let s = (mm - axis.start_mm()) / axis.step_mm();
+    if s.is_finite() && s.abs() < 1e9 { Some(keys::split(s)) } else { None }
+}
+
+/// Returns the pixel whose middle is nearest to a coordinate, or `None` beyond the axis.
+fn nearest_index(axis: &Axis, mm: f64) -> Option<usize> {
+    let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+    if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
+}
+
+/// Returns the derivatives of Keys' weights by the offset.
 fn slopes(f: f64) -> [f64; 4] {
     [
         (-1.5 * f + 2.0) * f - 0.5,
@@ -107,8 +119,9 @@ fn slopes(f: f64) -> [f64; 4] {
     ]
 }
 
-/// Map minus its Gaussian mean. The Gaussian filter passes one half of the amplitude at this wavelength
+/// Returns a map minus its Gaussian mean. The Gaussian filter passes one half of the amplitude at this wavelength
 /// (ISO 16610-21): `exp(-2 pi^2 s^2 / L^2) = 1/2`, s = 0.1874 L. Invalid pixels have no weight.
+/// Refuses a wavelength of less than some pixels, or of more than the map.
 pub(crate) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface, Invalid> {
     let grid = map.grid();
     let sigma_mm = wavelength_mm * (0.5 * std::f64::consts::LN_2).sqrt() / std::f64::consts::PI;
@@ -128,11 +141,11 @@ pub(crate) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface,
         sum = blurred(&sum, axis, sigma);
         weight = blurred(&weight, axis, sigma);
     }
-    let short = Array2::from_shape_fn(z.dim(), |at| z[at] - sum[at] / weight[at]);
+    let short = z - &(sum / weight);
     Surface::new(*grid, short)
 }
 
-/// Convolution with a Gaussian of `sigma` pixels along an axis, cut at four of them.
+/// Returns the convolution with a Gaussian of `sigma` pixels along an axis, cut at four of them.
 fn blurred(map: &Array2<f64>, axis: usize, sigma: f64) -> Array2<f64> {
     let reach = (4.0 * sigma).ceil() as usize;
     let weights: Vec<f64> =

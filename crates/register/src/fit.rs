@@ -26,7 +26,7 @@ use crate::{chi_square::exceeded, fiducials::Fiducial};
 /// Parameters of the transform from map to machine that are fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Model {
+pub enum TransformModel {
     /// Shift and rotation.
     #[default]
     Rigid,
@@ -36,8 +36,8 @@ pub enum Model {
     Affine,
 }
 
-impl Model {
-    /// Number of parameters.
+impl TransformModel {
+    /// Returns the number of parameters.
     pub fn parameters(self) -> usize {
         match self {
             Self::Rigid => 3,
@@ -46,6 +46,7 @@ impl Model {
         }
     }
 
+    /// Returns the smallest number of fiducials that determine the parameters.
     fn least_fiducials(self) -> usize {
         self.parameters().div_ceil(2)
     }
@@ -100,14 +101,14 @@ pub struct Registration {
     /// Transform from the map to the machine.
     pub transform: Transform,
     /// Quality of the fit.
-    pub report: Report,
+    pub report: FitReport,
 }
 
 /// Quality of a fitted transform.
 #[derive(Clone, Debug, Serialize)]
-pub struct Report {
+pub struct FitReport {
     /// Parameters that were fitted.
-    pub model: Model,
+    pub model: TransformModel,
     /// Number of fiducials.
     pub fiducials: usize,
     /// Measured numbers minus parameters.
@@ -134,21 +135,23 @@ pub struct Report {
     pub warnings: Vec<String>,
 }
 
-impl Report {
+impl FitReport {
     /// Returns the reason not to use the transform, if the residuals are too large for their uncertainties.
     pub fn drawback(&self) -> Option<String> {
-        let worst = |r: &&Residual| r.residual_mm[0].hypot(r.residual_mm[1]) / r.uncertainty_mm;
-        let worst = self.residuals.iter().max_by(|a, b| worst(a).total_cmp(&worst(b)))?;
-        (self.probability < LEAST_PROBABILITY).then(|| {
-            format!(
-                "the fiducials miss by {} mm RMS, far more than their uncertainties (probability {}); the \
-                 worst is {}, by {:?} mm",
-                significant(self.rms_mm, 3),
-                significant(self.probability, 2),
-                worst.name,
-                worst.residual_mm
-            )
-        })
+        if self.probability >= LEAST_PROBABILITY || self.probability.is_nan() {
+            return None;
+        }
+        let ratios = (self.residuals.iter())
+            .map(|r| (r.residual_mm[0].hypot(r.residual_mm[1]) / r.uncertainty_mm, r));
+        let (_, worst) = ratios.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(format!(
+            "the fiducials miss by {} mm RMS, far more than their uncertainties (probability {}); the \
+             worst is {}, by {:?} mm",
+            significant(self.rms_mm, 3),
+            significant(self.probability, 2),
+            worst.name,
+            worst.residual_mm
+        ))
     }
 }
 
@@ -163,26 +166,24 @@ struct Centred {
 }
 
 impl Centred {
+    /// Returns the fiducials with the weights that follow from their uncertainties.
     fn new(fiducials: &[Fiducial], sigma_mm: &[f64]) -> Self {
-        let weights = || sigma_mm.iter().map(|s| 1.0 / (s * s));
-        let sum_w: f64 = weights().sum();
-        let mean = |of: fn(&Fiducial) -> [f64; 2]| {
-            [0, 1].map(|a| {
-                fiducials.iter().zip(weights()).map(|(f, w)| w * of(f)[a]).sum::<f64>() / sum_w
-            })
-        };
-        let mean = [mean(|f| f.map_mm), mean(|f| f.machine_mm)];
-        let about = |p: [f64; 2], m: [f64; 2]| [p[0] - m[0], p[1] - m[1]];
-        let each: Vec<_> = fiducials
-            .iter()
-            .zip(weights())
-            .map(|(f, w)| (about(f.map_mm, mean[0]), about(f.machine_mm, mean[1]), w))
-            .collect();
+        let weights: Vec<f64> = sigma_mm.iter().map(|s| 1.0 / (s * s)).collect();
+        let sum_w: f64 = weights.iter().sum();
+        // Points [of the map, of the machine] and their weight.
+        let points = fiducials.iter().zip(weights).map(|(f, w)| ([f.map_mm, f.machine_mm], w));
+        let mean = [0, 1]
+            .map(|k| [0, 1].map(|a| points.clone().map(|(p, w)| w * p[k][a]).sum::<f64>() / sum_w));
+        let centred = points.map(|(p, w)| {
+            let [d, e] = [0, 1].map(|k| [0, 1].map(|a| p[k][a] - mean[k][a]));
+            (d, e, w)
+        });
+        let each: Vec<_> = centred.collect();
         let spread = each.iter().map(|(d, _, w)| w * (d[0] * d[0] + d[1] * d[1])).sum();
         Self { mean, each, sum_w, spread }
     }
 
-    /// A and B of the module; of the mirror image (y of the map turned over) where `mirrored`.
+    /// Returns A and B of the module; of the mirror image (y of the map turned over) where `mirrored`.
     fn complex_sums(&self, mirrored: bool) -> [f64; 2] {
         let sign = if mirrored { -1.0 } else { 1.0 };
         self.each.iter().fold([0.0; 2], |s, (d, e, w)| {
@@ -191,7 +192,7 @@ impl Centred {
         })
     }
 
-    /// N of the module.
+    /// Returns N of the module.
     fn normal(&self) -> [[f64; 2]; 2] {
         let mut n = [[0.0; 2]; 2];
         for (d, _, w) in &self.each {
@@ -202,46 +203,48 @@ impl Centred {
         n
     }
 
-    /// Sum of the weighted squares of the residuals of M; of the mirror image if `mirrored`.
+    /// Returns the sum of the weighted squares of the residuals of M; of the mirror image if `mirrored`.
     fn left(&self, m: &[[f64; 2]; 2], mirrored: bool) -> f64 {
         let sign = if mirrored { -1.0 } else { 1.0 };
-        let one = |(d, e, w): &([f64; 2], [f64; 2], f64)| {
+        let squares = self.each.iter().map(|(d, e, w)| {
             let r = [0, 1].map(|i| e[i] - m[i][0] * d[0] - m[i][1] * sign * d[1]);
             w * (r[0] * r[0] + r[1] * r[1])
-        };
-        self.each.iter().map(one).sum()
+        });
+        squares.sum()
     }
 }
 
-/// M of a rigid or a similar transform.
+/// Returns M of a rigid or a similar transform.
 fn rotation(centred: &Centred, scaled: bool, mirrored: bool) -> [[f64; 2]; 2] {
     let [a, b] = centred.complex_sums(mirrored);
     let size = if scaled { centred.spread } else { a.hypot(b) };
     [[a / size, -b / size], [b / size, a / size]]
 }
 
-/// Eigenvalues of a symmetric matrix, the larger first.
+/// Returns the eigenvalues of a symmetric matrix, the larger first.
 fn eigenvalues(n: &[[f64; 2]; 2]) -> [f64; 2] {
-    let (mean, half) = (0.5 * (n[0][0] + n[1][1]), 0.5 * (n[0][0] - n[1][1]));
+    let mean = 0.5 * (n[0][0] + n[1][1]);
+    let half = 0.5 * (n[0][0] - n[1][1]);
     let root = half.hypot(n[0][1]);
     [mean + root, (mean - root).max(0.0)]
 }
 
 /// Fits `model` to fiducials.
 ///
+/// # Errors
 /// Refuses too few fiducials, and fiducials in the same place. Refuses fiducials on a line if the model is
 /// affine, fiducials too close together for their uncertainty, and correspondences that mirror the part.
-pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
+pub fn fit(fiducials: &[Fiducial], model: TransformModel) -> Result<Registration, Invalid> {
     let n = fiducials.len();
     let least = model.least_fiducials();
     if n < least {
         let problem = format!("is one of {n}, and {model:?} needs {least}");
         return Err(Invalid::whole("fiducial", problem, "measure more of them"));
     }
-    let (sigma_mm, given) = uncertainties(fiducials)?;
-    refuse_coincident(fiducials, &sigma_mm, given)?;
+    let (sigma_mm, is_stated) = uncertainties(fiducials)?;
+    refuse_coincident(fiducials, &sigma_mm, is_stated)?;
     let degrees_of_freedom = 2 * n - model.parameters();
-    if !given && degrees_of_freedom == 0 {
+    if !is_stated && degrees_of_freedom == 0 {
         let problem =
             format!("is one of {n}, without uncertainties: nothing is left to estimate them from");
         return Err(Invalid::whole("fiducial", problem, "give uncertainty_mm, or measure more"));
@@ -250,7 +253,7 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
     let normal = centred.normal();
     let eigen = eigenvalues(&normal);
     let across = (eigen[1] / eigen[0]).sqrt();
-    if model == Model::Affine && across < LEAST_ACROSS {
+    if model == TransformModel::Affine && across < LEAST_ACROSS {
         let [along_mm, across_mm] = eigen.map(|e| (e / centred.sum_w).sqrt());
         let problem = format!(
             "is one of {n} on a line: {} mm RMS along it, {} mm across",
@@ -264,13 +267,13 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
         ));
     }
     let matrix = match model {
-        Model::Rigid => rotation(&centred, false, false),
-        Model::Similarity => rotation(&centred, true, false),
-        Model::Affine => affine(&centred, &normal),
+        TransformModel::Rigid => rotation(&centred, false, false),
+        TransformModel::Similarity => rotation(&centred, true, false),
+        TransformModel::Affine => affine(&centred, &normal),
     };
     let mut warnings = refuse_mirrored(&centred, model, &matrix, across)?;
     let chi_square = centred.left(&matrix, false);
-    let variance = if given { 1.0 } else { chi_square / degrees_of_freedom as f64 };
+    let variance = if is_stated { 1.0 } else { chi_square / degrees_of_freedom as f64 };
     let covariance = covariance(&centred, model, &matrix, &normal, variance);
     let transform = Transform::new(matrix, centred.mean[0], centred.mean[1], covariance)?;
 
@@ -289,7 +292,7 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
         value: a.hypot(b) / centred.spread,
         standard_error: (variance / centred.spread).sqrt(),
     };
-    if model == Model::Rigid && (scale.value - 1.0).abs() > 3.0 * scale.standard_error {
+    if model == TransformModel::Rigid && (scale.value - 1.0).abs() > 3.0 * scale.standard_error {
         warnings.push(format!(
             "the fiducials are {} times as far apart on the machine as in the map (standard error {}): is the \
              pitch of the map right? a similarity takes the scale into account",
@@ -301,13 +304,13 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
         fiducials,
         &sigma_mm,
         &transform,
-        Numbers { model, degrees_of_freedom, given, chi_square, variance, scale, warnings },
+        Numbers { model, degrees_of_freedom, is_stated, chi_square, variance, scale, warnings },
     );
     Ok(Registration { transform, report })
 }
 
-/// Standard deviation of the coordinates of each fiducial, mm, and whether they were given; 1 where they
-/// were not.
+/// Returns the standard deviation of the coordinates of each fiducial, mm, and true if the file states them; 1 where it
+/// does not. Refuses a file that states some of them.
 fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
     let with = fiducials.iter().filter(|f| f.uncertainty_mm.is_some()).count();
     if with == 0 {
@@ -324,19 +327,23 @@ fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
     Ok((each.collect::<Result<_, _>>()?, true))
 }
 
-fn refuse_coincident(fiducials: &[Fiducial], sigma_mm: &[f64], given: bool) -> Result<(), Invalid> {
+/// Refuses two fiducials in the same place, within their uncertainties.
+fn refuse_coincident(
+    fiducials: &[Fiducial],
+    sigma_mm: &[f64],
+    is_stated: bool,
+) -> Result<(), Invalid> {
     // Fiducials are sorted along x, and only neighbours are compared: that is enough to find a point that
     // was given twice.
     let mut order: Vec<usize> = (0..fiducials.len()).collect();
-    for (name, of) in [
-        ("map_mm", (|f: &Fiducial| f.map_mm) as fn(&Fiducial) -> [f64; 2]),
-        ("machine_mm", |f: &Fiducial| f.machine_mm),
-    ] {
-        order.sort_by(|i, j| of(&fiducials[*i])[0].total_cmp(&of(&fiducials[*j])[0]));
+    let map_mm: Vec<[f64; 2]> = fiducials.iter().map(|f| f.map_mm).collect();
+    let machine_mm: Vec<[f64; 2]> = fiducials.iter().map(|f| f.machine_mm).collect();
+    for (name, points) in [("map_mm", map_mm), ("machine_mm", machine_mm)] {
+        order.sort_by(|i, j| points[*i][0].total_cmp(&points[*j][0]));
         for (k, i) in order.iter().enumerate() {
             for j in &order[k + 1..] {
-                let [p, q] = [of(&fiducials[*i]), of(&fiducials[*j])];
-                let close = if given { sigma_mm[*i].hypot(sigma_mm[*j]) } else { 0.0 };
+                let [p, q] = [points[*i], points[*j]];
+                let close = if is_stated { sigma_mm[*i].hypot(sigma_mm[*j]) } else { 0.0 };
                 if q[0] - p[0] > close {
                     break;
                 }
@@ -352,7 +359,7 @@ fn refuse_coincident(fiducials: &[Fiducial], sigma_mm: &[f64], given: bool) -> R
     Ok(())
 }
 
-/// M of an affine transform.
+/// Returns M of an affine transform.
 fn affine(centred: &Centred, normal: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     let inverse = inverse(normal);
     let mut moment = [[0.0; 2]; 2];
@@ -364,6 +371,7 @@ fn affine(centred: &Centred, normal: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     [0, 1].map(|r| [0, 1].map(|s| moment[r][0] * inverse[0][s] + moment[r][1] * inverse[1][s]))
 }
 
+/// Returns the inverse of a matrix.
 fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     let determinant = n[0][0] * n[1][1] - n[0][1] * n[1][0];
     [
@@ -375,18 +383,23 @@ fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
 /// Fits `model` to fiducials on axes that mirror the part. The sign of x of the machine is changed before
 /// the fit and changed back after it.
 ///
+/// # Errors
 /// Refuses what [`fit`] refuses, and correspondences that do not mirror.
-pub fn fit_mirrored(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
-    let over =
-        |f: &Fiducial| Fiducial { machine_mm: [-f.machine_mm[0], f.machine_mm[1]], ..f.clone() };
-    let over: Vec<Fiducial> = fiducials.iter().map(over).collect();
-    let Registration { transform: t, mut report } = fit(&over, model)?;
+pub fn fit_mirrored(
+    fiducials: &[Fiducial],
+    model: TransformModel,
+) -> Result<Registration, Invalid> {
+    let mut turned_over = fiducials.to_vec();
+    for fiducial in &mut turned_over {
+        fiducial.machine_mm[0] = -fiducial.machine_mm[0];
+    }
+    let Registration { transform: t, mut report } = fit(&turned_over, model)?;
     // q_x = -(image_x + M_xx d_x + M_xy d_y): the parameters 0, 2 and 3 change their signs.
-    let sign = |i: usize| if [0, 2, 3].contains(&i) { -1.0 } else { 1.0 };
+    const SIGN: [f64; 6] = [-1.0, 1.0, -1.0, -1.0, 1.0, 1.0];
     let [[a, b], row] = *t.matrix();
     let [x, y] = t.image_mm();
     let six =
-        std::array::from_fn(|i| std::array::from_fn(|j| sign(i) * sign(j) * t.covariance()[i][j]));
+        std::array::from_fn(|i| std::array::from_fn(|j| SIGN[i] * SIGN[j] * t.covariance()[i][j]));
     let transform = Transform::new([[-a, -b], row], t.centre_mm(), [-x, y], six)?;
     for each in &mut report.residuals {
         each.residual_mm[0] = -each.residual_mm[0];
@@ -398,15 +411,14 @@ pub fn fit_mirrored(fiducials: &[Fiducial], model: Model) -> Result<Registration
 /// Refuses correspondences that mirror the part. Returns a warning if the fiducials cannot tell.
 fn refuse_mirrored(
     centred: &Centred,
-    model: Model,
+    model: TransformModel,
     matrix: &[[f64; 2]; 2],
     across: f64,
 ) -> Result<Vec<String>, Invalid> {
-    let rms = |left: f64| (left / centred.sum_w).sqrt();
     let remedy = "give the `machine` whose axes mirror, or else those that do not; turn the map over, or check which \
                   fiducial is which";
     let [[a, b], [c, d]] = *matrix;
-    if model == Model::Affine {
+    if model == TransformModel::Affine {
         let determinant = a * d - b * c;
         if determinant > 0.0 {
             return Ok(Vec::new());
@@ -414,9 +426,9 @@ fn refuse_mirrored(
         let problem = format!("mirrors: its determinant is {}", significant(determinant, 4));
         return Err(Invalid::whole("matrix", problem, remedy));
     }
-    let mirrored = rotation(centred, model == Model::Similarity, true);
-    let [as_is_mm, mirrored_mm] =
-        [rms(centred.left(matrix, false)), rms(centred.left(&mirrored, true))];
+    let mirrored = rotation(centred, model == TransformModel::Similarity, true);
+    let [as_is_mm, mirrored_mm] = [centred.left(matrix, false), centred.left(&mirrored, true)]
+        .map(|left| (left / centred.sum_w).sqrt());
     if MIRRORED * mirrored_mm < as_is_mm && across > LEAST_ACROSS {
         let problem = format!(
             "mirrors: the fiducials miss by {} mm RMS, and by {} mm where the map is turned over",
@@ -433,9 +445,10 @@ fn refuse_mirrored(
     Ok(Vec::new())
 }
 
+/// Returns the covariance of image and matrix.
 fn covariance(
     centred: &Centred,
-    model: Model,
+    model: TransformModel,
     matrix: &[[f64; 2]; 2],
     normal: &[[f64; 2]; 2],
     variance: f64,
@@ -454,12 +467,12 @@ fn covariance(
     };
     match model {
         // dM / d theta = (-sin, -cos; cos, -sin)
-        Model::Rigid => add([-matrix[1][0], -matrix[0][0], matrix[0][0], -matrix[1][0]]),
-        Model::Similarity => {
+        TransformModel::Rigid => add([-matrix[1][0], -matrix[0][0], matrix[0][0], -matrix[1][0]]),
+        TransformModel::Similarity => {
             add([1.0, 0.0, 0.0, 1.0]);
             add([0.0, -1.0, 1.0, 0.0]);
         }
-        Model::Affine => {
+        TransformModel::Affine => {
             let inverse = inverse(normal);
             for axis in 0..2 {
                 for (r, s) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
@@ -473,21 +486,23 @@ fn covariance(
 
 /// Inputs of the report, beside the transform.
 struct Numbers {
-    model: Model,
+    model: TransformModel,
     degrees_of_freedom: usize,
-    given: bool,
+    /// True if the uncertainties of the fiducials are stated.
+    is_stated: bool,
     chi_square: f64,
     variance: f64,
     scale: Estimate,
     warnings: Vec<String>,
 }
 
+/// Returns the quality of a fit.
 fn report(
     fiducials: &[Fiducial],
     sigma_mm: &[f64],
     transform: &Transform,
     numbers: Numbers,
-) -> Report {
+) -> FitReport {
     let factor = numbers.variance.sqrt();
     let residuals: Vec<Residual> = fiducials
         .iter()
@@ -504,34 +519,35 @@ fn report(
     let squares: f64 = residuals.iter().flat_map(|r| r.residual_mm).map(|v| v * v).sum();
     let errors = fiducials.iter().flat_map(|f| transform.standard_error_mm(f.map_mm));
     let freedom = numbers.degrees_of_freedom as f64;
-    let probability = match numbers.given && numbers.degrees_of_freedom > 0 {
-        true => exceeded(numbers.chi_square, freedom),
-        false => 1.0,
+    let probability = if numbers.is_stated && numbers.degrees_of_freedom > 0 {
+        exceeded(numbers.chi_square, freedom)
+    } else {
+        1.0
     };
-    Report {
+    FitReport {
         model: numbers.model,
         fiducials: fiducials.len(),
         degrees_of_freedom: numbers.degrees_of_freedom,
-        uncertainties_given: numbers.given,
+        uncertainties_given: numbers.is_stated,
         angle_deg: angle(transform),
         scale: numbers.scale,
         standard_error_mm: transform.standard_error_mm(transform.centre_mm()),
         largest_standard_error_mm: errors.fold(0.0, f64::max),
         rms_mm: (squares / (2 * fiducials.len()) as f64).sqrt(),
         chi_square: numbers.chi_square
-            / if numbers.given { 1.0 } else { numbers.variance.max(f64::MIN_POSITIVE) },
+            / if numbers.is_stated { 1.0 } else { numbers.variance.max(f64::MIN_POSITIVE) },
         probability,
         residuals,
         warnings: numbers.warnings,
     }
 }
 
-/// The angle of a transform with its standard error, degree.
+/// Returns the angle of a transform with its standard error, degree.
 pub fn angle(transform: &Transform) -> Estimate {
     // theta = atan2(c - m b, a + m d), with M = (a, b; c, d) and m = -1 where M mirrors
     let m = if transform.mirrors() { -1.0 } else { 1.0 };
     let [[a, b], [c, d]] = *transform.matrix();
-    let (s, t) = (c - m * b, a + m * d);
+    let [s, t] = [c - m * b, a + m * d];
     let r = s * s + t * t;
     let gradient = [0.0, 0.0, -s / r, -m * t / r, t / r, -m * s / r];
     Estimate {

@@ -121,6 +121,10 @@ pub const MOST_MAPS: usize = 400;
 const MOST_STACKED_PIXELS: usize = 1 << 28;
 
 /// Joins maps whose coordinates are those of the part.
+///
+/// # Errors
+/// Refuses fewer than 2 maps or more than [`MOST_MAPS`], maps that no chain of overlaps connects with the first one,
+/// and joined maps that are too large.
 pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, RefusedMap> {
     let refused = |index: usize| move |reason: Invalid| RefusedMap { index, reason };
     if !(2..=MOST_MAPS).contains(&maps.len()) {
@@ -129,7 +133,7 @@ pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, Refused
         return Err(refused(0)(Invalid::whole("mosaic", problem, remedy)));
     }
     let grid = whole(maps)?;
-    let pieces: Vec<Array2<f64>> = maps.iter().map(|map| on(map, &grid)).collect();
+    let pieces: Vec<Array2<f64>> = maps.iter().map(|map| resampled(map, &grid)).collect();
     let order = match settings.differ_by {
         Difference::Piston => 0,
         Difference::Plane => 1,
@@ -142,14 +146,16 @@ pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, Refused
     let levelled: Vec<Array2<f64>> =
         pieces.iter().zip(&coefficients).map(|(z, p)| z - low_order.sum(p)).collect();
     let mut squares = 0.0;
-    let (mut overlap_pixels, mut summands) = (0_usize, 0_usize);
-    let height = Array2::from_shape_fn(grid.shape(), |at| {
-        let known = || levelled.iter().map(|z| z[at]).filter(|z| !z.is_nan());
-        let n = known().count();
-        let mean = known().sum::<f64>() / n as f64;
+    let mut overlap_pixels = 0_usize;
+    let mut summands = 0_usize;
+    let height = Array2::from_shape_fn(grid.shape(), |pixel| {
+        let known = levelled.iter().map(|z| z[pixel]).filter(|z| !z.is_nan());
+        let n = known.clone().count();
+        let mean = known.clone().sum::<f64>() / n as f64;
         if n >= 2 {
-            (overlap_pixels, summands) = (overlap_pixels + 1, summands + n);
-            squares += known().map(|z| (z - mean).powi(2)).sum::<f64>();
+            overlap_pixels += 1;
+            summands += n;
+            squares += known.map(|z| (z - mean).powi(2)).sum::<f64>();
         }
         if n == 0 { f64::NAN } else { mean }
     });
@@ -177,46 +183,49 @@ pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, Refused
     Ok(Joined { joined, report })
 }
 
-/// The smallest grid with the pixels of the first map that contains all maps.
+/// Returns the smallest grid with the pixels of the first map that contains all maps. Refuses one that is too large.
 fn whole(maps: &[Surface]) -> Result<Grid, RefusedMap> {
-    let first = maps[0].grid();
-    let covered = |of: fn(&Grid) -> &Axis| {
-        let axis = of(first);
-        let (start, step) = (axis.start_mm(), axis.step_mm());
+    let [x, y]: [Vec<&Axis>; 2] = [
+        maps.iter().map(|map| &map.grid().x).collect(),
+        maps.iter().map(|map| &map.grid().y).collect(),
+    ];
+    // Start, step and number of the pixels along (x, y).
+    let covered = [&x, &y].map(|axes| {
+        let start = axes[0].start_mm();
+        let step = axes[0].step_mm();
         // A pixel that is missed by rounding is no pixel more.
-        let index = |mm: f64| (mm - start) / step;
-        let low = maps.iter().map(|m| index(of(m.grid()).start_mm())).fold(0.0, f64::min);
-        let high = maps.iter().map(|m| index(of(m.grid()).end_mm())).fold(0.0, f64::max);
-        let (low, high) = ((low + 1e-6).floor(), (high - 1e-6).ceil());
+        let low = axes.iter().map(|a| (a.start_mm() - start) / step).fold(0.0, f64::min);
+        let high = axes.iter().map(|a| (a.end_mm() - start) / step).fold(0.0, f64::max);
+        let low = (low + 1e-6).floor();
+        let high = (high - 1e-6).ceil();
         (start + low * step, step, high - low + 1.0)
-    };
-    let (x, y) = (covered(|g| &g.x), covered(|g| &g.y));
-    let pixels = x.2 * y.2 * maps.len() as f64;
-    if pixels > MOST_STACKED_PIXELS as f64 {
-        let grid = |m: &Surface| {
-            let g = m.grid();
-            g.x.start_mm().abs().max(g.x.end_mm().abs()).max(g.y.start_mm().abs()).max(g.y.end_mm())
-        };
-        let far = (0..maps.len()).max_by(|a, b| grid(&maps[*a]).total_cmp(&grid(&maps[*b])));
-        let problem = format!("needs a joined map of {} x {} pixels", x.2, y.2);
+    });
+    let [nx, ny] = covered.map(|(.., pixels)| pixels);
+    if nx * ny * maps.len() as f64 > MOST_STACKED_PIXELS as f64 {
+        let farthest_mm = x.iter().zip(&y).map(|(x, y)| {
+            x.start_mm().abs().max(x.end_mm().abs()).max(y.start_mm().abs()).max(y.end_mm())
+        });
+        let farthest = farthest_mm.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        let problem = format!("needs a joined map of {nx} x {ny} pixels");
         let remedy = "check the place and the pitch of the maps (planish-import surface)";
         let reason = Invalid::whole("mosaic", problem, remedy);
-        return Err(RefusedMap { index: far.unwrap_or(0), reason });
+        return Err(RefusedMap { index: farthest.map_or(0, |map| map.0), reason });
     }
-    let axis = |(start, step, len): (f64, f64, f64)| Axis::new(start, step, len as usize);
-    let grid = axis(x).and_then(|x| Ok(Grid { x, y: axis(y)? }));
-    grid.map_err(|reason| RefusedMap { index: 0, reason })
+    let [x, y] = covered.map(|(start, step, pixels)| {
+        Axis::new(start, step, pixels as usize).map_err(|reason| RefusedMap { index: 0, reason })
+    });
+    Ok(Grid { x: x?, y: y? })
 }
 
-/// A map on the pixels of the joined map (ny, nx), nm; NaN where it is not valid.
-fn on(map: &Surface, grid: &Grid) -> Array2<f64> {
+/// Returns a map on the pixels of the joined map (ny, nx), nm; NaN where it is not valid.
+fn resampled(map: &Surface, grid: &Grid) -> Array2<f64> {
     let source = Resampled::new(map, grid);
     Array2::from_shape_fn(grid.shape(), |(r, c)| {
         source.at_pixel((r, c), [grid.x.at(c), grid.y.at(r)]).unwrap_or(f64::NAN)
     })
 }
 
-/// First and last row, first and last column with a valid pixel.
+/// Returns the first and the last row, the first and the last column with a valid pixel.
 fn extent(piece: &Array2<f64>) -> [usize; 4] {
     let valid = piece.indexed_iter().filter(|(_, z)| !z.is_nan());
     valid.fold([usize::MAX, 0, usize::MAX, 0], |[r0, r1, c0, c1], ((r, c), _)| {
@@ -224,14 +233,14 @@ fn extent(piece: &Array2<f64>) -> [usize; 4] {
     })
 }
 
-/// Number of common pixels of every pair of maps.
+/// Returns the number of common pixels of every pair of maps.
 fn common_pixels(pieces: &[Array2<f64>]) -> Vec<Vec<usize>> {
     let mut counts = vec![vec![0; pieces.len()]; pieces.len()];
     let (ny, nx) = pieces[0].dim();
     let mut there = Vec::new();
-    for at in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+    for pixel in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
         there.clear();
-        there.extend((0..pieces.len()).filter(|k| !pieces[*k][at].is_nan()));
+        there.extend((0..pieces.len()).filter(|k| !pieces[*k][pixel].is_nan()));
         for &k in &there {
             there.iter().for_each(|&l| counts[k][l] += 1);
         }
@@ -259,26 +268,29 @@ fn refuse_islands(counts: &[Vec<usize>], least: usize) -> Result<(), RefusedMap>
     Err(RefusedMap { index, reason: Invalid::whole("mosaic", problem, remedy) })
 }
 
-/// (2): coefficients of every map; those of the first one are 0.
+/// Solves (2). Returns the coefficients of every map; those of the first one are 0. Refuses overlaps that do not
+/// determine them.
 fn solve(pieces: &[Array2<f64>], low_order: &LowOrder) -> Result<Vec<Vec<f64>>, RefusedMap> {
-    let (terms, maps) = (low_order.len(), pieces.len());
+    let terms = low_order.len();
+    let maps = pieces.len();
     let size = terms * maps;
-    let (mut normal, mut right) = (DMatrix::<f64>::zeros(size, size), DVector::<f64>::zeros(size));
+    let mut normal = DMatrix::<f64>::zeros(size, size);
+    let mut right = DVector::<f64>::zeros(size);
     let mut f = vec![0.0; terms];
     let (ny, nx) = pieces[0].dim();
     let mut there = Vec::new();
-    for at in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+    for pixel in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
         there.clear();
-        there.extend((0..maps).filter(|k| !pieces[*k][at].is_nan()));
+        there.extend((0..maps).filter(|k| !pieces[*k][pixel].is_nan()));
         if there.len() < 2 {
             continue;
         }
         let share = 1.0 / there.len() as f64;
-        let mean = there.iter().map(|k| pieces[*k][at]).sum::<f64>() * share;
-        low_order.at(at, &mut f);
+        let mean = there.iter().map(|k| pieces[*k][pixel]).sum::<f64>() * share;
+        low_order.write_terms(pixel, &mut f);
         for &k in &there {
             for i in 0..terms {
-                right[k * terms + i] += f[i] * (pieces[k][at] - mean);
+                right[k * terms + i] += f[i] * (pieces[k][pixel] - mean);
                 for &l in &there {
                     let weight = f64::from(u8::from(k == l)) - share;
                     for j in 0..terms {
@@ -318,16 +330,16 @@ fn solve(pieces: &[Array2<f64>], low_order: &LowOrder) -> Result<Vec<Vec<f64>>, 
 
 /// Every pair of maps with common pixels, and the difference that is left.
 fn overlaps(levelled: &[Array2<f64>], counts: &[Vec<usize>]) -> Vec<Overlap> {
-    let mut found = Vec::new();
+    let mut overlaps = Vec::new();
     for k in 0..levelled.len() {
         for l in k + 1..levelled.len() {
             if counts[k][l] > 0 {
                 let differences = levelled[k].iter().zip(&levelled[l]).map(|(a, b)| a - b);
                 let squares: f64 = differences.filter(|d| !d.is_nan()).map(|d| d * d).sum();
                 let rms_nm = (squares / counts[k][l] as f64).sqrt();
-                found.push(Overlap { maps: [k + 1, l + 1], pixels: counts[k][l], rms_nm });
+                overlaps.push(Overlap { maps: [k + 1, l + 1], pixels: counts[k][l], rms_nm });
             }
         }
     }
-    found
+    overlaps
 }

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_numerics::orthogonal::legendre;
-use planish_types::{Axis, Grid, Invalid};
+use planish_types::{Grid, Invalid};
 
 /// Highest total order. Larger: the terms fit features of the part. Smaller: less of a drift is fitted.
 pub(crate) const MOST_ORDER: usize = 8;
@@ -22,31 +22,32 @@ pub(crate) struct LowOrder {
 }
 
 impl LowOrder {
-    /// Terms up to the total order `order` on the rectangle of `grid`.
+    /// Returns the terms up to the total order `order` on the rectangle of `grid`. Refuses an order above
+    /// [`MOST_ORDER`].
     pub fn new(grid: &Grid, order: usize) -> Result<Self, Invalid> {
         if order > MOST_ORDER {
             let remedy = format!("give 0 to {MOST_ORDER}");
             return Err(Invalid::whole("free_order", format!("is {order}"), remedy));
         }
-        let along = |axis: &Axis| -> Vec<Vec<f64>> {
-            let of = |i: usize| {
-                let mut values = vec![0.0; order + 1];
-                legendre(2.0 * i as f64 / (axis.len() - 1) as f64 - 1.0, &mut values);
-                values
-            };
-            (0..axis.len()).map(of).collect()
-        };
-        Ok(Self { along_x: along(&grid.x), along_y: along(&grid.y), order })
+        let [along_x, along_y] = [&grid.x, &grid.y].map(|axis| {
+            let mut values = vec![vec![0.0; order + 1]; axis.len()];
+            for (i, values) in values.iter_mut().enumerate() {
+                legendre(2.0 * i as f64 / (axis.len() - 1) as f64 - 1.0, values);
+            }
+            values
+        });
+        Ok(Self { along_x, along_y, order })
     }
 
-    /// Number of terms.
+    /// Returns the number of terms.
     pub fn len(&self) -> usize {
         (self.order + 1) * (self.order + 2) / 2
     }
 
-    /// P_i(u) P_j(v) of total order i + j at a pixel, in `out` (terms).
-    pub fn at(&self, (row, column): (usize, usize), out: &mut [f64]) {
-        let (x, y) = (&self.along_x[column], &self.along_y[row]);
+    /// Writes P_i(u) P_j(v) of total order i + j at a pixel to `out` (terms).
+    pub fn write_terms(&self, (row, column): (usize, usize), out: &mut [f64]) {
+        let x = &self.along_x[column];
+        let y = &self.along_y[row];
         let mut k = 0;
         for i in 0..=self.order {
             for j in 0..=self.order - i {
@@ -56,22 +57,25 @@ impl LowOrder {
         }
     }
 
-    /// Sum of the terms with these coefficients on every pixel (ny, nx).
+    /// Returns the sum of the terms with these coefficients on every pixel (ny, nx).
     pub fn sum(&self, coefficients: &[f64]) -> Array2<f64> {
         let mut terms = vec![0.0; self.len()];
-        Array2::from_shape_fn((self.along_y.len(), self.along_x.len()), |at| {
-            self.at(at, &mut terms);
+        Array2::from_shape_fn((self.along_y.len(), self.along_x.len()), |pixel| {
+            self.write_terms(pixel, &mut terms);
             terms.iter().zip(coefficients).map(|(t, c)| t * c).sum()
         })
     }
 
-    /// Least-squares fit of the terms to the valid pixels of a map, on every pixel (ny, nx).
+    /// Fits the terms to the valid pixels of a map by least squares. Returns their sum on every pixel (ny, nx). Refuses
+    /// pixels that do not determine the terms.
     pub fn fit(&self, map: &Array2<f64>) -> Result<Array2<f64>, Invalid> {
         let n = self.len();
-        let (mut normal, mut right) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
-        let (mut terms, mut pixels) = (vec![0.0; n], 0_usize);
-        for (at, z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
-            self.at(at, &mut terms);
+        let mut normal = DMatrix::<f64>::zeros(n, n);
+        let mut right = DVector::<f64>::zeros(n);
+        let mut terms = vec![0.0; n];
+        let mut pixels = 0_usize;
+        for (pixel, z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            self.write_terms(pixel, &mut terms);
             pixels += 1;
             for i in 0..n {
                 right[i] += terms[i] * z;

@@ -156,6 +156,10 @@ const SETTLED_PIXELS: f64 = 5e-3;
 pub(crate) type Pose = [f64; 3];
 
 /// Finds the place of `after` on `before`: shift and rotation with their standard errors.
+///
+/// # Errors
+/// Refuses settings that are not positive, maps with too few pixels or features in common, and a place beyond the
+/// limits of the search.
 pub fn register(
     before: &Surface,
     after: &Surface,
@@ -166,7 +170,7 @@ pub fn register(
         Some(wavelength_mm) => field::shorter_than(map, wavelength_mm),
         None => Ok(map.clone()),
     });
-    let (before, after) = (Field::new(before?), Field::new(after?));
+    let [before, after] = [Field::new(before?), Field::new(after?)];
     let problem = Problem::new(&before, &after, settings.free_order)?;
     let limits = [settings.most_shift_mm, settings.most_rotation_deg.to_radians()];
     let start = search::best(&problem.detrended(), &after, &before, problem.centre_mm, limits);
@@ -179,6 +183,7 @@ pub fn register(
     }
 }
 
+/// Refuses settings that are not positive or too large.
 fn check(settings: &MapSettings) -> Result<(), Invalid> {
     let positive = [
         ("most_shift_mm", Some(settings.most_shift_mm)),
@@ -255,7 +260,8 @@ impl<'a> Problem<'a> {
         mut pose: Pose,
         limits: [f64; 2],
     ) -> Result<(Pose, Equations, usize), Invalid> {
-        let (mut first, mut pixels) = (None, f64::INFINITY);
+        let mut first = None;
+        let mut pixels = f64::INFINITY;
         for steps in 1..=MOST_STEPS {
             let step = self.equations(pose)?.step(self)?;
             pose.iter_mut().zip(step).for_each(|(p, d)| *p += d);
@@ -274,15 +280,15 @@ impl<'a> Problem<'a> {
         Err(Invalid::whole("after", what, remedy))
     }
 
-    /// Number of free terms.
+    /// Returns the number of free terms.
     fn terms(&self) -> usize {
         (self.order + 1) * (self.order + 2) / 2
     }
 
-    /// P_i(u) P_j(v) of total order i + j at a point of the later map.
+    /// Writes P_i(u) P_j(v) of total order i + j at a point of the later map to `out` (terms).
     fn low_order(&self, x: [f64; 2], out: &mut [f64]) {
         let n = self.order + 1;
-        let (mut px, mut py) = ([0.0; MOST_ORDER + 1], [0.0; MOST_ORDER + 1]);
+        let [mut px, mut py] = [[0.0; MOST_ORDER + 1]; 2];
         legendre((x[0] - self.centre_mm[0]) / self.half_mm[0], &mut px[..n]);
         legendre((x[1] - self.centre_mm[1]) / self.half_mm[1], &mut py[..n]);
         let mut k = 0;
@@ -294,7 +300,7 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Both maps without the free terms, for the search.
+    /// Returns both maps without the free terms, for the search.
     fn detrended(&self) -> [Vec<f64>; 2] {
         [self.after, self.before].map(|field| {
             let terms = self.terms();
@@ -322,7 +328,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// The normal equations at `pose`.
+    /// Returns the normal equations at `pose`. Refuses too few pixels in common.
     fn equations(&self, pose: Pose) -> Result<Equations, Invalid> {
         let m = 3 + self.terms();
         let (sin, cos) = pose[2].sin_cos();
@@ -330,7 +336,8 @@ impl<'a> Problem<'a> {
         let mut sizes = [DVector::<f64>::zeros(m), DVector::zeros(m)];
         let mut right = DVector::<f64>::zeros(m);
         let mut samples: Vec<([usize; 2], Vec<f64>, f64, f64)> = Vec::new();
-        let (mut of_h, mut of_g) = (vec![0.0; m], vec![0.0; m]);
+        let mut of_h = vec![0.0; m];
+        let mut of_g = vec![0.0; m];
         for (index, x, z) in self.after.valid_indexed() {
             let d = [0, 1].map(|a| x[a] - self.centre_mm[a] - pose[a]);
             // p = c + R(-theta) d
@@ -338,7 +345,7 @@ impl<'a> Problem<'a> {
                 self.centre_mm[0] + cos * d[0] + sin * d[1],
                 self.centre_mm[1] - sin * d[0] + cos * d[1],
             ];
-            let Some((b, g)) = self.before.at(p) else { continue };
+            let Some((b, g)) = self.before.height_and_gradient(p) else { continue };
             let Some(h) = self.after.gradient(index) else { continue };
             // The gradient of b, turned into the frame of the later map.
             let g = [cos * g[0] - sin * g[1], sin * g[0] + cos * g[1]];
@@ -366,6 +373,7 @@ impl<'a> Problem<'a> {
         self.assembled(normal, sizes, right, &samples)
     }
 
+    /// Returns the equations with the residual at each sample: index, row of H, z - b, and z.
     fn assembled(
         &self,
         normal: DMatrix<f64>,
@@ -390,29 +398,31 @@ impl<'a> Problem<'a> {
         let a_of_z = of_terms.solve(&for_z);
         let mut scores = vec![DVector::zeros(m); BLOCKS * BLOCKS];
         let mut filled = [false; BLOCKS * BLOCKS];
-        let (mut squares, mut zz, mut bb, mut zb) = (0.0, 0.0, 0.0, 0.0);
+        let [mut squares, mut zz, mut bb, mut zb] = [0.0; 4];
         let mut left = Array2::from_elem(self.after.grid().shape(), f64::NAN);
         for (index, row, rest, z) in samples {
             let block = self.block(*index);
-            let low =
-                |a: &DVector<f64>| row[3..].iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>();
-            let r = rest - low(&a);
-            let z = z - low(&a_of_z);
+            let [low, low_of_z] = [&a, &a_of_z]
+                .map(|a| row[3..].iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>());
+            let r = rest - low;
+            let z = z - low_of_z;
             let b = z - r;
             squares += r * r;
-            (zz, bb, zb) = (zz + z * z, bb + b * b, zb + z * b);
+            zz += z * z;
+            bb += b * b;
+            zb += z * b;
             for i in 0..m {
                 scores[block][i] += row[i] * r;
             }
             filled[block] = true;
             left[*index] = r;
         }
-        let keep = |k: &usize| filled[*k];
+        let scores = scores.into_iter().zip(filled).filter(|(_, is_filled)| *is_filled);
         Ok(Equations {
             normal,
             sizes,
             right,
-            scores: (0..BLOCKS * BLOCKS).filter(keep).map(|k| scores[k].clone()).collect(),
+            scores: scores.map(|(score, _)| score).collect(),
             across_borders: self.across_borders(&left),
             pixels: samples.len(),
             squares,
@@ -420,34 +430,20 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// f of the module, from the residual map `left` of the fit; NaN marks pixels without a residual.
+    /// Returns f of the module, from the residual map `left` of the fit; NaN marks pixels without a residual.
     fn across_borders(&self, left: &Array2<f64>) -> f64 {
         let (ny, nx) = left.dim();
         let block = [ny, nx].map(|n| n as f64 / BLOCKS as f64);
-        let mean = |i: isize, j: isize| {
-            // One half of the lags is enough: the autocovariance is even.
-            let (rows, from) = (0..ny - i as usize, j.unsigned_abs());
-            let (mut sum, mut count) = (0.0, 0.0);
-            for r in rows {
-                for c in 0..nx - from {
-                    let (a, b) = if j < 0 { (c + from, c) } else { (c, c + from) };
-                    let product = left[[r, a]] * left[[r + i as usize, b]];
-                    if !product.is_nan() {
-                        sum += product;
-                        count += 1.0;
-                    }
-                }
-            }
-            (if count > 0.0 { sum / count } else { 0.0 }, count)
-        };
-        let (variance, pixels) = mean(0, 0);
-        let (mut all, mut within) = (variance, variance);
+        let (variance, pixels) = autocovariance(left, 0, 0);
+        let mut all = variance;
+        let mut within = variance;
         let most = (0.5 * block[0].min(block[1])) as isize;
         for ring in 1..=most {
-            let (mut sum, mut tapered, mut lags) = (0.0, 0.0, 0.0);
+            let [mut sum, mut tapered, mut lags] = [0.0; 3];
+            // One half of the lags is enough: the autocovariance is even.
             let half = (-ring + 1..=ring).map(|j| (ring, j)).chain((0..ring).map(|i| (i, ring)));
             for (i, j) in half.chain((1..=ring).map(|i| (i, -ring))) {
-                let (a, _) = mean(i, j);
+                let (a, _) = autocovariance(left, i, j);
                 sum += a;
                 tapered += a * (1.0 - i as f64 / block[0]) * (1.0 - j.abs() as f64 / block[1]);
                 lags += 1.0;
@@ -462,12 +458,13 @@ impl<'a> Problem<'a> {
         if within > 0.0 { all / within } else { 1.0 }
     }
 
+    /// Returns the block of a pixel.
     fn block(&self, [r, c]: [usize; 2]) -> usize {
         let (ny, nx) = self.after.grid().shape();
         (r * BLOCKS / ny) * BLOCKS + c * BLOCKS / nx
     }
 
-    /// Correlation of the derivatives along x, y and around the middle at a place, with the map before
+    /// Returns the correlation of the derivatives along x, y and around the middle at a place, with the map before
     /// displaced by `by_mm`.
     fn common(&self, pose: Pose, by_mm: [f64; 2]) -> [f64; 3] {
         let (sin, cos) = pose[2].sin_cos();
@@ -479,7 +476,8 @@ impl<'a> Problem<'a> {
                 self.centre_mm[0] + cos * d[0] + sin * d[1] + by_mm[0],
                 self.centre_mm[1] - sin * d[0] + cos * d[1] + by_mm[1],
             ];
-            let Some(g) = self.before.nearest(p).and_then(|at| self.before.gradient(at)) else {
+            let Some(g) = self.before.nearest(p).and_then(|pixel| self.before.gradient(pixel))
+            else {
                 continue;
             };
             let g = [cos * g[0] - sin * g[1], sin * g[0] + cos * g[1]];
@@ -492,10 +490,8 @@ impl<'a> Problem<'a> {
         sums.map(|[gh, gg, hh]| if gg * hh > 0.0 { gh / (gg * hh).sqrt() } else { 0.0 })
     }
 
-    /// Correlations at `pose` relative to their RMS at wrong places, after Fisher's transformation.
+    /// Returns the correlations at `pose` relative to their RMS at wrong places, after Fisher's transformation.
     fn features(&self, pose: Pose) -> [f64; 3] {
-        // After Fisher's atanh, correlations near 1 scatter as much as small ones.
-        let fisher = |c: [f64; 3]| c.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh());
         let here = fisher(self.common(pose, [0.0; 2]));
         let range = -WRONG_PLACES..=WRONG_PLACES;
         let wrong: Vec<[i64; 2]> = range
@@ -503,14 +499,14 @@ impl<'a> Problem<'a> {
             .flat_map(|j| range.clone().map(move |i| [i, j]))
             .filter(|by| *by != [0, 0])
             .collect();
-        let pieces = progress::Pieces::new(wrong.len());
-        let at = |by: &[i64; 2]| {
+        let pieces = progress::PieceCounter::new(wrong.len());
+        let elsewhere = wrong.par_iter().map(|by| {
             let by_mm = [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a]);
-            let found = fisher(self.common(pose, by_mm));
+            let correlations = fisher(self.common(pose, by_mm));
             progress::done(pieces.one_more());
-            found
-        };
-        let elsewhere: Vec<[f64; 3]> = wrong.par_iter().map(at).collect();
+            correlations
+        });
+        let elsewhere: Vec<[f64; 3]> = elsewhere.collect();
         [0, 1, 2].map(|k| {
             let squares = elsewhere.iter().map(|c| c[k] * c[k]).sum::<f64>() / wrong.len() as f64;
             // Without noise the correlations at wrong places may be exactly zero; then the one at `pose`
@@ -519,6 +515,7 @@ impl<'a> Problem<'a> {
         })
     }
 
+    /// Refuses a place beyond the limits of the search.
     fn refuse_beyond(&self, pose: Pose, [shift_mm, rotation]: [f64; 2]) -> Result<(), Invalid> {
         if pose[0].abs() <= shift_mm && pose[1].abs() <= shift_mm && pose[2].abs() <= rotation {
             return Ok(());
@@ -534,6 +531,7 @@ impl<'a> Problem<'a> {
         Err(Invalid::whole("after", problem, remedy))
     }
 
+    /// Returns the transform at a place, and its quality. Refuses a place that is uncertain.
     fn result(&self, pose: Pose, e: &Equations, steps: usize) -> Result<MapRegistration, Invalid> {
         let features = self.check_features(pose)?;
         let covariance = e.covariance(self)?;
@@ -574,8 +572,8 @@ impl<'a> Problem<'a> {
     fn check_features(&self, pose: Pose) -> Result<[f64; 3], Invalid> {
         let features = self.features(pose);
         let names = ["along x", "along y", "around the middle"];
-        let few = |k: &usize| features[*k].is_nan() || features[*k] < LEAST_FEATURES;
-        let too_few: Vec<usize> = (0..3).filter(few).collect();
+        let too_few: Vec<usize> =
+            (0..3).filter(|k| features[*k].is_nan() || features[*k] < LEAST_FEATURES).collect();
         if !too_few.is_empty() {
             let problem = format!(
                 "has too few features {} in common with the map before: they stand out of chance by a factor of {}, \
@@ -590,7 +588,7 @@ impl<'a> Problem<'a> {
         Ok(features)
     }
 
-    /// q = R(theta) (p - c) + c + s.
+    /// Returns q = R(theta) (p - c) + c + s.
     fn transform(&self, pose: Pose, covariance: &DMatrix<f64>) -> Result<Transform, Invalid> {
         let (sin, cos) = pose[2].sin_cos();
         let c = self.centre_mm;
@@ -619,13 +617,39 @@ impl<'a> Problem<'a> {
     }
 }
 
+/// Returns Fisher's transformation of correlations: near 1 they then scatter as much as small ones.
+fn fisher(correlations: [f64; 3]) -> [f64; 3] {
+    correlations.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh())
+}
+
+/// Returns the mean product of the pixels that lie `i` rows (not below 0) and `j` columns apart, and their number. NaN
+/// marks pixels that do not count.
+fn autocovariance(map: &Array2<f64>, i: isize, j: isize) -> (f64, f64) {
+    let (ny, nx) = map.dim();
+    let from = j.unsigned_abs();
+    let mut sum = 0.0;
+    let mut count = 0.0;
+    for r in 0..ny - i as usize {
+        for c in 0..nx - from {
+            let (a, b) = if j < 0 { (c + from, c) } else { (c, c + from) };
+            let product = map[[r, a]] * map[[r + i as usize, b]];
+            if !product.is_nan() {
+                sum += product;
+                count += 1.0;
+            }
+        }
+    }
+    (if count > 0.0 { sum / count } else { 0.0 }, count)
+}
+
 impl Equations {
-    /// Gauss-Newton step: shift in mm, rotation in rad.
+    /// Returns the Gauss-Newton step: shift in mm, rotation in rad.
     fn step(&self, problem: &Problem) -> Result<Pose, Invalid> {
         let solved = self.inverse()? * &self.right;
         Ok([solved[0], solved[1], solved[2] / problem.half_diagonal_mm])
     }
 
+    /// Returns (H'G)^-1. Refuses equations that do not determine the place.
     fn inverse(&self) -> Result<DMatrix<f64>, Invalid> {
         // Smallest singular value of the scaled matrix H'G, dimensionless; a smaller one is refused.
         // Columns are scaled to length 1 first, so that the value does not depend on units. Larger: refuses
@@ -641,9 +665,10 @@ impl Equations {
             return Err(Invalid::whole("after", problem, remedy));
         }
         let scaled = DMatrix::from_fn(m, m, |i, j| self.normal[(i, j)] / (h[i] * g[j]));
-        let least = match scaled.iter().all(|v| v.is_finite()) {
-            true => scaled.clone().singular_values().min(),
-            false => 0.0,
+        let least = if scaled.iter().all(|v| v.is_finite()) {
+            scaled.clone().singular_values().min()
+        } else {
+            0.0
         };
         let inverse = scaled.try_inverse().filter(|_| least > LEAST_SINGULAR_VALUE);
         let inverse = inverse.ok_or_else(|| {
@@ -653,7 +678,7 @@ impl Equations {
         Ok(DMatrix::from_fn(m, m, |i, j| inverse[(i, j)] / (g[i] * h[j])))
     }
 
-    /// Covariance of the pose: the sandwich by blocks.
+    /// Returns the covariance of the pose: the sandwich by blocks. Refuses too few blocks.
     fn covariance(&self, problem: &Problem) -> Result<DMatrix<f64>, Invalid> {
         let blocks = self.scores.len();
         if blocks < LEAST_BLOCKS {

@@ -20,14 +20,6 @@ impl<'a> Resampled<'a> {
     /// Prepares to read `map` at the pixels of `grid`.
     pub fn new(map: &'a Surface, grid: &Grid) -> Self {
         let own = map.grid();
-        let offset = |to: &Axis, of: &Axis| {
-            let begin = (to.start_mm() - of.start_mm()) / of.step_mm();
-            let end = (to.end_mm() - of.start_mm()) / of.step_mm();
-            let whole = |v: f64| (v - v.round()).abs() <= SAME_PIXEL;
-            let steps = (to.len() - 1) as f64;
-            let same = whole(begin) && (end - begin - steps).abs() <= SAME_PIXEL;
-            same.then_some(begin.round() as isize)
-        };
         let rows_columns = offset(&grid.y, &own.y).zip(offset(&grid.x, &own.x));
         let offset = rows_columns.map(|(row, column)| [row, column]);
         Self { map, field: Field::new(map.clone()), offset }
@@ -38,18 +30,32 @@ impl<'a> Resampled<'a> {
         self.offset.is_some()
     }
 
-    /// Height, nm, at the pixel (row, column) of the grid, which lies at `p` [x, y], mm. `None` beyond the map and where
-    /// a pixel that it needs is invalid.
+    /// Returns the height, nm, at the pixel (row, column) of the grid, which lies at `p` [x, y], mm. `None` beyond the
+    /// map and where a pixel that it needs is invalid.
     pub fn at_pixel(&self, (row, column): (usize, usize), p: [f64; 2]) -> Option<f64> {
-        let Some([first_row, first_column]) = self.offset else { return self.at(p) };
+        let Some([first_row, first_column]) = self.offset else { return self.at_point(p) };
         let height = self.map.height_nm();
         let index = [row as isize + first_row, column as isize + first_column];
         let [r, c] = index.map(|i| usize::try_from(i).ok());
         height.get([r?, c?]).copied().filter(|z| !z.is_nan())
     }
 
-    /// Height, nm, at a point [x, y], mm, by Keys' cubic convolution.
-    pub fn at(&self, p: [f64; 2]) -> Option<f64> {
-        Some(self.field.at(p)?.0)
+    /// Returns the height, nm, at a point [x, y], mm, by Keys' cubic convolution.
+    pub fn at_point(&self, p: [f64; 2]) -> Option<f64> {
+        Some(self.field.height_and_gradient(p)?.0)
+    }
+}
+
+/// Returns the pixel of the axis `own` on which the first pixel of `other` lies, if all pixels of `other` lie on pixels
+/// of `own`, which go on beyond its ends.
+fn offset(other: &Axis, own: &Axis) -> Option<isize> {
+    let [begin, end] =
+        [other.start_mm(), other.end_mm()].map(|mm| (mm - own.start_mm()) / own.step_mm());
+    let steps = (other.len() - 1) as f64;
+    let is_whole = (begin - begin.round()).abs() <= SAME_PIXEL;
+    if is_whole && (end - begin - steps).abs() <= SAME_PIXEL {
+        Some(begin.round() as isize)
+    } else {
+        None
     }
 }

@@ -99,6 +99,10 @@ pub struct RefusedMap {
 }
 
 /// Takes the mean of a series of maps.
+///
+/// # Errors
+/// Refuses fewer than 2 maps or more than [`MOST_MAPS`], a map that does not register on the first one, and maps that
+/// have no pixels in common.
 pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, RefusedMap> {
     let refused = |index: usize| move |reason: Invalid| RefusedMap { index, reason };
     if !(2..=MOST_MAPS).contains(&maps.len()) {
@@ -112,7 +116,7 @@ pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, Refus
     let mut members = Vec::new();
     let mut levelled = vec![first.height_nm().clone()];
     for (k, map) in maps.iter().enumerate().skip(1) {
-        let found = match &settings.registration {
+        let registration = match &settings.registration {
             None => None,
             Some(how) => Some(
                 progress::part(k - 1, maps.len() - 1, || register(first, map, how))
@@ -120,33 +124,31 @@ pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, Refus
             ),
         };
         let source = Resampled::new(map, grid);
-        let height = |(r, c): (usize, usize)| {
+        let there = Array2::from_shape_fn(grid.shape(), |(r, c)| {
             let p = [grid.x.at(c), grid.y.at(r)];
-            match &found {
-                Some(found) => source.at(found.transform.point(p)),
+            let height = match &registration {
+                Some(registration) => source.at_point(registration.transform.point(p)),
                 None => source.at_pixel((r, c), p),
-            }
-        };
-        let there = Array2::from_shape_fn(grid.shape(), |at| height(at).unwrap_or(f64::NAN));
+            };
+            height.unwrap_or(f64::NAN)
+        });
         let difference = &there - first.height_nm();
         let fitted = low_order.fit(&difference).map_err(refused(k))?;
         let rest = &difference - &fitted;
         let known: Vec<f64> = rest.iter().copied().filter(|v| !v.is_nan()).collect();
         let squares: f64 = known.iter().map(|v| v * v).sum();
-        let of = |estimate: fn(&crate::maps::MapReport) -> Estimate| {
-            found.as_ref().map(|found| estimate(&found.report))
-        };
+        let report = registration.as_ref().map(|registration| &registration.report);
         members.push(Member {
-            shift_x_mm: of(|r| r.shift_x_mm),
-            shift_y_mm: of(|r| r.shift_y_mm),
-            rotation_deg: of(|r| r.rotation_deg),
-            interpolated: found.is_some() || !source.is_exact(),
+            shift_x_mm: report.map(|r| r.shift_x_mm),
+            shift_y_mm: report.map(|r| r.shift_y_mm),
+            rotation_deg: report.map(|r| r.rotation_deg),
+            interpolated: registration.is_some() || !source.is_exact(),
             difference_rms_nm: (squares / known.len() as f64).sqrt(),
             pixels: known.len(),
         });
         levelled.push(there - fitted);
     }
-    let moments = Array2::from_shape_fn(grid.shape(), |at| Moments::of(&levelled, at));
+    let moments = Array2::from_shape_fn(grid.shape(), |pixel| Moments::new(&levelled, pixel));
     let valid: Vec<&Moments> = moments.iter().filter(|m| m.count >= 2.0).collect();
     if valid.is_empty() {
         let problem = "has no pixel that two maps have in common";
@@ -162,10 +164,10 @@ pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, Refus
         pixels: valid.len(),
         members,
     };
-    let value =
-        |of: fn(&Moments) -> f64| moments.map(|m| if m.count >= 2.0 { of(m) } else { f64::NAN });
-    let mean = Surface::new(*grid, value(|m| m.mean))
-        .and_then(|mean| mean.with_deviation(value(Moments::deviation)))
+    let height_nm = moments.map(|m| if m.count >= 2.0 { m.mean } else { f64::NAN });
+    let deviation_nm = moments.map(|m| if m.count >= 2.0 { m.deviation() } else { f64::NAN });
+    let mean = Surface::new(*grid, height_nm)
+        .and_then(|mean| mean.with_deviation(deviation_nm))
         .map_err(refused(0))?;
     Ok(Series { mean, report })
 }
@@ -178,15 +180,16 @@ struct Moments {
 }
 
 impl Moments {
-    fn of(maps: &[Array2<f64>], at: (usize, usize)) -> Self {
-        let heights = || maps.iter().map(|map| map[at]).filter(|z| !z.is_nan());
-        let count = heights().count() as f64;
-        let mean = heights().sum::<f64>() / count;
-        let squares = heights().map(|z| (z - mean).powi(2)).sum();
+    /// Returns the moments of the maps at a pixel (row, column).
+    fn new(maps: &[Array2<f64>], pixel: (usize, usize)) -> Self {
+        let heights = maps.iter().map(|map| map[pixel]).filter(|z| !z.is_nan());
+        let count = heights.clone().count() as f64;
+        let mean = heights.clone().sum::<f64>() / count;
+        let squares = heights.map(|z| (z - mean).powi(2)).sum();
         Self { count, mean, squares }
     }
 
-    /// u, nm.
+    /// Returns u, nm.
     fn deviation(&self) -> f64 {
         (self.squares / (self.count - 1.0) / self.count).sqrt()
     }

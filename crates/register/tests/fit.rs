@@ -2,7 +2,7 @@
 
 use planish_register::{
     fiducials::Fiducial,
-    fit::{Model, angle, fit},
+    fit::{TransformModel, angle, fit},
 };
 use planish_testkit::case_generator;
 use planish_types::Transform;
@@ -52,9 +52,9 @@ fn plain(points: &[[f64; 2]], matrix: [[f64; 2]; 2]) -> Vec<Fiducial> {
 fn without_noise_every_model_is_exact() {
     let affine = [[1.01, -0.3], [0.25, 0.98]];
     for (model, matrix) in [
-        (Model::Rigid, turned(31.0, 1.0)),
-        (Model::Similarity, turned(-170.0, 1.02)),
-        (Model::Affine, affine),
+        (TransformModel::Rigid, turned(31.0, 1.0)),
+        (TransformModel::Similarity, turned(-170.0, 1.02)),
+        (TransformModel::Affine, affine),
     ] {
         let found = fit(&plain(&CORNERS, matrix), model).unwrap();
         for p in [[3.0, -7.0], [200.0, 11.0]] {
@@ -70,30 +70,30 @@ fn without_noise_every_model_is_exact() {
         // As above, over the corners.
         assert!(found.report.rms_mm < 1e-12, "{model:?}");
     }
-    let found = fit(&plain(&CORNERS, turned(31.0, 1.0)), Model::Rigid).unwrap();
+    let found = fit(&plain(&CORNERS, turned(31.0, 1.0)), TransformModel::Rigid).unwrap();
     // Rounding of degrees.
     assert!((found.report.angle_deg.value - 31.0).abs() < 1e-12);
 }
 
 /// Square of the distance of the found transform from the true one in standard errors, along the parameters
 /// that the model has: by the images of points that determine them.
-fn distance(found: &Transform, truth: [[f64; 2]; 2], model: Model) -> f64 {
+fn distance(found: &Transform, truth: [[f64; 2]; 2], model: TransformModel) -> f64 {
     let centre = found.centre_mm();
     let image =
         [0, 1].map(|r| [-12.5, 340.0][r] + truth[r][0] * centre[0] + truth[r][1] * centre[1]);
     let (c, m) = (found.covariance(), found.matrix());
     let mut sum = (0..2).map(|a| (found.image_mm()[a] - image[a]).powi(2) / c[a][a]).sum::<f64>();
     match model {
-        Model::Rigid => {
+        TransformModel::Rigid => {
             let angle = (truth[1][0] - truth[0][1]).atan2(truth[0][0] + truth[1][1]);
             let variance = angle_variance(found);
             sum += (found.angle_rad() - angle).powi(2) / variance;
         }
-        Model::Similarity => {
+        TransformModel::Similarity => {
             sum += (m[0][0] - truth[0][0]).powi(2) / c[2][2];
             sum += (m[1][0] - truth[1][0]).powi(2) / c[4][4];
         }
-        Model::Affine => {
+        TransformModel::Affine => {
             for axis in 0..2 {
                 let d = [0, 1].map(|s| m[axis][s] - truth[axis][s]);
                 let block = [0, 1].map(|r| [0, 1].map(|s| c[2 + 2 * axis + r][2 + 2 * axis + s]));
@@ -118,9 +118,9 @@ fn the_covariance_covers_the_truth_in_95_percent_of_the_draws() {
     // 95 % of chi^2 with 3, 4, 6 degrees, and of p F(p, dof) where the uncertainties are from the residuals:
     // F(3, 5) = 5.409, F(4, 4) = 6.388, F(6, 2) = 19.330.
     for (stream, model, scale, quantiles) in [
-        (1, Model::Rigid, 1.0, [7.815, 3.0 * 5.409]),
-        (2, Model::Similarity, 1.003, [9.488, 4.0 * 6.388]),
-        (3, Model::Affine, 1.003, [12.592, 6.0 * 19.330]),
+        (1, TransformModel::Rigid, 1.0, [7.815, 3.0 * 5.409]),
+        (2, TransformModel::Similarity, 1.003, [9.488, 4.0 * 6.388]),
+        (3, TransformModel::Affine, 1.003, [12.592, 6.0 * 19.330]),
     ] {
         for given in [true, false] {
             let truth = turned(3.0, scale);
@@ -151,7 +151,7 @@ fn the_covariance_covers_the_truth_in_95_percent_of_the_draws() {
 #[test]
 fn mirrored_correspondences_are_refused() {
     let mirror = [[1.0, 0.0], [0.0, -1.0]];
-    for model in [Model::Rigid, Model::Similarity, Model::Affine] {
+    for model in [TransformModel::Rigid, TransformModel::Similarity, TransformModel::Affine] {
         let fiducials =
             measured(&CORNERS, mirror, 5e-3, true, &mut case_generator(17, 4, model as u64));
         let said = fit(&fiducials, model).unwrap_err().to_string();
@@ -160,9 +160,9 @@ fn mirrored_correspondences_are_refused() {
     // On a line nothing tells; that is said.
     let line = [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]];
     let fiducials = measured(&line, mirror, 5e-3, true, &mut case_generator(17, 5, 0));
-    let found = fit(&fiducials, Model::Rigid).unwrap();
+    let found = fit(&fiducials, TransformModel::Rigid).unwrap();
     assert!(found.report.warnings[0].contains("turned over"), "{:?}", found.report.warnings);
-    let found = fit(&plain(&CORNERS, turned(5.0, 1.0)), Model::Rigid).unwrap();
+    let found = fit(&plain(&CORNERS, turned(5.0, 1.0)), TransformModel::Rigid).unwrap();
     assert!(found.report.warnings.is_empty(), "{:?}", found.report.warnings);
 }
 
@@ -173,21 +173,21 @@ fn degenerate_fiducials_are_refused_with_numbers() {
             measured(points, turned(1.0, 1.0), sigma, given, &mut case_generator(17, 6, 0));
         fit(&fiducials, model).unwrap_err().to_string()
     };
-    let one = said(&CORNERS[..1], 1e-3, true, Model::Rigid);
+    let one = said(&CORNERS[..1], 1e-3, true, TransformModel::Rigid);
     assert!(one.contains("is one of 1, and Rigid needs 2"), "{one}");
-    let two = said(&CORNERS[..2], 1e-3, true, Model::Affine);
+    let two = said(&CORNERS[..2], 1e-3, true, TransformModel::Affine);
     assert!(two.contains("is one of 2, and Affine needs 3"), "{two}");
-    let line = said(&[[0.0, 0.0], [50.0, 0.01], [100.0, 0.0]], 1e-3, true, Model::Affine);
+    let line = said(&[[0.0, 0.0], [50.0, 0.01], [100.0, 0.0]], 1e-3, true, TransformModel::Affine);
     assert!(line.contains("on a line: 40.8 mm RMS along it, 0.00471 mm across"), "{line}");
-    let same = said(&[[0.0, 0.0], [1e-3, 0.0], [50.0, 0.0]], 5e-3, true, Model::Rigid);
+    let same = said(&[[0.0, 0.0], [1e-3, 0.0], [50.0, 0.0]], 5e-3, true, TransformModel::Rigid);
     assert!(same.contains("map_mm[1]: is [0.001, 0.0], where fiducial 0 is already"), "{same}");
-    let close = said(&[[0.0, 0.0], [0.03, 0.0]], 5e-3, true, Model::Rigid);
+    let close = said(&[[0.0, 0.0], [0.03, 0.0]], 5e-3, true, TransformModel::Rigid);
     assert!(close.contains("within 0.015 mm RMS of each other"), "{close}");
-    let unknown = said(&CORNERS[..2], 0.0, false, Model::Similarity);
+    let unknown = said(&CORNERS[..2], 0.0, false, TransformModel::Similarity);
     assert!(unknown.contains("nothing is left to estimate them from"), "{unknown}");
     let mut some = measured(&CORNERS, turned(1.0, 1.0), 1e-3, true, &mut case_generator(17, 7, 0));
     some[2].uncertainty_mm = None;
-    let some = fit(&some, Model::Rigid).unwrap_err().to_string();
+    let some = fit(&some, TransformModel::Rigid).unwrap_err().to_string();
     assert!(some.contains("uncertainty_mm[2]: is absent, 3 of 4 have one"), "{some}");
 }
 
@@ -195,16 +195,16 @@ fn degenerate_fiducials_are_refused_with_numbers() {
 fn fiducials_that_do_not_belong_together_are_a_drawback() {
     let truth = turned(2.0, 1.0);
     let mut fiducials = measured(&CORNERS, truth, 5e-3, true, &mut case_generator(17, 8, 0));
-    assert!(fit(&fiducials, Model::Rigid).unwrap().report.drawback().is_none());
+    assert!(fit(&fiducials, TransformModel::Rigid).unwrap().report.drawback().is_none());
     fiducials[1].machine_mm[1] += 0.2;
-    let found = fit(&fiducials, Model::Rigid).unwrap();
+    let found = fit(&fiducials, TransformModel::Rigid).unwrap();
     let drawback = found.report.drawback().unwrap();
     assert!(drawback.contains("far more than their uncertainties"), "{drawback}");
     // A pitch that is wrong by 1 % shows in the scale that is not free.
     let scaled = measured(&CORNERS, turned(2.0, 1.01), 5e-3, true, &mut case_generator(17, 9, 0));
-    let found = fit(&scaled, Model::Rigid).unwrap();
+    let found = fit(&scaled, TransformModel::Rigid).unwrap();
     assert!(found.report.warnings[0].contains("1.01"), "{:?}", found.report.warnings);
-    let found = fit(&scaled, Model::Similarity).unwrap();
+    let found = fit(&scaled, TransformModel::Similarity).unwrap();
     assert!(found.report.drawback().is_none() && found.report.warnings.is_empty());
 }
 
@@ -216,7 +216,7 @@ fn uncertainties_are_weights() {
         f.uncertainty_mm = Some(if i == 3 { 0.1 } else { 1e-3 });
     }
     fiducials[3].machine_mm[0] += 0.1;
-    let found = fit(&fiducials, Model::Rigid).unwrap();
+    let found = fit(&fiducials, TransformModel::Rigid).unwrap();
     let left = found.report.residuals.iter().map(|r| r.residual_mm[0].abs()).collect::<Vec<_>>();
     // The weight of the last is 1e-4 of the others': some 1e-5 of its 0.1 mm goes to them.
     assert!(left[..3].iter().all(|l| *l < 1e-4) && left[3] > 0.0999, "{left:?}");

@@ -9,7 +9,9 @@
 //! Order 2 in 1/m for a TIF that ends smoothly, order 1 where its samples end with a step.
 
 use ndarray::Array2;
-use planish_types::{Grid, Headings, Invalid, Pose, Tif, Trajectory, Variation, progress::Pieces};
+use planish_types::{
+    Grid, Headings, Invalid, Pose, Tif, Trajectory, Variation, progress::PieceCounter,
+};
 use rayon::prelude::*;
 
 use crate::{Numerics, Tell};
@@ -56,7 +58,7 @@ pub(crate) fn removal_with_progress(
     let samples = samples(trajectory, tif, steps);
     let factor = tif.variation().and_then(|v| v.factor_on(grid));
     let mut removal_nm = Array2::zeros(grid.shape());
-    let pieces = Pieces::new(grid.y.len());
+    let pieces = PieceCounter::new(grid.y.len());
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
         let y = grid.y.at(r);
         let near = samples.iter().filter(|s| {
@@ -109,7 +111,7 @@ fn samples(trajectory: &Trajectory, tif: &Tif, steps: usize) -> Vec<Sample> {
         let time_s = segment.duration_s / steps as f64;
         samples.extend((0..steps).map(|q| {
             let u_s = (q as f64 + 0.5) * time_s;
-            let factor = time.map_or(1.0, |time| time.at(segment.start_s + u_s));
+            let factor = time.map_or(1.0, |time| time.factor_at(segment.start_s + u_s));
             Sample {
                 pose: headings.pose(k, &segment, u_s),
                 time_s: segment.rate_factor * factor * time_s,

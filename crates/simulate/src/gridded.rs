@@ -55,7 +55,7 @@ use planish_numerics::fft::{
 };
 use planish_types::{
     Grid, Headings, Invalid, OnLattice, PARTS_TOLERANCE, Tif, TifLattice, Trajectory, budget,
-    progress::Pieces,
+    progress::PieceCounter,
 };
 use rayon::prelude::*;
 
@@ -201,7 +201,7 @@ impl OfKernel {
             }
         }
         let alone = jobs.len() == 1;
-        let pieces = Pieces::new(jobs.len());
+        let pieces = PieceCounter::new(jobs.len());
         let idle = || self.idle.lock().expect("no thread panics with the lock");
         let quadrature_points = jobs
             .into_par_iter()

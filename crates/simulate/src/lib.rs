@@ -90,7 +90,11 @@ impl Prediction {
     /// Returns the reason for which nobody should run the motion, of the length `total_time_s`, on the surface
     /// `desired`, or `None`. Example: it leaves a larger error than there is.
     pub fn drawback(&self, desired: &Surface, total_time_s: f64) -> Option<String> {
-        plausible::drawback(Rms::of(desired), Rms::of(self.removal.residual()), total_time_s)
+        plausible::drawback(
+            Rms::of_surface(desired),
+            Rms::of_surface(self.removal.residual()),
+            total_time_s,
+        )
     }
 }
 

@@ -108,7 +108,7 @@ impl Weight<'_> {
     /// Returns the weight at a local time of a segment, which has the index `index`.
     fn value(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> f64 {
         let time_s = segment.start_s + u_s;
-        let of_time = self.variation.time_factor().map_or(1.0, |time| time.at(time_s));
+        let of_time = self.variation.time_factor().map_or(1.0, |time| time.factor_at(time_s));
         of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, u_s))
     }
 

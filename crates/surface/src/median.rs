@@ -33,7 +33,7 @@ pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> 
     let (ny, nx) = map.dim();
     let (sorted, rank) = ranks(map);
     let mut out = Array2::from_elem((ny, nx), f64::NAN);
-    let pieces = progress::Pieces::new(ny.div_ceil(BAND));
+    let pieces = progress::PieceCounter::new(ny.div_ceil(BAND));
     out.axis_chunks_iter_mut(Axis(0), BAND).into_par_iter().enumerate().for_each(
         |(band, mut out)| {
             let mut window = Histogram::new(sorted.len());

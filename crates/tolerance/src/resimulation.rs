@@ -115,7 +115,7 @@ impl Work<'_> {
         columns: Option<&Columns<'_>>,
         seed: u64,
     ) -> Result<Vec<Pair>, Invalid> {
-        let pieces = progress::Pieces::new(count);
+        let pieces = progress::PieceCounter::new(count);
         let runs = parallel::map(count, &|k| {
             let pair = self.run_with_all(k as u64, linear, columns, seed);
             progress::done(pieces.one_more());

@@ -218,7 +218,7 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let outermost = if beside { outermost(surface) } else { Vec::new() };
     let distances = outermost.into_iter().map(|(r, c)| cells.distance_mm([x.at(c), y.at(r)]));
     let seed = distances.fold(0.0, f64::max);
-    let pieces = progress::Pieces::new(y.len().div_ceil(BAND));
+    let pieces = progress::PieceCounter::new(y.len().div_ceil(BAND));
     let bands = surface.height_nm().axis_chunks_iter(Axis(0), BAND).into_par_iter().enumerate();
     let farthest = bands.map(|(band, rows)| {
         let mut worst = seed;

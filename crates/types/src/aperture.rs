@@ -26,7 +26,7 @@ pub enum ClearAperture {
 }
 
 impl ClearAperture {
-    /// The aperture as a mask (ny, nx) on `grid`; refuses one that contains no pixel.
+    /// Returns the aperture as a mask (ny, nx) on `grid`. Refuses an aperture that contains no pixel, or that is none.
     pub fn mask(&self, grid: &Grid) -> Result<Array2<bool>, Invalid> {
         // A pixel centre that rounding moves outside by up to 1e-9 of a step is inside.
         let slack = 1e-9 * grid.x.step_mm().max(grid.y.step_mm());
@@ -43,7 +43,8 @@ impl ClearAperture {
                     }
                 }
                 Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                    let (x, y) = (grid.x.at(c), grid.y.at(r));
+                    let x = grid.x.at(c);
+                    let y = grid.y.at(r);
                     x >= x_mm[0] - slack
                         && x <= x_mm[1] + slack
                         && y >= y_mm[0] - slack
@@ -64,8 +65,9 @@ impl ClearAperture {
                     ));
                 }
                 Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                    let (x, y) = (grid.x.at(c) - centre_mm[0], grid.y.at(r) - centre_mm[1]);
-                    x.hypot(y) <= radius_mm + slack
+                    let dx = grid.x.at(c) - centre_mm[0];
+                    let dy = grid.y.at(r) - centre_mm[1];
+                    dx.hypot(dy) <= radius_mm + slack
                 })
             }
             Self::Mask(mask) => {
@@ -82,7 +84,7 @@ impl ClearAperture {
             }
         };
         if !mask.iter().any(|m| *m) {
-            let (x, y) = (&grid.x, &grid.y);
+            let Grid { x, y } = grid;
             return Err(Invalid::whole(
                 "clear aperture",
                 format!(

@@ -19,10 +19,13 @@ pub struct AxesMotion {
 }
 
 impl AxesMotion {
-    /// Checks lengths, finiteness, and that break times ascend strictly.
+    /// Returns the motion of n axes in k segments.
     ///
-    /// `break_time_s` (k+1); `coefficient_mm_or_deg` (k n) with the n axes of a segment one after the other, ascending
-    /// orders; `tool_on` (k); `dwell_index` (k).
+    /// `break_time_s` (k+1); `coefficient` (k n), mm or deg, with the n axes of a segment one after the other,
+    /// ascending orders; `tool_on` (k); `dwell_index` (k).
+    ///
+    /// # Errors
+    /// Refuses arrays of other lengths, numbers that are not finite, and break times that do not ascend strictly.
     pub fn new(
         break_time_s: Vec<f64>,
         coefficient: Vec<[f64; 4]>,
@@ -64,49 +67,49 @@ impl AxesMotion {
         Ok(Self { break_time_s, coefficient, tool_on, dwell_index })
     }
 
-    /// Number of segments k.
+    /// Returns the number of segments k.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.tool_on.len()
     }
 
-    /// Number of axes n.
+    /// Returns the number of axes n.
     pub fn axes(&self) -> usize {
         self.coefficient.len() / self.len()
     }
 
-    /// Break times (k+1), s.
+    /// Returns the break times (k+1), s.
     pub fn break_time_s(&self) -> &[f64] {
         &self.break_time_s
     }
 
-    /// Duration of segment `i`, s.
+    /// Returns the duration of segment `i`, s.
     pub fn duration_s(&self, i: usize) -> f64 {
         self.break_time_s[i + 1] - self.break_time_s[i]
     }
 
-    /// Ascending coefficients of the axes (n) in segment `i`, mm or deg per s^order.
+    /// Returns the ascending coefficients of the axes (n) in segment `i`, mm or deg per s^order.
     pub fn segment(&self, i: usize) -> &[[f64; 4]] {
         let n = self.axes();
         &self.coefficient[i * n..(i + 1) * n]
     }
 
-    /// Tool flags (k): true if the tool removes.
+    /// Returns the tool flags (k): true if the tool removes.
     pub fn tool_on(&self) -> &[bool] {
         &self.tool_on
     }
 
-    /// Dwell point that each segment serves, if any (k).
+    /// Returns the dwell point that each segment serves, if any (k).
     pub fn dwell_index(&self) -> &[Option<usize>] {
         &self.dwell_index
     }
 
-    /// Positions of the axes (n) at the local time `u_s` of segment `i`, mm or deg.
+    /// Returns the positions of the axes (n) at the local time `u_s` of segment `i`, mm or deg.
     pub fn position(&self, i: usize, u_s: f64) -> Vec<f64> {
         self.segment(i).iter().map(|c| polynomial::evaluate(c, u_s)).collect()
     }
 
-    /// Time from the first to the last break, s.
+    /// Returns the time from the first to the last break, s.
     pub fn total_time_s(&self) -> f64 {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }

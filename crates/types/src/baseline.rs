@@ -54,7 +54,8 @@ impl Baseline {
     /// Returns the baseline of a TIF (of the mean tool, if it varies); `None` if the spot fills the field, or if too
     /// few samples are outer.
     pub fn under(tif: &Tif) -> Option<Self> {
-        let (grid, rate) = (tif.grid(), tif.rate_nm_per_s());
+        let grid = tif.grid();
+        let rate = tif.rate_nm_per_s();
         let peak = tif.peak_nm_per_s();
         let measured = measured(rate);
         let outer = outer(&measured)?;
@@ -79,14 +80,14 @@ impl Baseline {
         let mut values: Vec<f64> = samples.iter().map(|s| s.rate).collect();
         values.sort_unstable_by(f64::total_cmp);
         let low = values[values.len() / 50];
-        let is_seen = |k: usize| plane[k].abs() > LEAST_SIGNIFICANCE * errors[k];
-        let mut level = if is_seen(0) { plane[0] } else { 0.0 };
+        let [mut level, gx, gy] = [0, 1, 2]
+            .map(|k| if plane[k].abs() > LEAST_SIGNIFICANCE * errors[k] { plane[k] } else { 0.0 });
         // The fit of a tail of another shape may swing below samples of which none is negative.
         if level < 0.0 && low >= 0.0 {
             level = 0.0;
         }
         // The mean of |g . u| over a rectangle is at most half of its largest value.
-        let tilt = [1, 2].map(|k| if is_seen(k) { 0.5 * plane[k].abs() } else { 0.0 });
+        let tilt = [gx, gy].map(|g| 0.5 * g.abs());
         let of_volume = count * peak / rate.sum();
         Some(Self {
             level_nm_per_s: level * peak,
@@ -125,38 +126,42 @@ fn fitted_plane(samples: &[OuterSample]) -> Option<([f64; 3], [f64; 3])> {
 /// around a round field.
 fn measured(rate: &Array2<f64>) -> Array2<bool> {
     let (ny, nx) = rate.dim();
-    let is_border = |(r, c): (usize, usize)| r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
-    let border = || rate.indexed_iter().filter(|(place, _)| is_border(*place));
-    let zeros = border().filter(|(_, v)| **v == 0.0).count() as f64;
-    let is_round = zeros > MOST_ZEROS * border().count() as f64;
+    let border = rate.indexed_iter().filter(|((r, c), _)| is_edge(*r, ny) || is_edge(*c, nx));
+    let zeros = border.clone().filter(|(_, v)| **v == 0.0).count() as f64;
+    let is_round = zeros > MOST_ZEROS * border.count() as f64;
     rate.mapv(|v| !is_round || v != 0.0)
+}
+
+/// Returns true if an index is the first or the last of `n`.
+fn is_edge(index: usize, n: usize) -> bool {
+    index == 0 || index + 1 == n
 }
 
 /// Returns the measured samples that lie near the end of what was measured; `None` if nothing else is left.
 fn outer(measured: &Array2<bool>) -> Option<Array2<bool>> {
     let (ny, nx) = measured.dim();
-    let extent = |n: usize, has: &dyn Fn(usize) -> bool| {
-        let first = (0..n).find(|i| has(*i));
-        let last = (0..n).rev().find(|i| has(*i));
+    let [rows, columns] = [measured.rows(), measured.columns()].map(|lines| {
+        let is_measured: Vec<bool> =
+            lines.into_iter().map(|line| line.iter().any(|is| *is)).collect();
+        let first = is_measured.iter().position(|is| *is);
+        let last = is_measured.iter().rposition(|is| *is);
         first.zip(last).map_or(0, |(first, last)| last - first + 1)
-    };
-    let rows = extent(ny, &|r| measured.row(r).iter().any(|is| *is));
-    let columns = extent(nx, &|c| measured.column(c).iter().any(|is| *is));
+    });
     let width = ((OUTER * rows.min(columns) as f64).round() as usize).max(1);
     let mut inner = measured.clone();
     for _ in 0..width {
         let before = inner.clone();
         inner = Array2::from_shape_fn((ny, nx), |(r, c)| {
-            let is_edge = r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
-            !is_edge
+            !is_edge(r, ny)
+                && !is_edge(c, nx)
                 && before[[r, c]]
-                && [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)].iter().all(|at| before[*at])
+                && [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)].iter().all(|next| before[*next])
         });
     }
-    inner
-        .iter()
-        .any(|is| *is)
-        .then(|| Array2::from_shape_fn((ny, nx), |at| measured[at] && !inner[at]))
+    if !inner.iter().any(|is| *is) {
+        return None;
+    }
+    Some(Array2::from_shape_fn((ny, nx), |place| measured[place] && !inner[place]))
 }
 
 /// Place and widths of the spot of a TIF.
@@ -170,21 +175,20 @@ impl Spot {
     /// Returns the Gaussian with these samples above half of its peak. The ellipse in which it exceeds half of its peak
     /// has the second moments `ln 2 / 2` times the covariance.
     fn above_half(grid: &Grid, rate: &Array2<f64>, peak: f64) -> Self {
-        let above = || rate.indexed_iter().filter(|(_, v)| **v >= 0.5 * peak);
-        let mean = |of: &dyn Fn(f64, f64) -> f64| {
-            let (sum, count) = above().fold((0.0, 0.0), |(sum, n), ((r, c), _)| {
-                (sum + of(grid.x.at(c), grid.y.at(r)), n + 1.0)
-            });
-            sum / count
-        };
-        let [cx, cy] = [mean(&|x, _| x), mean(&|_, y| y)];
+        let above = rate.indexed_iter().filter(|(_, v)| **v >= 0.5 * peak);
+        let places: Vec<[f64; 2]> = above.map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)]).collect();
+        let count = places.len() as f64;
+        let [cx, cy] = [0, 1].map(|k| places.iter().map(|p| p[k]).sum::<f64>() / count);
+        let mut squares = [0.0; 3];
+        for [x, y] in places {
+            squares[0] += (x - cx).powi(2);
+            squares[1] += (x - cx) * (y - cy);
+            squares[2] += (y - cy).powi(2);
+        }
         // A sample stands for its cell.
         let [cell_x, cell_y] = [&grid.x, &grid.y].map(|a| a.step_mm().powi(2) / 12.0);
-        let moments = [
-            mean(&|x, _| (x - cx).powi(2)) + cell_x,
-            mean(&|x, y| (x - cx) * (y - cy)),
-            mean(&|_, y| (y - cy).powi(2)) + cell_y,
-        ];
+        let [xx, xy, yy] = squares.map(|sum| sum / count);
+        let moments = [xx + cell_x, xy, yy + cell_y];
         let factor = 2.0 / std::f64::consts::LN_2;
         Self { centre_mm: [cx, cy], covariance_mm2: moments.map(|m| factor * m) }
     }

@@ -20,7 +20,7 @@ const BYTES_PER_GIB: f64 = (1u64 << 30) as f64;
 
 static MEMORY_BYTES: AtomicU64 = AtomicU64::new((DEFAULT_MEMORY_GIB * BYTES_PER_GIB) as u64);
 
-/// Sets the budget of this process, GiB.
+/// Sets the budget of this process, GiB. Refuses one that is not finite and above 0.
 pub fn set_memory_gib(gib: f64) -> Result<(), Invalid> {
     if !(gib.is_finite() && gib > 0.0) {
         let remedy = "give the memory that the run may take, in GiB";
@@ -30,7 +30,7 @@ pub fn set_memory_gib(gib: f64) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// The budget of this process, bytes.
+/// Returns the budget of this process, bytes.
 pub fn memory_bytes() -> u64 {
     MEMORY_BYTES.load(Ordering::Relaxed)
 }

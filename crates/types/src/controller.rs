@@ -143,12 +143,12 @@ impl ControllerKind {
     /// Every kind, in the order of help and messages. Command lines, pipelines and messages take their names from here.
     pub const ALL: [Self; 5] = [Self::Galil, Self::Xps, Self::Pmac, Self::Gcode, Self::Csv];
 
-    /// The name in files and on command lines.
+    /// Returns the name in files and on command lines.
     pub fn name(self) -> &'static str {
         self.words().0
     }
 
-    /// Sentence of help: the program, and its units.
+    /// Returns the sentence of help: the program, and its units.
     pub fn about(self) -> &'static str {
         self.words().1
     }
@@ -167,12 +167,12 @@ impl ControllerKind {
         }
     }
 
-    /// The kind of this name; `None` if no kind has it.
+    /// Returns the kind of this name, or `None` if no kind has it.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// The controller with every default of the table.
+    /// Returns the controller with every default of the table.
     pub fn model(self) -> ControllerModel {
         // Clock, shortest segment, law, tool.
         let (tick_s, min_segment_s, interpolation, switches_tool) = match self {
@@ -195,7 +195,7 @@ impl ControllerKind {
         }
     }
 
-    /// The grid with this count and the default resolution of the velocity.
+    /// Returns the grid with this count and the default resolution of the velocity.
     fn grid(self, count: f64) -> AxisGrid {
         let velocity = if self == Self::Galil { count } else { LAST_DECIMAL_PER_S };
         AxisGrid { count, velocity }
@@ -212,15 +212,15 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// The same count for all linear axes, mm.
+    /// Returns the same count for all linear axes, mm.
     pub fn linear(count_mm: f64) -> Self {
         Self { mm: Some(vec![count_mm]), deg: None }
     }
 }
 
 impl ControllerModel {
-    /// The controller with another clock or other counts, if they are given, for a machine with these axes. Refuses
-    /// numbers that are not positive, and counts of other axes.
+    /// Returns the controller with another clock or other counts, if they are given, for a machine with these axes.
+    /// Refuses numbers that are not positive, and counts of other axes.
     pub fn with(
         self,
         tick_s: Option<f64>,
@@ -236,27 +236,31 @@ impl ControllerModel {
             model.tick_s = tick_s;
             model.min_segment_s = model.min_segment_s.max(tick_s);
         }
-        let kind = model.kind;
-        let replace = |grids: &mut [AxisGrid], name, given: &Option<Vec<f64>>, rotary| {
-            let Some(given) = given else { return Ok(()) };
+        for (grids, name, counts, rotary) in [
+            (&mut model.linear[..], "count_mm", &counts.mm, false),
+            (&mut model.rotary[..], "count_deg", &counts.deg, true),
+        ] {
+            let Some(counts) = counts else { continue };
             let names = names(axes, rotary);
-            let all = vec![given.first().copied().unwrap_or_default(); names.len()];
-            let given = if given.len() == 1 { &all } else { given };
-            check_counts(name, given, &names)?;
-            for (grid, count) in grids.iter_mut().zip(given) {
-                let velocity = if kind == ControllerKind::Galil { *count } else { grid.velocity };
-                *grid = AxisGrid { count: *count, velocity };
+            let counts = match counts[..] {
+                [count] => vec![count; names.len()],
+                _ => counts.clone(),
+            };
+            check_counts(name, &counts, &names)?;
+            for (grid, count) in grids.iter_mut().zip(counts) {
+                grid.count = count;
+                if model.kind == ControllerKind::Galil {
+                    grid.velocity = count;
+                }
             }
-            Ok(())
-        };
-        replace(&mut model.linear, "count_mm", &counts.mm, false)?;
-        replace(&mut model.rotary, "count_deg", &counts.deg, true)?;
+        }
         Ok(model)
     }
 
-    /// Grids of these axes of a machine, in their order.
+    /// Returns the grids of these axes of a machine, in their order.
     pub fn grids(&self, axes: &[MachineAxis]) -> Vec<AxisGrid> {
-        let (mut linear, mut rotary) = (self.linear.iter(), self.rotary.iter());
+        let mut linear = self.linear.iter();
+        let mut rotary = self.rotary.iter();
         axes.iter()
             .map_while(|axis| if axis.is_rotary { rotary.next() } else { linear.next() })
             .copied()
@@ -264,9 +268,20 @@ impl ControllerModel {
     }
 }
 
-/// Names of the linear or of the rotary axes.
+/// Returns the names of the linear or of the rotary axes.
 fn names(axes: &[MachineAxis], rotary: bool) -> Vec<&'static str> {
     axes.iter().filter(|a| a.is_rotary == rotary).map(|a| a.name).collect()
+}
+
+/// Returns a stated number, or the default. Refuses a number that is not positive and finite.
+fn positive_or(name: &'static str, stated: Option<f64>, default: f64) -> Result<f64, Invalid> {
+    match stated {
+        Some(v) if !(v.is_finite() && v > 0.0) => {
+            let remedy = "give a positive number, or leave it out for the default";
+            Err(Invalid::whole(name, format!("is {v}"), remedy))
+        }
+        _ => Ok(stated.unwrap_or(default)),
+    }
 }
 
 /// Refuses counts that are not positive, and another number of counts than there are axes.
@@ -286,7 +301,7 @@ fn check_counts(name: &'static str, counts: &[f64], axes: &[&str]) -> Result<(),
 }
 
 impl ControllerFile {
-    /// A controller that states its kind only, so that every other number is the default.
+    /// Returns a controller that states its kind only, so that every other number is the default.
     pub fn new(kind: ControllerKind) -> Self {
         Self {
             kind,
@@ -302,38 +317,33 @@ impl ControllerFile {
         }
     }
 
-    /// The checked controller of a machine with these axes, with the defaults of its kind. Refuses settings that no
-    /// controller of the kind supports.
+    /// Returns the checked controller of a machine with these axes, with the defaults of its kind. Refuses settings
+    /// that no controller of the kind supports.
     pub fn checked(&self, axes: &[MachineAxis]) -> Result<ControllerModel, Invalid> {
         let default = self.kind.model();
-        let number = |name: &'static str, given: Option<f64>, default: f64| match given {
-            Some(v) if !(v.is_finite() && v > 0.0) => {
-                let remedy = "give a positive number, or leave it out for the default";
-                Err(Invalid::whole(name, format!("is {v}"), remedy))
-            }
-            _ => Ok(given.unwrap_or(default)),
-        };
-        let tick_s = number("controller.tick_s", self.tick_s, default.tick_s)?;
+        let tick_s = positive_or("controller.tick_s", self.tick_s, default.tick_s)?;
         let mut model = default;
-        let fill = |grids: &mut [AxisGrid], name, given: &Option<Vec<f64>>, rotary| {
-            let Some(given) = given else { return Ok(()) };
-            check_counts(name, given, &names(axes, rotary))?;
-            grids.iter_mut().zip(given).for_each(|(grid, count)| *grid = self.kind.grid(*count));
-            Ok(())
-        };
-        fill(&mut model.linear, "controller.count_mm", &self.count_mm, false)?;
-        fill(&mut model.rotary, "controller.count_deg", &self.count_deg, true)?;
-        for (grids, name, given) in [
+        for (grids, name, counts, rotary) in [
+            (&mut model.linear[..], "controller.count_mm", &self.count_mm, false),
+            (&mut model.rotary[..], "controller.count_deg", &self.count_deg, true),
+        ] {
+            let Some(counts) = counts else { continue };
+            check_counts(name, counts, &names(axes, rotary))?;
+            for (grid, count) in grids.iter_mut().zip(counts) {
+                *grid = self.kind.grid(*count);
+            }
+        }
+        for (grids, name, velocity) in [
             (&mut model.linear[..], "controller.velocity_mm_per_s", self.velocity_mm_per_s),
             (&mut model.rotary[..], "controller.velocity_deg_per_s", self.velocity_deg_per_s),
         ] {
             for grid in grids {
-                grid.velocity = number(name, given, grid.velocity)?;
+                grid.velocity = positive_or(name, velocity, grid.velocity)?;
             }
         }
         // The default segment is no shorter than the clock.
         let shortest = default.min_segment_s.max(tick_s);
-        let min_segment_s = number("controller.min_segment_s", self.min_segment_s, shortest)?;
+        let min_segment_s = positive_or("controller.min_segment_s", self.min_segment_s, shortest)?;
         if self.max_segments == Some(0) {
             let remedy = "give at least 1, or leave it out";
             return Err(Invalid::whole("controller.max_segments", "is 0", remedy));

@@ -9,8 +9,8 @@ use ndarray::Array2;
 use planish_numerics::statistics;
 
 use crate::{
-    Axis, ClearAperture, Grid, Kinematics, Limits, Machine, Removal, Surface, Tif,
-    baseline::Baseline, text::significant,
+    ClearAperture, Grid, Kinematics, Limits, Machine, Removal, Surface, Tif, baseline::Baseline,
+    text::significant,
 };
 
 /// Fraction of the mean square of a map that is a plane, above which the plane is doubted as a tilt
@@ -174,15 +174,16 @@ pub fn of_removal(pv_nm: f64, rms_nm: f64, detilted_nm: f64) -> Option<String> {
         ));
     }
     let plane = 1.0 - (detilted_nm / rms_nm).powi(2);
-    (plane > MOST_PLANE).then(|| {
-        format!(
-            "{:.0} % of the RMS is a plane ({} nm RMS with it, {} nm without): a tilt of the measurement? \
-             prepare=\"--level plane\" takes it off; as it is, the run removes it",
-            100.0 * (1.0 - detilted_nm / rms_nm),
-            significant(rms_nm, 3),
-            significant(detilted_nm, 3)
-        )
-    })
+    if plane <= MOST_PLANE || plane.is_nan() {
+        return None;
+    }
+    Some(format!(
+        "{:.0} % of the RMS is a plane ({} nm RMS with it, {} nm without): a tilt of the measurement? \
+         prepare=\"--level plane\" takes it off; as it is, the run removes it",
+        100.0 * (1.0 - detilted_nm / rms_nm),
+        significant(rms_nm, 3),
+        significant(detilted_nm, 3)
+    ))
 }
 
 /// Doubt about the samples of a TIF.
@@ -243,8 +244,10 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
         (&TOO_FAST[..], "give nm/s and nm; a depth is divided by the dwell time of its spot")
     };
     // All mistakes that lead back to a usual time, or the nearest one.
-    let explains = |mistake: &&Mistake| (least..=most).contains(&(at_one_place_s * mistake.factor));
-    let mut probable: Vec<&Mistake> = mistakes.iter().filter(explains).collect();
+    let mut probable: Vec<&Mistake> = mistakes
+        .iter()
+        .filter(|mistake| (least..=most).contains(&(at_one_place_s * mistake.factor)))
+        .collect();
     if probable.is_empty() {
         probable.push(Mistake::most_probable(mistakes, at_one_place_s, USUAL_MEAN_DEPTH_S));
     }
@@ -284,9 +287,9 @@ const TOO_FAST: [Mistake; 2] = [
 impl Mistake {
     /// Returns the mistake without which `time_s` is nearest to `usual_s`, as a ratio.
     fn most_probable(mistakes: &[Self], time_s: f64, usual_s: f64) -> &Self {
-        let away = |mistake: &Self| (time_s * mistake.factor / usual_s).ln().abs();
-        let nearest = mistakes.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
-        nearest.expect("there are some")
+        let ratios = mistakes.iter().map(|mistake| (time_s * mistake.factor / usual_s).ln().abs());
+        let nearest = mistakes.iter().zip(ratios).min_by(|a, b| a.1.total_cmp(&b.1));
+        nearest.expect("there are some").0
     }
 }
 
@@ -329,23 +332,18 @@ pub fn of_floor(desired: &Surface, tif: &Tif, floor_s: f64) -> Option<String> {
 /// of exactly 1 about 0, where the other has other steps.
 pub fn of_pixels(desired: &Surface, tif: &Tif) -> Option<String> {
     let [map, tool] = [desired.grid(), tif.grid()];
-    let pitch = |grid: &Grid| [grid.x.step_mm(), grid.y.step_mm()];
-    let from_index = |grid: &Grid| {
-        let starts = [grid.x.start_mm(), grid.y.start_mm()];
-        pitch(grid) == [1.0; 2] && (starts == [0.0; 2] || starts == [1.0; 2])
-    };
-    let about_0 = |grid: &Grid| {
-        let whole = [grid.x.start_mm(), grid.y.start_mm()].iter().all(|v| (2.0 * v).fract() == 0.0);
-        pitch(grid) == [1.0; 2] && whole
-    };
-    let (name, of, other) = if from_index(map) && pitch(tool) != [1.0; 2] {
-        ("map", map, pitch(tool)[0])
-    } else if about_0(tool) && pitch(map) != [1.0; 2] {
-        ("TIF", tool, pitch(map)[0])
+    let [map_pitch, tool_pitch] = [map, tool].map(|grid| [grid.x.step_mm(), grid.y.step_mm()]);
+    let [map_start, tool_start] = [map, tool].map(|grid| [grid.x.start_mm(), grid.y.start_mm()]);
+    let is_from_index = map_start == [0.0; 2] || map_start == [1.0; 2];
+    let is_about_0 = tool_start.iter().all(|v| (2.0 * v).fract() == 0.0);
+    let (name, grid, other) = if map_pitch == [1.0; 2] && is_from_index && tool_pitch != [1.0; 2] {
+        ("map", map, tool_pitch[0])
+    } else if tool_pitch == [1.0; 2] && is_about_0 && map_pitch != [1.0; 2] {
+        ("TIF", tool, map_pitch[0])
     } else {
         return None;
     };
-    let [width, height] = of.size_mm();
+    let [width, height] = grid.size_mm();
     Some(format!(
         "the pitch of the {name} is exactly 1 mm, and that of the other {} mm: coordinates in pixels? with the same pitch its \
          {} x {} mm would be {} x {} mm; give mm",
@@ -378,11 +376,10 @@ pub fn of_sizes(desired: &Surface, tif: &Tif) -> Option<String> {
 /// Doubt about the vertex of a curved form, at (x, y) in mm on the part, that lies at a corner of the map.
 pub fn of_vertex(desired: &Surface, vertex_mm: [f64; 2]) -> Option<String> {
     let grid = desired.grid();
-    let is_end = |axis: &Axis, v: f64| {
-        (v - axis.start_mm()).abs() <= axis.step_mm() || (v - axis.end_mm()).abs() <= axis.step_mm()
-    };
-    if !is_end(&grid.x, vertex_mm[0]) || !is_end(&grid.y, vertex_mm[1]) {
-        return None;
+    for (axis, v) in [grid.x, grid.y].into_iter().zip(vertex_mm) {
+        if (v - axis.start_mm()).abs().min((v - axis.end_mm()).abs()) > axis.step_mm() {
+            return None;
+        }
     }
     let [x, y] = [grid.x, grid.y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
     Some(format!(
@@ -412,8 +409,8 @@ pub fn of_angle(name: &str, angle_deg: f64) -> Option<String> {
 /// Doubt about the rotary axes of a machine, whose travel looks like one in radians.
 pub fn of_rotary_axes(machine: &Machine) -> Option<String> {
     machine.axes().iter().filter(|axis| axis.is_rotary).find_map(|axis| {
-        let of_end = |end: f64| of_angle(&format!("the travel of the axis {}", axis.name), end);
-        axis.travel?.into_iter().find_map(of_end)
+        let name = format!("the travel of the axis {}", axis.name);
+        axis.travel?.into_iter().find_map(|end| of_angle(&name, end))
     })
 }
 
@@ -505,7 +502,7 @@ impl<'a> Compared<'a> {
         for &[r, c] in &self.pixels {
             let [row, column] = place([r as isize, c as isize]);
             let removed = usize::try_from(row).ok().zip(usize::try_from(column).ok());
-            if let Some(removed) = removed.and_then(|at| self.removal_nm.get(at)) {
+            if let Some(removed) = removed.and_then(|pixel| self.removal_nm.get(pixel)) {
                 pairs.push([self.desired_nm[[r, c]], *removed]);
             }
         }
@@ -597,10 +594,12 @@ pub fn of_incidences(largest_deg: f64, count: usize) -> Option<String> {
 pub fn of_circle(measured: &Surface, aperture: &ClearAperture) -> Option<String> {
     let ClearAperture::Circle { radius_mm, .. } = aperture else { return None };
     let grid = measured.grid();
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    let mut low = [f64::INFINITY; 2];
+    let mut high = [f64::NEG_INFINITY; 2];
     for ((r, c), _) in measured.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
         for (a, v) in [grid.x.at(c), grid.y.at(r)].into_iter().enumerate() {
-            (low[a], high[a]) = (low[a].min(v), high[a].max(v));
+            low[a] = low[a].min(v);
+            high[a] = high[a].max(v);
         }
     }
     let half = [0, 1].map(|a| 0.5 * (high[a] - low[a]));
@@ -628,7 +627,7 @@ pub fn of_mask(measured: &Surface) -> Option<String> {
     let (rows, columns) = map.dim();
     let corners = [(0, 0), (0, columns - 1), (rows - 1, 0), (rows - 1, columns - 1)];
     let middle = (rows / 2, columns / 2);
-    if corners.iter().any(|at| map[*at].is_nan()) || !map[middle].is_nan() {
+    if corners.iter().any(|corner| map[*corner].is_nan()) || !map[middle].is_nan() {
         return None;
     }
     let hole = map.iter().filter(|z| z.is_nan()).count() as f64 / map.len() as f64;
@@ -653,12 +652,12 @@ pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -
 fn of_units_of_limits(limits: &Limits) -> Option<String> {
     let velocities = limits.max_velocity_mm_per_s().into_iter();
     let axes = velocities.zip(limits.max_acceleration_mm_per_s2());
-    let way_m = |(v, a): &(f64, f64)| 1e-3 * v * v / a;
-    let (v, a) = axes.max_by(|one, other| way_m(one).total_cmp(&way_m(other)))?;
-    let way = significant(way_m(&(v, a)), 2);
-    if way_m(&(v, a)) < LEAST_WAY_M {
+    let ways_m = axes.map(|(v, a)| (1e-3 * v * v / a, v, a));
+    let (way_m, v, a) = ways_m.max_by(|one, other| one.0.total_cmp(&other.0))?;
+    if way_m < LEAST_WAY_M {
         return None;
     }
+    let way = significant(way_m, 2);
     if v > LEAST_FAST_MM_PER_S {
         return Some(format!(
             "an axis needs {way} m to reach its largest velocity of {} mm/s and to stop: velocities in mm/min? {} \
@@ -686,22 +685,24 @@ fn of_slow_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) 
     let removal_s = removal_s(desired, tif);
     let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
     let travel_s = area_mm2 / pitch_mm / fastest;
-    (removal_s > 0.0 && travel_s > MOST_TRAVEL * removal_s).then(|| {
-        format!(
-            "the machine takes {} s for the path at its largest velocity of {} mm/s, and the removal {} s: limits in \
-             m/s? give mm/s and mm/s^2",
-            significant(travel_s, 3),
-            significant(fastest, 3),
-            significant(removal_s, 3)
-        )
-    })
+    if !(removal_s > 0.0 && travel_s > MOST_TRAVEL * removal_s) {
+        return None;
+    }
+    Some(format!(
+        "the machine takes {} s for the path at its largest velocity of {} mm/s, and the removal {} s: limits in \
+         m/s? give mm/s and mm/s^2",
+        significant(travel_s, 3),
+        significant(fastest, 3),
+        significant(removal_s, 3)
+    ))
 }
 
 /// Doubt about the pitch of the map, from a part that is larger than the travel of the machine.
 pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
     let grid = desired.grid();
     let [Some(x), Some(y)] = machine.travel_mm() else { return None };
-    let (mut travel_mm, mut size_mm) = ([x[1] - x[0], y[1] - y[0]], grid.size_mm());
+    let mut travel_mm = [x[1] - x[0], y[1] - y[0]];
+    let mut size_mm = grid.size_mm();
     // The part may lie turned by a quarter.
     travel_mm.sort_unstable_by(f64::total_cmp);
     size_mm.sort_unstable_by(f64::total_cmp);
@@ -755,15 +756,18 @@ fn sampled(map: &Array2<f64>) -> Vec<f64> {
 /// sorted.
 fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     let runs = some.chunk_by(|a, b| a == b);
-    let (mut first, mut second) = ((0, 0.0), 0);
+    let mut repeated = 0;
+    let mut height = 0.0;
+    let mut second = 0;
     for run in runs {
-        if run.len() > first.0 {
-            (second, first) = (first.0, (run.len(), run[0]));
+        if run.len() > repeated {
+            second = repeated;
+            repeated = run.len();
+            height = run[0];
         } else {
             second = second.max(run.len());
         }
     }
-    let (repeated, height) = first;
     // Fewer than two heights are a flat map, and no doubt.
     let many = repeated as f64 > LEAST_REPEATED * some.len() as f64;
     if !many || second == 0 || repeated < LEAST_REPEATED_RATIO * second {
@@ -780,10 +784,10 @@ fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
 fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     // At least the two outermost samples on each side.
     let out = ((EXTREMES * some.len() as f64) as usize).max(2);
-    let (low, high) = (*some.get(out)?, *some.get(some.len().checked_sub(out + 1)?)?);
+    let low = *some.get(out)?;
+    let high = *some.get(some.len().checked_sub(out + 1)?)?;
     let beyond = MOST_RANGES * (high - low);
-    let is_beyond = |z: &&f64| **z < low - beyond || **z > high + beyond;
-    let count = map.iter().filter(is_beyond).count();
+    let count = map.iter().filter(|z| **z < low - beyond || **z > high + beyond).count();
     if beyond <= 0.0 || count == 0 {
         return None;
     }
@@ -803,6 +807,7 @@ fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Axis;
     use crate::{KinematicsFile, MachineFile, MachineFileAxis};
 
     fn axis(start: f64, end: f64, n: usize) -> Axis {

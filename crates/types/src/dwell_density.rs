@@ -37,7 +37,8 @@ pub struct DensityNodes {
 }
 
 impl DwellDensity {
-    /// Checks lengths, order, positive densities, and that points and arc lengths agree.
+    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, arc lengths
+    /// that do not ascend or differ from the distances of the points, and corners that are none.
     pub fn new(nodes: DensityNodes) -> Result<Self, Invalid> {
         let DensityNodes { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner } =
             &nodes;
@@ -69,8 +70,7 @@ impl DwellDensity {
             let problem = format!("is {}", arc_length_mm[i]);
             return Err(Invalid::at("arc_length_mm", i, problem, coordinates));
         }
-        let positive = |t: &f64| t.is_finite() && *t > 0.0;
-        if let Some(i) = dwell_density_s_per_mm.iter().position(|t| !positive(t)) {
+        if let Some(i) = dwell_density_s_per_mm.iter().position(|t| !(t.is_finite() && *t > 0.0)) {
             let problem = format!("is {} s/mm", dwell_density_s_per_mm[i]);
             let remedy = "a density is positive: the inverse of the feedrate";
             return Err(Invalid::at("dwell_density_s_per_mm", i, problem, remedy));
@@ -84,44 +84,45 @@ impl DwellDensity {
         Ok(Self { nodes })
     }
 
-    /// Number of nodes m.
+    /// Returns the number of nodes m.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.nodes.arc_length_mm.len()
     }
 
-    /// Lengths along the path (m), mm.
+    /// Returns the lengths along the path (m), mm.
     pub fn arc_length_mm(&self) -> &[f64] {
         &self.nodes.arc_length_mm
     }
 
-    /// Dwell-time densities (m), s/mm.
+    /// Returns the dwell-time densities (m), s/mm.
     pub fn dwell_density_s_per_mm(&self) -> &[f64] {
         &self.nodes.dwell_density_s_per_mm
     }
 
-    /// Points [x, y] (m), mm.
+    /// Returns the points [x, y] (m), mm.
     pub fn point_mm(&self) -> &[[f64; 2]] {
         &self.nodes.point_mm
     }
 
-    /// Pass of each node (m).
+    /// Returns the pass of each node (m).
     pub fn pass_idx(&self) -> &[i64] {
         &self.nodes.pass_idx
     }
 
-    /// Corner flags (m): true if the node is the control point of a blend.
+    /// Returns the corner flags (m): true if the node is the control point of a blend.
     pub fn corner(&self) -> &[bool] {
         &self.nodes.corner
     }
 }
 
 impl DensityNodes {
+    /// Refuses a node `i` whose arc length does not follow from that of the node before it in its pass.
     fn check_step(&self, i: usize) -> Result<(), Invalid> {
-        if self.pass_idx[i] != self.pass_idx[i - 1] {
+        let Self { arc_length_mm: s, point_mm: p, pass_idx: pass, .. } = self;
+        if pass[i] != pass[i - 1] {
             return Ok(());
         }
-        let (s, p) = (&self.arc_length_mm, &self.point_mm);
         if s[i] <= s[i - 1] {
             let problem = format!("is {} after {}", s[i], s[i - 1]);
             let remedy = "arc lengths ascend strictly within a pass";
@@ -140,25 +141,26 @@ impl DensityNodes {
         Ok(())
     }
 
+    /// Refuses a node `i` that is a corner, and not midway between two nodes of its pass and density.
     fn check_corner(&self, i: usize) -> Result<(), Invalid> {
         if !self.corner[i] {
             return Ok(());
         }
-        let (s, t, pass) = (&self.arc_length_mm, &self.dwell_density_s_per_mm, &self.pass_idx);
+        let Self { arc_length_mm: s, dwell_density_s_per_mm: t, pass_idx: pass, .. } = self;
         let inside = i > 0 && i + 1 < s.len() && pass[i - 1] == pass[i] && pass[i + 1] == pass[i];
-        let fault = if !inside {
-            Some("is at the end of a pass")
+        let problem = if !inside {
+            "is at the end of a pass"
         } else if self.corner[i - 1] || self.corner[i + 1] {
-            Some("is next to another corner")
+            "is next to another corner"
         } else if (s[i + 1] - 2.0 * s[i] + s[i - 1]).abs() > SAME_LENGTH_MM {
-            Some("is not midway between its neighbours")
+            "is not midway between its neighbours"
         } else if [t[i - 1], t[i + 1]].iter().any(|n| (n - t[i]).abs() > SAME_DENSITY * t[i]) {
-            Some("has neighbours of another density")
+            "has neighbours of another density"
         } else {
-            None
+            return Ok(());
         };
         let remedy = "a corner stands midway between two nodes of its pass and density";
-        fault.map_or(Ok(()), |problem| Err(Invalid::at("corner", i, problem, remedy)))
+        Err(Invalid::at("corner", i, problem, remedy))
     }
 }
 

@@ -13,7 +13,8 @@ pub struct DwellTime {
 }
 
 impl DwellTime {
-    /// Refuses an empty array, and dwell times that are negative, too large or not finite.
+    /// Returns the dwell times (n), s. Refuses an empty array, and dwell times that are negative, above 1e9 s or not
+    /// finite.
     pub fn new(dwell_s: Vec<f64>) -> Result<Self, Invalid> {
         if dwell_s.is_empty() {
             return Err(Invalid::whole(
@@ -30,12 +31,12 @@ impl DwellTime {
         Ok(Self { dwell_s })
     }
 
-    /// Dwell times (n), s.
+    /// Returns the dwell times (n), s.
     pub fn dwell_s(&self) -> &[f64] {
         &self.dwell_s
     }
 
-    /// Sum of all dwell times, s.
+    /// Returns the sum of all dwell times, s.
     pub fn total_s(&self) -> f64 {
         self.dwell_s.iter().sum()
     }

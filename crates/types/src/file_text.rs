@@ -48,7 +48,7 @@ const CELLS: [&str; 8] =
 /// Smaller: takes bytes for text.
 const LEAST_ASCII: f64 = 0.7;
 
-/// The text of a file; refuses what is not text.
+/// Returns the text of a file; refuses what is not text.
 pub fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Invalid> {
     let refused =
         || Invalid::whole(name, "is not text", "give the right `format`, or export as text");
@@ -66,34 +66,38 @@ pub fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Inv
         return if text.contains('\0') { Err(refused()) } else { Ok(Cow::Borrowed(text)) };
     }
     // Latin-1 has the numbers of Unicode; its control characters are in no text.
-    let is_text = |b: &u8| !matches!(*b, 0..=8 | 14..=31 | 0x7F..=0x9F);
+    let has_control = bytes.iter().any(|b| matches!(*b, 0..=8 | 14..=31 | 0x7F..=0x9F));
     let ascii = bytes.iter().filter(|b| b.is_ascii()).count();
-    if bytes.iter().all(is_text) && ascii as f64 >= LEAST_ASCII * bytes.len() as f64 {
+    if !has_control && ascii as f64 >= LEAST_ASCII * bytes.len() as f64 {
         return Ok(Cow::Owned(bytes.iter().map(|b| char::from(*b)).collect()));
     }
     Err(refused())
 }
 
-/// True for a line that starts with `#` or `%`, unless that is the first cell of a row of a spreadsheet, such as `#N/A`.
+/// Returns true for a line that starts with `#` or `%`, unless that is the first cell of a row of a spreadsheet, such
+/// as `#N/A`.
 pub fn is_comment(line: &str) -> bool {
     let line = line.trim_start();
-    let first = || fields(line).next().unwrap_or_default().to_ascii_lowercase();
-    line.starts_with('%') || (line.starts_with('#') && !CELLS.contains(&first().as_str()))
+    if line.starts_with('#') {
+        let first = fields(line).next().unwrap_or_default().to_ascii_lowercase();
+        return !CELLS.contains(&first.as_str());
+    }
+    line.starts_with('%')
 }
 
-/// The separator of a line: comma, semicolon or tab where there is one, else white space.
+/// Returns the separator of a line: comma, semicolon or tab, or `None` for white space.
 fn separator(line: &str) -> Option<char> {
     [';', '\t', ','].into_iter().find(|c| line.contains(*c))
 }
 
-/// True if a separator that is no white space ends the line: nothing follows it.
+/// Returns true if a separator that is no white space ends the line: nothing follows it.
 pub fn is_closed(line: &str) -> bool {
     let line = line.trim_matches([' ', '\r']);
     separator(line).is_some_and(|c| line.ends_with(c))
 }
 
-/// The fields of a line: by comma, semicolon or tab where there is one, else by white space. A separator at the end of the
-/// line closes it. Quotes around a field are no part of it.
+/// Returns the fields of a line: by comma, semicolon or tab where there is one, else by white space. A separator at the
+/// end of the line closes it. Quotes around a field are no part of it.
 pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     fn plain(field: &str) -> &str {
         let field = field.trim();
@@ -116,7 +120,7 @@ pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     }
 }
 
-/// A text of numbers with decimal points in the place of decimal commas; `None` where it has none.
+/// Returns a text of numbers with decimal points in the place of decimal commas, or `None` where it has none.
 ///
 /// A comma is a decimal comma if no line has a decimal point, and every comma stands between two digits: in a line that
 /// semicolons, tabs or blanks separate, or within quotes. Where three digits follow every one of them, they could separate
@@ -197,10 +201,14 @@ impl Commas {
 
 /// Returns true if the point at `i` is one of two in a date such as `1.3.2026`.
 fn is_in_date(b: &[u8], i: usize) -> bool {
-    let is_part = |c: &&u8| c.is_ascii_digit() || **c == b'.';
-    let before = b[..i].iter().rev().take_while(is_part).filter(|c| **c == b'.').count();
-    let after = b[i + 1..].iter().take_while(is_part).filter(|c| **c == b'.').count();
-    before + after == 1
+    let start = b[..i].iter().rposition(|c| !is_of_date(*c)).map_or(0, |k| k + 1);
+    let date = b[start..].iter().take_while(|c| is_of_date(**c));
+    date.filter(|c| **c == b'.').count() == 2
+}
+
+/// Returns true for a digit or a point.
+fn is_of_date(c: u8) -> bool {
+    c.is_ascii_digit() || c == b'.'
 }
 
 /// Returns true if the comma at `i` could separate thousands: three digits follow it, and one to three that do not begin
@@ -214,7 +222,8 @@ fn separates_thousands(b: &[u8], i: usize) -> bool {
 /// The warning where [`with_points`] changed a text.
 pub const DECIMAL_COMMAS: &str = "the numbers have a decimal comma";
 
-/// A number, NaN for one of the words for no data; `line` counts from 1, `field` too.
+/// Returns the number that `field` is, NaN for one of the words for no data. Refuses another text; `line` and `column`,
+/// which count from 1, are for the message.
 pub fn number(name: &'static str, field: &str, line: usize, column: usize) -> Result<f64, Invalid> {
     if let Ok(v) = field.parse::<f64>() {
         return Ok(v);
@@ -224,16 +233,17 @@ pub fn number(name: &'static str, field: &str, line: usize, column: usize) -> Re
     }
     let short: String = field.chars().filter(|c| !c.is_control()).take(20).collect();
     let is_complex = field.ends_with(['i', 'j', 'I', 'J', ')']) && field.contains(['+', '-']);
-    let remedy = match is_complex && field.contains(|c: char| c.is_ascii_digit()) {
-        true => "complex numbers are not read: save their real part",
-        false => "write numbers with a decimal point; a line of text starts with #",
+    let remedy = if is_complex && field.contains(|c: char| c.is_ascii_digit()) {
+        "complex numbers are not read: save their real part"
+    } else {
+        "write numbers with a decimal point; a line of text starts with #"
     };
     let problem =
         format!("has \"{short}\" in line {line}, field {column}, where a number should be");
     Err(Invalid::whole(name, problem, remedy))
 }
 
-/// True for a word that means no value, such as `BAD`, `#N/A` or `***`.
+/// Returns true for a word that means no value, such as `BAD`, `#N/A` or `***`.
 pub fn is_no_data(field: &str) -> bool {
     let word = field.to_ascii_lowercase();
     NO_DATA.contains(&word.as_str())
@@ -241,10 +251,9 @@ pub fn is_no_data(field: &str) -> bool {
         || field.bytes().all(|c| c == b'*')
 }
 
-/// True where a line has no number, and a word that means no value is not all it has: a line of names.
+/// Returns true for a line of names: it has no number, and not only words that mean no value.
 pub fn is_names(line: &str) -> bool {
-    let is_word = |field: &str| field.parse::<f64>().is_err();
-    fields(line).all(is_word) && !fields(line).all(is_no_data)
+    fields(line).all(|field| field.parse::<f64>().is_err()) && !fields(line).all(is_no_data)
 }
 
 #[cfg(test)]

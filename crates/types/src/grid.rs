@@ -30,7 +30,10 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// An axis of `len >= 2` coordinates from `start_mm` in steps of `step_mm > 0`.
+    /// Returns the axis of `len` coordinates from `start_mm` in steps of `step_mm`.
+    ///
+    /// # Errors
+    /// Refuses fewer than 2 coordinates, coordinates beyond 1e7 mm, and steps below 1e-9 mm.
     pub fn new(start_mm: f64, step_mm: f64, len: usize) -> Result<Self, Invalid> {
         if len < 2 {
             return Err(Invalid::whole("axis", format!("{len} coordinates"), "give at least 2"));
@@ -47,7 +50,11 @@ impl Axis {
         Ok(axis)
     }
 
-    /// The axis through given coordinates, which must ascend uniformly (to 1e-4 of a step).
+    /// Returns the axis through the coordinates `mm`, which the messages call `name`.
+    ///
+    /// # Errors
+    /// Refuses fewer than 2 coordinates, coordinates beyond 1e7 mm, and coordinates that do not ascend in equal steps
+    /// (to 1e-4 of a step).
     pub fn from_coordinates(name: &'static str, mm: &[f64]) -> Result<Self, Invalid> {
         if mm.len() < 2 {
             return Err(Invalid::whole(
@@ -87,12 +94,10 @@ impl Axis {
             // A single jump displaces all coordinates from the axis between both ends. The odd step
             // tells its place.
             let mut steps: Vec<f64> = mm.windows(2).map(|w| w[1] - w[0]).collect();
-            let odd = |median: f64| {
-                let off = |i: &usize| (mm[*i] - mm[i - 1] - median).abs();
-                (1..len).max_by(|i, j| off(i).total_cmp(&off(j))).unwrap_or(1)
-            };
             let (_, &mut median, _) = steps.select_nth_unstable_by(len / 2 - 1, f64::total_cmp);
-            let i = odd(median);
+            let deviations = mm.windows(2).map(|w| (w[1] - w[0] - median).abs());
+            let (i, _) =
+                (1..).zip(deviations).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((1, 0.0));
             return Err(Invalid::at(
                 name,
                 i,
@@ -108,45 +113,45 @@ impl Axis {
         Ok(axis)
     }
 
-    /// Coordinate of pixel `i`, mm.
+    /// Returns the coordinate of pixel `i`, mm.
     #[inline]
     pub fn at(&self, i: usize) -> f64 {
         self.start_mm + i as f64 * self.step_mm
     }
 
-    /// First coordinate, mm.
+    /// Returns the first coordinate, mm.
     pub fn start_mm(&self) -> f64 {
         self.start_mm
     }
 
-    /// Last coordinate, mm.
+    /// Returns the last coordinate, mm.
     pub fn end_mm(&self) -> f64 {
         self.at(self.len - 1)
     }
 
-    /// Outer edges of the first and the last pixel, mm.
+    /// Returns the outer edges of the first and the last pixel, mm.
     pub fn edges_mm(&self) -> [f64; 2] {
         let half = 0.5 * self.step_mm;
         [self.start_mm() - half, self.end_mm() + half]
     }
 
-    /// Distance between neighbours, mm.
+    /// Returns the distance between neighbours, mm.
     pub fn step_mm(&self) -> f64 {
         self.step_mm
     }
 
-    /// Number of coordinates; at least 2.
+    /// Returns the number of coordinates; at least 2.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// All coordinates, mm.
+    /// Returns all coordinates, mm.
     pub fn coordinates(&self) -> Vec<f64> {
         (0..self.len).map(|i| self.at(i)).collect()
     }
 
-    /// Part of the axis from pixel `first` to `last` inclusive.
+    /// Returns the part of the axis from pixel `first` to `last` inclusive. Refuses fewer than 2 pixels.
     pub fn crop(&self, first: usize, last: usize) -> Result<Self, Invalid> {
         Self::new(self.at(first), self.step_mm, (last + 1).saturating_sub(first))
     }
@@ -162,23 +167,26 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Number of rows and columns (ny, nx).
+    /// Returns the numbers of rows and columns (ny, nx).
     pub fn shape(&self) -> (usize, usize) {
         (self.y.len(), self.x.len())
     }
 
-    /// The grid with all coordinates [x, y] larger by `by_mm`.
+    /// Returns the grid with all coordinates [x, y] larger by `by_mm`. Refuses coordinates beyond 1e7 mm.
     pub fn moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
-        let moved = |axis: &Axis, by| Axis::new(axis.start_mm() + by, axis.step_mm(), axis.len());
-        Ok(Self { x: moved(&self.x, by_mm[0])?, y: moved(&self.y, by_mm[1])? })
+        let Self { x, y } = self;
+        Ok(Self {
+            x: Axis::new(x.start_mm + by_mm[0], x.step_mm, x.len)?,
+            y: Axis::new(y.start_mm + by_mm[1], y.step_mm, y.len)?,
+        })
     }
 
-    /// Distance [x, y] from the first to the last pixel centre, mm.
+    /// Returns the distances [x, y] from the first to the last pixel centre, mm.
     pub fn size_mm(&self) -> [f64; 2] {
         [self.x, self.y].map(|axis| axis.end_mm() - axis.start_mm())
     }
 
-    /// Area of one pixel, mm^2.
+    /// Returns the area of one pixel, mm^2.
     pub fn pixel_mm2(&self) -> f64 {
         self.x.step_mm() * self.y.step_mm()
     }

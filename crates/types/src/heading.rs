@@ -23,52 +23,60 @@ pub struct Headings {
 }
 
 impl Headings {
-    /// The directions of a trajectory.
+    /// Returns the directions of a trajectory.
     pub fn new(trajectory: &Trajectory) -> Self {
-        let near = |s: &Segment<'_>, part: f64| direction_rad(s, part * s.duration_s);
         let mut end_mm: Option<[f64; 2]> = None;
-        // Direction of the first motion and of the last one, of the jump before a segment and of the segment itself.
-        let of = |s: Segment<'_>| {
+        let mut first_rad = None;
+        let mut last_rad = Vec::with_capacity(trajectory.len());
+        for s in trajectory.segments() {
             let start = s.position_mm(0.0);
-            let of_jump = end_mm.and_then(|end| along_rad([start[0] - end[0], start[1] - end[1]]));
+            let jump_rad = end_mm.and_then(|end| along_rad([start[0] - end[0], start[1] - end[1]]));
             end_mm = Some(s.position_mm(s.duration_s));
-            let own = |part| moves(&s).then(|| near(&s, part)).flatten();
-            (of_jump.or(own(NEAR_END)), own(1.0 - NEAR_END).or(of_jump))
-        };
-        let (first, last): (Vec<_>, Vec<_>) = trajectory.segments().map(of).unzip();
-        Self { at_rest_rad: kept(first.into_iter().flatten().next(), last) }
+            let [begin_rad, end_rad] =
+                [NEAR_END, 1.0 - NEAR_END].map(|part| moving_rad(&s, part * s.duration_s));
+            first_rad = first_rad.or(jump_rad).or(begin_rad);
+            last_rad.push(end_rad.or(jump_rad));
+        }
+        Self { at_rest_rad: held(first_rad, last_rad) }
     }
 
-    /// Place and direction of the tool at the local time `u_s` of `segment`, which has the index `index`.
+    /// Returns the place and the direction of the tool at the local time `u_s` of `segment`, which has the index
+    /// `index`.
     pub fn pose(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> Pose {
-        let moving = moves(segment).then(|| direction_rad(segment, u_s)).flatten();
         Pose {
             position_mm: segment.position_mm(u_s),
-            heading_rad: moving.unwrap_or(self.at_rest_rad[index]),
+            heading_rad: moving_rad(segment, u_s).unwrap_or(self.at_rest_rad[index]),
         }
     }
 }
 
-/// Directions (n) of the segments of a path, rad.
+/// Returns the directions (n) of the segments of a path, rad.
 pub fn headings_of_path_rad(path: &ToolPath) -> Vec<f64> {
     let all: Vec<Option<f64>> =
         (0..path.len()).map(|j| along_rad(path.displacement_mm(j))).collect();
-    kept(all.iter().copied().flatten().next(), all)
+    held(all.iter().copied().flatten().next(), all)
 }
 
-/// Direction of a way, rad; none of one that is rounding.
+/// Returns the direction of a way, rad, or `None` if the way is rounding.
 fn along_rad([x, y]: [f64; 2]) -> Option<f64> {
-    (x.hypot(y) > AT_REST_MM).then(|| y.atan2(x))
+    if x.hypot(y) > AT_REST_MM { Some(y.atan2(x)) } else { None }
 }
 
-/// The directions, each where there is none that before it; before the first one that of the first motion, or 0.
-fn kept(first: Option<f64>, directions: Vec<Option<f64>>) -> Vec<f64> {
+/// Returns the directions, in the place of one that is `None` the one before it, and before them that of the first
+/// motion, or 0.
+fn held(first: Option<f64>, directions: Vec<Option<f64>>) -> Vec<f64> {
     let mut last_rad = first.unwrap_or(0.0);
-    let of = |direction: Option<f64>| {
+    let mut held_rad = Vec::with_capacity(directions.len());
+    for direction in directions {
         last_rad = direction.unwrap_or(last_rad);
-        last_rad
-    };
-    directions.into_iter().map(of).collect()
+        held_rad.push(last_rad);
+    }
+    held_rad
+}
+
+/// Returns the direction at the local time `u_s` of a segment, rad, or `None` if the tool rests.
+fn moving_rad(segment: &Segment<'_>, u_s: f64) -> Option<f64> {
+    if moves(segment) { direction_rad(segment, u_s) } else { None }
 }
 
 /// Returns true if the tool goes further than rounding during a segment.
@@ -78,12 +86,12 @@ fn moves(segment: &Segment<'_>) -> bool {
     segment.coefficient_mm.iter().any(|c| most(c) > AT_REST_MM)
 }
 
-/// Direction of the velocity at a local time, rad; none where it is 0.
+/// Returns the direction of the velocity at a local time, rad, or `None` where it is 0.
 fn direction_rad(segment: &Segment<'_>, u_s: f64) -> Option<f64> {
     let [vx, vy] = [0, 1].map(|axis| {
         polynomial::evaluate(&polynomial::derivative(&segment.coefficient_mm[axis]), u_s)
     });
-    (vx != 0.0 || vy != 0.0).then(|| vy.atan2(vx))
+    if vx != 0.0 || vy != 0.0 { Some(vy.atan2(vx)) } else { None }
 }
 
 #[cfg(test)]

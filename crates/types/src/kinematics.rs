@@ -124,7 +124,7 @@ pub struct MachineAxis {
 }
 
 impl MachineAxis {
-    /// The linear axis with these limits.
+    /// Returns the linear axis with these limits.
     pub fn linear(limits: &AxisLimits, travel: Option<[f64; 2]>) -> Self {
         Self {
             name: limits.name(),
@@ -136,7 +136,7 @@ impl MachineAxis {
         }
     }
 
-    /// Unit of its positions.
+    /// Returns the unit of its positions.
     pub fn unit(&self) -> &'static str {
         if self.is_rotary { "deg" } else { "mm" }
     }
@@ -172,6 +172,7 @@ impl MachineFileRotaryAxis {
 type Accepted =
     (&'static [&'static [&'static str]], &'static [&'static [&'static str]], &'static str);
 
+/// Returns the lists of axes that these kinematics accept.
 fn accepted(kinematics: Option<&KinematicsFile>) -> Accepted {
     match kinematics {
         None | Some(KinematicsFile::Xy {}) => {
@@ -214,26 +215,29 @@ impl MachineFile {
 /// All axes of a file whose names and limits along x and y were checked.
 pub(crate) fn checked_axes(file: &MachineFile) -> Result<Vec<MachineAxis>, Invalid> {
     let (linear, rotary, _) = accepted(file.kinematics.as_ref());
-    let longest = |lists: &[&'static [&'static str]]| *lists.last().expect("a list for each kind");
+    // The last list is the longest one.
+    let [linear, rotary] =
+        [linear, rotary].map(|lists| *lists.last().expect("a list for each kind"));
     let time_s = file.checked_time_to_full_acceleration_s()?;
     let mut axes = Vec::new();
-    for (i, (axis, name)) in file.axes.iter().zip(longest(linear)).enumerate() {
+    for (i, (axis, name)) in file.axes.iter().zip(linear).enumerate() {
         let travel = checked_travel(("axes", i), "mm", axis.travel_mm)?;
         if axis.along.is_some() && !AXES.contains(name) {
             let problem = format!("along is given for the axis {name}");
             let remedy = "leave it out: only x and y go along a direction of the part";
             return Err(Invalid::at("axes", i, problem, remedy));
         }
-        axes.push(made(name, axis.stated(i), time_s, travel)?);
+        axes.push(checked_axis(name, axis.stated(i), time_s, travel)?);
     }
-    for (i, (axis, name)) in file.rotary_axes.iter().zip(longest(rotary)).enumerate() {
+    for (i, (axis, name)) in file.rotary_axes.iter().zip(rotary).enumerate() {
         let travel = checked_travel(("rotary_axes", i), "deg", axis.travel_deg)?;
-        axes.push(made(name, axis.stated(i), time_s, travel)?);
+        axes.push(checked_axis(name, axis.stated(i), time_s, travel)?);
     }
     Ok(axes)
 }
 
-fn made(
+/// Returns an axis with the limits that the file states.
+fn checked_axis(
     name: &'static str,
     stated: StatedLimits,
     time_s: f64,
@@ -244,6 +248,7 @@ fn made(
     Ok(MachineAxis { name, is_rotary, max_velocity, max_acceleration, max_jerk, travel })
 }
 
+/// Returns the travel of an axis; refuses one whose ends are not finite and ascending.
 fn checked_travel(
     (list, index): (&'static str, usize),
     unit: &str,
@@ -260,12 +265,8 @@ fn checked_travel(
 }
 
 impl Kinematics {
-    /// The kinematics of a file whose names of axes were checked.
-    pub(crate) fn of(file: &MachineFile) -> Result<Self, Invalid> {
-        let has = |name: &str| {
-            file.axes.iter().any(|a| a.name == name)
-                || file.rotary_axes.iter().any(|a| a.name == name)
-        };
+    /// Returns the kinematics of a file whose names of axes were checked.
+    pub(crate) fn from_file(file: &MachineFile) -> Result<Self, Invalid> {
         let refused =
             |problem: String, remedy: &str| Err(Invalid::whole("kinematics", problem, remedy));
         let in_mm = "give mm from the contact point to the pivot; negative below the surface";
@@ -286,8 +287,9 @@ impl Kinematics {
                 Ok(Self::Tilts { pivot_mm: *pivot_mm, tilts: *tilts })
             }
             Some(KinematicsFile::Spindle { pivot_mm, .. }) => {
-                let tilts = has("b");
-                if tilts && !has("z") {
+                let tilts = file.rotary_axes.iter().any(|a| a.name == "b");
+                let has_z = file.axes.iter().any(|a| a.name == "z");
+                if tilts && !has_z {
                     return refused(
                         "have a tilt b without an axis z".into(),
                         "add the axis z, or leave out b",
@@ -308,7 +310,7 @@ impl Kinematics {
                     }
                     _ => {}
                 }
-                Ok(Self::Spindle { has_z: has("z"), pivot_mm: *pivot_mm })
+                Ok(Self::Spindle { has_z, pivot_mm: *pivot_mm })
             }
         }
     }

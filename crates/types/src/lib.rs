@@ -117,7 +117,7 @@ pub struct NotConverged {
 }
 
 impl Invalid {
-    /// An error about the whole array.
+    /// Returns an error about the whole array.
     pub fn whole(
         array: &'static str,
         problem: impl Into<String>,
@@ -126,7 +126,7 @@ impl Invalid {
         Self { array, place: String::new(), problem: problem.into(), remedy: remedy.into() }
     }
 
-    /// An error about one element.
+    /// Returns an error about the element at `index`, a number or a tuple of numbers.
     pub fn at(
         array: &'static str,
         index: impl std::fmt::Debug,

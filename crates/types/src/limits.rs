@@ -109,7 +109,7 @@ pub struct MachineFileAxis {
 }
 
 impl MachineFile {
-    /// Names of the axes of which the file states neither a jerk limit nor that there is none.
+    /// Returns the names of the axes of which the file states neither a jerk limit nor that there is none.
     pub fn axes_without_word_on_jerk(&self) -> Vec<&str> {
         if self.time_to_full_acceleration_s.is_some() {
             return Vec::new();
@@ -119,7 +119,7 @@ impl MachineFile {
         linear.map(|a| a.name.as_str()).chain(rotary.map(|a| a.name.as_str())).collect()
     }
 
-    /// Time from rest to the full acceleration, s, of a plausible size; 0 for no limit on jerk.
+    /// Returns the time from rest to the full acceleration, s; 0 for no limit on jerk. Refuses implausible times.
     pub(crate) fn checked_time_to_full_acceleration_s(&self) -> Result<f64, Invalid> {
         let [shortest, longest] = TIMES_TO_FULL_ACCELERATION_S;
         let time_s = self.time_to_full_acceleration_s.unwrap_or_default();
@@ -133,28 +133,15 @@ impl MachineFile {
         Ok(time_s)
     }
 
-    /// The limits along x and y; checks what the JSON types do not: the axes that the kinematics ask for (x and y
-    /// without them), every limit positive and of a plausible size.
+    /// Returns the limits along x and y.
+    ///
+    /// # Errors
+    /// Refuses what the JSON types do not: other axes than those that the kinematics ask for (x and y without them),
+    /// and limits that are not positive and of a plausible size.
     pub fn checked(self) -> Result<Limits, Invalid> {
         self.check_names()?;
         let time_s = self.checked_time_to_full_acceleration_s()?;
-        let axis = |i: usize| -> Result<AxisLimits, Invalid> {
-            // A machine without the axes x and y states the limits of the contact point.
-            let checked = match &self.kinematics {
-                Some(KinematicsFile::Spindle { contact, .. }) => {
-                    contact.stated().checked(time_s)?
-                }
-                _ => self.axes[i].stated(i).checked(time_s)?,
-            };
-            let [max_velocity_mm_per_s, max_acceleration_mm_per_s2] = checked.0;
-            Ok(AxisLimits {
-                name: AXES[i],
-                max_velocity_mm_per_s,
-                max_acceleration_mm_per_s2,
-                max_jerk_mm_per_s3: checked.1,
-            })
-        };
-        let axes = [axis(0)?, axis(1)?];
+        let axes = [self.checked_axis(0, time_s)?, self.checked_axis(1, time_s)?];
         if !(0.0..=LARGEST_MIN_SEGMENT_S).contains(&self.min_segment_s) {
             return Err(Invalid::whole(
                 "min_segment_s",
@@ -164,10 +151,26 @@ impl MachineFile {
         }
         Ok(Limits { name: self.name, axes, min_segment_s: self.min_segment_s })
     }
+
+    /// Returns the limits along x (0) or y (1). A machine without the axes x and y states those of the contact point.
+    fn checked_axis(&self, i: usize, time_s: f64) -> Result<AxisLimits, Invalid> {
+        let stated = match &self.kinematics {
+            Some(KinematicsFile::Spindle { contact, .. }) => contact.stated(),
+            _ => self.axes[i].stated(i),
+        };
+        let ([max_velocity_mm_per_s, max_acceleration_mm_per_s2], max_jerk_mm_per_s3) =
+            stated.checked(time_s)?;
+        Ok(AxisLimits {
+            name: AXES[i],
+            max_velocity_mm_per_s,
+            max_acceleration_mm_per_s2,
+            max_jerk_mm_per_s3,
+        })
+    }
 }
 
 impl MachineFileAxis {
-    /// The limits of the axis `index` of the list `axes`, as stated.
+    /// Returns the limits of the axis `index` of the list `axes`, as stated.
     pub(crate) fn stated(&self, index: usize) -> StatedLimits {
         StatedLimits {
             list: "axes",
@@ -194,10 +197,11 @@ pub(crate) struct StatedLimits {
 }
 
 impl StatedLimits {
-    /// Velocity and acceleration, and the jerk limit, which follows from the time to full acceleration where none is
-    /// stated.
+    /// Returns velocity and acceleration, and the jerk limit, which follows from the time to full acceleration where
+    /// none is stated. Refuses limits that are not positive and of a plausible size.
     pub(crate) fn checked(&self, time_s: f64) -> Result<([f64; 2], Option<f64>), Invalid> {
-        let (largest, unit) = (LARGEST_VELOCITY_MM_PER_S, self.unit);
+        let largest = LARGEST_VELOCITY_MM_PER_S;
+        let unit = self.unit;
         let limits = [
             ("velocity", "", Some(self.velocity), largest),
             ("acceleration", "2", Some(self.acceleration), 1e3 * largest),
@@ -205,40 +209,42 @@ impl StatedLimits {
         ];
         for (name, power, value, most) in limits {
             let Some(v) = value else { continue };
+            if (LEAST_LIMIT..=most).contains(&v) {
+                continue;
+            }
             let problem = format!("max_{name}_{unit}_per_s{power} is {v:?}");
-            let refused = |remedy: String| match self.index {
-                Some(index) => Invalid::at(self.list, index, problem.clone(), remedy),
-                None => Invalid::whole(self.list, problem.clone(), remedy),
-            };
-            if !(v.is_finite() && v > 0.0) {
-                return Err(refused("a limit is positive and finite".into()));
-            }
-            if !(LEAST_LIMIT..=most).contains(&v) {
+            let remedy = if v.is_finite() && v > 0.0 {
                 let over = if power.is_empty() { "s".into() } else { format!("s^{power}") };
-                return Err(refused(format!(
-                    "give {unit}/{over}, from {LEAST_LIMIT:e} to {most:e}"
-                )));
-            }
+                format!("give {unit}/{over}, from {LEAST_LIMIT:e} to {most:e}")
+            } else {
+                "a limit is positive and finite".into()
+            };
+            return Err(match self.index {
+                Some(index) => Invalid::at(self.list, index, problem, remedy),
+                None => Invalid::whole(self.list, problem, remedy),
+            });
         }
-        let of_time =
-            (time_s > 0.0).then(|| (self.acceleration / time_s).clamp(LEAST_LIMIT, 1e6 * largest));
-        Ok(([self.velocity, self.acceleration], self.jerk.or(of_time)))
+        let mut jerk = self.jerk;
+        if jerk.is_none() && time_s > 0.0 {
+            jerk = Some((self.acceleration / time_s).clamp(LEAST_LIMIT, 1e6 * largest));
+        }
+        Ok(([self.velocity, self.acceleration], jerk))
     }
 }
 
 /// The file that states these limits, to change one of them and check it again.
 impl From<&Limits> for MachineFile {
     fn from(limits: &Limits) -> Self {
-        let axis = |a: &AxisLimits| MachineFileAxis {
+        let axes = limits.axes.map(|a| MachineFileAxis {
             name: a.name.into(),
             max_velocity_mm_per_s: a.max_velocity_mm_per_s,
             max_acceleration_mm_per_s2: a.max_acceleration_mm_per_s2,
             max_jerk_mm_per_s3: a.max_jerk_mm_per_s3,
             ..MachineFileAxis::default()
-        };
+        });
         Self {
             name: limits.name.clone(),
-            axes: limits.axes.iter().map(axis).collect(),
+            axes: axes.into(),
             min_segment_s: limits.min_segment_s,
             ..Self::default()
         }
@@ -246,22 +252,22 @@ impl From<&Limits> for MachineFile {
 }
 
 impl Limits {
-    /// Name of the machine.
+    /// Returns the name of the machine.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The axes x and y.
+    /// Returns the limits of the axes x and y.
     pub fn axes(&self) -> &[AxisLimits; 2] {
         &self.axes
     }
 
-    /// Shortest segment that the controller accepts, s; 0 when it does not matter.
+    /// Returns the shortest segment that the controller accepts, s; 0 when it does not matter.
     pub fn min_segment_s(&self) -> f64 {
         self.min_segment_s
     }
 
-    /// The machine with other limits of (x, y). Velocity, acceleration and jerk have to be positive
+    /// Returns the machine with other limits of (x, y). Velocity, acceleration and jerk have to be positive
     /// and finite.
     pub(crate) fn with_axes(
         &self,
@@ -278,34 +284,34 @@ impl Limits {
         Self { axes, ..self.clone() }
     }
 
-    /// Largest velocity of (x, y), mm/s.
+    /// Returns the largest velocities of [x, y], mm/s.
     pub fn max_velocity_mm_per_s(&self) -> [f64; 2] {
         self.axes.map(|a| a.max_velocity_mm_per_s)
     }
 
-    /// Largest acceleration of (x, y), mm/s^2.
+    /// Returns the largest accelerations of [x, y], mm/s^2.
     pub fn max_acceleration_mm_per_s2(&self) -> [f64; 2] {
         self.axes.map(|a| a.max_acceleration_mm_per_s2)
     }
 }
 
 impl AxisLimits {
-    /// "x" or "y".
+    /// Returns the name of the axis, "x" or "y".
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// Largest velocity, mm/s.
+    /// Returns the largest velocity, mm/s.
     pub fn max_velocity_mm_per_s(&self) -> f64 {
         self.max_velocity_mm_per_s
     }
 
-    /// Largest acceleration, mm/s^2.
+    /// Returns the largest acceleration, mm/s^2.
     pub fn max_acceleration_mm_per_s2(&self) -> f64 {
         self.max_acceleration_mm_per_s2
     }
 
-    /// Largest jerk, mm/s^3; none when the machine does not limit it.
+    /// Returns the largest jerk, mm/s^3, or `None` if the machine does not limit it.
     pub fn max_jerk_mm_per_s3(&self) -> Option<f64> {
         self.max_jerk_mm_per_s3
     }

@@ -27,8 +27,8 @@
 //! which is the limit of each axis itself for axes along x and y.
 
 use crate::{
-    AxisLimits, ControllerKind, ControllerModel, Invalid, Kinematics, Limits, MachineAxis,
-    MachineFile, Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
+    ControllerKind, ControllerModel, Invalid, Kinematics, Limits, MachineAxis, MachineFile,
+    Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
 };
 
 /// A machine: limits of its axes, their travel, and how a part lies on it.
@@ -59,11 +59,12 @@ impl From<Limits> for Machine {
 }
 
 impl Machine {
-    /// Checks the content of a machine file.
+    /// Returns the machine of a file. Refuses limits, travels, kinematics, controllers and positions of the part that
+    /// are none, see [`MachineFile`].
     pub fn new(file: MachineFile) -> Result<Self, Invalid> {
         let limits = file.clone().checked()?;
         let axes = checked_axes(&file)?;
-        let kinematics = Kinematics::of(&file)?;
+        let kinematics = Kinematics::from_file(&file)?;
         // A machine without the axes x and y has no travel along them.
         let travel_mm =
             AXES.map(|name| axes.iter().find(|a| a.name == name).and_then(|a| a.travel));
@@ -82,69 +83,70 @@ impl Machine {
         Ok(Self { limits, travel_mm, axes, kinematics, part_origin_z_mm, part_to_axes, controller })
     }
 
-    /// The controller as the machine file states it, if it states one.
+    /// Returns the controller as the machine file states it, if it states one.
     pub fn controller(&self) -> Option<&ControllerModel> {
         self.controller.as_ref()
     }
 
-    /// The grids of a program for `kind`: those of the machine's own controller if it is of this kind, else the
+    /// Returns the grids of a program for `kind`: those of the machine's own controller if it is of this kind, else the
     /// defaults of the kind.
     pub fn controller_for(&self, kind: ControllerKind) -> ControllerModel {
         self.controller.filter(|c| c.kind == kind).unwrap_or_else(|| kind.model())
     }
 
-    /// Name of the machine.
+    /// Returns the name of the machine.
     pub fn name(&self) -> &str {
         self.limits.name()
     }
 
-    /// Limits of the axes x and y. A spindle machine has no such axes: limits of the contact point, as stated.
+    /// Returns the limits of the axes x and y. A spindle machine has no such axes: limits of the contact point, as
+    /// stated.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// All axes in their order, the linear ones first.
+    /// Returns all axes in their order, the linear ones first.
     pub fn axes(&self) -> &[MachineAxis] {
         &self.axes
     }
 
-    /// Kinematics: which axes move the tool over the part, and how.
+    /// Returns the kinematics: which axes move the tool over the part, and how.
     pub fn kinematics(&self) -> &Kinematics {
         &self.kinematics
     }
 
-    /// Reading of the axis z where the tool, without tilt, touches the height 0 of the part, mm.
+    /// Returns the reading of the axis z where the tool, without tilt, touches the height 0 of the part, mm.
     pub fn part_origin_z_mm(&self) -> f64 {
         self.part_origin_z_mm
     }
 
-    /// Smallest and largest position of the axes x and y, mm; `None` if the travel has no limit.
+    /// Returns the smallest and largest position of the axes x and y, mm; `None` if the travel has no limit.
     pub fn travel_mm(&self) -> &[Option<[f64; 2]>; 2] {
         &self.travel_mm
     }
 
-    /// Transform from the coordinates of the part to the readings of the axes; `None` if both are
+    /// Returns the transform from the coordinates of the part to the readings of the axes, or `None` if both are
     /// equal.
     pub fn part_to_axes(&self) -> Option<&Transform> {
         self.part_to_axes.as_ref()
     }
 
-    /// Limits along x and y of the part that the axes can follow in every direction at once.
+    /// Returns the limits along x and y of the part that the axes can follow in every direction at once.
     pub fn limits_on_part(&self) -> Limits {
         // Those of a spindle machine are along x and y of the part as stated.
         let is_spindle = matches!(self.kinematics, Kinematics::Spindle { .. });
         let Some(transform) = self.part_to_axes.as_ref().filter(|_| !is_spindle) else {
             return self.limits.clone();
         };
-        let axes = self.limits.axes();
-        let boxed = |limit: fn(&AxisLimits) -> Option<f64>| {
-            largest_box(transform.matrix(), axes.each_ref().map(limit))
-        };
-        let limited = "velocity and acceleration are limited on both axes";
-        let velocity = boxed(|a| Some(a.max_velocity_mm_per_s())).map(|v| v.expect(limited));
-        let acceleration =
-            boxed(|a| Some(a.max_acceleration_mm_per_s2())).map(|a| a.expect(limited));
-        let jerk = boxed(AxisLimits::max_jerk_mm_per_s3);
+        let [velocity, acceleration] =
+            [self.limits.max_velocity_mm_per_s(), self.limits.max_acceleration_mm_per_s2()].map(
+                |limits| {
+                    let largest = largest_box(transform.matrix(), limits.map(Some));
+                    largest.map(|limit| limit.expect("it is limited on both axes"))
+                },
+            );
+        let jerk = self.limits.axes().map(|a| a.max_jerk_mm_per_s3());
+        let jerk = largest_box(transform.matrix(), jerk);
         self.limits.with_axes(velocity, acceleration, jerk)
     }
 }
@@ -161,11 +163,7 @@ fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
         let problem = format!("is {turn_deg}");
         return Err(Invalid::whole("part_rotation_deg", problem, "give degrees from -360 to 360"));
     }
-    // Axes other than x and y go along no direction of the part's plane.
-    let stated = |i: usize| file.axes.get(i).filter(|axis| axis.name == AXES[i]);
-    let directions = [0, 1].map(|i| direction(i, stated(i).and_then(|axis| axis.along.as_deref())));
-    let [x, y] = directions;
-    let (x, y) = (x?, y?);
+    let [x, y] = [direction(file, 0)?, direction(file, 1)?];
     if x.0 == y.0 {
         let along = format!("are along {} and {}", written(x), written(y));
         let remedy = "let one axis go along x of the part and the other along y";
@@ -180,9 +178,11 @@ fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
     Transform::new(matrix, [0.0; 2], origin_mm, [[0.0; 6]; 6]).map(Some)
 }
 
-/// Direction j and sign s of the axis `i`.
-fn direction(i: usize, along: Option<&str>) -> Result<(usize, f64), Invalid> {
-    match along {
+/// Returns the direction j and the sign s of the axis `i`. Axes other than x and y go along no direction of the part's
+/// plane.
+fn direction(file: &MachineFile, i: usize) -> Result<(usize, f64), Invalid> {
+    let axis = file.axes.get(i).filter(|axis| axis.name == AXES[i]);
+    match axis.and_then(|axis| axis.along.as_deref()) {
         None => Ok((i, 1.0)),
         Some("x" | "+x") => Ok((0, 1.0)),
         Some("-x") => Ok((0, -1.0)),
@@ -196,6 +196,7 @@ fn direction(i: usize, along: Option<&str>) -> Result<(usize, f64), Invalid> {
     }
 }
 
+/// Returns a direction as a machine file states it.
 fn written((j, sign): (usize, f64)) -> String {
     format!("{}{}", if sign < 0.0 { "-" } else { "+" }, AXES[j])
 }
@@ -220,14 +221,15 @@ const LEAST_PART: f64 = 1e-100;
 /// no limit applies.
 fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] {
     // a w_x + b w_y <= c
-    let part = |v: f64| if v.abs() < LEAST_PART { 0.0 } else { v.abs() };
-    let rows: Vec<[f64; 3]> =
-        (0..2).filter_map(|i| limits[i].map(|c| [part(m[i][0]), part(m[i][1]), c])).collect();
+    let mut rows: Vec<[f64; 3]> = Vec::new();
+    for (row, limit) in m.iter().zip(limits) {
+        let [a, b] = row.map(|v| if v.abs() < LEAST_PART { 0.0 } else { v.abs() });
+        rows.extend(limit.map(|c| [a, b, c]));
+    }
     if rows.iter().any(|[a, b, _]| *a == 0.0 || *b == 0.0) {
         // Each axis goes along x or along y.
-        let along =
-            |j: usize| rows.iter().filter(|r| r[j] > 0.0).map(|r| r[2] / r[j]).reduce(f64::min);
-        return [along(0), along(1)];
+        return [0, 1]
+            .map(|j| rows.iter().filter(|r| r[j] > 0.0).map(|r| r[2] / r[j]).reduce(f64::min));
     }
     if rows.is_empty() {
         return [None; 2];
@@ -249,8 +251,7 @@ fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] 
             rows.iter().map(|[a, b, c]| c / (a * w[0] + b * w[1])).fold(f64::INFINITY, f64::min);
         w.map(|v| most * v)
     });
-    let product = |w: &[f64; 2]| w[0] * w[1];
-    let best = scaled.max_by(|v, w| product(v).total_cmp(&product(w)));
+    let best = scaled.max_by(|v, w| (v[0] * v[1]).total_cmp(&(w[0] * w[1])));
     best.map_or([None; 2], |w| w.map(Some))
 }
 

@@ -67,13 +67,13 @@ impl ToolPath {
         }
     }
 
+    /// Returns half the distance of the lines of the path, mm.
     fn usual_tolerance_mm(&self) -> f64 {
-        let lengths_mm = |on: bool| {
-            let chosen = (0..self.len()).filter(move |i| self.tool_on()[*i] == on);
-            chosen.map(|i| self.segment_length_mm(i)).filter(|mm| *mm > 0.0).collect()
-        };
-        let point_mm =
-            quantile(lengths_mm(true), 2).or_else(|| quantile(lengths_mm(false), 2)).unwrap_or(0.0);
+        let [on_mm, off_mm] = [true, false].map(|on| {
+            let segments = (0..self.len()).filter(|i| self.tool_on()[*i] == on);
+            segments.map(|i| self.segment_length_mm(i)).filter(|mm| *mm > 0.0).collect()
+        });
+        let point_mm = quantile(on_mm, 2).or_else(|| quantile(off_mm, 2)).unwrap_or(0.0);
         let line_mm = quantile(self.legs_mm(), 4).unwrap_or(point_mm);
         USUAL_PART * line_mm.clamp(point_mm, LINES_PER_POINT * point_mm)
     }
@@ -82,11 +82,14 @@ impl ToolPath {
     fn legs_mm(&self) -> Vec<f64> {
         let mut legs_mm = Vec::new();
         // Length since the last corner, if there is one, and direction of the segment before.
-        let (mut leg_mm, mut before) = (None, None);
+        let mut leg_mm = None;
+        let mut before = None;
         for i in 0..self.len() {
-            let ([dx, dy], length_mm) = (self.displacement_mm(i), self.segment_length_mm(i));
+            let [dx, dy] = self.displacement_mm(i);
+            let length_mm = self.segment_length_mm(i);
             if !self.tool_on()[i] {
-                (leg_mm, before) = (None, None);
+                leg_mm = None;
+                before = None;
             } else if length_mm > 0.0 {
                 let direction = [dx / length_mm, dy / length_mm];
                 let turns = before.is_some_and(|[x, y]: [f64; 2]| {
@@ -135,12 +138,15 @@ impl PathDistance {
         for (segment, range) in motion.segments().zip(served) {
             let before_mm =
                 if segment.tool_on { distance.tool_on_mm } else { distance.tool_off_mm };
-            let farthest = |points: &[Point], enough: f64| nearest.farthest(points, &range, enough);
-            let mm = largest(segment.coefficient_mm, segment.duration_s, before_mm, farthest);
+            let mm =
+                largest(segment.coefficient_mm, segment.duration_s, before_mm, |points, enough| {
+                    nearest.farthest(points, &range, enough)
+                });
             if !segment.tool_on {
                 distance.tool_off_mm = mm;
             } else if mm > before_mm {
-                (distance.tool_on_mm, distance.tool_on_time_s) = (mm, segment.start_s);
+                distance.tool_on_mm = mm;
+                distance.tool_on_time_s = segment.start_s;
             }
         }
         Ok(distance.judged_by(tolerance_mm))

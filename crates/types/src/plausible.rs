@@ -17,7 +17,7 @@ use crate::{Invalid, Surface, Tif, ToolPath};
 /// Longest useful run, s: 30 days. Larger: plans in mistaken units pass. Smaller: runs of days on
 /// large mirrors fail. Chosen: a run of months is stopped, measured and planned anew long before
 /// its end.
-pub const LONGEST_RUN_S: f64 = 30.0 * 86_400.0;
+const LONGEST_RUN_S: f64 = 30.0 * 86_400.0;
 
 /// Largest ratio of the size of the TIF to the size of the map. Larger: mistaken units pass; a TIF
 /// in micrometres is hundreds of times larger than the map. Smaller: laps that are a few times
@@ -89,11 +89,11 @@ pub fn check_tool(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
 pub fn check_path(surface: &Surface, tif: &Tif, path: &ToolPath) -> Result<(), Invalid> {
     check_tool(surface, tif)?;
     let on = (0..path.len()).filter(|i| path.tool_on()[*i]);
-    let ends = || on.clone().flat_map(|i| [path.point_mm()[i], path.point_mm()[i + 1]]);
+    let ends = on.flat_map(|i| [path.point_mm()[i], path.point_mm()[i + 1]]);
     for (axis, name) in ["x", "y"].into_iter().enumerate() {
-        let low = ends().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
-        let high = ends().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-        let (map_mm, tif_mm) = (surface.grid().size_mm()[axis], tif.grid().size_mm()[axis]);
+        let low = ends.clone().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
+        let high = ends.clone().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
+        let [map_mm, tif_mm] = [surface.grid(), tif.grid()].map(|grid| grid.size_mm()[axis]);
         if high - low > MOST_PATH_PER_MAP * (map_mm + tif_mm) {
             return Err(Invalid::whole(
                 "point_mm",
@@ -133,15 +133,15 @@ pub struct Rms {
 }
 
 impl Rms {
-    /// The two RMS values of a map.
-    pub fn of(surface: &Surface) -> Self {
+    /// Returns the two RMS values of a map.
+    pub fn of_surface(surface: &Surface) -> Self {
         Self { rms_nm: surface.statistics().rms, detilted_nm: surface.detilted_rms_nm() }
     }
 }
 
-/// Reason why a plan that reduces `before` to `after` in `total_time_s` is of no use; `None` if it
+/// Returns the reason why a plan that reduces `before` to `after` in `total_time_s` is of no use, or `None` if it
 /// is of use. Either the surface is worse than before, with and without its best plane, or the run
-/// is longer than [`LONGEST_RUN_S`].
+/// is longer than 30 days.
 pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
     // Any plan makes a flat map worse, so that nothing is expected of it.
     let flat = before.rms_nm <= 0.0;
@@ -155,35 +155,37 @@ pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
     too_long(total_time_s)
 }
 
-/// Reason why a run of `total_time_s` is too long; `None` if it is not.
+/// Returns the reason why a run of `total_time_s` is too long, or `None` if it is not.
 pub fn too_long(total_time_s: f64) -> Option<String> {
-    (total_time_s > LONGEST_RUN_S).then(|| {
-        format!(
-            "the run takes {total_time_s:.4e} s, {:.0} days, more than {:.0} days; are the heights and \
-             rates in nm and nm/s, and invalid pixels NaN?",
-            total_time_s / 86_400.0,
-            LONGEST_RUN_S / 86_400.0
-        )
-    })
+    if total_time_s <= LONGEST_RUN_S || total_time_s.is_nan() {
+        return None;
+    }
+    Some(format!(
+        "the run takes {total_time_s:.4e} s, {:.0} days, more than {:.0} days; are the heights and \
+         rates in nm and nm/s, and invalid pixels NaN?",
+        total_time_s / 86_400.0,
+        LONGEST_RUN_S / 86_400.0
+    ))
 }
 
 /// Refuses a TIF whose removal is farther from the offset 0, the place of the tool, than its own
 /// width. Such axes begin or end at 0, and are coordinates of an array rather than offsets.
 fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
     let grid = tif.grid();
-    for (name, axis, of_row) in [("x_mm", grid.x, false), ("y_mm", grid.y, true)] {
+    for (name, axis, is_y) in [("x_mm", grid.x, false), ("y_mm", grid.y, true)] {
         if axis.start_mm() < 0.0 && axis.end_mm() > 0.0 {
             continue;
         }
-        let at = |(r, c): (usize, usize)| axis.at(if of_row { r } else { c });
-        let moment = |f: &dyn Fn(f64) -> f64| {
-            tif.rate_nm_per_s().indexed_iter().map(|(i, v)| v.max(0.0) * f(at(i))).sum::<f64>()
-        };
-        let volume = moment(&|_| 1.0);
-        let centre_mm = moment(&|d| d) / volume;
-        let sigma_mm = (moment(&|d| (d - centre_mm).powi(2)) / volume).sqrt();
+        // Rates, not below 0, and their offsets.
+        let rates = tif.rate_nm_per_s().indexed_iter();
+        let samples = rates.map(|((r, c), v)| (v.max(0.0), axis.at(if is_y { r } else { c })));
+        let volume: f64 = samples.clone().map(|(rate, _)| rate).sum();
+        let centre_mm = samples.clone().map(|(rate, d)| rate * d).sum::<f64>() / volume;
+        let moment: f64 = samples.map(|(rate, d)| rate * (d - centre_mm).powi(2)).sum();
+        let sigma_mm = (moment / volume).sqrt();
         if centre_mm.abs() > sigma_mm {
-            let (from, to) = (axis.start_mm(), axis.end_mm());
+            let from = axis.start_mm();
+            let to = axis.end_mm();
             let half = 0.5 * (to - from);
             return Err(Invalid::whole(
                 name,
@@ -202,8 +204,10 @@ fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
     Ok(())
 }
 
+/// Refuses a TIF that is far larger than the map, or smaller than a pixel.
 fn check_sizes(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
-    let (map, tool) = (surface.grid().size_mm(), tif.grid().size_mm());
+    let map = surface.grid().size_mm();
+    let tool = tif.grid().size_mm();
     let shown = |s: [f64; 2]| format!("{:.6} by {:.6} mm", s[0], s[1]);
     if tool[0].max(tool[1]) > MOST_TIF_PER_MAP * map[0].max(map[1]) {
         return Err(Invalid::whole(
@@ -227,10 +231,12 @@ fn check_sizes(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
     Ok(())
 }
 
+/// Refuses heights within an atom, and a number that marks pixels without data.
 fn check_heights(surface: &Surface) -> Result<(), Invalid> {
     let map = surface.height_nm();
     let (low, high) = statistics::range(map.view());
-    let (pv, largest) = (high - low, low.abs().max(high.abs()));
+    let pv = high - low;
+    let largest = low.abs().max(high.abs());
     if pv > ROUNDING * largest && pv < LEAST_PV_NM {
         return Err(Invalid::whole(
             "height_nm",
@@ -247,8 +253,8 @@ fn check_heights(surface: &Surface) -> Result<(), Invalid> {
         let distance = (l - marker).max(marker - h);
         let far = if is_known_marker(marker) { KNOWN_MARKER_DISTANCE } else { MARKER_DISTANCE };
         if h > l && distance > far * (h - l) {
-            let at = map.indexed_iter().find(|(_, z)| **z == marker);
-            let (index, _) = at.expect("it is one of them");
+            let marked = map.indexed_iter().find(|(_, z)| **z == marker);
+            let (index, _) = marked.expect("it is one of them");
             return Err(Invalid::at(
                 "height_nm",
                 index,
@@ -272,7 +278,7 @@ fn is_known_marker(value: f64) -> bool {
             .any(|limit| limit.trim_end_matches('0') == digits)
 }
 
-/// Lower bound on the time of any plan, s: the volume above the lowest pixel, but for [`PITS`],
+/// Returns a lower bound on the time of any plan, s: the volume above the lowest pixel, but for [`PITS`],
 /// over the volumetric removal rate.
 fn least_time_s(surface: &Surface, tif: &Tif) -> f64 {
     let map = surface.height_nm().view();

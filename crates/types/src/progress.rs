@@ -5,7 +5,7 @@
 //! assigns each part an interval of the whole:
 //!
 //! ```text
-//! told = first + (last - first) fraction        of the part [first, last] that is under way
+//! reported = first + (last - first) fraction    of the part [first, last] that is under way
 //! ```
 //!
 //! Fractions of iterations are estimates, see [`of_convergence`]; no result depends on them. Like
@@ -53,19 +53,18 @@ pub fn round_ended() {
 /// Reports the fraction of the part under way that is done, 0 to 1.
 pub fn done(fraction: f64) {
     let Some(watcher) = WATCHER.get() else { return };
-    let told = {
+    let reported = {
         let mut state = under_way();
         state.1 = state.1.max(within(state.0, fraction));
         state.1
     };
-    watcher(told);
+    watcher(reported);
 }
 
 /// Runs `work`, which is part number `k` of `n` equal parts.
 pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     let whole = under_way().0;
-    let edge = |k: usize| within(whole, k as f64 / n as f64);
-    under_way().0 = [edge(k), edge(k + 1)];
+    under_way().0 = [k, k + 1].map(|k| within(whole, k as f64 / n as f64));
     let result = work();
     under_way().0 = whole;
     done((k + 1) as f64 / n as f64);
@@ -73,13 +72,13 @@ pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
 }
 
 /// Counter of equal pieces of work, which threads end in any order.
-pub struct Pieces {
+pub struct PieceCounter {
     count: usize,
     ended: AtomicUsize,
 }
 
-impl Pieces {
-    /// A counter of `count` pieces, none of which has ended.
+impl PieceCounter {
+    /// Returns a counter of `count` pieces, none of which has ended.
     pub fn new(count: usize) -> Self {
         Self { count, ended: AtomicUsize::new(0) }
     }
@@ -97,11 +96,12 @@ pub fn of_excess() -> impl FnMut(f64) {
     move |excess| done(of_convergence(*first.get_or_insert(excess), excess, 1.0))
 }
 
+/// Returns the fraction of the whole at a fraction of a part.
 fn within([first, last]: [f64; 2], fraction: f64) -> f64 {
     first + (last - first) * fraction.clamp(0.0, 1.0)
 }
 
-/// Estimated fraction of an iteration that is done, 0 to 1. The quantity falls geometrically from
+/// Returns the estimated fraction of an iteration that is done, 0 to 1. The quantity falls geometrically from
 /// `first` to `last` and is now `now`:
 ///
 /// ```text
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn pieces_count_up_to_the_whole() {
-        let pieces = Pieces::new(4);
+        let pieces = PieceCounter::new(4);
         let fractions = [0; 4].map(|_| pieces.one_more());
         assert_eq!(fractions, [0.25, 0.5, 0.75, 1.0]);
     }

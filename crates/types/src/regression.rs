@@ -24,7 +24,8 @@ pub(crate) fn regression<const N: usize>(samples: &[([f64; N], f64)]) -> Option<
         squares.iter_mut().zip(row).for_each(|(sum, a)| *sum += a * a);
     }
     let scale = squares.map(|square: f64| square.sqrt().recip());
-    let (mut normal, mut right) = ([[0.0; N]; N], [0.0; N]);
+    let mut normal = [[0.0; N]; N];
+    let mut right = [0.0; N];
     for (row, z) in samples {
         for i in 0..N {
             right[i] += scale[i] * row[i] * z;
@@ -37,15 +38,16 @@ pub(crate) fn regression<const N: usize>(samples: &[([f64; N], f64)]) -> Option<
     if samples.len() <= N {
         return None;
     }
-    let product = |k: usize| (0..N).map(|j| inverse[k][j] * right[j]).sum::<f64>() * scale[k];
-    let parameters: [f64; N] = std::array::from_fn(product);
-    let left = |(row, z): &([f64; N], f64)| {
-        z - row.iter().zip(&parameters).map(|(a, p)| a * p).sum::<f64>()
-    };
-    let squares: f64 = samples.iter().map(|sample| left(sample).powi(2)).sum();
+    let parameters: [f64; N] =
+        std::array::from_fn(|k| (0..N).map(|j| inverse[k][j] * right[j]).sum::<f64>() * scale[k]);
+    let mut squares = 0.0;
+    for (row, z) in samples {
+        let fitted: f64 = row.iter().zip(&parameters).map(|(a, p)| a * p).sum();
+        squares += (z - fitted).powi(2);
+    }
     let variance = squares / (samples.len() - N) as f64;
-    let error = |k: usize| (variance * inverse[k][k]).sqrt() * scale[k];
-    Some(Regression { parameters, standard_errors: std::array::from_fn(error) })
+    let standard_errors = std::array::from_fn(|k| (variance * inverse[k][k]).sqrt() * scale[k]);
+    Some(Regression { parameters, standard_errors })
 }
 
 /// Returns the inverse of a positive definite matrix with a diagonal of ones, by Gauss and Jordan's elimination; `None`

@@ -3,7 +3,7 @@
 use ndarray::{Array2, Zip};
 use planish_numerics::statistics::{self, Statistics};
 
-use crate::{Axis, Grid, Invalid};
+use crate::{Grid, Invalid};
 
 /// A height map (ny, nx) in nm; positive = material above the target; NaN = invalid pixel.
 ///
@@ -16,14 +16,18 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Checks the shape against the grid, refuses infinities and a map without a valid pixel.
+    /// Returns the map with the heights (ny, nx), nm. Refuses another shape than that of the grid, heights beyond 1e12
+    /// nm and a map without a valid pixel.
     pub fn new(grid: Grid, height_nm: Array2<f64>) -> Result<Self, Invalid> {
         check_map("height_nm", &grid, &height_nm)?;
         Ok(Self { grid, height_nm, deviation_nm: None })
     }
 
-    /// The map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that of the
-    /// stored height: of a mean, it is that of the mean.
+    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that
+    /// of the stored height: of a mean, it is that of the mean.
+    ///
+    /// # Errors
+    /// Refuses another shape than that of the heights, and deviations below 0 or above 1e12 nm.
     pub fn with_deviation(self, deviation_nm: Array2<f64>) -> Result<Self, Invalid> {
         let name = "deviation_nm";
         if deviation_nm.dim() != self.height_nm.dim() {
@@ -34,71 +38,74 @@ impl Surface {
             );
             return Err(Invalid::whole(name, problem, "give one deviation per pixel"));
         }
-        let wrong = |v: f64| !(v.is_nan() || (0.0..=LARGEST_NM).contains(&v));
-        if let Some((index, v)) = deviation_nm.indexed_iter().find(|(_, v)| wrong(**v)) {
+        let is_deviation = |v: f64| v.is_nan() || (0.0..=LARGEST_NM).contains(&v);
+        if let Some((index, v)) = deviation_nm.indexed_iter().find(|(_, v)| !is_deviation(**v)) {
             let remedy = "give nm, from 0 to 1e12, and mark an unknown deviation by NaN";
             return Err(Invalid::at(name, index, format!("is {v:?}"), remedy));
         }
         Ok(Self { deviation_nm: Some(deviation_nm), ..self })
     }
 
-    /// Standard deviation of every height (ny, nx), nm; NaN = unknown; `None` for a map without deviations.
+    /// Returns the standard deviation of every height (ny, nx), nm, NaN = unknown, or `None` for a map without
+    /// deviations.
     pub fn deviation_nm(&self) -> Option<&Array2<f64>> {
         self.deviation_nm.as_ref()
     }
 
-    /// RMS of the known standard deviations of the valid pixels, nm: the noise level of the map.
+    /// Returns the RMS of the known standard deviations of the valid pixels, nm: the noise level of the map. `None` if
+    /// none is known.
     pub fn noise_rms_nm(&self) -> Option<f64> {
         let deviation = self.deviation_nm.as_ref()?;
         let known =
             self.height_nm.iter().zip(deviation).filter(|(z, s)| !z.is_nan() && !s.is_nan());
         let (sum, count) = known.fold((0.0, 0.0), |(sum, n), (_, s)| (sum + s * s, n + 1.0));
-        (count > 0.0).then(|| (sum / count).sqrt())
+        if count > 0.0 { Some((sum / count).sqrt()) } else { None }
     }
 
-    /// Pixel centres.
+    /// Returns the pixel centres.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    /// Height (ny, nx), nm.
+    /// Returns the heights (ny, nx), nm.
     pub fn height_nm(&self) -> &Array2<f64> {
         &self.height_nm
     }
 
-    /// The map in the coordinates of the tool position: shifted by the offset `off_centre_mm` of
+    /// Returns the map in the coordinates of the tool position: shifted by the offset `off_centre_mm` of
     /// the centre of removal ([`crate::Tif::off_centre_mm`]). A pixel then lies where the tool
     /// stands when it removes there.
+    ///
+    /// # Errors
+    /// Refuses coordinates beyond 1e7 mm.
     pub fn seen_by_tool(&self, off_centre_mm: [f64; 2]) -> Result<Self, Invalid> {
         let grid = self.grid.moved(off_centre_mm.map(|mm| -mm))?;
         Ok(Self { grid, ..self.clone() })
     }
 
-    /// RMS (mean removed), PV, ... of the valid pixels.
+    /// Returns RMS (mean removed), PV, ... of the valid pixels.
     pub fn statistics(&self) -> Statistics {
         statistics::statistics(self.height_nm.view()).expect("a Surface has a valid pixel")
     }
 
-    /// RMS after removing the least-squares plane, nm.
+    /// Returns the RMS after removing the least-squares plane, nm.
     pub fn detilted_rms_nm(&self) -> f64 {
-        let (x, y) = (self.grid.x.coordinates(), self.grid.y.coordinates());
-        statistics::detilted_rms(self.height_nm.view(), &x, &y)
+        let Grid { x, y } = &self.grid;
+        statistics::detilted_rms(self.height_nm.view(), &x.coordinates(), &y.coordinates())
             .expect("a Surface has a valid pixel")
     }
 
-    /// Row and column of the valid pixel whose centre is nearest to `p` [x, y], mm.
+    /// Returns row and column of the valid pixel whose centre is nearest to `p` [x, y], mm.
     pub fn nearest_valid(&self, p: [f64; 2]) -> (usize, usize) {
-        let (map, grid) = (&self.height_nm, &self.grid);
-        let index = |v: f64, axis: &Axis| {
+        let map = &self.height_nm;
+        let grid = &self.grid;
+        let [c, r] = [(p[0], &grid.x), (p[1], &grid.y)].map(|(v, axis)| {
             let i = ((v - axis.start_mm()) / axis.step_mm()).round();
             i.clamp(0.0, (axis.len() - 1) as f64) as usize
-        };
-        let (c, r) = (index(p[0], &grid.x), index(p[1], &grid.y));
+        });
         if !map[[r, c]].is_nan() {
             return (r, c);
         }
-        let distance2 =
-            |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
         // Search in square rings of growing size, until no farther ring can contain a nearer pixel.
         let (ny, nx) = map.dim();
         let least_step = grid.x.step_mm().min(grid.y.step_mm());
@@ -113,7 +120,7 @@ impl Surface {
                 let edge = i + ring == r || i == r + ring;
                 let columns = c.saturating_sub(ring)..=(c + ring).min(nx - 1);
                 for j in columns.filter(|j| edge || j + ring == c || *j == c + ring) {
-                    let d2 = distance2(i, j);
+                    let d2 = (grid.x.at(j) - p[0]).powi(2) + (grid.y.at(i) - p[1]).powi(2);
                     if !map[[i, j]].is_nan() && best.is_none_or(|(b, _)| d2 < b) {
                         best = Some((d2, (i, j)));
                     }
@@ -141,8 +148,8 @@ pub struct RemovalMaps {
 }
 
 impl Removal {
-    /// The removal `removal_nm` (ny, nx) and the residual that it leaves of `desired`. The removal
-    /// has to be known on every pixel, also on the invalid ones.
+    /// Returns the removal `removal_nm` (ny, nx) and the residual that it leaves of `desired`. Refuses another shape
+    /// than that of `desired`, and a removal that is NaN at any pixel, also at the invalid ones.
     pub fn new(desired: &Surface, removal_nm: Array2<f64>) -> Result<Self, Invalid> {
         let mut residual_nm = desired.height_nm().clone();
         if removal_nm.dim() == residual_nm.dim() {
@@ -151,7 +158,8 @@ impl Removal {
         Self::from_maps(*desired.grid(), RemovalMaps { removal_nm, residual_nm })
     }
 
-    /// A removal from both maps, as stored.
+    /// Returns the removal with both maps, as stored. Refuses maps of another shape than that of the grid, and a
+    /// removal that is NaN at any pixel.
     pub fn from_maps(grid: Grid, maps: RemovalMaps) -> Result<Self, Invalid> {
         let RemovalMaps { removal_nm, residual_nm } = maps;
         check_map("removal_nm", &grid, &removal_nm)?;
@@ -170,12 +178,12 @@ impl Removal {
         Ok(Self { removal_nm, residual })
     }
 
-    /// Removal (ny, nx), nm.
+    /// Returns the removal (ny, nx), nm.
     pub fn removal_nm(&self) -> &Array2<f64> {
         &self.removal_nm
     }
 
-    /// Residual as a surface: height (ny, nx), nm; NaN where the desired map is invalid.
+    /// Returns the residual as a surface: heights (ny, nx), nm; NaN where the desired map is invalid.
     pub fn residual(&self) -> &Surface {
         &self.residual
     }
@@ -185,6 +193,7 @@ impl Removal {
 /// squares of heights overflow.
 const LARGEST_NM: f64 = 1e12;
 
+/// Refuses a map of another shape than that of the grid, values that are too large, and a map without a valid pixel.
 fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), Invalid> {
     if map.dim() != grid.shape() {
         return Err(Invalid::whole(
@@ -195,8 +204,8 @@ fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), I
     }
     let (low, high) = statistics::range(map.view());
     if low < -LARGEST_NM || high > LARGEST_NM {
-        let found = map.indexed_iter().find(|(_, v)| v.abs() > LARGEST_NM);
-        let (index, v) = found.expect("one of the two is");
+        let too_large = map.indexed_iter().find(|(_, v)| v.abs() > LARGEST_NM);
+        let (index, v) = too_large.expect("one of the two is");
         let remedy = "give nm (at most 1e12), and mark an invalid pixel by NaN";
         return Err(Invalid::at(name, index, format!("is {v:?}"), remedy));
     }
@@ -209,6 +218,7 @@ fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), I
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Axis;
     use ndarray::array;
 
     fn grid() -> Grid {

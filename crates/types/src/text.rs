@@ -1,9 +1,9 @@
 //! Text for people and other programs. Names may contain any character that a file system allows,
 //! and numbers may be any result of arithmetic.
 
-use std::{borrow::Cow, fmt::Write};
+use std::borrow::Cow;
 
-/// `text` for a line of a terminal or a cell of a table. Characters that could command the
+/// Returns `text` for a line of a terminal or a cell of a table. Characters that could command the
 /// terminal, end the line or turn the reading direction are escaped (`\u{1b}`, `\n`).
 pub fn visible(text: &str) -> Cow<'_, str> {
     if !text.chars().any(is_invisible) {
@@ -11,9 +11,10 @@ pub fn visible(text: &str) -> Cow<'_, str> {
     }
     let mut out = String::with_capacity(text.len() + 8);
     for c in text.chars() {
-        match is_invisible(c) {
-            true => out.extend(c.escape_default()),
-            false => out.push(c),
+        if is_invisible(c) {
+            out.extend(c.escape_default());
+        } else {
+            out.push(c);
         }
     }
     Cow::Owned(out)
@@ -27,7 +28,7 @@ fn is_invisible(c: char) -> bool {
         || matches!(c, '\u{2066}'..='\u{2069}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}')
 }
 
-/// `text` for the inside of an element or a quoted attribute of XML or HTML.
+/// Returns `text` for the inside of an element or a quoted attribute of XML or HTML.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in visible(text).chars() {
@@ -43,7 +44,7 @@ pub fn escaped(text: &str) -> String {
     out
 }
 
-/// `value` with `decimals` decimals. Zero has no sign; a value that is not finite is a dash.
+/// Returns `value` with `decimals` decimals. Zero has no sign; a value that is not finite is a dash.
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "-".into();
@@ -55,7 +56,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// `value` with `digits` significant digits and without trailing zeros. Values from 1e-4 to 1e6
+/// Returns `value` with `digits` significant digits and without trailing zeros. Values from 1e-4 to 1e6
 /// have no exponent; a value that is not finite is a dash.
 pub fn significant(value: f64, digits: usize) -> String {
     if !value.is_finite() {
@@ -67,17 +68,19 @@ pub fn significant(value: f64, digits: usize) -> String {
     let rounded = format!("{value:.*e}", digits.max(1) - 1);
     let (mantissa, exponent) = rounded.split_once('e').unwrap_or((&rounded, "0"));
     let exponent: i32 = exponent.parse().unwrap_or(0);
-    let trimmed = |text: &str| match text.contains('.') {
-        true => text.trim_end_matches('0').trim_end_matches('.').to_string(),
-        false => text.to_string(),
-    };
     if !(-4..6).contains(&exponent) {
-        let mut text = trimmed(mantissa);
-        let _ = write!(text, "e{exponent}");
-        return text;
+        return format!("{}e{exponent}", without_trailing_zeros(mantissa));
     }
     let decimals = usize::try_from(digits as i32 - 1 - exponent).unwrap_or(0);
-    trimmed(&format!("{value:.decimals$}"))
+    without_trailing_zeros(&format!("{value:.decimals$}")).into()
+}
+
+/// Returns the decimals of a number without the zeros at their end.
+fn without_trailing_zeros(number: &str) -> &str {
+    if !number.contains('.') {
+        return number;
+    }
+    number.trim_end_matches('0').trim_end_matches('.')
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The tool influence function (TIF): removal rate of the resting tool at every offset from it.
 
-use std::{borrow::Cow, sync::Arc};
+use std::{borrow::Cow, ops::Range, sync::Arc};
 
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::{keys, statistics};
@@ -97,7 +97,11 @@ pub struct VaryingTif {
 }
 
 impl Tif {
-    /// Checks shape, finiteness, sign and that the TIF removes anything.
+    /// Returns the TIF with the samples `rate_nm_per_s` (my, mx) at the offsets of `grid`.
+    ///
+    /// # Errors
+    /// Refuses another shape than that of the grid, rates that are not finite or above 1e12 nm/s, rates further below
+    /// zero than noise explains, and a TIF that removes nothing.
     pub fn new(grid: Grid, rate_nm_per_s: Array2<f64>) -> Result<Self, Invalid> {
         const NAME: &str = "rate_nm_per_s";
         if rate_nm_per_s.dim() != grid.shape() {
@@ -111,8 +115,7 @@ impl Tif {
                 "give one row per y and one column per x",
             ));
         }
-        let bad = |v: f64| v.is_nan() || v.abs() > LARGEST_RATE;
-        if let Some((index, v)) = rate_nm_per_s.indexed_iter().find(|(_, v)| bad(**v)) {
+        if let Some((index, v)) = rate_nm_per_s.indexed_iter().find(|(_, v)| !is_number(**v)) {
             let remedy = "give finite nm/s (at most 1e12); fill or crop the TIF first";
             return Err(Invalid::at(NAME, index, format!("is {v:?}"), remedy));
         }
@@ -137,11 +140,15 @@ impl Tif {
         Ok(tif)
     }
 
-    /// A tool that varies, [`Variation`]. Checks shapes, finiteness, and at every sample of the weights that the tool
-    /// removes material. One kernel with the weight 1 everywhere and no factor is a TIF like any other.
-    pub fn varying(given: VaryingTif) -> Result<Self, Invalid> {
+    /// Returns a tool that varies, see [`Variation`]. One kernel with the weight 1 everywhere and no factor makes a TIF
+    /// like any other.
+    ///
+    /// # Errors
+    /// Refuses arrays of wrong shape, numbers that are not finite, and a tool that removes no material, or adds some,
+    /// at a sample of the weights.
+    pub fn varying(numbers: VaryingTif) -> Result<Self, Invalid> {
         let VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time } =
-            given;
+            numbers;
         if kernels.is_empty() || kernels.len() != weights.len() {
             let problem = format!("has {} kernels for {} weights", kernels.len(), weights.len());
             return Err(Invalid::whole("rate_nm_per_s", problem, "give one weight per kernel"));
@@ -154,13 +161,11 @@ impl Tif {
                     format!("has shape {:?}, its grid {:?}", arrays[k].dim(), grid.shape());
                 return Err(Invalid::at(name, k, problem, "give one number per place of the grid"));
             }
-            let of = |(k, a): (usize, &Array2<f64>)| {
-                let bad = |v: f64| v.is_nan() || v.abs() > LARGEST_RATE;
-                let found = a.indexed_iter().find(|(_, v)| bad(**v));
-                found.map(|((r, c), v)| ([k, r, c], *v))
-            };
-            if let Some((index, v)) = arrays.iter().enumerate().find_map(of) {
-                return Err(Invalid::at(name, index, format!("is {v:?}"), "give finite numbers"));
+            for (k, array) in arrays.iter().enumerate() {
+                if let Some(((r, c), v)) = array.indexed_iter().find(|(_, v)| !is_number(**v)) {
+                    let problem = format!("is {v:?}");
+                    return Err(Invalid::at(name, [k, r, c], problem, "give finite numbers"));
+                }
             }
         }
         let same = weights.len() == 1 && weights[0].iter().all(|w| *w == 1.0);
@@ -169,8 +174,8 @@ impl Tif {
             return Self::new(offsets, kernels.into_iter().next().expect("there is one"));
         }
         let edge_mm = ends_mm(&offsets);
-        let bare = |rate| Self::unchecked(offsets, rate, edge_mm);
-        let kernels = kernels.into_iter().map(bare).collect();
+        let kernels =
+            kernels.into_iter().map(|rate| Self::unchecked(offsets, rate, edge_mm)).collect();
         let variation =
             Variation::new(kernels, &weights, positions, (azimuth, heading), pixels, time)?;
         let places = variation.sampled();
@@ -204,7 +209,8 @@ impl Tif {
         Ok(Self { variation: Some(Arc::new(variation)), ..Self::new(offsets, mean)? })
     }
 
-    /// Variation of the tool over the part and in time; none if it is the same everywhere and at all times.
+    /// Returns the variation of the tool over the part and in time, or `None` if it is the same everywhere and at all
+    /// times.
     pub fn variation(&self) -> Option<&Variation> {
         self.variation.as_deref()
     }
@@ -224,12 +230,13 @@ impl Tif {
         Self { variation: variation.map(Arc::new), ..self }
     }
 
-    /// The numbers from which [`Self::varying`] makes this tool; of one that does not vary, one kernel with the weight
-    /// 1 at the ends of its samples.
+    /// Returns the numbers from which [`Self::varying`] makes this tool. A tool that does not vary has one kernel, with
+    /// the weight 1 at the ends of its samples.
     pub fn numbers(&self) -> VaryingTif {
         let Some(v) = self.variation() else {
-            let ends = |axis: &Axis| Axis::new(axis.start_mm(), axis.end_mm() - axis.start_mm(), 2);
-            let positions = match (ends(&self.grid.x), ends(&self.grid.y)) {
+            let [x, y] = [self.grid.x, self.grid.y]
+                .map(|axis| Axis::new(axis.start_mm(), axis.end_mm() - axis.start_mm(), 2));
+            let positions = match (x, y) {
                 (Ok(x), Ok(y)) => Grid { x, y },
                 // A single sample along an axis has no ends.
                 _ => self.grid,
@@ -301,12 +308,12 @@ impl Tif {
         }
     }
 
-    /// The mean tool, the same everywhere.
+    /// Returns the mean tool, which is the same everywhere.
     pub fn mean_tool(&self) -> Self {
         Self { variation: None, ..self.clone() }
     }
 
-    /// The tool as it is while its factor of the time is 1.
+    /// Returns the tool as it is while its factor of the time is 1.
     pub fn without_time(&self) -> Cow<'_, Self> {
         match &self.variation {
             Some(v) if v.time_factor().is_some() => {
@@ -317,96 +324,111 @@ impl Tif {
         }
     }
 
-    /// (1) of [`Variation`] without its factors: the rate in nm/s at the offset (pixel - tool) of a tool in a pose.
+    /// Returns the rate (1) of [`Variation`] without the factors of pixels and time, nm/s, at the offset (pixel - tool)
+    /// in mm of a tool in a pose.
     pub fn rate_of_tool_at(&self, tool: Pose, [dx_mm, dy_mm]: [f64; 2]) -> f64 {
         let Some(variation) = &self.variation else { return self.rate_at(dx_mm, dy_mm) };
-        let each = variation.components().iter().enumerate();
-        each.map(|(k, c)| variation.weight(k, tool) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
+        let components = variation.components().iter().enumerate();
+        components.map(|(k, c)| variation.weight(k, tool) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
     }
 
-    /// The tool with other samples: `of` makes those of the mean tool, and of every kernel, which may be negative.
+    /// Returns the tool with other samples. `resample` returns the grid and the samples, nm/s, that replace those of
+    /// the mean tool and of every kernel; those of a kernel may be negative.
+    ///
+    /// # Errors
+    /// Refuses what `resample` refuses, and samples of which [`Self::new`] makes no TIF.
     pub fn with_kernels(
         &self,
-        of: impl Fn(&Self) -> Result<(Grid, Array2<f64>), Invalid>,
+        resample: impl Fn(&Self) -> Result<(Grid, Array2<f64>), Invalid>,
     ) -> Result<Self, Invalid> {
-        // The same offsets have the same edge.
-        let edge_mm = |grid: &Grid| if *grid == self.grid { self.edge_mm } else { ends_mm(grid) };
-        let (grid, rate) = of(&self.mean_tool())?;
-        // Samples that are given are exact.
-        let exact = |lattice| TifLattice { error: 0.0, volume_change: 0.0, ..lattice };
-        let lattice = self.lattice.filter(|_| grid == self.grid).map(exact);
-        let mean = Self { lattice, ..Self::new(grid, rate)?.with_edge(edge_mm(&grid)) };
+        let (grid, rate) = resample(&self.mean_tool())?;
+        let mut mean = Self::new(grid, rate)?.with_edge(self.edge_on(&grid));
+        if grid == self.grid {
+            // These samples are on the lattice, whatever they replace.
+            mean.lattice = self.lattice.map(|l| TifLattice { error: 0.0, volume_change: 0.0, ..l });
+        }
         let Some(variation) = &self.variation else { return Ok(mean) };
-        let kernel = |c: &crate::Component| -> Result<Self, Invalid> {
-            let (grid, rate) = of(c.kernel())?;
-            Ok(Self::unchecked(grid, rate, edge_mm(&grid)))
-        };
-        let kernels = variation.components().iter().map(kernel).collect::<Result<Vec<_>, _>>()?;
+        let mut kernels = Vec::new();
+        for component in variation.components() {
+            let (grid, rate) = resample(component.kernel())?;
+            kernels.push(Self::unchecked(grid, rate, self.edge_on(&grid)));
+        }
         Ok(Self { variation: Some(Arc::new(variation.with_kernels(kernels))), ..mean })
     }
 
-    /// The TIF without margins in which all samples are 0. Each margin keeps three zero samples, so
+    /// Returns the upper edge of samples on `grid` [x, y], mm: that of this TIF if they are on its own offsets.
+    fn edge_on(&self, grid: &Grid) -> [f64; 2] {
+        if *grid == self.grid { self.edge_mm } else { ends_mm(grid) }
+    }
+
+    /// Returns the TIF without margins in which all samples are 0. Each margin keeps three zero samples, so
     /// that the interpolation next to it does not change. A TIF is often stored with more room than
     /// the tool needs.
     pub fn without_zero_margins(&self) -> Cow<'_, Self> {
-        let rate = &self.rate_nm_per_s;
-        let kernels = self.variation().map_or(&[][..], Variation::components);
-        let kept = |axis: usize| {
-            let all = || kernels.iter().map(|c| &c.kernel().rate_nm_per_s).chain([rate]);
-            let is_used =
-                |i: &usize| all().any(|a| a.index_axis(NdAxis(axis), *i).iter().any(|r| *r != 0.0));
-            let n = rate.len_of(NdAxis(axis));
-            let (first, last) = ((0..n).find(is_used), (0..n).rev().find(is_used));
-            let first = first.unwrap_or(0).saturating_sub(MARGIN);
-            first..(last.unwrap_or(n) + MARGIN + 1).min(n)
-        };
-        let (rows, columns) = (kept(0), kept(1));
+        let rows = self.used(NdAxis(0));
+        let columns = self.used(NdAxis(1));
         let shape = (rows.len(), columns.len());
-        if shape == rate.dim() || self.edge_mm != ends_mm(&self.grid) {
+        if shape == self.grid.shape() || self.edge_mm != ends_mm(&self.grid) {
             return Cow::Borrowed(self);
         }
         let x = self.grid.x.crop(columns.start, columns.end - 1);
         let y = self.grid.y.crop(rows.start, rows.end - 1);
         let (Ok(x), Ok(y)) = (x, y) else { return Cow::Borrowed(self) };
-        let cropped = |rate: &Array2<f64>, variation| {
-            let (grid, rate) = (Grid { x, y }, rate.slice(s![rows.clone(), columns.clone()]));
-            let lattice = self.lattice;
-            Self { variation, lattice, ..Self::unchecked(grid, rate.to_owned(), ends_mm(&grid)) }
+        let grid = Grid { x, y };
+        let cropped = |tif: &Self| {
+            let rate = tif.rate_nm_per_s.slice(s![rows.clone(), columns.clone()]).to_owned();
+            Self { lattice: self.lattice, ..Self::unchecked(grid, rate, ends_mm(&grid)) }
         };
-        let variation = self.variation().map(|v| {
-            let kernels = kernels.iter().map(|c| cropped(&c.kernel().rate_nm_per_s, None));
-            Arc::new(v.with_kernels(kernels.collect()))
-        });
-        Cow::Owned(cropped(rate, variation))
+        let variation = self
+            .variation()
+            .map(|v| v.with_kernels(v.components().iter().map(|c| cropped(c.kernel())).collect()));
+        Cow::Owned(cropped(self).with_variation(variation))
     }
 
-    /// Offsets of the samples from the tool centre.
+    /// Returns the rows (axis 0) or columns (axis 1) that hold a sample other than 0 of the mean tool or of a kernel,
+    /// with the margin.
+    fn used(&self, axis: NdAxis) -> Range<usize> {
+        let kernels = self.variation().map_or(&[][..], Variation::components);
+        let n = self.rate_nm_per_s.len_of(axis);
+        let is_used = |i: &usize| {
+            let arrays = kernels.iter().map(|c| &c.kernel().rate_nm_per_s);
+            arrays
+                .chain([&self.rate_nm_per_s])
+                .any(|a| a.index_axis(axis, *i).iter().any(|r| *r != 0.0))
+        };
+        let first = (0..n).find(is_used).unwrap_or(0).saturating_sub(MARGIN);
+        let last = (0..n).rev().find(is_used).unwrap_or(n);
+        first..(last + MARGIN + 1).min(n)
+    }
+
+    /// Returns the offsets of the samples from the tool centre.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    /// Samples (my, mx), nm/s.
+    /// Returns the samples (my, mx), nm/s.
     pub fn rate_nm_per_s(&self) -> &Array2<f64> {
         &self.rate_nm_per_s
     }
 
-    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1]. Along an axis whose upper
+    /// Returns the samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1]. Along an axis
+    /// whose upper
     /// edge is beyond the last sample there is one ghost node more.
     pub fn with_ghosts(&self) -> &Array2<f64> {
         &self.with_ghosts
     }
 
-    /// Largest sample, nm/s.
+    /// Returns the largest sample, nm/s.
     pub fn peak_nm_per_s(&self) -> f64 {
         self.rate_nm_per_s.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Volumetric removal rate: sum of the samples times the area of a sample, nm mm^2/s.
+    /// Returns the volumetric removal rate, nm mm^2/s: the sum of the samples times the area of a sample.
     pub fn vrr_nm_mm2_per_s(&self) -> f64 {
         self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
     }
 
-    /// Centroid of the removal [x, y], mm, relative to the place of the tool.
+    /// Returns the centroid of the removal [x, y], mm, relative to the place of the tool.
     pub fn centroid_mm(&self) -> [f64; 2] {
         let Grid { x, y } = &self.grid;
         let mut sums = [0.0; 2];
@@ -417,14 +439,14 @@ impl Tif {
         sums.map(|sum| sum / self.rate_nm_per_s.sum())
     }
 
-    /// Effective area `(integral of R)^2 / integral of R^2`, mm^2. It is the area of a flat tool,
+    /// Returns the effective area `(integral of R)^2 / integral of R^2`, mm^2. It is the area of a flat tool,
     /// and `4 pi sigma^2` for a Gaussian.
     pub fn effective_area_mm2(&self) -> f64 {
         let squares: f64 = self.rate_nm_per_s.iter().map(|r| r * r).sum();
         self.rate_nm_per_s.sum().powi(2) / squares * self.grid.pixel_mm2()
     }
 
-    /// Width `(<R^2> / <|grad R|^2>)^1/2`, mm. It is the standard deviation of a Gaussian.
+    /// Returns the width `(<R^2> / <|grad R|^2>)^1/2`, mm. It is the standard deviation of a Gaussian.
     pub fn width_mm(&self) -> f64 {
         let [along_x, along_y] = self.slope_energy_per_mm2();
         (along_x + along_y).sqrt().recip()
@@ -440,13 +462,16 @@ impl Tif {
         2.0 * (count as f64 * self.grid.pixel_mm2() / std::f64::consts::PI).sqrt()
     }
 
-    /// Spread `<R^2 r^2> / <R^2>` to the power 1/2, mm, with the distance r from the centre of R^2. It is the standard
+    /// Returns the spread `(<R^2 r^2> / <R^2>)^1/2`, mm, with the distance r from the centre of R^2. It is the standard
     /// deviation of a Gaussian, as [`Self::width_mm`] is, and larger than that for a spot with steep flanks.
     pub fn spread_mm(&self) -> f64 {
         let Grid { x, y } = &self.grid;
-        let (mut energy, mut first, mut second) = (0.0, [0.0; 2], 0.0);
+        let mut energy = 0.0;
+        let mut first = [0.0; 2];
+        let mut second = 0.0;
         for ((r, c), rate) in self.rate_nm_per_s.indexed_iter() {
-            let (square, x, y) = (rate * rate, x.at(c), y.at(r));
+            let square = rate * rate;
+            let [x, y] = [x.at(c), y.at(r)];
             energy += square;
             first[0] += square * x;
             first[1] += square * y;
@@ -456,37 +481,32 @@ impl Tif {
         (second / energy - centre[0].powi(2) - centre[1].powi(2)).max(0.0).sqrt()
     }
 
-    /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Beyond its
+    /// Returns `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Beyond its
     /// samples the TIF falls to zero within a step, as with a margin of zeros. For a flat pad this
     /// step is the only contribution.
     pub fn slope_energy_per_mm2(&self) -> [f64; 2] {
-        let (rate, grid) = (&self.rate_nm_per_s, &self.grid);
+        let rate = &self.rate_nm_per_s;
+        let [step_x_mm, step_y_mm] = [self.grid.x.step_mm(), self.grid.y.step_mm()];
         let energy: f64 = rate.iter().map(|r| r * r).sum();
-        // sum of (difference / step)^2 along a line of samples
-        let slopes = |line: ArrayView1<f64>, step_mm: f64| {
-            let mut before = 0.0;
-            let mut squares = 0.0;
-            for rate in line.iter().copied().chain([0.0]) {
-                squares += ((rate - before) / step_mm).powi(2);
-                before = rate;
-            }
-            squares
-        };
-        let along_x: f64 = rate.rows().into_iter().map(|r| slopes(r, grid.x.step_mm())).sum();
-        let along_y: f64 = rate.columns().into_iter().map(|c| slopes(c, grid.y.step_mm())).sum();
+        let along_x: f64 = rate.rows().into_iter().map(|r| squared_slopes(r, step_x_mm)).sum();
+        let along_y: f64 = rate.columns().into_iter().map(|c| squared_slopes(c, step_y_mm)).sum();
         [along_x, along_y].map(|slope| slope / energy)
     }
 
-    /// Offset of the centre of removal from the place of the tool, [x, y], mm: the centroid c of
+    /// Returns the offset of the centre of removal from the place of the tool, [x, y], mm: the centroid c of
     /// the removal. It is 0 along an axis where it is less than half a pixel of `map`, because an
     /// aperture of pixels has no finer resolution.
     pub fn off_centre_mm(&self, map: &Grid) -> [f64; 2] {
-        let [x, y] = self.centroid_mm();
-        let seen = |mm: f64, axis: &Axis| if mm.abs() < 0.5 * axis.step_mm() { 0.0 } else { mm };
-        [seen(x, &map.x), seen(y, &map.y)]
+        let mut centroid_mm = self.centroid_mm();
+        for (mm, axis) in centroid_mm.iter_mut().zip([&map.x, &map.y]) {
+            if mm.abs() < 0.5 * axis.step_mm() {
+                *mm = 0.0;
+            }
+        }
+        centroid_mm
     }
 
-    /// Map and TIF for a tool position at the centre of removal; `None` if the offset is 0.
+    /// Returns the map and the TIF for a tool position at the centre of removal, or `None` if the offset is 0.
     ///
     /// ```text
     /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the place of the tool
@@ -494,6 +514,9 @@ impl Tif {
     ///
     /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the
     /// same path. The tool then removes around its own place.
+    ///
+    /// # Errors
+    /// Refuses an offset with which the coordinates would not be finite.
     pub fn centred_on(&self, map: &Surface) -> Result<Option<(Surface, Self)>, Invalid> {
         let off_centre_mm = self.off_centre_mm(map.grid());
         if off_centre_mm == [0.0; 2] {
@@ -501,57 +524,60 @@ impl Tif {
         }
         let map = map.seen_by_tool(off_centre_mm)?;
         let by_mm = off_centre_mm.map(|mm| -mm);
-        let moved = |tif: &Self| -> Result<Self, Invalid> {
-            let edge_mm = [0, 1].map(|axis| tif.edge_mm[axis] + by_mm[axis]);
-            Ok(Self { grid: tif.grid.moved(by_mm)?, edge_mm, variation: None, ..tif.clone() })
-        };
-        let variation = self.variation().map(|v| -> Result<Arc<Variation>, Invalid> {
-            let kernels = v.components().iter().map(|c| moved(c.kernel()));
+        let mut tif = self.moved(by_mm)?;
+        if let Some(v) = self.variation() {
+            let kernels = v.components().iter().map(|c| c.kernel().moved(by_mm));
             let kernels = kernels.collect::<Result<Vec<_>, _>>()?;
-            Ok(Arc::new(v.with_pixels_moved(by_mm)?.with_kernels(kernels)))
-        });
-        let tif = Self { variation: variation.transpose()?, ..moved(self)? };
+            tif.variation = Some(Arc::new(v.with_pixels_moved(by_mm)?.with_kernels(kernels)));
+        }
         Ok(Some((map, tif)))
     }
 
-    /// Largest distance of the samples from the tool centre along (x, y), mm.
+    /// Returns the mean tool with all offsets [x, y] larger by `by_mm`.
+    fn moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
+        let edge_mm = [0, 1].map(|axis| self.edge_mm[axis] + by_mm[axis]);
+        Ok(Self { grid: self.grid.moved(by_mm)?, edge_mm, variation: None, ..self.clone() })
+    }
+
+    /// Returns the largest distance of the samples from the tool centre along [x, y], mm.
     pub fn half_size_mm(&self) -> [f64; 2] {
         [&self.grid.x, &self.grid.y].map(|a| a.start_mm().abs().max(a.end_mm().abs()))
     }
 
-    /// Largest rate on the border relative to the peak: the size of the step at which the samples
+    /// Returns the largest rate on the border relative to the peak: the size of the step at which the samples
     /// end.
     pub fn border_to_peak(&self) -> f64 {
-        let (ny, nx) = self.grid.shape();
-        let border = self
-            .rate_nm_per_s
-            .indexed_iter()
-            .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
+        let samples = self.rate_nm_per_s.indexed_iter();
+        let border = samples.filter(|(index, _)| self.is_border(*index));
         border.map(|(_, v)| v.abs()).fold(0.0, f64::max) / self.peak_nm_per_s()
     }
 
-    /// Least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level if the border
-    /// is one line of samples.
+    /// Returns the least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level
+    /// if the border is one line of samples.
     pub fn border_plane_nm_per_s(&self) -> Array2<f64> {
-        let (ny, nx) = self.grid.shape();
-        let border = Array2::from_shape_fn((ny, nx), |(r, c)| {
-            let is_border = r == 0 || c == 0 || r == ny - 1 || c == nx - 1;
-            if is_border { self.rate_nm_per_s[[r, c]] } else { f64::NAN }
+        let shape = self.grid.shape();
+        let border = Array2::from_shape_fn(shape, |index| {
+            if self.is_border(index) { self.rate_nm_per_s[index] } else { f64::NAN }
         });
-        let (x, y) = (self.grid.x.coordinates(), self.grid.y.coordinates());
+        let x = self.grid.x.coordinates();
+        let y = self.grid.y.coordinates();
         let plane = statistics::fit_plane(border.view(), &x, &y);
         let mean = statistics::statistics(border.view()).map_or(0.0, |s| s.mean);
-        Array2::from_shape_fn((ny, nx), |(r, c)| {
-            plane.map_or(mean, |p| p.a + p.b * x[c] + p.c * y[r])
-        })
+        Array2::from_shape_fn(shape, |(r, c)| plane.map_or(mean, |p| p.a + p.b * x[c] + p.c * y[r]))
     }
 
-    /// `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.
+    /// Returns true if a sample (row, column) is on the border.
+    fn is_border(&self, (r, c): (usize, usize)) -> bool {
+        let (ny, nx) = self.grid.shape();
+        r == 0 || c == 0 || r == ny - 1 || c == nx - 1
+    }
+
+    /// Returns `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.
     pub fn rate_at(&self, dx_mm: f64, dy_mm: f64) -> f64 {
         let (Some((ix, fx)), Some((iy, fy))) = (self.cell(0, dx_mm), self.cell(1, dy_mm)) else {
             return 0.0;
         };
-        let (wx, wy) = (keys::weights(fx), keys::weights(fy));
+        let [wx, wy] = [fx, fy].map(keys::weights);
         // R = sum_b w_b(fy) sum_a w_a(fx) g[iy + b, ix + a]
         (0..4)
             .map(|b| {
@@ -576,8 +602,8 @@ impl Tif {
         }
     }
 
-    /// Upper edge [x, y], mm: the TIF is zero at larger offsets. It is the offset of the last sample, or up to a step
-    /// beyond it.
+    /// Returns the upper edge [x, y], mm: the TIF is zero at larger offsets. It is the offset of the last sample, or up
+    /// to a step beyond it.
     pub fn edge_mm(&self) -> [f64; 2] {
         self.edge_mm
     }
@@ -620,6 +646,22 @@ impl Tif {
     }
 }
 
+/// Returns true if a rate or weight is finite and not too large.
+fn is_number(value: f64) -> bool {
+    value.abs() <= LARGEST_RATE
+}
+
+/// Returns the sum of (difference / step)^2 along a line of samples between two zeros.
+fn squared_slopes(line: ArrayView1<f64>, step_mm: f64) -> f64 {
+    let mut before = 0.0;
+    let mut squares = 0.0;
+    for rate in line.iter().copied().chain([0.0]) {
+        squares += ((rate - before) / step_mm).powi(2);
+        before = rate;
+    }
+    squares
+}
+
 /// Returns the offset of the last sample [x, y], mm.
 fn ends_mm(grid: &Grid) -> [f64; 2] {
     [grid.x.end_mm(), grid.y.end_mm()]
@@ -631,14 +673,14 @@ fn ends_mm(grid: &Grid) -> [f64; 2] {
 /// R >= -min(0.02 peak + z s, 0.25 peak),   z = (2 ln(N / 1e-3))^1/2
 /// ```
 ///
-/// s is the standard deviation from [`noise`]. The lowest of N samples of normal noise is below -z
+/// s is the standard deviation from [`noise_nm_per_s`]. The lowest of N samples of normal noise is below -z
 /// s with a probability of at most N exp(-z^2 / 2) / 2 = 5e-4.
 fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), Invalid> {
     let lowest = rate.iter().copied().fold(0.0, f64::min);
     if lowest >= -NEGATIVE_SYSTEMATIC * peak {
         return Ok(());
     }
-    let noise = noise(rate);
+    let noise = noise_nm_per_s(rate);
     let factor = (2.0 * (rate.len() as f64 / REFUSED_BY_NOISE).ln()).sqrt();
     let limit = (NEGATIVE_SYSTEMATIC * peak + factor * noise).min(LARGEST_NEGATIVE * peak);
     match rate.indexed_iter().find(|(_, v)| **v < -limit) {
@@ -658,7 +700,7 @@ fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), I
     }
 }
 
-/// Standard deviation of the noise of the samples, nm/s: the largest of estimates that are
+/// Returns the standard deviation of the noise of the samples, nm/s: the largest of estimates that are
 /// insensitive to a smooth spot.
 ///
 /// ```text
@@ -667,33 +709,38 @@ fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), I
 /// ```
 ///
 /// The border gives the better estimate of correlated noise, but none if it is tapered to zero.
-fn noise(rate: &Array2<f64>) -> f64 {
+fn noise_nm_per_s(rate: &Array2<f64>) -> f64 {
     let (ny, nx) = rate.dim();
-    let scale = |mut differences: Vec<f64>, squares: f64| {
-        let n = differences.len();
-        if n < LEAST_DIFFERENCES {
-            return 0.0;
+    let mut largest = 0.0_f64;
+    for lag in BORDER_LAGS {
+        let mut differences = Vec::new();
+        for side in [rate.row(0), rate.row(ny - 1), rate.column(0), rate.column(nx - 1)] {
+            for k in 0..side.len().saturating_sub(2 * lag) {
+                differences.push((side[k] - 2.0 * side[k + lag] + side[k + 2 * lag]).abs());
+            }
         }
-        let (_, median, _) = differences.select_nth_unstable_by(n / 2, f64::total_cmp);
-        SIGMA_PER_MEDIAN * *median / squares.sqrt()
-    };
-    let sides = [rate.row(0), rate.row(ny - 1), rate.column(0), rate.column(nx - 1)];
-    let along_border = |lag: usize| {
-        let of = |side: &ArrayView1<'_, f64>| -> Vec<f64> {
-            let last = side.len().saturating_sub(2 * lag);
-            let difference = |k| side[k] - 2.0 * side[k + lag] + side[k + 2 * lag];
-            (0..last).map(|k: usize| difference(k).abs()).collect()
-        };
-        scale(sides.iter().flat_map(of).collect(), 6.0)
-    };
-    let border = BORDER_LAGS.into_iter().map(along_border).fold(0.0, f64::max);
-    let over_squares = rate.windows((3.min(ny), 3.min(nx)));
-    let whole = over_squares.into_iter().filter(|w| w.dim() == (3, 3)).filter_map(|w| {
-        let stencil = [1.0, -2.0, 1.0];
-        let value: f64 = w.indexed_iter().map(|((r, c), v)| stencil[r] * stencil[c] * v).sum();
-        w.iter().any(|v| *v != 0.0).then_some(value.abs())
-    });
-    scale(whole.collect(), 36.0).max(border)
+        largest = largest.max(deviation_of_differences(differences, 6.0));
+    }
+    let mut differences = Vec::new();
+    for square in rate.windows((3.min(ny), 3.min(nx))) {
+        if square.dim() == (3, 3) && square.iter().any(|v| *v != 0.0) {
+            let stencil = [1.0, -2.0, 1.0];
+            let terms = square.indexed_iter().map(|((r, c), v)| stencil[r] * stencil[c] * v);
+            differences.push(terms.sum::<f64>().abs());
+        }
+    }
+    deviation_of_differences(differences, 36.0).max(largest)
+}
+
+/// Returns the standard deviation of the samples whose differences have these magnitudes, or 0 if there are too few.
+/// `squares` is the sum of the squared coefficients of a difference.
+fn deviation_of_differences(mut differences: Vec<f64>, squares: f64) -> f64 {
+    let n = differences.len();
+    if n < LEAST_DIFFERENCES {
+        return 0.0;
+    }
+    let (_, median, _) = differences.select_nth_unstable_by(n / 2, f64::total_cmp);
+    SIGMA_PER_MEDIAN * *median / squares.sqrt()
 }
 
 #[cfg(test)]

@@ -74,25 +74,26 @@ pub struct OnLattice<'a> {
 
 impl TifLattice {
     /// Returns true if the TIF was sampled anew.
-    pub fn is_anew(&self) -> bool {
+    fn is_anew(&self) -> bool {
         self.error > 0.0
     }
 
     /// Returns the lattice if the TIF was sampled anew, for a report that is silent otherwise.
     pub fn if_anew(self) -> Option<Self> {
-        self.is_anew().then_some(self)
+        if self.is_anew() { Some(self) } else { None }
     }
 
     /// Returns the warning that the wanted accuracy was not reached, or `None`.
     pub fn warning(&self) -> Option<String> {
+        if self.error <= self.tolerance {
+            return None;
+        }
         let [error, tolerance] =
             [self.error, self.tolerance].map(|part| significant(100.0 * part, 2));
-        (self.error > self.tolerance).then(|| {
-            format!(
-                "the TIF is too sharp for the pixels of the map: between them it is exact to {error} % of its peak, not \
-                 to {tolerance} %; sample the TIF at the pitch of the map, or measure it at a smaller pitch"
-            )
-        })
+        Some(format!(
+            "the TIF is too sharp for the pixels of the map: between them it is exact to {error} % of its peak, not \
+             to {tolerance} %; sample the TIF at the pitch of the map, or measure it at a smaller pitch"
+        ))
     }
 }
 
@@ -126,8 +127,7 @@ impl Tif {
                 _ => parts.min(most[axis]),
             });
             let grid = lattice(&tif, map, each)?;
-            let found = grid.map(|grid| (grid, difference(&tif, grid)));
-            match found {
+            match grid.map(|grid| (grid, difference(&tif, grid))) {
                 Some((grid, Difference { error, volume_change }))
                     if error <= tolerance || is_last =>
                 {
@@ -205,7 +205,7 @@ fn own_parts(map: &Axis, samples: &Axis) -> Option<usize> {
     let ratio = map.step_mm() / samples.step_mm();
     let whole = ratio.round().max(1.0);
     let drift = (ratio / whole - 1.0).abs() * (samples.len() - 1) as f64;
-    (drift <= SAME_LATTICE).then_some(whole as usize)
+    if drift <= SAME_LATTICE { Some(whole as usize) } else { None }
 }
 
 /// Returns the largest number of parts of a pixel: of [`MOST_PARTS`], and the one that halves the samples, the larger.
@@ -236,13 +236,12 @@ fn lattice(tif: &Tif, map: &Grid, parts: [usize; 2]) -> Result<Option<Grid>, Inv
 
 /// Returns true if the last samples along an axis are zero, those of all kernels too.
 fn ends_in_zeros(tif: &Tif, axis: usize) -> bool {
-    let is_zero = |tif: &Tif| {
+    let components = tif.variation().map_or(&[][..], |v| v.components());
+    components.iter().map(|c| c.kernel()).chain([tif]).all(|tif| {
         let rate = tif.rate_nm_per_s();
         let last = [rate.column(rate.ncols() - 1), rate.row(rate.nrows() - 1)];
         last[axis].iter().all(|v| *v == 0.0)
-    };
-    let kernels = tif.variation().map_or(&[][..], |v| v.components());
-    is_zero(tif) && kernels.iter().all(|c| is_zero(c.kernel()))
+    })
 }
 
 /// Difference of a TIF on a lattice from the TIF.
@@ -275,13 +274,15 @@ fn difference_of(tif: &Tif, grid: Grid) -> Difference {
         let count = ((anew.edge_mm()[axis] - samples.start_mm()) / step_mm + keys::SNAP) as usize;
         (0..=count).map(|k| samples.start_mm() + k as f64 * step_mm).collect::<Vec<f64>>()
     });
-    let taps = |tif: &Tif, axis: usize| -> Vec<Tap> {
-        offsets_mm[axis].iter().map(|mm| tif.tap(axis, *mm)).collect()
-    };
-    let (x, x_anew) = (taps(tif, 0), taps(&anew, 0));
-    let (mut line, mut line_anew, mut work) = (vec![0.0; x.len()], vec![0.0; x.len()], Vec::new());
-    let (mut error, mut volume, mut change) = (0.0_f64, 0.0, 0.0);
-    for (y, y_anew) in taps(tif, 1).iter().zip(&taps(&anew, 1)) {
+    let [x, y] = [0, 1].map(|axis| taps(tif, axis, &offsets_mm[axis]));
+    let [x_anew, y_anew] = [0, 1].map(|axis| taps(&anew, axis, &offsets_mm[axis]));
+    let mut line = vec![0.0; x.len()];
+    let mut line_anew = vec![0.0; x.len()];
+    let mut work = Vec::new();
+    let mut error = 0.0_f64;
+    let mut volume = 0.0;
+    let mut change = 0.0;
+    for (y, y_anew) in y.iter().zip(&y_anew) {
         tif.line(y, &x, &mut work, &mut line);
         anew.line(y_anew, &x_anew, &mut work, &mut line_anew);
         let off = line.iter().zip(&line_anew).map(|(r, anew)| (anew - r).abs());
@@ -290,6 +291,11 @@ fn difference_of(tif: &Tif, grid: Grid) -> Difference {
         change += line_anew.iter().sum::<f64>() - line.iter().sum::<f64>();
     }
     Difference { error, volume_change: change / volume }
+}
+
+/// Returns the cells and weights of offsets along an axis.
+fn taps(tif: &Tif, axis: usize, offsets_mm: &[f64]) -> Vec<Tap> {
+    offsets_mm.iter().map(|mm| tif.tap(axis, *mm)).collect()
 }
 
 #[cfg(test)]

@@ -12,10 +12,13 @@ pub struct ToolPath {
 }
 
 impl ToolPath {
-    /// Checks lengths and finiteness.
+    /// Returns the path of n segments.
     ///
     /// `point_mm` (n+1): velocity control points [x, y]. `dwell_point_mm` (n): one per segment.
     /// `tool_on` (n): false if the tool is lifted. `pass_idx` (n): contiguous pass or region.
+    ///
+    /// # Errors
+    /// Refuses arrays of other lengths, and points that are not finite or beyond 1e7 mm.
     pub fn new(
         point_mm: Vec<[f64; 2]>,
         dwell_point_mm: Vec<[f64; 2]>,
@@ -52,50 +55,50 @@ impl ToolPath {
         Ok(Self { point_mm, dwell_point_mm, tool_on, pass_idx })
     }
 
-    /// A path through `point_mm` whose dwell points are the midpoints of its segments.
+    /// Returns the path through `point_mm` whose dwell points are the midpoints of its segments. Refuses what
+    /// [`Self::new`] refuses.
     pub fn through(
         point_mm: Vec<[f64; 2]>,
         tool_on: Vec<bool>,
         pass_idx: Vec<i64>,
     ) -> Result<Self, Invalid> {
-        let middle = |w: &[[f64; 2]]| [0.5 * (w[0][0] + w[1][0]), 0.5 * (w[0][1] + w[1][1])];
-        let dwell_point_mm = point_mm.windows(2).map(middle).collect();
+        let ends = point_mm.windows(2);
+        let dwell_point_mm = ends.map(|w| [0, 1].map(|k| 0.5 * (w[0][k] + w[1][k]))).collect();
         Self::new(point_mm, dwell_point_mm, tool_on, pass_idx)
     }
 
-    /// Number of segments n (= dwell points).
+    /// Returns the number of segments n (= dwell points).
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.dwell_point_mm.len()
     }
 
-    /// Velocity control points [x, y] (n+1), mm.
+    /// Returns the velocity control points [x, y] (n+1), mm.
     pub fn point_mm(&self) -> &[[f64; 2]] {
         &self.point_mm
     }
 
-    /// Dwell points [x, y] (n), mm.
+    /// Returns the dwell points [x, y] (n), mm.
     pub fn dwell_point_mm(&self) -> &[[f64; 2]] {
         &self.dwell_point_mm
     }
 
-    /// Tool flags (n): false if the tool is lifted and removes nothing.
+    /// Returns the tool flags (n): false if the tool is lifted and removes nothing.
     pub fn tool_on(&self) -> &[bool] {
         &self.tool_on
     }
 
-    /// Contiguous pass or region of each segment (n).
+    /// Returns the contiguous pass or region of each segment (n).
     pub fn pass_idx(&self) -> &[i64] {
         &self.pass_idx
     }
 
-    /// Displacement [x, y] of segment `i`, mm.
+    /// Returns the displacement [x, y] of segment `i`, mm.
     pub fn displacement_mm(&self, i: usize) -> [f64; 2] {
-        let (a, b) = (self.point_mm[i], self.point_mm[i + 1]);
-        [b[0] - a[0], b[1] - a[1]]
+        [0, 1].map(|k| self.point_mm[i + 1][k] - self.point_mm[i][k])
     }
 
-    /// Length of segment `i` along its chord, mm.
+    /// Returns the length of segment `i` along its chord, mm.
     pub fn segment_length_mm(&self, i: usize) -> f64 {
         let [dx, dy] = self.displacement_mm(i);
         dx.hypot(dy)

@@ -36,17 +36,20 @@ pub struct Segment<'a> {
 }
 
 impl Segment<'_> {
-    /// Position [x, y] in mm at the local time `u_s`.
+    /// Returns the position [x, y] in mm at the local time `u_s`.
     pub fn position_mm(&self, u_s: f64) -> [f64; 2] {
         [0, 1].map(|axis| polynomial::evaluate(&self.coefficient_mm[axis], u_s))
     }
 }
 
 impl Trajectory {
-    /// Checks lengths, finiteness, and that break times ascend strictly.
+    /// Returns the motion of k segments.
     ///
     /// `break_time_s` (k+1), `coefficient_mm` (k, axis, order), `tool_on` (k),
     /// `dwell_index` (k): the dwell point that a segment serves, if any.
+    ///
+    /// # Errors
+    /// Refuses arrays of other lengths, numbers that are not finite, and break times that do not ascend strictly.
     pub fn new(
         break_time_s: Vec<f64>,
         coefficient_mm: Vec<[[f64; 4]; 2]>,
@@ -97,7 +100,7 @@ impl Trajectory {
         Ok(Self { break_time_s, coefficient_mm, tool_on, dwell_index, rate_factor: None })
     }
 
-    /// The motion with a removal rate in segment i that is `rate_factor[i]` (k) times that of the
+    /// Returns the motion with a removal rate in segment i that is `rate_factor[i]` (k) times that of the
     /// TIF, such as from a measured beam current. Refuses factors that are negative or not finite.
     pub fn with_rate_factor(self, rate_factor: Vec<f64>) -> Result<Self, Invalid> {
         let k = self.len();
@@ -110,36 +113,36 @@ impl Trajectory {
             return Err(Invalid::at("rate_factor", i, format!("is {}", rate_factor[i]), remedy));
         }
         let all_one = rate_factor.iter().all(|f| *f == 1.0);
-        Ok(Self { rate_factor: (!all_one).then_some(rate_factor), ..self })
+        Ok(Self { rate_factor: if all_one { None } else { Some(rate_factor) }, ..self })
     }
 
-    /// Number of segments k.
+    /// Returns the number of segments k.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.coefficient_mm.len()
     }
 
-    /// Break times (k+1), s.
+    /// Returns the break times (k+1), s.
     pub fn break_time_s(&self) -> &[f64] {
         &self.break_time_s
     }
 
-    /// Ascending coefficients (k, axis, order).
+    /// Returns the ascending coefficients (k, axis, order).
     pub fn coefficient_mm(&self) -> &[[[f64; 4]; 2]] {
         &self.coefficient_mm
     }
 
-    /// Tool flags (k): true if the tool removes.
+    /// Returns the tool flags (k): true if the tool removes.
     pub fn tool_on(&self) -> &[bool] {
         &self.tool_on
     }
 
-    /// Dwell point that each segment serves, if any (k).
+    /// Returns the dwell point that each segment serves, if any (k).
     pub fn dwell_index(&self) -> &[Option<usize>] {
         &self.dwell_index
     }
 
-    /// Removal rate of every segment relative to that of the TIF (k); `None` if all of them are 1.
+    /// Returns the removal rate of every segment relative to that of the TIF (k), or `None` if all of them are 1.
     pub fn rate_factor(&self) -> Option<&[f64]> {
         self.rate_factor.as_deref()
     }
@@ -147,19 +150,16 @@ impl Trajectory {
     /// Refuses a motion whose removal rate differs from that of the TIF, for stages that plan with
     /// the TIF alone.
     pub fn check_rate_is_constant(&self) -> Result<(), Invalid> {
-        let varies = |f: &[f64]| f.iter().position(|f| *f != 1.0).map(|i| (i, f[i]));
-        match self.rate_factor().and_then(varies) {
-            None => Ok(()),
-            Some((i, factor)) => Err(Invalid::at(
-                "rate_factor",
-                i,
-                format!("is {factor}: a log of what a machine did, with its rate"),
-                "give a plan, or a log that was read without its beam current",
-            )),
+        let factors = self.rate_factor().unwrap_or_default();
+        if let Some(i) = factors.iter().position(|f| *f != 1.0) {
+            let problem = format!("is {}: a log of what a machine did, with its rate", factors[i]);
+            let remedy = "give a plan, or a log that was read without its beam current";
+            return Err(Invalid::at("rate_factor", i, problem, remedy));
         }
+        Ok(())
     }
 
-    /// Segment `i`.
+    /// Returns segment `i`.
     pub fn segment(&self, i: usize) -> Segment<'_> {
         Segment {
             start_s: self.break_time_s[i],
@@ -171,17 +171,17 @@ impl Trajectory {
         }
     }
 
-    /// All segments in order.
+    /// Returns all segments in order.
     pub fn segments(&self) -> impl Iterator<Item = Segment<'_>> {
         (0..self.len()).map(|i| self.segment(i))
     }
 
-    /// Time from the first to the last break, s.
+    /// Returns the time from the first to the last break, s.
     pub fn total_time_s(&self) -> f64 {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }
 
-    /// Total time per dwell point of the segments that serve it and that are `counted`,
+    /// Returns the total time of the segments that serve each dwell point and that are `counted`,
     /// (`dwell_points`), s.
     ///
     /// The time of a point without such a segment is 0. A segment that serves no point does not
@@ -208,7 +208,7 @@ impl Trajectory {
     }
 }
 
-/// Break times (k+1) of segments with the durations (k), s; the first one is 0.
+/// Returns the break times (k+1) of segments with the durations (k), s; the first one is 0.
 pub fn break_times(duration_s: &[f64]) -> Vec<f64> {
     let mut breaks = Vec::with_capacity(duration_s.len() + 1);
     let mut time = 0.0;
@@ -246,7 +246,7 @@ impl TrajectoryBuilder {
         self.dwell_index.push(dwell_index);
     }
 
-    /// Number of segments so far.
+    /// Returns the number of segments so far.
     pub fn len(&self) -> usize {
         self.duration_s.len()
     }
@@ -256,30 +256,30 @@ impl TrajectoryBuilder {
         self.duration_s.is_empty()
     }
 
-    /// Time at which the last segment so far ends, s.
+    /// Returns the time at which the last segment so far ends, s.
     pub fn end_s(&self) -> f64 {
         self.end_s
     }
 
-    /// Durations so far (k), s.
+    /// Returns the durations so far (k), s.
     pub fn duration_s(&self) -> &[f64] {
         &self.duration_s
     }
 
-    /// Ascending coefficients so far (k, axis, order).
+    /// Returns the ascending coefficients so far (k, axis, order).
     pub fn coefficient_mm(&self) -> &[[[f64; 4]; 2]] {
         &self.coefficient_mm
     }
 
-    /// Duration and start time, s, of the first segment that is too short to change the time of the
-    /// motion; `None` if there is none. [`Self::build`] would refuse it.
+    /// Returns the duration and the start time, s, of the first segment that is too short to change the time of the
+    /// motion, or `None` if there is none. [`Self::build`] would refuse it.
     pub fn vanishing_duration_s(&self) -> Option<(f64, f64)> {
         let time_s = break_times(&self.duration_s);
-        let vanishes = |k: &usize| time_s[k + 1] <= time_s[*k];
-        (0..self.len()).find(vanishes).map(|k| (self.duration_s[k], time_s[k]))
+        let first = (0..self.len()).find(|k| time_s[k + 1] <= time_s[*k])?;
+        Some((self.duration_s[first], time_s[first]))
     }
 
-    /// The trajectory. Refuses an empty one, and durations that are not positive.
+    /// Returns the trajectory. Refuses an empty one, and durations that are not positive.
     pub fn build(self) -> Result<Trajectory, Invalid> {
         let break_time_s = break_times(&self.duration_s);
         Trajectory::new(break_time_s, self.coefficient_mm, self.tool_on, self.dwell_index)
@@ -289,22 +289,25 @@ impl TrajectoryBuilder {
 /// Dwell index in files of a segment that serves no dwell point.
 const STORED_NONE: i64 = -1;
 
-/// The dwell index as stored in files: -1 for none.
+/// Returns the dwell index as stored in files: -1 for none.
 pub fn stored_dwell_index(dwell_index: Option<usize>) -> i64 {
     dwell_index.map_or(STORED_NONE, |i| i as i64)
 }
 
-/// Dwell indices (k) from those stored in files: -1 is none. Refuses other negative numbers.
+/// Returns the dwell indices (k) from those stored in files: -1 is none. Refuses other negative numbers.
 pub fn dwell_index_from_stored(stored: &[i64]) -> Result<Vec<Option<usize>>, Invalid> {
-    let one = |(k, stored): (usize, &i64)| match usize::try_from(*stored) {
-        Ok(i) => Ok(Some(i)),
-        Err(_) if *stored == STORED_NONE => Ok(None),
-        Err(_) => {
-            let remedy = "give the dwell point that the segment serves, or -1 for none";
-            Err(Invalid::at("dwell_index", k, format!("is {stored}"), remedy))
-        }
-    };
-    stored.iter().enumerate().map(one).collect()
+    let mut dwell_index = Vec::with_capacity(stored.len());
+    for (k, stored) in stored.iter().enumerate() {
+        dwell_index.push(match usize::try_from(*stored) {
+            Ok(i) => Some(i),
+            Err(_) if *stored == STORED_NONE => None,
+            Err(_) => {
+                let remedy = "give the dwell point that the segment serves, or -1 for none";
+                return Err(Invalid::at("dwell_index", k, format!("is {stored}"), remedy));
+            }
+        });
+    }
+    Ok(dwell_index)
 }
 
 #[cfg(test)]

@@ -25,7 +25,8 @@ pub struct Transform {
 }
 
 impl Transform {
-    /// Checks that the numbers are finite, and that the scale is plausible.
+    /// Returns the transform. Refuses numbers that are not finite, scales above 10 or below 0.1, and a covariance that
+    /// is not symmetric or has negative variances.
     pub fn new(
         matrix: [[f64; 2]; 2],
         centre_mm: [f64; 2],
@@ -67,22 +68,22 @@ impl Transform {
         Ok(Self { matrix, centre_mm, image_mm, covariance })
     }
 
-    /// M, dimensionless.
+    /// Returns M, dimensionless.
     pub fn matrix(&self) -> &[[f64; 2]; 2] {
         &self.matrix
     }
 
-    /// Reference point [x, y] of the part, about which M turns, mm.
+    /// Returns the reference point [x, y] of the part, about which M turns, mm.
     pub fn centre_mm(&self) -> [f64; 2] {
         self.centre_mm
     }
 
-    /// Image of the reference point on the machine, mm.
+    /// Returns the image of the reference point on the machine, mm.
     pub fn image_mm(&self) -> [f64; 2] {
         self.image_mm
     }
 
-    /// Covariance of (image x, image y, M xx, xy, yx, yy), in products of mm and 1.
+    /// Returns the covariance of (image x, image y, M xx, xy, yx, yy), in products of mm and 1.
     pub fn covariance(&self) -> &[[f64; 6]; 6] {
         &self.covariance
     }
@@ -93,7 +94,7 @@ impl Transform {
         a * d < b * c
     }
 
-    /// Angle by which M turns x towards y, rad. For an affine matrix it is the angle of the nearest
+    /// Returns the angle by which M turns x towards y, rad. For an affine matrix it is the angle of the nearest
     /// rotation. For a mirroring M it is the angle after y of the part was turned over.
     pub fn angle_rad(&self) -> f64 {
         let sign = if self.mirrors() { -1.0 } else { 1.0 };
@@ -101,30 +102,30 @@ impl Transform {
         (c - sign * b).atan2(a + sign * d)
     }
 
-    /// Scale of a similarity: square root of the magnitude of the determinant.
+    /// Returns the scale of a similarity: the square root of the magnitude of the determinant.
     pub fn scale(&self) -> f64 {
         let [[a, b], [c, d]] = self.matrix;
         (a * d - b * c).abs().sqrt()
     }
 
-    /// Largest factor by which M stretches a length: its larger singular value.
+    /// Returns the largest factor by which M stretches a length: its larger singular value.
     pub fn largest_stretch(&self) -> f64 {
         let [[a, b], [c, d]] = self.matrix;
         0.5 * ((a + d).hypot(c - b) + (a - d).hypot(c + b))
     }
 
-    /// Image M v of a direction.
+    /// Returns the image M v of a direction.
     pub fn direction(&self, v: [f64; 2]) -> [f64; 2] {
         self.matrix.map(|row| row[0] * v[0] + row[1] * v[1])
     }
 
-    /// Image q = M (p - centre) + image of a point, mm.
+    /// Returns the image q = M (p - centre) + image of a point, mm.
     pub fn point(&self, p: [f64; 2]) -> [f64; 2] {
         let v = self.direction([p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]]);
         [v[0] + self.image_mm[0], v[1] + self.image_mm[1]]
     }
 
-    /// Standard errors of the image of p along x and y, mm.
+    /// Returns the standard errors of the image of p along x and y, mm.
     pub fn standard_error_mm(&self, p: [f64; 2]) -> [f64; 2] {
         let d = [p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]];
         // q_x = image_x + M_xx d_x + M_xy d_y
@@ -132,7 +133,7 @@ impl Transform {
         rows.map(|row| self.variance(&row).sqrt())
     }
 
-    /// Variance j' C j of a quantity whose gradient by the six parameters is j, not below zero.
+    /// Returns the variance j' C j of a quantity whose gradient by the six parameters is j, not below zero.
     pub fn variance(&self, gradient: &[f64; 6]) -> f64 {
         let mut sum = 0.0;
         for i in 0..6 {
@@ -143,7 +144,8 @@ impl Transform {
         sum.max(0.0)
     }
 
-    /// Transform from the machine to the part, with its covariance to first order.
+    /// Returns the transform from the machine to the part, with its covariance to first order. Refuses a centre or an
+    /// image beyond 1e7 mm.
     pub fn inverse(&self) -> Result<Self, Invalid> {
         // p = N (q - image) + centre with N = M^-1:  dN = -N dM N,  d centre = -N d image
         let [[a, b], [c, d]] = self.matrix;
@@ -167,35 +169,28 @@ impl Transform {
                         sum += jacobian[i][k] * self.covariance[k][l] * jacobian[j][l];
                     }
                 }
-                (covariance[i][j], covariance[j][i]) = (sum, sum);
+                covariance[i][j] = sum;
+                covariance[j][i] = sum;
             }
             covariance[i][i] = covariance[i][i].max(0.0);
         }
         Self::new(n, self.image_mm, self.centre_mm, covariance)
     }
 
-    /// The tool path in machine coordinates. Its points move; tool flags and passes stay.
+    /// Returns the tool path in machine coordinates. Its points move; tool flags and passes stay. Refuses points beyond
+    /// 1e7 mm.
     pub fn tool_path(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
-        let moved = |points: &[[f64; 2]]| points.iter().map(|p| self.point(*p)).collect();
-        let (on, pass) = (path.tool_on().to_vec(), path.pass_idx().to_vec());
-        ToolPath::new(moved(path.point_mm()), moved(path.dwell_point_mm()), on, pass)
+        let [points, dwell_points] = [path.point_mm(), path.dwell_point_mm()]
+            .map(|points| points.iter().map(|p| self.point(*p)).collect());
+        ToolPath::new(points, dwell_points, path.tool_on().to_vec(), path.pass_idx().to_vec())
     }
 
-    /// The motion in machine coordinates. A cubic stays a cubic: c0 transforms as a point, c1 to c3
-    /// as directions.
+    /// Returns the motion in machine coordinates. A cubic stays a cubic: c0 transforms as a point, c1 to c3
+    /// as directions. Refuses coefficients that are not finite.
     pub fn trajectory(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
-        let moved = |c: &[[f64; 4]; 2]| {
-            let mut all = [[0.0; 4]; 2];
-            for order in 0..4 {
-                let v = [c[0][order], c[1][order]];
-                let v = if order == 0 { self.point(v) } else { self.direction(v) };
-                (all[0][order], all[1][order]) = (v[0], v[1]);
-            }
-            all
-        };
         let motion_of_machine = Trajectory::new(
             motion.break_time_s().to_vec(),
-            motion.coefficient_mm().iter().map(moved).collect(),
+            motion.coefficient_mm().iter().map(|c| self.polynomial(c)).collect(),
             motion.tool_on().to_vec(),
             motion.dwell_index().to_vec(),
         )?;
@@ -203,6 +198,18 @@ impl Transform {
             Some(factor) => motion_of_machine.with_rate_factor(factor.to_vec()),
             None => Ok(motion_of_machine),
         }
+    }
+
+    /// Returns the coefficients (axis, order) of a cubic in machine coordinates.
+    fn polynomial(&self, c: &[[f64; 4]; 2]) -> [[f64; 4]; 2] {
+        let mut image = [[0.0; 4]; 2];
+        for order in 0..4 {
+            let v = [c[0][order], c[1][order]];
+            let [x, y] = if order == 0 { self.point(v) } else { self.direction(v) };
+            image[0][order] = x;
+            image[1][order] = y;
+        }
+        image
     }
 }
 
@@ -224,7 +231,7 @@ impl From<&Transform> for TransformNumbers {
 }
 
 impl TransformNumbers {
-    /// The transform, without uncertainty.
+    /// Returns the transform, without uncertainty. Refuses what [`Transform::new`] refuses.
     pub fn checked(&self) -> Result<Transform, Invalid> {
         Transform::new(self.matrix, self.centre_mm, self.image_mm, [[0.0; 6]; 6])
     }

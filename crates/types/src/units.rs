@@ -230,10 +230,7 @@ pub struct Unit {
 
 impl PartialEq for Unit {
     fn eq(&self, other: &Self) -> bool {
-        let parts = |unit: &Self| {
-            (unit.numerator.symbol, unit.per.map(|(time, power)| (time.symbol, power)))
-        };
-        parts(self) == parts(other)
+        self.symbols() == other.symbols()
     }
 }
 
@@ -266,6 +263,11 @@ impl Unit {
             return Some(Self { numerator, per: None });
         }
         quotient(plain, wanted)
+    }
+
+    /// Returns the symbols of numerator and denominator, and the power of the latter.
+    fn symbols(&self) -> (&str, Option<(&str, u8)>) {
+        (self.numerator.symbol, self.per.map(|(time, power)| (time.symbol, power)))
     }
 
     /// Returns the kind of quantity that the unit measures.
@@ -342,14 +344,16 @@ const BRACKETS: [[char; 2]; 4] = [['(', ')'], ['[', ']'], ['{', '}'], ['<', '>']
 
 /// Returns the inside of brackets that enclose all of `text`.
 fn unbracketed(text: &str) -> &str {
-    let inside = |[open, close]: &[char; 2]| text.strip_prefix(*open)?.strip_suffix(*close);
-    BRACKETS.iter().find_map(inside).map_or(text, str::trim)
+    let mut insides =
+        BRACKETS.iter().filter_map(|[open, close]| text.strip_prefix(*open)?.strip_suffix(*close));
+    insides.next().map_or(text, str::trim)
 }
 
 /// Returns the word of the table that is spelled `text`, which is normalised.
 fn find(text: &str, wanted: &[Quantity]) -> Option<&'static Word> {
-    let all = || WORDS.iter().filter(|word| is_spelled(word, text));
-    all().find(|word| wanted.contains(&word.quantity)).or_else(|| all().next())
+    let mut words = WORDS.iter().filter(|word| is_spelled(word, text));
+    let first = words.clone().next();
+    words.find(|word| wanted.contains(&word.quantity)).or(first)
 }
 
 /// Returns true if `text` is the symbol or a spelling of `word`. Case is free in whole words and in symbols that are
@@ -481,19 +485,14 @@ impl Header {
     /// A word in brackets, after a slash or after "in" that is no unit of the table.
     pub fn read(text: &str, wanted: &[Quantity]) -> Result<Self, UnknownUnit> {
         let text = text.trim().trim_matches('"').trim();
-        if let Some(found) = bracketed(text, wanted)? {
-            return Ok(found);
+        if let Some(header) = bracketed(text, wanted)? {
+            return Ok(header);
         }
-        if let Some(found) = last_words(text, wanted) {
-            return Ok(found);
+        if let Some(header) = last_words(text, wanted) {
+            return Ok(header);
         }
-        let after = |mark: &str| {
-            let start = text.to_lowercase().rfind(mark)?;
-            Some((text.get(..start)?.trim(), text.get(start + mark.len()..)?.trim()))
-        };
-        let claims =
-            [after(" in "), text.rsplit_once('/').map(|(name, word)| (name.trim(), word.trim()))];
-        for (name, word) in claims.into_iter().flatten() {
+        for (name, word) in [split_at_in(text), text.rsplit_once('/')].into_iter().flatten() {
+            let [name, word] = [name.trim(), word.trim()];
             if name.is_empty() || is_no_unit(word) {
                 continue;
             }
@@ -503,6 +502,13 @@ impl Header {
         }
         Ok(Self { name: text.into(), unit: None })
     }
+}
+
+/// Splits a text at its last " in ", in lower or upper case.
+fn split_at_in(text: &str) -> Option<(&str, &str)> {
+    let start = text.to_lowercase().rfind(" in ")?;
+    // The lower case has other lengths than the text only beyond ASCII.
+    Some((text.get(..start)?, text.get(start + 4..)?))
 }
 
 /// Returns true if a word in the place of a unit says something else: a number, or a remark such as `actual`.

@@ -58,64 +58,65 @@ pub struct TurnWeights {
 }
 
 impl TurnWeights {
-    /// Factors (k, n), dimensionless, of the k kernels at n headings: directions of the motion, in degrees from positive x
-    /// towards positive y, uniform over one turn without its end.
+    /// Returns the factors (k, n), dimensionless, of the k kernels at n headings: directions of the motion, in degrees
+    /// from positive x towards positive y, uniform over one turn without its end.
+    ///
+    /// # Errors
+    /// Refuses headings that are not uniform over a turn, and rows that are not n finite factors.
     pub fn by_heading(heading_deg: Vec<f64>, weights: Vec<Vec<f64>>) -> Result<Self, Invalid> {
         Self::new(["heading_deg", "heading_weight"], heading_deg, weights)
     }
 
-    /// Checks the angles and factors, which have these names.
+    /// Checks the angles (n) and factors (k, n), which the messages call by these names.
     fn new(
-        [of_angle, of_weight]: [&'static str; 2],
+        [angles, factors]: [&'static str; 2],
         angle_deg: Vec<f64>,
         weights: Vec<Vec<f64>>,
     ) -> Result<Self, Invalid> {
         let n = angle_deg.len();
         let step = 360.0 / n as f64;
-        let off = |i: &usize| {
-            let uniform = angle_deg[0] + step * *i as f64;
-            (angle_deg[*i] - uniform).abs() > OFF_TURN * step || angle_deg[*i].is_nan()
-        };
         let remedy = "give angles that are uniform over one turn, without its end: 0, 1, ... 359";
-        match (0..n).find(off) {
-            None if n == 0 => return Err(Invalid::whole(of_angle, "is empty", remedy)),
-            None => {}
-            Some(i) => {
-                let problem = format!("is {} of {n} angles", angle_deg[i]);
-                return Err(Invalid::at(of_angle, i, problem, remedy));
+        if n == 0 {
+            return Err(Invalid::whole(angles, "is empty", remedy));
+        }
+        for (i, angle) in angle_deg.iter().enumerate() {
+            let uniform = angle_deg[0] + step * i as f64;
+            if (angle - uniform).abs() > OFF_TURN * step || angle.is_nan() {
+                let problem = format!("is {angle} of {n} angles");
+                return Err(Invalid::at(angles, i, problem, remedy));
             }
         }
         for (k, row) in weights.iter().enumerate() {
             if row.len() != n {
                 let problem = format!("has {} factors for {n} angles", row.len());
-                return Err(Invalid::at(of_weight, k, problem, "give one for each angle"));
+                return Err(Invalid::at(factors, k, problem, "give one for each angle"));
             }
             if let Some(i) = row.iter().position(|v| !v.is_finite()) {
                 let problem = format!("is {}", row[i]);
-                return Err(Invalid::at(of_weight, [k, i], problem, "give finite numbers"));
+                return Err(Invalid::at(factors, [k, i], problem, "give finite numbers"));
             }
         }
         Ok(Self { angle_deg, weights })
     }
 
-    /// Angles of the factors (n), degrees.
+    /// Returns the angles of the factors (n), degrees.
     pub fn angle_deg(&self) -> &[f64] {
         &self.angle_deg
     }
 
-    /// Factors (k, n), dimensionless.
+    /// Returns the factors (k, n), dimensionless.
     pub fn weights(&self) -> &[Vec<f64>] {
         &self.weights
     }
 
-    /// Factor of a kernel at an angle.
-    fn at(&self, kernel: usize, angle_rad: f64) -> f64 {
+    /// Returns the factor of a kernel at an angle, by Keys' interpolation of its periodic samples.
+    fn factor_of(&self, kernel: usize, angle_rad: f64) -> f64 {
         let row = &self.weights[kernel];
-        let n = row.len();
+        let n = row.len() as isize;
         let turns = (angle_rad.to_degrees() - self.angle_deg[0]) / 360.0;
         let (cell, f) = keys::split(turns * n as f64);
-        let node = |a: usize| (cell - 1 + a as isize).rem_euclid(n as isize) as usize;
-        keys::weights(f).iter().enumerate().map(|(a, w)| w * row[node(a)]).sum()
+        let nodes = (cell - 1..).map(|node| row[node.rem_euclid(n) as usize]);
+        keys::weights(f).iter().zip(nodes).map(|(w, sample)| w * sample).sum()
     }
 
     /// Refuses factors that are not those of so many kernels.
@@ -137,8 +138,12 @@ pub struct AzimuthWeights {
 }
 
 impl AzimuthWeights {
-    /// Factors (k, n), dimensionless, of the k kernels at n azimuths about the point `middle_mm` [x, y]. The azimuths, in
-    /// degrees from positive x towards positive y, are uniform over one turn without its end.
+    /// Returns the factors (k, n), dimensionless, of the k kernels at n azimuths about the point `middle_mm` [x, y].
+    /// The azimuths, in degrees from positive x towards positive y, are uniform over one turn without its end.
+    ///
+    /// # Errors
+    /// Refuses a middle that is not finite, azimuths that are not uniform over a turn, and rows that are not n finite
+    /// factors.
     pub fn new(
         middle_mm: [f64; 2],
         azimuth_deg: Vec<f64>,
@@ -152,23 +157,23 @@ impl AzimuthWeights {
         Ok(Self { middle_mm, turn })
     }
 
-    /// Point about which the tool turns [x, y], mm.
+    /// Returns the point about which the tool turns [x, y], mm.
     pub fn middle_mm(&self) -> [f64; 2] {
         self.middle_mm
     }
 
-    /// The factors by the azimuth.
+    /// Returns the factors by the azimuth.
     pub fn turn(&self) -> &TurnWeights {
         &self.turn
     }
 
-    /// `z_k` of a kernel for a tool at a place of the part.
-    fn at(&self, kernel: usize, tool_mm: [f64; 2]) -> f64 {
+    /// Returns `z_k` of a kernel for a tool at a place of the part.
+    fn factor_of(&self, kernel: usize, tool_mm: [f64; 2]) -> f64 {
         let [dx, dy] = [0, 1].map(|i| tool_mm[i] - self.middle_mm[i]);
-        self.turn.at(kernel, dy.atan2(dx))
+        self.turn.factor_of(kernel, dy.atan2(dx))
     }
 
-    /// Places at a distance from the middle, one for each azimuth.
+    /// Returns the places at a distance from the middle, one for each azimuth.
     fn places(&self, radius_mm: f64) -> impl Iterator<Item = [f64; 2]> {
         self.turn.angle_deg.iter().map(move |degrees| {
             let (sine, cosine) = degrees.to_radians().sin_cos();
@@ -196,7 +201,7 @@ pub struct Component {
 }
 
 impl Component {
-    /// The kernel, nm/s; its samples may be negative.
+    /// Returns the kernel, nm/s; its samples may be negative.
     pub fn kernel(&self) -> &Tif {
         &self.kernel
     }
@@ -223,14 +228,16 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// A tool at a place, in a motion along positive x: for tools that do not turn with their motion.
+    /// Returns the pose of a tool at a place, in a motion along positive x: for tools that do not turn with their
+    /// motion.
     pub fn along_x(position_mm: [f64; 2]) -> Self {
         Self { position_mm, heading_rad: 0.0 }
     }
 }
 
 impl Variation {
-    /// Kernels and weights, which [`Tif::varying`] has checked.
+    /// Returns the variation with kernels and weights that [`Tif::varying`] has checked. Refuses factors that are not
+    /// of their shape, or not between 0.001 and 1000.
     pub(crate) fn new(
         kernels: Vec<Tif>,
         weights: &[Array2<f64>],
@@ -250,8 +257,7 @@ impl Variation {
                 let problem = format!("has shape {:?}, its grid {:?}", factor.dim(), grid.shape());
                 return Err(Invalid::whole("factor", problem, "give one factor per pixel"));
             }
-            let bad = factor.indexed_iter().find(|(_, v)| !is_factor(**v));
-            if let Some((index, v)) = bad {
+            if let Some((index, v)) = factor.indexed_iter().find(|(_, v)| !is_factor(**v)) {
                 return Err(Invalid::at("factor", index, format!("is {v}"), FACTOR_REMEDY));
             }
         }
@@ -269,80 +275,94 @@ impl Variation {
                 return Err(Invalid::at("time_factor", i, problem, FACTOR_REMEDY));
             }
         }
-        let components = kernels.into_iter().zip(weights);
-        let components = components
-            .map(|(kernel, weight)| Component { kernel, weight: keys::with_ghosts(weight.view()) })
+        let weights = weights.iter().map(|weight| keys::with_ghosts(weight.view()));
+        let components = kernels
+            .into_iter()
+            .zip(weights)
+            .map(|(kernel, weight)| Component { kernel, weight })
             .collect();
         Ok(Self { components, positions, azimuth, heading, pixels, time })
     }
 
-    /// The kernels with their weights.
+    /// Returns the kernels with their weights.
     pub fn components(&self) -> &[Component] {
         &self.components
     }
 
-    /// Tool positions of the samples of the weights.
+    /// Returns the tool positions of the samples of the weights.
     pub fn positions(&self) -> &Grid {
         &self.positions
     }
 
-    /// Samples of the weight of a component (ny, nx).
-    pub fn weight_samples(&self, component: usize) -> Array2<f64> {
+    /// Returns the samples of the weight of a component (ny, nx).
+    pub(crate) fn weight_samples(&self, component: usize) -> Array2<f64> {
         let (ny, nx) = self.positions.shape();
         self.components[component].weight.slice(ndarray::s![1..=ny, 1..=nx]).to_owned()
     }
 
-    /// The factors by azimuth as they were given.
+    /// Returns the factors by azimuth as they were given.
     pub fn azimuth_weights(&self) -> Option<&AzimuthWeights> {
         self.azimuth.as_ref()
     }
 
-    /// The factors by heading as they were given.
+    /// Returns the factors by heading as they were given.
     pub fn heading_weights(&self) -> Option<&TurnWeights> {
         self.heading.as_ref()
     }
 
-    /// Poses of the tool at which samples decide the weights: the places of the grid, one place for each azimuth, and the
-    /// middle of the grid at each heading. The places of the grid take the headings in turn.
+    /// Returns the poses of the tool at which samples decide the weights: the places of the grid, one place for each
+    /// azimuth, and the middle of the grid at each heading. The places of the grid take the headings in turn.
     pub(crate) fn sampled(&self) -> Vec<Pose> {
         let Grid { x, y } = &self.positions;
-        let turn: Vec<f64> = self.heading.iter().flat_map(|h| h.angle_deg.clone()).collect();
-        let heading = |i: usize| turn.get(i % turn.len().max(1)).map_or(0.0, |d| d.to_radians());
-        let of_grid = (0..y.len()).flat_map(|r| (0..x.len()).map(move |c| [x.at(c), y.at(r)]));
-        let of_grid = of_grid.enumerate().map(|(i, p)| (p, heading(i)));
-        let radius_mm = 0.25 * (x.end_mm() - x.start_mm() + y.end_mm() - y.start_mm());
-        let around = self.azimuth.iter().flat_map(|azimuth| azimuth.places(radius_mm));
-        let middle = [x, y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
-        let turning = (0..turn.len()).map(|i| (middle, heading(i)));
-        let all = of_grid.chain(around.map(|p| (p, heading(0)))).chain(turning);
-        all.map(|(position_mm, heading_rad)| Pose { position_mm, heading_rad }).collect()
+        let mut headings: Vec<f64> = match &self.heading {
+            Some(heading) => heading.angle_deg.iter().map(|d| d.to_radians()).collect(),
+            None => Vec::new(),
+        };
+        let middle_mm = [x, y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
+        let turning: Vec<Pose> =
+            headings.iter().map(|h| Pose { position_mm: middle_mm, heading_rad: *h }).collect();
+        if headings.is_empty() {
+            headings.push(0.0);
+        }
+        let places = (0..y.len()).flat_map(|r| (0..x.len()).map(move |c| [x.at(c), y.at(r)]));
+        let mut poses: Vec<Pose> = places
+            .zip(headings.iter().cycle())
+            .map(|(position_mm, heading)| Pose { position_mm, heading_rad: *heading })
+            .collect();
+        if let Some(azimuth) = &self.azimuth {
+            let radius_mm = 0.25 * (x.end_mm() - x.start_mm() + y.end_mm() - y.start_mm());
+            let around = azimuth.places(radius_mm);
+            poses.extend(around.map(|position_mm| Pose { position_mm, heading_rad: headings[0] }));
+        }
+        poses.extend(turning);
+        poses
     }
 
-    /// The factor of the pixels as it was given.
+    /// Returns the factor of the pixels as it was given.
     pub fn pixel_factor(&self) -> Option<&PixelFactor> {
         self.pixels.as_ref()
     }
 
-    /// The factor of the time as it was given.
+    /// Returns the factor of the time as it was given.
     pub fn time_factor(&self) -> Option<&TimeFactor> {
         self.time.as_ref()
     }
 
-    /// `a_k h_k` of a component for a tool in a pose.
+    /// Returns `a_k h_k` of a component for a tool in a pose.
     pub fn weight(&self, component: usize, tool: Pose) -> f64 {
         let Pose { position_mm, heading_rad } = tool;
         let mut weight = keys_at(&self.positions, &self.components[component].weight, position_mm);
         if let Some(azimuth) = &self.azimuth {
-            weight *= azimuth.at(component, position_mm);
+            weight *= azimuth.factor_of(component, position_mm);
         }
         if let Some(heading) = &self.heading {
-            weight *= heading.at(component, heading_rad);
+            weight *= heading.factor_of(component, heading_rad);
         }
         weight
     }
 
-    /// `sum_k a_k h_k phi_k` for a tool in a pose: its samples on the offsets of the kernels, nm/s, without the factors of
-    /// pixels and time.
+    /// Returns `sum_k a_k h_k phi_k` for a tool in a pose: its samples on the offsets of the kernels, nm/s, without the
+    /// factors of pixels and time.
     pub fn rate_at(&self, tool: Pose) -> Array2<f64> {
         let mut rate = Array2::zeros(self.components[0].kernel.rate_nm_per_s().dim());
         for (k, component) in self.components.iter().enumerate() {
@@ -351,41 +371,45 @@ impl Variation {
         rate
     }
 
-    /// `g` on the pixels of a map, (ny, nx); none if it is 1. Pixels beyond the samples have the factor of the nearest
-    /// one.
+    /// Returns `g` on the pixels of a map, (ny, nx), or `None` if it is 1. Pixels beyond the samples have the factor of
+    /// the nearest one.
     pub fn factor_on(&self, map: &Grid) -> Option<Cow<'_, Array2<f64>>> {
         let PixelFactor { grid, factor } = self.pixels.as_ref()?;
         if grid == map {
             return Some(Cow::Borrowed(factor));
         }
         let with_ghosts = keys::with_ghosts(factor.view());
-        let at = |(r, c)| keys_at(grid, &with_ghosts, [map.x.at(c), map.y.at(r)]);
-        Some(Cow::Owned(Array2::from_shape_fn(map.shape(), at)))
+        let factor = Array2::from_shape_fn(map.shape(), |(r, c)| {
+            keys_at(grid, &with_ghosts, [map.x.at(c), map.y.at(r)])
+        });
+        Some(Cow::Owned(factor))
     }
 
-    /// The same without the factor of the time: the tool as it is while that is 1.
+    /// Returns the variation without the factor of the time: the tool as it is while that is 1.
     pub(crate) fn without_time(&self) -> Self {
         Self { time: None, ..self.clone() }
     }
 
-    /// The same kernels and weights with the factor of the pixels moved by a distance [x, y].
+    /// Returns the variation with the factor of the pixels moved by a distance [x, y].
     pub(crate) fn with_pixels_moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
-        let moved = |p: &PixelFactor| -> Result<PixelFactor, Invalid> {
-            Ok(PixelFactor { grid: p.grid.moved(by_mm)?, factor: p.factor.clone() })
-        };
-        Ok(Self { pixels: self.pixels.as_ref().map(moved).transpose()?, ..self.clone() })
+        let mut moved = self.clone();
+        if let Some(pixels) = &mut moved.pixels {
+            pixels.grid = pixels.grid.moved(by_mm)?;
+        }
+        Ok(moved)
     }
 
-    /// The same weights and factors with other kernels, one for each.
+    /// Returns the same weights and factors with other kernels, one for each.
     pub(crate) fn with_kernels(&self, kernels: Vec<Tif>) -> Self {
-        let components = self.components.iter().zip(kernels);
-        let components =
-            components.map(|(c, kernel)| Component { kernel, weight: c.weight.clone() }).collect();
-        Self { components, ..self.clone() }
+        let mut variation = self.clone();
+        for (component, kernel) in variation.components.iter_mut().zip(kernels) {
+            component.kernel = kernel;
+        }
+        variation
     }
 }
 
-/// Sentence after a factor that is none.
+/// Remedy for a factor that is not between its bounds.
 const FACTOR_REMEDY: &str =
     "give a factor of the rate between 0.001 and 1000, 1 where the rate is that of the kernels";
 
@@ -394,8 +418,8 @@ fn is_factor(v: f64) -> bool {
 }
 
 impl TimeFactor {
-    /// `c` at a time of the run, s.
-    pub fn at(&self, time_s: f64) -> f64 {
+    /// Returns `c` at a time of the run, s.
+    pub fn factor_at(&self, time_s: f64) -> f64 {
         let Self { time_s: times, factor } = self;
         let after = times.partition_point(|t| *t <= time_s);
         if after == 0 {
@@ -407,16 +431,16 @@ impl TimeFactor {
         (1.0 - f) * factor[after - 1] + f * factor[after]
     }
 
-    /// Mean of `c` between two times of the run, s: exact, as `c` is linear between its samples.
+    /// Returns the mean of `c` between two times of the run, s: exact, as `c` is linear between its samples.
     pub fn mean(&self, from_s: f64, to_s: f64) -> f64 {
         if to_s <= from_s {
-            return self.at(from_s);
+            return self.factor_at(from_s);
         }
         let inside = self.time_s.iter().copied().filter(|t| *t > from_s && *t < to_s);
         let mut sum = 0.0;
         let mut before = from_s;
         for t in inside.chain([to_s]) {
-            sum += 0.5 * (self.at(before) + self.at(t)) * (t - before);
+            sum += 0.5 * (self.factor_at(before) + self.factor_at(t)) * (t - before);
             before = t;
         }
         sum / (to_s - from_s)
@@ -425,37 +449,42 @@ impl TimeFactor {
     /// Returns the time from `from_s` on, s, in which a tool removes as much as in `effective_s` at the factor 1: exact, as
     /// `c` is linear between its samples.
     pub fn duration_s(&self, from_s: f64, effective_s: f64) -> f64 {
-        let (mut before, mut left) = (from_s, effective_s);
+        let mut before = from_s;
+        let mut left = effective_s;
         for end in self.time_s.iter().copied().filter(|t| *t > from_s) {
-            let (c, length) = (self.at(before), end - before);
-            let slope = (self.at(end) - c) / length;
-            let until_end = 0.5 * (c + self.at(end)) * length;
+            let length = end - before;
+            let c = self.factor_at(before);
+            let c_end = self.factor_at(end);
+            let slope = (c_end - c) / length;
+            let until_end = 0.5 * (c + c_end) * length;
             if left <= until_end {
                 // c u + slope u^2 / 2 = left
                 let root = (c * c + 2.0 * slope * left).max(0.0).sqrt();
                 return before + 2.0 * left / (c + root) - from_s;
             }
-            (before, left) = (end, left - until_end);
+            before = end;
+            left -= until_end;
         }
-        before + left / self.at(before) - from_s
+        before + left / self.factor_at(before) - from_s
     }
 }
 
-/// Keys' interpolation of samples with ghost nodes at a place, which counts as on the border of the grid beyond it.
+/// Returns Keys' interpolation of samples with ghost nodes at a place [x, y], mm. A place beyond the grid counts as on
+/// its border.
 fn keys_at(grid: &Grid, with_ghosts: &Array2<f64>, [x, y]: [f64; 2]) -> f64 {
-    let node = |axis: &Axis, mm: f64| {
-        let last = axis.len() - 1;
-        let s = ((mm - axis.start_mm()) / axis.step_mm()).clamp(0.0, last as f64);
-        let (cell, f) = keys::split(s);
-        let cell = cell.clamp(0, last as isize) as usize;
-        // The last node belongs to the cell before it; a single node has no cell.
-        match cell {
-            _ if cell == last && last > 0 => (last - 1, keys::weights(1.0)),
-            _ => (cell, keys::weights(f)),
-        }
-    };
-    let ((ix, wx), (iy, wy)) = (node(&grid.x, x), node(&grid.y, y));
+    let (ix, wx) = clamped_tap(&grid.x, x);
+    let (iy, wy) = clamped_tap(&grid.y, y);
     (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * with_ghosts[[iy + b, ix + a]]).sum::<f64>()).sum()
+}
+
+/// Returns the first of the four nodes around a coordinate, and Keys' weights there.
+fn clamped_tap(axis: &Axis, mm: f64) -> (usize, [f64; 4]) {
+    let last = axis.len() - 1;
+    let s = ((mm - axis.start_mm()) / axis.step_mm()).clamp(0.0, last as f64);
+    let (cell, f) = keys::split(s);
+    let cell = cell.clamp(0, last as isize) as usize;
+    // The last node belongs to the cell before it; a single node has no cell.
+    if cell == last && last > 0 { (last - 1, keys::weights(1.0)) } else { (cell, keys::weights(f)) }
 }
 
 #[cfg(test)]

@@ -45,7 +45,7 @@ mod verdict;
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
 pub use planish_types::outcome::verdict::{
-    AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, Place, Verdict,
+    AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, PlacedValue, Verdict,
 };
 use planish_types::{AxesMotion, Invalid, Limits, Machine, MachineAxis, Trajectory};
 use serde::Serialize;
@@ -340,12 +340,12 @@ impl AxisTally {
 
     /// The steps at the break at `place`, from the state before it to the state `after` it, in which the motion stays
     /// in a segment of `after_s`.
-    fn add_steps(&mut self, after: State, after_s: f64, place: Place) {
+    fn add_steps(&mut self, after: State, after_s: f64, place: PlacedValue) {
         // Before the first break the machine stands where the motion starts.
         let (before, before_s) = self.before.unwrap_or(([after[0], 0.0, 0.0], 0.0));
         let allowed = [0.0, 0.0, self.step_per_s * (before_s + after_s)];
         for (order, tally) in self.steps.iter_mut().enumerate() {
-            let step = Place { value: after[order] - before[order], ..place };
+            let step = PlacedValue { value: after[order] - before[order], ..place };
             tally.add(step, step, allowed[order]);
         }
     }

@@ -1,7 +1,7 @@
 //! Collects the range of one quantity over all segments, and the places where it exceeds its limit.
 
 use planish_types::{
-    outcome::verdict::{Check, Place},
+    outcome::verdict::{Check, PlacedValue},
     text::significant,
 };
 
@@ -74,8 +74,8 @@ impl Bound {
         }
     }
 
-    fn complaint(self, name: &str, unit: &str, worst: &Place, count: usize) -> String {
-        let Place { index, time_s, value, .. } = worst;
+    fn complaint(self, name: &str, unit: &str, worst: &PlacedValue, count: usize) -> String {
+        let PlacedValue { index, time_s, value, .. } = worst;
         let excess = self.ratio(*value).unwrap_or(f64::INFINITY);
         match self {
             Self::Within(limit) => format!(
@@ -114,10 +114,10 @@ pub(crate) struct Tally {
     name: String,
     unit: &'static str,
     bound: Option<Bound>,
-    range: Option<(Place, Place)>,
+    range: Option<(PlacedValue, PlacedValue)>,
     exceeding_count: usize,
     /// Offenders, the worst first; equal ones in the order of the motion.
-    worst: Vec<Place>,
+    worst: Vec<PlacedValue>,
 }
 
 impl Tally {
@@ -128,7 +128,7 @@ impl Tally {
 
     /// Adds one segment or break with its smallest and largest value. Both have the uncertainty
     /// `rounding`.
-    pub(crate) fn add(&mut self, min: Place, max: Place, rounding: f64) {
+    pub(crate) fn add(&mut self, min: PlacedValue, max: PlacedValue, rounding: f64) {
         let (low, high) = self.range.get_or_insert((min, max));
         if min.value < low.value {
             *low = min;
@@ -137,7 +137,8 @@ impl Tally {
             *high = max;
         }
         let Some(bound) = self.bound else { return };
-        let worse = |a: Place, b: Place| bound.badness(a.value) > bound.badness(b.value);
+        let worse =
+            |a: PlacedValue, b: PlacedValue| bound.badness(a.value) > bound.badness(b.value);
         let peak = if worse(min, max) { min } else { max };
         if bound.is_exceeded_by(peak.value, rounding) {
             self.exceeding_count += 1;

@@ -3,7 +3,7 @@
 use planish_types::{
     AxesMotion, Segment, Trajectory,
     outcome::verdict::{
-        AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, Place, Verdict,
+        AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, PlacedValue, Verdict,
     },
 };
 
@@ -30,13 +30,13 @@ impl Span {
     }
 
     /// Returns `value` at the local time `u_s` of this segment, which has the number `index`.
-    pub(crate) fn place(&self, index: usize, u_s: f64, value: f64) -> Place {
-        Place { index, dwell_index: self.dwell_index, time_s: self.start_s + u_s, value }
+    pub(crate) fn place(&self, index: usize, u_s: f64, value: f64) -> PlacedValue {
+        PlacedValue { index, dwell_index: self.dwell_index, time_s: self.start_s + u_s, value }
     }
 }
 
 /// Adds an excursion, unless it is rounding.
-pub(crate) fn add_excursion(excursions: &mut Excursions, place: Place) {
+pub(crate) fn add_excursion(excursions: &mut Excursions, place: PlacedValue) {
     if place.value > excursions.noise {
         excursions.count += 1;
         if excursions.largest.is_none_or(|largest| place.value > largest.value) {

@@ -63,7 +63,7 @@ struct ProgramOutcome<'a> {
 impl ProgramArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let given = Configuration {
+        let by_flags = Configuration {
             start_mm: self.start_mm,
             count_mm: self.count_mm,
             sample_s: self.sample_s,
@@ -75,9 +75,9 @@ impl ProgramArgs {
                 let bytes = foreign(&mut inputs, "about", path)?;
                 let of_file = serde_json::from_slice(&bytes)
                     .map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-                given.completed_by(of_file)
+                by_flags.completed_by(of_file)
             }
-            None => given,
+            None => by_flags,
         };
         let controller = self.controller;
         let more = ConfigurationSetting { configuration: &configuration };

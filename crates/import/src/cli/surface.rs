@@ -25,7 +25,8 @@ impl SurfaceArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let file = &self.file;
         let mut inputs = Inputs::new();
-        let (pick, mut settings) = (file.pick(false), file.settings(self.origin));
+        let pick = file.pick(false);
+        let mut settings = file.settings(self.origin);
         settings.place_mm = self.place_mm;
         let bytes = map_bytes(&mut inputs, "file", &file.file)?;
         let format = file.format(bytes.as_deref())?;

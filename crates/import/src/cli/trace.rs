@@ -138,19 +138,15 @@ fn axis_column(text: &str) -> Result<(String, String), String> {
 
 impl TraceArgs {
     fn settings(&self, machine: Option<&Machine>) -> Result<TraceSettings, Failure> {
-        let axes: Vec<AxisColumn> = machine.map_or_else(Vec::new, |machine| {
-            let of_flag = |name: &str| {
-                let given = self.axis.iter().find(|(axis, _)| axis == name);
-                given.map(|(_, column)| column.clone())
-            };
-            let axes = machine.axes().iter();
-            let columns = axes.map(|axis| AxisColumn {
+        let mut axes: Vec<AxisColumn> = Vec::new();
+        for axis in machine.iter().flat_map(|machine| machine.axes()) {
+            let flag = self.axis.iter().find(|(name, _)| name == axis.name);
+            axes.push(AxisColumn {
                 name: axis.name.into(),
                 is_rotary: axis.is_rotary,
-                column: of_flag(axis.name),
+                column: flag.map(|(_, column)| column.clone()),
             });
-            columns.collect()
-        });
+        }
         if let Some((name, _)) =
             self.axis.iter().find(|(name, _)| axes.iter().all(|axis| axis.name != *name))
         {
@@ -188,7 +184,7 @@ impl TraceArgs {
 
     fn format(&self, bytes: &[u8]) -> Result<LogFormat, Failure> {
         let ending = self.file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        self.format.or_else(|| LogFormat::of(bytes, ending.as_deref())).ok_or_else(|| {
+        self.format.or_else(|| LogFormat::recognise(bytes, ending.as_deref())).ok_or_else(|| {
             let problem = "is of no format that is known by its content; give --format";
             Failure::new(format!("{}: {problem}", self.file.display()))
         })
@@ -272,21 +268,21 @@ impl TraceArgs {
         Ok(status)
     }
 
-    /// The log beside the plan, whose tool becomes that of the log where this is asked for.
+    /// Returns the log beside the plan, whose tool becomes that of the log where this is asked for.
     fn beside_plan(
         &self,
         trace: &mut Trace,
         plan: &Trajectory,
     ) -> Result<(Following, Extent), Failure> {
-        let (time_s, actual_mm) = (&trace.time_s, &trace.actual_mm);
-        let following = following::beside_plan(time_s, actual_mm, plan, self.most_offset_s)
+        let time_s = &trace.time_s;
+        let following = following::beside_plan(time_s, &trace.actual_mm, plan, self.most_offset_s)
             .map_err(|e| about(&self.file, &e))?;
         let begin_s = following.reference_begins_s + time_s[0];
         if self.tool_from_plan {
             trace.tool_on = Some(following::tool_of_plan(time_s, plan, begin_s));
         }
         let removes = trace.removes();
-        let extent = Extent::of(&trace.time_s, removes.as_deref(), plan, begin_s);
+        let extent = Extent::new(&trace.time_s, removes.as_deref(), plan, begin_s);
         Ok((following, extent))
     }
 
@@ -365,27 +361,25 @@ fn outcome<'a>(
     }
 }
 
-/// The following error of both axes, in um and ms.
-fn say_following(of: &str, following: &Following) {
+/// Prints the following error of both axes beside `reference`, in um and ms.
+fn say_following(reference: &str, following: &Following) {
     for (name, axis) in ["x", "y"].into_iter().zip(&following.axes) {
-        let um = |mm: f64| significant(1e3 * mm, 4);
         let lag = match (axis.lag_ms, axis.lag_standard_error_ms, axis.rms_without_lag_mm) {
             (Some(lag), Some(error), Some(rest)) => format!(
                 "lag {} ms (standard error {}), {} um RMS without it",
                 significant(lag, 4),
                 significant(error, 2),
-                um(rest)
+                significant(1e3 * rest, 4)
             ),
             _ => "no lag: the axis does not move, or its delay has not settled".into(),
         };
+        let [rms, largest] = [axis.rms_mm, axis.largest_mm].map(|mm| significant(1e3 * mm, 4));
         say(format!(
-            "planish-import: {name} beside the {of}: {} um RMS, {} um at most (at {:.4} s), {lag}",
-            um(axis.rms_mm),
-            um(axis.largest_mm),
+            "planish-import: {name} beside the {reference}: {rms} um RMS, {largest} um at most (at {:.4} s), {lag}",
             axis.largest_at_s
         ));
     }
-    if of == "plan" {
+    if reference == "plan" {
         let begins = significant(following.reference_begins_s, 7);
         say(format!("planish-import: the plan begins {begins} s after the first sample"));
     }

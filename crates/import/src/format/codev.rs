@@ -24,92 +24,115 @@ use crate::{
 
 const NAME: &str = "CODE V file";
 
-/// The line of the parameters, as words, where this is such a file: after comments and a title.
-fn parameters(text: &str) -> Option<(usize, Vec<&str>)> {
-    let mut lines = text.lines().enumerate().filter(|(_, l)| !l.starts_with('!')).take(3);
-    let is_kind = |line: &str| {
-        let word = line.split_whitespace().next().unwrap_or_default();
-        ["GRD", "ZFR", "ZRN", "SPI"].iter().any(|kind| word.eq_ignore_ascii_case(kind))
-    };
-    let (i, line) = lines.find(|(_, line)| is_kind(line))?;
-    Some((i, line.split_whitespace().collect()))
+/// The line of the parameters.
+struct Parameters<'a> {
+    /// Index of the line.
+    line: usize,
+    words: Vec<&'a str>,
 }
 
+impl<'a> Parameters<'a> {
+    /// Returns the line of the parameters, where this is such a file: after comments and a title.
+    fn find(text: &'a str) -> Option<Self> {
+        let lines = text.lines().enumerate().filter(|(_, l)| !l.starts_with('!')).take(3);
+        let mut lines =
+            lines.map(|(line, text)| Self { line, words: text.split_whitespace().collect() });
+        lines.find(|parameters| {
+            let word = parameters.words.first().copied().unwrap_or_default();
+            ["GRD", "ZFR", "ZRN", "SPI"].iter().any(|kind| word.eq_ignore_ascii_case(kind))
+        })
+    }
+
+    /// Returns the place of a word.
+    fn position(&self, key: &str) -> Option<usize> {
+        self.words.iter().position(|word| word.eq_ignore_ascii_case(key))
+    }
+
+    /// Returns the number that word `k` is.
+    fn number(&self, k: usize) -> Result<f64, Invalid> {
+        let word = self.words.get(k).copied().unwrap_or_default();
+        word.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+            let problem = format!("has \"{word}\" in line {}, field {}", self.line + 1, k + 1);
+            Invalid::whole(NAME, problem, "write a number there")
+        })
+    }
+
+    /// Returns the number after a word, if the word is there.
+    fn after(&self, key: &str) -> Result<Option<f64>, Invalid> {
+        self.position(key).map(|k| self.number(k + 1)).transpose()
+    }
+
+    /// Returns the number after a word that has to be there.
+    fn needed(&self, key: &str) -> Result<f64, Invalid> {
+        let missing = format!("has no {key} in line {}", self.line + 1);
+        self.after(key)?.ok_or_else(|| Invalid::whole(NAME, missing, AGAIN))
+    }
+}
+
+/// Returns true for a text with a line of parameters of an interferogram.
 pub(crate) fn is_codev(text: &str) -> bool {
-    parameters(text).is_some_and(|(_, words)| {
-        words.iter().any(|w| ["SSZ", "WVL"].iter().any(|key| w.eq_ignore_ascii_case(key)))
-    })
+    Parameters::find(text)
+        .is_some_and(|p| p.position("SSZ").is_some() || p.position("WVL").is_some())
 }
 
-/// Reads a grid.
+/// Remedy for a file without a grid of heights.
+const AGAIN: &str = "write it again as a grid (GRD) of a surface (SUR)";
+
+/// Reads a grid. Refuses polynomials, filters, and another number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
-    let refuse = |problem: String, remedy: &str| Invalid::whole(NAME, problem, remedy);
-    let again = "write it again as a grid (GRD) of a surface (SUR)";
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
-    let (line, words) =
-        parameters(text).ok_or_else(|| refuse("has no line GRD after its title".into(), again))?;
-    let kind = words[0].to_ascii_uppercase();
+    let parameters = Parameters::find(text)
+        .ok_or_else(|| Invalid::whole(NAME, "has no line GRD after its title", AGAIN))?;
+    let kind = parameters.words[0].to_ascii_uppercase();
     if kind != "GRD" {
-        return Err(refuse(format!("holds {kind}, polynomials, not a grid"), again));
+        let problem = format!("holds {kind}, polynomials, not a grid");
+        return Err(Invalid::whole(NAME, problem, AGAIN));
     }
-    let number = |k: usize| -> Result<f64, Invalid> {
-        let word = words.get(k).copied().unwrap_or_default();
-        let value = word.parse::<f64>().ok().filter(|v| v.is_finite());
-        let message = || format!("has \"{word}\" in line {}, field {}", line + 1, k + 1);
-        value.ok_or_else(|| refuse(message(), "write a number there"))
-    };
-    let after = |key: &str| -> Result<Option<f64>, Invalid> {
-        let at = words.iter().position(|word| word.eq_ignore_ascii_case(key));
-        at.map(|at| number(at + 1)).transpose()
-    };
-    let needed = |key: &str| {
-        after(key)?.ok_or_else(|| refuse(format!("has no {key} in line {}", line + 1), again))
-    };
-    let of = |kind: &str| words.iter().any(|word| word.eq_ignore_ascii_case(kind));
-    if of("FIL") {
-        return Err(refuse("holds an intensity filter (FIL), no heights".into(), again));
+    if parameters.position("FIL").is_some() {
+        return Err(Invalid::whole(NAME, "holds an intensity filter (FIL), no heights", AGAIN));
     }
-    let (columns, rows) = (number(1)?, number(2)?);
     // A float to an integer saturates; the size is checked next.
-    let (columns, rows) = (columns as usize, rows as usize);
+    let [columns, rows] = [parameters.number(1)? as usize, parameters.number(2)? as usize];
     let count = check_size("CODE V grid", rows, columns)?;
-    let (um, scale) = (needed("WVL")?, needed("SSZ")?);
-    let no_data = after("NDA")?.unwrap_or(32767.0);
+    let um = parameters.needed("WVL")?;
+    let scale = parameters.needed("SSZ")?;
+    let no_data = parameters.after("NDA")?.unwrap_or(32767.0);
     let mut values = Vec::new();
-    for (i, line) in text.lines().enumerate().skip(line + 1) {
+    for (i, line) in text.lines().enumerate().skip(parameters.line + 1) {
         if line.starts_with('!') {
             continue;
         }
         for (k, field) in line.split_whitespace().enumerate() {
             if values.len() == count {
                 let problem = format!("has more than {count} numbers in line {}", i + 1);
-                return Err(refuse(problem, "write as many as GRD says"));
+                return Err(Invalid::whole(NAME, problem, "write as many as GRD says"));
             }
             values.push(text::number(NAME, field, i + 1, k + 1)?);
         }
     }
     if values.len() != count {
         let problem = format!("is truncated: {} of {count} pixels", values.len());
-        return Err(refuse(problem, "write it again"));
+        return Err(Invalid::whole(NAME, problem, "write it again"));
     }
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::CodevInt, values, FirstRow::Top);
     reading.invalidate(no_data);
-    (reading.unit, reading.factor) = (Some(Unit::named("waves")), 1.0 / scale);
+    reading.unit = Some(Unit::named("waves"));
+    reading.factor = 1.0 / scale;
     reading.wavelength_nm = Some(um * 1e3);
-    if of("WFR") {
+    let is_wavefront = parameters.position("WFR").is_some();
+    if is_wavefront {
         let say = "the file holds a wavefront (WFR): `surface_per_value` 0.5 makes the surface of one reflection";
         reading.warnings.push(say.into());
     }
-    let scales = [after("XSC")?.unwrap_or(1.0), after("YSC")?.unwrap_or(1.0)];
+    let scales = [parameters.after("XSC")?.unwrap_or(1.0), parameters.after("YSC")?.unwrap_or(1.0)];
     if scales != [1.0; 2] {
         let say = format!(
             "XSC and YSC {scales:?} are not used: `pixel_mm` says how far the pixels are apart"
         );
         reading.warnings.push(say);
     }
-    reading.stated =
-        json!({ "wavelength_nm": um * 1e3, "ssz": scale, "nda": no_data, "wavefront": of("WFR") });
+    reading.stated = json!({ "wavelength_nm": um * 1e3, "ssz": scale, "nda": no_data, "wavefront": is_wavefront });
     Ok(reading)
 }

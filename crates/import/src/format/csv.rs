@@ -20,7 +20,7 @@
 //!
 //! Source: the manuals of Gwyddion ("Export", text matrix) and SPIP ("ASCII file format"); files of a Keyence VK-X.
 
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayView1, s};
 use planish_types::Invalid;
 
 use super::srw;
@@ -45,6 +45,9 @@ const FEWEST: usize = 4;
 const CERTAIN: usize = 8;
 
 /// Reads a matrix.
+///
+/// # Errors
+/// Refuses rows of several lengths, words among the numbers, and tables that are certainly no matrix of heights.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let (header, first) = header(&text)?;
@@ -117,7 +120,7 @@ const MOST_LINES: usize = 40;
 /// Returns the statements of the lines of text above the numbers, and how many lines these are. A line of text has a word
 /// in its first field. It belongs to the matrix if all other fields are numbers, and the next line has as many.
 fn header(text: &str) -> Result<(Comments, usize), Invalid> {
-    let mut found = Comments::default();
+    let mut header = Comments::default();
     let mut first = 0;
     let mut comments = Vec::new();
     let mut lines = text.lines().enumerate().peekable();
@@ -131,13 +134,10 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
         let fields: Vec<&str> = text::fields(line).take(MOST_FIELDS).collect();
         let next = lines.peek().map(|(_, next)| text::fields(next).take(MOST_FIELDS).count());
         // Decimal commas may split a line of numbers at the wrong places.
-        let is_word = |field: &&str| {
-            let is_text = |word: &str| !is_numeric(word) && !text::is_no_data(word);
-            is_text(field) && field.split_whitespace().any(is_text)
-        };
-        let is_corner =
-            fields.len() > 2 && !fields[1..].iter().any(&is_word) && next == Some(fields.len());
-        if !fields.first().is_some_and(is_word) || is_corner {
+        let is_corner = fields.len() > 2
+            && !fields[1..].iter().any(|field| is_word(field))
+            && next == Some(fields.len());
+        if !fields.first().is_some_and(|field| is_word(field)) || is_corner {
             break;
         }
         if i >= MOST_HEADER_LINES {
@@ -145,23 +145,25 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
             return Err(too_many(NAME, MOST_HEADER_LINES, "lines of text", remedy));
         }
         for (k, comment) in comments.drain(..) {
-            found.beside.add_comment(comment.trim_start().trim_start_matches(['#', '%']), k + 1)?;
+            header
+                .beside
+                .add_comment(comment.trim_start().trim_start_matches(['#', '%']), k + 1)?;
         }
-        found.is_keyence |= fields[0].eq_ignore_ascii_case("XY Calibration")
+        header.is_keyence |= fields[0].eq_ignore_ascii_case("XY Calibration")
             || fields
                 .get(1)
                 .is_some_and(|model| model.starts_with("VK-") || model.starts_with("VR-"));
         match beside::key_and_value(line) {
-            Some(_) if fields.len() == 1 => found.beside.add_comment(line, i + 1)?,
-            _ => found.beside.add_fields(&fields, i + 1)?,
+            Some(_) if fields.len() == 1 => header.beside.add_comment(line, i + 1)?,
+            _ => header.beside.add_fields(&fields, i + 1)?,
         }
-        if found.lines.len() < MOST_LINES {
+        if header.lines.len() < MOST_LINES {
             let short = line.chars().filter(|c| !c.is_control()).take(120);
-            found.lines.push(short.collect());
+            header.lines.push(short.collect());
         }
         first = i + 1;
     }
-    Ok((found, first))
+    Ok((header, first))
 }
 
 /// Returns the text without its first `lines` lines.
@@ -171,6 +173,16 @@ fn from_line(text: &str, lines: usize) -> &str {
         None if lines == 0 => text,
         None => "",
     }
+}
+
+/// Returns true for a field that is no number and no word for no data, and that has such a word in it.
+fn is_word(field: &str) -> bool {
+    is_text(field) && field.split_whitespace().any(is_text)
+}
+
+/// Returns true for a text that is no number and no word for no data.
+fn is_text(word: &str) -> bool {
+    !is_numeric(word) && !text::is_no_data(word)
 }
 
 /// Returns true for a number with a decimal point or a decimal comma.
@@ -190,7 +202,8 @@ struct Table {
 /// Reads the matrix of a text, which begins after `before` lines with the statements `comments`.
 fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Invalid> {
     let mut values = Vec::new();
-    let (mut rows, mut columns) = (0, 0);
+    let mut rows = 0;
+    let mut columns = 0;
     let most = most_of(BYTES_PER_PIXEL);
     let mut corner = None;
     let mut corner_is_empty = false;
@@ -213,8 +226,10 @@ fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Inv
         let count = values.len();
         let is_closed = text::is_closed(line);
         are_closed &= is_closed;
-        let (mut empty, mut ends_empty) = (0usize, false);
-        for (k, field) in text::fields(line).chain(is_closed.then_some("")).enumerate() {
+        let mut empty = 0usize;
+        let mut ends_empty = false;
+        let last = if is_closed { Some("") } else { None };
+        for (k, field) in text::fields(line).chain(last).enumerate() {
             if values.len() >= most {
                 check_room(NAME, values.len(), BYTES_PER_PIXEL)?;
             }
@@ -233,12 +248,12 @@ fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Inv
             });
         }
         are_full &= empty == usize::from(ends_empty);
-        let found = values.len() - count;
-        if rows > 0 && found != columns {
-            let problem = format!("has {found} fields in line {}, {columns} before", i + 1);
+        let fields = values.len() - count;
+        if rows > 0 && fields != columns {
+            let problem = format!("has {fields} fields in line {}, {columns} before", i + 1);
             return Err(Invalid::whole(NAME, problem, "give every row as many numbers"));
         }
-        columns = found;
+        columns = fields;
         rows += 1;
     }
     if rows == 0 {
@@ -266,10 +281,12 @@ struct Gaps {
 }
 
 impl Gaps {
+    /// Takes a line that is no row, after so many rows.
     fn open(&mut self, rows: usize) {
         self.is_open |= rows > 0;
     }
 
+    /// Takes a row, after so many rows.
     fn close(&mut self, rows: usize, line: usize) {
         if std::mem::take(&mut self.is_open) {
             self.count += 1;
@@ -292,6 +309,11 @@ impl Gaps {
     }
 }
 
+/// Returns true for many numbers in equal steps beside others that are not.
+fn is_axis(own: ArrayView1<f64>, next: ArrayView1<f64>) -> bool {
+    own.len() >= CERTAIN && is_uniform(&own.to_vec()) && !is_uniform(&next.to_vec())
+}
+
 /// Refuses a table that is certainly no matrix of heights alone.
 fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     let (rows, columns) = values.dim();
@@ -300,16 +322,13 @@ fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
         let remedy = "give `format` xyz; save a matrix of 3 columns as .npy";
         return Err(Invalid::whole(NAME, problem, remedy));
     }
-    let is_axis = |own: Vec<f64>, next: Vec<f64>| {
-        own.len() >= CERTAIN && is_uniform(&own) && !is_uniform(&next)
-    };
-    let is_y = is_axis(values.slice(s![1.., 0]).to_vec(), values.slice(s![1.., 1]).to_vec());
+    let is_y = is_axis(values.slice(s![1.., 0]), values.slice(s![1.., 1]));
     if columns == 2 && rows >= CERTAIN {
         let problem = format!("has {rows} lines of 2 numbers, which are a profile, no map");
         let remedy = "planish-surface line reads it; save a matrix of 2 columns as .npy";
         return Err(Invalid::whole(NAME, problem, remedy));
     }
-    let is_x = is_axis(values.slice(s![0, 1..]).to_vec(), values.slice(s![1, 1..]).to_vec());
+    let is_x = is_axis(values.slice(s![0, 1..]), values.slice(s![1, 1..]));
     let which = match (is_x, is_y) {
         (false, false) => return Ok(()),
         (true, false) => "line goes",
@@ -324,10 +343,12 @@ fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     Err(Invalid::whole(NAME, problem, remedy))
 }
 
-/// True where at least [`FEWEST`] numbers go in equal steps.
+/// Returns true where at least [`FEWEST`] numbers go in equal steps.
 fn is_uniform(values: &[f64]) -> bool {
     let (Some(first), Some(last)) = (values.first(), values.last()) else { return false };
     let step = (last - first) / (values.len() as f64 - 1.0);
-    let is_step = |w: &[f64]| ((w[1] - w[0]) / step - 1.0).abs() <= UNIFORMITY;
-    values.len() >= FEWEST && step.is_finite() && step != 0.0 && values.windows(2).all(is_step)
+    values.len() >= FEWEST
+        && step.is_finite()
+        && step != 0.0
+        && values.windows(2).all(|w| ((w[1] - w[0]) / step - 1.0).abs() <= UNIFORMITY)
 }

@@ -25,14 +25,21 @@ use crate::{
 const NAME: &str = "datx file";
 const SURFACES: &str = "/Data/Surface";
 
+/// Returns true for HDF5 with a group of surfaces.
 pub(crate) fn is_datx(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.group(SURFACES).is_ok())
 }
 
+/// Returns the error of a damaged file.
+fn bad(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "export it again from the instrument")
+}
+
 /// Reads the map; `pick.dataset` names one where the file holds several.
+///
+/// # Errors
+/// Refuses a damaged file, several maps without a name, and heights in another unit than fringes, nm and um.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    let bad =
-        |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
     if pick.x.is_some() || pick.y.is_some() {
         let remedy = "a datx file has its pitch; leave out `x` and `y`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
@@ -48,7 +55,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     };
     check_size("datx map", *rows as usize, *columns as usize)?;
 
-    let attributes = Attributes::of(&set)?;
+    let attributes = Attributes::list(&set)?;
     let unit_name =
         text(&attributes, "Unit")?.ok_or_else(|| bad("does not state its unit".into()))?;
     let scale = number(&attributes, "Interferometric Scale Factor")?;
@@ -60,9 +67,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             (Some(s), Some(o), Some(w)) if s > 0.0 && o > 0.0 && w > 0.0 => {
                 (Unit::named("m"), s * o * w)
             }
-            found => {
+            factors => {
                 return Err(bad(format!(
-                    "has fringes with scale factor, obliquity, wavelength {found:?}"
+                    "has fringes with scale factor, obliquity, wavelength {factors:?}"
                 )));
             }
         },
@@ -81,7 +88,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     }
 
     let mut reading = Reading::new(Format::Datx, values, FirstRow::Top);
-    (reading.unit, reading.factor) = (Some(unit), factor);
+    reading.unit = Some(unit);
+    reading.factor = factor;
     reading.single = matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. });
     reading.scale_applied = scale.filter(|_| unit == Unit::named("m"));
     reading.wavelength_nm = wavelength_m.map(|w| w * 1e9);
@@ -107,15 +115,13 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
 /// Root -Measurement-> M -Surface-> S -Path-> the dataset; without the table the only dataset.
 fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
     if let Some(links) = links(file)? {
-        let follow = |from: &str, link: &str| {
-            let found = links.iter().find(|l| l[0] == from && l[1] == link);
-            found.map(|l| l[2].clone())
-        };
-        let path = follow("Root", "Measurement")
-            .and_then(|m| follow(&m, "Surface"))
-            .and_then(|s| follow(&s, "Path"));
+        let mut path = Some("Root");
+        for link in ["Measurement", "Surface", "Path"] {
+            path =
+                links.iter().find(|l| Some(&l[0][..]) == path && l[1] == link).map(|l| &l[2][..]);
+        }
         if let Some(path) = path {
-            return Ok(path);
+            return Ok(path.to_string());
         }
     }
     let group = file.group(SURFACES).map_err(broken)?;
@@ -130,7 +136,7 @@ fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
     }
 }
 
-/// The rows Source, Link, Destination of `/MetaData`.
+/// Returns the rows Source, Link, Destination of `/MetaData`.
 fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     let Ok(set) = file.dataset("/MetaData") else { return Ok(None) };
     let Datatype::Compound { size, fields } = set.dtype() else { return Ok(None) };
@@ -145,41 +151,42 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     let reference = set.vlen_reference_size();
     // Many rows may point to the same long text.
     let mut left = MOST_TEXT_BYTES;
-    let mut string = |row: &[u8], at: usize| -> Result<String, Invalid> {
-        let reference = at.checked_add(reference).and_then(|end| row.get(at..end));
-        let Some(bytes) = reference else { return Ok(String::new()) };
-        let length = bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
-        left = left.checked_sub(length).ok_or_else(|| {
-            let what = "bytes of text in /MetaData";
-            too_many(NAME, MOST_TEXT_BYTES, what, "choose the map with `dataset`")
-        })?;
-        let bytes = set.resolve_vlen_reference_bytes(bytes, 1).map_err(broken)?;
-        Ok(String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_string())
-    };
-    let rows = raw.chunks_exact((*size as usize).max(1));
-    let rows =
-        rows.map(|row| Ok([string(row, source)?, string(row, link)?, string(row, destination)?]));
-    rows.collect::<Result<Vec<_>, Invalid>>().map(Some)
+    let mut links = Vec::new();
+    for row in raw.chunks_exact((*size as usize).max(1)) {
+        let mut texts = [String::new(), String::new(), String::new()];
+        for (text, start) in texts.iter_mut().zip([source, link, destination]) {
+            let end = start.checked_add(reference);
+            let Some(bytes) = end.and_then(|end| row.get(start..end)) else { continue };
+            let length = bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
+            left = left.checked_sub(length).ok_or_else(|| {
+                let what = "bytes of text in /MetaData";
+                too_many(NAME, MOST_TEXT_BYTES, what, "choose the map with `dataset`")
+            })?;
+            let bytes = set.resolve_vlen_reference_bytes(bytes, 1).map_err(broken)?;
+            *text = String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_string();
+        }
+        links.push(texts);
+    }
+    Ok(Some(links))
 }
 
+/// Returns the text of an attribute.
 fn text(attributes: &Attributes, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }
 
+/// Returns the number of an attribute. Refuses one that is not finite.
 fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
     let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     let values = attribute.read_1d::<f64>().map_err(broken)?;
     match values.first() {
         Some(v) if v.is_finite() => Ok(Some(*v)),
-        other => {
-            let problem = format!("has \"{name}\" = {other:?}");
-            Err(Invalid::whole(NAME, problem, "export it again from the instrument"))
-        }
+        other => Err(bad(format!("has \"{name}\" = {other:?}"))),
     }
 }
 
-/// The pitch along (x, y), mm, by the converters of the axes.
+/// Returns the pitch along (x, y), mm, by the converters of the axes.
 fn pitch_mm(
     set: &Dataset,
     attributes: &Attributes,
@@ -198,7 +205,8 @@ fn pitch_mm(
     Ok(<[f64; 2]>::try_from(pitches).ok())
 }
 
-/// The first column, the first row, the width and the height of the map in the camera, by the compound `Coordinates`.
+/// Returns the first column, the first row, the width and the height of the map in the camera, by the compound
+/// `Coordinates`.
 fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     let Some(attribute) = attributes.get("Coordinates")? else { return Ok(None) };
     let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
@@ -214,7 +222,7 @@ fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     Ok(Some(window))
 }
 
-/// The rows of the camera, where a group of `/Attributes` states them.
+/// Returns the rows of the camera, where a group of `/Attributes` states them.
 fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
     let Ok(group) = file.group("/Attributes") else { return Ok(None) };
     let (groups, _) = group.members().map_err(broken)?;
@@ -233,7 +241,7 @@ fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
     Ok(None)
 }
 
-/// Base unit and parameters of a compound {Category, BaseUnit, Parameters}.
+/// Returns base unit and parameters of a compound {Category, BaseUnit, Parameters}.
 fn converter(
     set: &Dataset,
     attributes: &Attributes,
@@ -243,14 +251,16 @@ fn converter(
     let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
     let reference = set.vlen_reference_size();
     let field = |name: &str, size: usize| -> Result<Vec<u8>, Invalid> {
-        let at = fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize);
-        let end = |at: usize| Some(at..at.checked_add(reference)?);
-        let bytes = at.and_then(end).and_then(|range| attribute.raw_data.get(range));
-        let length = |b: &[u8]| b.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
-        match bytes.filter(|b| length(b) <= MOST_TEXT_BYTES / 8) {
-            Some(bytes) => set.resolve_vlen_reference_bytes(bytes, size).map_err(broken),
-            None => Ok(Vec::new()),
+        let start = fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize);
+        let range = start.and_then(|start| Some(start..start.checked_add(reference)?));
+        let Some(bytes) = range.and_then(|range| attribute.raw_data.get(range)) else {
+            return Ok(Vec::new());
+        };
+        let length = bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
+        if length > MOST_TEXT_BYTES / 8 {
+            return Ok(Vec::new());
         }
+        set.resolve_vlen_reference_bytes(bytes, size).map_err(broken)
     };
     let base = String::from_utf8_lossy(&field("BaseUnit", 1)?).trim_end_matches('\0').to_string();
     let parameters = field("Parameters", 8)?;

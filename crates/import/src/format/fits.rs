@@ -44,17 +44,21 @@ fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
     })
 }
 
-/// The images with two axes, the number of all HDUs, and true if an image is compressed. None of the HDUs that are
-/// `asked` for may be anything else.
-fn images(b: &Bytes<'_>, asked: [Option<&str>; 2]) -> Result<(Vec<Image>, usize, bool), Invalid> {
+/// Returns the images with two axes, the number of all HDUs, and true if an image is compressed. Refuses a `requested`
+/// HDU that is anything else.
+fn images(
+    b: &Bytes<'_>,
+    requested: [Option<&str>; 2],
+) -> Result<(Vec<Image>, usize, bool), Invalid> {
     let mut images = Vec::new();
-    let (mut at, mut index) = (0, 0);
+    let mut start = 0;
+    let mut index = 0;
     let mut is_compressed = false;
     // What follows the last unit is no concern of a reader.
-    while index == 0 || b.all.get(at..).is_some_and(|rest| rest.starts_with(b"XTENSION")) {
-        let (header, data_at) = header(b, at)?;
+    while index == 0 || b.all.get(start..).is_some_and(|rest| rest.starts_with(b"XTENSION")) {
+        let (header, data_at) = header(b, start)?;
         let sizes = header.sizes()?;
-        at = data_at + blocks(header.data_bytes(&sizes)?);
+        start = data_at + blocks(header.data_bytes(&sizes)?);
         let image = index == 0 || header.text("XTENSION").as_deref() == Some("IMAGE");
         let has_map = sizes.len() >= 2 && sizes[2..].iter().all(|n| *n == 1);
         is_compressed |= header.raw("ZIMAGE").is_some();
@@ -67,7 +71,7 @@ fn images(b: &Bytes<'_>, asked: [Option<&str>; 2]) -> Result<(Vec<Image>, usize,
                 size: [sizes[1], sizes[0]],
                 name,
             });
-        } else if asked.iter().any(|wanted| is_called(*wanted, index, &name)) {
+        } else if requested.iter().any(|wanted| is_called(*wanted, index, &name)) {
             let problem = format!("has in HDU {index} no image with two axes (NAXISn {sizes:?})");
             return Err(Invalid::whole(NAME, problem, "give another number"));
         }
@@ -80,13 +84,16 @@ fn images(b: &Bytes<'_>, asked: [Option<&str>; 2]) -> Result<(Vec<Image>, usize,
     Ok((images, index, is_compressed))
 }
 
-/// Reads the image of the HDU whose number (0, the primary, first) or EXTNAME is `pick.dataset`, else the first.
+/// Reads the image of the HDU whose number (0, the primary, first) or EXTNAME is `pick.dataset`, else the only one.
+///
+/// # Errors
+/// Refuses damaged files, several images without a name, and axes that are turned or not linear.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.x.is_some() || pick.y.is_some() {
         let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
     }
-    let (wanted, wanted_mask) = (pick.dataset.as_deref(), pick.mask.as_deref());
+    let [wanted, wanted_mask] = [pick.dataset.as_deref(), pick.mask.as_deref()];
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
     if !bytes.starts_with(b"SIMPLE  =") {
         let problem = "does not start with SIMPLE";
@@ -97,7 +104,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Some(_) => is_called(wanted_mask, image.hdu, &image.name),
         None => image.name.eq_ignore_ascii_case("MASK"),
     };
-    let found = match wanted {
+    let image = match wanted {
         Some(_) => images.iter().find(|image| is_called(wanted, image.hdu, &image.name)),
         None => {
             let maps: Vec<&Image> = images.iter().filter(|image| !is_mask(image)).collect();
@@ -111,10 +118,11 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             maps.first().copied()
         }
     };
-    let Some(image) = found else {
-        let remedy = match is_compressed {
-            true => "an image is compressed: unpack it with funpack",
-            false => "give a file with a map, or another `dataset`",
+    let Some(image) = image else {
+        let remedy = if is_compressed {
+            "an image is compressed: unpack it with funpack"
+        } else {
+            "give a file with a map, or another `dataset`"
         };
         let problem = match wanted {
             Some(hdu) => format!("has no HDU \"{hdu}\", only {index}"),
@@ -152,6 +160,7 @@ struct Image {
 }
 
 impl Image {
+    /// Returns the number of the HDU and its name, for a message.
     fn label(&self) -> String {
         match self.name.as_str() {
             "" => format!("HDU {}", self.hdu),
@@ -160,7 +169,7 @@ impl Image {
     }
 }
 
-/// The numbers of an image as stored.
+/// Returns the numbers of an image as stored.
 fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
     let [rows, columns] = image.size;
     let count = check_size("FITS image", rows, columns)?;
@@ -170,6 +179,7 @@ fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
     Ok(Array2::from_shape_vec((rows, columns), values).expect("one value per pixel"))
 }
 
+/// Reads the image that is the map.
 fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
     let header = &image.header;
     let number = header.number()?;
@@ -179,9 +189,10 @@ fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
         reading.invalidate(blank);
     }
     // value = BZERO + BSCALE raw
-    let (zero, scale) =
-        (header.float("BZERO")?.unwrap_or(0.0), header.float("BSCALE")?.unwrap_or(1.0));
-    (reading.offset, reading.factor) = (zero, scale);
+    let zero = header.float("BZERO")?.unwrap_or(0.0);
+    let scale = header.float("BSCALE")?.unwrap_or(1.0);
+    reading.offset = zero;
+    reading.factor = scale;
     let unit_name = header.text("BUNIT").filter(|u| !u.is_empty());
     if let Some(name) = &unit_name {
         reading.state_unit("BUNIT", name);
@@ -195,6 +206,7 @@ fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
 }
 
 impl Number {
+    /// Returns true for a type of whole numbers.
     fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
     }
@@ -214,20 +226,22 @@ const READ: [&str; 24] = [
 /// long history is not seen.
 const MOST_STATEMENTS: usize = 1000;
 
+/// Reads the header at a place. Returns it, and the place of its data.
 fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
-    let (mut cards, mut comments) = (HashMap::new(), Vec::new());
-    let mut at = start;
+    let mut cards = HashMap::new();
+    let mut comments = Vec::new();
+    let mut next = start;
     loop {
-        let card = b.slice(at, CARD)?;
-        at += CARD;
+        let card = b.slice(next, CARD)?;
         if !card.iter().all(|c| (0x20..0x7f).contains(c)) {
-            let problem = format!("has a card that is not text at byte {}", at - CARD);
+            let problem = format!("has a card that is not text at byte {next}");
             return Err(Invalid::whole(NAME, problem, "write it again"));
         }
+        next += CARD;
         let card = String::from_utf8_lossy(card).into_owned();
         let (key, rest) = card.split_at(8);
         if key.trim_end() == "END" {
-            return Ok((Header(cards, comments), start + blocks(at - start)));
+            return Ok((Header(cards, comments), start + blocks(next - start)));
         }
         if matches!(key.trim_end(), "COMMENT" | "HISTORY") && comments.len() < MOST_STATEMENTS {
             comments.push(rest.trim().to_string());
@@ -243,21 +257,24 @@ fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
     }
 }
 
+/// Returns the size of the blocks that hold so many bytes.
 fn blocks(bytes: usize) -> usize {
     bytes.div_ceil(BLOCK).saturating_mul(BLOCK)
 }
 
 impl Header {
+    /// Returns the value of a card as it is written.
     fn raw(&self, key: &str) -> Option<&str> {
         self.0.get(key).map(String::as_str)
     }
 
-    /// A string in quotes.
+    /// Returns a string in quotes.
     fn text(&self, key: &str) -> Option<String> {
         let value = self.raw(key)?.strip_prefix('\'')?;
         value.split('\'').next().map(|t| t.trim_end().to_string())
     }
 
+    /// Returns the number of a card. Refuses a card that has another value.
     fn float(&self, key: &str) -> Result<Option<f64>, Invalid> {
         let Some(raw) = self.raw(key) else { return Ok(None) };
         let value = raw.split('/').next().unwrap_or_default().trim();
@@ -268,7 +285,8 @@ impl Header {
         })
     }
 
-    /// Statements in cards beside those of the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in comments.
+    /// Returns the statements in cards beside those of the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in
+    /// comments.
     fn statements(&self) -> Result<Beside, Invalid> {
         let mut beside = Beside::default();
         let mut cards: Vec<(&String, &String)> = self.0.iter().collect();
@@ -297,6 +315,7 @@ impl Header {
         Ok(beside)
     }
 
+    /// Returns the count of a card that has to be there.
     fn whole(&self, key: &str) -> Result<usize, Invalid> {
         let value = self.float(key)?.filter(|v| *v >= 0.0 && *v < 1e15 && v.fract() == 0.0);
         value.map(|v| v as usize).ok_or_else(|| {
@@ -305,15 +324,17 @@ impl Header {
         })
     }
 
-    /// Rule of the coordinates of the pixels; `None` if the header lacks the step of an axis.
+    /// Returns the rule of the coordinates of the pixels, or `None` if the header lacks the step of an axis.
     fn rule(&self, len: [usize; 2], warnings: &mut Vec<String>) -> Result<Option<Rule>, Invalid> {
         let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
         let remedy = "write the map on axes of length, or delete these cards and give `pixel_mm`";
-        let (mut steps, mut unit, mut reference) = ([None; 2], [None; 2], [(0.0, 0.0); 2]);
+        let mut steps = [None; 2];
+        let mut unit = [None; 2];
+        let mut reference = [(0.0, 0.0); 2];
         for (k, n) in [1, 2].into_iter().enumerate() {
-            let (step_key, matrix_key) = (format!("CDELT{n}"), format!("CD{n}_{n}"));
-            // If CDn_n is given, it is the whole step, and CDELTn does not multiply it.
-            steps[k] = match (self.float(&matrix_key)?, self.float(&step_key)?) {
+            let step_key = format!("CDELT{n}");
+            // If CDn_n is there, it is the whole step, and CDELTn does not multiply it.
+            steps[k] = match (self.float(&format!("CD{n}_{n}"))?, self.float(&step_key)?) {
                 (Some(step), _) => Some(step),
                 (None, Some(step)) => {
                     Some(step * self.float(&format!("PC{n}_{n}"))?.unwrap_or(1.0))
@@ -371,11 +392,11 @@ impl Header {
         if let Some(angle) = self.float("CROTA2")?.filter(|angle| *angle != 0.0) {
             return refuse(format!("has CROTA2 = {angle}: the map lies at an angle"), remedy);
         }
-        let reference = (!stated.is_empty()).then_some(reference);
+        let reference = if stated.is_empty() { None } else { Some(reference) };
         Ok(Some(Rule { step: [x, y], unit, reference }))
     }
 
-    /// NAXIS1, NAXIS2, ...
+    /// Returns NAXIS1, NAXIS2, ...
     fn sizes(&self) -> Result<Vec<usize>, Invalid> {
         let n = self.whole("NAXIS")?;
         if n > 999 {
@@ -384,6 +405,7 @@ impl Header {
         (1..=n).map(|i| self.whole(&format!("NAXIS{i}"))).collect()
     }
 
+    /// Returns the type of the numbers.
     fn number(&self) -> Result<Number, Invalid> {
         match self.float("BITPIX")? {
             Some(8.0) => Ok(Number::U8),
@@ -396,14 +418,11 @@ impl Header {
         }
     }
 
-    /// BITPIX / 8 x GCOUNT x (PCOUNT + NAXIS1 x ...)
+    /// Returns the size of the data: BITPIX / 8 x GCOUNT x (PCOUNT + NAXIS1 x ...).
     fn data_bytes(&self, sizes: &[usize]) -> Result<usize, Invalid> {
         let each = self.number()?.size();
-        let or = |key: &str, default| match self.raw(key) {
-            Some(_) => self.whole(key),
-            None => Ok(default),
-        };
-        let (groups, heap) = (or("GCOUNT", 1)?, or("PCOUNT", 0)?);
+        let groups = if self.raw("GCOUNT").is_some() { self.whole("GCOUNT")? } else { 1 };
+        let heap = if self.raw("PCOUNT").is_some() { self.whole("PCOUNT")? } else { 0 };
         let elements = match sizes {
             [] => Some(0),
             _ => sizes.iter().try_fold(1usize, |n, s| n.checked_mul(*s)),

@@ -27,11 +27,12 @@ const DATA: &str = "measurement0/genraw/data";
 /// Stored values from here on are invalid.
 const INVALID: f64 = 1e38;
 
+/// Returns true for HDF5 with a map where 4Sight has it.
 pub(crate) fn is_four_sight(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.dataset(DATA).is_ok())
 }
 
-/// Path of the map of the only measurement, or of the one that is asked for.
+/// Returns the path of the map of the only measurement, or of the one that is asked for.
 fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
     let root = file.root_group().map_err(broken)?;
     let (groups, _) = root.member_names().map_err(broken)?;
@@ -49,9 +50,31 @@ fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
     }
 }
 
+/// Returns the positive length in an attribute such as "632.8 nm", and its unit.
+fn length(group: &Group, name: &str) -> Result<Option<(f64, Unit)>, Invalid> {
+    let Some(text) = attribute_text(group, name)? else { return Ok(None) };
+    if let Some((value, unit)) = text.trim().split_once(char::is_whitespace)
+        && let Ok(value) = value.parse::<f64>()
+        && value.is_finite()
+        && value > 0.0
+    {
+        return Ok(Some((value, Unit::stated("unit", unit)?)));
+    }
+    let problem = format!("has {name} = \"{}\"", short(&text));
+    Err(Invalid::whole(NAME, problem, "export it again from 4Sight"))
+}
+
+/// Returns the number of an attribute, if it is finite.
+fn number(group: &Group, name: &str) -> Result<Option<f64>, Invalid> {
+    let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
+    Ok(attribute_numbers(&attribute).and_then(|v| v.first().copied()).filter(|v| v.is_finite()))
+}
+
 /// Reads the map of the only measurement, or the one that `pick.dataset` names.
+///
+/// # Errors
+/// Refuses damaged files, several measurements without a name, and attributes that are no lengths.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    let bad = |problem: String| Invalid::whole(NAME, problem, "export it again from 4Sight");
     if pick.x.is_some() || pick.y.is_some() || pick.mask.is_some() {
         let remedy = "leave out `x`, `y` and `mask`, or give `format` hdf5 for one array";
         return Err(Invalid::whole(NAME, "has its pitch and marks invalid pixels", remedy));
@@ -63,20 +86,6 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let group_path = path.rsplit_once('/').map_or("", |split| split.0);
     let group = file.group(group_path).map_err(broken)?;
 
-    let length = |name: &str| -> Result<Option<(f64, Unit)>, Invalid> {
-        let Some(text) = attribute_text(&group, name)? else { return Ok(None) };
-        let parsed = text.trim().split_once(char::is_whitespace).and_then(|(value, unit)| {
-            Some((value.parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0)?, unit))
-        });
-        match parsed {
-            Some((value, unit)) => Ok(Some((value, Unit::stated("unit", unit)?))),
-            None => Err(bad(format!("has {name} = \"{}\"", short(&text)))),
-        }
-    };
-    let number = |name: &str| -> Result<Option<f64>, Invalid> {
-        let Some(attribute) = group_attribute(&group, name)? else { return Ok(None) };
-        Ok(attribute_numbers(&attribute).and_then(|v| v.first().copied()).filter(|v| v.is_finite()))
-    };
     let mut reading = Reading::new(Format::FourSight, values, FirstRow::Top);
     reading.single = is_single(&set);
     reading.values.mapv_inplace(|v| if v.abs() >= INVALID { f64::NAN } else { v });
@@ -85,12 +94,12 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Some(name) => Some(Unit::stated("height_units", name)?),
         None => None,
     };
-    if let Some((value, unit)) = length("wavelength")? {
+    if let Some((value, unit)) = length(&group, "wavelength")? {
         // mm to nm
         reading.wavelength_nm = Some(value * (unit.mm()? * 1e6));
     }
-    let aspect = number("aspect")?.unwrap_or(1.0);
-    if let Some((value, unit)) = length("xpix")? {
+    let aspect = number(&group, "aspect")?.unwrap_or(1.0);
+    if let Some((value, unit)) = length(&group, "xpix")? {
         let mm = value * unit.mm()?;
         if aspect == 1.0 {
             reading.pixel_mm = Some([mm; 2]);
@@ -100,7 +109,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             reading.warnings.push(say);
         }
     }
-    let wedge = number("wedge")?;
+    let wedge = number(&group, "wedge")?;
     if let Some(wedge) = wedge.filter(|w| *w != 1.0) {
         let say = format!(
             "the file states the wedge factor {wedge}, which public readers do not apply: compare the heights with 4Sight, \
@@ -120,7 +129,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// An attribute of a group. All of them are looked at together: one of many values may point to long texts.
+/// Returns an attribute of a group. All of them are looked at together: one of many values may point to long texts.
 fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Invalid> {
     let raw = group.raw_attributes().map_err(broken)?;
     for attribute in &raw {
@@ -130,17 +139,19 @@ fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Inval
             return Err(Invalid::whole(NAME, problem, "export it again from 4Sight"));
         }
     }
-    match raw.iter().any(|attribute| attribute.name() == name) {
-        true => group.attribute(name).map(Some).map_err(broken),
-        false => Ok(None),
+    if !raw.iter().any(|attribute| attribute.name() == name) {
+        return Ok(None);
     }
+    group.attribute(name).map(Some).map_err(broken)
 }
 
+/// Returns the text of an attribute.
 fn attribute_text(group: &Group, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }
 
+/// Returns a text for a message or the manifest.
 fn short(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(40).collect()
 }

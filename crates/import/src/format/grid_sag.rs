@@ -19,35 +19,32 @@ use crate::{
 
 const NAME: &str = "grid sag file";
 
+/// Returns true for a line that is empty or a comment.
 fn is_comment(line: &str) -> bool {
     line.trim().is_empty() || line.trim_start().starts_with('!')
 }
 
-/// True where a line of parameters and a line of a pixel come first.
+/// Returns true where a line of parameters and a line of a pixel come first.
 pub(crate) fn is_grid_sag(text: &str) -> bool {
-    let mut lines = text.lines().filter(|line| !is_comment(line)).take(2);
-    let (Some(first), Some(second)) = (lines.next(), lines.next()) else { return false };
-    let numbers = |line: &str| -> Option<Vec<f64>> {
-        line.split_whitespace().take(8).map(|word| word.parse().ok()).collect()
-    };
-    let (Some(first), Some(second)) = (numbers(first), numbers(second)) else { return false };
-    let is_count = |v: f64| v >= 2.0 && v.fract() == 0.0;
+    let lines = text.lines().filter(|line| !is_comment(line)).take(2);
+    let numbers: Option<Vec<Vec<f64>>> = lines
+        .map(|line| line.split_whitespace().take(8).map(|word| word.parse().ok()).collect())
+        .collect();
+    let Some([first, second]) = numbers.as_deref() else { return false };
     first.len() == 7
-        && is_count(first[0])
-        && is_count(first[1])
+        && first[..2].iter().all(|count| *count >= 2.0 && count.fract() == 0.0)
         && [0.0, 1.0, 2.0, 3.0].contains(&first[4])
         && (4..=5).contains(&second.len())
 }
 
-/// Reads the sag.
+/// Returns the error of a file that is none.
+fn bad(problem: String) -> Invalid {
+    let remedy = "write nx ny delx dely unitflag xdec ydec, then a line per pixel";
+    Invalid::whole(NAME, problem, remedy)
+}
+
+/// Reads the sag. Refuses another number of lines than pixels, and unknown units.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
-    let bad = |problem: String| {
-        Invalid::whole(
-            NAME,
-            problem,
-            "write nx ny delx dely unitflag xdec ydec, then a line per pixel",
-        )
-    };
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
     let mut lines = text.lines().enumerate().filter(|(_, line)| !is_comment(line));
@@ -61,7 +58,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         head[k] = text::number(NAME, word, i + 1, k + 1)?;
     }
     let [columns, rows, dx, dy, flag, x0, y0] = head;
-    let (columns, rows) = (columns as usize, rows as usize);
+    let [columns, rows] = [columns, rows].map(|size| size as usize);
     let count = check_size("grid", rows, columns)?;
     let mm = match flag {
         0.0 => 1.0,
@@ -76,37 +73,34 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
             return Err(bad(format!("has more than {count} pixels in line {}", i + 1)));
         }
         let mut fields = [0.0; 5];
-        let mut found = 0;
+        let mut numbers = 0;
         for (k, word) in line.split_whitespace().enumerate() {
             if k == 5 {
                 return Err(bad(format!("has more than 5 numbers in line {}", i + 1)));
             }
             fields[k] = text::number(NAME, word, i + 1, k + 1)?;
-            found = k + 1;
+            numbers = k + 1;
         }
-        if found < 4 {
+        if numbers < 4 {
             return Err(bad(format!(
-                "has {found} numbers in line {}, not 4 or 5: is it truncated?",
+                "has {numbers} numbers in line {}, not 4 or 5: is it truncated?",
                 i + 1
             )));
         }
-        values.push(if found == 5 && fields[4] != 0.0 { f64::NAN } else { fields[0] });
+        values.push(if fields[4] != 0.0 { f64::NAN } else { fields[0] });
     }
     if values.len() != count {
         return Err(bad(format!("is truncated: {} of {count} pixels", values.len())));
     }
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::GridSag, values, FirstRow::Top);
-    (reading.unit, reading.factor) = (Some(Unit::named("mm")), mm);
-    let axis = |len: usize, step: f64, middle: f64| -> Vec<f64> {
+    reading.unit = Some(Unit::named("mm"));
+    reading.factor = mm;
+    let [x, y] = [(columns, dx.abs(), x0), (rows, -dy.abs(), y0)].map(|(len, step, middle)| {
         let half = (len as f64 - 1.0) / 2.0;
         (0..len).map(|i| (middle + (i as f64 - half) * step) * mm).collect()
-    };
-    reading.coordinates = Some(Coordinates {
-        x: axis(columns, dx.abs(), x0),
-        y: axis(rows, -dy.abs(), y0),
-        unit: Some(Unit::named("mm")),
     });
+    reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::named("mm")) });
     reading.stated = json!({ "unit_flag": flag, "decentre": [x0, y0] });
     Ok(reading)
 }

@@ -5,6 +5,8 @@
 //! up to a multiple of 4 bytes; then come the heights, little-endian, row by row. The first row is the top; NaN is an
 //! invalid pixel. Source: Gwyddion user guide, "Gwyddion Simple Field (GSF)".
 
+use std::borrow::Cow;
+
 use ndarray::Array2;
 use planish_types::Invalid;
 use serde_json::json;
@@ -19,32 +21,50 @@ use crate::{
 const NAME: &str = "GSF file";
 pub(crate) const MAGIC: &[u8] = b"Gwyddion Simple Field 1.0\n";
 
-/// Reads a field.
+/// The lines `key = value` of a header.
+struct Header<'a>(Cow<'a, str>);
+
+impl Header<'_> {
+    /// Returns the first value of a key, if it is not empty.
+    fn field(&self, key: &str) -> Option<String> {
+        let mut pairs = self.0.lines().filter_map(|line| line.split_once('='));
+        let (_, value) = pairs.find(|(k, _)| k.trim() == key)?;
+        Some(value.trim().to_string()).filter(|v| !v.is_empty())
+    }
+
+    /// Returns the number of a key.
+    fn number(&self, key: &str) -> Result<Option<f64>, Invalid> {
+        let Some(text) = self.field(key) else { return Ok(None) };
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Some(value)),
+            _ => Err(bad(format!("has \"{key} = {}\"", short(&text)))),
+        }
+    }
+
+    /// Returns the number of pixels of a key.
+    fn size(&self, key: &str) -> Result<usize, Invalid> {
+        match self.number(key)? {
+            Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
+            other => Err(bad(format!("has {key} = {other:?}"))),
+        }
+    }
+}
+
+/// Returns the error of a damaged file.
+fn bad(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "export it again from Gwyddion")
+}
+
+/// Reads a field. Refuses a damaged file, and units that are no lengths.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
-    let bad = |problem: String| Invalid::whole(NAME, problem, "export it again from Gwyddion");
     if !bytes.starts_with(MAGIC) {
         return Err(bad("does not start with \"Gwyddion Simple Field 1.0\"".into()));
     }
     let end = bytes.iter().take(MOST_TEXT_BYTES).position(|b| *b == 0);
     let end = end.ok_or_else(|| bad("has no end of its header".into()))?;
-    let header = String::from_utf8_lossy(&bytes[MAGIC.len()..end]);
-    let field = |key: &str| {
-        let pairs = header.lines().filter_map(|line| line.split_once('='));
-        let mut found = pairs.filter(|(k, _)| k.trim() == key).map(|(_, v)| v.trim().to_string());
-        found.next().filter(|v| !v.is_empty())
-    };
-    let number = |key: &str| -> Result<Option<f64>, Invalid> {
-        let parse = |text: String| {
-            let value = text.parse::<f64>().ok().filter(|v| v.is_finite());
-            value.ok_or_else(|| bad(format!("has \"{key} = {}\"", short(&text))))
-        };
-        field(key).map(parse).transpose()
-    };
-    let size = |key: &str| match number(key)? {
-        Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
-        other => Err(bad(format!("has {key} = {other:?}"))),
-    };
-    let (columns, rows) = (size("XRes")?, size("YRes")?);
+    let header = Header(String::from_utf8_lossy(&bytes[MAGIC.len()..end]));
+    let columns = header.size("XRes")?;
+    let rows = header.size("YRes")?;
     let count = check_size("GSF field", rows, columns)?;
     let start = end + 4 - end % 4;
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
@@ -58,22 +78,25 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::Gsf, values, FirstRow::Top);
     reading.single = true;
-    let unit = field("ZUnits");
+    let unit = header.field("ZUnits");
     if let Some(name) = &unit {
         reading.state_unit("ZUnits", name);
     }
-    if let (Some(x), Some(y), Some(name)) = (number("XReal")?, number("YReal")?, field("XYUnits")) {
+    if let (Some(x), Some(y), Some(name)) =
+        (header.number("XReal")?, header.number("YReal")?, header.field("XYUnits"))
+    {
         let mm = Unit::stated("XYUnits", &name)?.mm()?;
         reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
-        if let (Some(x), Some(y)) = (number("XOffset")?, number("YOffset")?) {
+        if let (Some(x), Some(y)) = (header.number("XOffset")?, header.number("YOffset")?) {
             // The upper left corner of the field in the scanner, whose y goes down.
             reading.window = Some(Window::at_mm([x * mm, y * mm]));
         }
     }
-    reading.stated = json!({ "z_units": unit, "title": field("Title").map(|t| short(&t)) });
+    reading.stated = json!({ "z_units": unit, "title": header.field("Title").map(|t| short(&t)) });
     Ok(reading)
 }
 
+/// Returns a text for a message or the manifest.
 fn short(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(80).collect()
 }

@@ -28,17 +28,21 @@ use crate::{
 const NAME: &str = "GWY file";
 pub(crate) const MAGIC: &[u8] = b"GWYP";
 
+/// Refuses arrays beside the channel.
 fn refuse_arrays(pick: &Pick) -> Result<(), Invalid> {
-    for (name, given) in [("x", &pick.x), ("y", &pick.y), ("mask", &pick.mask)] {
-        if let Some(given) = given {
+    for (name, array) in [("x", &pick.x), ("y", &pick.y), ("mask", &pick.mask)] {
+        if let Some(array) = array {
             let remedy = "a channel has its coordinates and its mask itself; leave it out";
-            return Err(Invalid::whole(name, format!("\"{given}\" was asked for"), remedy));
+            return Err(Invalid::whole(name, format!("\"{array}\" was asked for"), remedy));
         }
     }
     Ok(())
 }
 
 /// Reads the channel whose number `pick` names, or the only one.
+///
+/// # Errors
+/// Refuses a damaged file, several channels without a number, and units that are no lengths.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if !bytes.starts_with(MAGIC) {
         return Err(broken("does not start with \"GWYP\"".into()));
@@ -53,47 +57,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         return Err(broken(format!("has {} bytes after its container", bytes.len() - end)));
     }
     let all = container.components()?;
-    let channel = |name: &str| {
-        let number = name.strip_prefix('/')?.strip_suffix("/data")?;
-        number.bytes().all(|c| c.is_ascii_digit()).then(|| number.to_string())
-    };
-    let channels: Vec<String> = (all.iter())
-        .filter(|c| matches!(c.value, Value::Object(_)))
-        .filter_map(|c| channel(&c.name))
-        .collect();
-    let title = |number: &str| {
-        let name = format!("/{number}/data/title");
-        let found = all.iter().find(|c| c.name == name).map(|c| &c.value);
-        if let Some(Value::Text(text)) = found { short(text) } else { String::new() }
-    };
-    let listed = || {
-        let one = |n: &String| match title(n) {
-            t if t.is_empty() => n.clone(),
-            t => format!("{n} ({t})"),
-        };
-        channels.iter().take(20).map(one).collect::<Vec<_>>().join(", ")
-    };
-    let number = match (&pick.dataset, &channels[..]) {
-        (_, []) => return Err(broken("holds no channel".into())),
-        (Some(wanted), _) if channels.contains(wanted) => wanted.clone(),
-        (Some(wanted), _) => {
-            let problem = format!("\"{}\" is no channel of the file", short(wanted));
-            return Err(Invalid::whole("dataset", problem, format!("it holds: {}", listed())));
-        }
-        (None, [one]) => one.clone(),
-        (None, many) => {
-            let problem = format!("holds {} channels: {}", many.len(), listed());
-            return Err(Invalid::whole(NAME, problem, "choose one by its number with `dataset`"));
-        }
-    };
-    let field = |part: &str| -> Result<Option<Field>, Invalid> {
-        let name = format!("/{number}/{part}");
-        match all.iter().find(|c| c.name == name).map(|c| &c.value) {
-            Some(Value::Object(object)) => Field::new(object).map(Some),
-            _ => Ok(None),
-        }
-    };
-    let data = field("data")?.expect("the channel was found");
+    let number = channel(&all, pick.dataset.as_deref())?;
+    let data = field(&all, &format!("/{number}/data"))?.expect("it is a channel");
     let (rows, columns) = data.values.dim();
     let mut reading = Reading::new(Format::Gwy, data.values, FirstRow::Top);
     if let Some(name) = &data.unit_z {
@@ -106,7 +71,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             reading.window = Some(Window::at_mm(offset.map(|v| v * mm)));
         }
     }
-    if let Some(mask) = field("mask")? {
+    if let Some(mask) = field(&all, &format!("/{number}/mask"))? {
         let marked = mask.values.iter().filter(|m| **m != 0.0).count();
         reading.apply_mask(&format!("/{number}/mask"), &mask.values)?;
         reading.warnings.push(format!(
@@ -114,8 +79,60 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
              keep them"
         ));
     }
-    reading.stated = json!({ "channel": number, "title": title(&number) });
+    reading.stated = json!({ "channel": number, "title": title(&all, number) });
     Ok(reading)
+}
+
+/// Returns the value of a component.
+fn find<'a, 'b>(components: &'b [Component<'a>], name: &str) -> Option<&'b Value<'a>> {
+    components.iter().find(|c| c.name == name).map(|c| &c.value)
+}
+
+/// Returns the number of the requested channel, or of the only one.
+fn channel<'a>(all: &'a [Component<'_>], requested: Option<&str>) -> Result<&'a str, Invalid> {
+    let mut channels = Vec::new();
+    for component in all.iter().filter(|c| matches!(c.value, Value::Object(_))) {
+        let name = component.name.strip_prefix('/').and_then(|name| name.strip_suffix("/data"));
+        channels.extend(name.filter(|number| number.bytes().all(|c| c.is_ascii_digit())));
+    }
+    let mut listed = Vec::new();
+    for number in channels.iter().take(20) {
+        let title = title(all, number);
+        listed.push(if title.is_empty() {
+            number.to_string()
+        } else {
+            format!("{number} ({title})")
+        });
+    }
+    let listed = listed.join(", ");
+    match (requested, &channels[..]) {
+        (_, []) => Err(broken("holds no channel".into())),
+        (Some(wanted), _) => channels.into_iter().find(|c| *c == wanted).ok_or_else(|| {
+            let problem = format!("\"{}\" is no channel of the file", short(wanted));
+            Invalid::whole("dataset", problem, format!("it holds: {listed}"))
+        }),
+        (None, [only]) => Ok(only),
+        (None, many) => {
+            let problem = format!("holds {} channels: {listed}", many.len());
+            Err(Invalid::whole(NAME, problem, "choose one by its number with `dataset`"))
+        }
+    }
+}
+
+/// Returns the title of a channel; empty if it has none.
+fn title(all: &[Component<'_>], number: &str) -> String {
+    match find(all, &format!("/{number}/data/title")) {
+        Some(Value::Text(text)) => short(text),
+        _ => String::new(),
+    }
+}
+
+/// Reads the map of this name in the container, if there is one.
+fn field(all: &[Component<'_>], name: &str) -> Result<Option<Field>, Invalid> {
+    match find(all, name) {
+        Some(Value::Object(object)) => Field::new(object).map(Some),
+        _ => Ok(None),
+    }
 }
 
 /// A GwyDataField.
@@ -130,21 +147,16 @@ struct Field {
 }
 
 impl Field {
+    /// Reads a map. Refuses another object, and one without as many heights as pixels.
     fn new(object: &Object) -> Result<Self, Invalid> {
         if object.name != "GwyDataField" {
             return Err(broken(format!("has a \"{}\" as a channel", short(&object.name))));
         }
         let components = object.components()?;
-        let find = |name: &str| components.iter().find(|c| c.name == name).map(|c| &c.value);
-        let size = |name: &str| match find(name) {
-            Some(Value::Int(n)) => {
-                usize::try_from(*n).map_err(|_| broken(format!("has {name} = {n}")))
-            }
-            _ => Err(broken(format!("has no {name} in a channel"))),
-        };
-        let (columns, rows) = (size("xres")?, size("yres")?);
+        let columns = size(&components, "xres")?;
+        let rows = size(&components, "yres")?;
         let count = check_size("GWY channel", rows, columns)?;
-        let Some(Value::Doubles(raw)) = find("data") else {
+        let Some(Value::Doubles(raw)) = find(&components, "data") else {
             return Err(broken("has no data in a channel".into()));
         };
         if raw.len() != 8 * count {
@@ -153,28 +165,45 @@ impl Field {
         }
         let values = Number::F64.decode(raw, count, false)?;
         let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
-        let number = |name: &str| match find(name) {
-            Some(Value::Double(v)) if v.is_finite() => Ok(Some(*v)),
-            Some(Value::Double(v)) => Err(broken(format!("has {name} = {v}"))),
-            _ => Ok(None),
-        };
-        let unit = |name: &str| -> Result<Option<String>, Invalid> {
-            let Some(Value::Object(object)) = find(name) else { return Ok(None) };
-            let components = object.components()?;
-            let text = components.iter().find(|c| c.name == "unitstr").map(|c| &c.value);
-            // An empty unit is none.
-            Ok(match text {
-                Some(Value::Text(text)) if !text.is_empty() => Some(text.clone()),
-                _ => None,
-            })
-        };
         Ok(Self {
             values,
-            real: number("xreal")?.zip(number("yreal")?).map(|(x, y)| [x, y]),
-            offset: number("xoff")?.zip(number("yoff")?).map(|(x, y)| [x, y]),
-            unit_xy: unit("si_unit_xy")?,
-            unit_z: unit("si_unit_z")?,
+            real: pair(&components, ["xreal", "yreal"])?,
+            offset: pair(&components, ["xoff", "yoff"])?,
+            unit_xy: unit(&components, "si_unit_xy")?,
+            unit_z: unit(&components, "si_unit_z")?,
         })
+    }
+}
+
+/// Returns a number of pixels.
+fn size(components: &[Component<'_>], name: &str) -> Result<usize, Invalid> {
+    match find(components, name) {
+        Some(Value::Int(n)) => usize::try_from(*n).map_err(|_| broken(format!("has {name} = {n}"))),
+        _ => Err(broken(format!("has no {name} in a channel"))),
+    }
+}
+
+/// Returns two numbers, if both are there. Refuses those that are not finite.
+fn pair(components: &[Component<'_>], names: [&str; 2]) -> Result<Option<[f64; 2]>, Invalid> {
+    let mut numbers = [None; 2];
+    for (number, name) in numbers.iter_mut().zip(names) {
+        if let Some(Value::Double(v)) = find(components, name) {
+            if !v.is_finite() {
+                return Err(broken(format!("has {name} = {v}")));
+            }
+            *number = Some(*v);
+        }
+    }
+    let [x, y] = numbers;
+    Ok(x.zip(y).map(|(x, y)| [x, y]))
+}
+
+/// Returns the name of a unit; an empty one is none.
+fn unit(components: &[Component<'_>], name: &str) -> Result<Option<String>, Invalid> {
+    let Some(Value::Object(object)) = find(components, name) else { return Ok(None) };
+    match find(&object.components()?, "unitstr") {
+        Some(Value::Text(text)) if !text.is_empty() => Ok(Some(text.clone())),
+        _ => Ok(None),
     }
 }
 
@@ -200,68 +229,75 @@ enum Value<'a> {
 }
 
 impl<'a> Object<'a> {
+    /// Reads the components of an object.
     fn components(&self) -> Result<Vec<Component<'a>>, Invalid> {
         let b = &self.bytes;
-        let (mut at, mut found) = (0, Vec::new());
-        while at < b.all.len() {
-            if found.len() >= MOST_ARRAYS {
+        let mut start = 0;
+        let mut components = Vec::new();
+        while start < b.all.len() {
+            if components.len() >= MOST_ARRAYS {
                 return Err(too_many(NAME, MOST_ARRAYS, "components", "save the channel alone"));
             }
-            let (name, after) = string(b, at)?;
+            let (name, after) = string(b, start)?;
             let kind = b.slice(after, 1)?[0];
             let (value, next) = value(b, kind, after + 1)?;
-            (at, _) = (next, found.push(Component { name, value }));
+            components.push(Component { name, value });
+            start = next;
         }
-        Ok(found)
+        Ok(components)
     }
 }
 
-/// The object at a place, and the place after it.
-fn object<'a>(b: &Bytes<'a>, at: usize) -> Result<(Object<'a>, usize), Invalid> {
-    let (name, after) = string(b, at)?;
+/// Returns the object at a place, and the place after it.
+fn object<'a>(b: &Bytes<'a>, start: usize) -> Result<(Object<'a>, usize), Invalid> {
+    let (name, after) = string(b, start)?;
     let size = b.u32(after)? as usize;
     let all = b.slice(after + 4, size)?;
     Ok((Object { name, bytes: Bytes { all, ..*b } }, after + 4 + size))
 }
 
-/// Text up to its NUL, and the place after that.
-fn string(b: &Bytes, at: usize) -> Result<(String, usize), Invalid> {
-    let rest = b.slice(at, b.all.len().saturating_sub(at))?;
+/// Returns the text up to its NUL, and the place after that.
+fn string(b: &Bytes, start: usize) -> Result<(String, usize), Invalid> {
+    let rest = b.slice(start, b.all.len().saturating_sub(start))?;
     let end = rest.iter().take(MOST_TEXT_BYTES).position(|c| *c == 0);
-    let end = end.ok_or_else(|| broken(format!("is truncated in a text at byte {at}")))?;
-    Ok((String::from_utf8_lossy(&rest[..end]).into_owned(), at + end + 1))
+    let end = end.ok_or_else(|| broken(format!("is truncated in a text at byte {start}")))?;
+    Ok((String::from_utf8_lossy(&rest[..end]).into_owned(), start + end + 1))
 }
 
-/// The value of a component of a type, and the place after it.
-fn value<'a>(b: &Bytes<'a>, kind: u8, at: usize) -> Result<(Value<'a>, usize), Invalid> {
-    let bytes_each = |kind: u8| match kind {
+/// Returns the bytes of a number of a type.
+fn bytes_each(kind: u8) -> Option<usize> {
+    match kind {
         b'b' | b'c' => Some(1),
         b'i' => Some(4),
         b'q' | b'd' => Some(8),
         _ => None,
-    };
-    let unknown = || broken(format!("has a component of type {kind:02X} at byte {at}"));
+    }
+}
+
+/// Returns the value of a component of a type, and the place after it.
+fn value<'a>(b: &Bytes<'a>, kind: u8, start: usize) -> Result<(Value<'a>, usize), Invalid> {
+    let unknown = || broken(format!("has a component of type {kind:02X} at byte {start}"));
     if kind.is_ascii_lowercase() {
         return Ok(match kind {
-            b'i' => (Value::Int(b.i32(at)?), at + 4),
-            b'd' => (Value::Double(b.f64(at)?), at + 8),
+            b'i' => (Value::Int(b.i32(start)?), start + 4),
+            b'd' => (Value::Double(b.f64(start)?), start + 8),
             b's' => {
-                let (text, next) = string(b, at)?;
+                let (text, next) = string(b, start)?;
                 (Value::Text(text), next)
             }
             b'o' => {
-                let (object, next) = object(b, at)?;
+                let (object, next) = object(b, start)?;
                 (Value::Object(object), next)
             }
             kind => {
                 let size = bytes_each(kind).ok_or_else(unknown)?;
-                b.slice(at, size)?;
-                (Value::Other, at + size)
+                b.slice(start, size)?;
+                (Value::Other, start + size)
             }
         });
     }
-    let count = b.u32(at)? as usize;
-    let mut next = at + 4;
+    let count = b.u32(start)? as usize;
+    let mut next = start + 4;
     let single = kind.to_ascii_lowercase();
     if let Some(size) = bytes_each(single) {
         let len = count.checked_mul(size).ok_or_else(unknown)?;
@@ -285,10 +321,12 @@ fn value<'a>(b: &Bytes<'a>, kind: u8, at: usize) -> Result<(Value<'a>, usize), I
     }
 }
 
+/// Returns the error of a damaged file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again in Gwyddion")
 }
 
+/// Returns a text for a message or the manifest.
 fn short(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(80).collect()
 }

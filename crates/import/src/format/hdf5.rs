@@ -22,8 +22,8 @@ use std::{
 };
 
 use hdf5_reader::{
-    Attribute, ByteOrder, BytesStorage, Dataset, Datatype, Hdf5File, OpenOptions, Storage,
-    StorageBuffer, error::Error, group::Group,
+    Attribute, ByteOrder, BytesStorage, Dataset, Datatype, Hdf5File, OpenOptions, RawAttribute,
+    Storage, StorageBuffer, error::Error, group::Group,
 };
 use ndarray::{Array2, ArrayD, Ix2};
 use planish_types::Invalid;
@@ -58,11 +58,15 @@ const MOST_SYMBOLS: u64 = 4096;
 /// Larger: more memory for a hostile file. Smaller: refuses groups with many long names.
 const LONGEST_NAMES: u64 = 1 << 16;
 
+/// Returns true if the signature is where HDF5 has it.
 pub(crate) fn is_hdf5(bytes: &[u8]) -> bool {
     // A user block of 512 bytes, or twice that again and again, may come first.
-    [0, 512, 1024, 2048].iter().any(|at| bytes.get(*at..).is_some_and(|b| b.starts_with(SIGNATURE)))
+    [0, 512, 1024, 2048]
+        .iter()
+        .any(|start| bytes.get(*start..).is_some_and(|b| b.starts_with(SIGNATURE)))
 }
 
+/// Returns the error of a file that the crate hdf5-reader does not read.
 pub(crate) fn broken(error: Error) -> Invalid {
     Invalid::whole(NAME, format!("cannot be read ({error})"), "write it again, or crop it")
 }
@@ -103,14 +107,6 @@ impl Storage for Metered {
     }
 
     fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
-        let spend = |left: &AtomicU64, n: u64, what: &str| {
-            let spent =
-                left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |l| l.checked_sub(n));
-            match spent {
-                Ok(_) => Ok(()),
-                Err(_) => Err(Error::ResourceLimit(format!("points to and fro: too many {what}"))),
-            }
-        };
         spend(&self.reads, 1, "reads")?;
         spend(&self.volume, len as u64, "bytes")?;
         let piece = self.bytes.read_range(offset, len)?;
@@ -130,33 +126,44 @@ impl Storage for Metered {
     }
 }
 
-/// The coordinates of the columns and rows of a map.
+/// Takes `n` from what may still be read. Refuses more than is left.
+fn spend(left: &AtomicU64, n: u64, what: &str) -> Result<(), Error> {
+    match left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(n)) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(Error::ResourceLimit(format!("points to and fro: too many {what}"))),
+    }
+}
+
+/// Returns the coordinates of the columns and rows of a map.
 fn coordinates(
     x_set: &Dataset,
     y_set: &Dataset,
     transposed: bool,
     (rows, columns): (usize, usize),
 ) -> Result<Coordinates, Invalid> {
-    let (x_unit, y_unit) = (coordinate_unit(x_set)?, coordinate_unit(y_set)?);
+    let [x_unit, y_unit] = [coordinate_unit(x_set)?, coordinate_unit(y_set)?];
     if x_unit != y_unit {
         let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
         return Err(Invalid::whole(NAME, problem, "give both the same unit"));
     }
-    let scaled = |set: &Dataset| -> Result<Array2<f64>, Invalid> {
-        let Convention { scale, offset, .. } = Convention::of(set)?;
-        Ok(matrix(set, transposed)?.mapv(|v| match (scale, offset) {
-            (1.0, 0.0) => v,
-            _ => offset + scale * v,
-        }))
-    };
     Ok(Coordinates {
-        x: along("x", &scaled(x_set)?, columns, true)?,
-        y: along("y", &scaled(y_set)?, rows, false)?,
+        x: along("x", &scaled(x_set, transposed)?, columns, true)?,
+        y: along("y", &scaled(y_set, transposed)?, rows, false)?,
         unit: x_unit,
     })
 }
 
+/// Returns a dataset as a matrix with its scale and its offset.
+fn scaled(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
+    let Convention { scale, offset, .. } = Convention::read(set)?;
+    let stored = matrix(set, transposed)?;
+    Ok(if (scale, offset) == (1.0, 0.0) { stored } else { stored.mapv(|v| offset + scale * v) })
+}
+
 /// Reads the dataset that `pick` names; without a name a customary one, or the only map there is.
+///
+/// # Errors
+/// Refuses a damaged file, a file of several maps without a name, and arrays that are no real numbers on two axes.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let file = open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
@@ -177,10 +184,11 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let mut transposed = transposed;
     if let (false, Some([of_rows, of_columns])) = (is_asked, scales(&file, &set)?) {
         // xarray and netCDF name the axes of an array; its rows need not be y.
-        let starts = |name: &str, letter: char| leaf(name).to_lowercase().starts_with(letter);
-        transposed = starts(&of_rows, 'x') && starts(&of_columns, 'y');
-        let swapped = if transposed { (of_rows, of_columns) } else { (of_columns, of_rows) };
-        (pick.x, pick.y) = (Some(swapped.0), Some(swapped.1));
+        let [rows, columns] = [&of_rows, &of_columns].map(|name| leaf(name).to_lowercase());
+        transposed = rows.starts_with('x') && columns.starts_with('y');
+        let (x, y) = if transposed { (of_rows, of_columns) } else { (of_columns, of_rows) };
+        pick.x = Some(x);
+        pick.y = Some(y);
     }
     let mut values = matrix(&set, transposed)?;
     check_size("dataset", values.nrows(), values.ncols())?;
@@ -192,8 +200,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     };
     let mut is_ndgrid = false;
     if let Some((x, y)) = &sets {
-        let (x, y) = (matrix(x, transposed)?, matrix(y, transposed)?);
-        is_ndgrid = is_turned(&x, &y, values.dim());
+        is_ndgrid = is_turned(&matrix(x, transposed)?, &matrix(y, transposed)?, values.dim());
     }
     if is_ndgrid {
         transposed = !transposed;
@@ -207,8 +214,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         reading.state_unit("unit", name);
     }
     reading.state_unit_of_name(leaf(name));
-    let convention = Convention::of(&set)?;
-    (reading.factor, reading.offset) = (convention.scale, convention.offset);
+    let convention = Convention::read(&set)?;
+    reading.factor = convention.scale;
+    reading.offset = convention.offset;
     convention.mark(&mut reading);
     mark_fill(&set, &mut reading);
     if let Some(name) = &pick.mask {
@@ -236,28 +244,32 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// The array that was asked for, and the coordinates beside it, with their shapes.
+/// Returns the array that is requested, and the coordinates beside it, with their shapes.
 fn named(file: &Hdf5File, name: &str) -> Arrays {
     let own = prefix(name);
     let beside = BESIDE.iter().chain([&["Xtif", "Ytif"]]).flatten();
     let beside = beside.map(|coordinate| format!("{own}{coordinate}"));
     let customary = CUSTOMARY.iter().flatten().map(|name| name.to_string());
     let names: HashSet<String> = customary.chain(beside).chain([name.to_string()]).collect();
-    let shape = |name: &str| file.dataset(name).ok().map(|set| without_leading_ones(set.shape()));
-    let numbers =
-        names.into_iter().filter_map(|name| Some((name.clone(), shape(&name)?))).collect();
-    Arrays { numbers, marks: Vec::new() }
+    let mut arrays = Arrays::default();
+    for name in names {
+        if let Ok(set) = file.dataset(&name) {
+            arrays.numbers.push((name, without_leading_ones(set.shape())));
+        }
+    }
+    arrays
 }
 
 /// Paths and shapes of all datasets of real numbers or truth values with at most two axes beside axes of one pixel, and
 /// the path of one of complex numbers.
 type Listed = (Arrays, Option<String>);
 
+/// Lists the arrays of a file.
 fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
-    let mut found = Listed::default();
+    let mut listed = Listed::default();
     let root = file.root_group().map_err(broken)?;
-    list(&root, "", 0, &mut HashSet::new(), &mut 0, &mut found)?;
-    Ok(found)
+    list(&root, "", 0, &mut HashSet::new(), &mut 0, &mut listed)?;
+    Ok(listed)
 }
 
 /// Adds what is in `group` and below it. A group may be linked to from several places, from within
@@ -268,7 +280,7 @@ fn list(
     depth: usize,
     visited: &mut HashSet<u64>,
     looked_at: &mut usize,
-    found: &mut Listed,
+    listed: &mut Listed,
 ) -> Result<(), Invalid> {
     if !visited.insert(group.address()) {
         return Ok(());
@@ -283,36 +295,36 @@ fn list(
         let numeric =
             matches!(set.dtype(), Datatype::FloatingPoint { .. } | Datatype::FixedPoint { .. });
         let shape = without_leading_ones(set.shape());
-        let at = format!("{path}{}", leaf(set.name()));
+        let path = format!("{path}{}", leaf(set.name()));
         if is_complex(set.dtype()) {
-            found.1 = Some(at);
+            listed.1 = Some(path);
         } else if shape.len() <= 2 && is_truth(&set)? {
-            found.0.marks.push((at, shape));
+            listed.0.marks.push((path, shape));
         } else if numeric && shape.len() <= 2 {
-            found.0.numbers.push((at, shape));
+            listed.0.numbers.push((path, shape));
         }
     }
     if depth < DEEPEST {
         for group in groups {
             let path = format!("{path}{}/", leaf(group.name()));
-            list(&group, &path, depth + 1, visited, looked_at, found)?;
+            list(&group, &path, depth + 1, visited, looked_at, listed)?;
         }
     }
     Ok(())
 }
 
-/// A shape without axes of one pixel before the last two.
+/// Returns a shape without axes of one pixel before the last two.
 fn without_leading_ones(shape: &[u64]) -> Vec<u64> {
     let ones = shape.iter().take(shape.len().saturating_sub(2)).take_while(|n| **n == 1).count();
     shape[ones..].to_vec()
 }
 
-/// True for truth values, as h5py and MATLAB write them.
+/// Returns true for truth values, as h5py and MATLAB write them.
 fn is_truth(set: &Dataset) -> Result<bool, Invalid> {
     match set.dtype() {
         Datatype::Enum { base, .. } => Ok(matches!(**base, Datatype::FixedPoint { size: 1, .. })),
         Datatype::FixedPoint { size: 1, .. } => {
-            let class = Attributes::of(set)?.get("MATLAB_class")?;
+            let class = Attributes::list(set)?.get("MATLAB_class")?;
             let words = class.map(|class| class.read_strings().map_err(broken)).transpose()?;
             Ok(words.is_some_and(|words| words.iter().any(|word| word == "logical")))
         }
@@ -320,19 +332,20 @@ fn is_truth(set: &Dataset) -> Result<bool, Invalid> {
     }
 }
 
-/// A complex number as h5py and MATLAB write it: a pair of real ones.
+/// Returns true for complex numbers as h5py and MATLAB write them: pairs of real ones.
 fn is_complex(datatype: &Datatype) -> bool {
     let Datatype::Compound { fields, .. } = datatype else { return false };
     let names: Vec<String> = fields.iter().map(|f| f.name.to_ascii_lowercase()).collect();
     matches!(&names[..], [a, b] if [["r", "i"], ["real", "imag"], ["re", "im"]].contains(&[a, b]))
 }
 
+/// Returns the error of an array of complex numbers.
 fn holds_complex(name: &str) -> Invalid {
     let problem = format!("\"{name}\" holds complex numbers");
     Invalid::whole("dataset", problem, "save their real part, or choose another with `dataset`")
 }
 
-/// A dataset as a matrix; a vector becomes one row.
+/// Returns a dataset as a matrix; a vector becomes one row. Refuses more than two axes, and chunks that are too large.
 pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
     check_elements("dataset", set.shape())?;
     if let Some(chunks) = set.chunks() {
@@ -343,7 +356,8 @@ pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Inv
             n.checked_mul(size.div_ceil(chunk))?.checked_mul(chunk)
         });
         if whole.is_none_or(|n| n > 2 * MOST_PIXELS as u64) {
-            let (name, shape) = (set.name(), set.shape());
+            let name = set.name();
+            let shape = set.shape();
             let problem = format!("\"{name}\" has chunks of {chunks:?} in the shape {shape:?}");
             return Err(Invalid::whole("dataset", problem, "write it again, in smaller chunks"));
         }
@@ -365,6 +379,7 @@ pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Inv
     Ok(if transposed { matrix.reversed_axes().as_standard_layout().into_owned() } else { matrix })
 }
 
+/// Returns the numbers of a dataset. Refuses what is no real number, and integers that no float is equal to.
 fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     fn widened<T: hdf5_reader::H5Type>(
         set: &Dataset,
@@ -373,10 +388,10 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
         set.read_array::<T>().map(|a| a.map(value))
     }
     if let Some(number) = packed(set)? {
-        let (raw, big_endian) = (set.read_raw_bytes().map_err(broken)?, is_big_endian(set.dtype()));
+        let raw = set.read_raw_bytes().map_err(broken)?;
         let shape: Vec<usize> = set.shape().iter().map(|n| *n as usize).collect();
         let count = check_elements("dataset", set.shape())?;
-        let values = number.decode(&raw, count, big_endian)?;
+        let values = number.decode(&raw, count, is_big_endian(set.dtype()))?;
         return ArrayD::from_shape_vec(shape, values).map_err(|_| {
             let problem = format!("\"{}\" does not hold the numbers that it claims", set.name());
             Invalid::whole("dataset", problem, "write it again")
@@ -406,21 +421,23 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     Ok(values)
 }
 
-/// The type of a dataset that is decoded here: 16-bit floats, and truth values in one byte.
+/// Returns the type of a dataset that is decoded here: 16-bit floats, and truth values in one byte.
 fn packed(set: &Dataset) -> Result<Option<Number>, Invalid> {
     match set.dtype() {
-        Datatype::FloatingPoint { size: 2, .. } => {
-            // Byte 13 of the type: bits of the exponent. Other floats of 16 bits have 8.
-            let raw = set.raw_datatype().map_err(broken)?;
-            Ok((raw.get(13) == Some(&5)).then_some(Number::F16))
+        // Byte 13 of the type: bits of the exponent. Other floats of 16 bits have 8.
+        Datatype::FloatingPoint { size: 2, .. }
+            if set.raw_datatype().map_err(broken)?.get(13) == Some(&5) =>
+        {
+            Ok(Some(Number::F16))
         }
-        Datatype::Enum { base, .. } => {
-            Ok(matches!(**base, Datatype::FixedPoint { size: 1, .. }).then_some(Number::U8))
+        Datatype::Enum { base, .. } if matches!(**base, Datatype::FixedPoint { size: 1, .. }) => {
+            Ok(Some(Number::U8))
         }
         _ => Ok(None),
     }
 }
 
+/// Returns true for numbers whose first byte is the highest.
 fn is_big_endian(datatype: &Datatype) -> bool {
     match datatype {
         Datatype::FloatingPoint { byte_order, .. } | Datatype::FixedPoint { byte_order, .. } => {
@@ -441,15 +458,17 @@ pub(crate) struct Attributes<'a> {
 }
 
 impl<'a> Attributes<'a> {
-    pub(crate) fn of(set: &'a Dataset) -> Result<Self, Invalid> {
-        let raw = set.raw_attributes().map_err(broken)?;
-        let count = |a: &hdf5_reader::RawAttribute| a.message().dataspace.num_elements();
-        let counts = raw.iter().map(|a| Ok((a.name().to_string(), count(a)?)));
-        let counts = counts.collect::<Result<_, Error>>().map_err(broken)?;
+    /// Lists the attributes of an array.
+    pub(crate) fn list(set: &'a Dataset) -> Result<Self, Invalid> {
+        let mut counts = Vec::new();
+        for a in set.raw_attributes().map_err(broken)? {
+            let count = a.message().dataspace.num_elements().map_err(|e| broken(e.into()))?;
+            counts.push((a.name().to_string(), count));
+        }
         Ok(Self { set, counts })
     }
 
-    /// One of them, where there is one; only of a few values, because each may point to a long text.
+    /// Returns one of them, where there is one; only of a few values, because each may point to a long text.
     pub(crate) fn get(&self, name: &str) -> Result<Option<Attribute>, Invalid> {
         match self.counts.iter().find(|(n, _)| n == name) {
             None => Ok(None),
@@ -460,9 +479,30 @@ impl<'a> Attributes<'a> {
             Some(_) => self.set.attribute(name).map(Some).map_err(broken),
         }
     }
+
+    /// Returns the numbers of an attribute; none where it is absent. Refuses one that is no number.
+    fn numbers(&self, name: &str) -> Result<Vec<f64>, Invalid> {
+        let Some(attribute) = self.get(name)? else { return Ok(Vec::new()) };
+        attribute_numbers(&attribute).ok_or_else(|| {
+            let problem = format!("has an attribute \"{name}\" that is no number");
+            Invalid::whole(NAME, problem, "correct the attribute")
+        })
+    }
+
+    /// Returns the one number of an attribute. Refuses several.
+    fn number(&self, name: &str) -> Result<Option<f64>, Invalid> {
+        match self.numbers(name)?[..] {
+            [] => Ok(None),
+            [v] if !v.is_nan() => Ok(Some(v)),
+            ref several => {
+                let problem = format!("has {name} = {several:?}");
+                Err(Invalid::whole(NAME, problem, "give the attribute one number"))
+            }
+        }
+    }
 }
 
-/// True where a dataset holds 32-bit floats.
+/// Returns true if a dataset holds 32-bit floats.
 pub(crate) fn is_single(set: &Dataset) -> bool {
     matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. })
 }
@@ -481,65 +521,50 @@ struct Convention {
 }
 
 impl Convention {
-    fn of(set: &Dataset) -> Result<Self, Invalid> {
-        let attributes = Attributes::of(set)?;
-        let numbers = |name: &str| -> Result<Vec<f64>, Invalid> {
-            let Some(attribute) = attributes.get(name)? else { return Ok(Vec::new()) };
-            attribute_numbers(&attribute).ok_or_else(|| {
-                let problem = format!("has an attribute \"{name}\" that is no number");
-                Invalid::whole(NAME, problem, "correct the attribute")
-            })
-        };
-        let one = |name: &str| -> Result<Option<f64>, Invalid> {
-            match numbers(name)?[..] {
-                [] => Ok(None),
-                [v] if !v.is_nan() => Ok(Some(v)),
-                ref several => {
-                    let problem = format!("has {name} = {several:?}");
-                    Err(Invalid::whole(NAME, problem, "give the attribute one number"))
-                }
-            }
-        };
+    /// Reads the attributes of a dataset. Refuses those that contradict its type or are no numbers.
+    fn read(set: &Dataset) -> Result<Self, Invalid> {
+        let attributes = Attributes::list(set)?;
         if attributes.get("_Unsigned")?.is_some() {
             let problem =
                 "has the attribute \"_Unsigned\": its integers have another sign than their type";
             return Err(Invalid::whole(NAME, problem, "write it with an unsigned type"));
         }
-        let mut invalid = numbers("_FillValue")?;
-        invalid.extend(numbers("missing_value")?);
+        let mut invalid = attributes.numbers("_FillValue")?;
+        invalid.extend(attributes.numbers("missing_value")?);
         for name in NO_DATA {
-            invalid.extend(numbers(name)?);
+            invalid.extend(attributes.numbers(name)?);
         }
         invalid.retain(|v| !v.is_nan());
-        let (least, most) = match numbers("valid_range")?[..] {
-            [] => (one("valid_min")?, one("valid_max")?),
+        let (least, most) = match attributes.numbers("valid_range")?[..] {
+            [] => (attributes.number("valid_min")?, attributes.number("valid_max")?),
             [least, most] => (Some(least), Some(most)),
             ref other => {
                 let problem = format!("has valid_range = {other:?}");
                 return Err(Invalid::whole(NAME, problem, "give the attribute two numbers"));
             }
         };
-        let (scale, offset) =
-            (one("scale_factor")?.unwrap_or(1.0), one("add_offset")?.unwrap_or(0.0));
+        let scale = attributes.number("scale_factor")?.unwrap_or(1.0);
+        let offset = attributes.number("add_offset")?.unwrap_or(0.0);
         Ok(Self { scale, offset, invalid, least, most })
     }
 
+    /// Makes the pixels invalid whose stored value the attributes mark so.
     fn mark(&self, reading: &mut Reading) {
         for marker in &self.invalid {
             reading.invalidate(*marker);
         }
-        let (least, most) = (self.least, self.most);
-        let beside = |v: f64| least.is_some_and(|l| v < l) || most.is_some_and(|m| v > m);
-        reading.values.mapv_inplace(|v| if beside(v) { f64::NAN } else { v });
+        let least = self.least.unwrap_or(f64::NEG_INFINITY);
+        let most = self.most.unwrap_or(f64::INFINITY);
+        reading.values.mapv_inplace(|v| if v < least || v > most { f64::NAN } else { v });
     }
 }
 
-/// The numbers of an attribute, of any type of real numbers; `None` for what is none.
+/// Returns the numbers of an attribute, of any type of real numbers, or `None` for what is none.
 pub(crate) fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
     numbers_of(&attribute.datatype, &attribute.raw_data)
 }
 
-/// The numbers of a type in bytes; `None` where it is no type of real numbers.
+/// Returns the numbers of a type in bytes, or `None` where it is no type of real numbers.
 fn numbers_of(datatype: &Datatype, bytes: &[u8]) -> Option<Vec<f64>> {
     let number = match *datatype {
         Datatype::FloatingPoint { size: 4, .. } => Number::F32,
@@ -604,7 +629,7 @@ const READ: [&str; 20] = [
 /// file. Smaller: statements in files with many attributes are not seen.
 const MOST_STATEMENTS: usize = 200;
 
-/// The numbers or the text of an attribute: `0.5`, `0.5 x 0.25`, `mm`; `None` of many numbers.
+/// Returns the numbers or the text of an attribute: `0.5`, `0.5 x 0.25`, `mm`; `None` of many numbers.
 fn value_of(attribute: &Attribute) -> Option<String> {
     match attribute_numbers(attribute) {
         Some(numbers) if numbers.len() <= 3 && !numbers.is_empty() => {
@@ -615,19 +640,23 @@ fn value_of(attribute: &Attribute) -> Option<String> {
     }
 }
 
-/// The statements beside a dataset: its attributes, those of its group and of the file, and arrays of one number or one
-/// text in its group.
+/// Names of the attributes of a unit.
+const UNITS: [&str; 4] = ["unit", "units", "Unit", "Units"];
+
+/// Returns true for an attribute that may be a statement: it has few values, and is not read elsewhere.
+fn may_state(a: &RawAttribute) -> bool {
+    let count = a.message().dataspace.num_elements();
+    !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
+}
+
+/// Returns the statements beside a dataset: its attributes, those of its group and of the file, and arrays of one
+/// number or one text in its group.
 fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Invalid> {
-    let (mut own, mut around) = (Vec::new(), Vec::new());
-    let is_small = |a: &hdf5_reader::RawAttribute| {
-        let count = a.message().dataspace.num_elements();
-        !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
-    };
-    for raw in
-        set.raw_attributes().map_err(broken)?.iter().filter(|a| is_small(a)).take(MOST_STATEMENTS)
-    {
+    let mut variables = Vec::new();
+    let attributes = set.raw_attributes().map_err(broken)?;
+    for raw in attributes.iter().filter(|a| may_state(a)).take(MOST_STATEMENTS) {
         if let Some(value) = set.attribute(raw.name()).ok().as_ref().and_then(value_of) {
-            own.push(Variable { key: raw.name().into(), value, place: "attribute".into() });
+            variables.push(Variable { key: raw.name().into(), value, place: "attribute".into() });
         }
     }
     let mut beside = Beside::default();
@@ -637,21 +666,21 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
         let group = if path == "/" { file.root_group() } else { file.group(path) };
         let group = group.map_err(broken)?;
         let raw = group.raw_attributes().map_err(broken)?;
-        let is_unit = |name: &str| ["unit", "units", "Unit", "Units"].contains(&name);
         for raw in raw.iter().take(MOST_STATEMENTS) {
+            let is_unit = UNITS.contains(&raw.name());
             let count = raw.message().dataspace.num_elements();
-            if !(is_unit(raw.name()) || is_small(raw)) || count.is_ok_and(|n| n > 3) {
+            if !(is_unit || may_state(raw)) || count.is_ok_and(|n| n > 3) {
                 continue;
             }
             let Some(value) = group.attribute(raw.name()).ok().as_ref().and_then(value_of) else {
                 continue;
             };
-            if is_unit(raw.name()) {
+            if is_unit {
                 // Of the values, or of the coordinates.
                 beside.lone_unit = beside.lone_unit.or(Unit::spelled(&value));
             } else {
                 let place = format!("attribute of {path}");
-                around.push(Variable { key: raw.name().into(), value, place });
+                variables.push(Variable { key: raw.name().into(), value, place });
             }
         }
     }
@@ -667,54 +696,61 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
             _ => set.read_strings().ok().and_then(|words| words.into_iter().next()),
         };
         if let Some(value) = value {
-            around.push(Variable { key: leaf(set.name()).into(), value, place: "array".into() });
+            let key = leaf(set.name()).into();
+            variables.push(Variable { key, value, place: "array".into() });
         }
     }
-    own.extend(around);
-    beside.add_variables(&own)?;
+    beside.add_variables(&variables)?;
     Ok(beside)
 }
 
-/// The paths of the dimension scales of the rows and the columns of a dataset, where both have one with coordinates.
+/// Returns the paths of the dimension scales of the rows and the columns of a dataset, where both have one with
+/// coordinates.
 fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid> {
-    let Some(list) = Attributes::of(set)?.get("DIMENSION_LIST")? else { return Ok(None) };
+    let Some(list) = Attributes::list(set)?.get("DIMENSION_LIST")? else { return Ok(None) };
     let size = set.vlen_reference_size();
     let references: Vec<&[u8]> = list.raw_data.chunks_exact(size).collect();
-    let (axes, true) = (set.shape().len(), references.len() == set.shape().len()) else {
-        return Ok(None);
-    };
-    // Of a file that is too large to be listed the coordinates can be named.
-    let Ok((arrays, _)) = matrices(file) else { return Ok(None) };
-    let vectors: Vec<Dataset> = (arrays.numbers.iter().filter(|a| a.1.len() == 1))
-        .filter_map(|a| file.dataset(&a.0).ok())
-        .collect();
-    let paths: Vec<&String> =
-        arrays.numbers.iter().filter(|a| a.1.len() == 1).map(|a| &a.0).collect();
-    let scale = |axis: usize| -> Result<Option<String>, Invalid> {
-        // The first scale of an axis: a reference to an object is its address.
-        let Ok(bytes) = set.resolve_vlen_reference_bytes(references[axis], 8) else {
-            return Ok(None);
-        };
-        let Some(address) = bytes.first_chunk::<8>().map(|b| u64::from_le_bytes(*b)) else {
-            return Ok(None);
-        };
-        let Some(at) = vectors.iter().position(|vector| vector.address() == address) else {
-            return Ok(None);
-        };
-        let name = Attributes::of(&vectors[at])?.get("NAME")?;
-        let words = name.map(|name| name.read_strings().map_err(broken)).transpose()?;
-        let is_empty = words.is_some_and(|words| {
-            words.iter().any(|word| word.starts_with("This is a netCDF dimension but not"))
-        });
-        Ok((!is_empty).then(|| paths[at].clone()))
-    };
-    if axes < 2 || vectors.len() != paths.len() {
+    let [.., rows, columns] = references[..] else { return Ok(None) };
+    if references.len() != set.shape().len() {
         return Ok(None);
     }
-    Ok(scale(axes - 2)?.zip(scale(axes - 1)?).map(|(rows, columns)| [rows, columns]))
+    // Of a file that is too large to be listed the coordinates can be named.
+    let Ok((arrays, _)) = matrices(file) else { return Ok(None) };
+    let mut vectors = Vec::new();
+    for (path, _) in arrays.numbers.into_iter().filter(|a| a.1.len() == 1) {
+        let Ok(vector) = file.dataset(&path) else { return Ok(None) };
+        vectors.push((path, vector));
+    }
+    let rows = scale_of_axis(set, rows, &vectors)?;
+    let columns = scale_of_axis(set, columns, &vectors)?;
+    Ok(rows.zip(columns).map(|(rows, columns)| [rows, columns]))
 }
 
-/// The unit of coordinates, from their attribute, or else from their name.
+/// Returns the path of the first scale of an axis, by its reference, which is the address of one of the vectors. `None`
+/// for a dimension of netCDF that has no coordinates.
+fn scale_of_axis(
+    set: &Dataset,
+    reference: &[u8],
+    vectors: &[(String, Dataset)],
+) -> Result<Option<String>, Invalid> {
+    let Ok(bytes) = set.resolve_vlen_reference_bytes(reference, 8) else { return Ok(None) };
+    let Some(address) = bytes.first_chunk::<8>().map(|b| u64::from_le_bytes(*b)) else {
+        return Ok(None);
+    };
+    let Some((path, vector)) = vectors.iter().find(|(_, vector)| vector.address() == address)
+    else {
+        return Ok(None);
+    };
+    let name = Attributes::list(vector)?.get("NAME")?;
+    let words = name.map(|name| name.read_strings().map_err(broken)).transpose()?;
+    let mut words = words.iter().flatten();
+    if words.any(|word| word.starts_with("This is a netCDF dimension but not")) {
+        return Ok(None);
+    }
+    Ok(Some(path.clone()))
+}
+
+/// Returns the unit of coordinates, from their attribute, or else from their name.
 fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     match unit_text(set)? {
         Some(name) => Unit::stated("coordinate_unit", &name).map(Some),
@@ -722,16 +758,13 @@ fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     }
 }
 
-/// Name of the unit of a dataset, from its attribute `unit` or `units`.
+/// Returns the name of the unit of a dataset, from its attribute `unit` or `units`.
 pub(crate) fn unit_text(set: &Dataset) -> Result<Option<String>, Invalid> {
-    let attributes = Attributes::of(set)?;
-    let mut named = None;
-    for name in ["unit", "units", "Unit", "Units"] {
-        named = attributes.get(name)?;
-        if named.is_some() {
-            break;
+    let attributes = Attributes::list(set)?;
+    for name in UNITS {
+        if let Some(attribute) = attributes.get(name)? {
+            return Ok(attribute.read_strings().map_err(broken)?.into_iter().next());
         }
     }
-    let Some(attribute) = named else { return Ok(None) };
-    Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
+    Ok(None)
 }

@@ -15,7 +15,7 @@ use serde_json::json;
 
 use crate::{
     Format,
-    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
+    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix, upright},
     beside::{Beside, Variable as Statement},
     budget::{MOST_ARRAYS, check_elements, check_size, too_many},
     bytes::{Bytes, Number},
@@ -63,13 +63,16 @@ struct Variable<'a> {
     /// The element that holds it, inflated or to be inflated.
     element: Element<'a>,
     /// Place of its numbers in the element as inflated, and their length, bytes.
-    at: usize,
+    start: usize,
     len: usize,
     /// True for a field of a structure, after which other ones may follow in the element.
     is_field: bool,
 }
 
 /// Reads the matrix that `pick` names; without a name a customary one, or the only one there is.
+///
+/// # Errors
+/// Refuses damaged files, several matrices without a name, and complex numbers.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let mut b = Bytes { all: bytes, name: NAME, big_endian: false };
     if !bytes.starts_with(b"MATLAB 5.0") {
@@ -83,103 +86,104 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     };
     let (texts, variables): (Vec<_>, Vec<_>) =
         variables(&b)?.into_iter().partition(|variable| variable.text.is_some());
-    let find = |name: &str| variables.iter().find(|v| v.name == name);
-    let complex = |v: &Variable| {
-        let problem = format!("holds complex numbers in \"{}\"", v.name);
-        Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
-    };
-    let named = |v: &Variable| (v.name.clone(), vec![v.rows as u64, v.columns as u64]);
-    let of =
-        |is_wanted: fn(&&Variable) -> bool| variables.iter().filter(is_wanted).map(named).collect();
-    let arrays =
-        Arrays { numbers: of(|v| !v.is_complex && !v.is_logical), marks: of(|v| v.is_logical) };
+    let mut arrays = Arrays::default();
+    for v in &variables {
+        let named = (v.name.clone(), vec![v.rows as u64, v.columns as u64]);
+        if v.is_logical {
+            arrays.marks.push(named);
+        } else if !v.is_complex {
+            arrays.numbers.push(named);
+        }
+    }
     let pick = choose(&arrays, pick, NAME).map_err(|e| {
         let first = variables.iter().find(|v| v.is_complex).filter(|_| arrays.numbers.is_empty());
-        first.map_or(e, complex)
+        first.map_or(e, holds_complex)
     })?;
-    let get = |name: &str| -> Result<Array2<f64>, Invalid> {
-        let found = find(name).ok_or_else(|| {
-            let names: Vec<&str> = variables.iter().map(|v| v.name.as_str()).take(20).collect();
-            let problem = format!("has no numeric matrix \"{name}\"");
-            Invalid::whole(NAME, problem, format!("it holds: {}", names.join(", ")))
-        })?;
-        if found.is_complex {
-            return Err(complex(found));
-        }
-        let count = check_elements("matrix", &[found.rows as u64, found.columns as u64])?;
-        let data = found.data()?;
-        let values = found.number.decode(&data, count, b.big_endian)?;
-        let matrix = Array2::from_shape_vec((found.rows, found.columns).f(), values)
-            .map_err(|_| broken(format!("is truncated in \"{name}\"")))?;
-        Ok(matrix.as_standard_layout().into_owned())
-    };
     let name = pick.dataset.as_deref().unwrap_or_default();
-    let mut values = get(name)?;
+    let map = find(&variables, name)?;
+    let values = map.matrix(b.big_endian)?;
     check_size("matrix", values.nrows(), values.ncols())?;
     let coordinates = match (&pick.x, &pick.y) {
-        (Some(x), Some(y)) => Some((get(x)?, get(y)?)),
+        (Some(x), Some(y)) => Some([
+            find(&variables, x)?.matrix(b.big_endian)?,
+            find(&variables, y)?.matrix(b.big_endian)?,
+        ]),
         _ => None,
     };
-    let is_turned = coordinates.as_ref().is_some_and(|(x, y)| is_turned(x, y, values.dim()));
-    let turned = |values: Array2<f64>| match is_turned {
-        true => values.reversed_axes().as_standard_layout().into_owned(),
-        false => values,
-    };
-    values = turned(values);
+    let is_turned = coordinates.as_ref().is_some_and(|[x, y]| is_turned(x, y, values.dim()));
+    let values = upright(values, is_turned);
     let (rows, columns) = values.dim();
     let mut reading = Reading::new(Format::Mat5, values, FirstRow::SmallestY);
-    reading.single = find(name).is_some_and(|v| v.number == Number::F32);
+    reading.single = map.number == Number::F32;
     if let Some(mask) = &pick.mask {
-        reading.apply_mask(mask, &turned(get(mask)?))?;
+        let values = find(&variables, mask)?.matrix(b.big_endian)?;
+        reading.apply_mask(mask, &upright(values, is_turned))?;
     }
     if is_turned {
         reading.warnings.push(TURNED.into());
     }
     reading.state_unit_of_name(&name[prefix(name).len()..]);
-    if let Some((x, y)) = coordinates {
-        let size = (rows, columns);
-        reading.coordinates = Some(named_coordinates(&pick, &turned(x), &turned(y), size)?);
+    if let Some(coordinates) = coordinates {
+        let [x, y] = coordinates.map(|matrix| upright(matrix, is_turned));
+        reading.coordinates = Some(named_coordinates(&pick, &x, &y, (rows, columns))?);
     }
     let beside = texts.iter().chain(&variables);
     let beside = beside.filter(|v| [prefix(name), ""].contains(&prefix(&v.name)));
-    statements(beside, get)?.apply(&mut reading)?;
+    statements(beside, b.big_endian)?.apply(&mut reading)?;
     reading.stated = json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
     Ok(reading)
 }
 
-/// The statements of texts and of variables of one number; `get` reads a variable by its name.
+/// Returns the numeric matrix of this name. Refuses a name that none has.
+fn find<'a, 'b>(variables: &'b [Variable<'a>], name: &str) -> Result<&'b Variable<'a>, Invalid> {
+    variables.iter().find(|v| v.name == name).ok_or_else(|| {
+        let names: Vec<&str> = variables.iter().map(|v| v.name.as_str()).take(20).collect();
+        let problem = format!("has no numeric matrix \"{name}\"");
+        Invalid::whole(NAME, problem, format!("it holds: {}", names.join(", ")))
+    })
+}
+
+/// Returns the error of a matrix of complex numbers.
+fn holds_complex(variable: &Variable) -> Invalid {
+    let problem = format!("holds complex numbers in \"{}\"", variable.name);
+    Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
+}
+
+/// Returns the statements of texts and of variables of one number.
 fn statements<'a>(
     variables: impl Iterator<Item = &'a Variable<'a>>,
-    get: impl Fn(&str) -> Result<Array2<f64>, Invalid>,
+    big_endian: bool,
 ) -> Result<Beside, Invalid> {
-    let mut found = Vec::new();
+    let mut statements = Vec::new();
     for variable in variables {
         let value = match &variable.text {
             Some(text) => text.clone(),
             None if variable.rows * variable.columns == 1 && !variable.is_complex => {
-                get(&variable.name)?[[0, 0]].to_string()
+                variable.matrix(big_endian)?[[0, 0]].to_string()
             }
             None => continue,
         };
         let key = variable.name[prefix(&variable.name).len()..].to_string();
-        found.push(Statement { key, value, place: "variable".into() });
+        statements.push(Statement { key, value, place: "variable".into() });
     }
     let mut beside = Beside::default();
-    beside.add_variables(&found)?;
+    beside.add_variables(&statements)?;
     Ok(beside)
 }
 
+/// Returns the error of a damaged file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again with -v7")
 }
 
-/// The headers of all real and complex numeric matrices; of compressed ones no more is inflated.
+/// Returns the headers of all real and complex numeric matrices; of compressed ones no more is inflated.
 fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
-    let mut found = Vec::new();
-    let (mut at, mut count) = (HEADER, 0);
-    while at < b.all.len() {
-        let element = element(b, at)?;
-        at = element.next;
+    let mut variables = Vec::new();
+    let mut start = HEADER;
+    let mut count = 0;
+    while start < b.all.len() {
+        let element = element(b, start)?;
+        start = element.next;
         count += 1;
         if count > MOST_ARRAYS {
             return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
@@ -187,13 +191,13 @@ fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
         match element.kind {
             MATRIX => {
                 let whole = Content { element, big_endian: b.big_endian };
-                whole.matrices(element.data, element.data.len(), 0, &[], &mut found)?;
+                whole.matrices(element.data, element.data.len(), 0, &[], &mut variables)?;
             }
             COMPRESSED => {
                 let mut head = inflate(element.data, LONGEST_HEADER)?;
                 let inner = Bytes { all: &head, ..*b };
-                let (kind, size) = (inner.u32(0)?, inner.u32(4)? as usize);
-                if kind != MATRIX {
+                let size = inner.u32(4)? as usize;
+                if inner.u32(0)? != MATRIX {
                     continue;
                 }
                 if class_of(&Bytes { all: inner.slice(8, head.len() - 8)?, ..*b })? == STRUCTURE {
@@ -201,18 +205,18 @@ fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
                     head = inflate(element.data, 8 + size)?;
                 }
                 let whole = Content { element, big_endian: b.big_endian };
-                whole.matrices(&head[8..], size, 0, &[], &mut found)?;
+                whole.matrices(&head[8..], size, 0, &[], &mut variables)?;
             }
             _ => {}
         }
-        if found.len() > MOST_ARRAYS {
+        if variables.len() > MOST_ARRAYS {
             return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
         }
     }
-    Ok(found)
+    Ok(variables)
 }
 
-/// The class of the matrix whose content begins here; 0 where the content has no flags.
+/// Returns the class of the matrix whose content begins here; 0 where the content has no flags.
 fn class_of(b: &Bytes) -> Result<u32, Invalid> {
     let flags = element(b, 0)?;
     Ok(Bytes { all: flags.data, ..*b }.u32(0)? & 0xff)
@@ -232,7 +236,7 @@ impl<'a> Content<'a> {
         self,
         head: &[u8],
         size: usize,
-        at: usize,
+        start: usize,
         path: &[String],
         found: &mut Vec<Variable<'a>>,
     ) -> Result<(), Invalid> {
@@ -242,7 +246,7 @@ impl<'a> Content<'a> {
         }
         if class_of(&b)? != STRUCTURE {
             if let Some(mut variable) = matrix(head, size, self.element, self.big_endian)? {
-                variable.at += at;
+                variable.start += start;
                 variable.is_field = !path.is_empty();
                 if !path.is_empty() {
                     variable.name = path.join(".");
@@ -273,11 +277,11 @@ impl<'a> Content<'a> {
             let end = field.iter().position(|c| *c == 0).unwrap_or(field.len());
             let mut path = own.clone();
             path.push(String::from_utf8_lossy(&field[..end]).into_owned());
-            let Tag { kind, size, at: begin, next: after } = tag(&b, next)?;
+            let Tag { kind, size, start: begin, next: after } = tag(&b, next)?;
             let content = b.slice(begin, size)?;
             next = after;
             if kind == MATRIX {
-                self.matrices(content, size, at + begin, &path, found)?;
+                self.matrices(content, size, start + begin, &path, found)?;
             }
             if found.len() > MOST_ARRAYS {
                 return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
@@ -288,15 +292,31 @@ impl<'a> Content<'a> {
 }
 
 impl Variable<'_> {
-    /// The bytes of the numbers.
+    /// Returns the numbers (rows, columns). Refuses complex ones.
+    fn matrix(&self, big_endian: bool) -> Result<Array2<f64>, Invalid> {
+        if self.is_complex {
+            return Err(holds_complex(self));
+        }
+        let count = check_elements("matrix", &[self.rows as u64, self.columns as u64])?;
+        let values = self.number.decode(&self.data()?, count, big_endian)?;
+        let matrix = Array2::from_shape_vec((self.rows, self.columns).f(), values)
+            .map_err(|_| self.truncated())?;
+        Ok(matrix.as_standard_layout().into_owned())
+    }
+
+    /// Returns the error of a variable whose numbers end too early.
+    fn truncated(&self) -> Invalid {
+        broken(format!("is truncated in \"{}\"", self.name))
+    }
+
+    /// Returns the bytes of the numbers.
     fn data(&self) -> Result<Cow<'_, [u8]>, Invalid> {
-        let missing = || broken(format!("is truncated in \"{}\"", self.name));
         if self.element.kind == MATRIX {
-            let data = self.element.data.get(self.at..self.at + self.len);
-            return data.map(Cow::Borrowed).ok_or_else(missing);
+            let data = self.element.data.get(self.start..self.start + self.len);
+            return data.map(Cow::Borrowed).ok_or_else(|| self.truncated());
         }
         // The tag of the matrix comes first, the padding to 8 bytes last.
-        let start = 8 + self.at;
+        let start = 8 + self.start;
         let most = (start + self.len).next_multiple_of(8);
         let mut all = inflate(self.element.data, most + 1)?;
         if all.len() > most && !self.is_field {
@@ -304,7 +324,7 @@ impl Variable<'_> {
             return Err(broken(problem));
         }
         if all.len() < start + self.len {
-            return Err(missing());
+            return Err(self.truncated());
         }
         all.truncate(start + self.len);
         all.drain(..start);
@@ -324,33 +344,35 @@ struct Element<'a> {
 struct Tag {
     kind: u32,
     size: usize,
-    at: usize,
+    start: usize,
     next: usize,
 }
 
-fn tag(b: &Bytes, at: usize) -> Result<Tag, Invalid> {
-    let word = b.u32(at)?;
+/// Reads the head of the data element at a place.
+fn tag(b: &Bytes, start: usize) -> Result<Tag, Invalid> {
+    let word = b.u32(start)?;
     if word >> 16 != 0 {
         // The small format: size and type in one word, up to 4 bytes after it.
         let (kind, size) = (word & 0xffff, (word >> 16) as usize);
         if size > 4 {
-            return Err(broken(format!("has a small element of {size} bytes at byte {at}")));
+            return Err(broken(format!("has a small element of {size} bytes at byte {start}")));
         }
-        return Ok(Tag { kind, size, at: at + 4, next: at + 8 });
+        return Ok(Tag { kind, size, start: start + 4, next: start + 8 });
     }
-    let size = b.u32(at + 4)? as usize;
+    let size = b.u32(start + 4)? as usize;
     // Elements start at multiples of 8 bytes, but compressed ones follow each other.
     let padded = if word == COMPRESSED { size } else { size.div_ceil(8) * 8 };
-    Ok(Tag { kind: word, size, at: at + 8, next: at + 8 + padded })
+    Ok(Tag { kind: word, size, start: start + 8, next: start + 8 + padded })
 }
 
-fn element<'a>(b: &Bytes<'a>, at: usize) -> Result<Element<'a>, Invalid> {
-    let Tag { kind, size, at, next } = tag(b, at)?;
-    Ok(Element { kind, data: b.slice(at, size)?, next })
+/// Reads the data element at a place.
+fn element<'a>(b: &Bytes<'a>, start: usize) -> Result<Element<'a>, Invalid> {
+    let Tag { kind, size, start, next } = tag(b, start)?;
+    Ok(Element { kind, data: b.slice(start, size)?, next })
 }
 
-/// A numeric matrix from the first bytes of its element, which has `size` in all; `None` for anything
-/// else.
+/// Reads the header of a numeric matrix from the first bytes of its element, which has `size` in all; `None` for
+/// anything else.
 fn matrix<'a>(
     head: &[u8],
     size: usize,
@@ -360,7 +382,8 @@ fn matrix<'a>(
     let b = Bytes { all: head, name: NAME, big_endian };
     let flags = element(&b, 0)?;
     let word = Bytes { all: flags.data, ..b }.u32(0)?;
-    let (class, is_complex) = (word & 0xff, word & 0x800 != 0);
+    let class = word & 0xff;
+    let is_complex = word & 0x800 != 0;
     let is_logical = word & 0x200 != 0;
     // Classes 6 .. 15: double, single, int8 .. uint64; 4 is text.
     if !(6..=15).contains(&class) && class != TEXT {
@@ -373,7 +396,7 @@ fn matrix<'a>(
     let name = element(&b, dimensions.next)?;
     let name_text = String::from_utf8_lossy(name.data).into_owned();
     let sizes = Bytes { all: dimensions.data, ..b };
-    let (rows, columns) = (sizes.i32(0)?, sizes.i32(4)?);
+    let [rows, columns] = [sizes.i32(0)?, sizes.i32(4)?];
     let (Ok(rows), Ok(columns)) = (usize::try_from(rows), usize::try_from(columns)) else {
         return Err(broken(format!("has \"{name_text}\" of {rows} x {columns}")));
     };
@@ -381,23 +404,24 @@ fn matrix<'a>(
         return Ok(None);
     }
     let values = tag(&b, name.next)?;
+    let mut variable = Variable {
+        name: name_text,
+        rows,
+        columns,
+        is_complex,
+        is_logical,
+        text: None,
+        number: Number::U8,
+        element: whole,
+        start: values.start,
+        len: values.size,
+        is_field: false,
+    };
     if class == TEXT {
-        let Some(text) = text_of(&b, &values) else { return Ok(None) };
-        return Ok(Some(Variable {
-            name: name_text,
-            rows,
-            columns,
-            is_complex,
-            is_logical,
-            text: Some(text),
-            number: Number::U8,
-            element: whole,
-            at: 0,
-            len: 0,
-            is_field: false,
-        }));
+        variable.text = text_of(&b, &values);
+        return Ok(if variable.text.is_some() { Some(variable) } else { None });
     }
-    let number = match values.kind {
+    variable.number = match values.kind {
         1 => Number::I8,
         2 => Number::U8,
         3 => Number::I16,
@@ -408,43 +432,31 @@ fn matrix<'a>(
         9 => Number::F64,
         12 => Number::I64,
         13 => Number::U64,
-        other => return Err(broken(format!("has \"{name_text}\" stored as type {other}"))),
+        other => return Err(broken(format!("has \"{}\" stored as type {other}", variable.name))),
     };
-    let len = rows.checked_mul(columns).and_then(|n| n.checked_mul(number.size()));
-    if len != Some(values.size) || values.at + values.size > size {
-        let problem = format!("has \"{name_text}\" of {rows} x {columns} in {} bytes", values.size);
+    let len = rows.checked_mul(columns).and_then(|n| n.checked_mul(variable.number.size()));
+    if len != Some(values.size) || values.start + values.size > size {
+        let name = &variable.name;
+        let problem = format!("has \"{name}\" of {rows} x {columns} in {} bytes", values.size);
         return Err(broken(problem));
     }
-    let (at, len) = (values.at, values.size);
-    Ok(Some(Variable {
-        name: name_text,
-        rows,
-        columns,
-        is_complex,
-        is_logical,
-        text: None,
-        number,
-        element: whole,
-        at,
-        len,
-        is_field: false,
-    }))
+    Ok(Some(variable))
 }
 
-/// The text of an array of letters in one line; `None` where it is too long, or not in these bytes.
+/// Returns the text of an array of letters in one line; `None` where it is too long, or not in these bytes.
 fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     if values.size > LONGEST_TEXT {
         return None;
     }
-    let bytes = b.slice(values.at, values.size).ok()?;
+    let bytes = b.slice(values.start, values.size).ok()?;
     match values.kind {
         // Bytes, and UTF-8.
         1 | 2 | 16 => Some(String::from_utf8_lossy(bytes).into_owned()),
         // 16-bit numbers, and UTF-16.
         4 | 17 => {
-            let pairs = bytes.chunks_exact(2).map(|pair| match b.big_endian {
-                true => u16::from_be_bytes([pair[0], pair[1]]),
-                false => u16::from_le_bytes([pair[0], pair[1]]),
+            let pairs = bytes.chunks_exact(2).map(|pair| {
+                let pair = [pair[0], pair[1]];
+                if b.big_endian { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) }
             });
             Some(char::decode_utf16(pairs).map(|c| c.unwrap_or('?')).collect())
         }

@@ -40,14 +40,23 @@ const HEADERS: [(u32, u16, u32); 3] =
 /// Smallest raw value that marks an invalid pixel (MetroPro reference guide).
 const INVALID: f64 = 2_147_483_640.0;
 
+/// Returns true for the first bytes of such a file.
 pub(crate) fn is_magic(bytes: &[u8]) -> bool {
     bytes.first_chunk().is_some_and(|b| HEADERS.iter().any(|h| h.0 == u32::from_be_bytes(*b)))
 }
 
+/// Returns the error of a damaged file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
+/// Returns the number at `place`. Refuses one that is not positive.
+fn positive(b: &Bytes<'_>, name: &str, place: usize) -> Result<f64, Invalid> {
+    let v = f64::from(b.f32(place)?);
+    if v.is_finite() && v > 0.0 { Ok(v) } else { Err(bad(format!("has the {name} {v}"))) }
+}
+
+/// Returns R for a resolution word.
 fn resolution(word: i16) -> Result<f64, Invalid> {
     match word {
         0 => Ok(4096.0),
@@ -57,26 +66,27 @@ fn resolution(word: i16) -> Result<f64, Invalid> {
     }
 }
 
-/// Reads the phase.
+/// Reads the phase. Refuses damaged files, files of intensity alone, and factors that are not positive.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
 
-    let found = (b.u32(0)?, b.u16(4)?, b.u32(6)?);
-    if !HEADERS.contains(&found) {
-        let (magic, format, size) = found;
+    let (magic, format, size) = (b.u32(0)?, b.u16(4)?, b.u32(6)?);
+    if !HEADERS.contains(&(magic, format, size)) {
         let problem =
             format!("starts with magic {magic:08X}, header format {format}, header size {size}");
         return Err(Invalid::whole(NAME, problem, "MetroPro writes 881B036F .. 881B0371"));
     }
-    let header = found.2 as usize;
+    let header = size as usize;
     b.slice(0, header)?;
 
-    let (columns, rows) = (usize::from(b.u16(68)?), usize::from(b.u16(70)?));
+    let columns = usize::from(b.u16(68)?);
+    let rows = usize::from(b.u16(70)?);
     if rows == 0 || columns == 0 {
         return Err(bad("holds no phase, only intensity".into()));
     }
     let count = check_size("phase", rows, columns)?;
-    let (intensity, phase) = (b.u32(60)? as usize, b.u32(72)? as usize);
+    let intensity = b.u32(60)? as usize;
+    let phase = b.u32(72)? as usize;
     if phase != 4 * count {
         return Err(bad(format!(
             "says that {rows} x {columns} pixels of phase take {phase} bytes; they take {}",
@@ -85,13 +95,9 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
     let raw = b.slice(header + intensity, phase)?;
 
-    let positive = |name: &str, at: usize| match b.f32(at).map(f64::from)? {
-        v if v.is_finite() && v > 0.0 => Ok(v),
-        v => Err(bad(format!("has the {name} {v}"))),
-    };
-    let scale = positive("interferometric scale factor", 164)?;
-    let wavelength_m = positive("wavelength in m", 168)?;
-    let obliquity = positive("obliquity factor", 176)?;
+    let scale = positive(&b, "interferometric scale factor", 164)?;
+    let wavelength_m = positive(&b, "wavelength in m", 168)?;
+    let obliquity = positive(&b, "obliquity factor", 176)?;
     let resolution_word = b.i16(218)?;
     let resolution = resolution(resolution_word)?;
     let sign_word = b.i16(232)?;
@@ -122,7 +128,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         reading.warnings.push(format!("the sign word is {sign_word}: the heights are negated"));
     }
     reading.stated = json!({
-        "header_format": found.1,
+        "header_format": format,
         "interferometric_scale_factor": scale,
         "wavelength_nm": wavelength_m * 1e9,
         "obliquity_factor": obliquity,

@@ -9,7 +9,7 @@ use planish_types::Invalid;
 use super::zip::Archive;
 use crate::{
     Format,
-    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
+    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix, upright},
     beside::{Beside, Variable},
     budget::{BYTES_PER_PIXEL, MOST_ARRAYS, check_elements, check_size, most_of, too_many},
     bytes::{Bytes, Number},
@@ -38,7 +38,12 @@ struct Stored {
 }
 
 impl Stored {
-    /// The array as a matrix; a vector becomes one row.
+    /// Returns true for an array of numbers on at most two axes.
+    fn is_number(&self) -> bool {
+        self.text.is_none() && self.shape.len() <= 2
+    }
+
+    /// Returns the array as a matrix; a vector becomes one row.
     fn matrix(&self) -> Result<Array2<f64>, Invalid> {
         let (rows, columns) = match self.shape[..] {
             [] => (1, 1),
@@ -55,7 +60,7 @@ impl Stored {
     }
 }
 
-/// Reads an array with two axes.
+/// Reads an array with two axes. Refuses damaged files, other axes, and numbers that are not real.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let stored = stored(bytes)?;
     let [rows, columns] = stored.shape[..] else {
@@ -71,19 +76,23 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// True for an archive of arrays.
+/// Returns true for an archive of arrays.
 pub(crate) fn is_npz(bytes: &[u8]) -> bool {
-    let is_array = |archive: Archive| archive.names().any(|(name, _)| name.ends_with(".npy"));
-    Archive::open(bytes, NPZ).is_ok_and(is_array)
+    Archive::open(bytes, NPZ)
+        .is_ok_and(|archive| archive.names().any(|(name, _)| name.ends_with(".npy")))
 }
 
 const NPZ: &str = "npz file";
 
 /// Reads the array that `pick` names from an archive; without a name a customary one, or the only map.
+///
+/// # Errors
+/// Refuses damaged archives, several maps without a name, and arrays that are no real numbers on two axes.
 pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let archive = Archive::open(bytes, NPZ)?;
     let most_bytes = 8 * most_of(BYTES_PER_PIXEL) + LONGEST_HEADER;
-    let (mut all, mut left) = (Vec::new(), most_bytes);
+    let mut all = Vec::new();
+    let mut left = most_bytes;
     for (name, size) in archive.names() {
         let Some(own) = name.strip_suffix(".npy") else { continue };
         left = left.checked_sub(size).ok_or_else(|| {
@@ -97,52 +106,37 @@ pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             all.push((own.to_string(), array));
         }
     }
-    let is_number = |array: &Stored| array.text.is_none() && array.shape.len() <= 2;
-    let is_truth = |array: &Stored| array.descriptor.ends_with("b1");
-    let of = |is_wanted: &dyn Fn(&Stored) -> bool| {
-        let some = all.iter().filter(|(_, array)| is_wanted(array));
-        some.map(|(name, a)| (name.clone(), a.shape.iter().map(|n| *n as u64).collect())).collect()
-    };
-    let arrays = Arrays {
-        numbers: of(&|a| is_number(a) && !is_truth(a)),
-        marks: of(&|a| is_number(a) && is_truth(a)),
-    };
+    let mut arrays = Arrays::default();
+    for (name, array) in all.iter().filter(|(_, array)| array.is_number()) {
+        let shape = array.shape.iter().map(|n| *n as u64).collect();
+        let is_truth = array.descriptor.ends_with("b1");
+        let list = if is_truth { &mut arrays.marks } else { &mut arrays.numbers };
+        list.push((name.clone(), shape));
+    }
     let pick = choose(&arrays, pick, NPZ)?;
-    let get = |name: &str| -> Result<&Stored, Invalid> {
-        let found = all.iter().find(|(own, array)| own == name && is_number(array));
-        found.map(|(_, array)| array).ok_or_else(|| {
-            let names: Vec<&str> = all.iter().map(|(own, _)| own.as_str()).take(20).collect();
-            let problem = format!("has no array of numbers \"{name}\"");
-            Invalid::whole(NPZ, problem, format!("it holds: {}", names.join(", ")))
-        })
-    };
     let name = pick.dataset.as_deref().unwrap_or_default();
-    let map = get(name)?;
-    let mut values = map.matrix()?;
+    let map = find(&all, name)?;
+    let values = map.matrix()?;
     check_size(NPZ, values.nrows(), values.ncols())?;
     let coordinates = match (&pick.x, &pick.y) {
-        (Some(x), Some(y)) => Some((get(x)?.matrix()?, get(y)?.matrix()?)),
+        (Some(x), Some(y)) => Some((find(&all, x)?.matrix()?, find(&all, y)?.matrix()?)),
         _ => None,
     };
     let turned = coordinates.as_ref().is_some_and(|(x, y)| is_turned(x, y, values.dim()));
-    let upright = |values: Array2<f64>| match turned {
-        true => values.reversed_axes().as_standard_layout().into_owned(),
-        false => values,
-    };
-    values = upright(values);
+    let values = upright(values, turned);
     let (rows, columns) = values.dim();
     let mut reading = Reading::new(Format::Npz, values, FirstRow::SmallestY);
     reading.single = map.number == Number::F32;
     if let Some(mask) = &pick.mask {
-        reading.apply_mask(mask, &upright(get(mask)?.matrix()?))?;
+        reading.apply_mask(mask, &upright(find(&all, mask)?.matrix()?, turned))?;
     }
     if turned {
         reading.warnings.push(TURNED.into());
     }
     reading.state_unit_of_name(&name[prefix(name).len()..]);
     if let Some((x, y)) = coordinates {
-        let size = (rows, columns);
-        reading.coordinates = Some(named_coordinates(&pick, &upright(x), &upright(y), size)?);
+        let [x, y] = [x, y].map(|matrix| upright(matrix, turned));
+        reading.coordinates = Some(named_coordinates(&pick, &x, &y, (rows, columns))?);
     }
     statements(&all)?.apply(&mut reading)?;
     reading.stated =
@@ -150,27 +144,39 @@ pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// The statements of arrays of one to three numbers, and of texts.
+/// Returns the array of numbers of this name. Refuses a name that none has.
+fn find<'a>(all: &'a [(String, Stored)], name: &str) -> Result<&'a Stored, Invalid> {
+    let mut named = all.iter().filter(|(own, array)| own == name && array.is_number());
+    named.next().map(|(_, array)| array).ok_or_else(|| {
+        let names: Vec<&str> = all.iter().map(|(own, _)| own.as_str()).take(20).collect();
+        let problem = format!("has no array of numbers \"{name}\"");
+        Invalid::whole(NPZ, problem, format!("it holds: {}", names.join(", ")))
+    })
+}
+
+/// Returns the statements of arrays of one to three numbers, and of texts.
 fn statements(all: &[(String, Stored)]) -> Result<Beside, Invalid> {
-    let mut found = Vec::new();
+    let mut variables = Vec::new();
     for (key, array) in all.iter().filter(|(_, a)| a.shape.iter().product::<usize>() <= 3) {
         let value = match &array.text {
             Some(text) => text.clone(),
             None => array.values.iter().map(f64::to_string).collect::<Vec<_>>().join(" x "),
         };
-        found.push(Variable { key: key.clone(), value, place: "array".into() });
+        variables.push(Variable { key: key.clone(), value, place: "array".into() });
     }
     let mut beside = Beside::default();
-    beside.add_variables(&found)?;
+    beside.add_variables(&variables)?;
     Ok(beside)
+}
+
+/// Returns the error of a file that is no array of real numbers.
+fn bad(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "save a 2-D array of real numbers with numpy.save")
 }
 
 /// Reads an array of any shape: real numbers, or one text.
 fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
-    let bad = |problem: String| {
-        Invalid::whole(NAME, problem, "save a 2-D array of real numbers with numpy.save")
-    };
     if b.slice(0, 6)? != b"\x93NUMPY" {
         return Err(bad("does not start with the magic of NumPy".into()));
     }
@@ -229,7 +235,7 @@ fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     Ok(Stored { shape, values, is_fortran, number, descriptor, text: None })
 }
 
-/// The text of an array of one text, `<U5` or `|S5`.
+/// Returns the text of an array of one text, `<U5` or `|S5`.
 fn text_of(descriptor: &str, data: &[u8]) -> Option<String> {
     if data.len() > LONGEST_TEXT {
         return None;
@@ -237,31 +243,35 @@ fn text_of(descriptor: &str, data: &[u8]) -> Option<String> {
     let letters: String = match (descriptor.get(..1)?, descriptor.get(1..2)?) {
         (_, "S") => String::from_utf8_lossy(data).into_owned(),
         (order, "U") => {
-            let word = |b: &[u8]| match order {
-                ">" => u32::from_be_bytes([b[0], b[1], b[2], b[3]]),
-                _ => u32::from_le_bytes([b[0], b[1], b[2], b[3]]),
-            };
-            data.chunks_exact(4).filter_map(|b| char::from_u32(word(b))).collect()
+            let words = data.chunks_exact(4).map(|b| {
+                let bytes = [b[0], b[1], b[2], b[3]];
+                if order == ">" { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
+            });
+            words.filter_map(char::from_u32).collect()
         }
         _ => return None,
     };
     Some(letters.trim_end_matches('\0').to_string())
 }
 
+/// Returns what follows a key of the header.
 fn after<'a>(header: &'a str, key: &str) -> Option<&'a str> {
-    header.find(key).map(|at| header[at + key.len()..].trim_start())
+    header.find(key).map(|start| header[start + key.len()..].trim_start())
 }
 
+/// Returns the text in quotes after a key of the header.
 fn quoted<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     after(header, key)?.strip_prefix('\'')?.split('\'').next()
 }
 
+/// Returns the shape that a header states.
 fn shape(header: &str) -> Option<Vec<usize>> {
     let inside = after(header, "'shape':")?.strip_prefix('(')?.split(')').next()?;
     let sizes = inside.split(',').map(str::trim).filter(|s| !s.is_empty());
     sizes.map(|s| s.parse().ok()).collect()
 }
 
+/// Returns the type of the numbers, and true where their first byte is the highest.
 fn dtype(descriptor: &str) -> Option<(Number, bool)> {
     let (order, kind) = descriptor.split_at_checked(1)?;
     let number = match kind {
@@ -278,5 +288,5 @@ fn dtype(descriptor: &str) -> Option<(Number, bool)> {
         "f8" => Number::F64,
         _ => return None,
     };
-    matches!(order, "<" | ">" | "|" | "=").then_some((number, order == ">"))
+    if matches!(order, "<" | ">" | "|" | "=") { Some((number, order == ">")) } else { None }
 }

@@ -33,11 +33,14 @@ const MAPS: [&str; 4] = ["RAW_DATA", "RAW DATA", "OPD", "SAMPLE_DATA"];
 struct Block {
     name: String,
     kind: u16,
-    at: usize,
+    start: usize,
     len: usize,
 }
 
 /// Reads the block of heights, or the one that `pick.dataset` names.
+///
+/// # Errors
+/// Refuses damaged files, several blocks of heights without a name, and numbers of other types.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     if !bytes.starts_with(MAGIC) {
@@ -48,25 +51,11 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         return Err(Invalid::whole(NAME, "has no arrays of coordinates, no mask", remedy));
     }
     let blocks = blocks(&b)?;
-    let find = |name: &str| blocks.iter().find(|block| block.name == name && block.len > 0);
     let block = chosen(&blocks, pick)?;
-    let parameter = |name: &str| -> Result<Option<f64>, Invalid> {
-        let Some(found) = find(name) else { return Ok(None) };
-        let value = match found.kind {
-            6 => f64::from(b.i16(found.at)?),
-            7 => f64::from(b.f32(found.at)?),
-            8 => b.f64(found.at)?,
-            12 => f64::from(b.i32(found.at)?),
-            other => return Err(bad(format!("has {name} of type {other}"))),
-        };
-        match value.is_finite() {
-            true => Ok(Some(value)),
-            false => Err(bad(format!("has {name} = {value}"))),
-        }
-    };
-    let columns = usize::from(b.u16(block.at)?);
-    let rows = usize::from(b.u16(block.at + 2)?);
-    let (number, invalid) = match b.u16(block.at + 4)? {
+    let parameter = |name: &str| parameter(&b, &blocks, name);
+    let columns = usize::from(b.u16(block.start)?);
+    let rows = usize::from(b.u16(block.start + 2)?);
+    let (number, invalid) = match b.u16(block.start + 4)? {
         2 => (Number::I16, 32766.0),
         4 => (Number::F32, 1e38),
         other => return Err(bad(format!("has numbers of {other} bytes in {}", block.name))),
@@ -76,7 +65,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let problem = format!("has {rows} x {columns} pixels in {} bytes", block.len);
         return Err(bad(problem));
     }
-    let raw = b.slice(block.at + 6, count * number.size())?;
+    let raw = b.slice(block.start + 6, count * number.size())?;
     let values = number.decode(raw, count, false)?;
     let values = Array2::from_shape_vec((columns, rows), values).expect("one value per pixel");
     let values = values.reversed_axes().as_standard_layout().into_owned();
@@ -93,7 +82,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             other => return Err(bad(format!("has integers and Mult = {other:?}"))),
         }
     }
-    let (pixel, aspect) = (parameter("Pixel_size")?, parameter("Aspect")?.unwrap_or(1.0));
+    let pixel = parameter("Pixel_size")?;
+    let aspect = parameter("Aspect")?.unwrap_or(1.0);
     reading.pixel_mm = pixel.filter(|v| *v > 0.0).map(|v| [v, v * aspect]);
     let wedge = parameter("Wedge")?;
     if let Some(wedge) = wedge.filter(|w| *w != 0.0 && *w != 1.0) {
@@ -113,24 +103,45 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// The blocks of the directory, with their places.
+/// Returns the blocks of the directory, with their places.
 fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
     let entries = b.u32(2 + 18)? as usize / ENTRY;
     if entries > MOST_ARRAYS {
         return Err(too_many(NAME, MOST_ARRAYS, "blocks", "export only the map"));
     }
     let mut blocks = Vec::new();
-    let mut at = 2usize;
+    let mut start = 2usize;
     for i in 0..entries {
         let entry = 2 + ENTRY * i;
         let len = b.u32(entry + 18)? as usize;
-        blocks.push(Block { name: b.text(entry, 16)?, kind: b.u16(entry + 16)?, at, len });
-        at = at.saturating_add(len);
+        blocks.push(Block { name: b.text(entry, 16)?, kind: b.u16(entry + 16)?, start, len });
+        start = start.saturating_add(len);
     }
     Ok(blocks)
 }
 
-/// The block of heights, or the one that `pick.dataset` names.
+/// Returns the block of this name that is not empty.
+fn find<'a>(blocks: &'a [Block], name: &str) -> Option<&'a Block> {
+    blocks.iter().find(|block| block.name == name && block.len > 0)
+}
+
+/// Returns the number in the block of this name, if there is one. Refuses one that is not finite.
+fn parameter(b: &Bytes<'_>, blocks: &[Block], name: &str) -> Result<Option<f64>, Invalid> {
+    let Some(block) = find(blocks, name) else { return Ok(None) };
+    let value = match block.kind {
+        6 => f64::from(b.i16(block.start)?),
+        7 => f64::from(b.f32(block.start)?),
+        8 => b.f64(block.start)?,
+        12 => f64::from(b.i32(block.start)?),
+        other => return Err(bad(format!("has {name} of type {other}"))),
+    };
+    if !value.is_finite() {
+        return Err(bad(format!("has {name} = {value}")));
+    }
+    Ok(Some(value))
+}
+
+/// Returns the block of heights, or the one that `pick.dataset` names.
 fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
     let maps: Vec<&Block> = blocks
         .iter()
@@ -140,8 +151,7 @@ fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
         (Some(name), _) => {
             let listed: Vec<&str> = blocks.iter().take(40).map(|m| m.name.as_str()).collect();
             let listed = format!("it holds: {}", listed.join(", "));
-            let found = blocks.iter().find(|block| block.name == *name && block.len > 0);
-            found
+            find(blocks, name)
                 .filter(|block| block.kind == 3)
                 .ok_or_else(|| Invalid::whole(NAME, format!("has no array \"{name}\""), listed))
         }
@@ -155,6 +165,7 @@ fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
     }
 }
 
+/// Returns the error of a damaged file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }

@@ -55,6 +55,9 @@ const ROUNDING: f64 = 1.0;
 const MOST_ROUNDED: f64 = 0.4;
 
 /// Reads a Zygo file or lines of `x y z`.
+///
+/// # Errors
+/// Refuses damaged files, pixels that are named twice, and points on no uniform grid unless `grid_mm` is given.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
@@ -80,55 +83,71 @@ enum Body {
     Phase,
 }
 
+/// The lines of the header of a Zygo file.
+struct ZygoHeader<'a>(Vec<&'a str>);
+
+impl ZygoHeader<'_> {
+    /// Returns the number in a field of a line, both counted from 1.
+    fn number(&self, line: usize, field: usize) -> Result<f64, Invalid> {
+        let text = self.0.get(line - 1).and_then(|l| l.split_whitespace().nth(field - 1));
+        let text = text.ok_or_else(|| broken(format!("has no field {field} in line {line}")))?;
+        text::number(NAME, text, line, field)
+    }
+
+    /// Returns the number of pixels in a field of line 4.
+    fn pixels(&self, field: usize) -> Result<usize, Invalid> {
+        match self.number(4, field)? {
+            v if (0.0..1e9).contains(&v) && v.fract() == 0.0 => Ok(v as usize),
+            v => Err(broken(format!("has {v} pixels in line 4, field {field}"))),
+        }
+    }
+}
+
+/// Reads a Zygo file.
 fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
-    let bad =
-        |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
     let mut all = text.lines().enumerate();
-    let mut header = Vec::new();
+    let mut header = ZygoHeader(Vec::new());
     for (_, line) in all.by_ref() {
         if line.trim() == "#" {
             break;
         }
-        header.push(line);
-        if header.len() > 40 {
-            return Err(bad("has no line # after its header".into()));
+        header.0.push(line);
+        if header.0.len() > 40 {
+            return Err(broken("has no line # after its header".into()));
         }
     }
-    let field = |line: usize, field: usize| -> Result<f64, Invalid> {
-        let text = header.get(line - 1).and_then(|l| l.split_whitespace().nth(field - 1));
-        let text = text.ok_or_else(|| bad(format!("has no field {field} in line {line}")))?;
-        text::number(NAME, text, line, field)
-    };
-    let size = |n: usize| match field(4, n)? {
-        v if (0.0..1e9).contains(&v) && v.fract() == 0.0 => Ok(v as usize),
-        v => Err(bad(format!("has {v} pixels in line 4, field {n}"))),
-    };
-    let (columns, rows) = (size(3)?, size(4)?);
+    let columns = header.pixels(3)?;
+    let rows = header.pixels(4)?;
     if rows.checked_mul(columns).is_none_or(|n| n > text.len()) {
-        return Err(bad(format!("is truncated: {rows} x {columns} pixels, {} bytes", text.len())));
+        let bytes = text.len();
+        return Err(broken(format!("is truncated: {rows} x {columns} pixels, {bytes} bytes")));
     }
     check_size("phase", rows, columns)?;
-    let (x0, y0) = (field(4, 1)?, field(4, 2)?);
-    let (scale, wavelength_m, pitch_m) = (field(8, 2)?, field(8, 3)?, field(8, 7)?);
+    let [x0, y0] = [header.number(4, 1)?, header.number(4, 2)?];
+    let scale = header.number(8, 2)?;
+    let wavelength_m = header.number(8, 3)?;
+    let pitch_m = header.number(8, 7)?;
     if !(pitch_m.is_finite() && pitch_m >= 0.0) {
-        return Err(bad(format!("has the pixel size {pitch_m} m in line 8")));
+        return Err(broken(format!("has the pixel size {pitch_m} m in line 8")));
     }
 
     let frame = Frame { rows, columns, x0, y0 };
     let (values, unit, factor) = match body {
         Body::Points => (frame.points(all)?, Unit::named("um"), 1.0),
         Body::Phase => {
-            let (obliquity, resolution) = (field(8, 5)?, field(11, 1)?);
-            let resolution = match resolution {
+            let obliquity = header.number(8, 5)?;
+            let resolution = match header.number(11, 1)? {
                 0.0 => 4096.0,
                 1.0 => 32768.0,
                 2.0 => 131_072.0,
-                other => return Err(bad(format!("has the phase resolution {other}, not 0, 1, 2"))),
+                other => {
+                    return Err(broken(format!("has the phase resolution {other}, not 0, 1, 2")));
+                }
             };
             let factors = [wavelength_m, scale, obliquity];
             if !factors.iter().all(|f| f.is_finite() && *f > 0.0) {
                 let problem = format!("has wavelength, scale factor, obliquity {factors:?}");
-                return Err(bad(problem));
+                return Err(broken(problem));
             }
             // z = raw W S O / R
             let factor = wavelength_m * scale * obliquity / resolution;
@@ -136,9 +155,12 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
         }
     };
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::Top);
-    (reading.unit, reading.unit_by_custom) = (Some(unit), body == Body::Points);
+    reading.unit = Some(unit);
+    reading.unit_by_custom = body == Body::Points;
     reading.factor = factor;
-    reading.scale_applied = (body == Body::Phase).then_some(scale);
+    if body == Body::Phase {
+        reading.scale_applied = Some(scale);
+    }
     if wavelength_m > 0.0 && wavelength_m.is_finite() {
         reading.wavelength_nm = Some(wavelength_m * 1e9);
     }
@@ -146,8 +168,8 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
         reading.pixel_mm = Some([pitch_m * 1e3; 2]);
     }
     if x0.is_finite() && y0.is_finite() {
-        // Line 9 begins with the size of the camera.
-        let camera_rows = field(9, 2).ok().filter(|n| *n >= y0 + rows as f64);
+        // TextPoint 9 begins with the size of the camera.
+        let camera_rows = header.number(9, 2).ok().filter(|n| *n >= y0 + rows as f64);
         reading.window = Some(Window { first: [x0, y0], in_mm: false, frame_rows: camera_rows });
     }
     reading.stated = json!({
@@ -167,14 +189,14 @@ struct Frame {
 }
 
 impl Frame {
-    /// Lines `column row z` up to a line `#`.
+    /// Reads lines `column row z` up to a line `#`. Returns the map (rows, columns).
     fn points<'a>(
         &self,
         lines: impl Iterator<Item = (usize, &'a str)>,
     ) -> Result<Array2<f64>, Invalid> {
-        let (rows, columns) = (self.rows, self.columns);
-        let of = rows * columns;
-        // Column, row, z, line.
+        let Self { rows, columns, .. } = *self;
+        let pixels = rows * columns;
+        // Place [column, row], z, line.
         let mut points: Vec<([f64; 2], f64, usize)> = Vec::new();
         let mut closed = false;
         for (i, line) in lines {
@@ -186,60 +208,65 @@ impl Frame {
             if line.is_empty() {
                 continue;
             }
-            if points.len() == of {
-                return Err(broken(format!("has more than {of} pixels in line {}", i + 1)));
+            if points.len() == pixels {
+                return Err(broken(format!("has more than {pixels} pixels in line {}", i + 1)));
             }
             let (column, rest) = next(line);
             let (row, z) = next(rest);
-            let at = [text::number(NAME, column, i + 1, 1)?, text::number(NAME, row, i + 1, 2)?];
-            if at.iter().any(|v| v.fract() != 0.0) {
+            let place = [text::number(NAME, column, i + 1, 1)?, text::number(NAME, row, i + 1, 2)?];
+            if place.iter().any(|v| v.fract() != 0.0) {
                 return Err(broken(format!("has pixel {column} {row} in line {}", i + 1)));
             }
-            points.push((at, text::number(NAME, z.trim(), i + 1, 3)?, i + 1));
+            points.push((place, text::number(NAME, z.trim(), i + 1, 3)?, i + 1));
         }
-        if !closed || points.len() != of {
+        if !closed || points.len() != pixels {
             let count = points.len();
             return Err(broken(format!(
-                "is truncated: {count} of {of} pixels, closing # {closed}"
+                "is truncated: {count} of {pixels} pixels, closing # {closed}"
             )));
         }
         // Counted within the camera, or within the rectangle: one of them, for all pixels.
-        let size = [columns as f64, rows as f64];
-        let inside = |origin: &[f64; 2], at: &[f64; 2]| {
-            (0..2).all(|k| (0.0..size[k]).contains(&(at[k] - origin[k])))
-        };
-        let origins = [[self.x0, self.y0], [0.0; 2]];
-        let fits = |origin: &&[f64; 2]| points.iter().all(|(at, ..)| inside(origin, at));
-        let Some(origin) = origins.iter().find(fits) else {
+        let camera = [self.x0, self.y0];
+        let origin = if points.iter().all(|point| self.holds(camera, point.0)) {
+            camera
+        } else if let Some((place, _, line)) =
+            points.iter().find(|point| !self.holds([0.0; 2], point.0))
+        {
             // One that lies in neither rectangle, or in one of them while another lies in the other.
-            let beside = |(at, ..): &&([f64; 2], f64, usize)| !inside(&origins[1], at);
-            let (at, _, line) = points.iter().find(beside).expect("they do not all fit");
             return Err(broken(format!(
                 "has pixel {} {} in line {line}: the pixels lie neither all from {} {} on nor all from 0 0 on, in a \
                  map of {columns} x {rows}",
-                at[0], at[1], self.x0, self.y0
+                place[0], place[1], self.x0, self.y0
             )));
+        } else {
+            [0.0; 2]
         };
         let mut values = Array2::from_elem((rows, columns), f64::NAN);
         let mut seen = Array2::from_elem((rows, columns), false);
         for ([column, row], z, line) in &points {
-            let at = [(row - origin[1]) as usize, (column - origin[0]) as usize];
-            if std::mem::replace(&mut seen[at], true) {
+            let place = [(row - origin[1]) as usize, (column - origin[0]) as usize];
+            if std::mem::replace(&mut seen[place], true) {
                 let problem =
                     format!("names the pixel {column} {row} a second time in line {line}");
                 return Err(Invalid::whole(NAME, problem, "give every pixel once"));
             }
-            values[at] = *z;
+            values[place] = *z;
         }
         Ok(values)
     }
 
-    /// The numbers between the second and the third `#` (the first one closed the header).
+    /// Returns true if a place [column, row] lies in the rectangle of the map, when that begins at `origin`.
+    fn holds(&self, origin: [f64; 2], place: [f64; 2]) -> bool {
+        let size = [self.columns as f64, self.rows as f64];
+        (0..2).all(|k| (0.0..size[k]).contains(&(place[k] - origin[k])))
+    }
+
+    /// Reads the numbers between the second and the third `#` (the first one closed the header).
     fn phase<'a>(
         &self,
         mut lines: impl Iterator<Item = (usize, &'a str)>,
     ) -> Result<Array2<f64>, Invalid> {
-        let of = self.rows * self.columns;
+        let pixels = self.rows * self.columns;
         let mut values = Vec::new();
         lines.by_ref().find(|(_, line)| line.trim() == "#");
         for (i, line) in lines.take_while(|(_, line)| line.trim() != "#") {
@@ -247,21 +274,22 @@ impl Frame {
                 let v = text::number(NAME, field, i + 1, k + 1)?;
                 values.push(if v >= INVALID { f64::NAN } else { v });
             }
-            if values.len() > of {
-                return Err(broken(format!("has more than {of} pixels in line {}", i + 1)));
+            if values.len() > pixels {
+                return Err(broken(format!("has more than {pixels} pixels in line {}", i + 1)));
             }
         }
-        let found = values.len();
+        let count = values.len();
         Array2::from_shape_vec((self.rows, self.columns), values)
-            .map_err(|_| broken(format!("is truncated: {found} of {of} pixels")))
+            .map_err(|_| broken(format!("is truncated: {count} of {pixels} pixels")))
     }
 }
 
+/// Returns the error of a damaged file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
-/// The first word, and the rest.
+/// Returns the first word, and the rest.
 fn next(line: &str) -> (&str, &str) {
     line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
 }
@@ -289,17 +317,22 @@ const NUMBERS: [&str; 16] = [
 
 /// Returns the list of columns that a remedy quotes.
 fn listed(names: &[&str]) -> String {
-    let short = |name: &&str| name.chars().filter(|c| !c.is_control()).take(30).collect::<String>();
-    names.iter().take(12).map(short).collect::<Vec<_>>().join(", ")
+    let short: Vec<String> = names
+        .iter()
+        .take(12)
+        .map(|name| name.chars().filter(|c| !c.is_control()).take(30).collect())
+        .collect();
+    short.join(", ")
 }
 
 impl Names {
     /// Reads the names of the columns in a line above the points, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`.
     fn read(line: &str, number: usize, requested: Option<&[String; 3]>) -> Result<Self, Invalid> {
         // Where blanks separate the names, a bracket belongs to the word before it.
-        let joined = match line.contains([',', ';', '\t']) {
-            true => line.to_string(),
-            false => line.replace(" (", "(").replace(" [", "["),
+        let joined = if line.contains([',', ';', '\t']) {
+            line.to_string()
+        } else {
+            line.replace(" (", "(").replace(" [", "[")
         };
         let fields: Vec<&str> = text::fields(&joined).take(MOST_COLUMNS).collect();
         let names = fields.iter().map(|field| Unit::of_name(field));
@@ -323,12 +356,11 @@ impl Names {
                 listed(&columns.map(|k| fields[k]))
             ));
         }
-        let columns = (fields.len() > 3 || columns != [0, 1, 2]).then_some(columns);
+        let is_plain = fields.len() <= 3 && columns == [0, 1, 2];
+        let columns = if is_plain { None } else { Some(columns) };
         Ok(Self { coordinate_unit: x.or(y), unit: z, columns, warnings })
     }
-}
 
-impl Names {
     /// Takes a second line, of the units of the columns, and returns true if it is one.
     fn add_units(&mut self, line: &str) -> bool {
         let words = text::fields(line)
@@ -341,7 +373,8 @@ impl Names {
         if x.is_none() || x != y || z.is_none() || self.unit.is_some() {
             return false;
         }
-        (self.coordinate_unit, self.unit) = (x, z);
+        self.coordinate_unit = x;
+        self.unit = z;
         true
     }
 }
@@ -354,13 +387,14 @@ fn columns_of(
 ) -> Result<[usize; 3], Invalid> {
     let mut places = [0; 3];
     for (place, wanted) in places.iter_mut().zip(requested) {
-        let same = |name: &str| name.trim().eq_ignore_ascii_case(wanted.trim());
-        let by_name = || (0..fields.len()).find(|k| same(fields[*k]) || same(&names[*k].0));
-        let found = match wanted.trim().parse::<usize>() {
+        let wanted_place = match wanted.trim().parse::<usize>() {
             Ok(number) => number.checked_sub(1).filter(|k| *k < fields.len()),
-            Err(_) => by_name(),
+            Err(_) => (0..fields.len()).find(|k| {
+                let spellings = [fields[*k], &names[*k].0];
+                spellings.iter().any(|name| name.trim().eq_ignore_ascii_case(wanted.trim()))
+            }),
         };
-        *place = found.ok_or_else(|| {
+        *place = wanted_place.ok_or_else(|| {
             let problem = format!("\"{wanted}\" is no column of the file");
             let remedy =
                 format!("give three of these, or their numbers from 1: {}", listed(fields));
@@ -377,45 +411,22 @@ fn usual_columns(
     number: usize,
     short: &str,
 ) -> Result<[usize; 3], Invalid> {
-    let remedy = || {
-        let order = if fields.len() == 3 { "the columns in the order x y z, or " } else { "" };
-        let of = listed(fields);
-        format!(
-            "give {order}`xyz_columns` with the names or the numbers of x, y and the values, of: {of}"
-        )
-    };
-    let refuse = || {
-        let problem = format!("names its columns \"{short}\" in line {number}");
-        Err(Invalid::whole(NAME, problem, remedy()))
-    };
-    // The first word of a name, and the letter it begins with.
-    let first = |k: usize| {
-        let name = names[k].0.to_lowercase();
-        let word = name.split([' ', '_', '-']).find(|word| !word.is_empty());
-        word.unwrap_or_default().to_string()
-    };
-    let firsts: Vec<String> = (0..fields.len()).map(first).collect();
-    let is_axis = |k: usize, axis: &str| {
-        let word = firsts[k].as_str();
-        word == axis
-            || (word.starts_with(axis) && word.len() > 1 && word[1..].starts_with("pos"))
-            || word.strip_prefix(axis).is_some_and(|rest| rest.starts_with(['(', '[', '/']))
-    };
-    let xs: Vec<usize> = (0..fields.len()).filter(|k| is_axis(*k, "x")).collect();
-    let ys: Vec<usize> = (0..fields.len()).filter(|k| is_axis(*k, "y")).collect();
-    match (&xs[..], &ys[..], fields.len()) {
-        ([x], [y], count) if count >= 3 => {
-            let is_other = |k: &usize| {
+    let firsts: Vec<String> = names.iter().map(|name| first_word(&name.0)).collect();
+    let count = fields.len();
+    let [xs, ys] = ["x", "y"]
+        .map(|axis| (0..count).filter(|k| is_axis(&firsts[*k], axis)).collect::<Vec<usize>>());
+    let columns = match (&xs[..], &ys[..], count) {
+        ([x], [y], 3..) => {
+            let others = (0..count).filter(|k| {
                 k != x
                     && k != y
                     && !NUMBERS.contains(&firsts[*k].as_str())
                     && !fields[*k].is_empty()
-            };
-            let others: Vec<usize> = (0..count).filter(is_other).collect();
-            match others[..] {
-                [z] if count == 3 && [*x, *y, z] != [0, 1, 2] => refuse(),
-                [z] => Ok([*x, *y, z]),
-                _ => refuse(),
+            });
+            match others.collect::<Vec<usize>>()[..] {
+                [z] if count == 3 && [*x, *y, z] != [0, 1, 2] => None,
+                [z] => Some([*x, *y, z]),
+                _ => None,
             }
         }
         (_, _, 3) => {
@@ -424,17 +435,41 @@ fn usual_columns(
                 .filter_map(|name| name.to_lowercase().chars().find(|c| c.is_alphabetic()))
                 .collect();
             match letters[..] {
-                ['x', 'y', _, ..] => Ok([0, 1, 2]),
-                [a, b, ..] if "xyz".contains(a) && "xyz".contains(b) => refuse(),
-                _ => Ok([0, 1, 2]),
+                ['x', 'y', _, ..] => Some([0, 1, 2]),
+                [a, b, ..] if "xyz".contains(a) && "xyz".contains(b) => None,
+                _ => Some([0, 1, 2]),
             }
         }
-        (_, _, count) if count > 3 => refuse(),
-        _ => Ok([0, 1, 2]),
-    }
+        (_, _, 4..) => None,
+        _ => Some([0, 1, 2]),
+    };
+    columns.ok_or_else(|| {
+        let order = if count == 3 { "the columns in the order x y z, or " } else { "" };
+        let listed = listed(fields);
+        let remedy = format!(
+            "give {order}`xyz_columns` with the names or the numbers of x, y and the values, of: {listed}"
+        );
+        let problem = format!("names its columns \"{short}\" in line {number}");
+        Invalid::whole(NAME, problem, remedy)
+    })
 }
 
-/// The numbers of the columns that the user gives, where no line of names comes first.
+/// Returns the first word of a name, in lower case.
+fn first_word(name: &str) -> String {
+    let name = name.to_lowercase();
+    let word = name.split([' ', '_', '-']).find(|word| !word.is_empty());
+    word.unwrap_or_default().to_string()
+}
+
+/// Returns true if the first word of a name says that its column holds the coordinates of an axis: `x`, `xpos`,
+/// `x(mm)`.
+fn is_axis(word: &str, axis: &str) -> bool {
+    word.strip_prefix(axis).is_some_and(|rest| {
+        rest.is_empty() || rest.starts_with("pos") || rest.starts_with(['(', '[', '/'])
+    })
+}
+
+/// Returns the numbers of the columns that the user gives, where no line of names comes first.
 fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3], Invalid> {
     let mut places = [0; 3];
     for (place, wanted) in places.iter_mut().zip(requested) {
@@ -448,7 +483,7 @@ fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3],
     Ok(places)
 }
 
-/// A number of one line, and the unit of its last digit.
+/// Returns a number of one line, and the unit of its last digit.
 fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64), Invalid> {
     let value = text::number(NAME, field, line, column)?;
     let (mantissa, exponent) = field.split_once(['e', 'E']).unwrap_or((field, "0"));
@@ -460,18 +495,19 @@ fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64)
 }
 
 /// A point, and the units of the last digits of its coordinates.
-struct Line {
-    at: [f64; 2],
+struct TextPoint {
+    place: [f64; 2],
     digits: [f64; 2],
     z: f64,
 }
 
+/// Reads lines `x y z`.
 fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     let with_points = text::with_points(NAME, text)?;
     let text = with_points.as_deref().unwrap_or(text);
     let mut names = Names::default();
     let mut beside = Beside::default();
-    let mut points: Vec<Line> = Vec::new();
+    let mut points: Vec<TextPoint> = Vec::new();
     let most = most_of(BYTES_PER_POINT);
     for (i, line) in text.lines().enumerate() {
         let trimmed = line.trim();
@@ -501,13 +537,14 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
             Some(columns) => chosen_fields(trimmed, columns, i + 1)?,
             None => three_fields(trimmed, i + 1)?,
         };
-        let (x, y) = (with_last_digit(x, i + 1, 1)?, with_last_digit(y, i + 1, 2)?);
+        let (x, x_digit) = with_last_digit(x, i + 1, 1)?;
+        let (y, y_digit) = with_last_digit(y, i + 1, 2)?;
         let z = text::number(NAME, z, i + 1, 3)?;
-        if !(x.0.is_finite() && y.0.is_finite()) {
-            let problem = format!("has the coordinates {}, {} in line {}", x.0, y.0, i + 1);
+        if !(x.is_finite() && y.is_finite()) {
+            let problem = format!("has the coordinates {x}, {y} in line {}", i + 1);
             return Err(Invalid::whole(NAME, problem, "leave out pixels without a place"));
         }
-        points.push(Line { at: [x.0, y.0], digits: [x.1, y.1], z });
+        points.push(TextPoint { place: [x, y], digits: [x_digit, y_digit], z });
     }
     if with_points.is_some() {
         names.warnings.push(text::DECIMAL_COMMAS.into());
@@ -532,7 +569,7 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// The three fields of a line.
+/// Returns the three fields of a line.
 fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
     let mut fields = text::fields(line);
     // "No Data" is two words.
@@ -546,23 +583,22 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
         _ => {
             let count = text::fields(line).count();
             let problem = format!("has {count} fields in line {number}, not x y z");
-            let remedy = match count > 3 {
-                true => {
-                    "give `xyz_columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix"
-                }
-                false => "give three numbers per line, or `format` csv for a matrix",
+            let remedy = if count > 3 {
+                "give `xyz_columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for \
+                 a matrix"
+            } else {
+                "give three numbers per line, or `format` csv for a matrix"
             };
             Err(Invalid::whole(NAME, problem, remedy))
         }
     }
 }
 
-/// The fields of a line in these places.
+/// Returns the fields of a line in these places.
 fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str; 3], Invalid> {
     let needed = columns.iter().max().map_or(0, |k| k + 1);
     let fields: Vec<&str> = text::fields(line).take(needed).collect();
-    let get = |k: usize| fields.get(k).copied();
-    match columns.map(get) {
+    match columns.map(|k| fields.get(k).copied()) {
         [Some(x), Some(y), Some(z)] => Ok([x, y, z]),
         _ => {
             let problem = format!("has {} fields in line {number}", fields.len());
@@ -571,29 +607,36 @@ fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str
     }
 }
 
-/// The map of points on their own grid, or on the one that is asked for.
-fn on_grid(points: Vec<Line>, pick: &Pick, stated: Option<Unit>) -> Result<Reading, Invalid> {
-    if let Some(pixel_mm) = pick.grid_mm {
-        let Some(unit) = pick.coordinate_unit.or(stated) else {
-            let remedy = "give `coordinate_unit`";
-            return Err(Invalid::whole("coordinate_unit", "is not in the file", remedy));
-        };
-        let mm = unit.mm()?;
-        let points: Vec<[f64; 3]> =
-            points.iter().map(|p| [p.at[0] * mm, p.at[1] * mm, p.z]).collect();
-        let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pixel_mm)?;
-        let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
-        let of_file = |mm_all: Vec<f64>| mm_all.into_iter().map(|v| v / mm).collect();
-        reading.coordinates =
-            Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: stated });
-        reading.warnings = warnings;
-        reading.stated = json!({ "points": points.len(), "grid_mm": pixel_mm });
-        return Ok(reading);
-    }
-    let axis = |name: &'static str, k: usize| {
-        uniform(name, points.iter().map(|p| (p.at[k], p.digits[k])).collect())
+/// Returns the map of scattered points, interpolated to a grid of the pitch `pixel_mm`.
+fn interpolated(
+    points: &[TextPoint],
+    pixel_mm: [f64; 2],
+    pick: &Pick,
+    stated: Option<Unit>,
+) -> Result<Reading, Invalid> {
+    let Some(unit) = pick.coordinate_unit.or(stated) else {
+        let remedy = "give `coordinate_unit`";
+        return Err(Invalid::whole("coordinate_unit", "is not in the file", remedy));
     };
-    let (x, y) = (axis("x", 0)?, axis("y", 1)?);
+    let mm = unit.mm()?;
+    let points: Vec<[f64; 3]> =
+        points.iter().map(|p| [p.place[0] * mm, p.place[1] * mm, p.z]).collect();
+    let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pixel_mm)?;
+    let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
+    let [x, y] = [x_mm, y_mm].map(|all| all.into_iter().map(|v| v / mm).collect());
+    reading.coordinates = Some(Coordinates { x, y, unit: stated });
+    reading.warnings = warnings;
+    reading.stated = json!({ "points": points.len(), "grid_mm": pixel_mm });
+    Ok(reading)
+}
+
+/// Returns the map of points on their own grid, or on the one that is asked for.
+fn on_grid(points: Vec<TextPoint>, pick: &Pick, stated: Option<Unit>) -> Result<Reading, Invalid> {
+    if let Some(pixel_mm) = pick.grid_mm {
+        return interpolated(&points, pixel_mm, pick, stated);
+    }
+    let x = uniform("x", points.iter().map(|p| (p.place[0], p.digits[0])).collect())?;
+    let y = uniform("y", points.iter().map(|p| (p.place[1], p.digits[1])).collect())?;
     check_size(NAME, y.count, x.count)?;
     // A grid of which most pixels are absent is a mistake in the coordinates.
     if x.count * y.count > 100 * points.len() {
@@ -607,12 +650,13 @@ fn on_grid(points: Vec<Line>, pick: &Pick, stated: Option<Unit>) -> Result<Readi
     let mut values = Array2::from_elem((y.count, x.count), f64::NAN);
     let mut seen = Array2::from_elem((y.count, x.count), false);
     for point in &points {
-        let at = [y.index(point.at[1]), x.index(point.at[0])];
-        if std::mem::replace(&mut seen[at], true) {
-            let problem = format!("names the pixel x {}, y {} twice", point.at[0], point.at[1]);
+        let pixel = [y.index(point.place[1]), x.index(point.place[0])];
+        if std::mem::replace(&mut seen[pixel], true) {
+            let [x, y] = point.place;
+            let problem = format!("names the pixel x {x}, y {y} twice");
             return Err(Invalid::whole(NAME, problem, "give every pixel once"));
         }
-        values[at] = point.z;
+        values[pixel] = point.z;
     }
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
     for (name, axis) in [("x", &x), ("y", &y)] {
@@ -630,7 +674,7 @@ fn on_grid(points: Vec<Line>, pick: &Pick, stated: Option<Unit>) -> Result<Readi
 }
 
 /// A uniform axis found among coordinates.
-struct Found {
+struct UniformAxis {
     start: f64,
     step: f64,
     count: usize,
@@ -638,9 +682,9 @@ struct Found {
     rounded_steps: Option<[f64; 2]>,
 }
 
-/// The axis whose step is the least distance of the given coordinates; where that is none, the one on which they lie to
-/// the units of their last digits (value, unit); else the place where they jump.
-fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<Found, Invalid> {
+/// Returns the axis whose step is the least distance of the coordinates; where that is none, the one on which they lie
+/// to the units of their last digits (value, unit); else the place where they jump.
+fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<UniformAxis, Invalid> {
     coordinates.sort_by(|a, b| a.0.total_cmp(&b.0));
     let values: Vec<f64> = coordinates.iter().map(|c| c.0).collect();
     let (Some(start), Some(end)) = (values.first().copied(), values.last().copied()) else {
@@ -658,21 +702,22 @@ fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<Found
     let steps = ((end - start) / least).round();
     let step = (end - start) / steps;
     // A coordinate is a whole number of steps from the start.
-    let on_grid = |v: f64| {
+    let is_uniform = values.iter().all(|v| {
         let i = ((v - start) / step).round();
         (v - (start + i * step)).abs() <= UNIFORMITY * step
-    };
-    if steps < MOST_PIXELS as f64 && values.iter().copied().all(on_grid) {
-        return Ok(Found { start, step, count: steps as usize + 1, rounded_steps: None });
+    });
+    if steps < MOST_PIXELS as f64 && is_uniform {
+        return Ok(UniformAxis { start, step, count: steps as usize + 1, rounded_steps: None });
     }
     rounded(&coordinates).ok_or_else(|| jump(name, &values))
 }
 
-/// The axis of ascending coordinates (value, unit of its last digit) that were rounded; `None` where there is none.
+/// Returns the axis of ascending coordinates (value, unit of its last digit) that were rounded, or `None` where there
+/// is none.
 ///
 /// The least-squares line through value against number of the pixel has the pitch. A pixel may be absent: the numbers
 /// follow from the median step.
-fn rounded(coordinates: &[(f64, f64)]) -> Option<Found> {
+fn rounded(coordinates: &[(f64, f64)]) -> Option<UniformAxis> {
     let mut steps: Vec<f64> = coordinates.windows(2).map(|w| w[1].0 - w[0].0).collect();
     let all = steps.clone();
     steps.sort_by(f64::total_cmp);
@@ -688,47 +733,52 @@ fn rounded(coordinates: &[(f64, f64)]) -> Option<Found> {
     }
     let n = numbers.len() as f64;
     let mean = [numbers.iter().sum::<f64>() / n, coordinates.iter().map(|c| c.0).sum::<f64>() / n];
-    let (mut product, mut square) = (0.0, 0.0);
+    let mut product = 0.0;
+    let mut square = 0.0;
     for (number, (value, _)) in numbers.iter().zip(coordinates) {
         product += (number - mean[0]) * (value - mean[1]);
         square += (number - mean[0]).powi(2);
     }
     let step = product / square;
     let start = mean[1] - step * mean[0];
-    let fits = |(number, (value, digit)): (&f64, &(f64, f64))| {
-        (value - (start + number * step)).abs() <= (ROUNDING * digit).max(UNIFORMITY * step)
-    };
     let count = numbers[numbers.len() - 1];
-    let is_grid = count < MOST_PIXELS as f64 && numbers.iter().zip(coordinates).all(fits);
-    let of_one_pixel = || all.iter().copied().filter(|s| (s / usual).round() <= 1.0);
-    let ends = [of_one_pixel().fold(f64::INFINITY, f64::min), of_one_pixel().fold(0.0, f64::max)];
-    is_grid.then_some(Found { start, step, count: count as usize + 1, rounded_steps: Some(ends) })
+    let is_uniform = numbers.iter().zip(coordinates).all(|(number, (value, digit))| {
+        (value - (start + number * step)).abs() <= (ROUNDING * digit).max(UNIFORMITY * step)
+    });
+    if count >= MOST_PIXELS as f64 || !is_uniform {
+        return None;
+    }
+    let of_one_pixel = all.iter().copied().filter(|s| (s / usual).round() <= 1.0);
+    let least = of_one_pixel.clone().fold(f64::INFINITY, f64::min);
+    let rounded_steps = Some([least, of_one_pixel.fold(0.0, f64::max)]);
+    Some(UniformAxis { start, step, count: count as usize + 1, rounded_steps })
 }
 
-/// The first of ascending coordinates whose distance is no multiple of the usual one.
+/// Returns the error at the first of ascending coordinates whose distance is no multiple of the usual one.
 fn jump(name: &'static str, values: &[f64]) -> Invalid {
     let mut steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
-    let at = |i: usize| [values[i], values[i + 1]];
     let all = steps.clone();
     steps.sort_by(f64::total_cmp);
     let usual = steps[steps.len() / 2];
-    let off = |step: &f64| {
+    let first = all.iter().position(|step| {
         let ratio = step / usual;
         (ratio - ratio.round()).abs() > UNIFORMITY * ratio.round().max(1.0) || ratio < 0.5
-    };
-    let i = all.iter().position(off).unwrap_or(0);
-    let [a, b] = at(i);
+    });
+    let i = first.unwrap_or(0);
+    let [a, b] = [values[i], values[i + 1]];
     let problem =
         format!("has {b} after {a}: a step of {}, where the usual step is {usual}", b - a);
     Invalid::whole(name, problem, "correct the coordinate, or give `grid_mm` to interpolate")
 }
 
-impl Found {
+impl UniformAxis {
+    /// Returns the index of the pixel of a coordinate.
     fn index(&self, v: f64) -> usize {
         // A float to an integer saturates: a rounded first coordinate may lie before the start.
         (((v - self.start) / self.step).round() as usize).min(self.count - 1)
     }
 
+    /// Returns the coordinates of all pixels.
     fn all(&self) -> Vec<f64> {
         (0..self.count).map(|i| self.start + i as f64 * self.step).collect()
     }

@@ -19,46 +19,48 @@ const NAME: &str = "presurface file";
 /// Fewest coordinates by which a text of numbers is taken for this format: one with fewer could be a table.
 const FEWEST: usize = 3;
 
-/// True where a text has as many numbers as its first line says.
+/// Returns true where a text has as many numbers as its first line says.
 pub(crate) fn is_presurface(text: &str) -> bool {
     let mut lines = text.lines();
     let sizes = lines.next().unwrap_or_default().split_whitespace();
     let sizes: Vec<Option<usize>> = sizes.take(3).map(|word| word.parse().ok()).collect();
     let [Some(nx), Some(ny)] = sizes[..] else { return false };
-    let second = lines.next().unwrap_or_default().split_whitespace().take(4);
-    let is_number = |word: &str| word.parse::<f64>().is_ok();
+    let mut second = lines.next().unwrap_or_default().split_whitespace().take(4);
     let count = ny.checked_add(1).and_then(|n| n.checked_mul(nx)).and_then(|n| n.checked_add(ny));
     nx >= FEWEST
         && ny >= FEWEST
-        && { second }.all(is_number)
+        && second.all(|word| word.parse::<f64>().is_ok())
         && count == Some(text.split_whitespace().count() - 2)
 }
 
-/// Reads the map.
+/// Returns the error of a file that is none.
+fn bad(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "write nx ny, the y, then x and its heights, line by line")
+}
+
+/// Reads the map. Refuses another number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
-    let bad = |problem: String| {
-        Invalid::whole(NAME, problem, "write nx ny, the y, then x and its heights, line by line")
-    };
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
-    let words = text.lines().enumerate().flat_map(|(i, line)| {
+    let mut words = text.lines().enumerate().flat_map(|(i, line)| {
         line.split_whitespace().enumerate().map(move |(k, word)| (i + 1, k + 1, word))
     });
-    let mut words = words;
     let mut next = |what: &str| -> Result<f64, Invalid> {
         let (line, field, word) =
             words.next().ok_or_else(|| bad(format!("is truncated: it has no {what}")))?;
         text::number(NAME, word, line, field)
     };
     // A float to an integer saturates; the size is checked next.
-    let (columns, rows) = (next("nx")? as usize, next("ny")? as usize);
+    let columns = next("nx")? as usize;
+    let rows = next("ny")? as usize;
     check_size("presurface", rows, columns)?;
     check_elements("presurface", &[rows as u64 + 1, columns as u64 + 1])?;
     let mut y = Vec::new();
     for _ in 0..rows {
         y.push(next("coordinate y")?);
     }
-    let (mut x, mut values) = (Vec::new(), Vec::new());
+    let mut x = Vec::new();
+    let mut values = Vec::new();
     for _ in 0..columns {
         x.push(next("coordinate x")?);
         for _ in 0..rows {

@@ -29,17 +29,18 @@ const BYTES: [&[u8]; 3] = [b"bISO-1.0", WIDE, b"bBCR-1.0"];
 /// The first bytes of a file whose sizes have 32 bits.
 const WIDE: &[u8] = b"bISO-2.0";
 
-/// True where the first bytes are those of such a file, in text perhaps after blanks.
+/// Returns true where the first bytes are those of such a file, in text perhaps after blanks.
 pub(crate) fn is_sdf(bytes: &[u8]) -> bool {
     is_text(bytes) || BYTES.iter().any(|magic| bytes.starts_with(magic))
 }
 
+/// Returns true where the first bytes are those of such a file in text.
 fn is_text(bytes: &[u8]) -> bool {
     let text = bytes.trim_ascii_start();
     TEXT.iter().any(|magic| text.starts_with(magic))
 }
 
-/// Reads a map.
+/// Reads a map. Refuses damaged and compressed files, and another number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if is_text(bytes) {
         ascii(bytes)
@@ -51,7 +52,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
 }
 
-/// The type of numbers that a header names.
+/// Returns the type of numbers that a header names.
 fn number(kind: u8) -> Result<Number, Invalid> {
     match kind {
         0 => Ok(Number::U8),
@@ -66,7 +67,7 @@ fn number(kind: u8) -> Result<Number, Invalid> {
     }
 }
 
-/// The stored value that marks an invalid pixel.
+/// Returns the stored value that marks an invalid pixel.
 fn marker(number: Number) -> f64 {
     match number {
         Number::U8 => f64::from(u8::MAX),
@@ -80,6 +81,7 @@ fn marker(number: Number) -> f64 {
     }
 }
 
+/// Returns the reading of values with the numbers of a header: its sizes, scales, and [compression, type of the check].
 fn finish(
     values: Vec<f64>,
     [columns, rows]: [usize; 2],
@@ -99,12 +101,14 @@ fn finish(
     if !(z.is_finite() && z != 0.0) {
         return Err(Invalid::whole(NAME, format!("has Zscale {z}"), "export it again"));
     }
-    (reading.unit, reading.factor) = (Some(Unit::named("m")), z);
+    reading.unit = Some(Unit::named("m"));
+    reading.factor = z;
     reading.pixel_mm = Some([x * 1e3, y * 1e3]);
     reading.stated = json!({ "z_scale_m": z });
     Ok(reading)
 }
 
+/// Reads a file in text.
 fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
@@ -123,8 +127,8 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
         }
     }
     let get = |key: &str| -> Result<f64, Invalid> {
-        let found = fields.iter().find(|(k, _)| k == key).and_then(|(_, v)| v.parse().ok());
-        found.ok_or_else(|| {
+        let value = fields.iter().find(|(k, _)| k == key).and_then(|(_, v)| v.parse().ok());
+        value.ok_or_else(|| {
             Invalid::whole(NAME, format!("has no number for {key}"), "export it again")
         })
     };
@@ -137,7 +141,8 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
             Err(Invalid::whole(NAME, format!("has {key} = {v}"), "export it again"))
         }
     };
-    let (columns, rows) = (size("numpoints")?, size("numprofiles")?);
+    let columns = size("numpoints")?;
+    let rows = size("numprofiles")?;
     let count = check_size("SDF map", rows, columns)?;
     let scales = [get("xscale")?, get("yscale")?, get("zscale")?];
     let mut values = Vec::new();
@@ -165,16 +170,18 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     finish(values, [columns, rows], scales, checks)
 }
 
+/// Reads a file in bytes.
 fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     // 8 version, 10 manufacturer, 12 + 12 dates, sizes, scales, compression, types.
-    let (columns, rows, more) = match bytes.starts_with(WIDE) {
-        true => (b.u32(42)? as usize, b.u32(46)? as usize, 4),
-        false => (usize::from(b.u16(42)?), usize::from(b.u16(44)?), 0),
+    let (columns, rows, more) = if bytes.starts_with(WIDE) {
+        (b.u32(42)? as usize, b.u32(46)? as usize, 4)
+    } else {
+        (usize::from(b.u16(42)?), usize::from(b.u16(44)?), 0)
     };
     let scales = [b.f64(46 + more)?, b.f64(54 + more)?, b.f64(62 + more)?];
     let [compression, kind, check] =
-        [78, 79, 80].map(|at| at + more).map(|at| b.slice(at, 1).map(|s| s[0]));
+        [78, 79, 80].map(|start| start + more).map(|start| b.slice(start, 1).map(|s| s[0]));
     let number = number(kind?)?;
     let count = check_size("SDF map", rows, columns)?;
     let raw = b.slice(HEADER + more, count * number.size())?;

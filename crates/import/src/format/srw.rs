@@ -24,37 +24,44 @@ const LARGEST_IN_METRES: [f64; 2] = [10.0, 1e-2];
 /// ascend, separated by tabs, and heights that are tiny beside them.
 pub(crate) fn is_srw(text: &str) -> bool {
     let mut lines = text.lines().filter(|line| !text::is_comment(line) && !line.trim().is_empty());
-    let numbers = |line: &str| -> Option<Vec<f64>> {
-        if !line.contains('\t') || line.contains([',', ';']) {
-            return None;
-        }
-        line.split_whitespace().take(1 << 16).map(|word| word.parse().ok()).collect()
-    };
     let all: Option<Vec<Vec<f64>>> = lines.by_ref().take(3).map(numbers).collect();
     let Some([first, second, third]) = all.as_deref() else { return false };
-    let ascends = |values: &[f64]| values.len() > 1 && values.windows(2).all(|w| w[1] > w[0]);
-    let size = |values: &[f64]| values.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
     first.first() == Some(&0.0)
+        && first.len() > 2
         && first.len() == second.len()
         && first.len() == third.len()
-        && ascends(&first[1..])
+        && first[1..].windows(2).all(|w| w[1] > w[0])
         && third[0] > second[0]
         && size(first).max(second[0].abs()) < LARGEST_IN_METRES[0]
         && size(&second[1..]) < LARGEST_IN_METRES[1] * (third[0] - second[0] + size(first))
 }
 
-/// Reads the map.
+/// Returns the numbers of a line that tabs separate.
+fn numbers(line: &str) -> Option<Vec<f64>> {
+    if !line.contains('\t') || line.contains([',', ';']) {
+        return None;
+    }
+    line.split_whitespace().take(1 << 16).map(|word| word.parse().ok()).collect()
+}
+
+/// Returns the largest magnitude.
+fn size(values: &[f64]) -> f64 {
+    values.iter().fold(0.0_f64, |most, v| most.max(v.abs()))
+}
+
+/// Returns the error of a file that is none.
+fn bad(problem: String) -> Invalid {
+    let remedy = "write 0 and the y, then a line of x and its heights for every x";
+    Invalid::whole(NAME, problem, remedy)
+}
+
+/// Reads the map. Refuses another corner than 0, and lines of other lengths than the first.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
-    let bad = |problem: String| {
-        Invalid::whole(
-            NAME,
-            problem,
-            "write 0 and the y, then a line of x and its heights for every x",
-        )
-    };
     let text = text::text(NAME, bytes)?;
     let most = most_of(BYTES_PER_PIXEL);
-    let (mut y, mut x, mut values) = (Vec::new(), Vec::new(), Vec::new());
+    let mut y = Vec::new();
+    let mut x = Vec::new();
+    let mut values = Vec::new();
     for (i, line) in text.lines().enumerate() {
         if line.trim().is_empty() || text::is_comment(line) {
             continue;
@@ -85,7 +92,8 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let values = Array2::from_shape_vec((x.len(), y.len()), values).expect("one value per pixel");
     let values = values.reversed_axes().as_standard_layout().into_owned();
     let mut reading = Reading::new(Format::Srw, values, FirstRow::SmallestY);
-    (reading.unit, reading.unit_by_custom) = (Some(Unit::named("m")), true);
+    reading.unit = Some(Unit::named("m"));
+    reading.unit_by_custom = true;
     reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::named("m")) });
     let say = "read as a height map of SRW: x goes down the first column, y along the first line, in metres";
     reading.warnings.push(say.into());

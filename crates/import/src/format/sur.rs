@@ -39,7 +39,27 @@ const HEADER: usize = 512;
 pub(crate) const MAGIC: &[u8] = b"DIGITAL SURF";
 pub(crate) const COMPRESSED: &[u8] = b"DSCOMPRESSED";
 
+/// Returns the unit that the 16 bytes at `at` name.
+fn unit_word(b: &Bytes<'_>, start: usize) -> Result<String, Invalid> {
+    let raw = b.slice(start, 16)?;
+    // Older writers use one byte per letter.
+    let text = match std::str::from_utf8(raw) {
+        Ok(text) => text.to_string(),
+        Err(_) => raw.iter().map(|b| char::from(*b)).collect(),
+    };
+    Ok(text.trim_matches(['\0', ' ']).to_string())
+}
+
+/// Returns the length at `at` in mm, whose unit is at `unit_at`.
+fn length_mm(b: &Bytes<'_>, start: usize, unit_at: usize) -> Result<f64, Invalid> {
+    let length = f64::from(b.f32(start)?);
+    Ok(length * Unit::stated("coordinate_unit", &unit_word(b, unit_at)?)?.mm()?)
+}
+
 /// Reads a surface.
+///
+/// # Errors
+/// Refuses compressed and damaged files, several surfaces, inversions, and units that are no lengths.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
@@ -51,7 +71,8 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         return refuse("does not start with DIGITAL SURF".into(), remedy);
     }
     b.slice(0, HEADER)?;
-    let (objects, kind) = (b.i16(14)?, b.i16(18)?);
+    let objects = b.i16(14)?;
+    let kind = b.i16(18)?;
     if kind != 2 || objects > 1 {
         let problem = format!("holds {objects} object(s) of type {kind}, not one surface (type 2)");
         return refuse(problem, "save the one surface alone");
@@ -68,41 +89,26 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         32 => Number::I32,
         other => return refuse(format!("has numbers of {other} bits"), "save it with 16 or 32"),
     };
-    let size = |at: usize| -> Result<usize, Invalid> { Ok(b.i32(at)?.max(0) as usize) };
-    let (columns, rows) = (size(108)?, size(112)?);
+    let [columns, rows] = [b.i32(108)?, b.i32(112)?].map(|size| size.max(0) as usize);
     let count = check_size("SUR surface", rows, columns)?;
-    let zone = |at: usize| -> Result<usize, Invalid> { Ok(usize::from(b.u16(at)?)) };
-    let start = HEADER + zone(334)? + zone(336)?;
+    let start = HEADER + usize::from(b.u16(334)?) + usize::from(b.u16(336)?);
     let raw = b.slice(start, count * number.size())?;
     let values = number.decode(raw, count, false)?;
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::Sur, values, FirstRow::Top);
     if b.i16(86)? == 1 {
-        let (least, most) = (f64::from(b.i32(100)?), f64::from(b.i32(104)?));
+        let [least, most] = [f64::from(b.i32(100)?), f64::from(b.i32(104)?)];
         reading.values.mapv_inplace(|v| if v < least || v > most { f64::NAN } else { v });
     }
-    let word = |at: usize| -> Result<String, Invalid> {
-        let raw = b.slice(at, 16)?;
-        // Older writers use one byte per letter.
-        let text = match std::str::from_utf8(raw) {
-            Ok(text) => text.to_string(),
-            Err(_) => raw.iter().map(|b| char::from(*b)).collect(),
-        };
-        Ok(text.trim_matches(['\0', ' ']).to_string())
-    };
-    let unit = |at: usize| Unit::stated("coordinate_unit", &word(at)?);
-    reading.state_unit("unit", &word(212)?);
+    reading.state_unit("unit", &unit_word(&b, 212)?);
     reading.factor = f64::from(b.f32(128)?);
     let offset = f64::from(b.f32(474)?);
     let is_absolute = b.i16(88)? == 1;
     if is_absolute {
         reading.offset = offset;
     }
-    let pitch = |at: usize, unit_at: usize| -> Result<f64, Invalid> {
-        Ok(f64::from(b.f32(at)?) * unit(unit_at)?.mm()?)
-    };
-    reading.pixel_mm = Some([pitch(120, 180)?, pitch(124, 196)?]);
-    let first = [pitch(466, 180)?, pitch(470, 196)?];
+    reading.pixel_mm = Some([length_mm(&b, 120, 180)?, length_mm(&b, 124, 196)?]);
+    let first = [length_mm(&b, 466, 180)?, length_mm(&b, 470, 196)?];
     // 0 is what programs write that know no place.
     if first != [0.0; 2] && first.iter().all(|v| v.is_finite()) {
         reading.window = Some(Window::at_mm(first));
@@ -114,7 +120,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.stated = json!({
         "object_name": b.text(20, 30)?,
         "dz": reading.factor,
-        "z_offset": offset.is_finite().then_some(offset),
+        "z_offset": if offset.is_finite() { Some(offset) } else { None },
         "absolute": is_absolute,
     });
     Ok(reading)

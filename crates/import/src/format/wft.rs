@@ -63,6 +63,7 @@ struct Contents<'a> {
     lines: Vec<(usize, Vec<&'a str>)>,
 }
 
+/// Returns the error of a damaged file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again in DFTFringe")
 }
@@ -95,7 +96,7 @@ impl<'a> Contents<'a> {
         Ok(Self { numbers, lines })
     }
 
-    /// The numbers in the line that begins with these words.
+    /// Returns the numbers in the line that begins with these words.
     fn after(&self, key: &[&str]) -> Result<Option<Vec<f64>>, Invalid> {
         let Some((line, fields)) = self.lines.iter().find(|(_, f)| f.starts_with(key)) else {
             return Ok(None);
@@ -115,7 +116,7 @@ impl<'a> Contents<'a> {
         }
     }
 
-    /// The positive number after a word.
+    /// Returns the positive number after a word.
     fn positive(&self, key: &str) -> Result<Option<f64>, Invalid> {
         match self.after(&[key])?.as_deref() {
             None => Ok(None),
@@ -125,11 +126,11 @@ impl<'a> Contents<'a> {
     }
 }
 
-/// Reads the surface.
+/// Reads the surface. Refuses damaged files, and another number of values than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let mut contents = Contents::read(&text)?;
-    let (columns, rows) = (contents.numbers[0] as usize, contents.numbers[1] as usize);
+    let [columns, rows] = [0, 1].map(|k| contents.numbers[k] as usize);
     let outside = contents.ellipse(&["outside", "ellipse"])?;
     if let Some(e) = outside.filter(|e| !e.radii.iter().all(|r| *r > 0.0)) {
         return Err(bad(format!("has an outside ellipse of the radii {:?}", e.radii)));
@@ -140,14 +141,16 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let mut values = values.expect("one value per pixel");
     for ((r, c), value) in values.indexed_iter_mut() {
         // The first row of the file is the last one of the picture.
-        let (column, row) = (c as f64, (rows - 1 - r) as f64);
+        let column = c as f64;
+        let row = (rows - 1 - r) as f64;
         let is_outside = outside.is_some_and(|e| !e.holds(column, row));
         if is_outside || obstruction.is_some_and(|e| e.holds(column, row)) {
             *value = f64::NAN;
         }
     }
     let mut reading = Reading::new(Format::Wft, values, FirstRow::SmallestY);
-    (reading.unit, reading.factor) = (Some(Unit::named("waves")), SURFACE_PER_WAVEFRONT);
+    reading.unit = Some(Unit::named("waves"));
+    reading.factor = SURFACE_PER_WAVEFRONT;
     reading.scale_applied = Some(SURFACE_PER_WAVEFRONT);
     reading.wavelength_nm = contents.positive("Lambda")?;
     let diameter_mm = contents.positive("DIAM")?;

@@ -35,12 +35,48 @@ const NAME: &str = "x3p file";
 /// Largest `main.xml`, bytes: a list of heights in text is larger, and is refused.
 const MOST_XML: usize = 4 * MOST_TEXT_BYTES;
 
-/// True for a ZIP archive with a `main.xml`, or one that is too broken to tell.
+/// Returns true for a ZIP archive with a `main.xml`, or one that is too broken to tell.
 pub(crate) fn is_x3p(bytes: &[u8]) -> bool {
     Archive::open(bytes, NAME).map_or(true, |archive| archive.has("main.xml"))
 }
 
+/// Returns the text of the element at a path.
+fn text(root: Node<'_, '_>, path: &str) -> Option<String> {
+    let element = path.split('/').try_fold(root, child)?;
+    let text: String = element.text()?.trim().chars().take(200).collect();
+    if text.is_empty() { None } else { Some(text) }
+}
+
+/// Returns the number of the element at a path.
+fn number(root: Node<'_, '_>, path: &str) -> Result<Option<f64>, Invalid> {
+    let Some(text) = text(root, path) else { return Ok(None) };
+    match text.parse::<f64>() {
+        Ok(v) if v.is_finite() => Ok(Some(v)),
+        _ => {
+            let problem = format!("has \"{text}\" in {path}");
+            Err(Invalid::whole(NAME, problem, "write a number there"))
+        }
+    }
+}
+
+/// Returns the number of pixels that the matrix states.
+fn size(root: Node<'_, '_>, name: &str) -> Result<usize, Invalid> {
+    let path = format!("Record3/MatrixDimension/{name}");
+    match number(root, &path)? {
+        // A float to an integer saturates; the size is checked next.
+        Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
+        other => {
+            let problem = format!("has {path} = {other:?}");
+            Err(Invalid::whole(NAME, problem, "export it as a matrix"))
+        }
+    }
+}
+
 /// Reads a map.
+///
+/// # Errors
+/// Refuses damaged archives, axes that are turned or not uniform, several layers, and another number of heights than
+/// pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let refuse = |problem: String, remedy: &str| Invalid::whole(NAME, problem, remedy);
     let again = "export it again";
@@ -53,33 +89,15 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         refuse(format!("has a broken main.xml ({reason})"), again)
     })?;
     let root = document.root_element();
-    let text = |path: &str| -> Option<String> {
-        let found = path.split('/').try_fold(root, child)?;
-        let text: String = found.text()?.trim().chars().take(200).collect();
-        (!text.is_empty()).then_some(text)
-    };
-    let number = |path: &str| -> Result<Option<f64>, Invalid> {
-        let Some(text) = text(path) else { return Ok(None) };
-        match text.parse::<f64>() {
-            Ok(v) if v.is_finite() => Ok(Some(v)),
-            _ => Err(refuse(format!("has \"{text}\" in {path}"), "write a number there")),
-        }
-    };
-    refuse_other(root, text)?;
-    let size = |name: &str| -> Result<usize, Invalid> {
-        let path = format!("Record3/MatrixDimension/{name}");
-        match number(&path)? {
-            // A float to an integer saturates; the size is checked next.
-            Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
-            other => Err(refuse(format!("has {path} = {other:?}"), "export it as a matrix")),
-        }
-    };
-    let (columns, rows, layers) = (size("SizeX")?, size("SizeY")?, size("SizeZ")?);
+    refuse_other(root)?;
+    let columns = size(root, "SizeX")?;
+    let rows = size(root, "SizeY")?;
+    let layers = size(root, "SizeZ")?;
     if layers != 1 {
         return Err(refuse(format!("has {layers} layers (SizeZ)"), "export one layer"));
     }
     let count = check_size("x3p map", rows, columns)?;
-    let number_type = match text("Record1/Axes/CZ/DataType").as_deref() {
+    let number_type = match text(root, "Record1/Axes/CZ/DataType").as_deref() {
         Some("I") => Number::I16,
         Some("L") => Number::I32,
         Some("F") => Number::F32,
@@ -88,7 +106,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
             return Err(refuse(format!("has heights of type {other:?}, not I, L, F or D"), again));
         }
     };
-    let Some(link) = text("Record3/DataLink/PointDataLink") else {
+    let Some(link) = text(root, "Record3/DataLink/PointDataLink") else {
         let problem = "has no bytes of heights (PointDataLink)";
         return Err(refuse(problem.into(), "export it with binary data"));
     };
@@ -101,42 +119,40 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::X3p, values, FirstRow::SmallestY);
     reading.single = number_type == Number::F32;
-    if let Some(link) = text("Record3/DataLink/ValidPointsLink") {
+    if let Some(link) = text(root, "Record3/DataLink/ValidPointsLink") {
         let bits = archive.member(&link, count.div_ceil(8))?;
         mark_invalid(&mut reading, &bits)?;
     }
     reading.unit = Some(Unit::named("m"));
-    reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
-    reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
-    (reading.pixel_mm, reading.window) =
-        (pair("Increment", number)?, pair("Offset", number)?.map(Window::at_mm));
+    reading.factor = number(root, "Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
+    reading.offset = number(root, "Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
+    reading.pixel_mm = pair_mm(root, "Increment")?;
+    reading.window = pair_mm(root, "Offset")?.map(Window::at_mm);
     reading.stated = json!({
-        "revision": text("Record1/Revision"),
-        "manufacturer": text("Record2/Instrument/Manufacturer"),
-        "model": text("Record2/Instrument/Model"),
+        "revision": text(root, "Record1/Revision"),
+        "manufacturer": text(root, "Record2/Instrument/Manufacturer"),
+        "model": text(root, "Record2/Instrument/Model"),
         "z_increment_m": reading.factor,
         "z_offset_m": reading.offset,
     });
     Ok(reading)
 }
 
-/// The element `name` of the axes (x, y), mm; `number` is that of a path of elements, m.
-fn pair(
-    name: &str,
-    number: impl Fn(&str) -> Result<Option<f64>, Invalid>,
-) -> Result<Option<[f64; 2]>, Invalid> {
-    let of = |axis: &str| number(&format!("Record1/Axes/{axis}/{name}"));
-    Ok(of("CX")?.zip(of("CY")?).map(|(x, y)| [x * 1e3, y * 1e3]))
+/// Returns the element `name` of the axes [x, y], which is in m, in mm.
+fn pair_mm(root: Node<'_, '_>, name: &str) -> Result<Option<[f64; 2]>, Invalid> {
+    let x = number(root, &format!("Record1/Axes/CX/{name}"))?;
+    let y = number(root, &format!("Record1/Axes/CY/{name}"))?;
+    Ok(x.zip(y).map(|(x, y)| [x * 1e3, y * 1e3]))
 }
 
-/// The first child of this name, in any namespace.
+/// Returns the first child of this name, in any namespace.
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|child| child.tag_name().name() == name)
 }
 
-/// Refuses what is no map on a uniform grid along the axes of the part. `text` is that of a path of elements.
-fn refuse_other(root: Node<'_, '_>, text: impl Fn(&str) -> Option<String>) -> Result<(), Invalid> {
-    let kind = text("Record1/FeatureType").unwrap_or_default();
+/// Refuses what is no map on a uniform grid along the axes of the part.
+fn refuse_other(root: Node<'_, '_>) -> Result<(), Invalid> {
+    let kind = text(root, "Record1/FeatureType").unwrap_or_default();
     if kind != "SUR" {
         let problem = format!("holds the feature \"{kind}\", not a map (SUR)");
         return Err(Invalid::whole(NAME, problem, "export the surface"));
@@ -146,7 +162,7 @@ fn refuse_other(root: Node<'_, '_>, text: impl Fn(&str) -> Option<String>) -> Re
         return Err(Invalid::whole(NAME, "has turned axes (Rotation)", remedy));
     }
     for axis in ["CX", "CY"] {
-        let kind = text(&format!("Record1/Axes/{axis}/AxisType"));
+        let kind = text(root, &format!("Record1/Axes/{axis}/AxisType"));
         if kind.as_deref() != Some("I") {
             let problem = format!("has an axis {axis} of type {kind:?}, not of equal steps (I)");
             return Err(Invalid::whole(NAME, problem, "export it on a uniform grid"));

@@ -30,62 +30,63 @@ struct Member {
     crc: u32,
     packed: usize,
     size: usize,
-    at: usize,
+    start: usize,
 }
 
 impl<'a> Archive<'a> {
-    /// Reads the directory at the end of `bytes`; `name` is what an error is about.
+    /// Reads the directory at the end of `bytes`; `name` is what an error is about. Refuses a damaged one.
     pub fn open(bytes: &'a [u8], name: &'static str) -> Result<Self, Invalid> {
         let b = Bytes { all: bytes, name, big_endian: false };
         let from = bytes.len().saturating_sub(END_BYTES + LONGEST_COMMENT);
-        let end = bytes[from..].windows(END.len()).rposition(|w| w == END).map(|at| from + at);
-        let end = end.ok_or_else(|| {
-            let problem = "has no directory at its end: it is truncated, or no ZIP archive";
-            Invalid::whole(name, problem, "export it again")
-        })?;
-        let (count, mut at) = (usize::from(b.u16(end + 10)?), b.u32(end + 16)? as usize);
+        let end = bytes[from..].windows(END.len()).rposition(|w| w == END);
+        let end = from
+            + end.ok_or_else(|| {
+                let problem = "has no directory at its end: it is truncated, or no ZIP archive";
+                Invalid::whole(name, problem, "export it again")
+            })?;
+        let count = usize::from(b.u16(end + 10)?);
+        let mut start = b.u32(end + 16)? as usize;
         if count > MOST_ARRAYS {
             return Err(too_many(name, MOST_ARRAYS, "members", "export only the map"));
         }
         let mut members = Vec::new();
         for _ in 0..count {
-            if b.slice(at, 4)? != b"PK\x01\x02" {
-                let problem = format!("has no entry of its directory at byte {at}");
+            if b.slice(start, 4)? != b"PK\x01\x02" {
+                let problem = format!("has no entry of its directory at byte {start}");
                 return Err(Invalid::whole(name, problem, "export it again"));
             }
-            let lengths = [28, 30, 32].map(|k| b.u16(at + k).map(usize::from));
+            let lengths = [28, 30, 32].map(|k| b.u16(start + k).map(usize::from));
             let [name_len, extra, comment] = lengths;
             let name_len = name_len?;
             members.push(Member {
-                name: b.text(at + 46, name_len)?,
-                method: b.u16(at + 10)?,
-                crc: b.u32(at + 16)?,
-                packed: b.u32(at + 20)? as usize,
-                size: b.u32(at + 24)? as usize,
-                at: b.u32(at + 42)? as usize,
+                name: b.text(start + 46, name_len)?,
+                method: b.u16(start + 10)?,
+                crc: b.u32(start + 16)?,
+                packed: b.u32(start + 20)? as usize,
+                size: b.u32(start + 24)? as usize,
+                start: b.u32(start + 42)? as usize,
             });
-            at += 46 + name_len + extra? + comment?;
+            start += 46 + name_len + extra? + comment?;
         }
         Ok(Self { b, members })
     }
 
-    /// True where the archive has a member of this name.
+    /// Returns true if the archive has a member of this name.
     pub fn has(&self, name: &str) -> bool {
         self.members.iter().any(|member| member.name == name)
     }
 
-    /// The names of the members, and their sizes in bytes.
+    /// Returns the names of the members, and their sizes in bytes.
     pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
         self.members.iter().map(|member| (member.name.as_str(), member.size))
     }
 
-    /// The content of a member of at most `most` bytes.
+    /// Returns the content of a member of at most `most` bytes. Refuses an absent, a larger and a damaged one.
     pub fn member(&self, name: &str, most: usize) -> Result<Vec<u8>, Invalid> {
         let refuse = |problem: String| Invalid::whole(self.b.name, problem, "export it again");
         let wanted = name.trim_start_matches(['/', '.']);
-        let found = self.members.iter().find(|member| member.name == wanted);
         let short: String = wanted.chars().take(80).collect();
-        let Some(member) = found else {
+        let Some(member) = self.members.iter().find(|member| member.name == wanted) else {
             return Err(refuse(format!("has no member \"{short}\"")));
         };
         if member.size > most {
@@ -93,11 +94,12 @@ impl<'a> Archive<'a> {
             return Err(refuse(problem));
         }
         // The local header repeats the name and has an extra field of its own.
-        if self.b.slice(member.at, 4)? != MAGIC {
-            return Err(refuse(format!("has no \"{short}\" at byte {}", member.at)));
+        if self.b.slice(member.start, 4)? != MAGIC {
+            return Err(refuse(format!("has no \"{short}\" at byte {}", member.start)));
         }
-        let (name_len, extra) = (self.b.u16(member.at + 26)?, self.b.u16(member.at + 28)?);
-        let start = member.at + 30 + usize::from(name_len) + usize::from(extra);
+        let name_len = usize::from(self.b.u16(member.start + 26)?);
+        let extra = usize::from(self.b.u16(member.start + 28)?);
+        let start = member.start + 30 + name_len + extra;
         let packed = self.b.slice(start, member.packed)?;
         // Deflate does not grow further, so memory is taken for what is there, not for what is claimed.
         if member.size as u64 > MOST_GROWTH * (packed.len() as u64 + 1) {

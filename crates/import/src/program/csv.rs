@@ -7,7 +7,7 @@ use planish_types::{AxesMotion, Invalid};
 use super::{Knot, Layout, finite, through, wrong};
 use crate::text::fields;
 
-/// The motion of a table.
+/// Returns the motion of a table.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let columns = layout.names.iter().zip(&layout.units);
     let columns = columns.map(|(name, unit)| format!("{name}_{unit},v{name}_{unit}_per_s,"));
@@ -34,7 +34,8 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
         if fields.len() != 2 * layout.len() + 2 {
             return Err(wrong(i + 1, format!("has {} fields, not {expected}", fields.len())));
         }
-        let (states, on) = (&fields[1..fields.len() - 1], fields[fields.len() - 1]);
+        let states = &fields[1..fields.len() - 1];
+        let on = fields[fields.len() - 1];
         if on != 0.0 && on != 1.0 {
             return Err(wrong(i + 1, format!("has {on} for tool_on, not 0 or 1")));
         }

@@ -32,8 +32,8 @@ const WITHOUT_MOTION: [&str; 6] = ["EN", "SH", "AM", "MC", "MG", "WT"];
 /// Units of TM in a second (DMC-40x0 command reference, TM).
 const TM_PER_S: f64 = 1.024e6;
 
-/// Command of a line.
-enum Command {
+/// GalilCommand of a line.
+enum GalilCommand {
     /// A segment of an axis.
     Segment(usize, [i64; 3]),
     /// Clear the buffer of an axis.
@@ -44,7 +44,7 @@ enum Command {
     Begin,
 }
 
-/// The motion of a program.
+/// Returns the motion of a program.
 pub(super) fn read(
     text: &str,
     configuration: &Configuration,
@@ -54,7 +54,8 @@ pub(super) fn read(
     let letters = LETTERS.get(..n).unwrap_or(LETTERS);
     // Distance, velocity, samples of every segment.
     let mut axes: Vec<Vec<[i64; 3]>> = vec![Vec::new(); n];
-    let (mut ended, mut begun) = (vec![false; n], false);
+    let mut ended = vec![false; n];
+    let mut begun = false;
     let mut sample_s = configuration.sample_s;
     for (i, line) in text.lines().enumerate() {
         let line = line.trim().to_ascii_uppercase();
@@ -77,23 +78,39 @@ pub(super) fn read(
             }
             let command: String = command.split_whitespace().collect();
             match parse(i + 1, &command, letters)? {
-                Command::Segment(axis, _) | Command::Clear(axis) | Command::End(axis)
+                GalilCommand::Segment(axis, _)
+                | GalilCommand::Clear(axis)
+                | GalilCommand::End(axis)
                     if ended[axis] =>
                 {
                     return Err(wrong(i + 1, "goes on after the end of the motion (0,0,0)"));
                 }
-                Command::Segment(axis, numbers) => axes[axis].push(numbers),
-                Command::Clear(axis) if axes[axis].is_empty() => {}
-                Command::Clear(_) => {
+                GalilCommand::Segment(axis, numbers) => axes[axis].push(numbers),
+                GalilCommand::Clear(axis) if axes[axis].is_empty() => {}
+                GalilCommand::Clear(_) => {
                     return Err(wrong(i + 1, "clears the segments before it (T = -1)"));
                 }
-                Command::End(axis) => ended[axis] = true,
-                Command::Begin if begun => return Err(wrong(i + 1, "begins the motion again")),
-                Command::Begin => begun = true,
+                GalilCommand::End(axis) => ended[axis] = true,
+                GalilCommand::Begin if begun => {
+                    return Err(wrong(i + 1, "begins the motion again"));
+                }
+                GalilCommand::Begin => begun = true,
             }
         }
     }
     check_complete(&axes, &ended, begun, letters)?;
+    through(&knots(&axes, layout, sample_s, letters)?)
+}
+
+/// Returns the states at the ends of the segments: distance, velocity and samples of every one, by axis. Refuses absent
+/// settings, and segments of which the axes have other times.
+fn knots(
+    axes: &[Vec<[i64; 3]>],
+    layout: &Layout,
+    sample_s: Option<f64>,
+    letters: &str,
+) -> Result<Vec<Knot>, Invalid> {
+    let n = axes.len();
     let count = needed("count_mm", layout.count.clone())?;
     let sample_s = positive("sample_s", needed("sample_s", sample_s)?)?;
     let start = needed("start_mm", layout.start.clone())?;
@@ -107,22 +124,24 @@ pub(super) fn read(
         tool_on: true,
     };
     // Counts and samples add up without rounding.
-    let (mut samples, mut counts) = (0i64, vec![0i64; n]);
+    let mut samples = 0i64;
+    let mut counts = vec![0i64; n];
     let mut knots = vec![state(0, &counts, &counts)];
     for i in 0..axes[0].len() {
         let first = axes[0][i];
         if let Some(k) = (1..n).find(|k| axes[*k][i][2] != first[2]) {
-            let (other, of) = (axes[k][i][2], &letters[k..=k]);
-            let problem = format!("takes {} samples for A, {other} for {of}", first[2]);
+            let letter = &letters[k..=k];
+            let problem =
+                format!("takes {} samples for A, {} for {letter}", first[2], axes[k][i][2]);
             return Err(Invalid::at("segment", i, problem, "give all axes the same time"));
         }
         // Both are bounded by the length of the text: 1e9 lines of 44e6 counts stay below 2^63.
         samples += first[2];
-        counts.iter_mut().zip(&axes).for_each(|(sum, axis)| *sum += axis[i][0]);
+        counts.iter_mut().zip(axes).for_each(|(sum, axis)| *sum += axis[i][0]);
         let velocity: Vec<i64> = axes.iter().map(|axis| axis[i][1]).collect();
         knots.push(state(samples, &counts, &velocity));
     }
-    through(&knots)
+    Ok(knots)
 }
 
 /// Refuses axes with different numbers of segments, and a motion that does not begin or end.
@@ -134,8 +153,8 @@ fn check_complete(
 ) -> Result<(), Invalid> {
     let n = axes.len();
     if let Some(k) = (1..n).find(|k| axes[*k].len() != axes[0].len()) {
-        let (first, other, of) = (axes[0].len(), axes[k].len(), &letters[k..=k]);
-        let problem = format!("has {first} segment(s) of A, {other} of {of}");
+        let [first, other] = [0, k].map(|k| axes[k].len());
+        let problem = format!("has {first} segment(s) of A, {other} of {}", &letters[k..=k]);
         return Err(Invalid::whole("program", problem, "give all axes the same segments"));
     }
     if begun && ended.iter().all(|e| *e) {
@@ -164,21 +183,19 @@ fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Inv
     }
 }
 
-fn parse(line: usize, command: &str, letters: &str) -> Result<Command, Invalid> {
+/// Returns the command that a text is.
+fn parse(line: usize, command: &str, letters: &str) -> Result<GalilCommand, Invalid> {
     if command.strip_prefix("BT") == Some(letters) {
-        return Ok(Command::Begin);
+        return Ok(GalilCommand::Begin);
     }
-    let short = || command.chars().take(20).collect::<String>();
     let unknown = || {
         let segments: String = letters.chars().map(|l| format!("PV{l}=, ")).collect();
-        wrong(line, format!("has {:?}, not {segments}or BT{letters}", short()))
+        let short: String = command.chars().take(20).collect();
+        wrong(line, format!("has {short:?}, not {segments}or BT{letters}"))
     };
     let named = command.strip_prefix("PV").and_then(|rest| rest.split_once('='));
-    let axis_of = |(letter, rest)| Some((letters.find(letter)?, letter, rest));
-    let (axis, rest) = match named.and_then(axis_of) {
-        Some((axis, letter, rest)) if letter.len() == 1 => (axis, rest),
-        _ => return Err(unknown()),
-    };
+    let (letter, rest) = named.filter(|(letter, _)| letter.len() == 1).ok_or_else(unknown)?;
+    let axis = letters.find(letter).ok_or_else(unknown)?;
     let numbers = rest.split(',').map(|f| {
         f.trim().parse::<i64>().map_err(|_| {
             let short: String = f.trim().chars().take(20).collect();
@@ -187,14 +204,14 @@ fn parse(line: usize, command: &str, letters: &str) -> Result<Command, Invalid> 
     });
     let numbers: Vec<i64> = numbers.collect::<Result<_, _>>()?;
     match numbers[..] {
-        [0, 0, -1] => Ok(Command::Clear(axis)),
-        [0, 0, 0] => Ok(Command::End(axis)),
+        [0, 0, -1] => Ok(GalilCommand::Clear(axis)),
+        [0, 0, 0] => Ok(GalilCommand::End(axis)),
         [p, v, t] if (1..=MOST_SAMPLES).contains(&t) => {
             if p.unsigned_abs() > MOST_DISTANCE as u64 || v.unsigned_abs() > MOST_VELOCITY as u64 {
                 let most = format!("{MOST_DISTANCE} counts, {MOST_VELOCITY} counts/s");
                 return Err(wrong(line, format!("has {p},{v}, which is beyond {most}")));
             }
-            Ok(Command::Segment(axis, [p, v, t]))
+            Ok(GalilCommand::Segment(axis, [p, v, t]))
         }
         [_, _, t] => Err(wrong(line, format!("takes {t} samples, not 1 to {MOST_SAMPLES}"))),
         _ => Err(unknown()),

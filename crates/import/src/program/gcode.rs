@@ -39,10 +39,10 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Layout, finite, wrong};
 
-/// The motion of a program.
+/// Returns the motion of a program.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let mut machine = Machine::new(layout);
-    let (mut percent, mut begun, mut ended) = (false, false, false);
+    let [mut percent, mut begun, mut ended] = [false; 3];
     for (i, line) in text.lines().enumerate() {
         let plain = line.trim();
         ended = match plain {
@@ -101,19 +101,19 @@ struct Part {
 }
 
 /// Cubics one after the other.
-struct Pieces {
+struct Cubics {
     times: Vec<f64>,
     cubics: Vec<[f64; 4]>,
     tool_on: Vec<bool>,
 }
 
-impl Default for Pieces {
+impl Default for Cubics {
     fn default() -> Self {
         Self { times: vec![0.0], cubics: Vec::new(), tool_on: Vec::new() }
     }
 }
 
-impl Pieces {
+impl Cubics {
     /// Adds the cubics of all axes over some time; nothing for no time.
     fn push(&mut self, seconds: f64, cubics: impl Iterator<Item = [f64; 4]>, tool_on: bool) {
         if seconds > 0.0 {
@@ -162,7 +162,9 @@ impl<'a> Machine<'a> {
         let words = words(number, line)?;
         check_words(number, &words, &self.letters)?;
         let value = |letter: char| words.iter().find(|w| w.0 == letter).map(|w| w.1);
-        let (mut dwell, mut end, mut output) = (false, false, None);
+        let mut dwell = false;
+        let mut end = false;
+        let mut output = None;
         for (letter, v) in &words {
             match (letter, code(*v)) {
                 ('G', Some(0)) => self.motion = 0,
@@ -232,6 +234,7 @@ impl<'a> Machine<'a> {
         Ok(end)
     }
 
+    /// Goes to a position by G0 or G1.
     fn go(
         &mut self,
         number: usize,
@@ -276,9 +279,9 @@ impl<'a> Machine<'a> {
         self.push(number, &here, &to, seconds)
     }
 
-    /// The motion of all lines and dwells.
+    /// Returns the motion of all lines and dwells.
     fn motion(self) -> Result<AxesMotion, Invalid> {
-        let mut pieces = Pieces::default();
+        let mut pieces = Cubics::default();
         let is_joined = self.tolerance_mm > 0.0
             && self
                 .runs()
@@ -299,24 +302,24 @@ impl<'a> Machine<'a> {
         AxesMotion::new(pieces.times, pieces.cubics, pieces.tool_on, vec![None; n])
     }
 
-    /// The lines that follow each other without a stop.
+    /// Returns the lines that follow each other without a stop.
     fn runs(&self) -> impl Iterator<Item = &[Part]> {
         self.parts.split(|part| part.is_stop).filter(|run| !run.is_empty())
     }
 
     /// Returns the largest distance of joined lines from their corners along the linear axes, mm.
     fn farthest_mm(&self, run: &[Part]) -> f64 {
-        let is_linear = |a: &usize| self.layout.units[*a] == "mm";
-        let from_corner = |k: usize| {
+        let linear = || (0..self.layout.len()).filter(|a| self.layout.units[*a] == "mm");
+        let from_corners = (0..=run.len()).map(|k| {
             let (before, after) = around(run, k);
-            let changes = (0..self.layout.len()).filter(is_linear).map(|a| after[a] - before[a]);
-            changes.fold(0.0, f64::hypot) * parabola_s(run, k) / 8.0
-        };
-        (0..=run.len()).map(from_corner).fold(0.0, f64::max)
+            let change = linear().map(|a| after[a] - before[a]).fold(0.0, f64::hypot);
+            change * parabola_s(run, k) / 8.0
+        });
+        from_corners.fold(0.0, f64::max)
     }
 
     /// Adds the joined motion of lines, from rest to rest: half a line before the first node begins it.
-    fn join(&self, run: &[Part], pieces: &mut Pieces) {
+    fn join(&self, run: &[Part], pieces: &mut Cubics) {
         let axes = self.layout.len();
         for k in 0..=run.len() {
             let b = parabola_s(run, k);
@@ -360,6 +363,7 @@ impl<'a> Machine<'a> {
         Err(Invalid::whole("program", problem, "end it with M65 P0"))
     }
 
+    /// Returns the position. Refuses a program that has not set the start.
     fn here(&self, number: usize) -> Result<Vec<f64>, Invalid> {
         let here: Option<Vec<f64>> = self.position.iter().copied().collect();
         here.ok_or_else(|| {
@@ -368,6 +372,7 @@ impl<'a> Machine<'a> {
         })
     }
 
+    /// Adds a straight line that takes so many seconds.
     fn push(
         &mut self,
         number: usize,
@@ -402,8 +407,11 @@ pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
         let words = words(i + 1, line).ok()?;
         let is_dwell = words.iter().any(|w| w.0 == 'G' && code(w.1) == Some(40));
         let seconds = words.iter().find(|w| w.0 == 'P')?.1;
-        (is_dwell && seconds >= LEAST_DOUBTED_S && seconds.fract() == 0.0)
-            .then_some((i + 1, seconds))
+        if is_dwell && seconds >= LEAST_DOUBTED_S && seconds.fract() == 0.0 {
+            Some((i + 1, seconds))
+        } else {
+            None
+        }
     });
     let (line, seconds) = dwells.max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(format!(
@@ -412,11 +420,11 @@ pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
     ))
 }
 
-/// Ten times a code, because codes have at most one decimal. LinuxCNC accepts a code within 0.0001 of a
+/// Returns ten times a code, because codes have at most one decimal. LinuxCNC accepts a code within 0.0001 of a
 /// whole number.
 fn code(v: f64) -> Option<i64> {
     let tenfold = 10.0 * v;
-    ((tenfold - tenfold.round()).abs() <= 1e-4).then_some(tenfold.round() as i64)
+    if (tenfold - tenfold.round()).abs() <= 1e-4 { Some(tenfold.round() as i64) } else { None }
 }
 
 /// Refuses words that are not understood, that contradict each other, or that nothing uses.
@@ -499,7 +507,7 @@ fn has(words: &[(char, f64)], letter: char, codes: &[i64]) -> bool {
 }
 
 /// Returns whether there is a word of this letter.
-fn given(words: &[(char, f64)], letter: char) -> bool {
+fn has_letter(words: &[(char, f64)], letter: char) -> bool {
     words.iter().any(|w| w.0 == letter)
 }
 
@@ -508,13 +516,13 @@ fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Resul
     let dwell = has(words, 'G', &[40]);
     let output = has(words, 'M', &[620, 630, 640, 650]);
     let blending = has(words, 'G', &[640]);
-    if dwell && (output || blending || axes.iter().any(|letter| given(words, *letter))) {
+    if dwell && (output || blending || axes.iter().any(|letter| has_letter(words, *letter))) {
         return Err(wrong(number, "has G4 with words that belong to something else"));
     }
-    if given(words, 'P') && (output && blending || !(dwell || output || blending)) {
+    if has_letter(words, 'P') && (output && blending || !(dwell || output || blending)) {
         return Err(wrong(number, "has a word P that belongs to nothing, or to two things"));
     }
-    if given(words, 'Q') && !blending {
+    if has_letter(words, 'Q') && !blending {
         return Err(wrong(number, "has a word Q that belongs to nothing"));
     }
     Ok(())
@@ -524,7 +532,7 @@ fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Resul
 /// long" at one more.
 const MOST_CHARACTERS: usize = 252;
 
-/// Letters with their numbers, comments left out.
+/// Returns the letters with their numbers, comments left out.
 fn words(number: usize, line: &str) -> Result<Vec<(char, f64)>, Invalid> {
     if line.len() > MOST_CHARACTERS {
         let problem =
@@ -559,10 +567,11 @@ fn words(number: usize, line: &str) -> Result<Vec<(char, f64)>, Invalid> {
             return Err(wrong(number, format!("has {letter:?} where a letter should be")));
         }
         let end = rest[1..].find(|c: char| c.is_ascii_alphabetic()).map_or(rest.len(), |e| e + 1);
-        let digits = |c: char| c.is_ascii_digit() || "+-.".contains(c);
         match &rest[1..end] {
             "" => return Err(wrong(number, format!("has the word {letter} without a number"))),
-            text if text.chars().all(digits) => words.push((letter, finite(number, text)?)),
+            text if text.chars().all(|c| c.is_ascii_digit() || "+-.".contains(c)) => {
+                words.push((letter, finite(number, text)?))
+            }
             text => {
                 let short: String = text.chars().take(20).collect();
                 return Err(wrong(number, format!("has {short:?} where a number should be")));

@@ -20,7 +20,7 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Configuration, Knot, Layout, finite, needed, positive, through, wrong};
 
-/// The motion of a program.
+/// Returns the motion of a program.
 pub(super) fn read(
     text: &str,
     configuration: &Configuration,
@@ -133,8 +133,8 @@ fn data(line: usize, rest: &mut &str) -> Result<Option<f64>, Invalid> {
         let close = inner.find(')').ok_or_else(|| missing(line, text))?;
         (&inner[..close], close + 2)
     } else {
-        let is_part = |c: char| c.is_ascii_digit() || "+-.".contains(c);
-        let end = text.find(|c: char| !is_part(c)).unwrap_or(text.len());
+        let end = text.find(|c: char| !(c.is_ascii_digit() || "+-.".contains(c)));
+        let end = end.unwrap_or(text.len());
         if end == 0 {
             return Ok(None);
         }

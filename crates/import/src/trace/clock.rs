@@ -116,7 +116,10 @@ pub struct Clock {
 }
 
 impl Timing<'_> {
-    /// Times since the first sample (n), s, and their comparison with equal steps.
+    /// Returns the times since the first sample (n), s, and their comparison with equal steps.
+    ///
+    /// # Errors
+    /// Refuses stamps that do not ascend, gaps that are too long, and stamps or a rate whose unit nobody states.
     pub fn clock(&self) -> Result<(Vec<f64>, Clock), Invalid> {
         let Some(stamps) = self.stamps else { return self.by_rate() };
         let unit_s = self.unit_s(stamps)?;
@@ -151,10 +154,12 @@ impl Timing<'_> {
         Ok((time_s, clock))
     }
 
+    /// Returns equal steps by the rate, for a log without time stamps.
     fn by_rate(&self) -> Result<(Vec<f64>, Clock), Invalid> {
-        let remedy = "give `rate_hz`, or `time` with the column of the time stamps";
-        let absent = || Invalid::whole("rate_hz", "is not in a log without time stamps", remedy);
-        let rate_hz = self.rate_hz.ok_or_else(absent)?;
+        let Some(rate_hz) = self.rate_hz else {
+            let remedy = "give `rate_hz`, or `time` with the column of the time stamps";
+            return Err(Invalid::whole("rate_hz", "is not in a log without time stamps", remedy));
+        };
         let time_s = (0..self.samples).map(|i| i as f64 / rate_hz).collect();
         let clock = Clock {
             rate_hz,
@@ -171,16 +176,16 @@ impl Timing<'_> {
         Ok((time_s, clock))
     }
 
-    /// Seconds in a unit of the stamps.
+    /// Returns the seconds in a unit of the stamps.
     pub(super) fn unit_s(&self, stamps: &Column) -> Result<f64, Invalid> {
         let unit = match (self.unit, stamps.unit) {
-            (Some(given), Some(stated)) if given != stated => {
+            (Some(requested), Some(stated)) if requested != stated => {
                 let problem =
-                    format!("is {given}, but the log has \"{}\" in {stated}", stamps.name);
+                    format!("is {requested}, but the log has \"{}\" in {stated}", stamps.name);
                 let remedy = "leave `time_unit` out, or correct the log";
                 return Err(Invalid::whole("time_unit", problem, remedy));
             }
-            (given, stated) => given.or(stated),
+            (requested, stated) => requested.or(stated),
         };
         let unit = match unit {
             Some(unit) => unit,
@@ -213,6 +218,7 @@ impl Timing<'_> {
         Ok(unit_s)
     }
 
+    /// Returns the comparison of the stamps with steps of `step_s`, and the number of steps n_i up to each sample.
     fn compared(
         &self,
         time_s: &[f64],
@@ -220,7 +226,8 @@ impl Timing<'_> {
         rate_from: &'static str,
     ) -> Result<(Clock, Vec<f64>), Invalid> {
         let mut named: Vec<Gap> = Vec::new();
-        let (mut gaps, mut gaps_last_s) = (0, 0.0);
+        let mut gaps = 0;
+        let mut gaps_last_s = 0.0;
         let mut count = vec![0.0; time_s.len()];
         for i in 1..time_s.len() {
             let lasts_s = time_s[i] - time_s[i - 1];
@@ -250,7 +257,7 @@ impl Timing<'_> {
             }
             named.truncate(MOST_NAMED);
         }
-        let Line { slope, scatter: scatter_s, .. } = line(&count, time_s);
+        let FittedLine { slope, scatter: scatter_s, .. } = line(&count, time_s);
         let drift = self.rate_hz.map(|_| slope / step_s - 1.0);
         let clock = Clock {
             rate_hz: 1.0 / step_s,
@@ -269,12 +276,12 @@ impl Timing<'_> {
 }
 
 impl Clock {
-    /// Longest step between two samples that is no gap, s.
+    /// Returns the longest step between two samples that is no gap, s.
     pub fn longest_step_s(&self) -> f64 {
         if self.stamps { GAP / self.rate_hz } else { f64::INFINITY }
     }
 
-    /// Warnings of gaps, drift and scatter.
+    /// Returns the warnings of gaps, drift and scatter.
     pub(super) fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if let Some(largest) = self.named_gaps.first() {
@@ -333,11 +340,13 @@ fn epoch(first: f64) -> &'static str {
         // Days since the end of 1899.
         (86_400.0, " (in days of a spreadsheet it is a date of these years)"),
     ];
-    let is_likely = |(unit_s, _): &&(f64, &str)| {
-        let offset_s = if *unit_s == 86_400.0 { 25_569.0 * 86_400.0 } else { 0.0 };
-        SINCE_1970_S.contains(&(first * unit_s - offset_s))
-    };
-    units.iter().find(is_likely).map_or("", |unit| unit.1)
+    for (unit_s, words) in units {
+        let offset_s = if unit_s == 86_400.0 { 25_569.0 * 86_400.0 } else { 0.0 };
+        if SINCE_1970_S.contains(&(first * unit_s - offset_s)) {
+            return words;
+        }
+    }
+    ""
 }
 
 /// Returns the usual step between two stamps: the mean of those that are within half of the median of it. The median alone
@@ -346,43 +355,50 @@ fn usual_step(time_s: &[f64]) -> f64 {
     let mut steps: Vec<f64> = time_s.windows(2).map(|t| t[1] - t[0]).collect();
     let middle = steps.len() / 2;
     let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let usual = || steps.iter().filter(|step| (0.5 * median..=GAP * median).contains(*step));
-    usual().sum::<f64>() / usual().count() as f64
+    steps.retain(|step| (0.5 * median..=GAP * median).contains(step));
+    steps.iter().sum::<f64>() / steps.len() as f64
 }
 
 /// Returns the rate, Hz, of the fewest digits with which all stamps are within `within_s` of equal steps; `None` if they are
 /// not so for any rate.
 fn even_rate_hz(count: &[f64], time_s: &[f64], within_s: f64) -> Option<f64> {
     let rate_hz = 1.0 / line(count, time_s).slope;
-    let is_near = |rate_hz: f64| {
-        let away = count.iter().zip(time_s).map(|(n, t)| t - n / rate_hz);
-        let (low, high) =
-            away.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), e| (l.min(e), h.max(e)));
-        high - low <= 2.0 * within_s
-    };
-    if !is_near(rate_hz) {
+    if spread_s(count, time_s, rate_hz) > 2.0 * within_s {
         return None;
     }
-    let digits = |n: usize| format!("{rate_hz:.*e}", n - 1).parse::<f64>().ok();
-    let short = (1..=8).filter_map(digits).find(|rate| *rate > 0.0 && is_near(*rate));
-    Some(short.unwrap_or(rate_hz))
+    for decimals in 0..8 {
+        let Ok(short) = format!("{rate_hz:.decimals$e}").parse::<f64>() else { continue };
+        if short > 0.0 && spread_s(count, time_s, short) <= 2.0 * within_s {
+            return Some(short);
+        }
+    }
+    Some(rate_hz)
+}
+
+/// Returns the largest less the smallest distance of stamps from equal steps of a rate, s.
+fn spread_s(count: &[f64], time_s: &[f64], rate_hz: f64) -> f64 {
+    let away = count.iter().zip(time_s).map(|(n, t)| t - n / rate_hz);
+    let low = away.clone().fold(f64::INFINITY, f64::min);
+    away.fold(f64::NEG_INFINITY, f64::max) - low
 }
 
 /// A least-squares line of y over x.
-struct Line {
+struct FittedLine {
     slope: f64,
     /// RMS distance from it in y.
     scatter: f64,
 }
 
-fn line(x: &[f64], y: &[f64]) -> Line {
+/// Fits a line to y over x.
+fn line(x: &[f64], y: &[f64]) -> FittedLine {
     let n = x.len() as f64;
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
-    let (mx, my) = (mean(x), mean(y));
-    let each = || x.iter().zip(y).map(|(x, y)| (x - mx, y - my));
-    let slope = each().map(|(x, y)| x * y).sum::<f64>() / each().map(|(x, _)| x * x).sum::<f64>();
-    let scatter = (each().map(|(x, y)| (y - slope * x).powi(2)).sum::<f64>() / n).sqrt();
-    Line { slope, scatter }
+    let [mx, my] = [x, y].map(|v| v.iter().sum::<f64>() / n);
+    let points = x.iter().zip(y).map(|(x, y)| (x - mx, y - my));
+    let product: f64 = points.clone().map(|(x, y)| x * y).sum();
+    let square: f64 = points.clone().map(|(x, _)| x * x).sum();
+    let slope = product / square;
+    let scatter = (points.map(|(x, y)| (y - slope * x).powi(2)).sum::<f64>() / n).sqrt();
+    FittedLine { slope, scatter }
 }
 
 #[cfg(test)]

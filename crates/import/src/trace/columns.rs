@@ -46,7 +46,7 @@ impl Role {
         matches!(self, Self::Time | Self::TimeY)
     }
 
-    /// Name of the setting that gives the column of the quantity.
+    /// Returns the name of the setting that gives the column of the quantity.
     pub fn setting(self) -> &'static str {
         match self {
             Self::Time => "time",
@@ -107,7 +107,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// All quantities, in the order in which columns are assigned.
+    /// Returns all quantities, in the order in which columns are assigned.
     pub fn roles(&self) -> Vec<Role> {
         let mut roles = vec![Role::Time, Role::TimeY];
         match self.axes.len() {
@@ -118,8 +118,8 @@ impl Columns {
         roles
     }
 
-    /// Name or number that the user gave for a quantity.
-    pub fn of(&self, role: Role) -> Option<&str> {
+    /// Returns the name or the number that the user gave for a quantity.
+    pub fn requested(&self, role: Role) -> Option<&str> {
         let named = match role {
             Role::Time => &self.time,
             Role::TimeY => &self.time_y,
@@ -202,7 +202,7 @@ pub struct Log {
 /// Returns the unit that `text`, the name of a column or the word of a unit beside it, states for a quantity.
 ///
 /// # Errors
-/// A word that claims to be a unit and is none, and a unit of another quantity.
+/// Refuses a word that claims to be a unit and is none, and a unit of another quantity.
 pub fn stated_unit(
     role: Role,
     columns: &Columns,
@@ -236,59 +236,61 @@ pub fn stated_unit(
 
 /// Column of a quantity in a table.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct ColumnPlace {
     /// Quantity of the column.
     pub role: Role,
     /// Column, counted from 0.
     pub index: usize,
 }
 
-/// Columns of the quantities in a table of `count` columns, with `names` if it has some.
+/// Returns the columns of the quantities in a table of `count` columns, with `names` if it has some.
+///
+/// # Errors
+/// Refuses a table without a needed quantity, and one column for two quantities.
 pub fn places(
     format: LogFormat,
     names: Option<&[String]>,
     count: usize,
-    asked: &Columns,
-) -> Result<Vec<Place>, Invalid> {
-    let mut found = Vec::new();
-    for role in asked.roles() {
-        let index = match asked.of(role) {
+    requested: &Columns,
+) -> Result<Vec<ColumnPlace>, Invalid> {
+    let mut places: Vec<ColumnPlace> = Vec::new();
+    let mut missing = None;
+    for role in requested.roles() {
+        let index = match requested.requested(role) {
             Some(name) => Some(named(role, name, names, count)?),
-            None => customary(format, role, names, count, asked)?,
+            None => customary(format, role, names, count, requested)?,
         };
-        found.extend(index.map(|index| Place { role, index }));
-    }
-    let has = |role: Role| found.iter().any(|p| p.role == role);
-    let needed = |role: &Role| matches!(role, Role::X | Role::Y | Role::Axis(_));
-    for role in asked.roles().into_iter().filter(needed) {
-        if !has(role) {
-            let problem = format!(
-                "has no column that is known as {}: {}",
-                asked.name(role),
-                listed(names, count)
-            );
-            let remedy = format!("{}, a name or a number counted from 1", asked.remedy(role));
-            return Err(Invalid::whole(NAME, problem, remedy));
+        if index.is_none() && matches!(role, Role::X | Role::Y | Role::Axis(_)) {
+            missing.get_or_insert(role);
         }
+        places.extend(index.map(|index| ColumnPlace { role, index }));
     }
-    if has(Role::SetpointX) != has(Role::SetpointY) {
+    if let Some(role) = missing {
+        let name = requested.name(role);
+        let problem = format!("has no column that is known as {name}: {}", listed(names, count));
+        let remedy = format!("{}, a name or a number counted from 1", requested.remedy(role));
+        return Err(Invalid::whole(NAME, problem, remedy));
+    }
+    let setpoints = places.iter().filter(|p| matches!(p.role, Role::SetpointX | Role::SetpointY));
+    if setpoints.count() == 1 {
         let problem = format!("has the setpoint of one axis: {}", listed(names, count));
         return Err(Invalid::whole(NAME, problem, "give `setpoint_x` and `setpoint_y`"));
     }
-    for (i, place) in found.iter().enumerate() {
+    for (i, place) in places.iter().enumerate() {
         // One column may be the time of both axes.
-        if let Some(other) = found[..i]
+        if let Some(other) = places[..i]
             .iter()
             .find(|p| p.index == place.index && !(p.role.is_time() && place.role.is_time()))
         {
-            let problem = format!("is column {} as {} is", place.index + 1, asked.name(other.role));
+            let other = requested.name(other.role);
+            let problem = format!("is column {} as {other} is", place.index + 1);
             return Err(Invalid::whole(place.role.setting(), problem, "give another column"));
         }
     }
-    Ok(found)
+    Ok(places)
 }
 
-/// The columns of a table, for a message.
+/// Returns the columns of a table, for a message.
 fn listed(names: Option<&[String]>, count: usize) -> String {
     match names {
         Some(names) => {
@@ -299,22 +301,17 @@ fn listed(names: Option<&[String]>, count: usize) -> String {
     }
 }
 
-/// A name for a message.
+/// Returns a name for a message: quoted and cut.
 pub(super) fn short(name: &str) -> String {
     let shown: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
     format!("\"{shown}\"")
 }
 
-/// The column that the user named.
+/// Returns the column that the user named. Refuses a name that no column or several columns have.
 fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Result<usize, Invalid> {
-    let same = |n: &String| n.trim().eq_ignore_ascii_case(name.trim());
-    let matching: Vec<usize> = names
-        .unwrap_or_default()
-        .iter()
-        .enumerate()
-        .filter(|(_, n)| same(n))
-        .map(|n| n.0)
-        .collect();
+    let all = names.unwrap_or_default().iter().enumerate();
+    let matching: Vec<usize> =
+        all.filter(|(_, n)| n.trim().eq_ignore_ascii_case(name.trim())).map(|n| n.0).collect();
     match (&matching[..], name.trim().parse::<usize>()) {
         ([only], _) => Ok(*only),
         ([], Ok(number)) if (1..=count).contains(&number) => Ok(number - 1),
@@ -331,24 +328,26 @@ fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Resu
     }
 }
 
-/// The column that is known by its name, or by the order that a controller has.
+/// Returns the column that is known by its name, or by the order that a controller has. Refuses a quantity that several
+/// columns may hold.
 fn customary(
     format: LogFormat,
     role: Role,
     names: Option<&[String]>,
     count: usize,
-    asked: &Columns,
+    requested: &Columns,
 ) -> Result<Option<usize>, Invalid> {
-    let nothing_asked = asked.roles().into_iter().all(|role| asked.of(role).is_none());
     let Some(names) = names else {
         // `setpoint;actual;` per axis
         let order = [Role::SetpointX, Role::X, Role::SetpointY, Role::Y];
-        let in_order = format == LogFormat::Xps && nothing_asked && count == order.len();
+        let is_default =
+            requested.roles().into_iter().all(|role| requested.requested(role).is_none());
+        let in_order = format == LogFormat::Xps && is_default && count == order.len();
         return Ok(order.iter().position(|r| *r == role).filter(|_| in_order));
     };
-    let axis = asked.axis(role);
-    let known = |name: &String| is_known_as(format, role, axis, name);
-    let mut matching: Vec<usize> = (0..names.len()).filter(|i| known(&names[*i])).collect();
+    let axis = requested.axis(role);
+    let mut matching: Vec<usize> =
+        (0..names.len()).filter(|i| is_known_as(format, role, axis, &names[*i])).collect();
     // Several columns of times of the same name belong to channels, and the first is that of the log.
     if role == Role::Time && matching.iter().all(|i| names[*i] == names[matching[0]]) {
         matching.truncate(1);
@@ -360,7 +359,7 @@ fn customary(
         _ => {
             let shown: Vec<String> = matching.iter().take(5).map(|i| short(&names[*i])).collect();
             let problem = format!("could be {}", shown.join(" or "));
-            Err(Invalid::whole(role.setting(), problem, asked.remedy(role)))
+            Err(Invalid::whole(role.setting(), problem, requested.remedy(role)))
         }
     }
 }
@@ -377,7 +376,7 @@ impl Columns {
     }
 }
 
-/// Words of a name in lower case, without a unit: `X Position Feedback (mm)` is x, position, feedback, and
+/// Returns the words of a name in lower case, without a unit: `X Position Feedback (mm)` is x, position, feedback, and
 /// `Group1.X.SetpointPosition` is group1, x, setpoint, position.
 fn words(name: &str) -> Vec<String> {
     let plain = Header::read(name, &[Quantity::Length, Quantity::Time, Quantity::Angle]);
@@ -410,13 +409,15 @@ pub fn is_time(name: &str) -> bool {
 
 /// Returns the axes other than x and y of whose positions a table has columns, by their names.
 pub fn further_axes(format: LogFormat, names: &[String]) -> Vec<String> {
-    let axes = ["z", "a", "b", "c", "u", "v", "w", "r", "theta", "phi"];
-    let is_position = |axis: &&str| {
-        names.iter().any(|name| {
+    let mut axes = Vec::new();
+    for axis in ["z", "a", "b", "c", "u", "v", "w", "r", "theta", "phi"] {
+        if names.iter().any(|name| {
             words(name).iter().any(|word| word == axis) && is_known_as(format, Role::X, axis, name)
-        })
-    };
-    axes.into_iter().filter(is_position).map(String::from).collect()
+        }) {
+            axes.push(axis.to_string());
+        }
+    }
+    axes
 }
 
 /// Returns true if a column of this name holds the quantity; `axis` is the axis of a position.
@@ -434,63 +435,65 @@ fn is_known_as(format: LogFormat, role: Role, axis: &str, name: &str) -> bool {
         }
     }
     let words = words(name);
-    let has = |any: &[&str]| words.iter().any(|word| any.contains(&word.as_str()));
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
     match role {
-        Role::Time => return matches!(&words[..], [one] if TIMES.contains(&one.as_str())),
+        Role::Time => return matches!(words[..], [one] if TIMES.contains(&one)),
         Role::TimeY => return false,
         Role::ToolOn => return words == ["tool", "on"],
         Role::Current => {
-            let beam = ["beam", "ion"];
-            return words == ["current"] || (has(&["current"]) && has(&beam));
+            return words == ["current"]
+                || (words.contains(&"current") && has_one(&words, &["beam", "ion"]));
         }
         _ => {}
     }
-    let other = [
-        "velocity",
-        "acceleration",
-        "error",
-        "speed",
-        "jerk",
-        "torque",
-        "v",
-        "a",
-        "vel",
-        "acc",
-        "force",
-    ];
-    let is_other = |word: &String| {
-        word != axis && (other.contains(&word.as_str()) || TIMES.contains(&word.as_str()))
-    };
-    if !has(&[axis]) || words.iter().any(is_other) {
+    let others: Vec<&str> = words.iter().copied().filter(|word| *word != axis).collect();
+    if !words.contains(&axis) || has_one(&others, &NO_POSITIONS) || has_one(&others, &TIMES) {
         return false;
     }
-    let setpoint = has(&[
-        "setpoint",
-        "command",
-        "commanded",
-        "cmd",
-        "reference",
-        "target",
-        "set",
-        "soll",
-        "demand",
-    ]);
-    let position = has(&["position", "pos"]);
+    let is_setpoint = has_one(&words, &SETPOINTS);
     match role {
-        Role::SetpointX | Role::SetpointY => setpoint,
-        _ if setpoint => false,
+        Role::SetpointX | Role::SetpointY => is_setpoint,
+        _ if is_setpoint => false,
         _ => {
             // CurrentPosition is where an axis is; a current alone is in amperes.
-            let actual =
-                has(&["actual", "act", "feedback", "fbk", "encoder", "enc", "measured", "ist"]);
-            let is_last = words.last().is_some_and(|word| word == axis);
-            let is_known = words.len() == 2 || has(&["current"]) || is_last;
-            words.len() == 1 || actual || (position && is_known)
+            let is_last = words.last() == Some(&axis);
+            let is_known = words.len() == 2 || words.contains(&"current") || is_last;
+            words.len() == 1
+                || has_one(&words, &MEASURED)
+                || (has_one(&words, &["position", "pos"]) && is_known)
         }
     }
 }
 
-/// Column of a quantity by the order of positioners with other names than x and y: the first is x, the
+/// Words of quantities that are no position.
+const NO_POSITIONS: [&str; 11] = [
+    "velocity",
+    "acceleration",
+    "error",
+    "speed",
+    "jerk",
+    "torque",
+    "v",
+    "a",
+    "vel",
+    "acc",
+    "force",
+];
+
+/// Words of a setpoint.
+const SETPOINTS: [&str; 9] =
+    ["setpoint", "command", "commanded", "cmd", "reference", "target", "set", "soll", "demand"];
+
+/// Words of a measured position.
+const MEASURED: [&str; 8] =
+    ["actual", "act", "feedback", "fbk", "encoder", "enc", "measured", "ist"];
+
+/// Returns true if one of `words` is in `list`.
+fn has_one(words: &[&str], list: &[&str]) -> bool {
+    words.iter().any(|word| list.contains(word))
+}
+
+/// Returns the column of a quantity by the order of positioners with other names than x and y: the first is x, the
 /// second y.
 fn in_order_of_positioners(role: Role, names: &[String]) -> Option<usize> {
     let (ending, which) = match role {
@@ -500,9 +503,9 @@ fn in_order_of_positioners(role: Role, names: &[String]) -> Option<usize> {
         Role::SetpointY => ("SetpointPosition", 1),
         _ => return None,
     };
-    let mut of: Vec<usize> = Vec::new();
-    of.extend(names.iter().enumerate().filter(|(_, n)| n.trim().ends_with(ending)).map(|n| n.0));
-    if of.len() == 2 { Some(of[which]) } else { None }
+    let positioners = (0..names.len()).filter(|i| names[*i].trim().ends_with(ending));
+    let positioners: Vec<usize> = positioners.collect();
+    if positioners.len() == 2 { Some(positioners[which]) } else { None }
 }
 
 #[cfg(test)]

@@ -12,28 +12,29 @@ use super::{
 };
 use crate::{budget::too_many, format::hdf5};
 
-/// Reads the datasets that are asked for.
-pub fn read(bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {
+/// Reads the datasets that are asked for. Refuses a file without those of x and y or of all axes, datasets of several
+/// lengths, and numbers that are not finite.
+pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     let file = hdf5::open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
     let mut columns: Vec<Column> = Vec::new();
-    for role in asked.roles() {
-        let Some(name) = asked.of(role) else {
+    for role in requested.roles() {
+        let Some(name) = requested.requested(role) else {
             if matches!(role, Role::X | Role::Y | Role::Axis(_)) {
-                let problem = format!("has no dataset that is known as {}", asked.name(role));
+                let problem = format!("has no dataset that is known as {}", requested.name(role));
                 let remedy = format!(
                     "{}, the path of a dataset, or PATH:K for column K of one",
-                    asked.remedy(role)
+                    requested.remedy(role)
                 );
                 return Err(Invalid::whole(NAME, problem, remedy));
             }
             continue;
         };
-        let column = column(&file, role, name, transposed, asked)?;
+        let column = column(&file, role, name, transposed, requested)?;
         // The times of y may be others than those of x, and so may be their number.
         if let Some(first) = columns.first()
             && first.values.len() != column.values.len()
-            && asked.time_y.is_none()
+            && requested.time_y.is_none()
         {
             let problem = format!(
                 "{} has {} samples, {} has {}",
@@ -46,7 +47,7 @@ pub fn read(bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {
         }
         columns.push(column);
     }
-    if asked.setpoint_x.is_some() != asked.setpoint_y.is_some() {
+    if requested.setpoint_x.is_some() != requested.setpoint_y.is_some() {
         let problem = "was asked for the setpoint of one axis";
         return Err(Invalid::whole(NAME, problem, "give `setpoint_x` and `setpoint_y`"));
     }
@@ -58,12 +59,13 @@ pub fn read(bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {
     Ok(Log { columns, times, warnings: Vec::new() })
 }
 
+/// Reads the column of a quantity: the dataset or the column of a matrix `name`.
 fn column(
     file: &hdf5_reader::Hdf5File,
     role: Role,
     name: &str,
     transposed: bool,
-    asked: &Columns,
+    requested: &Columns,
 ) -> Result<Column, Invalid> {
     let (path, which) = match name.rsplit_once(':') {
         Some((path, number)) => (path, Some(number)),
@@ -88,8 +90,8 @@ fn column(
         return Err(Invalid::at(role.setting(), i, problem, "cut the log where it is damaged"));
     }
     let unit = match hdf5::unit_text(&set)? {
-        Some(word) => stated_unit(role, asked, &word, true)?,
-        None => stated_unit(role, asked, name, false)?,
+        Some(word) => stated_unit(role, requested, &word, true)?,
+        None => stated_unit(role, requested, name, false)?,
     };
     if !role.is_time() {
         return Ok(Column::of_values(role, name.to_string(), unit, values));

@@ -145,30 +145,32 @@ pub struct Following {
 /// Positions and velocities of a motion at ascending times; at rest before it and after it.
 struct Walk<'a> {
     motion: &'a Trajectory,
-    at: usize,
+    /// Index of the segment of the last call.
+    segment: usize,
 }
 
 impl<'a> Walk<'a> {
-    fn of(motion: &'a Trajectory) -> Self {
-        Self { motion, at: 0 }
+    fn new(motion: &'a Trajectory) -> Self {
+        Self { motion, segment: 0 }
     }
 
-    /// Position and velocity at `t_s` after the first break; `t_s` is not smaller than in the last call.
+    /// Returns position and velocity at `t_s` after the first break; `t_s` is not smaller than in the last call.
     fn state(&mut self, t_s: f64) -> ([f64; 2], [f64; 2]) {
         let breaks = self.motion.break_time_s();
         let t = t_s + breaks[0];
         let k = self.motion.len();
-        if self.at + 1 < k && breaks[self.at + 1] <= t {
+        let next = self.segment + 1;
+        if next < k && breaks[next] <= t {
             // Samples that are compared may be many segments apart.
-            self.at += breaks[self.at + 1..k].partition_point(|b| *b <= t);
+            self.segment += breaks[next..k].partition_point(|b| *b <= t);
         }
-        let segment = self.motion.segment(self.at);
+        let segment = self.motion.segment(self.segment);
         let u = (t - segment.start_s).clamp(0.0, segment.duration_s);
         let moves = f64::from(u8::from(u == t - segment.start_s));
-        let velocity = |a: usize| {
-            moves * polynomial::evaluate(&polynomial::derivative(&segment.coefficient_mm[a]), u)
-        };
-        (segment.position_mm(u), [velocity(0), velocity(1)])
+        let velocity = segment
+            .coefficient_mm
+            .map(|c| moves * polynomial::evaluate(&polynomial::derivative(&c), u));
+        (segment.position_mm(u), velocity)
     }
 }
 
@@ -189,10 +191,10 @@ struct Sums {
 }
 
 impl Pair<'_> {
-    /// Sums of both axes over every `stride`-th sample, the reference later by `delay_s`.
+    /// Returns the sums of both axes over every `stride`-th sample, the reference later by `delay_s`, and their number.
     fn sums(&self, delay_s: [f64; 2], stride: usize) -> ([Sums; 2], f64) {
         let mut sums = [Sums::default(); 2];
-        let mut walks = [Walk::of(self.reference), Walk::of(self.reference)];
+        let mut walks = [Walk::new(self.reference), Walk::new(self.reference)];
         let mut count = 0.0;
         for i in (0..self.time_s.len()).step_by(stride) {
             for a in 0..2 {
@@ -207,11 +209,12 @@ impl Pair<'_> {
         (sums, count)
     }
 
+    /// Returns the distance of the samples that are compared, so that there are at most `samples`.
     fn stride(&self, samples: usize) -> usize {
         self.time_s.len().div_ceil(samples).max(1)
     }
 
-    /// The delay that both axes share, near `from_s`.
+    /// Returns the delay that both axes share, near `from_s`.
     fn common_delay_s(&self, from_s: f64) -> f64 {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = from_s;
@@ -230,7 +233,7 @@ impl Pair<'_> {
         delay_s
     }
 
-    /// Delay of each axis near `from_s`, s, with the sums there; `None` if an axis does not move or its
+    /// Returns the delay of each axis near `from_s`, s, with the sums there; `None` if an axis does not move or its
     /// delay has not settled.
     fn delays(&self, from_s: f64) -> [Option<(f64, Sums, f64)>; 2] {
         let stride = self.stride(LAG_SAMPLES);
@@ -249,66 +252,68 @@ impl Pair<'_> {
         [0, 1].map(|a| {
             let error_s = (sums[a].square / count / sums[a].speed).sqrt();
             let settled = step_s[a].abs() <= SETTLED_S.max(SETTLED_PART * error_s);
-            let valid = sums[a].speed > 0.0 && delay_s[a].is_finite() && settled;
-            valid.then_some((delay_s[a], sums[a], count))
+            if sums[a].speed > 0.0 && delay_s[a].is_finite() && settled {
+                Some((delay_s[a], sums[a], count))
+            } else {
+                None
+            }
         })
     }
 
-    /// The following error when the reference begins at `begin_s`.
+    /// Returns the following error when the reference begins at `begin_s`.
     fn errors(&self, begin_s: f64) -> Following {
-        let delays = self.delays(begin_s);
-        let mut walk = Walk::of(self.reference);
-        let (mut squares, mut largest, mut at_s) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+        let mut walk = Walk::new(self.reference);
+        let mut squares = [0.0; 2];
+        let mut largest = [0.0; 2];
+        let mut largest_at_s = [0.0; 2];
         for (t, p) in self.time_s.iter().zip(self.actual_mm) {
             let (r, _) = walk.state(t - begin_s);
             for a in 0..2 {
                 let e = p[a] - r[a];
                 squares[a] += e * e;
                 if e.abs() > largest[a] {
-                    (largest[a], at_s[a]) = (e.abs(), t - self.time_s[0]);
+                    largest[a] = e.abs();
+                    largest_at_s[a] = t - self.time_s[0];
                 }
             }
         }
         let n = self.time_s.len() as f64;
-        let axis = |a: usize| {
-            let found = delays[a];
-            AxisError {
-                rms_mm: (squares[a] / n).sqrt(),
-                largest_mm: largest[a],
-                largest_at_s: at_s[a],
-                lag_ms: found.map(|(d, ..)| 1e3 * (d - begin_s)),
-                // var d = var e / sum r'^2
-                lag_standard_error_ms: found.map(|(_, s, m)| 1e3 * (s.square / m / s.speed).sqrt()),
-                rms_without_lag_mm: found.map(|(_, s, m)| (s.square / m).sqrt()),
-            }
-        };
-        Following {
-            reference_begins_s: begin_s - self.time_s[0],
-            axes: [axis(0), axis(1)],
-            drift: None,
-        }
+        let delays = self.delays(begin_s);
+        let axes = [0, 1].map(|a| AxisError {
+            rms_mm: (squares[a] / n).sqrt(),
+            largest_mm: largest[a],
+            largest_at_s: largest_at_s[a],
+            lag_ms: delays[a].map(|(d, ..)| 1e3 * (d - begin_s)),
+            // var d = var e / sum r'^2
+            lag_standard_error_ms: delays[a].map(|(_, s, m)| 1e3 * (s.square / m / s.speed).sqrt()),
+            rms_without_lag_mm: delays[a].map(|(_, s, m)| (s.square / m).sqrt()),
+        });
+        Following { reference_begins_s: begin_s - self.time_s[0], axes, drift: None }
     }
 
-    /// Drift of the log against the reference, which begins at `begin_s`; `None` if it does not move enough to tell.
+    /// Returns the drift of the log against the reference, which begins at `begin_s`; `None` if it does not move enough
+    /// to tell.
     fn drift(&self, begin_s: f64) -> Option<Drift> {
         let stride = self.stride(LAG_SAMPLES);
         let total_s = self.reference.total_time_s();
-        let each = || {
-            let mut walk = Walk::of(self.reference);
-            (0..self.time_s.len()).step_by(stride).flat_map(move |i| {
-                let t = self.time_s[i] - begin_s;
-                let (r, v) = walk.state(t);
+        let mut walk = Walk::new(self.reference);
+        let [mut pp, mut pq, mut qq, mut pe, mut qe, mut ee] = [0.0; 6];
+        for i in (0..self.time_s.len()).step_by(stride) {
+            let t = self.time_s[i] - begin_s;
+            let (r, v) = walk.state(t);
+            for a in 0..2 {
                 // Columns -r' and -r' t' of the least squares, and e.
-                [0, 1].map(|a| (-v[a], -v[a] * (t - 0.5 * total_s), self.actual_mm[i][a] - r[a]))
-            })
-        };
-        let mut sums = [0.0; 6];
-        for (p, q, e) in each() {
-            for (sum, product) in sums.iter_mut().zip([p * p, p * q, q * q, p * e, q * e, e * e]) {
-                *sum += product;
+                let p = -v[a];
+                let q = -v[a] * (t - 0.5 * total_s);
+                let e = self.actual_mm[i][a] - r[a];
+                pp += p * p;
+                pq += p * q;
+                qq += q * q;
+                pe += p * e;
+                qe += q * e;
+                ee += e * e;
             }
         }
-        let [pp, pq, qq, pe, qe, ee] = sums;
         let determinant = pp * qq - pq * pq;
         if determinant <= 1e-12 * pp * qq {
             return None;
@@ -321,14 +326,16 @@ impl Pair<'_> {
     }
 }
 
-/// The following error of a log whose setpoint was recorded with it, at the same times.
+/// Returns the following error of a log whose setpoint was recorded with it, at the same times.
 pub fn beside_setpoint(time_s: &[f64], actual_mm: &[[f64; 2]], setpoint: &Trajectory) -> Following {
     let begin_s = time_s[0];
     Pair { reference: setpoint, time_s, actual_mm }.errors(begin_s)
 }
 
-/// The following error of a log of `plan`, which begins at most `most_offset_s` before or after the log;
-/// refuses a log of another motion.
+/// Returns the following error of a log of `plan`, which begins at most `most_offset_s` before or after the log.
+///
+/// # Errors
+/// Refuses a log of another motion, and an offset that is negative or too long to be searched for.
 pub fn beside_plan(
     time_s: &[f64],
     actual_mm: &[[f64; 2]],
@@ -344,15 +351,15 @@ pub fn beside_plan(
     let pair = Pair { reference: plan, time_s, actual_mm };
     let stride = pair.stride(SEARCH_SAMPLES);
     let steps = (most_offset_s / SEARCH_STEP_S).ceil() as i64;
-    let cost = |k: i64| {
-        let ([x, y], _) = pair.sums([time_s[0] + k as f64 * SEARCH_STEP_S; 2], stride);
-        x.square + y.square
-    };
-    let best = (-steps..=steps).map(|k| (cost(k), k)).min_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, k) = best.expect("the grid has its middle");
-    let begin_s = pair.common_delay_s(time_s[0] + k as f64 * SEARCH_STEP_S);
+    let begins_s = (-steps..=steps).map(|k| time_s[0] + k as f64 * SEARCH_STEP_S);
+    let costs = begins_s.map(|begin_s| {
+        let ([x, y], _) = pair.sums([begin_s; 2], stride);
+        (x.square + y.square, begin_s)
+    });
+    let best = costs.min_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, begin_s) = best.expect("the grid has its middle");
+    let begin_s = pair.common_delay_s(begin_s);
     let following = Following { drift: pair.drift(begin_s), ..pair.errors(begin_s) };
-
     check_same_motion(&following, plan)?;
     Ok(following)
 }
@@ -360,10 +367,10 @@ pub fn beside_plan(
 /// Refuses a log that is farther from its plan than an axis lags.
 fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Invalid> {
     let n = plan.len() as f64;
-    let starts = || plan.segments().map(|s| s.position_mm(0.0));
-    let mean = [0, 1].map(|a| starts().map(|p| p[a]).sum::<f64>() / n);
-    let extent = starts().map(|p| (p[0] - mean[0]).powi(2) + (p[1] - mean[1]).powi(2)).sum::<f64>();
-    let extent_mm = (extent / n).sqrt();
+    let starts: Vec<[f64; 2]> = plan.segments().map(|s| s.position_mm(0.0)).collect();
+    let mean = [0, 1].map(|a| starts.iter().map(|p| p[a]).sum::<f64>() / n);
+    let squares = starts.iter().map(|p| (p[0] - mean[0]).powi(2) + (p[1] - mean[1]).powi(2));
+    let extent_mm = (squares.sum::<f64>() / n).sqrt();
     let apart_mm = following.axes[0].rms_mm.hypot(following.axes[1].rms_mm);
     if apart_mm.is_nan() || apart_mm > OTHER_MOTION * extent_mm {
         let problem = format!(
@@ -408,40 +415,49 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// Extent of a log beside `plan`, which begins at `begin_s`; `removes` (n-1) is the state of the tool,
+    /// Returns the extent of a log beside `plan`, which begins at `begin_s`; `removes` (n-1) is the state of the tool,
     /// if the log has it.
-    pub fn of(time_s: &[f64], removes: Option<&[bool]>, plan: &Trajectory, begin_s: f64) -> Self {
+    pub fn new(time_s: &[f64], removes: Option<&[bool]>, plan: &Trajectory, begin_s: f64) -> Self {
         let [first_s, last_s] = [time_s[0], time_s[time_s.len() - 1]];
         let to_log = begin_s - plan.break_time_s()[0];
         // The beginning of the plan is known to a fraction of an interval only.
         let least_s = SEEN_OF_A_SAMPLE * (last_s - first_s) / (time_s.len() - 1) as f64;
-        let lacks = |s: f64| if s > least_s { s } else { 0.0 };
-        let (mut tool_on_s, mut tool_on_absent_s) = (0.0, 0.0);
+        let absent_s = [first_s - begin_s, begin_s + plan.total_time_s() - last_s];
+        let [before_the_log_s, after_the_log_s] =
+            absent_s.map(|s| if s > least_s { s } else { 0.0 });
+        let mut tool_on_s = 0.0;
+        let mut tool_on_absent_s = 0.0;
         for s in plan.segments().filter(|s| s.tool_on) {
-            let (from_s, until_s) = (s.start_s + to_log, s.start_s + to_log + s.duration_s);
+            let from_s = s.start_s + to_log;
+            let until_s = s.start_s + to_log + s.duration_s;
             let seen_s = (until_s.min(last_s) - from_s.max(first_s)).max(0.0);
             tool_on_s += s.duration_s;
             tool_on_absent_s += (s.duration_s - seen_s).max(0.0);
         }
         let planned = tool_of_plan(time_s, plan, begin_s);
-        let lasts_s = |i: usize| time_s[i + 1] - time_s[i];
-        // Before and after the plan its tool is off, and the state of the machine does not matter.
-        let in_plan = |i: &usize| {
-            let at = 0.5 * (time_s[*i] + time_s[*i + 1]) - begin_s;
-            (0.0..plan.total_time_s()).contains(&at)
-        };
-        let each = || (0..planned.len()).filter(in_plan);
-        let differs = |on: &[bool]| each().filter(|i| on[*i] != planned[*i]).map(lasts_s).sum();
+        // Index and duration of the intervals in the plan. Before and after the plan its tool is off, and the state of
+        // the machine does not matter.
+        let mut intervals = Vec::new();
+        for (i, t) in time_s.windows(2).enumerate() {
+            let middle_s = 0.5 * (t[0] + t[1]) - begin_s;
+            if (0.0..plan.total_time_s()).contains(&middle_s) {
+                intervals.push((i, t[1] - t[0]));
+            }
+        }
+        let tool_differs_s = removes.map(|on| {
+            intervals.iter().filter(|(i, _)| on[*i] != planned[*i]).map(|(_, s)| s).sum()
+        });
+        let planned_off_s = intervals.iter().filter(|(i, _)| !planned[*i]).map(|(_, s)| s).sum();
         let switches = planned.windows(2).filter(|p| p[0] != p[1]).count() as f64;
         Self {
             plan_s: plan.total_time_s(),
-            before_the_log_s: lacks(first_s - begin_s),
-            after_the_log_s: lacks(begin_s + plan.total_time_s() - last_s),
+            before_the_log_s,
+            after_the_log_s,
             tool_on_s,
             tool_on_absent_s,
-            tool_differs_s: removes.map(differs),
+            tool_differs_s,
             log_s: last_s - first_s,
-            planned_off_s: each().filter(|i| !planned[*i]).map(lasts_s).sum(),
+            planned_off_s,
             unresolved_s: switches * (last_s - first_s) / planned.len() as f64,
         }
     }
@@ -456,18 +472,18 @@ impl Extent {
             ));
         }
         let differs_s = self.tool_differs_s?;
-        let (most_s, in_log_s) = (MOST_DIFFERENCE * self.plan_s, self.log_s.min(self.plan_s));
-        (differs_s > most_s.min(0.5 * in_log_s) + self.unresolved_s).then(|| {
-            let inverted = differs_s > 0.5 * in_log_s;
-            let question = if inverted { "; is it inverted?" } else { "; is it that of this run?" };
-            format!(
-                "the tool of the log is not that of the plan: {}{question}",
-                self.difference(differs_s)
-            )
-        })
+        let in_log_s = self.log_s.min(self.plan_s);
+        let most_s = (MOST_DIFFERENCE * self.plan_s).min(0.5 * in_log_s) + self.unresolved_s;
+        if differs_s <= most_s {
+            return None;
+        }
+        let inverted = differs_s > 0.5 * in_log_s;
+        let question = if inverted { "; is it inverted?" } else { "; is it that of this run?" };
+        let difference = self.difference(differs_s);
+        Some(format!("the tool of the log is not that of the plan: {difference}{question}"))
     }
 
-    /// Warnings for the user.
+    /// Returns the warnings for the user.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.tool_on_absent_s > USUAL_ABSENCE * self.tool_on_s {
@@ -487,40 +503,42 @@ impl Extent {
         warnings
     }
 
+    /// Returns a sentence about the part of the plan that is not in the log.
     fn absence(&self) -> String {
-        let s = |v: f64| significant(v, 4);
+        let [log, plan, before, after, absent, on] = [
+            self.log_s,
+            self.plan_s,
+            self.before_the_log_s,
+            self.after_the_log_s,
+            self.tool_on_absent_s,
+            self.tool_on_s,
+        ]
+        .map(|s| significant(s, 4));
         format!(
-            "the log holds {} s, and the plan takes {} s: it lacks the first {} s and the last {} s of the plan, in \
-             which the plan has the tool on for {} s of {} s",
-            s(self.log_s),
-            s(self.plan_s),
-            s(self.before_the_log_s),
-            s(self.after_the_log_s),
-            s(self.tool_on_absent_s),
-            s(self.tool_on_s)
+            "the log holds {log} s, and the plan takes {plan} s: it lacks the first {before} s and the last {after} s \
+             of the plan, in which the plan has the tool on for {absent} s of {on} s"
         )
     }
 
+    /// Returns a sentence about the time in which the tools differ.
     fn difference(&self, differs_s: f64) -> String {
-        let s = |v: f64| significant(v, 4);
+        let [differs, log] = [differs_s, self.log_s.min(self.plan_s)].map(|s| significant(s, 4));
         format!(
-            "in {} s of {} s one of the log and the plan has the tool on, and the other off",
-            s(differs_s),
-            s(self.log_s.min(self.plan_s))
+            "in {differs} s of {log} s one of the log and the plan has the tool on, and the other off"
         )
     }
 }
 
-/// State of the plan's tool in the intervals of a log (n-1), true if it is on, when the plan begins at
+/// Returns the state of the plan's tool in the intervals of a log (n-1), true if it is on, when the plan begins at
 /// `begin_s`; false before and after the plan.
 pub fn tool_of_plan(time_s: &[f64], plan: &Trajectory, begin_s: f64) -> Vec<bool> {
     let breaks = plan.break_time_s();
-    let on = |t: &[f64]| {
-        let at = 0.5 * (t[0] + t[1]) - begin_s + breaks[0];
-        let i = breaks.partition_point(|b| *b <= at);
+    let middles_s = time_s.windows(2).map(|t| 0.5 * (t[0] + t[1]) - begin_s + breaks[0]);
+    let is_on = middles_s.map(|middle_s| {
+        let i = breaks.partition_point(|b| *b <= middle_s);
         i > 0 && i < breaks.len() && plan.tool_on()[i - 1]
-    };
-    time_s.windows(2).map(on).collect()
+    });
+    is_on.collect()
 }
 
 #[cfg(test)]

@@ -62,24 +62,24 @@ struct Jump {
     is_back: bool,
 }
 
+/// Returns the jumps among positions; none if so many steps are large that the axis moves so.
 fn jumps(positions: &[f64]) -> Vec<Jump> {
     let steps: Vec<f64> = positions.windows(2).map(|p| p[1] - p[0]).collect();
     let low = positions.iter().copied().fold(f64::INFINITY, f64::min);
     let high = positions.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let least = (OF_THE_WAY * (high - low)).max(OVER_THE_OTHERS * median_of_moves(&steps));
-    // Outside of the log the axis rests.
-    let size = |i: Option<usize>| i.and_then(|i| steps.get(i)).map_or(0.0, |step| step.abs());
     let mut jumps = Vec::new();
     let mut i = 0;
     while i < steps.len() {
         let step = steps[i];
-        let before = size(i.checked_sub(1));
-        let (after, next) = (size(Some(i + 1)), size(Some(i + 2)));
-        let is_over = |others: f64| step.abs() > least && step.abs() > OVER_THE_OTHERS * others;
-        let back = steps.get(i + 1).is_some_and(|next| (next + step).abs() < 0.2 * step.abs());
-        if is_over(before.max(after)) {
+        // Outside of the log the axis rests.
+        let [before, after, next] = [i.checked_sub(1), Some(i + 1), Some(i + 2)]
+            .map(|i| i.and_then(|i| steps.get(i)).copied().unwrap_or(0.0));
+        let is_back = i + 1 < steps.len() && (after + step).abs() < 0.2 * step.abs();
+        let [beside, around] = [after, next].map(|other| before.abs().max(other.abs()));
+        if step.abs() > least && step.abs() > OVER_THE_OTHERS * beside {
             jumps.push(Jump { index: i, size: step, is_back: false });
-        } else if back && is_over(before.max(next)) {
+        } else if is_back && step.abs() > least && step.abs() > OVER_THE_OTHERS * around {
             jumps.push(Jump { index: i, size: step, is_back: true });
             i += 1;
         }

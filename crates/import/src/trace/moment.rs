@@ -74,7 +74,8 @@ impl Moment {
             None => (clock, None),
         };
         let mut parts = whole.split(':').map(|part| digits(part, 1..=3));
-        let (a, b, c, d) = (parts.next()??, parts.next()??, parts.next(), parts.next());
+        let [a, b] = [parts.next()??, parts.next()??];
+        let [c, d] = [parts.next(), parts.next()];
         if parts.next().is_some() || (d.is_some() && fraction.is_some()) {
             return None;
         }
@@ -203,8 +204,8 @@ pub struct Times {
     pub resolution_s: f64,
 }
 
-/// Returns the times of `moments` since the first one, or the index of the first that has no date where others have one,
-/// or whose date is none in the order of the others.
+/// Returns the times of `moments` since the first one. The error is the index of the first that has no date where
+/// others have one, or whose date is none in the order of the others.
 pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     let digits = moments.iter().map(|m| m.digits).max().unwrap_or(0);
     let resolution_s = 10f64.powi(-i32::from(digits));
@@ -227,7 +228,8 @@ pub fn times(moments: &[Moment]) -> Result<Times, usize> {
 fn in_order(moments: &[Moment], order: Order) -> Result<Vec<f64>, usize> {
     let mut seconds = Vec::with_capacity(moments.len());
     let mut first: Option<(i64, f64)> = None;
-    let (mut day, mut before) = (0, None);
+    let mut day = 0;
+    let mut before = None;
     for (i, moment) in moments.iter().enumerate() {
         let whole = match &moment.date {
             Some(date) if i == 0 || moments[0].date.is_some() => {

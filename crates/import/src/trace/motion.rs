@@ -34,8 +34,8 @@ pub enum Between {
     Linear,
 }
 
-/// The motion through samples at `time_s` (n, ascending), straight where two are more than
-/// `longest_step_s` apart. The tool is on, and no dwell point is served.
+/// Returns the motion through samples at `time_s` (n, ascending), straight where two are more than
+/// `longest_step_s` apart. The tool is on, and no dwell point is served. Refuses numbers that are not finite.
 pub fn through(
     time_s: &[f64],
     position_mm: &[[f64; 2]],
@@ -64,8 +64,8 @@ pub fn pieces(
     let mut start = 0;
     while start + 1 < n {
         // Samples start ..= end follow each other without a gap.
-        let gap = |i: &usize| time_s[*i + 1] - time_s[*i] > longest_step_s;
-        let end = (start..n - 1).find(gap).unwrap_or(n - 1);
+        let mut gaps = (start..n - 1).filter(|i| time_s[i + 1] - time_s[*i] > longest_step_s);
+        let end = gaps.next().unwrap_or(n - 1);
         run(&time_s[start..=end], &position[start..=end], between, &mut pieces);
         if end + 1 < n {
             let h = time_s[end + 1] - time_s[end];
@@ -82,21 +82,10 @@ fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) 
     if n < 2 {
         return;
     }
-    let h = |i: usize| time_s[i + 1] - time_s[i];
-    let slope = |i: usize| (p[i + 1] - p[i]) / h(i);
-    let velocity = |i: usize| match i {
-        _ if n == 2 => slope(0),
-        // The parabola through the first three has the velocity 2 s_0 - v_1 at its beginning.
-        0 => 2.0 * slope(0) - inner(h(0), h(1), slope(0), slope(1)),
-        i if i == n - 1 => {
-            2.0 * slope(n - 2) - inner(h(n - 3), h(n - 2), slope(n - 3), slope(n - 2))
-        }
-        i => inner(h(i - 1), h(i), slope(i - 1), slope(i)),
-    };
-    let mut before = velocity(0);
+    let mut before = velocity(time_s, p, 0);
     for i in 0..n - 1 {
-        let after = velocity(i + 1);
-        let (t, s) = (h(i), slope(i));
+        let after = velocity(time_s, p, i + 1);
+        let (t, s) = step(time_s, p, i);
         pieces.push(match between {
             // p(u) = p0 + v0 u + (3 s - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 s)/T^2 u^3
             Between::Cubic => [
@@ -111,7 +100,32 @@ fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) 
     }
 }
 
-/// v_i of the module.
+/// Returns h_i and s_i of the module.
+fn step(time_s: &[f64], p: &[f64], i: usize) -> (f64, f64) {
+    let h = time_s[i + 1] - time_s[i];
+    (h, (p[i + 1] - p[i]) / h)
+}
+
+/// Returns the velocity at sample `i`.
+fn velocity(time_s: &[f64], p: &[f64], i: usize) -> f64 {
+    let last = time_s.len() - 1;
+    if last == 1 {
+        return step(time_s, p, 0).1;
+    }
+    // The sample in the middle of the parabola.
+    let middle = i.clamp(1, last - 1);
+    let (h_before, s_before) = step(time_s, p, middle - 1);
+    let (h_after, s_after) = step(time_s, p, middle);
+    let v = inner(h_before, h_after, s_before, s_after);
+    match i {
+        // The parabola through the first three has the velocity 2 s_0 - v_1 at its beginning.
+        0 => 2.0 * s_before - v,
+        i if i == last => 2.0 * s_after - v,
+        _ => v,
+    }
+}
+
+/// Returns v_i of the module.
 fn inner(h_before: f64, h_after: f64, s_before: f64, s_after: f64) -> f64 {
     (h_after * s_before + h_before * s_after) / (h_before + h_after)
 }

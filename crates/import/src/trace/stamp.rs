@@ -38,7 +38,7 @@ impl Stamps {
         self.differences.pop();
     }
 
-    /// Step of the last digit that is written.
+    /// Returns the step of the last digit that is written.
     pub fn resolution(&self) -> f64 {
         10f64.powi(-self.decimals)
     }
@@ -48,9 +48,9 @@ impl Stamps {
 fn parts(field: &str) -> Option<(i64, f64, i32)> {
     let unsigned = field.strip_prefix(['-', '+']).unwrap_or(field);
     let (whole, fraction) = unsigned.split_once('.').unwrap_or((unsigned, ""));
-    let are_digits = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
-    let is_plain = (1..=MOST_DIGITS + 1).contains(&whole.len()) && are_digits(whole);
-    if is_plain && are_digits(fraction) && fraction.len() <= MOST_DIGITS {
+    let are_digits = whole.bytes().chain(fraction.bytes()).all(|b| b.is_ascii_digit());
+    let has_digits = (1..=MOST_DIGITS + 1).contains(&whole.len()) && fraction.len() <= MOST_DIGITS;
+    if are_digits && has_digits {
         let sign = if field.starts_with('-') { -1 } else { 1 };
         let part: f64 = match fraction {
             "" => 0.0,

@@ -25,7 +25,7 @@ use planish_types::{
 
 use super::{
     LogFormat, NAME,
-    columns::{Column, Columns, Log, Place, Role, is_time, places, short, stated_unit},
+    columns::{Column, ColumnPlace, Columns, Log, Role, is_time, places, short, stated_unit},
     moment::{self, Moment},
     stamp::Stamps,
 };
@@ -53,9 +53,10 @@ enum Separator {
 }
 
 impl Separator {
-    fn of(line: &str) -> Self {
-        let found = [';', '\t', ','].into_iter().find(|c| line.contains(*c));
-        found.map_or(Self::Blank, Self::Character)
+    /// Returns the separator of a line.
+    fn in_line(line: &str) -> Self {
+        let first = [';', '\t', ','].into_iter().find(|c| line.contains(*c));
+        first.map_or(Self::Blank, Self::Character)
     }
 
     /// Calls `each` with the fields of a line until it returns false; a separator at the end closes the line.
@@ -81,6 +82,7 @@ impl Separator {
         }
     }
 
+    /// Returns the number of fields of a line.
     fn count(self, line: &str) -> usize {
         let mut count = 0;
         self.fields(line, |_, _| {
@@ -90,10 +92,11 @@ impl Separator {
         count
     }
 
+    /// Returns the cells of a line of names.
     fn names(self, line: &str) -> Vec<String> {
         let line = line.trim().trim_start_matches(['#', '%', '!', '/']).trim();
         // A separator between quotes belongs to the name.
-        if line.contains('"') && Self::of(line) == self {
+        if line.contains('"') && Self::in_line(line) == self {
             return text::fields(line).take(MOST_COLUMNS).map(String::from).collect();
         }
         let mut names = Vec::new();
@@ -115,7 +118,8 @@ enum Class {
 }
 
 impl Class {
-    fn of(field: &str) -> Self {
+    /// Returns the class of a field.
+    fn new(field: &str) -> Self {
         if field.is_empty() {
             Self::Empty
         } else if field.parse::<f64>().is_ok() {
@@ -135,8 +139,8 @@ impl Class {
 /// Returns the classes of the fields of a line, if two of them or more are numbers or moments: it may be a sample.
 fn classes(line: &str) -> Option<Vec<Class>> {
     let mut classes = Vec::new();
-    Separator::of(line).fields(line, |_, field| {
-        classes.push(Class::of(field));
+    Separator::in_line(line).fields(line, |_, field| {
+        classes.push(Class::new(field));
         classes.len() < MOST_COLUMNS
     });
     if classes.iter().filter(|class| class.is_value()).count() < 2 { None } else { Some(classes) }
@@ -145,10 +149,11 @@ fn classes(line: &str) -> Option<Vec<Class>> {
 /// Returns true if a line with the classes `next` may follow one with the classes `first`: it has no more fields, and numbers,
 /// moments and texts in the same columns, or nothing.
 fn follows(first: &[Class], next: &[Class]) -> bool {
-    let is_same = |(a, b): (&Class, &Class)| a == b || *a == Class::Empty || *b == Class::Empty;
-    next.len() <= first.len() && first.iter().zip(next).all(is_same)
+    next.len() <= first.len()
+        && first.iter().zip(next).all(|(a, b)| a == b || [a, b].contains(&&Class::Empty))
 }
 
+/// Returns true for a line that is no sample and ends no run of them.
 fn is_skipped(line: &str) -> bool {
     line.trim().is_empty() || line.starts_with('#')
 }
@@ -177,30 +182,41 @@ fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
         }
     }
     let (start, _) = longest?;
-    let pattern = rows[start].clone()?;
+    let pattern = rows[start].as_ref()?;
     // Samples above a damaged line are samples; one line of numbers above the names is none.
-    let is_sample = |i: &usize| {
-        rows[*i].as_ref().is_some_and(|row| {
-            let is_like = |(a, b): (&Class, &Class)| {
-                a == b || *a == Class::Empty || (a.is_value() && b.is_value())
-            };
-            row.len() == pattern.len() && row.iter().zip(&pattern).all(is_like)
-        })
-    };
-    let above: Vec<usize> = (0..start).filter(is_sample).collect();
-    let is_text = |i: usize| rows[i].is_none() && !lines[i].chars().any(|c| c.is_ascii_digit());
+    let above: Vec<usize> = (0..start)
+        .filter(|i| rows[*i].as_ref().is_some_and(|row| is_sample(row, pattern)))
+        .collect();
     let first = match above[..] {
         [] => start,
-        [only] if (only..start).any(|i| !is_skipped(&lines[i]) && is_text(i)) => start,
+        [only] if (only..start).any(|i| rows[i].is_none() && is_text(&lines[i])) => start,
         [first, ..] => first,
     };
-    let first_row = rows[first].as_ref()?;
-    let known = |(a, b): (&Class, &Class)| if *a == Class::Empty { *b } else { *a };
-    Some((first, first_row.iter().zip(&pattern).map(known).collect()))
+    let mut classes = rows[first].clone()?;
+    for (class, usual) in classes.iter_mut().zip(pattern) {
+        if *class == Class::Empty {
+            *class = *usual;
+        }
+    }
+    Some((first, classes))
+}
+
+/// Returns true if a line of the classes `row` may be a sample of a log whose usual samples have the classes `pattern`.
+fn is_sample(row: &[Class], pattern: &[Class]) -> bool {
+    row.len() == pattern.len()
+        && row
+            .iter()
+            .zip(pattern)
+            .all(|(a, b)| a == b || *a == Class::Empty || (a.is_value() && b.is_value()))
+}
+
+/// Returns true for a line of words without digits.
+fn is_text(line: &str) -> bool {
+    !is_skipped(line) && !line.chars().any(|c| c.is_ascii_digit())
 }
 
 /// Layout of a table.
-struct Layout {
+struct TableLayout {
     /// Line of the first sample, counted from 0.
     first: usize,
     separator: Separator,
@@ -219,26 +235,27 @@ const UNIT_LINES: [&str; 6] = ["unit", "units", "einheit", "einheiten", "unité"
 
 /// Returns true if `cells` are the units of the columns: words of units, empty cells, and the word `Unit`.
 fn are_units(cells: &[String]) -> bool {
-    let mark = |cell: &&String| {
-        let plain = cell.trim_end_matches(':').to_lowercase();
-        UNIT_LINES.contains(&plain.as_str())
-    };
-    let is_unit = |cell: &&String| Unit::read(cell, &[]).is_some();
-    let words = cells.iter().filter(|cell| !cell.is_empty() && !mark(cell));
-    let units = words.clone().filter(is_unit).count();
-    let is_marked = cells.first().is_some_and(|cell| mark(&cell));
+    let words = cells.iter().filter(|cell| !cell.is_empty() && !begins_units(cell));
+    let units = words.clone().filter(|cell| Unit::read(cell, &[]).is_some()).count();
+    let is_marked = cells.first().is_some_and(|cell| begins_units(cell));
     units > 0 && (is_marked || (units == words.count() && units > 1))
+}
+
+/// Returns true for the first word of a line of units.
+fn begins_units(cell: &str) -> bool {
+    UNIT_LINES.contains(&cell.trim_end_matches(':').to_lowercase().as_str())
 }
 
 /// Words of a line above the samples that states something about the numbers.
 const STATEMENTS: [&str; 9] =
     ["unit", "einheit", "scale", "factor", "faktor", "offset", "rate", "frequency", "interval"];
 
-impl Layout {
-    fn of(lines: &[Cow<'_, str>]) -> Result<Self, Invalid> {
+impl TableLayout {
+    /// Reads the lines above the samples. Refuses a text without samples near its beginning.
+    fn read(lines: &[Cow<'_, str>]) -> Result<Self, Invalid> {
         let looked_at = lines.len().min(MOST_LINES_ABOVE);
-        let found = first_sample(lines).filter(|(first, _)| *first <= MOST_LINES_ABOVE);
-        let Some((first, classes)) = found else {
+        let sample = first_sample(lines).filter(|(first, _)| *first <= MOST_LINES_ABOVE);
+        let Some((first, classes)) = sample else {
             let line = lines.iter().find(|line| !line.trim().is_empty());
             let problem = format!(
                 "has no row of numbers in its first {looked_at} lines, the first of which is {}",
@@ -248,9 +265,8 @@ impl Layout {
                           blanks; or another `format`";
             return Err(Invalid::whole(NAME, problem, remedy));
         };
-        let separator = Separator::of(&lines[first]);
+        let separator = Separator::in_line(&lines[first]);
         let count = separator.count(&lines[first]);
-        let is_header = |i: &usize| !lines[*i].trim().is_empty();
         let mut layout = Self {
             first,
             separator,
@@ -260,8 +276,9 @@ impl Layout {
             time_units: vec![None; count],
             warnings: Vec::new(),
         };
-        let (mut best, mut used) = (None, Vec::new());
-        for i in (0..first).filter(is_header) {
+        let mut best = None;
+        let mut used = Vec::new();
+        for i in (0..first).filter(|i| !lines[*i].trim().is_empty()) {
             let cells = separator.names(&lines[i]);
             if cells.len() != count {
                 continue;
@@ -276,10 +293,11 @@ impl Layout {
                 let header = Header::read(cell, &[Quantity::Time]);
                 let stated = header.ok().filter(|h| is_time(&h.name)).and_then(|h| h.unit);
                 if let Some(stated) = stated.filter(|unit| unit.quantity() == Quantity::Time) {
-                    (*unit, states_time) = (Some(stated), true);
+                    *unit = Some(stated);
+                    states_time = true;
                 }
             }
-            let numbers = cells.iter().filter(|cell| Class::of(cell).is_value()).count();
+            let numbers = cells.iter().filter(|cell| Class::new(cell).is_value()).count();
             if states_time && numbers > 0 {
                 used.push(i);
                 continue;
@@ -295,16 +313,8 @@ impl Layout {
             layout.names = Some(names);
             used.push(i);
         }
-        let states = |i: &usize| {
-            let line = lines[*i].to_lowercase();
-            let digits = |word: &&str| word.parse::<f64>().is_ok_and(|v| v != 0.0 && v != 1.0);
-            !used.contains(i)
-                && STATEMENTS.iter().any(|word| line.contains(word))
-                && line.split([' ', '\t', ';', ',', '=', ':']).any(|word| digits(&word))
-        };
         let quoted: Vec<String> = (0..first)
-            .filter(is_header)
-            .filter(states)
+            .filter(|i| !used.contains(i) && states_a_number(&lines[*i]))
             .take(3)
             .map(|i| format!("{} (line {})", short(&lines[i]), i + 1))
             .collect();
@@ -324,17 +334,20 @@ impl Layout {
     }
 
     /// Returns the unit that the lines above the samples state for a column.
-    fn unit_of(&self, role: Role, index: usize, asked: &Columns) -> Result<Option<Unit>, Invalid> {
+    fn unit_of(
+        &self,
+        role: Role,
+        index: usize,
+        requested: &Columns,
+    ) -> Result<Option<Unit>, Invalid> {
         let of_name = match &self.names {
-            Some(names) => stated_unit(role, asked, &names[index], false)?,
+            Some(names) => stated_unit(role, requested, &names[index], false)?,
             None => None,
         };
-        let word = self.units.as_ref().map(|units| units[index].as_str()).filter(|word| {
-            let plain = word.trim_end_matches(':').to_lowercase();
-            !plain.is_empty() && !UNIT_LINES.contains(&plain.as_str())
-        });
+        let word = self.units.as_ref().map(|units| units[index].as_str());
+        let word = word.filter(|w| !w.trim_end_matches(':').is_empty() && !begins_units(w));
         let of_word = match word {
-            Some(word) => stated_unit(role, asked, word, true)?,
+            Some(word) => stated_unit(role, requested, word, true)?,
             None if role.is_time() => self.time_units[index],
             None => None,
         };
@@ -348,45 +361,59 @@ impl Layout {
     }
 }
 
+/// Returns true if a line above the samples states a number other than 0 and 1 that could change them.
+fn states_a_number(line: &str) -> bool {
+    let line = line.to_lowercase();
+    let mut words = line.split([' ', '\t', ';', ',', '=', ':']);
+    STATEMENTS.iter().any(|word| line.contains(word))
+        && words.any(|word| word.parse::<f64>().is_ok_and(|v| v != 0.0 && v != 1.0))
+}
+
 /// Returns true if a line of these cells may name columns: one of them at least is a word.
 fn has_word(cells: &[String]) -> bool {
-    cells.iter().any(|cell| Class::of(cell) == Class::Text)
+    cells.iter().any(|cell| Class::new(cell) == Class::Text)
 }
 
 /// Returns true for the name of a time or of a position along x or y.
 fn is_known(name: &str) -> bool {
-    is_time(name) || {
-        let lower = name.to_lowercase();
-        lower.split(|c: char| !c.is_alphanumeric()).any(|word| word == "x" || word == "y")
-    }
+    let lower = name.to_lowercase();
+    is_time(name)
+        || lower.split(|c: char| !c.is_alphanumeric()).any(|word| word == "x" || word == "y")
 }
 
 /// Returns the head of a text, with points where its numbers have decimal commas, and whether they have.
 fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
-    let lines = || text.lines().take(LINES_LOOKED_AT);
-    // Numbers beside marks of thousands are found here, and refused where all lines are looked at.
-    let with_points = |line: &str| match text::with_points(NAME, line) {
-        Ok(converted) => converted,
-        Err(_) => Some(line.replace(',', ".")),
-    };
-    let values = |line: &str| {
-        classes(line).map_or(0, |row| row.iter().filter(|class| class.is_value()).count())
-    };
-    let is_decimal =
-        |line: &str| with_points(line).is_some_and(|converted| values(&converted) > values(line));
-    let has_commas = lines().any(is_decimal);
-    let head = lines().map(|line| match with_points(line).filter(|_| has_commas) {
+    let lines = text.lines().take(LINES_LOOKED_AT);
+    let has_commas = lines.clone().any(|line| {
+        with_points(line).is_some_and(|converted| values_in(&converted) > values_in(line))
+    });
+    let head = lines.map(|line| match with_points(line).filter(|_| has_commas) {
         Some(converted) => Cow::Owned(converted),
         None => Cow::Borrowed(line),
     });
     (head.collect(), has_commas)
 }
 
-/// Reads the columns that are asked for, or known by their names.
-pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {
+/// Returns a line with points in the place of its decimal commas; `None` if it has none. Numbers beside marks of
+/// thousands are converted here, and refused where all lines are looked at.
+fn with_points(line: &str) -> Option<String> {
+    text::with_points(NAME, line).unwrap_or_else(|_| Some(line.replace(',', ".")))
+}
+
+/// Returns the number of values in a line that may be a sample; 0 for another line.
+fn values_in(line: &str) -> usize {
+    classes(line).map_or(0, |row| row.iter().filter(|class| class.is_value()).count())
+}
+
+/// Reads the columns that are requested, or known by their names.
+///
+/// # Errors
+/// Refuses a text without samples or without the positions, damaged lines among the samples, and units that contradict
+/// each other.
+pub fn read(format: LogFormat, bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     let text = text::text(NAME, bytes)?;
     let (head, has_commas) = head_of(&text);
-    let mut layout = Layout::of(&head)?;
+    let mut layout = TableLayout::read(&head)?;
     let mut warnings = std::mem::take(&mut layout.warnings);
     let start: usize = text.split_inclusive('\n').take(layout.first).map(str::len).sum();
     let mut body = Cow::Borrowed(&text[start..]);
@@ -395,9 +422,9 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Log, Inv
         warnings.push(text::DECIMAL_COMMAS.into());
     }
     let count = layout.classes.len().max(layout.time_units.len());
-    let places = places(format, layout.names.as_deref(), count, asked)?;
+    let places = places(format, layout.names.as_deref(), count, requested)?;
     if let Some(names) = &layout.names
-        && asked.axes.is_empty()
+        && requested.axes.is_empty()
     {
         let further = super::columns::further_axes(format, names);
         if !further.is_empty() {
@@ -407,14 +434,14 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Log, Inv
             ));
         }
     }
-    let channels = Channels::of(&places, &layout);
+    let channels = Channels::new(&places, &layout);
     let mut wanted: Vec<Wanted> = Vec::new();
     let all = places.iter().map(|place| (place.index, place.role.is_time()));
     let all = all.chain(channels.columns().into_iter().map(|index| (index, true)));
     for (index, is_time) in all {
         if !wanted.iter().any(|w| w.index == index) {
             let class = layout.classes.get(index).copied().unwrap_or(Class::Empty);
-            wanted.push(Wanted { index, values: Values::of(class, is_time) });
+            wanted.push(Wanted { index, values: ColumnValues::new(class, is_time) });
         }
     }
     wanted.sort_by_key(|w| w.index);
@@ -422,9 +449,9 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Log, Inv
         warnings.push(footer);
     }
     let column = |role: Role, index: usize| -> Result<Column, Invalid> {
-        let found = wanted.iter().find(|w| w.index == index).expect("all columns are wanted");
-        let unit = layout.unit_of(role, index, asked)?;
-        found.values.column(role, layout.name_of(index), unit)
+        let read = wanted.iter().find(|w| w.index == index).expect("all columns are wanted");
+        let unit = layout.unit_of(role, index, requested)?;
+        read.values.column(role, layout.name_of(index), unit)
     };
     let mut columns = Vec::with_capacity(places.len());
     for place in places.iter().filter(|place| place.role != Role::TimeY) {
@@ -435,11 +462,11 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Log, Inv
         times.push(column(Role::Time, index)?);
     }
     let mut log = Log { columns, times, warnings };
-    channels.assign(&mut log, &places, asked)?;
+    channels.assign(&mut log, &places, requested)?;
     Ok(log)
 }
 
-/// Largest number of samples that may be read: at most [`MOST_SAMPLES`], and no more than fit into the
+/// Returns the largest number of samples that may be read: at most [`MOST_SAMPLES`], and no more than fit into the
 /// memory of the process.
 pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
@@ -454,39 +481,47 @@ struct Channels {
 }
 
 impl Channels {
-    fn of(places: &[Place], layout: &Layout) -> Self {
-        let index_of = |role: Role| places.iter().find(|p| p.role == role).map(|p| p.index);
-        let is_used = |index: usize| places.iter().any(|p| p.index == index);
+    /// Returns the columns of times beside the main one, by their names or by their places.
+    fn new(places: &[ColumnPlace], layout: &TableLayout) -> Self {
         let mut channels = Self { own: vec![None; places.len()], suspects: Vec::new() };
-        let Some(main) = index_of(Role::Time) else { return channels };
-        if let Some(of_y) = index_of(Role::TimeY) {
-            let of_channel = |place: &Place| {
-                let is_y = matches!(place.role, Role::Y | Role::SetpointY) && of_y != main;
-                if is_y { Some(of_y) } else { None }
-            };
-            channels.own = places.iter().map(of_channel).collect();
+        let Some(main) = places.iter().find(|p| p.role == Role::Time) else { return channels };
+        let main = main.index;
+        if let Some(time_y) = places.iter().find(|p| p.role == Role::TimeY) {
+            for (own, place) in channels.own.iter_mut().zip(places) {
+                if matches!(place.role, Role::Y | Role::SetpointY) && time_y.index != main {
+                    *own = Some(time_y.index);
+                }
+            }
             return channels;
         }
+        let is_free = |index: usize| index != main && places.iter().all(|p| p.index != index);
         let Some(names) = &layout.names else {
-            let is_number = |i: usize| layout.classes.get(i) == Some(&Class::Number);
-            let suspect = |place: &Place| {
-                let left = place.index.checked_sub(1)?;
-                let is_free = left != main && !is_used(left) && is_number(left);
-                if place.role.is_position() && is_free { Some((place.role, left)) } else { None }
-            };
-            channels.suspects = places.iter().filter_map(suspect).collect();
+            for place in places.iter().filter(|place| place.role.is_position()) {
+                let Some(left) = place.index.checked_sub(1) else { continue };
+                if is_free(left) && layout.classes.get(left) == Some(&Class::Number) {
+                    channels.suspects.push((place.role, left));
+                }
+            }
             return channels;
         };
-        let is_own = |i: &usize| !is_used(*i) && (is_time(&names[*i]) || names[*i] == names[main]);
-        let times: Vec<usize> = (0..names.len()).filter(|i| *i == main || is_own(i)).collect();
-        let nearest = |place: &Place| times.iter().copied().rfind(|time| *time < place.index);
-        let positions = || places.iter().filter(|place| place.role.is_position());
-        // Where all positions have the same times, those are times of the log, and the given ones count.
-        let first = positions().next().and_then(nearest);
-        if positions().any(|place| nearest(place) != first) {
-            let own =
-                |place: &Place| nearest(place).filter(|t| *t != main && !place.role.is_time());
-            channels.own = places.iter().map(own).collect();
+        let times: Vec<usize> = (0..names.len())
+            .filter(|i| {
+                *i == main || (is_free(*i) && (is_time(&names[*i]) || names[*i] == names[main]))
+            })
+            .collect();
+        let nearest: Vec<Option<usize>> = places
+            .iter()
+            .map(|place| times.iter().copied().rfind(|time| *time < place.index))
+            .collect();
+        let of_positions =
+            places.iter().zip(&nearest).filter(|(place, _)| place.role.is_position());
+        let mut of_positions = of_positions.map(|(_, time)| time);
+        // Where all positions have the same times, those are times of the log, and the stated ones count.
+        let first = of_positions.next();
+        if of_positions.any(|time| Some(time) != first) {
+            for ((own, place), time) in channels.own.iter_mut().zip(places).zip(nearest) {
+                *own = time.filter(|t| *t != main && !place.role.is_time());
+            }
         }
         channels
     }
@@ -502,7 +537,12 @@ impl Channels {
 
     /// Gives the quantities their own times. Refuses a column without a name that goes like the times of the log, a while
     /// before or after them.
-    fn assign(&self, log: &mut Log, places: &[Place], asked: &Columns) -> Result<(), Invalid> {
+    fn assign(
+        &self,
+        log: &mut Log,
+        places: &[ColumnPlace],
+        requested: &Columns,
+    ) -> Result<(), Invalid> {
         let columns = self.columns();
         for (place, own) in places.iter().zip(&self.own) {
             let own = own.and_then(|own| columns.iter().position(|column| *column == own));
@@ -516,17 +556,17 @@ impl Channels {
         let main = log.columns.iter().find(|c| c.role == Role::Time);
         let main = main.expect("a log without times has no channels");
         for (role, index) in &self.suspects {
-            let at = columns.iter().position(|column| column == index).expect("it was read");
-            let other = &log.times[at];
+            let place = columns.iter().position(|column| column == index).expect("it was read");
+            let other = &log.times[place];
             let later = other.first - main.first;
             let step = main.values.get(1).copied().unwrap_or(0.0);
-            let is_same = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-6 * step.abs();
-            if later != 0.0 && main.values.iter().zip(&other.values).all(is_same) {
+            let mut pairs = main.values.iter().zip(&other.values);
+            if later != 0.0 && pairs.all(|(a, b)| (a - b).abs() <= 1e-6 * step.abs()) {
                 let problem = format!(
                     "{} goes like the times in {}, {later} later: it may be the time of {}",
                     other.name,
                     main.name,
-                    asked.name(*role)
+                    requested.name(*role)
                 );
                 let remedy = format!(
                     "give `time_y` {} where it is, and `time_y` with the column of `time` where it is not",
@@ -541,18 +581,21 @@ impl Channels {
 }
 
 /// Values of a column while it is read.
-enum Values {
+enum ColumnValues {
     Numbers(Vec<f64>),
     Stamps(Stamps),
     Moments(Vec<Moment>),
 }
 
-impl Values {
-    fn of(class: Class, is_time: bool) -> Self {
-        match (is_time, class) {
-            (true, Class::Moment) => Self::Moments(Vec::new()),
-            (true, _) => Self::Stamps(Stamps::default()),
-            (false, _) => Self::Numbers(Vec::new()),
+impl ColumnValues {
+    /// Returns the values of a column without any, whose first field has the class `class`.
+    fn new(class: Class, is_time: bool) -> Self {
+        if !is_time {
+            Self::Numbers(Vec::new())
+        } else if class == Class::Moment {
+            Self::Moments(Vec::new())
+        } else {
+            Self::Stamps(Stamps::default())
         }
     }
 
@@ -572,6 +615,7 @@ impl Values {
         true
     }
 
+    /// Takes the last value away.
     fn pop(&mut self) {
         match self {
             Self::Numbers(values) => drop(values.pop()),
@@ -588,6 +632,7 @@ impl Values {
         }
     }
 
+    /// Returns the column with these values. Refuses moments of which no times are made.
     fn column(&self, role: Role, name: String, unit: Option<Unit>) -> Result<Column, Invalid> {
         let column = match self {
             Self::Numbers(values) => Column::of_values(role, name, unit, values.clone()),
@@ -616,11 +661,15 @@ impl Values {
 struct Wanted {
     /// Column, counted from 0.
     index: usize,
-    values: Values,
+    values: ColumnValues,
 }
 
 /// Reads all samples into `wanted` (ascending). Returns a sentence about lines of text that follow them.
-fn rows(body: &str, layout: &Layout, wanted: &mut [Wanted]) -> Result<Option<String>, Invalid> {
+fn rows(
+    body: &str,
+    layout: &TableLayout,
+    wanted: &mut [Wanted],
+) -> Result<Option<String>, Invalid> {
     let most = most_samples();
     let mut ended = None;
     let mut lines = body.lines().enumerate();
@@ -630,7 +679,7 @@ fn rows(body: &str, layout: &Layout, wanted: &mut [Wanted]) -> Result<Option<Str
         }
         let number = layout.first + i + 1;
         match row(line, number, layout.separator, wanted) {
-            Ok(Row::Whole) => {
+            Ok(SampleEnd::Whole) => {
                 if let Some(empty) = ended {
                     let problem =
                         format!("has a sample in line {number} after empty cells in line {empty}");
@@ -642,16 +691,16 @@ fn rows(body: &str, layout: &Layout, wanted: &mut [Wanted]) -> Result<Option<Str
                     return Err(too_many(NAME, most, "samples", remedy));
                 }
             }
-            Ok(Row::Ended) => ended = ended.or(Some(number)),
+            Ok(SampleEnd::Empty) => ended = ended.or(Some(number)),
             Err(error) => {
                 let mut begins_with_text = false;
                 layout.separator.fields(line, |_, field| {
-                    begins_with_text = Class::of(field) == Class::Text;
+                    begins_with_text = Class::new(field) == Class::Text;
                     false
                 });
                 // Text to the end of the file is no sample; a damaged line has samples after it, or begins with a number.
-                let is_sample = |line: &str| classes(line).is_some();
-                if !begins_with_text || is_sample(line) || lines.any(|(_, line)| is_sample(line)) {
+                let mut rest = std::iter::once(line).chain(lines.map(|(_, line)| line));
+                if !begins_with_text || rest.any(|line| classes(line).is_some()) {
                     return Err(error);
                 }
                 return Ok(Some(format!(
@@ -665,10 +714,11 @@ fn rows(body: &str, layout: &Layout, wanted: &mut [Wanted]) -> Result<Option<Str
 }
 
 /// Result of reading a line.
-enum Row {
+enum SampleEnd {
+    /// All wanted cells have values.
     Whole,
     /// A cell of a wanted column is empty: the log ends.
-    Ended,
+    Empty,
 }
 
 /// Appends the fields of a line, counted from 1, to the columns of `wanted` (ascending).
@@ -677,8 +727,10 @@ fn row(
     number: usize,
     separator: Separator,
     wanted: &mut [Wanted],
-) -> Result<Row, Invalid> {
-    let (mut next, mut empty, mut bad) = (0, false, None);
+) -> Result<SampleEnd, Invalid> {
+    let mut next = 0;
+    let mut empty = false;
+    let mut bad = None;
     separator.fields(line, |i, field| {
         if i != wanted[next].index {
             return true;
@@ -692,14 +744,14 @@ fn row(
         next < wanted.len()
     });
     if next == wanted.len() {
-        return Ok(Row::Whole);
+        return Ok(SampleEnd::Whole);
     }
     for column in &mut wanted[..next] {
         column.values.pop();
     }
     if let Some((which, field)) = bad {
         let should = match wanted[which].values {
-            Values::Moments(_) => "time such as 2026-03-01T12:00:00.5 or 12:00:00.5",
+            ColumnValues::Moments(_) => "time such as 2026-03-01T12:00:00.5 or 12:00:00.5",
             _ => "number",
         };
         let column = wanted[which].index + 1;
@@ -713,14 +765,14 @@ fn row(
     // A separator at the end may be that of an empty cell.
     let closed = matches!(separator, Separator::Character(c) if line.trim_end().ends_with(c));
     if !(empty || closed) {
-        let found = separator.count(line);
+        let count = separator.count(line);
         let problem = format!(
-            "has {found} fields in line {number}, {} are needed",
+            "has {count} fields in line {number}, {} are needed",
             wanted[wanted.len() - 1].index + 1
         );
         return Err(Invalid::whole(NAME, problem, "was it cut off? delete that line"));
     }
-    Ok(Row::Ended)
+    Ok(SampleEnd::Empty)
 }
 
 #[cfg(test)]

@@ -37,17 +37,17 @@ pub struct ApplyArgs {
 impl ApplyArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let given: Transform = inputs.read("transform", &self.transform)?;
-        let transform = if self.inverse { given.inverse()? } else { given };
+        let mut transform: Transform = inputs.read("transform", &self.transform)?;
+        if self.inverse {
+            transform = transform.inverse()?;
+        }
         match (&self.tool_path, &self.trajectory) {
             (Some(dir), _) => {
                 let (path, _): (ToolPath, _) = self.read("tool-path", dir, &mut inputs)?;
-                let moved = |t: &Transform| t.tool_path(&path).map_err(Failure::from);
-                self.write(&inputs, &transform, moved, json!({}))
+                self.write(&inputs, &transform, |t| Ok(t.tool_path(&path)?), json!({}))
             }
             (None, Some(dir)) => {
                 let (motion, made): (Trajectory, _) = self.read("trajectory", dir, &mut inputs)?;
-                let moved = |t: &Transform| t.trajectory(&motion).map_err(Failure::from);
                 let outcome = match made.as_ref().and_then(path_distance_of) {
                     Some(distance) => {
                         let distance = distance.stretched_by(transform.largest_stretch());
@@ -55,7 +55,7 @@ impl ApplyArgs {
                     }
                     None => json!({}),
                 };
-                self.write(&inputs, &transform, moved, outcome)
+                self.write(&inputs, &transform, |t| Ok(t.trajectory(&motion)?), outcome)
             }
             (None, None) => Err(Failure::new("give --tool-path or --trajectory")),
         }
@@ -68,7 +68,7 @@ impl ApplyArgs {
         dir: &Path,
         inputs: &mut Inputs,
     ) -> Result<(T, Option<Manifest>), Failure> {
-        let (found, manifest) = inputs.read_with_manifest(role, dir)?;
+        let (artifact, manifest) = inputs.read_with_manifest(role, dir)?;
         if !self.inverse && manifest.as_ref().is_some_and(|m| m.frame == MACHINE_FRAME) {
             return Err(Failure::new(format!(
                 "{}: is in the coordinates of the machine already; give what lies on the part, or `--inverse` to take \
@@ -76,9 +76,10 @@ impl ApplyArgs {
                 dir.display()
             )));
         }
-        Ok((found, manifest))
+        Ok((artifact, manifest))
     }
 
+    /// Writes what `moved` makes with the transform, unless it is there already.
     fn write<T: Artifact>(
         &self,
         inputs: &Inputs,

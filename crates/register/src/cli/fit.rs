@@ -8,7 +8,7 @@ use planish_handoff::{
 };
 use planish_register::{
     fiducials,
-    fit::{Model, fit, fit_mirrored},
+    fit::{TransformModel, fit, fit_mirrored},
 };
 use planish_types::{Transform, text::significant};
 use serde_json::json;
@@ -25,7 +25,7 @@ pub struct FitArgs {
     file: PathBuf,
     /// Parameters of the transform from map to machine that are fitted
     #[arg(long, value_enum, default_value = "rigid")]
-    model: Model,
+    model: TransformModel,
     /// Machine and its limits: the machine that measured the fiducials, if its file says that its axes mirror the part
     /// [JSON]
     #[arg(long, value_name = "FILE")]
@@ -51,13 +51,13 @@ impl FitArgs {
         let about =
             |e: &dyn std::error::Error| Failure::new(format!("{}: {e}", self.file.display()));
         let fiducials = fiducials::read(&bytes).map_err(|e| about(&e))?;
-        let found = if mirrors { fit_mirrored } else { fit }(&fiducials, self.model);
-        let found = found.map_err(|e| {
+        let registration = if mirrors { fit_mirrored } else { fit }(&fiducials, self.model);
+        let registration = registration.map_err(|e| {
             Failure::new(planish_handoff::with_flags(&format!("{}: {e}", self.file.display())))
         })?;
-        let report = &found.report;
+        let report = &registration.report;
         let status = report.drawback().map_or(Status::Done, Status::Negative);
-        output.write(&found.transform, json!({ "registration": report }), &status)?;
+        output.write(&registration.transform, json!({ "registration": report }), &status)?;
         for warning in &report.warnings {
             warn(warning);
         }

@@ -38,9 +38,9 @@ impl JoinArgs {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let found = join(&maps, &settings).map_err(|e| about_map(&self.maps, &e, ""))?;
-        let report = &found.report;
-        output.write(&found.joined, json!({ "join": report }), &Status::Done)?;
+        let joined = join(&maps, &settings).map_err(|e| about_map(&self.maps, &e, ""))?;
+        let report = &joined.report;
+        output.write(&joined.joined, json!({ "join": report }), &Status::Done)?;
         for overlap in &report.overlaps {
             let [first, second] = overlap.maps.map(|k| self.maps[k - 1].display());
             say(format!(
@@ -55,7 +55,7 @@ impl JoinArgs {
                  each its own with planish-import surface --place-mm X,Y",
             );
         }
-        let (ny, nx) = found.joined.grid().shape();
+        let (ny, nx) = joined.joined.grid().shape();
         say(format!(
             "planish-register: {} maps joined to {nx} x {ny} pixels, {} valid, {} in overlaps; misfit {} nm -> {}",
             maps.len(),

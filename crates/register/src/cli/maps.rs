@@ -53,9 +53,9 @@ impl MapsArgs {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let found = register(&before, &after, &settings).map_err(Failure::with_flags)?;
-        let report = &found.report;
-        output.write(&found.transform, json!({ "registration": report }), &Status::Done)?;
+        let registration = register(&before, &after, &settings).map_err(Failure::with_flags)?;
+        let report = &registration.report;
+        output.write(&registration.transform, json!({ "registration": report }), &Status::Done)?;
         say(format!(
             "planish-register: the map after lies {} mm along x, {} mm along y, turned by {} degree",
             with_error(report.shift_x_mm, 4),

@@ -42,13 +42,16 @@ pub struct MeanArgs {
 
 impl MeanArgs {
     pub fn run(&self) -> Result<Status, Failure> {
-        let registration = (!self.still).then_some(MapSettings {
+        let registration = MapSettings {
             most_shift_mm: self.most_shift_mm,
             most_rotation_deg: self.most_rotation_deg,
             free_order: self.free_order,
             shorter_than_mm: self.shorter_than_mm,
-        });
-        let settings = SeriesSettings { registration, free_order: self.free_order };
+        };
+        let settings = SeriesSettings {
+            registration: if self.still { None } else { Some(registration) },
+            free_order: self.free_order,
+        };
         let mut inputs = Inputs::new();
         let maps = read_maps(&mut inputs, &self.maps)?;
         let output = Output::directory(&self.output, Surface::KIND);
@@ -56,15 +59,13 @@ impl MeanArgs {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let found = mean(&maps, &settings).map_err(|e| {
-            let hint = match self.still || e.index == 0 {
-                true => "",
-                false => ", or --still if the part lay still",
-            };
+        let series = mean(&maps, &settings).map_err(|e| {
+            let hint =
+                if self.still || e.index == 0 { "" } else { ", or --still if the part lay still" };
             about_map(&self.maps, &e, hint)
         })?;
-        let report = &found.report;
-        output.write(&found.mean, json!({ "series": report }), &Status::Done)?;
+        let report = &series.report;
+        output.write(&series.mean, json!({ "series": report }), &Status::Done)?;
         for (member, path) in report.members.iter().zip(&self.maps[1..]) {
             let place = match (member.shift_x_mm, member.shift_y_mm, member.rotation_deg) {
                 (Some(x), Some(y), Some(turn)) => format!(

@@ -17,7 +17,7 @@ const MOST_PLACES: usize = 61;
 /// skips places with little overlap. Smaller: a few pixels correlate by chance.
 const LEAST_COMPARED: usize = COMPARED / 10;
 
-/// Pose with the largest correlation within `limits` (shift in mm, rotation in rad). `values` are the
+/// Returns the pose with the largest correlation within `limits` (shift in mm, rotation in rad). `values` are the
 /// heights of the later map and of the map before, without their free terms.
 pub(super) fn best(
     values: &[Vec<f64>; 2],
@@ -27,12 +27,13 @@ pub(super) fn best(
     limits: [f64; 2],
 ) -> Pose {
     let [a, b] = values;
-    let (grid, from) = (after.grid(), before.grid());
+    let grid = after.grid();
+    let from = before.grid();
     let mut steep: Vec<(f64, usize)> = after
         .valid_indexed()
-        .filter_map(|(at, ..)| {
-            let g = after.gradient(at)?;
-            Some((g[0].hypot(g[1]), at[0] * grid.x.len() + at[1]))
+        .filter_map(|([r, c], ..)| {
+            let g = after.gradient([r, c])?;
+            Some((g[0].hypot(g[1]), r * grid.x.len() + c))
         })
         .collect();
     // Steepest first, then by place: the same pixels on every machine.
@@ -49,34 +50,34 @@ pub(super) fn best(
     let pixel_mm = from.x.step_mm().min(from.y.step_mm());
     let shifts = places(limits[0], pixel_mm);
     let angles = places(limits[1], pixel_mm / half);
-    let at_angle = |angle: &f64| {
+    let by_angle = angles.par_iter().map(|angle| {
         let (sin, cos) = angle.sin_cos();
         let mut best = (f64::NEG_INFINITY, [0.0; 3]);
         for y in &shifts {
             for x in &shifts {
-                let place = |d: [f64; 2]| {
+                let pairs = points.iter().filter_map(|(d, z)| {
                     let d = [d[0] - x, d[1] - y];
-                    [centre_mm[0] + cos * d[0] + sin * d[1], centre_mm[1] - sin * d[0] + cos * d[1]]
-                };
-                let of_before = |p| {
-                    let [r, c] = before.nearest(p)?;
-                    Some(b[r * from.x.len() + c]).filter(|v| v.is_finite())
-                };
-                let pairs = points.iter().filter_map(|(d, z)| Some((*z, of_before(place(*d))?)));
-                let found = correlation(pairs);
-                if found > best.0 {
-                    best = (found, [*x, *y, *angle]);
+                    let [r, c] = before.nearest([
+                        centre_mm[0] + cos * d[0] + sin * d[1],
+                        centre_mm[1] - sin * d[0] + cos * d[1],
+                    ])?;
+                    let height = b[r * from.x.len() + c];
+                    if height.is_finite() { Some((*z, height)) } else { None }
+                });
+                let correlation = correlation(pairs);
+                if correlation > best.0 {
+                    best = (correlation, [*x, *y, *angle]);
                 }
             }
         }
         best
-    };
-    let each: Vec<(f64, Pose)> = angles.par_iter().map(at_angle).collect();
-    // The first of the best, whatever the order in which they were found.
-    each.into_iter().fold((f64::NEG_INFINITY, [0.0; 3]), |m, e| if e.0 > m.0 { e } else { m }).1
+    });
+    let by_angle: Vec<(f64, Pose)> = by_angle.collect();
+    // The first of the best, whatever the order in which the threads end.
+    by_angle.into_iter().fold((f64::NEG_INFINITY, [0.0; 3]), |m, e| if e.0 > m.0 { e } else { m }).1
 }
 
-/// Places from `-limit` to `limit` in steps of `step`, zero among them. The steps are larger if there would
+/// Returns the places from `-limit` to `limit` in steps of `step`, zero among them. The steps are larger if there would
 /// be more than [`MOST_PLACES`].
 fn places(limit: f64, step: f64) -> Vec<f64> {
     let half = ((limit / step).floor() as usize).min(MOST_PLACES / 2);
@@ -84,9 +85,9 @@ fn places(limit: f64, step: f64) -> Vec<f64> {
     (0..=2 * half).map(|k| (k as f64 - half as f64) * step).collect()
 }
 
-/// Correlation coefficient of pairs; minus infinity if there are fewer than [`LEAST_COMPARED`].
+/// Returns the correlation coefficient of pairs; minus infinity if there are fewer than [`LEAST_COMPARED`].
 fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    let [mut n, mut a, mut b, mut aa, mut bb, mut ab] = [0.0; 6];
     for (p, q) in pairs {
         n += 1.0;
         a += p;

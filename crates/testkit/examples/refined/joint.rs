@@ -66,7 +66,7 @@ impl Part<'_> {
         let of = |settings: &Settings| {
             let plan = plan(desired, tif, path, limits, settings).expect("a plan");
             assert_eq!(plan.refused, None);
-            [Rms::of(plan.removal.residual()).rms_nm, plan.trajectory.total_time_s()]
+            [Rms::of_surface(plan.removal.residual()).rms_nm, plan.trajectory.total_time_s()]
         };
         let closed_loop = [best.rms_nm, best.total_time_s];
         std::iter::once(closed_loop).chain(plans.iter().map(of)).collect()

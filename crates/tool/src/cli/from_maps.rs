@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, warn};
 use planish_import::{
-    Origin, Reading, Scale, Settings, Statement,
+    Origin, Reading, ReadingSettings, Scale, Statement,
     cli::{FileArgs, about, draw, in_flags, map_bytes, open, report},
     surface, tif,
 };
@@ -145,7 +145,7 @@ impl FromMapsArgs {
         &self,
         after: Reading,
         before: Option<Reading>,
-        settings: &Settings,
+        settings: &ReadingSettings,
         spot_settings: &SpotSettings,
     ) -> Result<(Tif, Statement, Option<Spot>), Failure> {
         let (after, mut statement) =

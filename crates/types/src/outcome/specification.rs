@@ -166,19 +166,20 @@ impl LimitReport {
 impl SpecificationReport {
     /// Returns the limits that are not shown to be kept, by how much and where; `None` where everything is kept.
     pub fn failures(&self) -> Option<String> {
-        let of = |verdict: Verdict| -> Vec<String> {
-            self.limits.iter().filter(|l| l.verdict() == verdict).map(LimitReport::text).collect()
-        };
-        let all = self.limits.len();
-        let sentence = |failed: &[String], how: &str| {
-            (!failed.is_empty()).then(|| {
-                let n = failed.len();
-                format!("{n} of {all} limits of {} {how}: {}", self.name, failed.join("; "))
-            })
-        };
-        let broken = sentence(&of(Verdict::Broken), "are exceeded");
-        let open = sentence(&of(Verdict::NoiseDecides), "are exceeded because of the noise");
-        let sentences: Vec<String> = broken.into_iter().chain(open).collect();
-        (!sentences.is_empty()).then(|| sentences.join("; "))
+        let mut sentences = Vec::new();
+        for (verdict, how) in [
+            (Verdict::Broken, "are exceeded"),
+            (Verdict::NoiseDecides, "are exceeded because of the noise"),
+        ] {
+            let failed = self.limits.iter().filter(|l| l.verdict() == verdict);
+            let failed: Vec<String> = failed.map(LimitReport::text).collect();
+            if !failed.is_empty() {
+                let [n, all] = [failed.len(), self.limits.len()];
+                let name = &self.name;
+                sentences
+                    .push(format!("{n} of {all} limits of {name} {how}: {}", failed.join("; ")));
+            }
+        }
+        if sentences.is_empty() { None } else { Some(sentences.join("; ")) }
     }
 }

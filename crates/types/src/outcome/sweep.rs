@@ -30,11 +30,12 @@ pub struct Constraints {
     /// True if the limits of the machine must be kept.
     pub keep_limits: bool,
     /// True if the limits of the specification must be kept, where there is one.
-    #[serde(default = "kept")]
+    #[serde(default = "keep_specification")]
     pub keep_specification: bool,
 }
 
-fn kept() -> bool {
+/// Returns the default of [`Constraints::keep_specification`].
+fn keep_specification() -> bool {
     true
 }
 

@@ -6,10 +6,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{PathDistance, TransformNumbers, stored_dwell_index};
 
-/// A value and the place where it occurs.
+/// A value and the place in the motion where it occurs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Place {
+pub struct PlacedValue {
     /// Index of the segment. For a step: index of the break at which segment `index` starts.
     pub index: usize,
     /// Dwell point that the segment serves, if any; serialised as -1 when none.
@@ -34,9 +34,9 @@ fn from_stored<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<usiz
 #[serde(default)]
 pub struct Check {
     /// Smallest value.
-    pub min: Place,
+    pub min: PlacedValue,
     /// Largest value.
-    pub max: Place,
+    pub max: PlacedValue,
     /// Largest magnitude that is allowed (for durations: smallest value). Absent if nothing limits
     /// the quantity, and for a position: its two limits are `travel_mm` of the axis.
     pub limit: Option<f64>,
@@ -47,7 +47,7 @@ pub struct Check {
     /// Ratio of the largest magnitude to the limit (for durations: of the limit to the shortest).
     pub worst_ratio: Option<f64>,
     /// The worst segments (for steps: breaks) that exceed the limit, the worst first; at most 20.
-    pub worst: Vec<Place>,
+    pub worst: Vec<PlacedValue>,
     /// The worst excess in a sentence. A manifest has it in `violations`.
     #[serde(skip)]
     pub complaint: Option<String>,
@@ -68,7 +68,7 @@ pub struct Excursions {
     /// Number of segments with an excursion.
     pub count: usize,
     /// The largest excursion; `None` if there is none.
-    pub largest: Option<Place>,
+    pub largest: Option<PlacedValue>,
     /// Threshold, in the unit of the quantity. Values up to it are rounding and do not count.
     pub noise: f64,
 }
