@@ -621,8 +621,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             let rows = self.rows.of_link(k);
             let mut excess = Excess::default();
             if ELASTIC {
-                let Excess { e, de, .. } = self.excess[k];
-                excess.e = e + length * de;
+                excess.e = self.excess[k].e + length * self.excess[k].de;
             }
             let price = if ELASTIC && !rows.is_empty() { self.price(k) } else { 0.0 };
             let mut dual_e = price;
