@@ -66,7 +66,7 @@ pub fn contact(
             let at_s = motion.break_time_s()[i] + u;
             let problem = format!("puts the tool where it meets no surface, at {at_s:.6} s");
             let remedy = "give the form that the motion was made for, with its overscan";
-            Invalid::at("coefficient_mm_or_deg", i, problem, remedy)
+            Invalid::at_index("coefficient_mm_or_deg", i, problem, remedy)
         };
         let state = |u: f64| state(&map, cubics, u).ok_or_else(|| missing(u));
         let h = motion.duration_s(i);

@@ -250,7 +250,7 @@ impl AxesPieces<'_> {
             let problem =
                 format!("is at {x:.4}, {y:.4} mm at {at_s:.6} s, where the form does not exist");
             let remedy = "give a form that covers the whole motion, with its overscan";
-            Invalid::at("coefficient_mm", i, problem, remedy)
+            Invalid::at_index("coefficient_mm", i, problem, remedy)
         })?;
         let speed = if from_rest.is_some() { 0.0 } else { sign };
         Ok(axes.iter().map(|q| [q.value, speed * q.first]).collect())
@@ -279,7 +279,7 @@ impl AxesPieces<'_> {
             segment.start_s + u,
             self.map.radius_mm(point)
         );
-        Err(Invalid::at("coefficient_mm", i, problem, AWAY_FROM_CENTRE))
+        Err(Invalid::at_index("coefficient_mm", i, problem, AWAY_FROM_CENTRE))
     }
 
     /// Adds whole turns of the spindle to `after` so that it is near `before`.
@@ -326,6 +326,6 @@ impl AxesPieces<'_> {
             problem += &format!(", {radius:.6} mm from the centre of the spindle");
             remedy = AWAY_FROM_CENTRE;
         }
-        Invalid::at("coefficient_mm", piece.segment, problem, remedy)
+        Invalid::at_index("coefficient_mm", piece.segment, problem, remedy)
     }
 }

@@ -148,7 +148,7 @@ fn removed(direction: [f64; 2], length_mm: f64, tif: &Tif, parts: usize) -> Arra
         let passed_at = (GOLDEN * (r * grid.x.len() + c) as f64).fract();
         let rates = rule.iter().map(|(u, w)| {
             let [x, y] = direction.map(|t| t * (u - passed_at) * length_mm);
-            w * tif.rate_at(grid.x.at(c) - x, grid.y.at(r) - y)
+            w * tif.rate_at(grid.x.coordinate_mm(c) - x, grid.y.coordinate_mm(r) - y)
         });
         rates.sum::<f64>()
     })
@@ -236,11 +236,13 @@ pub(crate) fn add_rate(
     let (ny, nx) = column.removal.dim();
     let (r0, c0) = column.origin;
     let along_x: Vec<_> =
-        (0..nx).map(|c| cell_and_weights(tif, 0, map.x.at(c0 + c) - p[0])).collect();
+        (0..nx).map(|c| cell_and_weights(tif, 0, map.x.coordinate_mm(c0 + c) - p[0])).collect();
     let ghosts = tif.with_ghosts();
     let mut line = vec![0.0; ghosts.ncols()];
     for r in 0..ny {
-        let Some((iy, wy)) = cell_and_weights(tif, 1, map.y.at(r0 + r) - p[1]) else { continue };
+        let Some((iy, wy)) = cell_and_weights(tif, 1, map.y.coordinate_mm(r0 + r) - p[1]) else {
+            continue;
+        };
         // Interpolate along y once per row, then along x.
         for (c, v) in line.iter_mut().enumerate() {
             *v = (0..4).map(|b| wy[b] * ghosts[[iy + b, c]]).sum();
@@ -273,7 +275,7 @@ mod tests {
     fn tif() -> Tif {
         let grid = Grid { x: axis(-1.0, 0.1, 21), y: axis(-0.8, 0.1, 19) };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             (5.0 + 2.0 * x - y) * (-(x * x + 2.0 * y * y) / 0.1).exp()
         });
         Tif::new(grid, rate).unwrap()
@@ -308,7 +310,7 @@ mod tests {
             column.add_to(&mut sum, 1.0);
         }
         for (r, c) in [(9, 21), (5, 30), (12, 25), (3, 38), (17, 2)] {
-            let (x, y) = (surface.grid().x.at(c), surface.grid().y.at(r));
+            let (x, y) = (surface.grid().x.coordinate_mm(c), surface.grid().y.coordinate_mm(r));
             // Midpoint rule with 3000 steps: the TIF ends smoothly enough for 1e-6 of 0.4.
             let expected: f64 = (0..3000)
                 .map(|k| pass.position((f64::from(k) + 0.5) * 1e-3))
@@ -323,7 +325,8 @@ mod tests {
     fn a_tif_that_ends_abruptly_or_has_noise_is_seen_in_parts() {
         let grid = Grid { x: axis(-1.0, 0.1, 21), y: axis(-1.0, 0.1, 21) };
         let of = |rate: &dyn Fn(f64, f64) -> f64| {
-            let at = |(r, c): (usize, usize)| rate(grid.x.at(c), grid.y.at(r));
+            let at =
+                |(r, c): (usize, usize)| rate(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             Tif::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
         };
         let bell = |x: f64, y: f64| (-(x * x + y * y) / 0.1).exp();
@@ -342,7 +345,7 @@ mod tests {
             }
             let (mut apart, mut all) = (0.0, 0.0);
             for ((r, c), v) in sum.indexed_iter().filter(|(p, _)| *p != (9, 20)) {
-                let (x, y) = (surface.grid().x.at(c), surface.grid().y.at(r));
+                let (x, y) = (surface.grid().x.coordinate_mm(c), surface.grid().y.coordinate_mm(r));
                 let expected: f64 = (0..3000)
                     .map(|k| pass.position((f64::from(k) + 0.5) * 1e-3))
                     .map(|p| 1e-3 * tif.rate_at(x - p[0], y - p[1]))

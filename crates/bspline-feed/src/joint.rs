@@ -669,7 +669,7 @@ mod tests {
         let mut random = numbers(seed);
         let wave: Vec<f64> = (0..6).map(|_| 3.0 * random()).collect();
         let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             30.0 + 10.0 * (wave[0] * x + wave[1]).sin()
                 + 10.0 * (wave[2] * x - wave[3] * y).cos()
                 + 3.0 * random()
@@ -681,7 +681,7 @@ mod tests {
     fn problem(surface: &Surface, limits: &Limits) -> Problem {
         let a = Axis::new(-1.5, 0.125, 25).unwrap();
         let rate = Array2::from_shape_fn((25, 25), |(r, c)| {
-            10.0 * (-(a.at(c).powi(2) + a.at(r).powi(2)) / 0.32).exp()
+            10.0 * (-(a.coordinate_mm(c).powi(2) + a.coordinate_mm(r).powi(2)) / 0.32).exp()
         });
         let tif = Tif::new(Grid { x: a, y: a }, rate).unwrap();
         let (mut points, mut idx) = (Vec::new(), Vec::new());

@@ -485,7 +485,9 @@ pub fn width_mm(tif: &Tif) -> f64 {
 fn moment(tif: &Tif, f: impl Fn(f64, f64) -> f64) -> f64 {
     let grid = tif.grid();
     let samples = tif.rate_nm_per_s().indexed_iter();
-    samples.map(|((r, c), v)| v.max(0.0) * f(grid.x.at(c), grid.y.at(r))).sum::<f64>()
+    samples
+        .map(|((r, c), v)| v.max(0.0) * f(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)))
+        .sum::<f64>()
 }
 
 /// Returns the start next to this one that keeps the limits.

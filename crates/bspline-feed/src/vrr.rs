@@ -117,7 +117,8 @@ mod tests {
         let axis = Axis::new(-3.0, 0.1, 61).unwrap();
         let grid = Grid { x: axis, y: axis };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            (-(axis.at(c).powi(2) + axis.at(r).powi(2)) / (2.0 * 0.5 * 0.5)).exp()
+            (-(axis.coordinate_mm(c).powi(2) + axis.coordinate_mm(r).powi(2)) / (2.0 * 0.5 * 0.5))
+                .exp()
         });
         Tif::new(grid, rate).unwrap()
     }

@@ -30,7 +30,9 @@ const SIGMA_MM: f64 = 0.5;
 fn tif() -> Tif {
     let a = axis(-2.5, 0.125, 41);
     let rate = Array2::from_shape_fn((41, 41), |(r, c)| {
-        10.0 * (-(a.at(c).powi(2) + a.at(r).powi(2)) / (2.0 * SIGMA_MM * SIGMA_MM)).exp()
+        10.0 * (-(a.coordinate_mm(c).powi(2) + a.coordinate_mm(r).powi(2))
+            / (2.0 * SIGMA_MM * SIGMA_MM))
+            .exp()
     });
     Tif::new(Grid { x: a, y: a }, rate).unwrap()
 }
@@ -38,7 +40,9 @@ fn tif() -> Tif {
 /// 8 x 2 mm in pixels of 0.125 mm.
 fn map(z: impl Fn(f64, f64) -> f64) -> Surface {
     let grid = Grid { x: axis(0.0, 0.125, 65), y: axis(0.0, 0.125, 17) };
-    let height = Array2::from_shape_fn(grid.shape(), |(r, c)| z(grid.x.at(c), grid.y.at(r)));
+    let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        z(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    });
     Surface::new(grid, height).unwrap()
 }
 

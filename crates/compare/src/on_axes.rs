@@ -102,7 +102,10 @@ fn rms_along_normal_nm(residual: &Surface, form: &Form) -> f64 {
         .indexed_iter()
         .filter(|(_, height)| !height.is_nan())
         .filter_map(|((r, c), height)| {
-            Some((*height, form.point([grid.x.at(c), grid.y.at(r)])?.cosine()))
+            Some((
+                *height,
+                form.point([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)])?.cosine(),
+            ))
         })
         .collect();
     let count = on_form.len().max(1) as f64;

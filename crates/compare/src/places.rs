@@ -199,15 +199,16 @@ impl Division {
                 if !farther {
                     continue;
                 }
-                let [x_mm, y_mm] = [self.grid.x.at(index.1), self.grid.y.at(index.0)];
+                let [x_mm, y_mm] =
+                    [self.grid.x.coordinate_mm(index.1), self.grid.y.coordinate_mm(index.0)];
                 if worst.iter().all(|p| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) >= apart_mm) {
                     next = Some((index, z - mean));
                 }
             }
             let Some(((r, c), from_mean_nm)) = next else { break };
             worst.push(WorstPlace {
-                x_mm: self.grid.x.at(c),
-                y_mm: self.grid.y.at(r),
+                x_mm: self.grid.x.coordinate_mm(c),
+                y_mm: self.grid.y.coordinate_mm(r),
                 from_mean_nm,
                 at_edge: self.edge.as_ref().map(|edge| edge[[r, c]]),
             });
@@ -368,7 +369,7 @@ mod tests {
         let axis = Axis::new(-5.0, 0.05, 201).unwrap();
         let grid = Grid { x: axis, y: axis };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            f64::from(u8::from(axis.at(c).hypot(axis.at(r)) <= radius_mm))
+            f64::from(u8::from(axis.coordinate_mm(c).hypot(axis.coordinate_mm(r)) <= radius_mm))
         });
         Tif::new(grid, rate).unwrap()
     }

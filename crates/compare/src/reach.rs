@@ -124,7 +124,9 @@ mod tests {
         let axis = Axis::new(-10.0, 0.25, 81).unwrap();
         let grid = Grid { x: axis, y: axis };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            5.0 * (-0.5 * (axis.at(c).powi(2) + axis.at(r).powi(2)) / sigma_mm.powi(2)).exp()
+            5.0 * (-0.5 * (axis.coordinate_mm(c).powi(2) + axis.coordinate_mm(r).powi(2))
+                / sigma_mm.powi(2))
+            .exp()
         });
         Tif::new(grid, rate).unwrap()
     }

@@ -545,7 +545,7 @@ fn check_same_surface(desired: &Surface, removal: &Removal) -> Result<(), Invali
         if !same {
             let problem = format!("is {z} nm where the surface has {d} nm and the removal {r} nm");
             let remedy = "residual = desired - removal; simulate on the surface of this run";
-            return Err(Invalid::at("residual_nm", index, problem, remedy));
+            return Err(Invalid::at_index("residual_nm", index, problem, remedy));
         }
     }
     Ok(())

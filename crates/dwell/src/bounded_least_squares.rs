@@ -252,7 +252,7 @@ pub fn solve_columns(
     }
     if let Some(j) = (0..lo.len()).find(|j| lo[*j] > hi[*j]) {
         let problem = format!("is {} s, below the lower bound of {} s", hi[j], lo[j]);
-        return Err(Invalid::at("max_dwell", j, problem, "give a larger upper bound").into());
+        return Err(Invalid::at_index("max_dwell", j, problem, "give a larger upper bound").into());
     }
 
     let problem = BoundedProblem::new(desired, tif, path, program, weight, settings)?;

@@ -43,7 +43,7 @@ pub fn lower(path: &ToolPath, min_dwell: Bound) -> Result<Vec<f64>, Invalid> {
     if let Some(j) = lo.iter().position(|t| *t > LONGEST_FLOOR_S) {
         let problem = format!("is {:?} s", lo[j]);
         let remedy = format!("a least dwell time is at most {LONGEST_FLOOR_S:e} s; give seconds");
-        return Err(Invalid::at("min_dwell", j, problem, remedy));
+        return Err(Invalid::at_index("min_dwell", j, problem, remedy));
     }
     Ok(lo)
 }
@@ -82,7 +82,7 @@ pub fn pixel_weights(
         }
         let bad = weight.indexed_iter().find(|(_, v)| !(v.is_finite() && **v >= 0.0));
         if let Some((index, v)) = bad {
-            return Err(Invalid::at("weight", index, format!("is {v}"), "give weights >= 0"));
+            return Err(Invalid::at_index("weight", index, format!("is {v}"), "give weights >= 0"));
         }
         w *= weight;
         if w.iter().all(|v| *v == 0.0) {

@@ -353,7 +353,9 @@ mod tests {
             let t = Axis::new(-5.0, 0.1, 101).unwrap();
             let g = Grid { x: t, y: t };
             let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-                (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / (2.0 * sigma * sigma)).exp()
+                (-(g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2))
+                    / (2.0 * sigma * sigma))
+                    .exp()
             });
             Tif::new(g, rate).unwrap()
         };

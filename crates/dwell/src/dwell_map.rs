@@ -129,7 +129,7 @@ impl NodeOwners {
             for (r, (nearest, squares)) in rows.zip(lines) {
                 let mut guess = 0;
                 for (c, (n, d)) in nearest.iter_mut().zip(squares).enumerate() {
-                    let p = [grid.x.at(c), grid.y.at(r)];
+                    let p = [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)];
                     if !aperture(p) {
                         continue;
                     }
@@ -148,7 +148,7 @@ impl NodeOwners {
         parallel::consume(nearest.outer_iter_mut(), &|r, mut row| {
             let mut guess = 0;
             for (c, n) in row.iter_mut().enumerate() {
-                let p = [grid.x.at(c), grid.y.at(r)];
+                let p = [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)];
                 if *n == NO_POINT && far > points.side {
                     (guess, (*n, _)) = points.nearest(p, guess, far);
                 }
@@ -178,7 +178,7 @@ impl NodeOwners {
                 }
                 let mut j = *j;
                 if j == NO_POINT {
-                    let p = [self.grid.x.at(c), self.grid.y.at(r)];
+                    let p = [self.grid.x.coordinate_mm(c), self.grid.y.coordinate_mm(r)];
                     (guess, (j, _)) = self.points.nearest(p, guess, f64::INFINITY);
                 }
                 match sums.last_mut() {
@@ -326,7 +326,7 @@ impl Buckets {
         let reach = self.side;
         let Grid { x, y } = grid;
         let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
-            let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
+            let by = (y.coordinate_mm(r) + side * 1.001 * reach - self.start[1]) / self.side;
             (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
         });
         let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
@@ -338,14 +338,14 @@ impl Buckets {
                 for (j, p) in points {
                     let near = nodes_within(y, p[1], reach);
                     for r in near.start.max(rows.start)..near.end.min(rows.end) {
-                        let dy = y.at(r) - p[1];
+                        let dy = y.coordinate_mm(r) - p[1];
                         let columns =
                             nodes_within(x, p[0], (reach * reach - dy * dy).max(0.0).sqrt());
                         let first = (r - rows.start) * x.len();
                         let line = first + columns.start..first + columns.end;
                         let on_line = nearest[line.clone()].iter_mut().zip(&mut squares[line]);
                         for ((n, d), c) in on_line.zip(columns) {
-                            let dx = x.at(c) - p[0];
+                            let dx = x.coordinate_mm(c) - p[0];
                             let square = dx * dx + dy * dy;
                             let nearer = square < *d || square == *d && *j < *n;
                             *n = if nearer { *j } else { *n };
@@ -479,10 +479,11 @@ mod tests {
         let map = DwellMap::new(&tif, &grid).unwrap();
         let mut seconds = Array2::zeros(map.grid.shape());
         seconds[[12, 17]] = 2.0;
-        let tool = [map.grid.x.at(17), map.grid.y.at(12)];
+        let tool = [map.grid.x.coordinate_mm(17), map.grid.y.coordinate_mm(12)];
         let found = map.removal(seconds.view());
         for ((r, c), z) in found.indexed_iter() {
-            let expected = 2.0 * tif.rate_at(grid.x.at(c) - tool[0], grid.y.at(r) - tool[1]);
+            let expected = 2.0
+                * tif.rate_at(grid.x.coordinate_mm(c) - tool[0], grid.y.coordinate_mm(r) - tool[1]);
             // Rounding of an FFT; at the border of the TIF a pixel is in or out by rounding too.
             assert!((z - expected).abs() < 1e-12, "{r} {c}: {z} {expected}");
         }
@@ -521,7 +522,7 @@ mod tests {
                 .unwrap();
             let inside = |p: [f64; 2]| (p[0] - 5.0).hypot(p[1] - 3.0) < 3.5;
             let cells = NodeOwners::new(&path, &grid, inside);
-            let at = |(r, c): (usize, usize)| [grid.x.at(c), grid.y.at(r)];
+            let at = |(r, c): (usize, usize)| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)];
             let nearest = |p: [f64; 2]| {
                 let with = (0..n).filter(|j| on[*j]);
                 with.map(|j| ((points[j][0] - p[0]).hypot(points[j][1] - p[1]), j))
@@ -584,7 +585,8 @@ mod tests {
         let cells = NodeOwners::new(&path, &grid, inside);
         // 2 + 0.1 x seconds per mm^2, 100 nodes per mm^2.
         let density = |x: f64| 2.0 + 0.1 * x;
-        let seconds = Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.at(c)));
+        let seconds =
+            Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.coordinate_mm(c)));
         let t = cells.to_path(&seconds, n);
         // Rounding of a sum of 2e4 times, 400 s in all.
         assert!((t.iter().sum::<f64>() - seconds.sum()).abs() < 1e-9, "the total time is kept");

@@ -260,13 +260,15 @@ mod tests {
         let e = Extension::new(&g, &valid, [9, 9], 3.2).unwrap();
         for (a, b) in [(0.0, 0.0), (0.3, -0.7)] {
             let plane = |x: f64, y: f64| 5.0 + a * x + b * y;
-            let map = Array2::from_shape_fn(g.shape(), |(r, c)| plane(g.x.at(c), g.y.at(r)));
+            let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
+                plane(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+            });
             let found = e.rise(&map);
             assert_eq!(e.inner(&found), map);
             for ((r, c), z) in found.indexed_iter() {
                 // Opposite a side, not a corner, the mirror is a reflection in the side; the ridge of
                 // 1e-10 of the normal equations decides the rest.
-                let expected = plane(e.grid.x.at(c), e.grid.y.at(r));
+                let expected = plane(e.grid.x.coordinate_mm(c), e.grid.y.coordinate_mm(r));
                 assert!((z - expected).abs() < 1e-6, "{r} {c}: {z} {expected}");
             }
         }

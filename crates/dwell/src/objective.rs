@@ -444,7 +444,9 @@ mod tests {
     fn the_distance_of_the_lines_is_that_of_the_path() {
         let own = Grid { x: axis(-3.0, 0.1, 61), y: axis(-3.0, 0.1, 61) };
         let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
-            8.0 * (-(own.x.at(c).powi(2) + own.y.at(r).powi(2)) / (2.0 * 0.5 * 0.5)).exp()
+            8.0 * (-(own.x.coordinate_mm(c).powi(2) + own.y.coordinate_mm(r).powi(2))
+                / (2.0 * 0.5 * 0.5))
+                .exp()
         });
         let tif = Tif::new(own, rate).unwrap();
         // 4 pi sigma^2, as the samples of a Gaussian that has faded at the border have it.

@@ -244,7 +244,7 @@ impl<'a> DwellModel<'a> {
             ),
             None => "lower the least dwell time".to_string(),
         };
-        Err(Invalid::at("min_dwell", j, problem, remedy))
+        Err(Invalid::at_index("min_dwell", j, problem, remedy))
     }
 
     /// Applies `evaluate` to bands of `map` and their weights; returns the results in order.

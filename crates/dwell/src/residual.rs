@@ -332,7 +332,8 @@ mod tests {
         let own = Axis::new(-2.0, pitch_mm, (4.0 / pitch_mm).round() as usize + 1).unwrap();
         let g = Grid { x: own, y: own };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            10.0 * (-(g.x.at(c).powi(2) + 1.3 * g.y.at(r).powi(2)) / 0.8).exp()
+            10.0 * (-(g.x.coordinate_mm(c).powi(2) + 1.3 * g.y.coordinate_mm(r).powi(2)) / 0.8)
+                .exp()
         });
         Tif::new(g, rate).unwrap()
     }

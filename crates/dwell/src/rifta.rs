@@ -224,8 +224,8 @@ impl<'a> Fourier<'a> {
         let cells = NodeOwners::new(path, &map.grid, |p| counts(desired, &model.weight, p));
         let owned = cells.owned();
         let distance_mm = Array2::from_shape_fn(map.grid.shape(), |(r, c)| {
-            let row = nearest_index(&extension.grid.y, map.grid.y.at(r));
-            let p = (row, nearest_index(&extension.grid.x, map.grid.x.at(c)));
+            let row = nearest_index(&extension.grid.y, map.grid.y.coordinate_mm(r));
+            let p = (row, nearest_index(&extension.grid.x, map.grid.x.coordinate_mm(c)));
             // No path, no dwell.
             if owned[[r, c]] { extension.distance_mm(p) } else { f64::INFINITY }
         });

@@ -21,7 +21,8 @@ fn map_grid() -> Grid {
 fn tif() -> Tif {
     let g = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        5.0 * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / (2.0 * 0.8 * 0.8)).exp()
+        5.0 * (-(g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2)) / (2.0 * 0.8 * 0.8))
+            .exp()
     });
     Tif::new(g, rate).unwrap()
 }
@@ -46,7 +47,8 @@ const PLANTED_S: [f64; 8] = [0.4, 1.0, 0.7, 0.2, 0.9, 1.3, 0.5, 0.8];
 fn removal(path: &ToolPath, seconds: &[f64]) -> Array2<f64> {
     let (g, tif) = (map_grid(), tif());
     Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let at = |p: &[f64; 2]| tif.rate_at(g.x.at(c) - p[0], g.y.at(r) - p[1]);
+        let at =
+            |p: &[f64; 2]| tif.rate_at(g.x.coordinate_mm(c) - p[0], g.y.coordinate_mm(r) - p[1]);
         path.dwell_point_mm().iter().zip(seconds).map(|(p, t)| t * at(p)).sum()
     })
 }
@@ -196,7 +198,7 @@ fn one_dwell_point_is_a_weighted_straight_line_fit() {
     let rate = removal(&path, &[1.0]);
     let g = map_grid();
     let mut height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        2.0 * rate[[r, c]] + 0.3 * g.x.at(c) + (1.7 * g.y.at(r)).sin()
+        2.0 * rate[[r, c]] + 0.3 * g.x.coordinate_mm(c) + (1.7 * g.y.coordinate_mm(r)).sin()
     });
     height[[16, 24]] = f64::NAN;
     let weight = Array2::from_shape_fn(g.shape(), |(r, c)| ((r * 7 + c * 3) % 5) as f64);
@@ -240,7 +242,7 @@ fn a_tif_larger_than_the_map_is_used_as_it_is() {
         map - mean
     };
     let b = centred(Array2::from_shape_fn(g.shape(), |(r, c)| {
-        tif().rate_at(g.x.at(c) - 5.05, g.y.at(r) - 3.9)
+        tif().rate_at(g.x.coordinate_mm(c) - 5.05, g.y.coordinate_mm(r) - 3.9)
     }));
     let z = centred(Array2::from_shape_fn(g.shape(), |(r, c)| all[[r + 12, c + 16]]));
     let expected = (&b * &z).sum() / (&b * &b).sum();

@@ -13,12 +13,13 @@ fn prepare(dir: &Path) {
     let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
     let g = Grid { x: axis(0.0, 41), y: axis(0.0, 33) };
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        0.8 * (g.x.at(c) - 5.0).powi(2) + 0.5 * (g.y.at(r) - 3.0).powi(2)
+        0.8 * (g.x.coordinate_mm(c) - 5.0).powi(2) + 0.5 * (g.y.coordinate_mm(r) - 3.0).powi(2)
     });
     write(dir, "surface", &Surface::new(g, height).unwrap());
     let t = Grid { x: axis(-2.0, 17), y: axis(-2.0, 17) };
     let rate = Array2::from_shape_fn(t.shape(), |(r, c)| {
-        6.0 * (-(t.x.at(c).powi(2) + t.y.at(r).powi(2)) / (2.0 * 0.7 * 0.7)).exp()
+        6.0 * (-(t.x.coordinate_mm(c).powi(2) + t.y.coordinate_mm(r).powi(2)) / (2.0 * 0.7 * 0.7))
+            .exp()
     });
     write(dir, "tif", &Tif::new(t, rate).unwrap());
     let line = |r: i32| {

@@ -24,7 +24,7 @@ fn tif() -> Tif {
     let a = Axis::new(-3.25, 0.25, 27).unwrap();
     let g = Grid { x: a, y: a };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) / 3.25, g.y.at(r) / 3.25);
+        let (x, y) = (g.x.coordinate_mm(c) / 3.25, g.y.coordinate_mm(r) / 3.25);
         8.0 * (1.0 - x * x - y * y).max(0.0).powi(6)
     });
     Tif::new(g, rate).unwrap()
@@ -48,7 +48,7 @@ fn path(over: f64) -> ToolPath {
 fn varying() -> Tif {
     let bell = tif();
     let offsets = *bell.grid();
-    let tilted = Array2::from_shape_fn(offsets.shape(), |(_, c)| offsets.x.at(c) / 3.25);
+    let tilted = Array2::from_shape_fn(offsets.shape(), |(_, c)| offsets.x.coordinate_mm(c) / 3.25);
     let kernels = vec![bell.rate_nm_per_s().clone(), bell.rate_nm_per_s() * &tilted];
     let positions =
         Grid { x: Axis::new(-1.0, 12.0, 2).unwrap(), y: Axis::new(-1.0, 9.0, 2).unwrap() };
@@ -96,7 +96,7 @@ fn surface(height: Array2<f64>) -> Surface {
 fn bowl() -> Array2<f64> {
     let g = grid();
     Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) - 4.0, g.y.at(r) - 3.0);
+        let (x, y) = (g.x.coordinate_mm(c) - 4.0, g.y.coordinate_mm(r) - 3.0);
         30.0 + 0.6 * x * x - 0.3 * x * y + 0.4 * y * y + 3.0 * (1.3 * x).sin()
     })
 }
@@ -277,7 +277,7 @@ fn dense_cases() -> Vec<Case> {
         let a = Axis::new(-1.5, step, n).unwrap();
         let g = Grid { x: a, y: a };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            8.0 * (-sharpness * (g.x.at(c).powi(2) + g.y.at(r).powi(2))).exp()
+            8.0 * (-sharpness * (g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2))).exp()
         });
         Tif::new(g, rate).unwrap()
     };
@@ -542,7 +542,9 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
 fn a_free_plane_ignores_a_tilt() {
     let path = path(2.0);
     let g = grid();
-    let tilt = Array2::from_shape_fn(g.shape(), |(r, c)| 3.0 * g.x.at(c) - 2.0 * g.y.at(r));
+    let tilt = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        3.0 * g.x.coordinate_mm(c) - 2.0 * g.y.coordinate_mm(r)
+    });
     let free = BoundedSettings { free: Free::Plane, ..settings() };
     let a = run(&surface(bowl()), &path, &free);
     let b = run(&surface(bowl() + &tilt), &path, &free);
@@ -643,7 +645,9 @@ fn where_splines_say_too_little_more_points_are_factorised() {
     // pitch, whose columns alone are exact.
     let a = Axis::new(-3.2, 0.2, 33).unwrap();
     let bell = tif();
-    let finer = Array2::from_shape_fn((33, 33), |(r, c)| bell.rate_at(a.at(c), a.at(r)));
+    let finer = Array2::from_shape_fn((33, 33), |(r, c)| {
+        bell.rate_at(a.coordinate_mm(c), a.coordinate_mm(r))
+    });
     let finer = Tif::new(Grid { x: a, y: a }, finer).unwrap();
     let wide = path(2.0);
     for tif in [&pad, &bell, &finer] {
@@ -671,7 +675,9 @@ fn where_splines_say_too_little_more_points_are_factorised() {
 fn where_the_factor_is_singular_many_points_are_solved_without_one() {
     // A Gaussian that ends at two sigma, 0.3 mm of a part of 10 mm from one dwell point to the next.
     let a = Axis::new(-3.25, 0.25, 27).unwrap();
-    let rate = |(r, c): (usize, usize)| 8.0 * (-(a.at(r).powi(2) + a.at(c).powi(2)) / 5.3).exp();
+    let rate = |(r, c): (usize, usize)| {
+        8.0 * (-(a.coordinate_mm(r).powi(2) + a.coordinate_mm(c).powi(2)) / 5.3).exp()
+    };
     let tif = Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((27, 27), rate)).unwrap();
     let mut points = Vec::new();
     for j in 0..36 {
@@ -771,12 +777,13 @@ fn mirror(pixel: f64, pitch: f64, scale: f64) -> (Surface, Tif, ToolPath) {
     };
     let map = Grid { x: axis(0.0, 10.0), y: axis(0.0, 7.0) };
     let height = Array2::from_shape_fn(map.shape(), |(r, c)| {
-        let (x, y) = (map.x.at(c) / scale - 4.0, map.y.at(r) / scale - 3.0);
+        let (x, y) = (map.x.coordinate_mm(c) / scale - 4.0, map.y.coordinate_mm(r) / scale - 3.0);
         30.0 + 0.6 * x * x - 0.3 * x * y + 0.4 * y * y + 3.0 * (1.3 * x).sin()
     });
     let own = Grid { x: axis(-3.25, 3.25), y: axis(-3.25, 3.25) };
     let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
-        let (x, y) = (own.x.at(c) / (3.25 * scale), own.y.at(r) / (3.25 * scale));
+        let (x, y) =
+            (own.x.coordinate_mm(c) / (3.25 * scale), own.y.coordinate_mm(r) / (3.25 * scale));
         8.0 * (1.0 - x * x - y * y).max(0.0).powi(6)
     });
     let count = |width: f64| (width / pitch).round() as usize;

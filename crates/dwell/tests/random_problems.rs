@@ -41,7 +41,7 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     let [sx, sy] = [0, 1].map(|_| rng.random_range(0.8..1.1));
     let [x0, y0, tilt] = [0, 1, 2].map(|_| rng.random_range(-0.3..0.3));
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c), g.y.at(r));
+        let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
         let edge = |v: f64| (1.0 - (v / 2.7).powi(2)).max(0.0).powi(3);
         let bell = (-0.5 * (((x - x0) / sx).powi(2) + ((y - y0) / sy).powi(2))).exp();
         8.0 * bell * (1.0 + tilt * x) * edge(x) * edge(y)
@@ -71,7 +71,7 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     let waves: Vec<[f64; 4]> =
         (0..6).map(|_| [0, 1, 2, 3].map(|_| rng.random_range(-1.2..1.2))).collect();
     let mut height = Array2::from_shape_fn(map.shape(), |(r, c)| {
-        let (x, y) = (map.x.at(c), map.y.at(r));
+        let (x, y) = (map.x.coordinate_mm(c), map.y.coordinate_mm(r));
         waves.iter().map(|w| 8.0 * w[0] * (w[1] * x + w[2] * y + 3.0 * w[3]).sin()).sum::<f64>()
             + rng.random_range(-0.3..0.3)
     });

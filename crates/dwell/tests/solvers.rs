@@ -31,7 +31,7 @@ fn tif(rate: impl Fn(f64, f64) -> f64) -> Tif {
     let g = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
     let edge = |v: f64| (1.0 - (v / 3.25).powi(2)).powi(3);
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c), g.y.at(r));
+        let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
         rate(x, y) * edge(x) * edge(y)
     });
     Tif::new(g, rate).unwrap()
@@ -94,7 +94,7 @@ fn surface(height: Array2<f64>) -> Surface {
 fn bowl() -> Array2<f64> {
     let g = grid();
     Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) - 4.0, g.y.at(r) - 3.0);
+        let (x, y) = (g.x.coordinate_mm(c) - 4.0, g.y.coordinate_mm(r) - 3.0);
         0.9 * x * x - 0.4 * x * y + 0.6 * y * y + 2.0 * (1.1 * x).sin()
     })
 }
@@ -667,14 +667,14 @@ fn lucy_richardson_on_squares_leaves_what_it_leaves_on_pixels() {
         Grid { x: fine(-3.0, 61), y: fine(-3.0, 61) },
     );
     let rate = Array2::from_shape_fn(t.shape(), |(r, c)| {
-        let (x, y) = (t.x.at(c), t.y.at(r));
+        let (x, y) = (t.x.coordinate_mm(c), t.y.coordinate_mm(r));
         8.0 * (-(x * x + y * y) / (2.0 * 0.8 * 0.8)).exp()
     });
     let tool = Tif::new(t, rate).unwrap();
     let shape = |x: f64, y: f64| 0.9 * x * x - 0.4 * x * y + 0.6 * y * y + 2.0 * (1.1 * x).sin();
     let height = |masked: bool| {
         Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) - 4.0, g.y.at(r) - 3.0);
+            let (x, y) = (g.x.coordinate_mm(c) - 4.0, g.y.coordinate_mm(r) - 3.0);
             let out = x.hypot(y) > 3.15 || (x - 1.0).hypot(y - 1.0) < 0.52;
             if masked && out { f64::NAN } else { shape(x, y) }
         })
@@ -816,7 +816,7 @@ fn udo_extends_maps_of_oblong_pixels_on_all_sides() {
         let axes = [(9.0, dx), (7.0, dy)].map(|(size, d)| axis(0.0, d, (size / d) as usize + 1));
         let g = Grid { x: axes[0], y: axes[1] };
         let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) - 4.0, g.y.at(r) - 3.0);
+            let (x, y) = (g.x.coordinate_mm(c) - 4.0, g.y.coordinate_mm(r) - 3.0);
             0.9 * x * x - 0.4 * x * y + 0.6 * y * y + 2.0 * (1.1 * x).sin()
         });
         let desired = Surface::new(g, height).unwrap();

@@ -126,7 +126,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
                 let is_rotary = job.plan.axes[axis].is_rotary;
                 let count = if is_rotary { "count_deg" } else { "count_mm" };
                 let remedy = format!("give a larger `{count}`");
-                return Err(Invalid::at("segment", k, problem, remedy));
+                return Err(Invalid::at_index("segment", k, problem, remedy));
             }
             text += &format!("{name}={p},{v:.0},{t}\n").replace(",-0,", ",0,");
         }

@@ -515,7 +515,7 @@ impl<'a, const N: usize> Generator<'a, N> {
                 "move the part (part_origin_mm of the machine), or plan with a smaller overscan",
             )
         };
-        Err(Invalid::at("segment", k, problem, remedy))
+        Err(Invalid::at_index("segment", k, problem, remedy))
     }
 
     /// Makes a program on the clock of `motion`, not proven yet.
@@ -644,7 +644,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         let counts = position / count;
         if counts.is_nan() || counts.abs() >= LARGEST_EXACT_INTEGER {
             let remedy = "give a larger count";
-            return Err(Invalid::at("node", k, format!("is at {counts:e} counts"), remedy));
+            return Err(Invalid::at_index("node", k, format!("is at {counts:e} counts"), remedy));
         }
         let [low, high] = self.travel_counts(axis);
         Ok((counts.round() as i64).min(high).max(low))
@@ -680,7 +680,7 @@ impl<'a, const N: usize> Generator<'a, N> {
                         piece.start_s + u
                     );
                     let remedy = "give the `form` that the motion was made for, with its overscan";
-                    return Err(Invalid::at("segment", piece.segment, problem, remedy));
+                    return Err(Invalid::at_index("segment", piece.segment, problem, remedy));
                 };
                 largest = largest.max((p[0] - q[0]).hypot(p[1] - q[1]));
             }

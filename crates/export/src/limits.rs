@@ -125,7 +125,7 @@ fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
             let problem = format!(
                 "{name} reaches {position:.4} {unit}, {beyond:.4} {unit} beyond its travel from {low} to {high} {unit}"
             );
-            return Err(Invalid::at("segment", i, problem, remedy_of_travel(plan)));
+            return Err(Invalid::at_index("segment", i, problem, remedy_of_travel(plan)));
         }
     }
     Ok(())
@@ -234,7 +234,7 @@ fn check_acceleration_steps<const N: usize>(
             step.allowed,
             unit = limits.unit()
         );
-        return Err(Invalid::at("node", step.node, problem, REMEDY_OF_ROUNDING));
+        return Err(Invalid::at_index("node", step.node, problem, REMEDY_OF_ROUNDING));
     }
     Ok(())
 }
@@ -312,7 +312,7 @@ impl Peaks {
             let problem = format!(
                 "{quantity} is {value:.6} {unit} in the program, the limit is {limit} {unit}"
             );
-            return Err(Invalid::at("segment", segment, problem, REMEDY_OF_ROUNDING));
+            return Err(Invalid::at_index("segment", segment, problem, REMEDY_OF_ROUNDING));
         }
         let is_duration = what.slot + 1 == self.0.len();
         let slot = &mut self.0[what.slot];
@@ -360,7 +360,7 @@ impl WorstExcess {
                 let problem = format!(
                     "{axis} {name} reaches {value:.6} {unit} after {at_s:.6} s, the limit is {limit} {unit}"
                 );
-                Invalid::at("segment", i, problem, remedy)
+                Invalid::at_index("segment", i, problem, remedy)
             });
         }
     }
@@ -393,7 +393,7 @@ impl WorstExcess {
                         "begins with a step of {step:.6} {unit} in the {name} of {axis}, where \
                          {allowed:.1e} {unit} is rounding (the machine rests before and after the motion)"
                     );
-                    Invalid::at("segment", i, problem, remedy)
+                    Invalid::at_index("segment", i, problem, remedy)
                 });
             }
         }
@@ -417,11 +417,11 @@ fn check_magnitudes<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let large = |v: &f64| v.abs() > LARGEST_NUMBER;
     let remedy = "numbers beyond 1e60 are not mm and s; check the units";
     if let Some(i) = plan.break_time_s.iter().position(large) {
-        return Err(Invalid::at("break_time_s", i, "is beyond 1e60 s", remedy));
+        return Err(Invalid::at_index("break_time_s", i, "is beyond 1e60 s", remedy));
     }
     if let Some(i) = plan.coefficient.iter().position(|c| c.iter().flatten().any(large)) {
         let name = if plan.may_step { "coefficient_mm_or_deg" } else { "coefficient_mm" };
-        return Err(Invalid::at(name, i, "is beyond 1e60", remedy));
+        return Err(Invalid::at_index(name, i, "is beyond 1e60", remedy));
     }
     Ok(())
 }

@@ -17,7 +17,7 @@ use planish_types::{AxisGrid, Interpolation};
 
 use crate::{
     lines,
-    slowed::{Choice, ClockCells, Slowed, State},
+    slowed::{AxesState, Choice, ClockCells, Slowed},
     velocities::hermite,
 };
 
@@ -139,7 +139,7 @@ impl<const N: usize> Choice<'_, N> {
 
     /// Returns the worst ratio to its allowance of the cubic that starts at the tick `start` and lasts `n` ticks: deviation
     /// from the path, acceleration, jerk. Above 1 the segment has to be shorter.
-    fn misfit(&self, motion: &Slowed<N>, from: &State<N>, start: i64, n: i64) -> f64 {
+    fn misfit(&self, motion: &Slowed<N>, from: &AxesState<N>, start: i64, n: i64) -> f64 {
         let start_s = start as f64 * self.tick_s;
         let t = n as f64 * self.tick_s;
         let end_s = start_s + t;

@@ -131,7 +131,7 @@ const STEEPEST_PER_S: f64 = 2.0;
 
 /// Position, velocity and acceleration of the axes at an instant.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct State<const N: usize> {
+pub(crate) struct AxesState<const N: usize> {
     pub position: [f64; N],
     pub velocity: [f64; N],
     pub acceleration: [f64; N],
@@ -162,7 +162,7 @@ impl<const N: usize> Inwards<N> {
     }
 
     /// Moves a state of the plan inwards.
-    fn apply(&self, state: &mut State<N>) {
+    fn apply(&self, state: &mut AxesState<N>) {
         for axis in 0..N {
             let Some([low, high]) = self.travel[axis] else { continue };
             let length = (INWARDS_OVER_MM / self.lever[axis]).min(0.25 * (high - low));
@@ -510,7 +510,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
     }
 
     /// Returns the state of the motion at a time of the program; at rest beyond its end.
-    pub fn state(&self, time_s: f64) -> State<N> {
+    pub fn state(&self, time_s: f64) -> AxesState<N> {
         let (plan_s, k, slope) = self.plan_time(time_s);
         let mut state = at_plan(self.plan, plan_s);
         for axis in 0..N {
@@ -547,7 +547,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
 
     /// Returns the time after which the state `here` comes nearest to `position` at its velocity, s; `None` where it stands
     /// or is far.
-    fn shift_s(&self, here: &State<N>, position: [f64; N]) -> Option<f64> {
+    fn shift_s(&self, here: &AxesState<N>, position: [f64; N]) -> Option<f64> {
         let e = minus(position, here.position);
         let v = here.velocity;
         let l = self.plan.lever;
@@ -692,14 +692,14 @@ const TIGHT: f64 = 1.05;
 const SHIFT_S: f64 = 0.01;
 
 /// Returns the state of the plan at a time since its start.
-pub(crate) fn at_plan<const N: usize>(plan: &AxesPlan<N>, plan_s: f64) -> State<N> {
+pub(crate) fn at_plan<const N: usize>(plan: &AxesPlan<N>, plan_s: f64) -> AxesState<N> {
     let time_s = plan.break_time_s[0] + plan_s;
     let i = plan.break_time_s.partition_point(|b| *b <= time_s).clamp(1, plan.len()) - 1;
     let segment = plan.segment(i);
     let u = (time_s - segment.start_s).clamp(0.0, segment.duration_s);
     let first = segment.coefficient.each_ref().map(derivative);
     let second = first.each_ref().map(derivative);
-    State {
+    AxesState {
         position: position(segment.coefficient, u),
         velocity: position(&first, u),
         acceleration: position(&second, u),

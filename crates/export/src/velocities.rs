@@ -117,7 +117,7 @@ impl Axis<'_> {
     }
 
     /// Returns the program without its rows: H, H v*, the nodes that are free, and the price of an excess.
-    fn objective(&self, elastic: bool) -> chain::Program {
+    fn objective(&self, elastic: bool) -> chain::ChainProgram {
         let n = self.time_s.len();
         let t = self.time_s;
         let mut diagonal = Vec::with_capacity(n + 1);
@@ -148,7 +148,7 @@ impl Axis<'_> {
             price = t.iter().map(|t| unit * t).collect();
         }
         let free = self.rests.iter().map(|rests| !rests).collect();
-        chain::Program { diagonal, beside, linear, free, price }
+        chain::ChainProgram { diagonal, beside, linear, free, price }
     }
 
     /// Adds the rows of segment `k`.

@@ -262,14 +262,24 @@ impl FormFile {
             let Some(place) = place else { continue };
             if let Some(i) = place.iter().position(|v| !is_plausible_mm(*v)) {
                 let problem = format!("is {}", place[i]);
-                return Err(Invalid::at(key, i, problem, "give a place in mm, within 1e7 mm"));
+                return Err(Invalid::at_index(
+                    key,
+                    i,
+                    problem,
+                    "give a place in mm, within 1e7 mm",
+                ));
             }
         }
         if let Some(terms) = &self.even_terms
             && let Some(i) = terms.iter().position(|v| !v.is_finite())
         {
             let problem = format!("is {}", terms[i]);
-            return Err(Invalid::at("even_terms", i, problem, "give finite numbers: A4, A6, ..."));
+            return Err(Invalid::at_index(
+                "even_terms",
+                i,
+                problem,
+                "give finite numbers: A4, A6, ...",
+            ));
         }
         Ok(())
     }

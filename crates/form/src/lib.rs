@@ -283,11 +283,12 @@ impl Form {
     pub fn check_over(&self, surface: &Surface) -> Result<(), Invalid> {
         let grid = surface.grid();
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-        let mut lacking =
-            valid.filter(|((r, c), _)| self.point([grid.x.at(*c), grid.y.at(*r)]).is_none());
+        let mut lacking = valid.filter(|((r, c), _)| {
+            self.point([grid.x.coordinate_mm(*c), grid.y.coordinate_mm(*r)]).is_none()
+        });
         let Some(((r, c), _)) = lacking.next() else { return Ok(()) };
-        let x = grid.x.at(c);
-        let y = grid.y.at(r);
+        let x = grid.x.coordinate_mm(c);
+        let y = grid.y.coordinate_mm(r);
         let more = lacking.count();
         let problem = format!(
             "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
@@ -295,7 +296,7 @@ impl Form {
         );
         let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
                       pixels of the map of the part invalid";
-        Err(Invalid::at("form", (r, c), problem, remedy))
+        Err(Invalid::at_index("form", (r, c), problem, remedy))
     }
 
     /// Returns the point of the form over [x, y] of the part, mm; `None` where the form does not exist.

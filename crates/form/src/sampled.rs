@@ -55,7 +55,7 @@ impl Sampled {
     /// Returns the centre of the valid pixel that is nearest to a place [x, y], mm.
     pub fn nearest_mm(&self, p: [f64; 2]) -> [f64; 2] {
         let (r, c) = self.map.nearest_valid(p);
-        [self.grid().x.at(c), self.grid().y.at(r)]
+        [self.grid().x.coordinate_mm(c), self.grid().y.coordinate_mm(r)]
     }
 
     /// Returns true if the four corners of a cell have heights and slopes.
@@ -225,7 +225,7 @@ mod tests {
     fn map(mm: impl Fn(f64, f64) -> f64, valid: impl Fn(f64, f64) -> bool) -> Surface {
         let grid = grid();
         let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             if valid(x, y) { 1e6 * mm(x, y) } else { f64::NAN }
         });
         Surface::new(grid, height).unwrap()
@@ -263,7 +263,7 @@ mod tests {
         let grid = grid();
         let mut pixels = 0;
         for (r, c) in (0..grid.y.len()).flat_map(|r| (0..grid.x.len()).map(move |c| (r, c))) {
-            let p = [grid.x.at(c), grid.y.at(r)];
+            let p = [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)];
             match (form.point(p), inside(p[0], p[1])) {
                 (Some(found), true) => {
                     pixels += 1;

@@ -160,7 +160,7 @@ pub(crate) fn refuse_rounded<'a>(values: impl IntoIterator<Item = &'a f64>) -> R
         Some(i) => {
             let problem = "is a 64-bit integer beyond 2^53 that no 64-bit float is equal to";
             let remedy = "subtract the mean, or save it as floats";
-            Err(Invalid::at("stored value", i, problem, remedy))
+            Err(Invalid::at_index("stored value", i, problem, remedy))
         }
     }
 }

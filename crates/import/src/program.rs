@@ -119,7 +119,7 @@ impl Configuration {
                 let problem = format!("is {axis:?}");
                 let remedy =
                     "give x or r, y, z in mm or a, b, c in deg, each once, with finite numbers";
-                return Err(Invalid::at("axes", i, problem, remedy));
+                return Err(Invalid::at_index("axes", i, problem, remedy));
             }
         }
         if self.start_mm.is_some() || self.count_mm.is_some() {
@@ -281,7 +281,7 @@ const REMEDY: &str = "correct the line, or leave it out if it moves nothing and 
 
 /// Returns the error of a line, counted from 1.
 fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
-    Invalid::at("program line", line, problem, REMEDY)
+    Invalid::at_index("program line", line, problem, REMEDY)
 }
 
 /// Returns the finite number that a text is.

@@ -609,7 +609,7 @@ mod tests {
         let g = grid(n);
         let maps = [0, 1, 2].map(|k| {
             Array2::from_shape_fn(g.shape(), |(r, c)| {
-                let (x, y) = (g.x.at(c), g.y.at(r));
+                let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
                 if inside(x, y) { field(x, y)[k] } else { f64::NAN }
             })
         });
@@ -654,15 +654,17 @@ mod tests {
         let g = grid(16);
         let z = |x: f64, y: f64| 2.0 * x * x * x - x * y * y + 3.0 * x * y - 5.0 * y;
         let sx = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c), g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
             6.0 * x * x - y * y + 3.0 * y
         });
         let sy = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c), g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
             -2.0 * x * y + 3.0 * x - 5.0
         });
         let made = integrate(&sx, &sy, &g).unwrap();
-        let at = |r: usize, c: usize| made.height_nm[[r, c]] - z(g.x.at(c), g.y.at(r));
+        let at = |r: usize, c: usize| {
+            made.height_nm[[r, c]] - z(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+        };
         for ((r, c), _) in made.height_nm.indexed_iter() {
             // Rounding of heights of 500 nm, times the condition of the Laplacian of 16 pixels.
             assert!((at(r, c) - at(0, 0)).abs() < 1e-8, "{r} {c}");
@@ -674,8 +676,9 @@ mod tests {
     fn the_sign_along_y_is_judged_and_islands_are_left_out() {
         let g = grid(48);
         let map = |k: usize, sign: f64| {
-            let values =
-                Array2::from_shape_fn(g.shape(), |(r, c)| sign * field(g.x.at(c), g.y.at(r))[k]);
+            let values = Array2::from_shape_fn(g.shape(), |(r, c)| {
+                sign * field(g.x.coordinate_mm(c), g.y.coordinate_mm(r))[k]
+            });
             let mut reading = Reading::of_map(&g, &values);
             (reading.unit, reading.unit_word) = (None, Some("urad".into()));
             reading

@@ -443,7 +443,7 @@ fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
 fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     if let Some(i) = column.values.iter().position(|v| *v != 0.0 && *v != 1.0) {
         let remedy = "a switch of the tool is 0 (off) or 1 (on); give such a column, or the beam current as `current`";
-        return Err(Invalid::at("tool_on", i, format!("is {}", column.values[i]), remedy));
+        return Err(Invalid::at_index("tool_on", i, format!("is {}", column.values[i]), remedy));
     }
     Ok(column.values.iter().map(|v| *v == 1.0).collect())
 }
@@ -466,10 +466,10 @@ fn rate_factor(
         if factor < -MOST_NEGATIVE_CURRENT || !factor.is_finite() {
             let problem = format!("is {current}, with the nominal current {nominal}");
             let remedy = "check the sign and the column of the current";
-            return Err(Invalid::at("current", i, problem, remedy));
+            return Err(Invalid::at_index("current", i, problem, remedy));
         }
         if factor > LARGEST_RATE_FACTOR {
-            return Err(Invalid::at("current", i, other_unit(*current, nominal), SAME_UNIT));
+            return Err(Invalid::at_index("current", i, other_unit(*current, nominal), SAME_UNIT));
         }
         below += usize::from(factor < 0.0);
         factors.push(factor.max(0.0));
@@ -484,7 +484,12 @@ fn rate_factor(
     }
     if largest < LARGEST_RATE_FACTOR.recip() {
         let i = factors.iter().position(|f| *f == largest).unwrap_or(0);
-        return Err(Invalid::at("current", i, other_unit(largest * nominal, nominal), SAME_UNIT));
+        return Err(Invalid::at_index(
+            "current",
+            i,
+            other_unit(largest * nominal, nominal),
+            SAME_UNIT,
+        ));
     }
     let on: Vec<f64> = factors.iter().copied().filter(|f| *f > BEAM_ON * largest).collect();
     let mean = on.iter().sum::<f64>() / on.len() as f64;
@@ -521,24 +526,34 @@ impl Trace {
             let far = positions.iter().position(|p| !p.iter().all(|v| is_plausible_mm(*v)));
             if let Some(i) = far {
                 let problem = format!("is {:?} mm", positions[i]);
-                return Err(Invalid::at("position", i, problem, "check `unit` and `count_mm`"));
+                return Err(Invalid::at_index(
+                    "position",
+                    i,
+                    problem,
+                    "check `unit` and `count_mm`",
+                ));
             }
         }
         for positions in &self.axes {
             if let Some(i) = positions.iter().position(|v| !is_plausible_mm(*v)) {
                 let problem = format!("is {} mm or degrees", positions[i]);
-                return Err(Invalid::at("position", i, problem, "check `unit` and `angle_unit`"));
+                return Err(Invalid::at_index(
+                    "position",
+                    i,
+                    problem,
+                    "check `unit` and `angle_unit`",
+                ));
             }
         }
         Ok(())
     }
 
     /// Returns the measured positions of each axis, with its name and unit.
-    fn positions(&self, settings: &TraceSettings) -> Vec<jumps::Axis<'_>> {
+    fn positions(&self, settings: &TraceSettings) -> Vec<jumps::LoggedAxis<'_>> {
         let time_s = &self.time_s;
         if !self.axes.is_empty() {
             let columns = settings.columns.axes.iter().zip(&self.axes);
-            let axes = columns.map(|(column, positions)| jumps::Axis {
+            let axes = columns.map(|(column, positions)| jumps::LoggedAxis {
                 name: column.name.clone(),
                 unit: if column.is_rotary { "deg" } else { "mm" },
                 time_s,
@@ -546,7 +561,7 @@ impl Trace {
             });
             return axes.collect();
         }
-        let axes = ["x", "y"].into_iter().enumerate().map(|(a, name)| jumps::Axis {
+        let axes = ["x", "y"].into_iter().enumerate().map(|(a, name)| jumps::LoggedAxis {
             name: name.to_string(),
             unit: "mm",
             time_s,

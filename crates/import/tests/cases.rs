@@ -370,7 +370,7 @@ fn scattered_points_are_gridded_on_request() {
     // c d^2 / 6 with c = 0.008 and sides d of 24 mm; 4 decimals in the file.
     let mut valid = 0;
     for ((r, c), z) in map.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
-        let square = g.x.at(c).powi(2) + g.y.at(r).powi(2);
+        let square = g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2);
         let above = z - 0.004 * square;
         assert!((-1e-4..0.008 * 576.0 / 6.0).contains(&above), "{square}: {z}");
         valid += 1;
@@ -983,7 +983,10 @@ fn formats_of_neighbouring_programs_are_read() {
     has_rms(&map, 39.0896);
     assert!((map.grid().x.step_mm() - 200.0 / 28.0).abs() < 1e-12);
     // The middle of the mirror is the origin; the first row of the file is the bottom.
-    assert!(map.grid().x.at(16).abs() < 1e-12 && map.grid().y.at(16).abs() < 1e-12);
+    assert!(
+        map.grid().x.coordinate_mm(16).abs() < 1e-12
+            && map.grid().y.coordinate_mm(16).abs() < 1e-12
+    );
     assert!((map.height_nm()[[2, 16]] + 0.35 * 0.5 * 632.8).abs() < 1e-9);
     assert_eq!(manifest.outcome["reading"]["stated"]["radius_of_curvature_mm"], 1600.0);
     let said = refused(&second("mirror.wft"), &["--surface-per-value", "0.5"]);

@@ -253,7 +253,9 @@ fn heights(bytes: &[u8], settings: &ReadingSettings) -> Result<Vec<[f64; 3]>, St
     let reading = read(Format::Fits, bytes, &Pick::default()).map_err(|e| e.to_string())?;
     let (map, _) = surface(reading, settings).map_err(|e| e.to_string())?;
     let (g, z) = (map.grid(), map.height_nm());
-    Ok(z.indexed_iter().map(|((r, c), z)| [g.x.at(c), g.y.at(r), *z]).collect())
+    Ok(z.indexed_iter()
+        .map(|((r, c), z)| [g.x.coordinate_mm(c), g.y.coordinate_mm(r), *z])
+        .collect())
 }
 
 #[test]

@@ -96,7 +96,7 @@ impl<'a> Further<'a> {
             for (name, value) in limits {
                 if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
                     let problem = format!("{name} of the axis {} is {v:?}", axis.name);
-                    return Err(Invalid::at(
+                    return Err(Invalid::at_index(
                         "further axes",
                         i,
                         problem,

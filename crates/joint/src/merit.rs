@@ -438,7 +438,7 @@ mod tests {
         let a = Axis::new(-4.0, 0.1, 81).unwrap();
         let g = Grid { x: a, y: a };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            10.0 * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / 8.0).exp()
+            10.0 * (-(g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2)) / 8.0).exp()
         });
         let tif = Tif::new(g, rate).unwrap();
         let axis = |n: usize| Axis::new(0.0, 0.1, n).unwrap();

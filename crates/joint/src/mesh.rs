@@ -568,7 +568,8 @@ mod tests {
         let own = Axis::new(-2.0, 0.25, 17).unwrap();
         let g = Grid { x: own, y: own };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            10.0 * (-(g.x.at(c).powi(2) + 1.3 * g.y.at(r).powi(2)) / 0.8).exp()
+            10.0 * (-(g.x.coordinate_mm(c).powi(2) + 1.3 * g.y.coordinate_mm(r).powi(2)) / 0.8)
+                .exp()
         });
         let tif = Tif::new(g, rate).unwrap();
         let axis = |n: usize| Axis::new(0.0, 0.25, n).unwrap();

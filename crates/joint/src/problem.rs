@@ -691,7 +691,7 @@ mod tests {
         let g = Grid { x: a, y: a };
         let (rate, variance) = (random.decades(10.0, 60.0), random.between(0.5, 1.4));
         let tif = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            rate * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / variance).exp()
+            rate * (-(g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2)) / variance).exp()
         });
         let tif = Tif::new(g, tif).unwrap();
         let grid =
@@ -708,7 +708,7 @@ mod tests {
             .collect();
         let layer = random.between(10.0, 30.0);
         let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             let wave = |w: &[f64; 4]| 4.0 * w[3] * (w[0] * x + w[1] * y + w[2]).sin();
             layer + waves.iter().map(wave).sum::<f64>()
         });

@@ -27,12 +27,13 @@ fn machine(jerk: Option<f64>, acceleration: f64) -> Value {
 fn prepare(dir: &Path) {
     let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
     let grid = Grid { x: axis(0.0, 25), y: axis(0.0, 9) };
-    let height =
-        Array2::from_shape_fn(grid.shape(), |(_, c)| 20.0 + 10.0 * (1.5 * grid.x.at(c)).sin());
+    let height = Array2::from_shape_fn(grid.shape(), |(_, c)| {
+        20.0 + 10.0 * (1.5 * grid.x.coordinate_mm(c)).sin()
+    });
     write(dir, "surface", &Surface::new(grid, height).unwrap());
     let a = axis(-1.5, 13);
     let rate = Array2::from_shape_fn((13, 13), |(r, c)| {
-        20.0 * (-(a.at(c).powi(2) + a.at(r).powi(2)) / 0.5).exp()
+        20.0 * (-(a.coordinate_mm(c).powi(2) + a.coordinate_mm(r).powi(2)) / 0.5).exp()
     });
     write(dir, "tif", &Tif::new(Grid { x: a, y: a }, rate).unwrap());
     let mut points = Vec::new();

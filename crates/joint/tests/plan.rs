@@ -253,7 +253,7 @@ fn corners_between_nodes_far_apart_do_not_hold_the_method_up() {
 fn low_orders() -> Surface {
     let g = Grid { x: Axis::new(0.0, 0.25, 81).unwrap(), y: Axis::new(0.0, 0.25, 61).unwrap() };
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (u, v) = (g.x.at(c) / 10.0 - 1.0, g.y.at(r) / 7.5 - 1.0);
+        let (u, v) = (g.x.coordinate_mm(c) / 10.0 - 1.0, g.y.coordinate_mm(r) / 7.5 - 1.0);
         30.0 * u * u - 12.0 * u * v + 18.0 * v * v + 10.0 * u.powi(3) - 8.0 * v.powi(3) * u
     });
     Surface::new(g, height).unwrap()
@@ -274,7 +274,7 @@ fn lines(reach: f64, pitch: f64) -> ToolPath {
 /// A tool that is round within a square.
 fn within_square(half: f64, rate: &dyn Fn(f64) -> f64) -> Tif {
     let a = Axis::new(-half, 0.25, 2 * (half / 0.25) as usize + 1).unwrap();
-    let of = |(r, c): (usize, usize)| rate(a.at(c).hypot(a.at(r)));
+    let of = |(r, c): (usize, usize)| rate(a.coordinate_mm(c).hypot(a.coordinate_mm(r)));
     let g = Grid { x: a, y: a };
     Tif::new(g, Array2::from_shape_fn(g.shape(), of)).unwrap()
 }
@@ -310,7 +310,7 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
     let (low, limits) = (low_orders(), machine(100.0, 2000.0, None));
     let g = *low.grid();
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c), g.y.at(r));
+        let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
         let waves = (0.95 * x + 0.3 * y).sin() + (0.2 * x - 0.95 * y).cos();
         low.height_nm()[[r, c]] + 1.5 * waves
     });

@@ -160,7 +160,7 @@ fn a_tilted_plane_turns_the_motion() {
     let slope = alpha.tan();
     let axis =
         planish_types::Axis::from_coordinates("x_mm", &[-40.0, -20.0, 0.0, 20.0, 40.0]).unwrap();
-    let heights = |j: usize| (axis.at(j) * slope) * 1e6;
+    let heights = |j: usize| (axis.coordinate_mm(j) * slope) * 1e6;
     let grid = planish_types::Grid { x: axis, y: axis };
     let map = ndarray_of(5, heights);
     let plane = Form::sampled(&planish_types::Surface::new(grid, map).unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! What a stage program is: `planish-dwell ARGUMENTS` starts `planish dwell ARGUMENTS`, the program beside it.
+//! A stage program starts `planish`, the program beside it: `planish-dwell ARGUMENTS` is `planish dwell ARGUMENTS`.
 //!
 //! Each of the stage programs links this crate alone, and it uses nothing but the standard library: such a program has
 //! less than half of the size that it would have with `planish-handoff`.

@@ -39,7 +39,9 @@ impl Term {
             Self::Power => {
                 let [x, y] = [&grid.x, &grid.y].map(|a| {
                     let middle = 0.5 * (a.start_mm() + a.end_mm());
-                    (0..a.len()).map(|i| (a.at(i) - middle).powi(2)).collect::<Vec<f64>>()
+                    (0..a.len())
+                        .map(|i| (a.coordinate_mm(i) - middle).powi(2))
+                        .collect::<Vec<f64>>()
                 });
                 let mut map = Array2::from_shape_fn(grid.shape(), |(r, c)| x[c] + y[r]);
                 map -= map.mean().unwrap_or(0.0);

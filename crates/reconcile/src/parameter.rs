@@ -154,7 +154,7 @@ pub(crate) fn check_names(setting: &'static str, names: &[String]) -> Result<(),
         if Parameter::named(name).is_none() && !terms.contains(&name.as_str()) {
             let known: Vec<&str> = ALL.iter().map(|p| p.name()).chain(terms).collect();
             let remedy = format!("give one of {}", known.join(", "));
-            return Err(Invalid::at(setting, i, format!("is {name:?}"), remedy));
+            return Err(Invalid::at_index(setting, i, format!("is {name:?}"), remedy));
         }
     }
     Ok(())

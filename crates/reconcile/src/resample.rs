@@ -55,8 +55,9 @@ fn weights(from: &Axis, to_mm: f64) -> Option<(usize, Vec<f64>)> {
 /// # Errors
 /// Fails if no pixel of `grid` lies within the valid samples of the map.
 pub fn resampled(map: &Surface, grid: &Grid) -> Result<Surface, Invalid> {
-    let [x, y] = [(&map.grid().x, &grid.x), (&map.grid().y, &grid.y)]
-        .map(|(from, to)| (0..to.len()).map(|i| weights(from, to.at(i))).collect::<Vec<_>>());
+    let [x, y] = [(&map.grid().x, &grid.x), (&map.grid().y, &grid.y)].map(|(from, to)| {
+        (0..to.len()).map(|i| weights(from, to.coordinate_mm(i))).collect::<Vec<_>>()
+    });
     let height = map.height_nm();
     let height_nm = Array2::from_shape_fn(grid.shape(), |(r, c)| {
         let (Some((r0, rows)), Some((c0, columns))) = (&y[r], &x[c]) else { return f64::NAN };
@@ -82,7 +83,8 @@ mod tests {
     fn polynomials_of_degree_five_are_exact_and_samples_outside_are_invalid() {
         let value = |x: f64, y: f64| (0.3 * x - 1.0).powi(5) + x * y.powi(4) - 2.0 * y;
         let map = |grid: Grid| {
-            let at = |(r, c): (usize, usize)| value(grid.x.at(c), grid.y.at(r));
+            let at =
+                |(r, c): (usize, usize)| value(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             Surface::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
         };
         let from =

@@ -45,19 +45,24 @@ impl ReconcileSettings {
         parameter::check_names("hold", hold)?;
         if let Some((i, name)) = hold.iter().enumerate().find(|(_, n)| free.contains(n)) {
             let remedy = "a parameter is free or held; leave one out";
-            return Err(Invalid::at("hold", i, format!("is {name:?}, which is free"), remedy));
+            return Err(Invalid::at_index(
+                "hold",
+                i,
+                format!("is {name:?}, which is free"),
+                remedy,
+            ));
         }
         let absent = |name: &String| Parameter::named(name).is_some_and(|p| !has(p));
         if let Some(i) = free.iter().position(absent) {
             let problem = format!("is {:?}, and the tool {TURNS}", free[i]);
-            return Err(Invalid::at("free", i, problem, "leave it out"));
+            return Err(Invalid::at_index("free", i, problem, "leave it out"));
         }
         if let Some(orders) = self.metrology_order
             && let Some(axis) = orders.iter().position(|n| *n > LARGEST_ORDER)
         {
             let remedy = format!("give at most {LARGEST_ORDER}");
             let problem = format!("is {}", orders[axis]);
-            return Err(Invalid::at("metrology_order", axis, problem, remedy));
+            return Err(Invalid::at_index("metrology_order", axis, problem, remedy));
         }
         // Terms of the metrology stay free where parameters are named: no map has the piston of another.
         let parameters_named = free.iter().any(|n| Parameter::named(n).is_some());

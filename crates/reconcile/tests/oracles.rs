@@ -29,7 +29,9 @@ fn removal(trajectory: &Trajectory, tif: &Tif) -> Array2<f64> {
 
 fn after(removal: &Array2<f64>, more: impl Fn(f64, f64) -> f64) -> Surface {
     let grid = grid();
-    let more = Array2::from_shape_fn(grid.shape(), |(r, c)| more(grid.x.at(c), grid.y.at(r)));
+    let more = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        more(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    });
     Surface::new(grid, before().height_nm() - removal + more).unwrap()
 }
 

@@ -39,7 +39,9 @@ fn grid() -> Grid {
 }
 
 fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
-    Array2::from_shape_fn(grid.shape(), |(r, c)| of(grid.x.at(c), grid.y.at(r)))
+    Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        of(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    })
 }
 
 /// Tangent of the slope of the sphere times its direction.
@@ -129,7 +131,7 @@ fn executed(trajectory: &Trajectory, t: &Truth, time: Option<&TimeFactor>) -> Ar
             let seconds = 0.25 * h * of_time * (1.0 + t.rate + t.drift * (at_s / total - 0.5));
             let at = [0, 1].map(|a| c[a][0] + c[a][1] * node * h + t.offset_mm[a]);
             for ((r, c), v) in removal.indexed_iter_mut() {
-                let u = [grid.x.at(c) - at[0], grid.y.at(r) - at[1]];
+                let u = [grid.x.coordinate_mm(c) - at[0], grid.y.coordinate_mm(r) - at[1]];
                 if u[0] * u[0] + u[1] * u[1] < (REACH_SIGMA * SIGMA_MM).powi(2) {
                     *v += seconds * rate(u, at, t.width);
                 }

@@ -21,7 +21,7 @@ fn tif() -> Tif {
     let a = Axis::new(-3.0, 0.2, 31).unwrap();
     let g = Grid { x: a, y: a };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) / 3.0, g.y.at(r) / 3.0);
+        let (x, y) = (g.x.coordinate_mm(c) / 3.0, g.y.coordinate_mm(r) / 3.0);
         8.0 * (1.0 - x * x - y * y).max(0.0).powi(4)
     });
     Tif::new(g, rate).unwrap()
@@ -30,7 +30,7 @@ fn tif() -> Tif {
 fn desired() -> Surface {
     let g = Grid { x: Axis::new(0.0, 0.2, 51).unwrap(), y: Axis::new(0.0, 0.2, 41).unwrap() };
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) - 5.0, g.y.at(r) - 4.0);
+        let (x, y) = (g.x.coordinate_mm(c) - 5.0, g.y.coordinate_mm(r) - 4.0);
         20.0 + 0.8 * x * x + 0.5 * y * y + 4.0 * (1.1 * x + 0.7 * y).sin()
     });
     Surface::new(g, height).unwrap()
@@ -57,7 +57,7 @@ fn waves(number: u32) -> Surface {
     let part = |k: u32| (f64::from(number) * 0.618_034 + f64::from(k) * 0.754_878).fract();
     let g = Grid { x: Axis::new(0.0, 0.2, 51).unwrap(), y: Axis::new(0.0, 0.2, 41).unwrap() };
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) - 5.0, g.y.at(r) - 4.0);
+        let (x, y) = (g.x.coordinate_mm(c) - 5.0, g.y.coordinate_mm(r) - 4.0);
         let wave = |k: u32| {
             let [a, b, phase, size] = [0, 1, 2, 3].map(|i| part(4 * k + i));
             8.0 * size * ((1.8 * a - 0.9) * x + (1.8 * b - 0.9) * y + 6.3 * phase).sin()
@@ -72,7 +72,7 @@ fn round(waves: &Surface) -> Surface {
     let g = waves.grid();
     let mut height = waves.height_nm().clone();
     for ((r, c), h) in height.indexed_iter_mut() {
-        if (g.x.at(c) - 5.0).hypot(g.y.at(r) - 4.0) > 4.1 {
+        if (g.x.coordinate_mm(c) - 5.0).hypot(g.y.coordinate_mm(r) - 4.0) > 4.1 {
             *h = f64::NAN;
         }
     }
@@ -477,7 +477,7 @@ fn a_ring_shaped_tool_is_no_exception() {
     let g = Grid { x: a, y: a };
     // A ring of 1.5 mm: its spectrum has zeros, which no dwell time can correct.
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let radius = g.x.at(c).hypot(g.y.at(r));
+        let radius = g.x.coordinate_mm(c).hypot(g.y.coordinate_mm(r));
         8.0 * (-((radius - 1.5) / 0.5).powi(2)).exp()
     });
     let ring = Tif::new(g, rate).unwrap();

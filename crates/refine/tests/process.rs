@@ -22,8 +22,9 @@ fn machine() -> Limits {
 /// A Gaussian of 1 mm.
 fn tif() -> Tif {
     let axis = Axis::new(-4.0, 0.25, 33).unwrap();
-    let rate =
-        |(r, c): (usize, usize)| 8.0 * (-0.5 * (axis.at(r).powi(2) + axis.at(c).powi(2))).exp();
+    let rate = |(r, c): (usize, usize)| {
+        8.0 * (-0.5 * (axis.coordinate_mm(r).powi(2) + axis.coordinate_mm(c).powi(2))).exp()
+    };
     let grid = Grid { x: axis, y: axis };
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }
@@ -32,7 +33,7 @@ fn tif() -> Tif {
 fn desired() -> Surface {
     let grid = Grid { x: Axis::new(0.0, 0.25, 49).unwrap(), y: Axis::new(0.0, 0.25, 33).unwrap() };
     let height = |(r, c): (usize, usize)| {
-        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         20.0 + 4.0 * (0.8 * x).sin() * (0.5 * y).cos() + 2.0 * (2.1 * x + 1.7 * y).sin()
     };
     Surface::new(grid, Array2::from_shape_fn(grid.shape(), height)).unwrap()

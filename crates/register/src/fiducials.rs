@@ -64,7 +64,7 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
         for (name, point) in [("map_mm", fiducial.map_mm), ("machine_mm", fiducial.machine_mm)] {
             if !point.iter().all(|v| is_plausible_mm(*v)) {
                 let remedy = "give finite coordinates in mm, within 1e7 mm of the origin";
-                return Err(Invalid::at(name, i, format!("is {point:?}"), remedy));
+                return Err(Invalid::at_index(name, i, format!("is {point:?}"), remedy));
             }
         }
         let uncertainties = [
@@ -75,7 +75,7 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
             let wrong = value.filter(|v| !v.is_finite() || *v < 0.0 || (*v == 0.0 && !may_be_0));
             if let Some(v) = wrong {
                 let remedy = "give a positive standard deviation in mm, or leave it out for all";
-                return Err(Invalid::at(name, i, format!("is {v}"), remedy));
+                return Err(Invalid::at_index(name, i, format!("is {v}"), remedy));
             }
         }
     }
@@ -162,7 +162,7 @@ fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
         let fields = fields_of(line, names.len());
         if fields.len() != names.len() {
             let problem = format!("has {} fields, the header {}", fields.len(), names.len());
-            return Err(Invalid::at("line", number, problem, "give every column a field"));
+            return Err(Invalid::at_index("line", number, problem, "give every column a field"));
         }
         let optional = |name: &str| -> Result<Option<f64>, Invalid> {
             let Some((i, column)) = find(name).and_then(|i| Some((i, columns[i].as_ref()?))) else {
@@ -175,12 +175,17 @@ fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
                 let shown: String =
                     fields[i].chars().filter(|c| !c.is_control()).take(40).collect();
                 let problem = format!("has \"{shown}\" as {}", names[i]);
-                Invalid::at("line", number, problem, "give a number with a decimal point")
+                Invalid::at_index("line", number, problem, "give a number with a decimal point")
             })
         };
         let needed = |name: &'static str| {
             optional(name)?.ok_or_else(|| {
-                Invalid::at("line", number, format!("has no {name}_mm"), "give all coordinates")
+                Invalid::at_index(
+                    "line",
+                    number,
+                    format!("has no {name}_mm"),
+                    "give all coordinates",
+                )
             })
         };
         fiducials.push(Fiducial {

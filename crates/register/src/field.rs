@@ -24,7 +24,7 @@ impl Field {
     pub fn valid_indexed(&self) -> impl Iterator<Item = ([usize; 2], [f64; 2], f64)> + '_ {
         let grid = self.grid();
         let valid = self.map.height_nm().indexed_iter().filter(|(_, z)| z.is_finite());
-        valid.map(|((r, c), z)| ([r, c], [grid.x.at(c), grid.y.at(r)], *z))
+        valid.map(|((r, c), z)| ([r, c], [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)], *z))
     }
 
     /// Returns the places [x, y] in mm and the heights in nm of the valid pixels.

@@ -321,7 +321,7 @@ fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
         Some(s) => Ok(s.hypot(f.map_uncertainty_mm.unwrap_or(0.0))),
         None => {
             let problem = format!("is absent, {with} of {} have one", fiducials.len());
-            Err(Invalid::at("uncertainty_mm", i, problem, "give all of them one, or none"))
+            Err(Invalid::at_index("uncertainty_mm", i, problem, "give all of them one, or none"))
         }
     });
     Ok((each.collect::<Result<_, _>>()?, true))
@@ -351,7 +351,7 @@ fn refuse_coincident(
                     let problem =
                         format!("is {q:?}, where fiducial {} is already", fiducials[*i].name);
                     let remedy = "measure two different points, or leave one out";
-                    return Err(Invalid::at(name, *j, problem, remedy));
+                    return Err(Invalid::at_index(name, *j, problem, remedy));
                 }
             }
         }

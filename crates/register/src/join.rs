@@ -221,7 +221,9 @@ fn whole(maps: &[Surface]) -> Result<Grid, RefusedMap> {
 fn resampled(map: &Surface, grid: &Grid) -> Array2<f64> {
     let source = Resampled::new(map, grid);
     Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        source.at_pixel((r, c), [grid.x.at(c), grid.y.at(r)]).unwrap_or(f64::NAN)
+        source
+            .at_pixel((r, c), [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)])
+            .unwrap_or(f64::NAN)
     })
 }
 

@@ -125,7 +125,7 @@ pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, Refus
         };
         let source = Resampled::new(map, grid);
         let there = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let p = [grid.x.at(c), grid.y.at(r)];
+            let p = [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)];
             let height = match &registration {
                 Some(registration) => source.at_point(registration.transform.point(p)),
                 None => source.at_pixel((r, c), p),

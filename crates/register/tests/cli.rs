@@ -149,7 +149,8 @@ fn what_is_mirrored_or_does_not_fit_is_said() {
 fn surface(start: [f64; 2], of: impl Fn([f64; 2]) -> f64) -> Surface {
     let axis = |start: f64, n: usize| Axis::new(start, 0.2, n).unwrap();
     let g = Grid { x: axis(start[0], 40), y: axis(start[1], 30) };
-    let z = Array2::from_shape_fn(g.shape(), |(r, c)| of([g.x.at(c), g.y.at(r)]));
+    let z =
+        Array2::from_shape_fn(g.shape(), |(r, c)| of([g.x.coordinate_mm(c), g.y.coordinate_mm(r)]));
     Surface::new(g, z).unwrap()
 }
 

@@ -61,8 +61,9 @@ fn map(
         true => white.slice(ndarray::s![r..r + 3, c..c + 3]).sum() / 3.0,
         false => white[[r, c]],
     };
-    let z =
-        Array2::from_shape_fn((ny, nx), |at| of([g.x.at(at.1), g.y.at(at.0)]) + sigma * noise(at));
+    let z = Array2::from_shape_fn((ny, nx), |at| {
+        of([g.x.coordinate_mm(at.1), g.y.coordinate_mm(at.0)]) + sigma * noise(at)
+    });
     Surface::new(g, z).unwrap()
 }
 

@@ -25,7 +25,8 @@ fn grid(start: [f64; 2], (ny, nx): (usize, usize)) -> Grid {
 }
 
 fn map(g: Grid, mut of: impl FnMut([f64; 2]) -> f64) -> Surface {
-    let z = Array2::from_shape_fn(g.shape(), |(r, c)| of([g.x.at(c), g.y.at(r)]));
+    let z =
+        Array2::from_shape_fn(g.shape(), |(r, c)| of([g.x.coordinate_mm(c), g.y.coordinate_mm(r)]));
     Surface::new(g, z).unwrap()
 }
 
@@ -182,7 +183,7 @@ fn mosaic(noise_nm: f64, random: &mut ChaCha8Rng) -> Vec<Surface> {
 fn left(joined: &Surface) -> Vec<f64> {
     let g = joined.grid();
     let of = |((r, c), z): ((usize, usize), &f64)| {
-        let p = [g.x.at(c), g.y.at(r)];
+        let p = [g.x.coordinate_mm(c), g.y.coordinate_mm(r)];
         // The first map (k = 0) has the plane -2 y.
         z - features(p) + 2.0 * p[1]
     };
@@ -207,7 +208,7 @@ fn sub_apertures_without_noise_join_exactly() {
         })
     };
     for ((r, c), z) in found.joined.height_nm().indexed_iter() {
-        assert_eq!(!z.is_nan(), inside([g.x.at(c), g.y.at(r)]), "{r} {c}");
+        assert_eq!(!z.is_nan(), inside([g.x.coordinate_mm(c), g.y.coordinate_mm(r)]), "{r} {c}");
     }
     assert!(found.report.terms.iter().all(|t| !t.interpolated));
 }
@@ -241,7 +242,10 @@ fn pixels_between_those_of_the_first_map_are_interpolated() {
     for ((r, c), z) in found.joined.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
         // Keys' interpolation of waves of 2 mm and more at 0.2 mm: the error of the third order, 8 (k h)^3 / 24 and
         // less.
-        assert!((z - features([g.x.at(c), g.y.at(r)])).abs() < 0.05, "{r} {c}");
+        assert!(
+            (z - features([g.x.coordinate_mm(c), g.y.coordinate_mm(r)])).abs() < 0.05,
+            "{r} {c}"
+        );
     }
 }
 

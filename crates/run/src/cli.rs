@@ -59,9 +59,9 @@ pub enum RunCommand {
     /// have ended, however they end. The file run.json in it names the owner of the directory. The program
     /// refuses the directory of another pipeline or of another mirror, or one with other content, with exit
     /// code 2.
-    Start(start::Start),
+    Start(start::StartCommand),
     /// Print the plan that the program of a run executes, and whether the report recommends that plan
-    Program(program::Program),
+    Program(program::ProgramCommand),
     /// Print the stages of a run that gave a negative verdict; exit code 1 if there are any
     Verdict(verdict::Verdict),
 }

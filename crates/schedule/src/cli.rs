@@ -58,7 +58,7 @@ pub enum ScheduleCommand {
     /// The file, .csv or .npy, has a row per tick: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx.
     Interpolate(interpolate::Interpolate),
     /// NC program of a feed artifact: blocks of end point, densities and arc lengths
-    Program(program::Program),
+    Program(program::ProgramCommand),
 }
 
 impl ScheduleCommand {

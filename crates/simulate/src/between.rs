@@ -86,7 +86,7 @@ impl Between {
         let valid = places.filter(|place| !height[*place].is_nan());
         let mut pixels: Vec<([f64; 2], f64)> = valid
             .take(count)
-            .map(|(r, c)| ([grid.x.at(c), grid.y.at(r)], height[[r, c]]))
+            .map(|(r, c)| ([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)], height[[r, c]]))
             .collect();
         pixels.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
 

@@ -66,7 +66,12 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
         );
         if is_ellipse && error.size != 0.0 && !has_one_ellipse(tif) {
             let problem = format!("is a {}, and the tool {TURNS}", error.stated.kind.name());
-            return Err(Invalid::at("errors", i, problem, "leave it out, or give a size of 0"));
+            return Err(Invalid::at_index(
+                "errors",
+                i,
+                problem,
+                "leave it out, or give a size of 0",
+            ));
         }
     }
     Ok(())
@@ -154,8 +159,8 @@ impl Deviation {
         let [cx, cy] = tif.centroid_mm();
         let changed = |kernel: &Tif| {
             Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                let x = grid.x.at(c) - cx;
-                let y = grid.y.at(r) - cy;
+                let x = grid.x.coordinate_mm(c) - cx;
+                let y = grid.y.coordinate_mm(r) - cy;
                 let u = [cosine * x + sine * y, cosine * y - sine * x];
                 let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
                 kernel.rate_at(cx + dx, cy + dy)

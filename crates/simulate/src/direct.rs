@@ -60,7 +60,7 @@ pub(crate) fn removal_with_progress(
     let mut removal_nm = Array2::zeros(grid.shape());
     let pieces = PieceCounter::new(grid.y.len());
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
-        let y = grid.y.at(r);
+        let y = grid.y.coordinate_mm(r);
         let near = samples.iter().filter(|s| {
             let d = y - s.pose.position_mm[1];
             d >= tif.grid().y.start_mm() - grid.y.step_mm()
@@ -68,7 +68,8 @@ pub(crate) fn removal_with_progress(
         });
         let near: Vec<&Sample> = near.collect();
         for (c, out) in row.iter_mut().enumerate() {
-            *out = sum_nm(&near, tif, grid.x.at(c), y) * factor.as_ref().map_or(1.0, |g| g[[r, c]]);
+            *out = sum_nm(&near, tif, grid.x.coordinate_mm(c), y)
+                * factor.as_ref().map_or(1.0, |g| g[[r, c]]);
         }
         tell(pieces.one_more());
     });

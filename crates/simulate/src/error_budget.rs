@@ -339,7 +339,8 @@ impl ErrorBudgetFile {
 impl ErrorFile {
     fn checked(self, index: usize) -> Result<ProcessError, Invalid> {
         let name = self.kind.name();
-        let bad = |problem: String, remedy: &str| Invalid::at("errors", index, problem, remedy);
+        let bad =
+            |problem: String, remedy: &str| Invalid::at_index("errors", index, problem, remedy);
         let (units, largest) = self.kind.units();
         let Some((_, factor)) = units.iter().find(|(unit, _)| *unit == self.unit) else {
             let known: Vec<&str> = units.iter().map(|(unit, _)| *unit).collect();
@@ -396,7 +397,7 @@ impl ErrorFile {
         let [own, only] = [self.distribution, only]
             .map(|distribution| format!("{distribution:?}").to_lowercase());
         let problem = format!("the distribution of {name} is {own:?}");
-        Err(Invalid::at("errors", index, problem, format!("give {only:?}")))
+        Err(Invalid::at_index("errors", index, problem, format!("give {only:?}")))
     }
 
     /// Returns the effect, with the settings that its kind asks for; refuses any other.
@@ -419,7 +420,12 @@ impl ErrorFile {
         let extra = settings.iter().find(|(s, v)| v.is_some() && wanted_name != Some(*s));
         if let Some((extra, _)) = extra {
             let problem = format!("`{extra}` is given for {name}");
-            return Err(Invalid::at("errors", index, problem, "leave it out: this kind has none"));
+            return Err(Invalid::at_index(
+                "errors",
+                index,
+                problem,
+                "leave it out: this kind has none",
+            ));
         }
         let value = match wanted {
             None => 0.0,
@@ -428,11 +434,11 @@ impl ErrorFile {
                 let stated = settings.iter().find(|(s, _)| *s == setting).and_then(|(_, v)| *v);
                 let Some(value) = stated else {
                     let problem = format!("{name} has no `{setting}`");
-                    return Err(Invalid::at("errors", index, problem, remedy));
+                    return Err(Invalid::at_index("errors", index, problem, remedy));
                 };
                 if !(least..=most).contains(&value) {
                     let problem = format!("`{setting}` of {name} is {value}");
-                    return Err(Invalid::at("errors", index, problem, remedy));
+                    return Err(Invalid::at_index("errors", index, problem, remedy));
                 }
                 value
             }

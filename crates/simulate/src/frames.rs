@@ -163,7 +163,7 @@ mod tests {
     fn tif() -> Tif {
         let a = axis(-2.0, 0.5, 9);
         let rate = |(r, c): (usize, usize)| {
-            let (x, y) = (a.at(c), a.at(r));
+            let (x, y) = (a.coordinate_mm(c), a.coordinate_mm(r));
             (-(x * x + 2.0 * y * y)).exp() * (1.0 + 0.1 * x)
         };
         Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((9, 9), rate)).unwrap()
@@ -226,7 +226,7 @@ mod tests {
             // The remainder of the quadrature, as above.
             assert!(e < 1e-6, "{e}");
         }
-        assert_eq!(f.grid.x.at(7), surface.grid().x.at(14));
+        assert_eq!(f.grid.x.coordinate_mm(7), surface.grid().x.coordinate_mm(14));
         // Two rows of 10 000 pixels.
         assert_eq!(strides(desired(90_000, 2).grid()), [9, 1]);
     }

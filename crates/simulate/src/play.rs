@@ -51,14 +51,14 @@ impl Carriage {
 }
 
 /// One axis with its play.
-struct Axis {
+struct AxisPlay {
     /// h, mm.
     half_mm: f64,
     /// q, mm; `None` before the motion.
     carriage_mm: Option<f64>,
 }
 
-impl Axis {
+impl AxisPlay {
     /// Adds the motions of the carriage while the drive moves along `c` for `duration_s`, each with the time at which
     /// it begins.
     fn follow(&mut self, c: &[f64; 4], duration_s: f64, parts: &mut Vec<(f64, Carriage)>) {
@@ -111,7 +111,7 @@ pub fn with_play(
 ) -> (Vec<MotionPiece>, Vec<usize>) {
     let mirrored = play_mm < 0.0;
     let half_mm = 0.5 * play_mm.abs();
-    let mut axes = [(); 2].map(|()| Axis { half_mm, carriage_mm: None });
+    let mut axes = [(); 2].map(|()| AxisPlay { half_mm, carriage_mm: None });
     let mut parts = [Vec::new(), Vec::new()];
     let mut cut = Vec::new();
     let mut cut_origin = Vec::new();

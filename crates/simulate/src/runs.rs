@@ -145,7 +145,7 @@ impl<'a> Runs<'a> {
                     "give at most {most} {}: an error moves the tool by less than the TIF is wide",
                     stated.unit
                 );
-                return Err(Invalid::at("errors", i, problem, remedy));
+                return Err(Invalid::at_index("errors", i, problem, remedy));
             }
         }
         Ok(())

@@ -111,7 +111,8 @@ fn legendre_table(axis: &Axis, largest: usize) -> Vec<Vec<f64>> {
     let half = 0.5 * (axis.end_mm() - axis.start_mm());
     let pixels = (0..axis.len()).map(|i| {
         let mut p = vec![0.0; largest + 1];
-        let u = if half > 0.0 { (axis.at(i) - axis.start_mm()) / half - 1.0 } else { 0.0 };
+        let u =
+            if half > 0.0 { (axis.coordinate_mm(i) - axis.start_mm()) / half - 1.0 } else { 0.0 };
         legendre(u, &mut p);
         p
     });

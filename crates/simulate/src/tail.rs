@@ -44,7 +44,7 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     let Grid { x, y } = *tif.grid();
     let (ny, nx) = inside.dim();
     let rate = smoothed(tif, &inside, tif.width_mm());
-    let square = |r: usize, c: usize| x.at(c).powi(2) + y.at(r).powi(2);
+    let square = |r: usize, c: usize| x.coordinate_mm(c).powi(2) + y.coordinate_mm(r).powi(2);
     let mut last = 0.0;
     let mut count = 0.0;
     let mut nearest = f64::INFINITY;
@@ -84,7 +84,7 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
         let own = (r.checked_sub(more_y), c.checked_sub(more_x));
         match own {
             (Some(r), Some(c)) if r < ny && c < nx && inside[[r, c]] => tif.rate_nm_per_s()[[r, c]],
-            _ => tail(x2.at(c), y2.at(r)).unwrap_or(0.0),
+            _ => tail(x2.coordinate_mm(c), y2.coordinate_mm(r)).unwrap_or(0.0),
         }
     });
     let volume = tif.rate_nm_per_s().sum();
@@ -140,7 +140,7 @@ mod tests {
     fn sampled(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let n = (half / 0.1).round() as usize;
         let axis = Axis::new(-half, 0.1, 2 * n + 1).unwrap();
-        let of = |(r, c): (usize, usize)| rate(axis.at(c), axis.at(r));
+        let of = |(r, c): (usize, usize)| rate(axis.coordinate_mm(c), axis.coordinate_mm(r));
         Tif::new(Grid { x: axis, y: axis }, Array2::from_shape_fn((2 * n + 1, 2 * n + 1), of))
             .unwrap()
     }

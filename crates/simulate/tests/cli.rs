@@ -28,7 +28,13 @@ fn map_grid() -> Grid {
 fn tif() -> Tif {
     let a = axis(-6.0, 0.2, 61);
     let g = Grid { x: a, y: a };
-    Tif::new(g, Array2::from_shape_fn(g.shape(), |(r, c)| gaussian(g.x.at(c), g.y.at(r)))).unwrap()
+    Tif::new(
+        g,
+        Array2::from_shape_fn(g.shape(), |(r, c)| {
+            gaussian(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+        }),
+    )
+    .unwrap()
 }
 
 fn gaussian(dx: f64, dy: f64) -> f64 {
@@ -49,7 +55,9 @@ fn pass() -> Trajectory {
 /// Asymmetric about both axes, with an invalid pixel.
 fn desired() -> Surface {
     let g = map_grid();
-    let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| 10.0 + g.x.at(c) - 0.1 * g.y.at(r).exp());
+    let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        10.0 + g.x.coordinate_mm(c) - 0.1 * g.y.coordinate_mm(r).exp()
+    });
     z[[7, 11]] = f64::NAN;
     Surface::new(g, z).unwrap()
 }
@@ -103,7 +111,7 @@ fn a_straight_pass_is_the_closed_form_and_the_lifted_tool_removes_nothing() {
     prepare(tmp.path());
     let removal = simulate(tmp.path(), &[]);
     let g = map_grid();
-    let error = largest(removal.removal_nm(), |r, _| trough(g.y.at(r)));
+    let error = largest(removal.removal_nm(), |r, _| trough(g.y.coordinate_mm(r)));
     // Keys' interpolation of the Gaussian at a fifth of sigma: 4e-4 of the removal of 5 nm.
     assert!(error < 4e-3, "{error}");
     // residual = desired - removal to rounding; NaN stays.
@@ -138,7 +146,10 @@ fn a_resting_tool_removes_its_tif_at_pixel_minus_tool() {
     // Asymmetric: the sign of the offset shows.
     let g = Grid { x: axis(-0.8, 0.2, 9), y: axis(-0.4, 0.2, 8) };
     let rate = |dx: f64, dy: f64| 5.0 + 2.0 * dx - dy + dx * dy;
-    let tif = Tif::new(g, Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.at(c), g.y.at(r))));
+    let tif = Tif::new(
+        g,
+        Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.coordinate_mm(c), g.y.coordinate_mm(r))),
+    );
     write(tmp.path(), "tif", &tif.unwrap());
     let c = [[3.33, 0.0, 0.0, 0.0], [2.71, 0.0, 0.0, 0.0]];
     let rest = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![Some(0)]).unwrap();
@@ -146,7 +157,7 @@ fn a_resting_tool_removes_its_tif_at_pixel_minus_tool() {
     let removal = simulate(tmp.path(), &[]);
     let map = map_grid();
     let error = largest(removal.removal_nm(), |r, c| {
-        let (dx, dy) = (map.x.at(c) - 3.33, map.y.at(r) - 2.71);
+        let (dx, dy) = (map.x.coordinate_mm(c) - 3.33, map.y.coordinate_mm(r) - 2.71);
         let inside = (-0.8..=0.8).contains(&dx) && (-0.4..=1.0).contains(&dy);
         if inside { 2.5 * rate(dx, dy) } else { 0.0 }
     });
@@ -184,7 +195,7 @@ fn a_tif_larger_than_the_map_removes_what_is_in_reach() {
     write(tmp.path(), "surface", &Surface::new(g, flat).unwrap());
     let removal = simulate(tmp.path(), &[]);
     // As on the larger map.
-    let error = largest(removal.removal_nm(), |r, _| trough(g.y.at(r)));
+    let error = largest(removal.removal_nm(), |r, _| trough(g.y.coordinate_mm(r)));
     // As above, on the larger map.
     assert!(error < 4e-3, "{error}");
 }
@@ -207,7 +218,8 @@ fn bare_directories_of_a_numpy_user_are_read_with_a_warning() {
     let more = simulate(tmp.path(), &["--force"]);
     let g = map_grid();
     let error = largest(more.removal_nm(), |r, c| {
-        whole.removal_nm()[[r, c]] + 3.0 * gaussian(g.x.at(c) - 5.0, g.y.at(r) - 3.0)
+        whole.removal_nm()[[r, c]]
+            + 3.0 * gaussian(g.x.coordinate_mm(c) - 5.0, g.y.coordinate_mm(r) - 3.0)
     });
     // (5, 3) is a pixel centre; rounding of an FFT of values up to 30.
     assert!(error < 1e-11, "{error}");
@@ -224,8 +236,9 @@ fn the_bytes_do_not_depend_on_the_threads() {
                 // A TIF of another pitch: the longer way.
                 let a = axis(-3.0, 0.13, 47);
                 let g = Grid { x: a, y: a };
-                let rate =
-                    Array2::from_shape_fn(g.shape(), |(r, c)| gaussian(g.x.at(c), g.y.at(r)));
+                let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+                    gaussian(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+                });
                 write(tmp.path(), "tif", &Tif::new(g, rate).unwrap());
                 let segments = (0..200).map(|i| {
                     let u = f64::from(i);
@@ -416,7 +429,9 @@ fn a_hard_edge_between_coarse_samples_is_named() {
     prepare(tmp.path());
     let a = axis(-1.2, 0.12, 21);
     let g = Grid { x: a, y: a };
-    let pad = |(r, c): (usize, usize)| if a.at(c).hypot(a.at(r)) <= 0.8 { 60.0 } else { 0.0 };
+    let pad = |(r, c): (usize, usize)| {
+        if a.coordinate_mm(c).hypot(a.coordinate_mm(r)) <= 0.8 { 60.0 } else { 0.0 }
+    };
     write(tmp.path(), "tif", &Tif::new(g, Array2::from_shape_fn(g.shape(), pad)).unwrap());
     let output = run_on("2", tmp.path(), &[]);
     let between = &outcome(tmp.path())["tif_between_samples"];

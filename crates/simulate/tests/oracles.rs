@@ -22,7 +22,9 @@ fn grid(start: [f64; 2], step: [f64; 2], n: [usize; 2]) -> Grid {
 }
 
 fn tif_from(grid: Grid, f: impl Fn(f64, f64) -> f64) -> Tif {
-    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| f(grid.x.at(c), grid.y.at(r)));
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        f(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    });
     Tif::new(grid, rate).unwrap()
 }
 
@@ -66,7 +68,7 @@ fn by_definition(positions: &[[f64; 2]], seconds: &[f64], tif: &Tif, g: &Grid) -
         positions
             .iter()
             .zip(seconds)
-            .map(|(p, s)| s * tif.rate_at(g.x.at(c) - p[0], g.y.at(r) - p[1]))
+            .map(|(p, s)| s * tif.rate_at(g.x.coordinate_mm(c) - p[0], g.y.coordinate_mm(r) - p[1]))
             .sum()
     })
 }
@@ -180,7 +182,9 @@ fn a_finite_pass_of_a_gaussian_follows_the_error_function() {
     let error = |step: f64| {
         let g = grid([0.0, 0.0], [step; 2], [(5.0 / step) as usize, (3.0 / step) as usize]);
         let removal = gridded(&pass([a, y0], [b, y0], seconds), &gaussian(step), &g);
-        let error = |((r, c), v): ((usize, usize), &f64)| v - closed_form(g.x.at(c), g.y.at(r));
+        let error = |((r, c), v): ((usize, usize), &f64)| {
+            v - closed_form(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+        };
         largest_magnitude(removal.indexed_iter().map(error))
     };
     // The quadrature is exact; Keys' interpolation of the samples has order 3 in the pixel.
@@ -452,7 +456,9 @@ fn tifs_with_borders_agree_with_a_fine_direct_quadrature() {
         let g = grid([0.0, 0.0], h, map);
         let t = pass([-2.0, 0.413], [5.5, 3.77], 3.0);
         let steps = 120_000;
-        let expected = |(r, c)| direct::removal_at_nm(&t, &tif, g.x.at(c), g.y.at(r), steps);
+        let expected = |(r, c)| {
+            direct::removal_at_nm(&t, &tif, g.x.coordinate_mm(c), g.y.coordinate_mm(r), steps)
+        };
         let found = gridded(&t, &tif, &g);
         for (r, c) in [(0, 0), (3, 5), (map[1] / 2, map[0] / 2), (map[1] - 1, map[0] - 1)] {
             // The border costs the midpoint rule at most two steps of 25 us at 8 nm/s.

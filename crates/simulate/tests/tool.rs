@@ -20,7 +20,7 @@ fn grid(half_mm: f64, step_mm: f64) -> Grid {
 }
 
 fn tif(grid: Grid, rate: impl Fn(f64, f64) -> f64) -> Tif {
-    let at = |(r, c)| rate(grid.x.at(c), grid.y.at(r));
+    let at = |(r, c)| rate(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
 }
 
@@ -29,7 +29,7 @@ fn map() -> Surface {
     let axis = |n| Axis::new(0.0, 0.2, n).unwrap();
     let grid = Grid { x: axis(121), y: axis(81) };
     let height = |(r, c)| {
-        let (x, y): (f64, f64) = (grid.x.at(c), grid.y.at(r));
+        let (x, y): (f64, f64) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         30.0 + 5.0 * (0.7 * x).sin() * (0.5 * y).cos() + 0.1 * x * y
     };
     Surface::new(grid, Array2::from_shape_fn(grid.shape(), height)).unwrap()

@@ -14,7 +14,9 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
 }
 
 fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
-    Array2::from_shape_fn(grid.shape(), |(r, c)| of(grid.x.at(c), grid.y.at(r)))
+    Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        of(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    })
 }
 
 /// Three kernels on one grid: a bell, its change with the width, and one that leans.
@@ -152,7 +154,7 @@ fn a_spot_that_turns_with_a_bent_motion_is_that_of_the_midpoint_rule() {
             let [dx, dy] = direction.unwrap_or([2.0, 4.0 - 4.0 * u]);
             let length = f64::hypot(dx, dy);
             for ((r, c), v) in expected.indexed_iter_mut() {
-                let (x, y) = (map.x.at(c) - p[0], map.y.at(r) - p[1]);
+                let (x, y) = (map.x.coordinate_mm(c) - p[0], map.y.coordinate_mm(r) - p[1]);
                 *v += h * at.rate_at(x, y) * (1.0 + 0.2 * (x * dx + y * dy) / length);
             }
         }
@@ -216,7 +218,7 @@ fn a_rate_that_rises_along_a_line_has_a_closed_form() {
     let of = |tif: &Tif| gridded::removal_nm(&motion, tif, &map).unwrap().0;
     let (rising, constant) = (of(&rising), of(&constant));
     for ((r, c), v) in rising.indexed_iter() {
-        let expected = constant[[r, c]] * (1.0 + 0.02 * map.x.at(c));
+        let expected = constant[[r, c]] * (1.0 + 0.02 * map.x.coordinate_mm(c));
         // Rounding of transforms of numbers of order 100.
         assert!((v - expected).abs() < 1e-11, "{r} {c}: {v} {expected}");
     }

@@ -21,7 +21,8 @@ fn before() -> Surface {
     let axis = |n| Axis::new(0.0, 0.25, n).unwrap();
     let grid = Grid { x: axis(49), y: axis(33) };
     let mut height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        30.0 + (0.4 * grid.x.at(c)).sin() + 0.05 * grid.x.at(c) * grid.y.at(r)
+        30.0 + (0.4 * grid.x.coordinate_mm(c)).sin()
+            + 0.05 * grid.x.coordinate_mm(c) * grid.y.coordinate_mm(r)
     });
     height[[5, 9]] = f64::NAN;
     Surface::new(grid, height).unwrap()
@@ -32,7 +33,9 @@ fn tif() -> Tif {
     let axis = Axis::new(-6.0, 0.125, 97).unwrap();
     let grid = Grid { x: axis, y: axis };
     let rate = |(r, c): (usize, usize)| {
-        8.0 * (-(axis.at(c).powi(2) + axis.at(r).powi(2)) / (2.0 * SIGMA_MM * SIGMA_MM)).exp()
+        8.0 * (-(axis.coordinate_mm(c).powi(2) + axis.coordinate_mm(r).powi(2))
+            / (2.0 * SIGMA_MM * SIGMA_MM))
+            .exp()
     };
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }

@@ -71,7 +71,7 @@ impl Basis {
             let orders = terms.iter().map(|t| t[which]).max().unwrap_or(0) as usize + 1;
             let mut out = Array2::zeros((axis.len(), orders));
             for (i, mut row) in out.outer_iter_mut().enumerate() {
-                let u = (2.0 * axis.at(i) - low - high) / (high - low);
+                let u = (2.0 * axis.coordinate_mm(i) - low - high) / (high - low);
                 let row = row.as_slice_mut().expect("rows are contiguous");
                 match polynomial {
                     Polynomial::Legendre => orthogonal::legendre(u, row),

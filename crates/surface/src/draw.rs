@@ -185,7 +185,7 @@ fn section(panel: &Panel, y_mm: f64) -> Option<Vec<[f64; 2]>> {
     let axis = &panel.grid.y;
     let row = ((y_mm - axis.start_mm()) / axis.step_mm()).round() as usize;
     let row = panel.map.row(row.min(axis.len() - 1));
-    Some(row.iter().enumerate().map(|(c, z)| [panel.grid.x.at(c), *z]).collect())
+    Some(row.iter().enumerate().map(|(c, z)| [panel.grid.x.coordinate_mm(c), *z]).collect())
 }
 
 /// Curves in their colours, with their names where there are several.

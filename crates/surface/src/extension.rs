@@ -184,7 +184,7 @@ mod tests {
         let grid =
             Grid { x: Axis::new(-2.0, 0.1, 41).unwrap(), y: Axis::new(7.0, 0.125, 33).unwrap() };
         let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r) - 9.0);
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r) - 9.0);
             if x.hypot(y) <= 2.0 { f(x, y) } else { f64::NAN }
         });
         Surface::new(grid, map).unwrap()
@@ -198,8 +198,8 @@ mod tests {
             let (extended, report) = extend(&surface, &settings).unwrap();
             assert_eq!((report.margin_px, extended.height_nm().dim()), ((8, 10), (49, 61)));
             // Below: rounding of coordinates.
-            assert!((extended.grid().x.at(10) + 2.0).abs() < 1e-12);
-            assert!((extended.grid().y.at(8) - 7.0).abs() < 1e-12);
+            assert!((extended.grid().x.coordinate_mm(10) + 2.0).abs() < 1e-12);
+            assert!((extended.grid().y.coordinate_mm(8) - 7.0).abs() < 1e-12);
             assert!(extended.height_nm().iter().all(|v| v.is_finite()), "{method:?}");
             for ((r, c), z) in surface.height_nm().indexed_iter() {
                 let e = extended.height_nm()[[r + 8, c + 10]];
@@ -237,7 +237,9 @@ mod tests {
         let wave = |x: f64, y: f64| {
             4.0 * (2.0 * PI * (x / 6.4 + 0.1)).cos() + 3.0 * (2.0 * PI * (y / 4.8 - x / 6.4)).sin()
         };
-        let map = Array2::from_shape_fn(grid.shape(), |(r, c)| wave(grid.x.at(c), grid.y.at(r)));
+        let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            wave(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+        });
         let surface = Surface::new(grid, map).unwrap();
         let error = |max_iterations: usize| {
             let method =
@@ -249,7 +251,10 @@ mod tests {
             let (e, _) = extend(&surface, &ExtensionSettings { margin_mm: 1.2, method }).unwrap();
             let g = e.grid();
             let squares = e.height_nm().indexed_iter();
-            squares.map(|((r, c), z)| (z - wave(g.x.at(c), g.y.at(r))).powi(2)).sum::<f64>().sqrt()
+            squares
+                .map(|((r, c), z)| (z - wave(g.x.coordinate_mm(c), g.y.coordinate_mm(r))).powi(2))
+                .sum::<f64>()
+                .sqrt()
         };
         let errors: Vec<f64> = [0, 1, 2, 5, 10, 20, 50, 100, 200, 400].map(error).into();
         assert!(errors.windows(2).all(|e| e[1] < e[0]), "{errors:?}");
@@ -268,7 +273,7 @@ mod tests {
         let (extended, report) = extend(&surface, &settings).unwrap();
         let g = extended.grid();
         for ((r, c), z) in extended.height_nm().indexed_iter() {
-            let want = f(g.x.at(c), g.y.at(r) - 9.0);
+            let want = f(g.x.coordinate_mm(c), g.y.coordinate_mm(r) - 9.0);
             // Rounding of 300 nm, magnified by the extrapolation: T_5 T_4 beyond its data.
             assert!((z - want).abs() < 1e-7 * want.abs().max(100.0), "{r} {c}: {z} {want}");
         }

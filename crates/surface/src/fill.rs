@@ -162,7 +162,7 @@ fn fill_one(
     if rim_count == 0.0 {
         let problem = format!("{} invalid pixel(s) have no valid neighbour", region.len());
         let remedy = "crop the map to the part that was measured";
-        return Err(Invalid::at("height_nm", region[0], problem, remedy));
+        return Err(Invalid::at_index("height_nm", region[0], problem, remedy));
     }
     // Heights count from the mean of the rim, so that a large piston costs no digits.
     let mean = rim_sum / rim_count;
@@ -248,7 +248,11 @@ mod tests {
             let round = (r as f64 - 12.0).hypot(c as f64 - 20.0) < 7.5;
             let bar = (25..28).contains(&r) && (10..50).contains(&c);
             let corner = r > 35 && c > 50;
-            if round || bar || corner { f64::NAN } else { f(g.x.at(c), g.y.at(r)) }
+            if round || bar || corner {
+                f64::NAN
+            } else {
+                f(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+            }
         });
         Surface::new(g, map).unwrap()
     }
@@ -265,7 +269,7 @@ mod tests {
             if r > 35 && c > 50 {
                 assert!(z.is_nan());
             } else {
-                let want = plane(grid().x.at(c), grid().y.at(r));
+                let want = plane(grid().x.coordinate_mm(c), grid().y.coordinate_mm(r));
                 // 1e-12 of 10 nm, times the hole's condition number of about 100.
                 assert!((z - want).abs() < 1e-9, "{r} {c}: {z} {want}");
             }

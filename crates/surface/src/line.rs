@@ -253,7 +253,7 @@ mod tests {
         let a = Axis::new(-15.0, 0.5, 61).unwrap();
         let g = Grid { x: a, y: a };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            2.0 * (-(a.at(r).powi(2) + a.at(c).powi(2)) / 18.0).exp()
+            2.0 * (-(a.coordinate_mm(r).powi(2) + a.coordinate_mm(c).powi(2)) / 18.0).exp()
         });
         Tif::new(g, rate).unwrap()
     }

@@ -231,7 +231,9 @@ pub(crate) fn bounding_box_mm(map: &Array2<f64>, grid: &Grid) -> [[f64; 2]; 2] {
     let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for ((r, c), z) in map.indexed_iter() {
         if !z.is_nan() {
-            for (range, v) in bounds.iter_mut().zip([grid.x.at(c), grid.y.at(r)]) {
+            for (range, v) in
+                bounds.iter_mut().zip([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)])
+            {
                 *range = [range[0].min(v), range[1].max(v)];
             }
         }
@@ -264,7 +266,9 @@ fn farthest_mm(surface: &Surface, centre: [f64; 2]) -> f64 {
     let grid = surface.grid();
     let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
     valid
-        .map(|((r, c), _)| (grid.x.at(c) - centre[0]).hypot(grid.y.at(r) - centre[1]))
+        .map(|((r, c), _)| {
+            (grid.x.coordinate_mm(c) - centre[0]).hypot(grid.y.coordinate_mm(r) - centre[1])
+        })
         .fold(0.0, f64::max)
 }
 
@@ -293,7 +297,7 @@ mod tests {
     /// A map on the pixels between two radii about the origin.
     fn between(g: Grid, inner: f64, outer: f64, f: impl Fn(f64, f64) -> f64) -> Surface {
         let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c), g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
             let rho = x.hypot(y);
             if rho >= inner && rho <= outer { f(x, y) } else { f64::NAN }
         });
@@ -388,7 +392,9 @@ mod tests {
     fn legendre_and_chebyshev_remove_the_same_and_leave_nothing_of_a_polynomial() {
         let g = grid(60, 41);
         let f = |x: f64, y: f64| 5.0 - 3.0 * x + x * x * y - 0.2 * y.powi(4) + 0.1 * x.powi(3) * y;
-        let mut map = Array2::from_shape_fn(g.shape(), |(r, c)| f(g.x.at(c), g.y.at(r)));
+        let mut map = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            f(g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+        });
         map.slice_mut(ndarray::s![5..15, 20..31]).fill(f64::NAN);
         let surface = Surface::new(g, map).unwrap();
         for family in [Family::Legendre, Family::Chebyshev] {
@@ -411,7 +417,8 @@ mod tests {
     fn coefficients_are_in_the_stated_convention() {
         let g = grid(60, 41);
         let (half_x, half_y) = (2.95, 2.0);
-        let (u, v) = (|c: usize| g.x.at(c) / half_x, |r: usize| g.y.at(r) / half_y);
+        let (u, v) =
+            (|c: usize| g.x.coordinate_mm(c) / half_x, |r: usize| g.y.coordinate_mm(r) / half_y);
         let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
             // 7 P_2(u) P_1(v) and -4 T_0(u) T_3(v)
             3.5 * (3.0 * u(c) * u(c) - 1.0) * v(r) - 4.0 * (4.0 * v(r).powi(3) - 3.0 * v(r))

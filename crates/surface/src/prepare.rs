@@ -397,7 +397,7 @@ mod tests {
         let found = done.deviation_nm().unwrap();
         let mut known = 0;
         for ((r, c), s) in found.indexed_iter().filter(|(_, s)| !s.is_nan()) {
-            let (x, y) = (done.grid().x.at(c), done.grid().y.at(r));
+            let (x, y) = (done.grid().x.coordinate_mm(c), done.grid().y.coordinate_mm(r));
             let [column, row] = [(x + 3.0) / 0.1, (y - 10.0) / 0.2].map(|v| v.round() as usize);
             assert_eq!(*s, at(row, column));
             // Rounding of coordinates, as in the aperture.
@@ -419,7 +419,7 @@ mod tests {
 
     fn tilted(mut map: Array2<f64>, a: f64, b: f64, c: f64) -> Surface {
         for ((row, column), v) in map.indexed_iter_mut() {
-            *v += a + b * grid().x.at(column) + c * grid().y.at(row);
+            *v += a + b * grid().x.coordinate_mm(column) + c * grid().y.coordinate_mm(row);
         }
         Surface::new(grid(), map).unwrap()
     }
@@ -481,7 +481,7 @@ mod tests {
         // Rounding of coordinates.
         assert!((g.x.start_mm() + 1.8).abs() < 1e-12 && (g.y.start_mm() - 12.0).abs() < 1e-12);
         for ((r, c), z) in done.surface.height_nm().indexed_iter() {
-            let (x, y) = (g.x.at(c), g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
             let inside = (x - 0.2).hypot(y - 14.0) <= 2.0 + 1e-9;
             assert_eq!(z.is_nan(), !inside, "{x} {y}");
             // Rounding of heights of 1600 nm.
@@ -548,7 +548,8 @@ mod tests {
         assert!(done.report.filled.as_ref().unwrap().filled_pixels > 20);
         let g = *done.surface.grid();
         for ((r, c), z) in done.surface.height_nm().indexed_iter() {
-            let inside = (g.x.at(c) - 0.2).hypot(g.y.at(r) - 14.0) <= 2.0 + 1e-9;
+            let inside =
+                (g.x.coordinate_mm(c) - 0.2).hypot(g.y.coordinate_mm(r) - 14.0) <= 2.0 + 1e-9;
             assert_eq!(z.is_nan(), !inside, "{r} {c}");
         }
     }

@@ -89,12 +89,12 @@ impl Profile {
         if let Some(i) = position_mm.iter().position(is_wrong) {
             let problem = format!("is {} mm", position_mm[i]);
             let remedy = "give a finite number, and check `position_unit`";
-            return Err(Invalid::at("position", i, problem, remedy));
+            return Err(Invalid::at_index("position", i, problem, remedy));
         }
         if let Some(i) = v.iter().position(|v| v.abs() > largest) {
             let problem = format!("is {} {unit}", v[i]);
             let remedy = "give a finite number, and check `value_unit`";
-            return Err(Invalid::at(name, i, problem, remedy));
+            return Err(Invalid::at_index(name, i, problem, remedy));
         }
         if position_mm[position_mm.len() - 1] < position_mm[0] {
             position_mm.reverse();
@@ -103,7 +103,7 @@ impl Profile {
         if let Some(i) = (1..position_mm.len()).find(|i| position_mm[*i] <= position_mm[i - 1]) {
             let problem = format!("{} mm follows {} mm", position_mm[i], position_mm[i - 1]);
             let remedy = "sort the lines by position, and leave only one of equal ones";
-            return Err(Invalid::at("position", i, problem, remedy));
+            return Err(Invalid::at_index("position", i, problem, remedy));
         }
         Ok(Self { position_mm, values })
     }

@@ -90,7 +90,7 @@ impl Specification {
             zone.check(i)?;
             if self.zones[..i].iter().any(|z| z.name == zone.name) {
                 let problem = format!("name is \"{}\" a second time", zone.name);
-                return Err(Invalid::at("zones", i, problem, "give every zone its own name"));
+                return Err(Invalid::at_index("zones", i, problem, "give every zone its own name"));
             }
         }
         self.ellipse()?;
@@ -102,11 +102,11 @@ impl Specification {
         if let Some(name) = limit.zone().filter(|n| !self.zones.iter().any(|z| z.name == *n)) {
             let problem = format!("zone is \"{name}\"");
             let remedy = "name one of the zones, or leave the key out";
-            return Err(Invalid::at("limits", i, problem, remedy));
+            return Err(Invalid::at_index("limits", i, problem, remedy));
         }
         if limit.after() == Shape::Ellipse && self.ellipse.is_none() {
             let remedy = "give the specification an `ellipse`";
-            return Err(Invalid::at("limits", i, "after is \"ellipse\"", remedy));
+            return Err(Invalid::at_index("limits", i, "after is \"ellipse\"", remedy));
         }
         limit.check(i)
     }
@@ -154,7 +154,7 @@ impl Specification {
         let limits = self.limits.iter().enumerate().map(|(i, limit)| {
             judge(limit, &mut residuals, noise_nm).map_err(|e| {
                 let problem = format!("cannot be judged: {} {}", e.array, e.problem);
-                Invalid::at("limits", i, problem, e.remedy)
+                Invalid::at_index("limits", i, problem, e.remedy)
             })
         });
         let limits = limits.collect::<Result<Vec<_>, _>>()?;

@@ -147,7 +147,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         let noise = Normal::new(0.0, noise_nm).unwrap();
         let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (axis.at(c), axis.at(r));
+            let (x, y) = (axis.coordinate_mm(c), axis.coordinate_mm(r));
             let z = f(x, y) + noise.sample(&mut rng);
             if round && x.hypot(y) > 1.0 { f64::NAN } else { z }
         });

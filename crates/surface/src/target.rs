@@ -136,7 +136,7 @@ impl Points {
         let mut height_nm = Vec::new();
         let mut index = Vec::new();
         for ((r, c), z) in surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
-            place_mm.push([grid.x.at(c), grid.y.at(r)]);
+            place_mm.push([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]);
             height_nm.push(*z);
             index.push((r, c));
         }
@@ -389,7 +389,7 @@ fn absent(target: &Target, surface: &Surface, points: &Points) -> Invalid {
         surface.height_nm()[[r, c]]
     );
     let remedy = "check the radius and the vertex of the form, or give a smaller clear aperture";
-    Invalid::at("target", (r, c), problem, remedy)
+    Invalid::at_index("target", (r, c), problem, remedy)
 }
 
 /// The map less the model, and its report.
@@ -485,19 +485,20 @@ pub fn converted(
         let measured = Form::sampled(map)?;
         let (ny, nx) = grid.shape();
         let values = (0..ny * nx).into_par_iter().map(|i| {
-            let uv = development.along([grid.x.at(i % nx), grid.y.at(i / nx)]);
+            let uv =
+                development.along([grid.x.coordinate_mm(i % nx), grid.y.coordinate_mm(i / nx)]);
             measured.sag_mm(uv).map_or(f64::NAN, |mm| NM_PER_MM * mm)
         });
         let values: Vec<f64> = values.collect();
         height_nm = Array2::from_shape_vec((ny, nx), values).expect("one value per pixel");
     }
     for ((r, c), z) in height_nm.indexed_iter_mut().filter(|(_, z)| !z.is_nan()) {
-        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         let Some(point) = form.point([x, y]) else {
             let problem =
                 format!("does not exist at ({x:.4}, {y:.4}) mm, where the map has {z} nm");
             let remedy = "give the form of the whole part, or a smaller clear aperture";
-            return Err(Invalid::at("form", (r, c), problem, remedy));
+            return Err(Invalid::at_index("form", (r, c), problem, remedy));
         };
         if heights == Heights::Normal {
             // h_z = h_n / n_z
@@ -525,7 +526,7 @@ mod tests {
         let form = Form::new(&target(json).file, None).unwrap();
         let grid = grid();
         let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             let hole = (x - 4.0).hypot(y + 2.0) < 2.0;
             let nm = 1e6 * form.sag_mm([x, y]).unwrap() + 300.0 * x - 20.0 * y + 5000.0;
             if hole { f64::NAN } else { nm + error(x, y) }
@@ -637,7 +638,7 @@ mod tests {
         let map = Surface::new(grid, Array2::from_elem(grid.shape(), 100.0)).unwrap();
         let along_z = converted(&map, &form, Heights::Normal, Lateral::Projected).unwrap();
         for ((r, c), z) in along_z.height_nm().indexed_iter() {
-            let sine = grid.x.at(c).hypot(grid.y.at(r)) / 40.0;
+            let sine = grid.x.coordinate_mm(c).hypot(grid.y.coordinate_mm(r)) / 40.0;
             // Rounding of 100 nm.
             assert!((z * (1.0 - sine * sine).sqrt() - 100.0).abs() < 1e-10);
         }
@@ -645,11 +646,11 @@ mod tests {
         let file: FormFile =
             serde_json::from_str(r#"{"kind": "cylinder", "radius_mm": 40}"#).unwrap();
         let cylinder = Form::new(&file, None).unwrap();
-        let map = Array2::from_shape_fn(grid.shape(), |(_, c)| 3.0 * grid.x.at(c));
+        let map = Array2::from_shape_fn(grid.shape(), |(_, c)| 3.0 * grid.x.coordinate_mm(c));
         let map = Surface::new(grid, map).unwrap();
         let flat = converted(&map, &cylinder, Heights::Z, Lateral::Surface).unwrap();
         for ((_, c), z) in flat.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
-            let arc = 40.0 * (grid.x.at(c) / 40.0).asin();
+            let arc = 40.0 * (grid.x.coordinate_mm(c) / 40.0).asin();
             // Arcs are quadratures that keep 1e-10 mm, of a slope of 3 nm / mm; the map is interpolated between samples
             // of a line.
             assert!((z - 3.0 * arc).abs() < 1e-8, "{z}");

@@ -117,13 +117,15 @@ fn a_toroid_is_subtracted_with_stated_and_with_fitted_radii() {
     let error = |x: f64, y: f64| 8.0 * (0.5 * x).sin() * (1.3 * y).cos();
     let map = |tilt: f64| {
         let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             1e6 * torus_mm(x, y) + tilt * x + error(x, y)
         });
         Surface::new(grid, heights).unwrap()
     };
     write(dir, "map", &map(3.0));
-    let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| error(grid.x.at(c), grid.y.at(r)));
+    let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        error(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    });
     let expected = Surface::new(grid, heights).unwrap().detilted_rms_nm();
     let stated = r#"{"kind": "toroid", "radius_x_mm": 3e5, "radius_y_mm": 60}"#;
     let fitted = r#"{"kind": "toroid", "radius_x_mm": 2.8e5, "radius_y_mm": 61,

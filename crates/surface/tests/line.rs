@@ -29,7 +29,7 @@ fn tool(dir: &Path) {
     let a = Axis::new(-6.0, 0.5, 25).unwrap();
     let g = Grid { x: a, y: a };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        3.0 * (-(a.at(r).powi(2) + a.at(c).powi(2)) / 8.0).exp()
+        3.0 * (-(a.coordinate_mm(r).powi(2) + a.coordinate_mm(c).powi(2)) / 8.0).exp()
     });
     write(dir, "tif", &Tif::new(g, rate).unwrap());
 }

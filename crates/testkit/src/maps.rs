@@ -43,7 +43,7 @@ prop_compose! {
         let grid = Grid { x: axis(nx), y: axis(ny) };
         let kept = ((keep.1 * ny as f64) as usize, (keep.0 * nx as f64) as usize);
         let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             let inside = blobs.iter().fold(base, |inside, (bx, by, radius, fill)| {
                 if (x - bx).hypot(y - by) <= *radius { *fill } else { inside }
             });

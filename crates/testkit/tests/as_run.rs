@@ -124,7 +124,7 @@ fn a_log_removes_what_was_planned() {
     let desired = Surface::new(grid, Array2::from_shape_fn(grid.shape(), height)).unwrap();
     let offsets = axis(-4.0, 0.2, 41);
     let rate = |(r, c): (usize, usize)| {
-        8.0 * (-(offsets.at(r).powi(2) + offsets.at(c).powi(2)) / 2.0).exp()
+        8.0 * (-(offsets.coordinate_mm(r).powi(2) + offsets.coordinate_mm(c).powi(2)) / 2.0).exp()
     };
     let tif_grid = Grid { x: offsets, y: offsets };
     let tif = Tif::new(tif_grid, Array2::from_shape_fn(tif_grid.shape(), rate)).unwrap();

@@ -283,7 +283,9 @@ fn flat(grid: Grid) -> Surface {
 fn gaussian() -> Tif {
     let g = grid((-2.0, 0.25, 17), (-2.0, 0.25, 17));
     let rate = |(r, c): (usize, usize)| {
-        8.0 * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / (2.0 * 0.5_f64.powi(2))).exp()
+        8.0 * (-(g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2))
+            / (2.0 * 0.5_f64.powi(2)))
+        .exp()
     };
     Tif::new(g, Array2::from_shape_fn(g.shape(), rate)).unwrap()
 }
@@ -374,7 +376,7 @@ fn lengths_are_mm_heights_nm_times_s() {
 
 #[test]
 fn removal_is_rate_times_time() {
-    let at = [part().x.at(20), part().y.at(15)];
+    let at = [part().x.coordinate_mm(20), part().y.coordinate_mm(15)];
     let removal = removal(&standing(at, 3.0), &gaussian(), &flat(part()));
     near(removal.removal_nm()[[15, 20]], 8.0 * 3.0, FFT_ROUNDING);
 }
@@ -430,7 +432,7 @@ fn arrays_are_y_x() {
     assert!(Surface::new(part(), Array2::zeros((40, 30))).is_err());
     let maps = kind::ALL.iter().flat_map(|k| k.arrays).filter(|a| a.shape == ["ny", "nx"]);
     assert_eq!(maps.map(|a| assert_eq!(a.axes, ["y", "x"], "{}", a.name)).count(), 11);
-    let at = [part().x.at(33), part().y.at(4)];
+    let at = [part().x.coordinate_mm(33), part().y.coordinate_mm(4)];
     let removal = removal(&standing(at, 1.0), &gaussian(), &flat(part()));
     assert_eq!(peak(removal.removal_nm()), (4, 33));
 }
@@ -456,7 +458,7 @@ fn a_pixel_is_its_centre() {
     // A tool at the coordinates of a pixel removes the same on both sides of it, and an aperture
     // holds the pixels whose centres it holds.
     let (r, c) = (12, 21);
-    let at = [part().x.at(c), part().y.at(r)];
+    let at = [part().x.coordinate_mm(c), part().y.coordinate_mm(r)];
     let map = removal(&standing(at, 1.0), &gaussian(), &flat(part()));
     let map = map.removal_nm();
     for k in 1..6 {
@@ -502,7 +504,7 @@ fn height_positive_is_material_above_the_target() {
     let path = straight(&(0..=20).map(|i| 12.0 + 0.5 * f64::from(i)).collect::<Vec<_>>(), -1.5);
     let dwell = |sign: f64| {
         let height = |(r, c): (usize, usize)| {
-            let (x, y) = (part().x.at(c) - 17.25, part().y.at(r) + 1.5);
+            let (x, y) = (part().x.coordinate_mm(c) - 17.25, part().y.coordinate_mm(r) + 1.5);
             20.0 + sign * 10.0 * (-(x * x + y * y) / 2.0).exp()
         };
         let desired = Surface::new(part(), Array2::from_shape_fn(part().shape(), height)).unwrap();
@@ -548,7 +550,8 @@ fn rms_is_the_population_rms_without_the_mean() {
 #[test]
 fn detilted_rms_is_without_the_best_plane() {
     let g = part();
-    let plane = |(r, c): (usize, usize)| 3.0 + 0.5 * g.x.at(c) - 2.0 * g.y.at(r);
+    let plane =
+        |(r, c): (usize, usize)| 3.0 + 0.5 * g.x.coordinate_mm(c) - 2.0 * g.y.coordinate_mm(r);
     let map = Surface::new(g, Array2::from_shape_fn(g.shape(), plane)).unwrap();
     // Rounding of heights of 20 nm.
     near(map.detilted_rms_nm(), 0.0, 1e-12);
@@ -571,7 +574,7 @@ fn tif_is_the_rate_at_pixel_minus_tool() {
     assert_eq!(tif.rate_at(0.75, -0.5), 1.0);
     assert_eq!(tif.rate_at(-0.75, 0.5), 0.0);
     let (r, c) = (14, 20);
-    let tool = [part().x.at(c), part().y.at(r)];
+    let tool = [part().x.coordinate_mm(c), part().y.coordinate_mm(r)];
     let map = removal(&standing(tool, 1.0), &tif, &flat(part()));
     // A convolution: the TIF is laid on the part as it is drawn, neither turned nor mirrored.
     assert_eq!(peak(map.removal_nm()), (r - 2, c + 3));
@@ -586,7 +589,7 @@ fn tif_is_zero_beyond_its_samples() {
         [tif.rate_at(1.0, -1.0), tif.rate_at(1.0001, 0.0), tif.rate_at(0.0, -1.01)],
         [1.0, 0.0, 0.0]
     );
-    let tool = [part().x.at(20), part().y.at(14)];
+    let tool = [part().x.coordinate_mm(20), part().y.coordinate_mm(14)];
     let map = removal(&standing(tool, 1.0), &tif, &flat(part()));
     near(map.removal_nm()[[14, 24]], 1.0, FFT_ROUNDING);
     near(map.removal_nm()[[14, 25]], 0.0, FFT_ROUNDING);
@@ -597,7 +600,8 @@ fn tif_is_cubic_between_its_samples() {
     // Keys' cubic convolution reproduces quadratics, also in the cells at the border.
     let g = grid((-1.0, 0.25, 9), (-1.0, 0.25, 9));
     let rate = |x: f64, y: f64| 5.0 + x - 2.0 * y + x * x + x * y;
-    let samples = Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.at(c), g.y.at(r)));
+    let samples =
+        Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.coordinate_mm(c), g.y.coordinate_mm(r)));
     let tif = Tif::new(g, samples).unwrap();
     for (x, y) in [(0.1, 0.2), (-0.97, 0.99), (0.83, -0.6)] {
         // Rounding of 10 nm/s.

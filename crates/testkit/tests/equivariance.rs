@@ -88,7 +88,7 @@ fn part() -> (Surface, Tif) {
     let grid = *made.tif.grid();
     let half = grid.x.end_mm();
     let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (x, y) = (grid.x.at(c) / half, grid.y.at(r) / half);
+        let (x, y) = (grid.x.coordinate_mm(c) / half, grid.y.coordinate_mm(r) / half);
         let window = ((1.0 - x * x) * (1.0 - y * y)).powi(2);
         made.tif.rate_nm_per_s()[[r, c]] * window * (1.0 + 0.5 * x - 0.3 * y)
     });

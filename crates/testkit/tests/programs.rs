@@ -227,7 +227,7 @@ fn random_part(random: &mut ChaCha8Rng) -> Surface {
     let is_round = random.random_range(0..2) == 0;
     let wave = [0, 1].map(|_| random.random_range(0.2..1.5));
     let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
-        let (u, v) = (x.at(c), y.at(r));
+        let (u, v) = (x.coordinate_mm(c), y.coordinate_mm(r));
         let is_out = is_round && (2.0 * u / size[0]).powi(2) + (2.0 * v / size[1]).powi(2) > 1.0;
         if is_out { f64::NAN } else { 50.0 + 30.0 * (wave[0] * u).sin() * (wave[1] * v).cos() }
     });
@@ -238,7 +238,9 @@ fn random_part(random: &mut ChaCha8Rng) -> Surface {
 fn gaussian(sigma: f64) -> Tif {
     let axis = Axis::new(-4.0 * sigma, 0.2 * sigma, 41).unwrap();
     let g = |d: f64| (-0.5 * (d / sigma).powi(2)).exp();
-    let rate = Array2::from_shape_fn((41, 41), |(r, c)| g(axis.at(r)) * g(axis.at(c)));
+    let rate = Array2::from_shape_fn((41, 41), |(r, c)| {
+        g(axis.coordinate_mm(r)) * g(axis.coordinate_mm(c))
+    });
     Tif::new(Grid { x: axis, y: axis }, rate).unwrap()
 }
 

@@ -154,7 +154,7 @@ fn tool(surface: &Surface, varies: Varies, is_smooth: bool, random: &mut impl Rn
     let end = [&offsets.x, &offsets.y]
         .map(|a| (0.5 * (a.start_mm() + a.end_mm()), 0.5 * (a.end_mm() - a.start_mm())));
     let spot = Array2::from_shape_fn(offsets.shape(), |(r, c)| {
-        let (x, y) = (offsets.x.at(c), offsets.y.at(r));
+        let (x, y) = (offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r));
         let bell = (-0.5 * (x * x + (aspect * y).powi(2)) / (0.25 * width_mm * width_mm)).exp();
         let rim =
             |v: f64, (middle, half): (f64, f64)| (1.0 - ((v - middle) / half).powi(2)).max(0.0);
@@ -165,7 +165,9 @@ fn tool(surface: &Surface, varies: Varies, is_smooth: bool, random: &mut impl Rn
         return Tif::new(offsets, spot).unwrap();
     }
     let scaled = |of: fn(f64, f64) -> f64| {
-        let of = |(r, c): (usize, usize)| of(offsets.x.at(c) / half, offsets.y.at(r) / half);
+        let of = |(r, c): (usize, usize)| {
+            of(offsets.x.coordinate_mm(c) / half, offsets.y.coordinate_mm(r) / half)
+        };
         &spot * &Array2::from_shape_fn(offsets.shape(), of)
     };
     let mut number = || random.random::<f64>();
@@ -371,7 +373,7 @@ impl Numbers {
 
     /// Removal of a motion at a pixel, nm, by Gauss' rule of four points on parts of every segment.
     fn removal(&self, motion: &Trajectory, grid: &Grid, (r, c): (usize, usize)) -> f64 {
-        let pixel = [grid.x.at(c), grid.y.at(r)];
+        let pixel = [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)];
         let rule = gauss_legendre::<4>();
         let mut sum = 0.0;
         let mut heading_rad = first_heading(motion);

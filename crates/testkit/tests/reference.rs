@@ -231,7 +231,7 @@ fn gridded_agrees_with_direct_quadrature() {
         (0..200).map(|_| (generator.random_range(0..ny), generator.random_range(0..nx))).collect();
     let error = |steps: usize| {
         let off = |&(r, c): &(usize, usize)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
             let near = within_reach(&trajectory, &mirror.tif, x, y);
             direct::removal_at_nm(&near, &mirror.tif, x, y, steps) - gridded.removal_nm()[[r, c]]
         };

@@ -1229,7 +1229,8 @@ fn disk_100_repaired_removes_a_piston_more() {
         for row in near(&grid.y, p[1]) {
             for column in near(&grid.x, p[0]) {
                 let z = surface.height_nm()[[row, column]];
-                let r = (grid.x.at(column) - p[0]).hypot(grid.y.at(row) - p[1]);
+                let r =
+                    (grid.x.coordinate_mm(column) - p[0]).hypot(grid.y.coordinate_mm(row) - p[1]);
                 if z.is_finite() && r < 1.0 {
                     let w = (1.0 - r * r).powi(2);
                     (sum, weight) = (sum + w * z, weight + w);

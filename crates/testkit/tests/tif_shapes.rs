@@ -19,7 +19,7 @@ fn map() -> Surface {
     let grid =
         Grid { x: Axis::new(0.0, PITCH_MM, 51).unwrap(), y: Axis::new(0.0, PITCH_MM, 31).unwrap() };
     let z = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         20.0 + 6.0 * (0.6 * x).cos() + 4.0 * (0.8 * y).sin()
     });
     Surface::new(grid, z).unwrap()
@@ -30,7 +30,7 @@ fn tif(first: [f64; 2], n: [usize; 2], step: f64) -> Tif {
     let axis = |k: usize| Axis::new(first[k], step, n[k]).unwrap();
     let grid = Grid { x: axis(0), y: axis(1) };
     let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let r2 = grid.x.at(c).powi(2) + grid.y.at(r).powi(2);
+        let r2 = grid.x.coordinate_mm(c).powi(2) + grid.y.coordinate_mm(r).powi(2);
         8.0 * (-0.5 * r2 / (SIGMA_MM * SIGMA_MM)).exp()
     });
     Tif::new(grid, rate).unwrap()

@@ -52,7 +52,9 @@ fn the_ripple_of_a_raster_follows_its_closed_form_up_to_the_edge() {
     let (peak, h) = (10.0, 0.125);
     let offset = Axis::new(-7.0, h, 113).unwrap();
     let g = |v: f64| (-0.5 * v * v).exp();
-    let rate = Array2::from_shape_fn((113, 113), |(r, c)| peak * g(offset.at(r)) * g(offset.at(c)));
+    let rate = Array2::from_shape_fn((113, 113), |(r, c)| {
+        peak * g(offset.coordinate_mm(r)) * g(offset.coordinate_mm(c))
+    });
     let tif = Tif::new(Grid { x: offset, y: offset }, rate).unwrap();
     let vrr = 2.0 * PI * peak;
     let axis = Axis::new(0.0, h, 241).unwrap();

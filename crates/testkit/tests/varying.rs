@@ -45,7 +45,9 @@ fn gaussian(p: [f64; 2], u: [f64; 2]) -> f64 {
 fn tool(tif: &Tif, error: f64, k: impl Fn([f64; 2], [f64; 2]) -> f64 + Sync) -> Tif {
     let offsets = *tif.grid();
     let of = |p: [f64; 2]| {
-        Array2::from_shape_fn(offsets.shape(), |(r, c)| k(p, [offsets.x.at(c), offsets.y.at(r)]))
+        Array2::from_shape_fn(offsets.shape(), |(r, c)| {
+            k(p, [offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r)])
+        })
     };
     let settings = LowRankSettings { error, max_rank: 20 };
     let rectangle = [[-4.0, -4.0], [24.0, 16.0]];
@@ -84,7 +86,7 @@ fn left_of_turning_nm(
             let way = [to[0] - from[0], to[1] - from[1]];
             let direction = way.map(|d| d / way[0].hypot(way[1]));
             for ((r, c), z) in left.indexed_iter_mut() {
-                let u = [grid.x.at(c) - p[0], grid.y.at(r) - p[1]];
+                let u = [grid.x.coordinate_mm(c) - p[0], grid.y.coordinate_mm(r) - p[1]];
                 if u[0].abs() <= half_mm && u[1].abs() <= half_mm {
                     *z -= h * k(p, u, t, direction);
                 }
@@ -178,7 +180,7 @@ fn a_factor_of_the_pixels_is_known_at_all_sizes() {
     let law = RateLaw::Cosine { exponent: -1.7 };
     let grid = *desired.grid();
     let factor = Array2::from_shape_fn(grid.shape(), |(_, c)| {
-        law.factor(incidence(grid.x.at(c)).to_degrees())
+        law.factor(incidence(grid.x.coordinate_mm(c)).to_degrees())
     });
     let one = VaryingTif {
         offsets: *tif.grid(),
@@ -330,7 +332,9 @@ fn a_spot_that_turns_with_the_motion_is_known_on_lines_there_and_back_and_on_a_m
     let (desired, _, raster) = coupon();
     let step = Axis::new(-6.0, 0.25, 49).unwrap();
     let offsets = Grid { x: step, y: step };
-    let along_x = |(r, c): (usize, usize)| steered([offsets.x.at(c), offsets.y.at(r)], [1.0, 0.0]);
+    let along_x = |(r, c): (usize, usize)| {
+        steered([offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r)], [1.0, 0.0])
+    };
     let fixed = Tif::new(offsets, Array2::from_shape_fn(offsets.shape(), along_x)).unwrap();
     let exact = LowRankSettings { error: 3e-3, max_rank: 40 };
     let (offsets, of) = turned(&fixed, [0.0; 2]).unwrap();
@@ -390,7 +394,7 @@ fn low_rank_is_the_tool_to_the_stated_error() {
                 (0.71 * f64::from(k)).fract() * 20.0 - 4.0,
             ];
             for ((r, c), _) in tif.rate_nm_per_s().indexed_iter().step_by(17) {
-                let u = [offsets.x.at(c), offsets.y.at(r)];
+                let u = [offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r)];
                 let (exact, found) = (gaussian(p, u), varying.rate_of_tool_at(Pose::along_x(p), u));
                 squares += exact * exact;
                 missed += (exact - found).powi(2);
@@ -490,7 +494,7 @@ fn causes_have_their_closed_forms() {
     let axis = |n: usize| Axis::new(-0.25 * (n / 2) as f64, 0.25, n).unwrap();
     let grid = Grid { x: axis(121), y: axis(121) };
     let disk = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        if grid.x.at(c).hypot(grid.y.at(r)) <= 15.0 { 0.0 } else { f64::NAN }
+        if grid.x.coordinate_mm(c).hypot(grid.y.coordinate_mm(r)) <= 15.0 { 0.0 } else { f64::NAN }
     });
     let surface = Surface::new(grid, disk).unwrap();
     // Incidence on a sphere: sin = r / R.
@@ -500,7 +504,7 @@ fn causes_have_their_closed_forms() {
     assert!((angle - 30.0).abs() < 1e-9, "{angle}");
     // The same from its sampled height, by splines: h^3 / 24 of a fourth derivative of 1e-3 at the edge is 1e-6 rad.
     let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let q = 900.0 - grid.x.at(c).powi(2) - grid.y.at(r).powi(2);
+        let q = 900.0 - grid.x.coordinate_mm(c).powi(2) - grid.y.coordinate_mm(r).powi(2);
         -1e6 * q.sqrt()
     });
     let sampled = Form::sampled(&Surface::new(grid, height).unwrap()).unwrap();
@@ -516,13 +520,9 @@ fn causes_have_their_closed_forms() {
 
     // A pad whose centre is on a straight edge: half of it is covered. With the same force the uniform pressure is
     // twice that on the part, and the linear law is in equilibrium.
-    let half =
-        Array2::from_shape_fn(
-            grid.shape(),
-            |(_, c)| {
-                if grid.x.at(c) <= 0.0 { 0.0 } else { f64::NAN }
-            },
-        );
+    let half = Array2::from_shape_fn(grid.shape(), |(_, c)| {
+        if grid.x.coordinate_mm(c) <= 0.0 { 0.0 } else { f64::NAN }
+    });
     let half = Surface::new(grid, half).unwrap();
     let edge = Places::new(&half);
     let own = Grid { x: axis(25), y: axis(25) };
@@ -537,7 +537,7 @@ fn causes_have_their_closed_forms() {
     let linear = pad(PressureLaw::Linear).tool([-2.0, 0.0]);
     let (mut force, mut moment, mut area) = (0.0, 0.0, 0.0);
     for ((r, c), rate) in linear.indexed_iter() {
-        let u = [own.x.at(c), own.y.at(r)];
+        let u = [own.x.coordinate_mm(c), own.y.coordinate_mm(r)];
         if u[0].hypot(u[1]) <= 3.0 {
             area += 1.0;
             if u[0] - 2.0 <= 0.125 {
@@ -556,7 +556,7 @@ fn causes_have_their_closed_forms() {
 
     // A spot that turns: at four quarter turns its samples, to rounding.
     let lean = Array2::from_shape_fn(own.shape(), |(r, c)| {
-        let (x, y) = (own.x.at(c), own.y.at(r));
+        let (x, y) = (own.x.coordinate_mm(c), own.y.coordinate_mm(r));
         (1.0 + 0.3 * x) * (-(x * x + 2.0 * y * y)).exp()
     });
     let spot = Tif::new(own, lean).unwrap();
@@ -564,7 +564,7 @@ fn causes_have_their_closed_forms() {
     for (k, p) in [[5.0, 0.0], [0.0, 5.0], [-5.0, 0.0], [0.0, -5.0]].into_iter().enumerate() {
         let found = of(p);
         for ((r, c), v) in found.indexed_iter() {
-            let (x, y) = (offsets.x.at(c), offsets.y.at(r));
+            let (x, y) = (offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r));
             let [a, b] = [[x, y], [y, -x], [-x, -y], [-y, x]][k];
             // Rounding of places at the samples.
             assert!((v - spot.rate_at(a, b)).abs() < 1e-12, "{k} {x} {y}");
@@ -581,8 +581,10 @@ fn causes_have_their_closed_forms() {
         let p = [radius_mm * azimuth.cos(), radius_mm * azimuth.sin()];
         let (mut squares, mut missed) = (0.0, 0.0);
         for ((r, c), v) in of(p).indexed_iter() {
-            let found =
-                varying.rate_of_tool_at(Pose::along_x(p), [offsets.x.at(c), offsets.y.at(r)]);
+            let found = varying.rate_of_tool_at(
+                Pose::along_x(p),
+                [offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r)],
+            );
             squares += v * v;
             missed += (found - v).powi(2);
         }

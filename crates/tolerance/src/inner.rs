@@ -65,8 +65,8 @@ impl Inner {
         for ((r, c), _) in valid.indexed_iter().filter(|(_, v)| **v) {
             let cell = r / pixels[1] * shape.1 + c / pixels[0];
             weight[cell] += 1.0;
-            centre_mm[cell][0] += grid.x.at(c);
-            centre_mm[cell][1] += grid.y.at(r);
+            centre_mm[cell][0] += grid.x.coordinate_mm(c);
+            centre_mm[cell][1] += grid.y.coordinate_mm(r);
         }
         for (centre, w) in centre_mm.iter_mut().zip(&weight).filter(|(_, w)| **w > 0.0) {
             centre.iter_mut().for_each(|v| *v /= w);
@@ -80,7 +80,7 @@ impl Inner {
         };
         for term in terms {
             let mut map = inner.masked(Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                term(grid.x.at(c) - middle[0], grid.y.at(r) - middle[1])
+                term(grid.x.coordinate_mm(c) - middle[0], grid.y.coordinate_mm(r) - middle[1])
             }));
             let before = inner.dot(&map, &map);
             inner.project(&mut map);

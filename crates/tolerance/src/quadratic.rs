@@ -479,8 +479,8 @@ fn samples_of(k: usize, tif: &Tif, shapes: &[(usize, [Tif; 2])]) -> Samples {
     let mut samples = vec![[0.0; KERNELS]; (ny + 2) * (nx + 2)];
     for r in 0..ny {
         for c in 0..nx {
-            let x = grid.x.at(c);
-            let y = grid.y.at(r);
+            let x = grid.x.coordinate_mm(c);
+            let y = grid.y.coordinate_mm(r);
             // The tool moves, the place stays: the derivative is by minus the offset.
             let along_x = own.rate_at(x - half[0], y) - own.rate_at(x + half[0], y);
             let along_y = own.rate_at(x, y - half[1]) - own.rate_at(x, y + half[1]);

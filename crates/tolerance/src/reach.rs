@@ -148,12 +148,14 @@ mod tests {
         let axis = |n| Axis::new(0.0, 0.5, n).unwrap();
         let grid = Grid { x: axis(48), y: axis(40) };
         let disk = |(r, c): (usize, usize)| {
-            let (x, y) = (grid.x.at(c) - 12.0, grid.y.at(r) - 10.0);
+            let (x, y) = (grid.x.coordinate_mm(c) - 12.0, grid.y.coordinate_mm(r) - 10.0);
             if x * x + y * y < 90.0 { 0.0 } else { f64::NAN }
         };
         let desired = Surface::new(grid, Array2::from_shape_fn(grid.shape(), disk)).unwrap();
         let of = Axis::new(-5.0, 0.5, 21).unwrap();
-        let rate = |(r, c): (usize, usize)| (-(of.at(r).powi(2) + of.at(c).powi(2)) / 2.0).exp();
+        let rate = |(r, c): (usize, usize)| {
+            (-(of.coordinate_mm(r).powi(2) + of.coordinate_mm(c).powi(2)) / 2.0).exp()
+        };
         let tif = Tif::new(Grid { x: of, y: of }, Array2::from_shape_fn((21, 21), rate)).unwrap();
         for free in [Free::Piston, Free::Plane] {
             let inner = Inner::new(&desired, free, 1.0);

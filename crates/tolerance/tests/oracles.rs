@@ -266,7 +266,9 @@ fn the_map_of_deviations_is_that_of_the_residual() {
 /// RMS of the difference of what two TIFs remove on the plan, the mean removed.
 fn of_tif(of: impl Fn(f64, f64) -> f64) -> f64 {
     let grid = *tif().grid();
-    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| of(grid.x.at(c), grid.y.at(r)));
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        of(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    });
     let other = Tif::new(grid, rate).unwrap();
     let removal = |tif: &Tif| {
         simulate(&raster(), tif, &desired(), Simulation::Gridded)
@@ -309,7 +311,7 @@ type Deformation<'a> = (&'a str, f64, &'a str, &'a dyn Fn(f64, f64) -> [f64; 2])
 fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_first_order() {
     let axis = Axis::new(-4.0, 0.125, 81).unwrap();
     let sampled = |shape: &dyn Fn(f64, f64) -> f64| {
-        let rate = |(r, c): (usize, usize)| shape(axis.at(c), axis.at(r));
+        let rate = |(r, c): (usize, usize)| shape(axis.coordinate_mm(c), axis.coordinate_mm(r));
         Tif::new(Grid { x: axis, y: axis }, Array2::from_shape_fn((81, 81), rate)).unwrap()
     };
     let tif = sampled(&drop);

@@ -25,7 +25,9 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
 }
 
 fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
-    Array2::from_shape_fn(grid.shape(), |(r, c)| of(grid.x.at(c), grid.y.at(r)))
+    Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        of(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+    })
 }
 
 /// Tangent of the slope of the sphere times its direction.

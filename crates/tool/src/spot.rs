@@ -203,7 +203,7 @@ fn refuse_other_pixels(before: &Grid, after: &Grid) -> Result<(), Invalid> {
 
 fn outside(grid: &Grid, centre: [f64; 2], half_size_mm: f64) -> Array2<bool> {
     Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (x, y) = (grid.x.at(c) - centre[0], grid.y.at(r) - centre[1]);
+        let (x, y) = (grid.x.coordinate_mm(c) - centre[0], grid.y.coordinate_mm(r) - centre[1]);
         x.abs().max(y.abs()) > half_size_mm
     })
 }
@@ -247,7 +247,7 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
             });
             // Half of the square at least is measured.
             if 2.0 * count > ((r1 - r0) * (c1 - c0)) as f64 && total / count > best.0 {
-                best = (total / count, Some([grid.x.at(c), grid.y.at(r)]));
+                best = (total / count, Some([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]));
             }
         }
     }
@@ -265,7 +265,9 @@ fn centroid(
     half_size_mm: f64,
 ) -> Result<[f64; 2], Invalid> {
     let heights = removal.indexed_iter().filter(|((r, c), v)| {
-        let distance_mm = (grid.x.at(*c) - near[0]).abs().max((grid.y.at(*r) - near[1]).abs());
+        let distance_mm = (grid.x.coordinate_mm(*c) - near[0])
+            .abs()
+            .max((grid.y.coordinate_mm(*r) - near[1]).abs());
         !v.is_nan() && distance_mm <= half_size_mm
     });
     let peak = heights.map(|(_, v)| *v).fold(0.0, f64::max);
@@ -296,7 +298,7 @@ fn centroid_about(
 ) -> Option<[f64; 2]> {
     let mut sums = [0.0; 3];
     for ((r, c), v) in removal.indexed_iter().filter(|(_, v)| **v >= least_nm) {
-        let offset = [grid.x.at(c) - x, grid.y.at(r) - y];
+        let offset = [grid.x.coordinate_mm(c) - x, grid.y.coordinate_mm(r) - y];
         if offset[0].abs().max(offset[1].abs()) <= half_size_mm {
             let add = [v * offset[0], v * offset[1], *v];
             sums.iter_mut().zip(add).for_each(|(s, a)| *s += a);
@@ -362,13 +364,13 @@ fn cut(
 
 /// The first and the last pixel within half the size of the centre, and the offsets of these pixels from it.
 fn window(axis: &Axis, centre: f64, half: f64) -> Result<(usize, usize, Axis), Invalid> {
-    let mut inside = (0..axis.len()).filter(|i| (axis.at(*i) - centre).abs() <= half);
+    let mut inside = (0..axis.len()).filter(|i| (axis.coordinate_mm(*i) - centre).abs() <= half);
     let Some(first) = inside.next() else {
         let remedy = "give a larger `half_size_mm`";
         return Err(Invalid::whole("half_size_mm", format!("{half} holds no pixel"), remedy));
     };
     let last = inside.next_back().unwrap_or(first);
-    let offsets = Axis::new(axis.at(first) - centre, axis.step_mm(), last - first + 1)?;
+    let offsets = Axis::new(axis.coordinate_mm(first) - centre, axis.step_mm(), last - first + 1)?;
     Ok((first, last, offsets))
 }
 
@@ -389,7 +391,7 @@ mod tests {
     fn piece(d: [f64; 2]) -> Array2<f64> {
         let g = grid();
         Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) - d[0], g.y.at(r) - d[1]);
+            let (x, y) = (g.x.coordinate_mm(c) - d[0], g.y.coordinate_mm(r) - d[1]);
             10.0 * (1.1 * x + 0.3 * y).sin() + 7.0 * (0.7 * y - 0.2 * x).cos()
         })
     }
@@ -397,7 +399,7 @@ mod tests {
     fn dig(at: [f64; 2]) -> Array2<f64> {
         let g = grid();
         Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) - at[0], g.y.at(r) - at[1]);
+            let (x, y) = (g.x.coordinate_mm(c) - at[0], g.y.coordinate_mm(r) - at[1]);
             200.0 * (-(x * x + 1.5 * y * y) / 0.5).exp()
         })
     }
@@ -417,8 +419,9 @@ mod tests {
     fn a_planted_spot_comes_back_from_shifted_and_tilted_maps() {
         let g = grid();
         let d = [0.237, -0.154];
-        let tilt =
-            Array2::from_shape_fn(g.shape(), |(r, c)| 40.0 - 3.0 * g.x.at(c) + 2.0 * g.y.at(r));
+        let tilt = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            40.0 - 3.0 * g.x.coordinate_mm(c) + 2.0 * g.y.coordinate_mm(r)
+        });
         let before = Surface::new(g, piece([0.0; 2])).unwrap();
         // The spot is on the part, so it moves with it.
         let after = piece(d) - dig([CENTRE[0] + d[0], CENTRE[1] + d[1]]) + tilt;
@@ -436,8 +439,8 @@ mod tests {
         let (gx, gy) = (made.tif.grid().x, made.tif.grid().y);
         for ((r, c), v) in made.tif.rate_nm_per_s().indexed_iter() {
             let [x, y] = [
-                gx.at(c) + made.centre_mm[0] - CENTRE[0],
-                gy.at(r) + made.centre_mm[1] - CENTRE[1],
+                gx.coordinate_mm(c) + made.centre_mm[0] - CENTRE[0],
+                gy.coordinate_mm(r) + made.centre_mm[1] - CENTRE[1],
             ];
             let expected = 8.0 * (-(x * x + 1.5 * y * y) / 0.5).exp();
             // Interpolation of the dig itself: (0.1 / 0.5)^3 / 6 x 8 nm/s.
@@ -445,7 +448,7 @@ mod tests {
         }
         // The first moment of the samples is at the offset 0, of a spot with a tail too: beyond its square is 1e-9 of it.
         let tail = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) - CENTRE[0], g.y.at(r) - CENTRE[1]);
+            let (x, y) = (g.x.coordinate_mm(c) - CENTRE[0], g.y.coordinate_mm(r) - CENTRE[1]);
             let along = if x > 0.0 { 0.35 } else { 0.12 };
             200.0 * (-x * x / along - y * y / 0.4).exp()
         });
@@ -454,7 +457,7 @@ mod tests {
         let made = spot(Some(&Surface::new(g, Array2::zeros(g.shape())).unwrap()), &tailed, &how);
         let made = made.unwrap();
         let (gx, rate) = (made.tif.grid().x, made.tif.rate_nm_per_s());
-        let moment: f64 = rate.indexed_iter().map(|((_, c), v)| v * gx.at(c)).sum();
+        let moment: f64 = rate.indexed_iter().map(|((_, c), v)| v * gx.coordinate_mm(c)).sum();
         assert!((moment / rate.sum()).abs() < 1e-6, "{}", moment / rate.sum());
         // (sqrt a - sqrt b) / sqrt pi of two halves of Gaussians exp(-x^2 / a), exp(-x^2 / b), sampled at 0.1 mm
         let expected = (0.35f64.sqrt() - 0.12f64.sqrt()) / std::f64::consts::PI.sqrt();
@@ -497,7 +500,8 @@ mod tests {
             |x: f64, y: f64| 2.4 * (0.8 * x + 0.2 * y).sin() + 2.1 * (0.9 * y - 0.3 * x).cos();
         [([0.0; 2], 0.0), (pixels, 100.0)].map(|(d, depth)| {
             let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                let (x, y) = (grid.x.at(c) - d[0] * step, grid.y.at(r) - d[1] * step);
+                let (x, y) =
+                    (grid.x.coordinate_mm(c) - d[0] * step, grid.y.coordinate_mm(r) - d[1] * step);
                 let square = (x - 8.0).powi(2) + (y - 7.0).powi(2);
                 height(x, y) - depth * (-square / 0.8).exp()
             });

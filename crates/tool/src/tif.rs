@@ -225,7 +225,7 @@ pub fn tif_statistics(tif: &Tif) -> TifStatistics {
         y_mm: [g.y.start_mm(), g.y.end_mm()],
         sample_at_centre,
         peak_nm_per_s: tif.peak_nm_per_s(),
-        peak_at_mm: [g.x.at(c), g.y.at(r)],
+        peak_at_mm: [g.x.coordinate_mm(c), g.y.coordinate_mm(r)],
         centroid_mm: tif.centroid_mm(),
         vrr_nm_mm2_per_s: tif.vrr_nm_mm2_per_s(),
         fwhm_mm: [
@@ -279,7 +279,9 @@ fn vertex_mm(tif: &Tif) -> [f64; 2] {
     let along_x = slope_and_bend(rate.row(r), c);
     let along_y = slope_and_bend(rate.column(c), r);
     let on_lines = [along_x, along_y].map(|line| line.map_or(0.0, |(slope, bend)| -slope / bend));
-    let in_mm = |[x, y]: [f64; 2]| [g.x.at(c) + x * g.x.step_mm(), g.y.at(r) + y * g.y.step_mm()];
+    let in_mm = |[x, y]: [f64; 2]| {
+        [g.x.coordinate_mm(c) + x * g.x.step_mm(), g.y.coordinate_mm(r) + y * g.y.step_mm()]
+    };
     let (Some((slope_x, bend_x)), Some((slope_y, bend_y))) = (along_x, along_y) else {
         return in_mm(on_lines);
     };
@@ -342,7 +344,7 @@ fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
     let grid = Grid { x: x?, y: y? };
     let least = least_rate(tif);
     let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         turned.rate_at(x * cos + y * sin, y * cos - x * sin).max(least)
     });
     Tif::new(grid, rate)
@@ -406,7 +408,7 @@ fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
     let n = old.len();
     let mut out = Array2::zeros((new.len(), n));
     for (k, mut row) in out.outer_iter_mut().enumerate() {
-        let place = (new.at(k) - old.start_mm()) / old.step_mm();
+        let place = (new.coordinate_mm(k) - old.start_mm()) / old.step_mm();
         if new.step_mm() <= old.step_mm() {
             let (cell, f) = keys::split(place);
             let cell = cell.clamp(0, n as isize - 2) as usize;
@@ -489,7 +491,7 @@ fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
         // The offset over that of the border on its side.
         let [x, y] = [(&g.x, c), (&g.y, r)].map(|(axis, k)| {
-            let offset = axis.at(k);
+            let offset = axis.coordinate_mm(k);
             offset / if offset < 0.0 { axis.start_mm() } else { axis.end_mm() }
         });
         let rho = x.hypot(y);
@@ -512,7 +514,7 @@ mod tests {
 
     fn bell(grid: &Grid, centre: [f64; 2], sigma: [f64; 2]) -> Array2<f64> {
         Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c) - centre[0], grid.y.at(r) - centre[1]);
+            let (x, y) = (grid.x.coordinate_mm(c) - centre[0], grid.y.coordinate_mm(r) - centre[1]);
             8.0 * (-0.5 * ((x / sigma[0]).powi(2) + (y / sigma[1]).powi(2))).exp()
         })
     }
@@ -523,7 +525,9 @@ mod tests {
 
     fn worst(tif: &Tif, want: impl Fn(f64, f64) -> f64) -> f64 {
         let g = tif.grid();
-        let error = |((r, c), v): ((usize, usize), &f64)| (v - want(g.x.at(c), g.y.at(r))).abs();
+        let error = |((r, c), v): ((usize, usize), &f64)| {
+            (v - want(g.x.coordinate_mm(c), g.y.coordinate_mm(r))).abs()
+        };
         tif.rate_nm_per_s().indexed_iter().map(error).fold(0.0, f64::max)
     }
 
@@ -574,7 +578,7 @@ mod tests {
             Grid { x: Axis::new(-3.0, 0.2, 61).unwrap(), y: Axis::new(-7.0, 0.3, 56).unwrap() };
         let (sine, cosine) = 0.4_f64.sin_cos();
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c) - 2.5, grid.y.at(r) + 1.15);
+            let (x, y) = (grid.x.coordinate_mm(c) - 2.5, grid.y.coordinate_mm(r) + 1.15);
             let (u, v) = (cosine * x + sine * y, cosine * y - sine * x);
             7.0 * (-0.5 * ((u / 1.2).powi(2) + (v / 0.7).powi(2))).exp()
         });
@@ -612,10 +616,13 @@ mod tests {
         for ((r, c), v) in tif.rate_nm_per_s().indexed_iter() {
             // (x, y) goes to (-y, x): column from the row counted from the end, row from the column.
             assert_eq!(once.rate_nm_per_s()[[c, 8 - r]].to_bits(), v.to_bits());
-            let (x, y) = (tif.grid().x.at(c), tif.grid().y.at(r));
+            let (x, y) = (tif.grid().x.coordinate_mm(c), tif.grid().y.coordinate_mm(r));
             let g = once.grid();
             // Rounding of coordinates.
-            assert!((g.x.at(8 - r) + y).abs() < 1e-12 && (g.y.at(c) - x).abs() < 1e-12);
+            assert!(
+                (g.x.coordinate_mm(8 - r) + y).abs() < 1e-12
+                    && (g.y.coordinate_mm(c) - x).abs() < 1e-12
+            );
         }
         // The spot at (0.8, 0.4) is now at (-0.4, 0.8).
         let [x, y] = tif_statistics(&once).centroid_mm;
@@ -709,7 +716,7 @@ mod tests {
         let axis = Axis::new(-3.0, 0.2, 31).unwrap();
         let grid = Grid { x: axis, y: axis };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            if axis.at(c).hypot(axis.at(r)) < 1.5 { 4.0 } else { 0.0 }
+            if axis.coordinate_mm(c).hypot(axis.coordinate_mm(r)) < 1.5 { 4.0 } else { 0.0 }
         });
         let top_hat = Tif::new(grid, rate).unwrap();
         for (rotate_deg, pixel_mm) in [(20.0, None), (0.0, Some(0.13)), (0.0, Some(0.31))] {
@@ -738,7 +745,7 @@ mod tests {
         // A plane of any tilt comes off, but for the rounding of the Gaussian's own border.
         let tilted = bell(&grid, [0.0; 2], [0.3; 2])
             + Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                0.1 + 0.03 * axis.at(c) - 0.02 * axis.at(r)
+                0.1 + 0.03 * axis.coordinate_mm(c) - 0.02 * axis.coordinate_mm(r)
             });
         let (flat, _) = prepare_tif(&Tif::new(grid, tilted).unwrap(), &s).unwrap();
         // exp(-(2 / 0.3)^2 / 2) is 2e-10 of the peak.

@@ -112,8 +112,11 @@ pub fn fit(tif: &Tif, model: TifModel) -> Result<(Tif, FitReport), Invalid> {
         ));
     }
     let scale = theta.iter().map(|s| s.1).collect::<Vec<f64>>();
-    let samples: Vec<[f64; 3]> =
-        tif.rate_nm_per_s().indexed_iter().map(|((r, c), v)| [g.x.at(c), g.y.at(r), *v]).collect();
+    let samples: Vec<[f64; 3]> = tif
+        .rate_nm_per_s()
+        .indexed_iter()
+        .map(|((r, c), v)| [g.x.coordinate_mm(c), g.y.coordinate_mm(r), *v])
+        .collect();
     let mut p: Vec<f64> = theta.drain(..).map(|s| s.0).collect();
     let mut now = cost(model, &p, &samples);
     let mut damping = 1e-3;
@@ -160,7 +163,9 @@ pub fn fit(tif: &Tif, model: TifModel) -> Result<(Tif, FitReport), Invalid> {
     }
     let errors = residual(model, &p, &samples);
     let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
-    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| value(model, &p, g.x.at(c), g.y.at(r)));
+    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        value(model, &p, g.x.coordinate_mm(c), g.y.coordinate_mm(r))
+    });
     let fitted = Tif::new(*g, rate)?;
     let report = FitReport {
         model,
@@ -199,7 +204,7 @@ fn start(tif: &Tif, model: TifModel) -> Vec<(f64, f64)> {
     // The centroid of what is above half of the peak, which a pedestal does not move.
     let mut sum = [0.0; 3];
     for ((r, c), v) in tif.rate_nm_per_s().indexed_iter().filter(|(_, v)| **v >= 0.5 * peak) {
-        let add = [v * g.x.at(c), v * g.y.at(r), *v];
+        let add = [v * g.x.coordinate_mm(c), v * g.y.coordinate_mm(r), *v];
         sum.iter_mut().zip(add).for_each(|(s, a)| *s += a);
     }
     let centre = [sum[0] / sum[2], sum[1] / sum[2]];
@@ -314,7 +319,9 @@ mod tests {
         // Even along x, odd along y.
         let grid =
             Grid { x: Axis::new(-5.1, 0.2, 52).unwrap(), y: Axis::new(-5.0, 0.2, 51).unwrap() };
-        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| f(grid.x.at(c), grid.y.at(r)));
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            f(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+        });
         Tif::new(grid, rate).unwrap()
     }
 

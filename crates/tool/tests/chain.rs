@@ -16,7 +16,9 @@ fn two_maps_of_a_turned_spot_become_its_formula() {
     let axis = |n: usize| Axis::new(-4.0, 0.1, n).unwrap();
     let grid = Grid { x: axis(101), y: axis(91) };
     let map = |nm: &dyn Fn(f64, f64) -> f64| {
-        let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| nm(grid.x.at(c), grid.y.at(r)));
+        let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            nm(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+        });
         Surface::new(grid, heights).unwrap()
     };
     // The part has waves, and lies 0.237 mm further along x and tilted in the second measurement.

@@ -40,7 +40,7 @@ pub fn grid() -> Grid {
 pub fn disk(nm: impl Fn(f64, f64) -> f64) -> Surface {
     let grid = grid();
     let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         if x.hypot(y) <= 18.0 { nm(x, y) } else { f64::NAN }
     });
     Surface::new(grid, map).unwrap()
@@ -53,7 +53,9 @@ pub fn sphere_mm(x: f64, y: f64) -> f64 {
 pub fn spot() -> Tif {
     let axis = Axis::new(-6.0, 0.25, 49).unwrap();
     let grid = Grid { x: axis, y: axis };
-    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| gaussian([axis.at(c), axis.at(r)]));
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        gaussian([axis.coordinate_mm(c), axis.coordinate_mm(r)])
+    });
     Tif::new(grid, rate).unwrap()
 }
 
@@ -111,7 +113,7 @@ fn an_invalid_pixel_of_the_form_is_refused_where_the_part_has_one() {
         factors.push(factor);
     }
     for ((r, c), z) in disk(|_, _| 0.0).height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
-        let sine = grid().x.at(c).hypot(grid().y.at(r)) / RADIUS_MM + *z;
+        let sine = grid().x.coordinate_mm(c).hypot(grid().y.coordinate_mm(r)) / RADIUS_MM + *z;
         let want = (1.0 - sine * sine).powf(-0.85);
         for (factor, most) in factors.iter().zip([3e-4, 3e-4, 1e-12, 1e-12]) {
             // At the edge the splines continue a height of 30 degrees quadratically: 1.4e-4 rad.
@@ -266,7 +268,7 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
         let tool = artifact::read::<Tool>(&dir.join(name)).unwrap().value.0;
         let (mut squares, mut missed, mut flat) = (0.0, 0.0, 0.0);
         for ((r, c), _) in part.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
-            let pixel = [grid().x.at(c), grid().y.at(r)];
+            let pixel = [grid().x.coordinate_mm(c), grid().y.coordinate_mm(r)];
             let (mut written, mut direct, mut as_flat) = (0.0, 0.0, 0.0);
             for (p, time) in &places {
                 let u = [pixel[0] - p[0], pixel[1] - p[1]];
@@ -305,7 +307,7 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
 fn ring() -> Surface {
     let grid = grid();
     let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let radius = grid.x.at(c).hypot(grid.y.at(r));
+        let radius = grid.x.coordinate_mm(c).hypot(grid.y.coordinate_mm(r));
         if (6.0..=18.0).contains(&radius) { 0.0 } else { f64::NAN }
     });
     Surface::new(grid, map).unwrap()

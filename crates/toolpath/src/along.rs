@@ -120,7 +120,8 @@ impl OnForm {
         let wide = Grid { x: continued(&grid.x, u)?, y: continued(&grid.y, v)? };
         let (ny, nx) = wide.shape();
         let heights = (0..ny * nx).into_par_iter().map(|i| {
-            let place = development.projected([wide.x.at(i % nx), wide.y.at(i / nx)]);
+            let place =
+                development.projected([wide.x.coordinate_mm(i % nx), wide.y.coordinate_mm(i / nx)]);
             nearest_pixel(grid, place).map_or(f64::NAN, |pixel| surface.height_nm()[pixel])
         });
         let heights =
@@ -186,7 +187,7 @@ fn bounding_box(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
 fn continued(axis: &Axis, [low, high]: [f64; 2]) -> Result<Axis, Invalid> {
     let before = ((low - axis.start_mm()) / axis.step_mm() - 0.5).floor();
     let after = ((high - axis.start_mm()) / axis.step_mm() + 0.5).ceil();
-    let start_mm = axis.at(0) + before * axis.step_mm();
+    let start_mm = axis.coordinate_mm(0) + before * axis.step_mm();
     Axis::new(start_mm, axis.step_mm(), (after - before) as usize + 1)
 }
 
@@ -198,12 +199,16 @@ fn border_mm(surface: &Surface) -> Vec<[f64; 2]> {
     for (r, row) in z.outer_iter().enumerate() {
         let mut valid = (0..row.len()).filter(|c| !row[*c].is_nan());
         let ends = [valid.next(), valid.next_back()];
-        border.extend(ends.into_iter().flatten().map(|c| [grid.x.at(c), grid.y.at(r)]));
+        border.extend(
+            ends.into_iter().flatten().map(|c| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]),
+        );
     }
     for (c, column) in z.columns().into_iter().enumerate() {
         let mut valid = (0..column.len()).filter(|r| !column[*r].is_nan());
         let ends = [valid.next(), valid.next_back()];
-        border.extend(ends.into_iter().flatten().map(|r| [grid.x.at(c), grid.y.at(r)]));
+        border.extend(
+            ends.into_iter().flatten().map(|r| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]),
+        );
     }
     border
 }
@@ -217,7 +222,11 @@ mod tests {
         let axis = Axis::new(-25.0, 0.5, 101).unwrap();
         let grid = Grid { x: axis, y: axis };
         let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            if axis.at(c).hypot(axis.at(r)) <= radius_mm { 0.0 } else { f64::NAN }
+            if axis.coordinate_mm(c).hypot(axis.coordinate_mm(r)) <= radius_mm {
+                0.0
+            } else {
+                f64::NAN
+            }
         });
         Surface::new(grid, map).unwrap()
     }

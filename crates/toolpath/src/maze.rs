@@ -690,7 +690,7 @@ mod tests {
         let grid =
             Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
         let height = Array2::from_shape_fn((ny, nx), |(r, c)| {
-            if inside(grid.x.at(c), grid.y.at(r)) { 0.0 } else { f64::NAN }
+            if inside(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)) { 0.0 } else { f64::NAN }
         });
         Surface::new(grid, height).unwrap()
     }
@@ -884,7 +884,9 @@ mod tests {
         let g = surface.grid();
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
         valid
-            .map(|((r, c), _)| (g.x.at(c) - p[0]).abs().max((g.y.at(r) - p[1]).abs()))
+            .map(|((r, c), _)| {
+                (g.x.coordinate_mm(c) - p[0]).abs().max((g.y.coordinate_mm(r) - p[1]).abs())
+            })
             .fold(f64::INFINITY, f64::min)
     }
 
@@ -938,7 +940,7 @@ mod tests {
             let g = surface.grid();
             let mut served = surface.height_nm().clone();
             for ((r, c), z) in served.indexed_iter_mut() {
-                if !visited.contains(&cell([g.x.at(c), g.y.at(r)])) {
+                if !visited.contains(&cell([g.x.coordinate_mm(c), g.y.coordinate_mm(r)])) {
                     *z = f64::NAN;
                 }
             }

@@ -426,7 +426,9 @@ mod tests {
     fn relief(nx: usize, ny: usize, z: impl Fn(f64, f64) -> f64) -> Surface {
         let grid =
             Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
-        let height = Array2::from_shape_fn((ny, nx), |(r, c)| z(grid.x.at(c), grid.y.at(r)));
+        let height = Array2::from_shape_fn((ny, nx), |(r, c)| {
+            z(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+        });
         Surface::new(grid, height).unwrap()
     }
 
@@ -870,7 +872,7 @@ mod tests {
                 for (i, _) in &tracks {
                     let [x, y] = path.dwell_point_mm()[*i];
                     let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-                    let near = valid.map(|((r, c), _)| [grid.x.at(c) - x, grid.y.at(r) - y]).any(|d| {
+                    let near = valid.map(|((r, c), _)| [grid.x.coordinate_mm(c) - x, grid.y.coordinate_mm(r) - y]).any(|d| {
                         let at = [along, across].map(|axis| (d[0] * axis[0] + d[1] * axis[1]).abs());
                         // A band between two pixels, and rounding.
                         at[0] <= far[0] + pixel && at[1] <= far[1] + 1e-6 + pixel

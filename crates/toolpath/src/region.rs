@@ -32,7 +32,8 @@ pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
     let grid = tif.grid();
     let rate = tif.rate_nm_per_s();
     let samples = rate.indexed_iter().map(|((r, c), v)| {
-        let distance = (grid.x.at(c) - cx).abs().max((grid.y.at(r) - cy).abs());
+        let distance =
+            (grid.x.coordinate_mm(c) - cx).abs().max((grid.y.coordinate_mm(r) - cy).abs());
         (distance, *v)
     });
     let mut samples: Vec<(f64, f64)> = samples.collect();
@@ -103,7 +104,7 @@ fn is_border(z: &Array2<f64>, (r, c): (usize, usize)) -> bool {
 pub(crate) fn valid_mm(surface: &Surface) -> Vec<[f64; 2]> {
     let grid = surface.grid();
     let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-    valid.map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)]).collect()
+    valid.map(|((r, c), _)| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]).collect()
 }
 
 /// Returns the pixel (row, column) whose centre is nearest to a point; `None` beyond the map.
@@ -138,7 +139,7 @@ impl Aperture {
             let mut runs: Vec<Interval> = Vec::new();
             let mut open = false;
             for (c, z) in row.iter().enumerate() {
-                let u = along.at(c);
+                let u = along.coordinate_mm(c);
                 match (z.is_nan(), open) {
                     (false, true) => runs.last_mut().expect("a run is open").high = u,
                     (false, false) => runs.push(Interval { low: u, high: u }),
@@ -147,7 +148,7 @@ impl Aperture {
                 open = !z.is_nan();
             }
             if !runs.is_empty() {
-                rows.push((across.at(r), runs));
+                rows.push((across.coordinate_mm(r), runs));
             }
         }
         Self { rows, pixel_mm: [along.step_mm(), across.step_mm()] }
@@ -234,7 +235,8 @@ mod tests {
                 Axis::new(-step * half, step, 2 * half as usize + 1).unwrap()
             };
             let grid = Grid { x: axis(x), y: axis(y) };
-            let radius = |(r, c): (usize, usize)| grid.x.at(c).hypot(grid.y.at(r));
+            let radius =
+                |(r, c): (usize, usize)| grid.x.coordinate_mm(c).hypot(grid.y.coordinate_mm(r));
             let disk = Array2::from_shape_fn(grid.shape(), |at| {
                 if radius(at) <= 10.0 { 1.0 } else { f64::NAN }
             });
@@ -264,7 +266,9 @@ mod tests {
     fn tif(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let n = (8.0 * half) as usize + 1;
         let axis = Axis::new(-half, 0.25, n).unwrap();
-        let rates = Array2::from_shape_fn((n, n), |(r, c)| rate(axis.at(c), axis.at(r)));
+        let rates = Array2::from_shape_fn((n, n), |(r, c)| {
+            rate(axis.coordinate_mm(c), axis.coordinate_mm(r))
+        });
         Tif::new(Grid { x: axis, y: axis }, rates).unwrap()
     }
 

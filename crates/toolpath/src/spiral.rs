@@ -63,7 +63,9 @@ pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, 
     let centre = [0.5 * (x.low + x.high), 0.5 * (y.low + y.high)];
     let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
     let (inner, outer) = valid
-        .map(|((r, c), _)| (grid.x.at(c) - centre[0]).hypot(grid.y.at(r) - centre[1]))
+        .map(|((r, c), _)| {
+            (grid.x.coordinate_mm(c) - centre[0]).hypot(grid.y.coordinate_mm(r) - centre[1])
+        })
         .fold((f64::MAX, 0.0_f64), |(low, high), r| (low.min(r), high.max(r)));
     // max(p/2, r_in - m) .. r_out + m
     let margin = overscan_mm.max(0.5 * p);
@@ -136,7 +138,7 @@ mod tests {
         let grid =
             Grid { x: Axis::new(-40.0, 0.5, 201).unwrap(), y: Axis::new(-55.0, 0.5, 201).unwrap() };
         let height = Array2::from_shape_fn((201, 201), |(r, c)| {
-            let radius = (grid.x.at(c) - 10.0).hypot(grid.y.at(r) + 5.0);
+            let radius = (grid.x.coordinate_mm(c) - 10.0).hypot(grid.y.coordinate_mm(r) + 5.0);
             if inside(radius) { 0.0 } else { f64::NAN }
         });
         Surface::new(grid, height).unwrap()

@@ -216,7 +216,9 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
         .into_iter()
         .any(|(x, y)| cells.beside([x, y]) > cells.side_mm);
     let outermost = if beside { outermost(surface) } else { Vec::new() };
-    let distances = outermost.into_iter().map(|(r, c)| cells.distance_mm([x.at(c), y.at(r)]));
+    let distances = outermost
+        .into_iter()
+        .map(|(r, c)| cells.distance_mm([x.coordinate_mm(c), y.coordinate_mm(r)]));
     let seed = distances.fold(0.0, f64::max);
     let pieces = progress::PieceCounter::new(y.len().div_ceil(BAND));
     let bands = surface.height_nm().axis_chunks_iter(Axis(0), BAND).into_par_iter().enumerate();
@@ -228,7 +230,8 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
                 if c < near {
                     continue;
                 }
-                let distance = cells.distance_mm([x.at(c), y.at(band * BAND + r)]);
+                let distance =
+                    cells.distance_mm([x.coordinate_mm(c), y.coordinate_mm(band * BAND + r)]);
                 worst = worst.max(distance);
                 // k pixels further on it is k steps larger at most; the last one is for rounding.
                 near = c + ((worst - distance) / x.step_mm()) as usize;
@@ -249,7 +252,9 @@ fn outermost(surface: &Surface) -> Vec<(usize, usize)> {
     let grid = surface.grid();
     let pixels = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
     let ends = [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [-1.0, 1.0]].into_iter().flat_map(|[u, v]| {
-        let along = pixels.clone().map(|((r, c), _)| (u * grid.x.at(c) + v * grid.y.at(r), (r, c)));
+        let along = pixels
+            .clone()
+            .map(|((r, c), _)| (u * grid.x.coordinate_mm(c) + v * grid.y.coordinate_mm(r), (r, c)));
         let first = along.clone().min_by(|a, b| a.0.total_cmp(&b.0));
         [first, along.max_by(|a, b| a.0.total_cmp(&b.0))]
     });
@@ -531,7 +536,7 @@ mod tests {
     fn pitch_limits_of_a_gaussian() {
         let axis = Axis::new(-6.0, 0.1, 121).unwrap();
         let rate = Array2::from_shape_fn((121, 121), |(r, c)| {
-            (-0.5 * (axis.at(c).powi(2) + axis.at(r).powi(2))).exp()
+            (-0.5 * (axis.coordinate_mm(c).powi(2) + axis.coordinate_mm(r).powi(2))).exp()
         });
         let limit = pitch_limit(&Tif::new(Grid { x: axis, y: axis }, rate).unwrap());
         // Rounding of a sixth of 12 mm.
@@ -636,7 +641,7 @@ mod tests {
             let map = surface(14, 9, 0.4);
             let mut worst = 0.0_f64;
             for (r, c) in (0..9).flat_map(|r| (0..14).map(move |c| (r, c))) {
-                let p = [map.grid().x.at(c), map.grid().y.at(r)];
+                let p = [map.grid().x.coordinate_mm(c), map.grid().y.coordinate_mm(r)];
                 let each = (0..n).filter(|i| on[*i]);
                 let near = each.map(|i| square_of_distance(p, &[points[i], points[i + 1]]).sqrt());
                 worst = worst.max(near.fold(f64::INFINITY, f64::min));

@@ -16,7 +16,9 @@ use proptest::prelude::*;
 /// Pixels of `pixel` mm; `depth(x, y)` is NaN outside.
 fn map(size: [f64; 2], pixel: f64, depth: impl Fn(f64, f64) -> f64) -> Surface {
     let [x, y] = size.map(|s| Axis::new(0.0, pixel, (s / pixel).round() as usize + 1).unwrap());
-    let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| depth(x.at(c), y.at(r)));
+    let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
+        depth(x.coordinate_mm(c), y.coordinate_mm(r))
+    });
     Surface::new(Grid { x, y }, height).unwrap()
 }
 
@@ -24,7 +26,9 @@ fn map(size: [f64; 2], pixel: f64, depth: impl Fn(f64, f64) -> f64) -> Surface {
 fn tif(sigma: f64) -> Tif {
     let axis = Axis::new(-6.0 * sigma, 0.1 * sigma, 121).unwrap();
     let g = |d: f64| (-0.5 * (d / sigma).powi(2)).exp();
-    let rate = Array2::from_shape_fn((121, 121), |(r, c)| g(axis.at(r)) * g(axis.at(c)));
+    let rate = Array2::from_shape_fn((121, 121), |(r, c)| {
+        g(axis.coordinate_mm(r)) * g(axis.coordinate_mm(c))
+    });
     Tif::new(Grid { x: axis, y: axis }, rate).unwrap()
 }
 
@@ -322,7 +326,7 @@ prop_compose! {
         let g = *aperture.grid();
         let mut height = aperture.height_nm().clone();
         for ((r, c), z) in height.indexed_iter_mut().filter(|(_, z)| !z.is_nan()) {
-            *z = 50.0 + waves.2 * (waves.0 * g.x.at(c)).sin() * (waves.1 * g.y.at(r)).cos();
+            *z = 50.0 + waves.2 * (waves.0 * g.x.coordinate_mm(c)).sin() * (waves.1 * g.y.coordinate_mm(r)).cos();
         }
         Surface::new(g, height).unwrap()
     }

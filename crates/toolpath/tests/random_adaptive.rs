@@ -29,7 +29,9 @@ fn settings(construction: Construction) -> RandomAdaptiveSettings {
 /// Pixels of `pixel` mm; `removal(x, y)` is NaN outside.
 fn map(size: [f64; 2], pixel: f64, removal: impl Fn(f64, f64) -> f64) -> Surface {
     let [x, y] = size.map(|s| Axis::new(0.0, pixel, (s / pixel).round() as usize + 1).unwrap());
-    let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| removal(x.at(c), y.at(r)));
+    let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
+        removal(x.coordinate_mm(c), y.coordinate_mm(r))
+    });
     Surface::new(Grid { x, y }, height).unwrap()
 }
 

@@ -43,8 +43,8 @@ impl ClearAperture {
                     }
                 }
                 Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                    let x = grid.x.at(c);
-                    let y = grid.y.at(r);
+                    let x = grid.x.coordinate_mm(c);
+                    let y = grid.y.coordinate_mm(r);
                     x >= x_mm[0] - slack
                         && x <= x_mm[1] + slack
                         && y >= y_mm[0] - slack
@@ -65,8 +65,8 @@ impl ClearAperture {
                     ));
                 }
                 Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                    let dx = grid.x.at(c) - centre_mm[0];
-                    let dy = grid.y.at(r) - centre_mm[1];
+                    let dx = grid.x.coordinate_mm(c) - centre_mm[0];
+                    let dy = grid.y.coordinate_mm(r) - centre_mm[1];
                     dx.hypot(dy) <= radius_mm + slack
                 })
             }

@@ -52,17 +52,22 @@ impl AxesMotion {
         }
         if let Some(i) = break_time_s.iter().position(|t| !t.is_finite()) {
             let problem = format!("is {}", break_time_s[i]);
-            return Err(Invalid::at("break_time_s", i, problem, "give finite seconds"));
+            return Err(Invalid::at_index("break_time_s", i, problem, "give finite seconds"));
         }
         if let Some(i) = (1..=k).find(|&i| break_time_s[i] <= break_time_s[i - 1]) {
             let problem = format!("is {} after {}", break_time_s[i], break_time_s[i - 1]);
             let remedy = "break times ascend strictly; drop segments of zero duration";
-            return Err(Invalid::at("break_time_s", i, problem, remedy));
+            return Err(Invalid::at_index("break_time_s", i, problem, remedy));
         }
         if let Some(i) = coefficient.iter().position(|c| c.iter().any(|v| !v.is_finite())) {
             let problem = format!("is {:?}", coefficient[i]);
             let index = (i / axes, i % axes);
-            return Err(Invalid::at("coefficient_mm_or_deg", index, problem, "give finite values"));
+            return Err(Invalid::at_index(
+                "coefficient_mm_or_deg",
+                index,
+                problem,
+                "give finite values",
+            ));
         }
         Ok(Self { break_time_s, coefficient, tool_on, dwell_index })
     }

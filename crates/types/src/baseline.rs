@@ -69,7 +69,7 @@ impl Baseline {
         let half = grid.size_mm().map(|size| 0.5 * size);
         let mut samples = Vec::new();
         for (place, _) in outer.indexed_iter().filter(|(_, is)| **is) {
-            let [x, y] = [grid.x.at(place.1), grid.y.at(place.0)];
+            let [x, y] = [grid.x.coordinate_mm(place.1), grid.y.coordinate_mm(place.0)];
             samples.push(OuterSample {
                 plane: [1.0, (x - middle[0]) / half[0], (y - middle[1]) / half[1]],
                 tail: (-0.5 * spot.squared_offset([x, y])).exp(),
@@ -176,7 +176,8 @@ impl Spot {
     /// has the second moments `ln 2 / 2` times the covariance.
     fn above_half(grid: &Grid, rate: &Array2<f64>, peak: f64) -> Self {
         let above = rate.indexed_iter().filter(|(_, v)| **v >= 0.5 * peak);
-        let places: Vec<[f64; 2]> = above.map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)]).collect();
+        let places: Vec<[f64; 2]> =
+            above.map(|((r, c), _)| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]).collect();
         let count = places.len() as f64;
         let [cx, cy] = [0, 1].map(|k| places.iter().map(|p| p[k]).sum::<f64>() / count);
         let mut squares = [0.0; 3];
@@ -209,7 +210,7 @@ mod tests {
     /// Samples of 5 nm/s times a shape, out to `half` mm, and what is added to them.
     fn tif(half_mm: f64, n: usize, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let a = Axis::new(-half_mm, 2.0 * half_mm / (n - 1) as f64, n).unwrap();
-        let of = |(r, c): (usize, usize)| rate(a.at(c), a.at(r));
+        let of = |(r, c): (usize, usize)| rate(a.coordinate_mm(c), a.coordinate_mm(r));
         Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((n, n), of)).unwrap()
     }
 

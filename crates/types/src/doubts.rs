@@ -438,8 +438,9 @@ pub fn of_pad(tif: &Tif, radius_mm: f64) -> Option<String> {
     let least = OF_SPOT * tif.peak_nm_per_s();
     let grid = tif.grid();
     let spot = tif.rate_nm_per_s().indexed_iter().filter(|(_, rate)| **rate > least);
-    let half_mm =
-        spot.map(|((r, c), _)| grid.x.at(c).abs().max(grid.y.at(r).abs())).fold(0.0, f64::max);
+    let half_mm = spot
+        .map(|((r, c), _)| grid.x.coordinate_mm(c).abs().max(grid.y.coordinate_mm(r).abs()))
+        .fold(0.0, f64::max);
     let what = match radius_mm / half_mm {
         ratio if ratio > PAD[1] => "a diameter for a radius",
         ratio if ratio < PAD[0] => "a radius that was halved",
@@ -597,7 +598,7 @@ pub fn of_circle(measured: &Surface, aperture: &ClearAperture) -> Option<String>
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];
     for ((r, c), _) in measured.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
-        for (a, v) in [grid.x.at(c), grid.y.at(r)].into_iter().enumerate() {
+        for (a, v) in [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)].into_iter().enumerate() {
             low[a] = low[a].min(v);
             high[a] = high[a].max(v);
         }
@@ -830,7 +831,10 @@ mod tests {
     fn tool(half: f64, change: impl Fn(f64) -> f64) -> Tif {
         let a = axis(-half, half, 49);
         let rate = Array2::from_shape_fn((49, 49), |(r, c)| {
-            change(10.0 * (-0.5 * (a.at(r).powi(2) + a.at(c).powi(2)) / 2.25).exp())
+            change(
+                10.0 * (-0.5 * (a.coordinate_mm(r).powi(2) + a.coordinate_mm(c).powi(2)) / 2.25)
+                    .exp(),
+            )
         });
         Tif::new(Grid { x: a, y: a }, rate).unwrap()
     }
@@ -945,7 +949,7 @@ mod tests {
         let wide = |add: &dyn Fn(f64, f64) -> f64| {
             let a = axis(-20.0, 20.0, 41);
             let of = |(r, c): (usize, usize)| {
-                let (x, y) = (a.at(c), a.at(r));
+                let (x, y) = (a.coordinate_mm(c), a.coordinate_mm(r));
                 5.0 * (-0.125 * (x * x + y * y)).exp() + add(x, y)
             };
             of_tif(&Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((41, 41), of)).unwrap())
@@ -1115,7 +1119,7 @@ mod tests {
         let grid = Grid { x: axis(-10.0, 10.0, 41), y: axis(-10.0, 10.0, 41) };
         let disk = |inverted: bool| {
             let z = Array2::from_shape_fn((41, 41), |(r, c)| {
-                let inside = grid.x.at(c).hypot(grid.y.at(r)) <= 10.0;
+                let inside = grid.x.coordinate_mm(c).hypot(grid.y.coordinate_mm(r)) <= 10.0;
                 if inside == inverted { f64::NAN } else { 1.0 }
             });
             Surface::new(grid, z).unwrap()

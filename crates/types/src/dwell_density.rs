@@ -64,16 +64,21 @@ impl DwellDensity {
         }
         let coordinates = "give finite coordinates in mm, within 1e7 mm of the origin";
         if let Some(i) = point_mm.iter().position(|p| p.iter().any(|c| !is_plausible_mm(*c))) {
-            return Err(Invalid::at("point_mm", i, format!("is {:?}", point_mm[i]), coordinates));
+            return Err(Invalid::at_index(
+                "point_mm",
+                i,
+                format!("is {:?}", point_mm[i]),
+                coordinates,
+            ));
         }
         if let Some(i) = arc_length_mm.iter().position(|s| !is_plausible_mm(*s)) {
             let problem = format!("is {}", arc_length_mm[i]);
-            return Err(Invalid::at("arc_length_mm", i, problem, coordinates));
+            return Err(Invalid::at_index("arc_length_mm", i, problem, coordinates));
         }
         if let Some(i) = dwell_density_s_per_mm.iter().position(|t| !(t.is_finite() && *t > 0.0)) {
             let problem = format!("is {} s/mm", dwell_density_s_per_mm[i]);
             let remedy = "a density is positive: the inverse of the feedrate";
-            return Err(Invalid::at("dwell_density_s_per_mm", i, problem, remedy));
+            return Err(Invalid::at_index("dwell_density_s_per_mm", i, problem, remedy));
         }
         for i in 1..m {
             nodes.check_step(i)?;
@@ -126,7 +131,7 @@ impl DensityNodes {
         if s[i] <= s[i - 1] {
             let problem = format!("is {} after {}", s[i], s[i - 1]);
             let remedy = "arc lengths ascend strictly within a pass";
-            return Err(Invalid::at("arc_length_mm", i, problem, remedy));
+            return Err(Invalid::at_index("arc_length_mm", i, problem, remedy));
         }
         let distance = (p[i][0] - p[i - 1][0]).hypot(p[i][1] - p[i - 1][1]);
         if (distance - (s[i] - s[i - 1])).abs() > SAME_LENGTH_MM {
@@ -136,7 +141,7 @@ impl DensityNodes {
                 i - 1
             );
             let remedy = "arc lengths are those of the points";
-            return Err(Invalid::at("arc_length_mm", i, problem, remedy));
+            return Err(Invalid::at_index("arc_length_mm", i, problem, remedy));
         }
         Ok(())
     }
@@ -160,7 +165,7 @@ impl DensityNodes {
             return Ok(());
         };
         let remedy = "a corner stands midway between two nodes of its pass and density";
-        Err(Invalid::at("corner", i, problem, remedy))
+        Err(Invalid::at_index("corner", i, problem, remedy))
     }
 }
 

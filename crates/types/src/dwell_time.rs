@@ -26,7 +26,7 @@ impl DwellTime {
         if let Some(i) = dwell_s.iter().position(|t| !(0.0..=LONGEST_S).contains(t)) {
             let problem = format!("is {:?} s", dwell_s[i]);
             let remedy = "dwell times are not negative and at most 1e9 s; give seconds";
-            return Err(Invalid::at("dwell_s", i, problem, remedy));
+            return Err(Invalid::at_index("dwell_s", i, problem, remedy));
         }
         Ok(Self { dwell_s })
     }

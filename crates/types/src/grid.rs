@@ -64,7 +64,7 @@ impl Axis {
             ));
         }
         if let Some(i) = mm.iter().position(|v| !is_plausible_mm(*v)) {
-            return Err(Invalid::at(
+            return Err(Invalid::at_index(
                 name,
                 i,
                 format!("is {:?}", mm[i]),
@@ -72,7 +72,7 @@ impl Axis {
             ));
         }
         if let Some(i) = (1..mm.len()).find(|&i| mm[i] <= mm[i - 1]) {
-            return Err(Invalid::at(
+            return Err(Invalid::at_index(
                 name,
                 i,
                 format!("is {} after {}", mm[i], mm[i - 1]),
@@ -90,7 +90,7 @@ impl Axis {
             ));
         }
         let axis = Self { start_mm, step_mm, len };
-        if (0..len).any(|i| (mm[i] - axis.at(i)).abs() > UNIFORMITY * step_mm) {
+        if (0..len).any(|i| (mm[i] - axis.coordinate_mm(i)).abs() > UNIFORMITY * step_mm) {
             // A single jump displaces all coordinates from the axis between both ends. The odd step
             // tells its place.
             let mut steps: Vec<f64> = mm.windows(2).map(|w| w[1] - w[0]).collect();
@@ -98,7 +98,7 @@ impl Axis {
             let deviations = mm.windows(2).map(|w| (w[1] - w[0] - median).abs());
             let (i, _) =
                 (1..).zip(deviations).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((1, 0.0));
-            return Err(Invalid::at(
+            return Err(Invalid::at_index(
                 name,
                 i,
                 format!(
@@ -115,7 +115,7 @@ impl Axis {
 
     /// Returns the coordinate of pixel `i`, mm.
     #[inline]
-    pub fn at(&self, i: usize) -> f64 {
+    pub fn coordinate_mm(&self, i: usize) -> f64 {
         self.start_mm + i as f64 * self.step_mm
     }
 
@@ -126,7 +126,7 @@ impl Axis {
 
     /// Returns the last coordinate, mm.
     pub fn end_mm(&self) -> f64 {
-        self.at(self.len - 1)
+        self.coordinate_mm(self.len - 1)
     }
 
     /// Returns the outer edges of the first and the last pixel, mm.
@@ -148,12 +148,12 @@ impl Axis {
 
     /// Returns all coordinates, mm.
     pub fn coordinates(&self) -> Vec<f64> {
-        (0..self.len).map(|i| self.at(i)).collect()
+        (0..self.len).map(|i| self.coordinate_mm(i)).collect()
     }
 
     /// Returns the part of the axis from pixel `first` to `last` inclusive. Refuses fewer than 2 pixels.
     pub fn crop(&self, first: usize, last: usize) -> Result<Self, Invalid> {
-        Self::new(self.at(first), self.step_mm, (last + 1).saturating_sub(first))
+        Self::new(self.coordinate_mm(first), self.step_mm, (last + 1).saturating_sub(first))
     }
 }
 
@@ -202,7 +202,7 @@ mod tests {
         let axis = Axis::from_coordinates("x_mm", &given).unwrap();
         for (i, v) in given.iter().enumerate() {
             // Rounding of coordinates up to 100.
-            assert!((axis.at(i) - v).abs() < 1e-12);
+            assert!((axis.coordinate_mm(i) - v).abs() < 1e-12);
         }
     }
 

@@ -225,7 +225,7 @@ pub(crate) fn checked_axes(file: &MachineFile) -> Result<Vec<MachineAxis>, Inval
         if axis.along.is_some() && !AXES.contains(name) {
             let problem = format!("along is given for the axis {name}");
             let remedy = "leave it out: only x and y go along a direction of the part";
-            return Err(Invalid::at("axes", i, problem, remedy));
+            return Err(Invalid::at_index("axes", i, problem, remedy));
         }
         axes.push(checked_axis(name, axis.stated(i), time_s, travel)?);
     }
@@ -259,7 +259,7 @@ fn checked_travel(
     if !([low, high].iter().all(|v| is_plausible_mm(*v)) && low < high) {
         let problem = format!("travel_{unit} is [{low}, {high}]");
         let remedy = format!("give the smallest and the largest position in {unit}, in this order");
-        return Err(Invalid::at(list, index, problem, remedy));
+        return Err(Invalid::at_index(list, index, problem, remedy));
     }
     Ok(travel)
 }

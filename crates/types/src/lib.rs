@@ -127,7 +127,7 @@ impl Invalid {
     }
 
     /// Returns an error about the element at `index`, a number or a tuple of numbers.
-    pub fn at(
+    pub fn at_index(
         array: &'static str,
         index: impl std::fmt::Debug,
         problem: impl Into<String>,

@@ -220,7 +220,7 @@ impl StatedLimits {
                 "a limit is positive and finite".into()
             };
             return Err(match self.index {
-                Some(index) => Invalid::at(self.list, index, problem, remedy),
+                Some(index) => Invalid::at_index(self.list, index, problem, remedy),
                 None => Invalid::whole(self.list, problem, remedy),
             });
         }

@@ -156,7 +156,7 @@ fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
     let origin_mm = file.part_origin_mm.unwrap_or_default();
     if let Some(i) = origin_mm.iter().position(|v| !is_plausible_mm(*v)) {
         let remedy = "give what the axes read where the part has its origin, in mm";
-        return Err(Invalid::at("part_origin_mm", i, format!("is {}", origin_mm[i]), remedy));
+        return Err(Invalid::at_index("part_origin_mm", i, format!("is {}", origin_mm[i]), remedy));
     }
     let turn_deg = file.part_rotation_deg.unwrap_or_default();
     if !(turn_deg.is_finite() && turn_deg.abs() <= 360.0) {
@@ -191,7 +191,7 @@ fn direction(file: &MachineFile, i: usize) -> Result<(usize, f64), Invalid> {
         Some(other) => {
             let short: String = other.chars().take(20).collect();
             let remedy = "give \"+x\", \"-x\", \"+y\" or \"-y\": where the tool goes over the part";
-            Err(Invalid::at("axes", i, format!("along is {short:?}"), remedy))
+            Err(Invalid::at_index("axes", i, format!("along is {short:?}"), remedy))
         }
     }
 }

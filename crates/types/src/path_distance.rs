@@ -206,7 +206,7 @@ fn served_segments(motion: &Trajectory, path: &ToolPath) -> Result<Vec<[usize; 2
     if let Some(k) = index.iter().position(|i| i.is_some_and(|i| i > last)) {
         let problem = format!("is {:?}, and the path has {} dwell points", index[k], path.len());
         let remedy = "give the tool path that the motion was made for";
-        return Err(Invalid::at("dwell_index", k, problem, remedy));
+        return Err(Invalid::at_index("dwell_index", k, problem, remedy));
     }
     let nothing_served = index.iter().all(Option::is_none);
     let mut first = 0;

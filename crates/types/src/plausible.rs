@@ -178,7 +178,8 @@ fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
         }
         // Rates, not below 0, and their offsets.
         let rates = tif.rate_nm_per_s().indexed_iter();
-        let samples = rates.map(|((r, c), v)| (v.max(0.0), axis.at(if is_y { r } else { c })));
+        let samples =
+            rates.map(|((r, c), v)| (v.max(0.0), axis.coordinate_mm(if is_y { r } else { c })));
         let volume: f64 = samples.clone().map(|(rate, _)| rate).sum();
         let centre_mm = samples.clone().map(|(rate, d)| rate * d).sum::<f64>() / volume;
         let moment: f64 = samples.map(|(rate, d)| rate * (d - centre_mm).powi(2)).sum();
@@ -255,7 +256,7 @@ fn check_heights(surface: &Surface) -> Result<(), Invalid> {
         if h > l && distance > far * (h - l) {
             let marked = map.indexed_iter().find(|(_, z)| **z == marker);
             let (index, _) = marked.expect("it is one of them");
-            return Err(Invalid::at(
+            return Err(Invalid::at_index(
                 "height_nm",
                 index,
                 format!("is {marker}, exactly as in {count} pixels, and all others are {l} .. {h}"),

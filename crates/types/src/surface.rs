@@ -41,7 +41,7 @@ impl Surface {
         let is_deviation = |v: f64| v.is_nan() || (0.0..=LARGEST_NM).contains(&v);
         if let Some((index, v)) = deviation_nm.indexed_iter().find(|(_, v)| !is_deviation(**v)) {
             let remedy = "give nm, from 0 to 1e12, and mark an unknown deviation by NaN";
-            return Err(Invalid::at(name, index, format!("is {v:?}"), remedy));
+            return Err(Invalid::at_index(name, index, format!("is {v:?}"), remedy));
         }
         Ok(Self { deviation_nm: Some(deviation_nm), ..self })
     }
@@ -120,7 +120,8 @@ impl Surface {
                 let edge = i + ring == r || i == r + ring;
                 let columns = c.saturating_sub(ring)..=(c + ring).min(nx - 1);
                 for j in columns.filter(|j| edge || j + ring == c || *j == c + ring) {
-                    let d2 = (grid.x.at(j) - p[0]).powi(2) + (grid.y.at(i) - p[1]).powi(2);
+                    let d2 = (grid.x.coordinate_mm(j) - p[0]).powi(2)
+                        + (grid.y.coordinate_mm(i) - p[1]).powi(2);
                     if !map[[i, j]].is_nan() && best.is_none_or(|(b, _)| d2 < b) {
                         best = Some((d2, (i, j)));
                     }
@@ -166,7 +167,7 @@ impl Removal {
         if statistics::valid_count(removal_nm.view()) < removal_nm.len() {
             let nan = removal_nm.indexed_iter().find(|(_, v)| v.is_nan());
             let (index, _) = nan.expect("one is");
-            return Err(Invalid::at(
+            return Err(Invalid::at_index(
                 "removal_nm",
                 index,
                 "is NaN",
@@ -207,7 +208,7 @@ fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), I
         let too_large = map.indexed_iter().find(|(_, v)| v.abs() > LARGEST_NM);
         let (index, v) = too_large.expect("one of the two is");
         let remedy = "give nm (at most 1e12), and mark an invalid pixel by NaN";
-        return Err(Invalid::at(name, index, format!("is {v:?}"), remedy));
+        return Err(Invalid::at_index(name, index, format!("is {v:?}"), remedy));
     }
     if low > high {
         return Err(Invalid::whole(name, "every pixel is NaN", "give at least one valid pixel"));
@@ -270,8 +271,9 @@ mod tests {
         });
         let surface = Surface::new(grid, map.clone()).unwrap();
         for p in [[0.0, 0.0], [3.1, 1.4], [9.0, 9.0], [-2.0, 1.7], [2.2, 0.4]] {
-            let d2 =
-                |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
+            let d2 = |r: usize, c: usize| {
+                (grid.x.coordinate_mm(c) - p[0]).powi(2) + (grid.y.coordinate_mm(r) - p[1]).powi(2)
+            };
             let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
             let least = valid.map(|((r, c), _)| d2(r, c)).fold(f64::INFINITY, f64::min);
             let (r, c) = surface.nearest_valid(p);

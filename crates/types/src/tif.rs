@@ -117,7 +117,7 @@ impl Tif {
         }
         if let Some((index, v)) = rate_nm_per_s.indexed_iter().find(|(_, v)| !is_number(**v)) {
             let remedy = "give finite nm/s (at most 1e12); fill or crop the TIF first";
-            return Err(Invalid::at(NAME, index, format!("is {v:?}"), remedy));
+            return Err(Invalid::at_index(NAME, index, format!("is {v:?}"), remedy));
         }
         let peak = rate_nm_per_s.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         if peak < SMALLEST_PEAK {
@@ -159,12 +159,17 @@ impl Tif {
             if let Some(k) = arrays.iter().position(|a| a.dim() != grid.shape()) {
                 let problem =
                     format!("has shape {:?}, its grid {:?}", arrays[k].dim(), grid.shape());
-                return Err(Invalid::at(name, k, problem, "give one number per place of the grid"));
+                return Err(Invalid::at_index(
+                    name,
+                    k,
+                    problem,
+                    "give one number per place of the grid",
+                ));
             }
             for (k, array) in arrays.iter().enumerate() {
                 if let Some(((r, c), v)) = array.indexed_iter().find(|(_, v)| !is_number(**v)) {
                     let problem = format!("is {v:?}");
-                    return Err(Invalid::at(name, [k, r, c], problem, "give finite numbers"));
+                    return Err(Invalid::at_index(name, [k, r, c], problem, "give finite numbers"));
                 }
             }
         }
@@ -199,9 +204,13 @@ impl Tif {
                 // The places of the grid come first, then one for each azimuth, then one for each heading.
                 let [rows, columns] = [positions.y.len(), positions.x.len()];
                 return Err(match i.checked_sub(rows * columns) {
-                    None => Invalid::at("weight", (i / columns, i % columns), problem, remedy),
-                    Some(i) if i < azimuths => Invalid::at("azimuth_weight", i, problem, remedy),
-                    Some(i) => Invalid::at("heading_weight", i - azimuths, problem, remedy),
+                    None => {
+                        Invalid::at_index("weight", (i / columns, i % columns), problem, remedy)
+                    }
+                    Some(i) if i < azimuths => {
+                        Invalid::at_index("azimuth_weight", i, problem, remedy)
+                    }
+                    Some(i) => Invalid::at_index("heading_weight", i - azimuths, problem, remedy),
                 });
             }
             mean.scaled_add(1.0 / places.len() as f64, &rate);
@@ -433,8 +442,8 @@ impl Tif {
         let Grid { x, y } = &self.grid;
         let mut sums = [0.0; 2];
         for ((r, c), rate) in self.rate_nm_per_s.indexed_iter() {
-            sums[0] += rate * x.at(c);
-            sums[1] += rate * y.at(r);
+            sums[0] += rate * x.coordinate_mm(c);
+            sums[1] += rate * y.coordinate_mm(r);
         }
         sums.map(|sum| sum / self.rate_nm_per_s.sum())
     }
@@ -471,7 +480,7 @@ impl Tif {
         let mut second = 0.0;
         for ((r, c), rate) in self.rate_nm_per_s.indexed_iter() {
             let square = rate * rate;
-            let [x, y] = [x.at(c), y.at(r)];
+            let [x, y] = [x.coordinate_mm(c), y.coordinate_mm(r)];
             energy += square;
             first[0] += square * x;
             first[1] += square * y;
@@ -687,7 +696,7 @@ fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), I
         None => Ok(()),
         Some((index, v)) => {
             let [low, allowed, peak, noise] = [*v, -limit, peak, noise].map(|v| significant(v, 4));
-            Err(Invalid::at(
+            Err(Invalid::at_index(
                 name,
                 index,
                 format!(
@@ -756,7 +765,8 @@ mod tests {
         let gaussian = |half: f64, n: usize| {
             let x = axis(half, n);
             let rate = Array2::from_shape_fn((n, n), |(r, c)| {
-                (-(x.at(r).powi(2) + x.at(c).powi(2)) / (2.0 * 1.5 * 1.5)).exp()
+                (-(x.coordinate_mm(r).powi(2) + x.coordinate_mm(c).powi(2)) / (2.0 * 1.5 * 1.5))
+                    .exp()
             });
             Tif::new(Grid { x, y: x }, rate).unwrap()
         };
@@ -808,7 +818,9 @@ mod tests {
     fn a_paraboloid_is_exact_inside_and_zero_outside() {
         let grid = Grid { x: axis(2.0, 9), y: axis(1.5, 7) };
         let f = |x: f64, y: f64| 10.0 - x * x + 0.5 * x * y - y * y;
-        let rate = Array2::from_shape_fn((7, 9), |(r, c)| f(grid.x.at(c), grid.y.at(r)));
+        let rate = Array2::from_shape_fn((7, 9), |(r, c)| {
+            f(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+        });
         let tif = Tif::new(grid, rate).unwrap();
         for (x, y) in [(0.1, 0.2), (-1.99, 1.45), (2.0, 1.5), (-2.0, -1.5), (1.93, -1.31)] {
             // The interpolation is exact for these polynomials: rounding of 10 nm/s.
@@ -852,7 +864,7 @@ mod tests {
         let rate = Array2::from_shape_fn((n, n), |(r, c)| {
             // The mean of block^2 numbers, scaled to the variance of one.
             let normal = white.slice(s![r..r + block, c..c + block]).sum() / block as f64;
-            let square = x.at(r).powi(2) + x.at(c).powi(2);
+            let square = x.coordinate_mm(r).powi(2) + x.coordinate_mm(c).powi(2);
             (-4.0 * std::f64::consts::LN_2 * square).exp() + sigma * normal
         });
         (Grid { x, y: x }, rate)
@@ -893,7 +905,7 @@ mod tests {
         let grid = Grid { x: axis, y: axis };
         let sigma = 1.7;
         let rate = Array2::from_shape_fn((101, 101), |(r, c)| {
-            let square = axis.at(c).powi(2) + axis.at(r).powi(2);
+            let square = axis.coordinate_mm(c).powi(2) + axis.coordinate_mm(r).powi(2);
             8.0 * (-square / (2.0 * sigma * sigma)).exp()
         });
         let width = Tif::new(grid, rate).unwrap().half_maximum_width_mm();
@@ -908,8 +920,10 @@ mod tests {
         for seed in 0..200 {
             let (grid, mut rate) = noisy_spot(61, 0.02, 1, seed);
             for ((r, c), v) in rate.indexed_iter_mut() {
-                let edge =
-                    (grid.x.at(c).abs().max(grid.y.at(r).abs()) / 1.6 - 0.85).max(0.0) / 0.15;
+                let edge = (grid.x.coordinate_mm(c).abs().max(grid.y.coordinate_mm(r).abs()) / 1.6
+                    - 0.85)
+                    .max(0.0)
+                    / 0.15;
                 *v *= 0.5 * (1.0 + (std::f64::consts::PI * edge).cos());
             }
             Tif::new(grid, rate).unwrap();
@@ -925,7 +939,8 @@ mod tests {
             // A lobe of 8 % of the peak and ten times the noise, where the spot is 1 % of its peak.
             let depth = 0.08 + 10.0 * sigma;
             let lobed = Array2::from_shape_fn(rate.dim(), |(r, c)| {
-                let square = (grid.x.at(c) - 1.3).powi(2) + grid.y.at(r).powi(2);
+                let square =
+                    (grid.x.coordinate_mm(c) - 1.3).powi(2) + grid.y.coordinate_mm(r).powi(2);
                 rate[[r, c]] - depth * (-square / 0.09).exp()
             });
             let e = Tif::new(grid, lobed).unwrap_err().to_string();

@@ -158,7 +158,7 @@ impl Tif {
         // Samples beyond the edge are zero, and the TIF is zero there.
         let edge_mm = [0, 1].map(|axis| edge_mm[axis].max(ends[axis]));
         let [x, y] = [(0, &grid.x), (1, &grid.y)].map(|(axis, samples)| {
-            (0..samples.len()).map(|i| self.tap(axis, samples.at(i))).collect::<Vec<_>>()
+            (0..samples.len()).map(|i| self.tap(axis, samples.coordinate_mm(i))).collect::<Vec<_>>()
         });
         let anew = |tif: &Self| {
             let mut rate = Array2::zeros(grid.shape());
@@ -310,7 +310,9 @@ mod tests {
     /// A bell of deviation 1 on samples up to `half` mm.
     fn bell(step: f64, half: f64) -> Tif {
         let grid = square(step, 2 * (half / step).round() as usize + 1);
-        let at = |(r, c)| (-0.5 * (grid.x.at(c).powi(2) + grid.y.at(r).powi(2))).exp();
+        let at = |(r, c)| {
+            (-0.5 * (grid.x.coordinate_mm(c).powi(2) + grid.y.coordinate_mm(r).powi(2))).exp()
+        };
         Tif::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
     }
 
@@ -356,7 +358,7 @@ mod tests {
     #[test]
     fn a_sharp_rim_is_said() {
         let grid = square(0.179, 27);
-        let at = |(r, c)| f64::from(grid.x.at(c).hypot(grid.y.at(r)) < 1.5);
+        let at = |(r, c)| f64::from(grid.x.coordinate_mm(c).hypot(grid.y.coordinate_mm(r)) < 1.5);
         let tif = Tif::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap();
         let found = tif.on_lattice_of(&square(0.266, 60), PARTS_TOLERANCE).unwrap();
         assert_eq!(found.lattice.parts, [MOST_PARTS; 2]);

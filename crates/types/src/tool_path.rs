@@ -49,7 +49,7 @@ impl ToolPath {
         for (name, points) in [("point_mm", &point_mm), ("dwell_point_mm", &dwell_point_mm)] {
             if let Some(i) = points.iter().position(|p| p.iter().any(|c| !is_plausible_mm(*c))) {
                 let remedy = "give finite coordinates in mm, within 1e7 mm of the origin";
-                return Err(Invalid::at(name, i, format!("is {:?}", points[i]), remedy));
+                return Err(Invalid::at_index(name, i, format!("is {:?}", points[i]), remedy));
             }
         }
         Ok(Self { point_mm, dwell_point_mm, tool_on, pass_idx })

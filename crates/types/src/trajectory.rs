@@ -73,10 +73,10 @@ impl Trajectory {
         }
         if let Some(i) = break_time_s.iter().position(|t| !t.is_finite()) {
             let problem = format!("is {}", break_time_s[i]);
-            return Err(Invalid::at("break_time_s", i, problem, "give finite seconds"));
+            return Err(Invalid::at_index("break_time_s", i, problem, "give finite seconds"));
         }
         if let Some(i) = (1..=k).find(|&i| break_time_s[i] <= break_time_s[i - 1]) {
-            return Err(Invalid::at(
+            return Err(Invalid::at_index(
                 "break_time_s",
                 i,
                 format!("is {} after {}", break_time_s[i], break_time_s[i - 1]),
@@ -88,7 +88,7 @@ impl Trajectory {
                 let v = axes[axis][order];
                 if !v.is_finite() {
                     let index = (i, axis, order);
-                    return Err(Invalid::at(
+                    return Err(Invalid::at_index(
                         "coefficient_mm",
                         index,
                         format!("is {v}"),
@@ -110,7 +110,12 @@ impl Trajectory {
         }
         if let Some(i) = rate_factor.iter().position(|f| !(f.is_finite() && *f >= 0.0)) {
             let remedy = "give the rate relative to that of the TIF: 1 where they are equal";
-            return Err(Invalid::at("rate_factor", i, format!("is {}", rate_factor[i]), remedy));
+            return Err(Invalid::at_index(
+                "rate_factor",
+                i,
+                format!("is {}", rate_factor[i]),
+                remedy,
+            ));
         }
         let all_one = rate_factor.iter().all(|f| *f == 1.0);
         Ok(Self { rate_factor: if all_one { None } else { Some(rate_factor) }, ..self })
@@ -154,7 +159,7 @@ impl Trajectory {
         if let Some(i) = factors.iter().position(|f| *f != 1.0) {
             let problem = format!("is {}: a log of what a machine did, with its rate", factors[i]);
             let remedy = "give a plan, or a log that was read without its beam current";
-            return Err(Invalid::at("rate_factor", i, problem, remedy));
+            return Err(Invalid::at_index("rate_factor", i, problem, remedy));
         }
         Ok(())
     }
@@ -198,7 +203,7 @@ impl Trajectory {
             let Some(served_s) = served_s.get_mut(i) else {
                 let problem = format!("is {i}, the dwell times are {dwell_points}");
                 let remedy = "give the dwell times of this run";
-                return Err(Invalid::at("dwell_index", k, problem, remedy));
+                return Err(Invalid::at_index("dwell_index", k, problem, remedy));
             };
             if counted(&segment) {
                 *served_s += segment.duration_s;
@@ -303,7 +308,7 @@ pub fn dwell_index_from_stored(stored: &[i64]) -> Result<Vec<Option<usize>>, Inv
             Err(_) if *stored == STORED_NONE => None,
             Err(_) => {
                 let remedy = "give the dwell point that the segment serves, or -1 for none";
-                return Err(Invalid::at("dwell_index", k, format!("is {stored}"), remedy));
+                return Err(Invalid::at_index("dwell_index", k, format!("is {stored}"), remedy));
             }
         });
     }

@@ -36,7 +36,7 @@ impl Transform {
         for (name, point) in [("centre_mm", centre_mm), ("image_mm", image_mm)] {
             if let Some(a) = point.iter().position(|v| !is_plausible_mm(*v)) {
                 let remedy = "give finite coordinates in mm, within 1e7 mm of the origin";
-                return Err(Invalid::at(name, a, format!("is {}", point[a]), remedy));
+                return Err(Invalid::at_index(name, a, format!("is {}", point[a]), remedy));
             }
         }
         let [[a, b], [c, d]] = matrix;
@@ -56,7 +56,7 @@ impl Transform {
                 let wide = (covariance[i][i] * covariance[j][j]).abs().sqrt();
                 if !v.is_finite() || (i == j && v < 0.0) || apart > 1e-9 * wide {
                     let problem = format!("is {v}");
-                    return Err(Invalid::at(
+                    return Err(Invalid::at_index(
                         "covariance_mm2",
                         (i, j),
                         problem,

@@ -83,17 +83,17 @@ impl TurnWeights {
             let uniform = angle_deg[0] + step * i as f64;
             if (angle - uniform).abs() > OFF_TURN * step || angle.is_nan() {
                 let problem = format!("is {angle} of {n} angles");
-                return Err(Invalid::at(angles, i, problem, remedy));
+                return Err(Invalid::at_index(angles, i, problem, remedy));
             }
         }
         for (k, row) in weights.iter().enumerate() {
             if row.len() != n {
                 let problem = format!("has {} factors for {n} angles", row.len());
-                return Err(Invalid::at(factors, k, problem, "give one for each angle"));
+                return Err(Invalid::at_index(factors, k, problem, "give one for each angle"));
             }
             if let Some(i) = row.iter().position(|v| !v.is_finite()) {
                 let problem = format!("is {}", row[i]);
-                return Err(Invalid::at(factors, [k, i], problem, "give finite numbers"));
+                return Err(Invalid::at_index(factors, [k, i], problem, "give finite numbers"));
             }
         }
         Ok(Self { angle_deg, weights })
@@ -151,7 +151,12 @@ impl AzimuthWeights {
     ) -> Result<Self, Invalid> {
         if let Some(i) = (0..2).find(|i| !middle_mm[*i].is_finite()) {
             let problem = format!("is {}", middle_mm[i]);
-            return Err(Invalid::at("azimuth_middle_mm", i, problem, "give a point of the part"));
+            return Err(Invalid::at_index(
+                "azimuth_middle_mm",
+                i,
+                problem,
+                "give a point of the part",
+            ));
         }
         let turn = TurnWeights::new(["azimuth_deg", "azimuth_weight"], azimuth_deg, weights)?;
         Ok(Self { middle_mm, turn })
@@ -258,7 +263,7 @@ impl Variation {
                 return Err(Invalid::whole("factor", problem, "give one factor per pixel"));
             }
             if let Some((index, v)) = factor.indexed_iter().find(|(_, v)| !is_factor(**v)) {
-                return Err(Invalid::at("factor", index, format!("is {v}"), FACTOR_REMEDY));
+                return Err(Invalid::at_index("factor", index, format!("is {v}"), FACTOR_REMEDY));
             }
         }
         if let Some(TimeFactor { time_s, factor }) = &time {
@@ -268,11 +273,11 @@ impl Variation {
             }
             if let Some(i) = (1..time_s.len()).find(|i| time_s[*i] <= time_s[*i - 1]) {
                 let problem = format!("is {} s after {} s", time_s[i], time_s[i - 1]);
-                return Err(Invalid::at("time_s", i, problem, "give ascending times"));
+                return Err(Invalid::at_index("time_s", i, problem, "give ascending times"));
             }
             if let Some(i) = (0..factor.len()).find(|i| !is_factor(factor[*i])) {
                 let problem = format!("is {}", factor[i]);
-                return Err(Invalid::at("time_factor", i, problem, FACTOR_REMEDY));
+                return Err(Invalid::at_index("time_factor", i, problem, FACTOR_REMEDY));
             }
         }
         let weights = weights.iter().map(|weight| keys::with_ghosts(weight.view()));
@@ -324,7 +329,8 @@ impl Variation {
         if headings.is_empty() {
             headings.push(0.0);
         }
-        let places = (0..y.len()).flat_map(|r| (0..x.len()).map(move |c| [x.at(c), y.at(r)]));
+        let places = (0..y.len())
+            .flat_map(|r| (0..x.len()).map(move |c| [x.coordinate_mm(c), y.coordinate_mm(r)]));
         let mut poses: Vec<Pose> = places
             .zip(headings.iter().cycle())
             .map(|(position_mm, heading)| Pose { position_mm, heading_rad: *heading })
@@ -380,7 +386,7 @@ impl Variation {
         }
         let with_ghosts = keys::with_ghosts(factor.view());
         let factor = Array2::from_shape_fn(map.shape(), |(r, c)| {
-            keys_at(grid, &with_ghosts, [map.x.at(c), map.y.at(r)])
+            keys_at(grid, &with_ghosts, [map.x.coordinate_mm(c), map.y.coordinate_mm(r)])
         });
         Some(Cow::Owned(factor))
     }

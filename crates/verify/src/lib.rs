@@ -212,7 +212,7 @@ pub fn verify_axes(
         let cubics = motion.segment(i);
         if cubics.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER) {
             let problem = format!("is {cubics:?}");
-            return Err(Invalid::at("coefficient_mm_or_deg", i, problem, REMEDY_OF_NUMBERS));
+            return Err(Invalid::at_index("coefficient_mm_or_deg", i, problem, REMEDY_OF_NUMBERS));
         }
         let span = Span::of_axes(motion, i);
         add_duration(&mut duration, i, &span);
@@ -412,9 +412,12 @@ fn check_settings(settings: &VerifySettings) -> Result<(), Invalid> {
 fn check_times(times: &[f64]) -> Result<(), Invalid> {
     match times.iter().position(|t| t.abs() > LARGEST_NUMBER) {
         None => Ok(()),
-        Some(i) => {
-            Err(Invalid::at("break_time_s", i, format!("is {} s", times[i]), REMEDY_OF_NUMBERS))
-        }
+        Some(i) => Err(Invalid::at_index(
+            "break_time_s",
+            i,
+            format!("is {} s", times[i]),
+            REMEDY_OF_NUMBERS,
+        )),
     }
 }
 
@@ -426,7 +429,7 @@ fn check_magnitudes(trajectory: &Trajectory) -> Result<(), Invalid> {
         .position(|axes| axes.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER));
     if let Some(i) = too_large {
         let problem = format!("is {:?}", coefficients[i]);
-        return Err(Invalid::at("coefficient_mm", i, problem, REMEDY_OF_NUMBERS));
+        return Err(Invalid::at_index("coefficient_mm", i, problem, REMEDY_OF_NUMBERS));
     }
     Ok(())
 }

@@ -15,7 +15,7 @@ use planish_types::PathDistance;
 use super::read_form;
 
 #[derive(Args)]
-pub struct Motion {
+pub struct MotionCommand {
     #[command(flatten)]
     trajectory: TrajectoryArgs,
     #[command(flatten)]
@@ -35,7 +35,7 @@ pub struct Motion {
     output: OutputArgs,
 }
 
-impl Motion {
+impl MotionCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let (trajectory, made_by) = self.trajectory.read_on_part(&mut inputs)?;

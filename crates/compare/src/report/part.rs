@@ -30,7 +30,11 @@ pub fn cells(surface: &Surface, quantity: impl Fn([f64; 2], [usize; 2]) -> f64) 
         let [r, c] =
             [(r, &grid.y), (c, &grid.x)].map(|(k, a)| (k * every + every / 2).min(a.len() - 1));
         let valid = !surface.height_nm()[[r, c]].is_nan();
-        if valid { quantity([grid.x.at(c), grid.y.at(r)], [r, c]) } else { f64::NAN }
+        if valid {
+            quantity([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)], [r, c])
+        } else {
+            f64::NAN
+        }
     })
 }
 

@@ -164,7 +164,7 @@ mod tests {
         let g = grid(240, 200);
         // 3 nm at a period of 2.5 mm, 0.5 nm at 0.7 mm, and a tilt that counts nothing.
         let z = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c), g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
             3.0 * (2.0 * PI * x / 2.5).sin() + 0.5 * (2.0 * PI * y / 0.7).cos() + 40.0 * y - x
         });
         let s = spectrum(z.view(), &g).unwrap();
@@ -211,7 +211,7 @@ mod tests {
         // 20 nm of low order, a ripple of 0.1 nm at 2 mm: a mask of zeros would leak from the first
         // into the second.
         let height = |r: usize, c: usize| {
-            let (x, y) = (g.x.at(c) - 30.0, g.y.at(r) - 30.0);
+            let (x, y) = (g.x.coordinate_mm(c) - 30.0, g.y.coordinate_mm(r) - 30.0);
             let ripple = 0.1 * (PI * x).sin();
             if x.hypot(y) <= 30.0 { 20.0 * (x / 30.0) * (y / 30.0) + ripple } else { f64::NAN }
         };
@@ -235,7 +235,7 @@ mod tests {
         let g = grid(240, 200);
         // A slope of low order and a ripple of 0.01 nm at 0.8 mm; a hole near the left edge.
         let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) - 3.0, g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c) - 3.0, g.y.coordinate_mm(r));
             10.0 * (x / 24.0).powi(2) + 5.0 * (y / 25.0).powi(3) + 0.01 * (2.5 * PI * y).sin()
         });
         z[[100, 3]] = f64::NAN;

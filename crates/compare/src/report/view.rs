@@ -239,6 +239,7 @@ fn frame_view(frames: Frames, desired: &Surface, most_pixels: usize) -> FrameVie
 
 /// Returns the pixel of `axis` that is nearest to each pixel of `other`.
 fn nearest_pixels(axis: &Axis, other: &Axis) -> Vec<usize> {
-    let positions = (0..other.len()).map(|i| (other.at(i) - axis.start_mm()) / axis.step_mm());
+    let positions =
+        (0..other.len()).map(|i| (other.coordinate_mm(i) - axis.start_mm()) / axis.step_mm());
     positions.map(|i| (i.round().max(0.0) as usize).min(axis.len() - 1)).collect()
 }

@@ -174,7 +174,7 @@ pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bound
             1.0 / least_feed
         );
         let remedy = "lower `least_feed`, or give a path with segments of more equal length";
-        return Err(Invalid::at("point_mm", j, problem, remedy));
+        return Err(Invalid::at_index("point_mm", j, problem, remedy));
     }
     let pitch_limit_mm = (0..n)
         .map(|j| {

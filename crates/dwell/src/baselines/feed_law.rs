@@ -296,7 +296,7 @@ fn measured(lines: &[RasterLine]) -> Result<Vec<f64>, Invalid> {
             (None, [None, None]) => {
                 let problem = "is on a line without another one beside it, so that it has no pitch";
                 let first = lines[*k].segments.start;
-                return Err(Invalid::at("point_mm", first, problem, "give `pitch_mm`"));
+                return Err(Invalid::at_index("point_mm", first, problem, "give `pitch_mm`"));
             }
         };
     }
@@ -353,14 +353,16 @@ mod tests {
     /// A Gaussian of 1 mm and 10 nm/s, to 7 sigma, on pixels of 0.25 mm.
     fn tif() -> Tif {
         let axis = Axis::new(-7.0, 0.25, 57).unwrap();
-        let g = |k: usize| (-0.5 * axis.at(k).powi(2)).exp();
+        let g = |k: usize| (-0.5 * axis.coordinate_mm(k).powi(2)).exp();
         let rate = Array2::from_shape_fn((57, 57), |(r, c)| 10.0 * g(r) * g(c));
         Tif::new(Grid { x: axis, y: axis }, rate).unwrap()
     }
 
     fn part(height: impl Fn(f64, f64) -> f64) -> Surface {
         let axis = Axis::new(0.0, 0.25, 81).unwrap();
-        let z = Array2::from_shape_fn((81, 81), |(r, c)| height(axis.at(c), axis.at(r)));
+        let z = Array2::from_shape_fn((81, 81), |(r, c)| {
+            height(axis.coordinate_mm(c), axis.coordinate_mm(r))
+        });
         Surface::new(Grid { x: axis, y: axis }, z).unwrap()
     }
 

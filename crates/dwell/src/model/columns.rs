@@ -86,7 +86,8 @@ fn energy_moment(tif: &Tif, axis: usize, power: i32, about_mm: f64) -> f64 {
     let grid = tif.grid();
     let energy: f64 = rate.iter().map(|r| r * r).sum();
     let terms = rate.indexed_iter().map(|((r, c), v)| {
-        let coordinate_mm = if axis == 0 { grid.x.at(c) } else { grid.y.at(r) };
+        let coordinate_mm =
+            if axis == 0 { grid.x.coordinate_mm(c) } else { grid.y.coordinate_mm(r) };
         v * v * (coordinate_mm - about_mm).powi(power)
     });
     terms.sum::<f64>() / energy
@@ -337,7 +338,7 @@ impl Under {
         let mut offset = f64::NAN;
         let mut w = [0.0; 4];
         for i in range.0..=range.1 {
-            let Some((node, f)) = tif.cell(axis, map.at(i) - p) else { continue };
+            let Some((node, f)) = tif.cell(axis, map.coordinate_mm(i) - p) else { continue };
             let n = under.node.len();
             if n == 0 {
                 under.pixel = i - range.0;
@@ -776,7 +777,7 @@ mod tests {
         let g =
             Grid { x: Axis::new(-1.3, 0.11, 23).unwrap(), y: Axis::new(-0.9, 0.09, 17).unwrap() };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c), g.y.at(r));
+            let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
             5.0 + 2.0 * x - y + (37.0 * x).sin() * (29.0 * y).cos()
         });
         let map =
@@ -802,7 +803,8 @@ mod tests {
             let (ny, nx) = patch.rate_nm_per_s.dim();
             full.slice_mut(s![r..r + ny, c..c + nx]).assign(&patch.rate_nm_per_s);
             for ((r, c), v) in full.indexed_iter() {
-                let expected = tif.rate_at(map.x.at(c) - p[0], map.y.at(r) - p[1]);
+                let expected =
+                    tif.rate_at(map.x.coordinate_mm(c) - p[0], map.y.coordinate_mm(r) - p[1]);
                 // Rounding of coordinates; a pitch that is off by a few 1e-8 is taken as the same one and gives the
                 // same rate here.
                 assert!((v - expected).abs() < 1e-12, "{p:?} at {r} {c}: {v} {expected}");
@@ -819,7 +821,10 @@ mod tests {
         let p = &patches(&Columns::Segment.places(&path, &tif), &tif, &map)[0];
         let q = 0.5 - 0.15_f64.sqrt();
         let at = |s: f64, r: usize, c: usize| {
-            tif.rate_at(map.x.at(c) - 1.0 - 0.4 * s, map.y.at(r) - 1.0 - 0.2 * s)
+            tif.rate_at(
+                map.x.coordinate_mm(c) - 1.0 - 0.4 * s,
+                map.y.coordinate_mm(r) - 1.0 - 0.2 * s,
+            )
         };
         for (r, c) in [(12, 10), (20, 17), (3, 5)] {
             let expected =
@@ -836,7 +841,8 @@ mod tests {
         let g = Grid { x: a, y: a };
         let sigma = 1.0;
         let of = |(r, c): (usize, usize)| {
-            (-(a.at(c).powi(2) + a.at(r).powi(2)) / (2.0 * sigma * sigma)).exp()
+            (-(a.coordinate_mm(c).powi(2) + a.coordinate_mm(r).powi(2)) / (2.0 * sigma * sigma))
+                .exp()
         };
         let tif = Tif::new(g, Array2::from_shape_fn(g.shape(), of)).unwrap();
         // Two standard deviations; slopes by differences are some percent less.

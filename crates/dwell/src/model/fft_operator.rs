@@ -305,7 +305,7 @@ mod tests {
         let axis = |n: usize| Axis::new(-0.1 * (n / 2) as f64, 0.1, n).unwrap();
         let g = Grid { x: axis(31), y: axis(25) };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-            let (x, y) = (g.x.at(c) / 1.5, g.y.at(r) / 1.2);
+            let (x, y) = (g.x.coordinate_mm(c) / 1.5, g.y.coordinate_mm(r) / 1.2);
             border + (1.0 + x + 0.5 * y) * ((1.0 - x * x) * (1.0 - y * y)).max(0.0).powi(6)
         });
         let map =
@@ -415,13 +415,16 @@ mod tests {
                 Axis::new(-n * h, h, 2 * n as usize + 1).unwrap()
             };
             let own = Grid { x: axis(8.0), y: axis(8.0) };
-            let rate = Array2::from_shape_fn(own.shape(), |(r, c)| bell(own.x.at(c), own.y.at(r)));
+            let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
+                bell(own.x.coordinate_mm(c), own.y.coordinate_mm(r))
+            });
             let (tif, map) = (Tif::new(own, rate).unwrap(), Grid { x: axis(3.0), y: axis(2.0) });
             let of = |k: usize| {
                 let at = [0.7 * (k as f64).sin(), 0.4 * (1.7 * k as f64).cos()];
                 let places = vec![vec![ToolPlace::new(at, 1.0)]];
                 let found = operator(&places, &tif, &map).apply(&[1.0]);
-                let exact = |(r, c)| bell(map.x.at(c) - at[0], map.y.at(r) - at[1]);
+                let exact =
+                    |(r, c)| bell(map.x.coordinate_mm(c) - at[0], map.y.coordinate_mm(r) - at[1]);
                 largest(&(found - Array2::from_shape_fn(map.shape(), exact)))
             };
             (0..40).map(of).fold(0.0, f64::max)
@@ -467,7 +470,9 @@ mod tests {
     fn varying(constant: &Tif, map: &Grid) -> Tif {
         let offsets = *constant.grid();
         let kernel = |by: fn([f64; 2]) -> f64| {
-            let of = |(r, c): (usize, usize)| by([offsets.x.at(c), offsets.y.at(r)]);
+            let of = |(r, c): (usize, usize)| {
+                by([offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r)])
+            };
             constant.rate_nm_per_s() * &Array2::from_shape_fn(offsets.shape(), of)
         };
         let positions =

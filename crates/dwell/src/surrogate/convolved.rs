@@ -293,8 +293,9 @@ fn sampled(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
     tif.with_kernels(|kernel| {
         let mut rate = Array2::zeros(grid.shape());
         parallel::consume(rate.outer_iter_mut(), &|r, mut row| {
-            let y = grid.y.at(r);
-            row.indexed_iter_mut().for_each(|(c, v)| *v = kernel.rate_at(grid.x.at(c), y));
+            let y = grid.y.coordinate_mm(r);
+            row.indexed_iter_mut()
+                .for_each(|(c, v)| *v = kernel.rate_at(grid.x.coordinate_mm(c), y));
         });
         Ok((grid, rate))
     })
@@ -310,7 +311,9 @@ mod tests {
         let axis = || Axis::new(-0.5 * (n - 1) as f64 * step_mm, step_mm, n).unwrap();
         let map = Grid { x: axis(), y: axis() };
         let edge_mm = map.x.end_mm() + 0.3 * step_mm;
-        let inside = |(r, c)| f64::from(u8::from(map.x.at(c).hypot(map.y.at(r)) <= edge_mm));
+        let inside = |(r, c)| {
+            f64::from(u8::from(map.x.coordinate_mm(c).hypot(map.y.coordinate_mm(r)) <= edge_mm))
+        };
         (map, Array2::from_shape_fn(map.shape(), inside))
     }
 
@@ -374,7 +377,9 @@ mod tests {
         // sigma 1 mm
         let axis = || Axis::new(-5.5, 0.05, 221).unwrap();
         let own = Grid { x: axis(), y: axis() };
-        let bell = |(r, c)| (-0.5 * (own.x.at(c).powi(2) + own.y.at(r).powi(2))).exp();
+        let bell = |(r, c)| {
+            (-0.5 * (own.x.coordinate_mm(c).powi(2) + own.y.coordinate_mm(r).powi(2))).exp()
+        };
         let tif = Tif::new(own, Array2::from_shape_fn(own.shape(), bell)).unwrap();
         let places: Vec<Vec<ToolPlace>> = (0..21 * 21)
             .map(|j| {

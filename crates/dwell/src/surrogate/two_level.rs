@@ -540,7 +540,7 @@ mod tests {
         let map = Grid { x: axis(0.0, 37), y: axis(0.0, 23) };
         let own = Grid { x: axis(-2.0, 17), y: axis(-2.0, 17) };
         let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
-            (-(own.x.at(c).powi(2) + 1.3 * own.y.at(r).powi(2)) / 2.0).exp()
+            (-(own.x.coordinate_mm(c).powi(2) + 1.3 * own.y.coordinate_mm(r).powi(2)) / 2.0).exp()
         });
         let tif = Tif::new(own, rate).unwrap();
         let points: Vec<[f64; 2]> = (0..1200)

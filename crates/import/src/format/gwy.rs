@@ -128,15 +128,15 @@ fn title(all: &[Component<'_>], number: &str) -> String {
 }
 
 /// Reads the map of this name in the container, if there is one.
-fn field(all: &[Component<'_>], name: &str) -> Result<Option<Field>, Invalid> {
+fn field(all: &[Component<'_>], name: &str) -> Result<Option<GwyField>, Invalid> {
     match find(all, name) {
-        Some(Value::Object(object)) => Field::new(object).map(Some),
+        Some(Value::Object(object)) => GwyField::new(object).map(Some),
         _ => Ok(None),
     }
 }
 
 /// A GwyDataField.
-struct Field {
+struct GwyField {
     values: Array2<f64>,
     /// Size along x and y, in `unit_xy`.
     real: Option<[f64; 2]>,
@@ -146,7 +146,7 @@ struct Field {
     unit_z: Option<String>,
 }
 
-impl Field {
+impl GwyField {
     /// Reads a map. Refuses another object, and one without as many heights as pixels.
     fn new(object: &Object) -> Result<Self, Invalid> {
         if object.name != "GwyDataField" {

@@ -24,7 +24,7 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
             if names.join(",") != expected {
                 let remedy = "write these columns, in this order and these units";
                 let problem = format!("is not the header {expected}");
-                return Err(Invalid::at("program line", i + 1, problem, remedy));
+                return Err(Invalid::at_index("program line", i + 1, problem, remedy));
             }
             header = true;
             continue;

@@ -133,7 +133,7 @@ fn knots(
             let letter = &letters[k..=k];
             let problem =
                 format!("takes {} samples for A, {} for {letter}", first[2], axes[k][i][2]);
-            return Err(Invalid::at("segment", i, problem, "give all axes the same time"));
+            return Err(Invalid::at_index("segment", i, problem, "give all axes the same time"));
         }
         // Both are bounded by the length of the text: 1e9 lines of 44e6 counts stay below 2^63.
         samples += first[2];
@@ -177,7 +177,7 @@ fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Inv
         Some(other) => {
             let problem = format!("sets samples of {stated_s} s (TM), and {other} s are given");
             let remedy = "give `sample_s` as the program has it, or leave it out";
-            Err(Invalid::at("program line", line, problem, remedy))
+            Err(Invalid::at_index("program line", line, problem, remedy))
         }
         None => Ok(stated_s),
     }

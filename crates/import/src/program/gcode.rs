@@ -218,7 +218,7 @@ impl<'a> Machine<'a> {
             let seconds = value('P').filter(|p| *p >= 0.0);
             let seconds = seconds.ok_or_else(|| {
                 let remedy = "write the seconds as G4 P: LinuxCNC knows no G4 with X, U or S";
-                Invalid::at("program line", number, "has G4 without P >= 0", remedy)
+                Invalid::at_index("program line", number, "has G4 without P >= 0", remedy)
             })?;
             match self.here(number) {
                 Ok(here) => self.stop(here, seconds),
@@ -451,19 +451,19 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
                     ('G', 20 | 30) => {
                         let problem = format!("has G{v}, an arc");
                         let remedy = "write it as short lines (G1)";
-                        return Err(Invalid::at("program line", number, problem, remedy));
+                        return Err(Invalid::at_index("program line", number, problem, remedy));
                     }
                     ('G', 910) => {
                         let problem = "has G91, which is not understood: distances, not positions";
                         let remedy = "write the program with G90";
-                        return Err(Invalid::at("program line", number, problem, remedy));
+                        return Err(Invalid::at_index("program line", number, problem, remedy));
                     }
                     ('G', 280 | 300 | 530) => {
                         let problem = format!(
                             "has G{v}, which is not understood: the machine goes to a place of its own"
                         );
                         let remedy = "leave it out: the motion begins with G0 to the start";
-                        return Err(Invalid::at("program line", number, problem, remedy));
+                        return Err(Invalid::at_index("program line", number, problem, remedy));
                     }
                     ('M', 30 | 40 | 50 | 60 | 70 | 80 | 90) => {
                         let problem = format!(
@@ -471,7 +471,7 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
                         );
                         let remedy =
                             "leave it out if it is not the tool; the tool is M62 to M65 P0";
-                        return Err(Invalid::at("program line", number, problem, remedy));
+                        return Err(Invalid::at_index("program line", number, problem, remedy));
                     }
                     ('M', 20 | 300) => "end",
                     ('M', 620 | 630 | 640 | 650) => "output",

@@ -26,7 +26,7 @@ pub(super) fn read(
     configuration: &Configuration,
     layout: &Layout,
 ) -> Result<AxesMotion, Invalid> {
-    let mut program = Program::new(configuration, layout);
+    let mut program = PmacProgram::new(configuration, layout);
     let mut is_comment = false;
     for (i, line) in text.lines().enumerate() {
         let plain = without_comments(line, &mut is_comment);
@@ -106,7 +106,7 @@ fn statements(line: usize, text: &str) -> Result<Vec<Statement>, Invalid> {
         if word == "CMD" {
             let remedy = "leave it out if it moves nothing and switches nothing";
             let problem = "has CMD: what the command does is not read";
-            return Err(Invalid::at("program line", line, problem, remedy));
+            return Err(Invalid::at_index("program line", line, problem, remedy));
         }
         let number = data(line, &mut rest)?;
         let mut tail = Tail::None;
@@ -149,7 +149,7 @@ fn missing(line: usize, text: &str) -> Invalid {
 }
 
 /// A program on its way.
-struct Program<'a> {
+struct PmacProgram<'a> {
     layout: &'a Layout,
     letters: Vec<char>,
     last: Knot,
@@ -167,7 +167,7 @@ struct Program<'a> {
     is_closed: bool,
 }
 
-impl<'a> Program<'a> {
+impl<'a> PmacProgram<'a> {
     fn new(configuration: &'a Configuration, layout: &'a Layout) -> Self {
         let n = layout.len();
         let position = layout.start.clone().unwrap_or_else(|| vec![0.0; n]);
@@ -221,17 +221,22 @@ impl<'a> Program<'a> {
             _ if self.is_closed => {
                 let remedy = "give the text up to the first CLOSE";
                 let problem = format!("has {:?} after CLOSE, which ends the program", short(raw));
-                return Err(Invalid::at("program line", line, problem, remedy));
+                return Err(Invalid::at_index("program line", line, problem, remedy));
             }
             ("OPEN", _) if self.is_open => {
                 let remedy = "give a file with one program";
-                return Err(Invalid::at("program line", line, "opens a second program", remedy));
+                return Err(Invalid::at_index(
+                    "program line",
+                    line,
+                    "opens a second program",
+                    remedy,
+                ));
             }
             ("OPEN", _) => self.is_open = true,
             ("PLC" | "PLCC" | "ROTARY" | "ROT", _) => {
                 let remedy = "give the motion program alone, OPEN PROG to CLOSE";
                 let problem = format!("has {}, which is no motion program", short(raw));
-                return Err(Invalid::at("program line", line, problem, remedy));
+                return Err(Invalid::at_index("program line", line, problem, remedy));
             }
             // They move nothing: labels, memory, ramps and feed of other modes, variables.
             (
@@ -281,7 +286,7 @@ impl<'a> Program<'a> {
                         "give `feedrate_time_unit_s` as the program has it, or leave it out";
                     let problem =
                         format!("sets {raw}, a unit of {unit_s} s, and {other} s are given");
-                    return Err(Invalid::at("program line", line, problem, remedy));
+                    return Err(Invalid::at_index("program line", line, problem, remedy));
                 }
                 self.unit_s = Some(unit_s);
                 Ok(())
@@ -289,7 +294,7 @@ impl<'a> Program<'a> {
             _ => {
                 let remedy = "leave it out if it does not change the motion";
                 let problem = format!("sets {raw}: what it changes is not read");
-                Err(Invalid::at("program line", line, problem, remedy))
+                Err(Invalid::at_index("program line", line, problem, remedy))
             }
         }
     }

@@ -23,7 +23,7 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
                 line.trim().chars().take(20).collect::<String>()
             );
             let remedy = "take the line off: an XPS reads lines of numbers only";
-            return Err(Invalid::at("program line", i + 1, problem, remedy));
+            return Err(Invalid::at_index("program line", i + 1, problem, remedy));
         }
         let fields = fields(line).map(|f| finite(i + 1, f));
         let fields: Vec<f64> = fields.collect::<Result<_, _>>()?;

@@ -131,7 +131,7 @@ impl Timing<'_> {
             let problem = format!("is {after} after {before}");
             let remedy =
                 "time stamps ascend: drop repeated samples, or give `rate_hz` instead of `time`";
-            return Err(Invalid::at("time", i, problem, remedy));
+            return Err(Invalid::at_index("time", i, problem, remedy));
         }
         let (step_s, rate_from) = match self.rate_hz {
             Some(rate) => (1.0 / rate, "asked for"),
@@ -246,7 +246,7 @@ impl Timing<'_> {
                 );
                 let remedy = "record again without gaps, cut the log there with `until_s`, or bridge it by a \
                               straight line with a larger `most_gap_s`";
-                return Err(Invalid::at("time", gap.index, problem, remedy));
+                return Err(Invalid::at_index("time", gap.index, problem, remedy));
             }
             gaps += 1;
             gaps_last_s += lasts_s;

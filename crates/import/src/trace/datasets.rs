@@ -87,7 +87,12 @@ fn column(
     }
     if let Some(i) = values.iter().position(|v| !v.is_finite()) {
         let problem = format!("is {} in {}", values[i], short(name));
-        return Err(Invalid::at(role.setting(), i, problem, "cut the log where it is damaged"));
+        return Err(Invalid::at_index(
+            role.setting(),
+            i,
+            problem,
+            "cut the log where it is damaged",
+        ));
     }
     let unit = match hdf5::unit_text(&set)? {
         Some(word) => stated_unit(role, requested, &word, true)?,

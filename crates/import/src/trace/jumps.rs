@@ -20,7 +20,7 @@ const OF_THE_WAY: f64 = 1e-3;
 const MOST_OF_THE_STEPS: f64 = 0.01;
 
 /// Measured positions of an axis.
-pub struct Axis<'a> {
+pub struct LoggedAxis<'a> {
     /// Name of the axis.
     pub name: String,
     /// Unit of its positions.
@@ -32,7 +32,7 @@ pub struct Axis<'a> {
 }
 
 /// Returns a sentence about the jumps of an axis, with the first of them; `None` if it has none.
-pub fn doubt(axis: &Axis<'_>) -> Option<String> {
+pub fn doubt(axis: &LoggedAxis<'_>) -> Option<String> {
     let jumps = jumps(&axis.positions);
     let largest = *jumps.iter().max_by(|a, b| a.size.abs().total_cmp(&b.size.abs()))?;
     let Jump { index, size, is_back } = largest;
@@ -123,7 +123,8 @@ mod tests {
         let found = jumps(&spike);
         assert_eq!((found.len(), found[0].index, found[0].is_back), (1, 699, true));
         let time_s: Vec<f64> = (0..2000).map(|i| f64::from(i) * 1e-3).collect();
-        let axis = Axis { name: "x".into(), unit: "mm", time_s: &time_s, positions: spike.into() };
+        let axis =
+            LoggedAxis { name: "x".into(), unit: "mm", time_s: &time_s, positions: spike.into() };
         let said = doubt(&axis).unwrap();
         assert!(
             said.contains("x jumps by -64") && said.contains("sample 699 to the next"),

@@ -644,7 +644,7 @@ impl ColumnValues {
             Self::Moments(moments) => {
                 let times = moment::times(moments).map_err(|i| {
                     let problem = "is a moment without the date that the others have, or with one that is none in their order";
-                    Invalid::at(role.setting(), i, problem, "write all dates as 2026-03-01")
+                    Invalid::at_index(role.setting(), i, problem, "write all dates as 2026-03-01")
                 })?;
                 let seconds = Unit::read("s", &[]);
                 let mut column = Column::of_values(role, name, seconds, times.seconds);

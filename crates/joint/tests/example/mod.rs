@@ -24,7 +24,7 @@ pub fn tif() -> Tif {
     let a = Axis::new(-3.0, 0.25, 25).unwrap();
     let g = Grid { x: a, y: a };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        20.0 * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / 2.0).exp()
+        20.0 * (-(g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2)) / 2.0).exp()
     });
     Tif::new(g, rate).unwrap()
 }
@@ -32,7 +32,7 @@ pub fn tif() -> Tif {
 /// A hill and a wave over 40 nm, about the place `middle`, mm.
 pub fn hill(g: Grid, middle: [f64; 2]) -> Surface {
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) - middle[0], g.y.at(r) - middle[1]);
+        let (x, y) = (g.x.coordinate_mm(c) - middle[0], g.y.coordinate_mm(r) - middle[1]);
         40.0 + 15.0 * (-(x * x + 2.0 * y * y) / 9.0).exp() + 4.0 * (0.9 * x + 0.5 * y).sin()
     });
     Surface::new(g, height).unwrap()

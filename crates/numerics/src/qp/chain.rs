@@ -39,7 +39,7 @@ use rayon::prelude::*;
 
 /// Program (1) with n variables and n - 1 links, without its rows.
 #[derive(Clone, Debug, Default)]
-pub struct Program {
+pub struct ChainProgram {
     /// P_ii (n); > 0.
     pub diagonal: Vec<f64>,
     /// P_{i,i+1} (n-1).
@@ -148,7 +148,7 @@ const MIN_LINKS_PER_THREAD: usize = 2048;
 /// # Errors
 /// Returns a failure if the rows contradict each other, or if the iteration does not reach the tolerance.
 pub fn solve(
-    mut program: Program,
+    mut program: ChainProgram,
     rows: impl Fn(usize, &mut ChainRows) + Sync,
 ) -> Result<Vec<f64>, Failure> {
     if program.diagonal.is_empty() {
@@ -162,7 +162,7 @@ pub fn solve(
     }
 }
 
-impl Program {
+impl ChainProgram {
     /// Scales (1) to the variables y, x = w y. Then all diagonal elements are equal (1 without
     /// prices), the largest linear term is 1, and the objective is divided so that no price is
     /// above 1. Variables that are not free have only their diagonal coefficient. Returns w and the
@@ -364,7 +364,7 @@ fn worse(a: f64, b: f64) -> f64 {
 
 /// A scaled program.
 struct Chain<'a, const ELASTIC: bool> {
-    program: &'a Program,
+    program: &'a ChainProgram,
     /// Diagonal element P_ii.
     diagonal: f64,
 }
@@ -488,7 +488,7 @@ fn centring(mu: f64, reach: Reach, m: usize) -> f64 {
 /// Links from an end of the chain to its middle. Link k joins node k and node k + 1, counted from
 /// the end. Node k + 1 of the last link is the middle.
 struct Half<'a, const ELASTIC: bool> {
-    program: &'a Program,
+    program: &'a ChainProgram,
     /// Diagonal element P_ii.
     diagonal: f64,
     /// True if this is the half with the last nodes.
@@ -504,7 +504,7 @@ struct Half<'a, const ELASTIC: bool> {
 impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
     /// Collects the rows of the links of one half.
     fn new(
-        program: &'a Program,
+        program: &'a ChainProgram,
         diagonal: f64,
         up: bool,
         w: &[f64],
@@ -547,7 +547,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
 
     /// Returns the linear term c of the outer node of link k, and the element of P between both nodes.
     fn terms(&self, k: usize) -> (f64, f64) {
-        let Program { linear, beside, .. } = self.program;
+        let ChainProgram { linear, beside, .. } = self.program;
         if self.up {
             (linear[linear.len() - 1 - k], beside[beside.len() - 1 - k])
         } else {
@@ -828,7 +828,7 @@ mod tests {
     /// Program (1), its rows in any order within their links.
     #[derive(Clone)]
     struct Case {
-        program: Program,
+        program: ChainProgram,
         rows: Vec<Bound>,
     }
 
@@ -864,7 +864,7 @@ mod tests {
         }
         let diagonal = size.iter().map(|s| 4.0 * s * s).collect();
         let beside = size.windows(2).map(|s| s[0] * s[1]).collect();
-        Case { program: Program { diagonal, beside, linear, free, price }, rows }
+        Case { program: ChainProgram { diagonal, beside, linear, free, price }, rows }
     }
 
     /// Solution of the same program by a general conic solver.
@@ -936,7 +936,7 @@ mod tests {
     #[test]
     fn without_active_rows_it_is_the_tridiagonal_solution() {
         // [4 1; 1 4] x = [9 9]: 1.8 each; the ends are not free.
-        let program = Program {
+        let program = ChainProgram {
             diagonal: vec![4.0; 4],
             beside: vec![1.0; 3],
             linear: vec![7.0, 9.0, 9.0, 7.0],
@@ -968,7 +968,7 @@ mod tests {
 
     #[test]
     fn contradictions_are_found() {
-        let program = Program {
+        let program = ChainProgram {
             diagonal: vec![1.0; 3],
             beside: vec![0.1; 2],
             linear: vec![1.0; 3],
@@ -1025,7 +1025,7 @@ mod tests {
             }
             other = problem.clone();
             let turned = &mut other.program;
-            let Program { diagonal, beside, linear, price, .. } = turned;
+            let ChainProgram { diagonal, beside, linear, price, .. } = turned;
             for v in [diagonal, beside, linear, price] {
                 v.reverse();
             }

@@ -32,7 +32,8 @@ fn wanted_nm(x: f64, y: f64) -> f64 {
 /// The map before the run, with two invalid pixels.
 pub fn before() -> Surface {
     let grid = grid();
-    let height = |(r, c): (usize, usize)| wanted_nm(grid.x.at(c), grid.y.at(r));
+    let height =
+        |(r, c): (usize, usize)| wanted_nm(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
     let mut height = Array2::from_shape_fn(grid.shape(), height);
     height[[3, 7]] = f64::NAN;
     height[[30, 50]] = f64::NAN;
@@ -46,7 +47,7 @@ pub fn gaussian(scale: f64, along: f64, across: f64, angle_rad: f64) -> Tif {
     let grid = Grid { x: axis, y: axis };
     let (sine, cosine) = angle_rad.sin_cos();
     let rate = |(r, c): (usize, usize)| {
-        let (x, y) = (axis.at(c), axis.at(r));
+        let (x, y) = (axis.coordinate_mm(c), axis.coordinate_mm(r));
         let (u, v) = ((cosine * x + sine * y) / along, (cosine * y - sine * x) / across);
         scale * 8.0 / (along * across) * (-0.5 * (u * u + v * v)).exp()
     };

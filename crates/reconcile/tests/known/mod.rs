@@ -109,7 +109,9 @@ impl Tool {
         let step = self.pitch_mm;
         let n = (half_mm / step).ceil() as usize;
         let axis = Axis::new(-(n as f64) * step, step, 2 * n + 1).unwrap();
-        let rate = |(r, c): (usize, usize)| self.rate(axis.at(c), axis.at(r), errors);
+        let rate = |(r, c): (usize, usize)| {
+            self.rate(axis.coordinate_mm(c), axis.coordinate_mm(r), errors)
+        };
         Tif::new(Grid { x: axis, y: axis }, Array2::from_shape_fn((2 * n + 1, 2 * n + 1), rate))
             .unwrap()
     }
@@ -158,7 +160,9 @@ impl Figure {
     }
 
     pub fn map(&self, grid: &Grid) -> Array2<f64> {
-        Array2::from_shape_fn(grid.shape(), |(r, c)| self.at(grid.x.at(c), grid.y.at(r)))
+        Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            self.at(grid.x.coordinate_mm(c), grid.y.coordinate_mm(r))
+        })
     }
 }
 
@@ -405,7 +409,7 @@ pub fn planned(
             let at = [0, 1].map(|a| 0.5 * (ends[0][a] + ends[1][a]));
             let one = |i: usize| {
                 let (r, c) = (i / grid.x.len(), i % grid.x.len());
-                (i, rate(grid.x.at(c) - at[0], grid.y.at(r) - at[1]))
+                (i, rate(grid.x.coordinate_mm(c) - at[0], grid.y.coordinate_mm(r) - at[1]))
             };
             (0..pixels).map(one).filter(|(_, v)| *v > LEAST_RATE).collect()
         })
@@ -462,7 +466,7 @@ fn executed(grid: &Grid, trajectory: &Trajectory, tool: &Tool, t: &Truth) -> Arr
             };
             for r in near(&grid.y, at[1]) {
                 for c in near(&grid.x, at[0]) {
-                    let (x, y) = (grid.x.at(c) - at[0], grid.y.at(r) - at[1]);
+                    let (x, y) = (grid.x.coordinate_mm(c) - at[0], grid.y.coordinate_mm(r) - at[1]);
                     if x * x + y * y < reach * reach {
                         removal[[r, c]] += tool.rate(x, y, t) * 0.25 * h * drift;
                     }

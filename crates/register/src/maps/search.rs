@@ -42,7 +42,8 @@ pub(super) fn best(
     let points: Vec<([f64; 2], f64)> = steep
         .iter()
         .map(|(_, i)| {
-            let x = [grid.x.at(i % grid.x.len()), grid.y.at(i / grid.x.len())];
+            let x =
+                [grid.x.coordinate_mm(i % grid.x.len()), grid.y.coordinate_mm(i / grid.x.len())];
             ([x[0] - centre_mm[0], x[1] - centre_mm[1]], a[*i])
         })
         .collect();

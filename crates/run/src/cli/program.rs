@@ -10,7 +10,7 @@ use planish_types::{
 };
 
 #[derive(Args)]
-pub struct Program {
+pub struct ProgramCommand {
     /// Directory of the run, in which its report and the program (such as program.galil) are
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
@@ -45,7 +45,7 @@ pub fn plan_of(method: &str) -> &str {
     }
 }
 
-impl Program {
+impl ProgramCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let answer = read_answer(&self.run)?;
         let plan = &self.of;

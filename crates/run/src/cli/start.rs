@@ -8,7 +8,7 @@ use planish_handoff::{Failure, Status, system, warn, words};
 use super::claim::Claim;
 
 #[derive(Args)]
-pub struct Start {
+pub struct StartCommand {
     /// Output directory of the run
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -32,7 +32,7 @@ pub struct Start {
     command: Vec<String>,
 }
 
-impl Start {
+impl StartCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let claim = Claim {
             out: self.out.clone(),

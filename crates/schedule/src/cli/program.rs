@@ -11,7 +11,7 @@ use planish_schedule::interpolator::{Record, linked_records, records};
 use planish_types::{DwellDensity, Trajectory};
 
 #[derive(Args)]
-pub struct Program {
+pub struct ProgramCommand {
     /// Nodes of the dwell-time density [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
     dwell_density: PathBuf,
@@ -34,7 +34,7 @@ const PROGRAM_HEAD: &str = "\
 (U V velocity mm/s at the end of a cubic, T its time s, K1 tool on, K0 tool off)
 ";
 
-impl Program {
+impl ProgramCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let records = read_records(&mut inputs, &self.dwell_density, self.trajectory.as_deref())?;

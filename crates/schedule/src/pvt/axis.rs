@@ -420,7 +420,7 @@ impl AxisProblem<'_> {
     /// Elastic bounds: segment i may exceed its limits by the fraction e_i >= 0, a variable of its own. The
     /// penalty is proportional to h_i e_i, about twice the time that a stretch of the segment would add.
     /// The excesses are then few and need little time.
-    fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
+    fn program(&self, h: &[f64], bounds: Bounds) -> chain::ChainProgram {
         let n = h.len();
         let dp = &self.displacement_mm;
         let diagonal = parallel(n + 1).map(|node| beside_node(node, n).map(|i| 4.0 / h[i]).sum());
@@ -433,7 +433,7 @@ impl AxisProblem<'_> {
         };
         let free = parallel(n + 1).map(|i| self.allowed_signs(i) != [false, false]).collect();
         let (diagonal, linear) = (diagonal.collect(), linear.collect());
-        chain::Program { diagonal, beside, linear, free, price }
+        chain::ChainProgram { diagonal, beside, linear, free, price }
     }
 
     /// Adds the rows of segment i: its signs, and the limits of the machine if `limited` has the segment.

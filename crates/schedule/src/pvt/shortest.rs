@@ -105,7 +105,7 @@ type Velocity = [f64; 2];
 
 /// Limits of an axis as the search keeps them.
 #[derive(Debug)]
-struct Axis<'a> {
+struct ShortestAxis<'a> {
     problem: &'a AxisProblem<'a>,
     velocity: f64,
     acceleration: f64,
@@ -115,7 +115,7 @@ struct Axis<'a> {
 /// Problem (5).
 #[derive(Debug)]
 pub(super) struct Search<'a> {
-    axes: [Axis<'a>; 2],
+    axes: [ShortestAxis<'a>; 2],
     near: &'a NearPath,
     /// Wanted time of every segment, s.
     wanted_s: &'a [f64],
@@ -141,7 +141,7 @@ impl<'a> Search<'a> {
         wanted_s: &'a [f64],
     ) -> Self {
         let slower = 1.0 - ROOM;
-        let axes = axes.each_ref().map(|problem| Axis {
+        let axes = axes.each_ref().map(|problem| ShortestAxis {
             problem,
             velocity: slower * problem.max_velocity,
             acceleration: slower.powi(2) * problem.max_acceleration,
@@ -454,7 +454,7 @@ impl<'a> Search<'a> {
     }
 }
 
-impl Axis<'_> {
+impl ShortestAxis<'_> {
     /// End of the excluded intervals that contain `h`, or `h` itself, s; infinite if an interval has no end.
     fn least_time(&self, i: usize, v0: f64, v1: f64, mut h: f64) -> f64 {
         /// Excess over a condition that counts as equality, relative. Larger: limits are exceeded by as much. Smaller:

@@ -186,7 +186,7 @@ pub fn schedule(
             let straight = &passes[pass].straights[passes[pass].straight_of[node]];
             let problem = "gives a motion that rounding keeps from being proven within the limits";
             let remedy = "raise the dwell times that are orders of magnitude below the others";
-            return Err(Invalid::at("dwell_s", straight.index, problem, remedy).into());
+            return Err(Invalid::at_index("dwell_s", straight.index, problem, remedy).into());
         }
         ease(&mut passes, &motion.unproven, round, &mut report);
         round += 1;

@@ -142,7 +142,8 @@ fn plane() -> Shape {
 impl Limit {
     /// Checks the numbers and the combination of keys of limit `i` of the specification.
     pub(super) fn check(&self, i: usize) -> Result<(), Invalid> {
-        let refuse = |problem: String, remedy: &str| Err(Invalid::at("limits", i, problem, remedy));
+        let refuse =
+            |problem: String, remedy: &str| Err(Invalid::at_index("limits", i, problem, remedy));
         for (key, value) in self.positive() {
             if !(value.is_finite() && value > 0.0) {
                 return refuse(format!("{key} is {value}"), "give a finite number above 0");
@@ -180,7 +181,8 @@ impl Limit {
 
     /// Checks the order of the periods of limit `i`, and the directions.
     fn check_periods(&self, i: usize) -> Result<(), Invalid> {
-        let refuse = |problem: String, remedy: &str| Err(Invalid::at("limits", i, problem, remedy));
+        let refuse =
+            |problem: String, remedy: &str| Err(Invalid::at_index("limits", i, problem, remedy));
         if let Some([shortest, longest]) = self.periods().filter(|[s, l]| s >= l) {
             let problem = format!("the periods are {shortest} .. {longest} mm");
             return refuse(problem, "give shortest_period_mm < longest_period_mm");

@@ -48,14 +48,14 @@ impl Zone {
             let problem = format!("\"{}\" is described in {count} ways", self.name);
             let remedy =
                 "give x_mm and y_mm (or one of them), or circle_mm, or inside_mm, or edge_mm";
-            return Err(Invalid::at("zones", i, problem, remedy));
+            return Err(Invalid::at_index("zones", i, problem, remedy));
         }
         let ranges = [("x_mm", self.x_mm), ("y_mm", self.y_mm)];
         for (key, [low, high]) in ranges.iter().filter_map(|(k, r)| r.map(|r| (k, r))) {
             if !(low.is_finite() && high.is_finite() && low < high) {
                 let problem = format!("{key} is {low} .. {high}");
                 let remedy = "give finite smallest < largest in mm";
-                return Err(Invalid::at("zones", i, problem, remedy));
+                return Err(Invalid::at_index("zones", i, problem, remedy));
             }
         }
         let sizes = [
@@ -66,7 +66,7 @@ impl Zone {
         for (key, mm) in sizes.iter().filter_map(|(k, v)| v.map(|v| (k, v))) {
             if !(mm.is_finite() && mm > 0.0) {
                 let problem = format!("{key} is {mm}");
-                return Err(Invalid::at("zones", i, problem, "give a length in mm, above 0"));
+                return Err(Invalid::at_index("zones", i, problem, "give a length in mm, above 0"));
             }
         }
         Ok(())

@@ -394,7 +394,7 @@ fn figure(surface: &Surface, desired: &[f64], profiles: &[Vec<f64>; 3]) -> Strin
     let x = surface.grid().x;
     let curve = |name, z: &[f64]| {
         let inside = |(c, v): (usize, &f64)| {
-            let at = x.at(c);
+            let at = x.coordinate_mm(c);
             (4.0..=11.0).contains(&at).then_some([at, *v])
         };
         Series { name, points: z.iter().enumerate().filter_map(inside).collect(), dots: false }

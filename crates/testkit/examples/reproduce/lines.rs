@@ -36,7 +36,7 @@ impl Spot {
         let half = (6.5 * widest / pixel_mm).ceil();
         let axis = Axis::new(-half * pixel_mm, pixel_mm, 2 * half as usize + 1).expect("an axis");
         let rate = Array2::from_shape_fn((axis.len(), axis.len()), |(r, c)| {
-            let r2 = axis.at(r).powi(2) + axis.at(c).powi(2);
+            let r2 = axis.coordinate_mm(r).powi(2) + axis.coordinate_mm(c).powi(2);
             self.0.iter().map(|(a, s)| a * (-0.5 * r2 / (s * s)).exp()).sum()
         });
         Tif::new(Grid { x: axis, y: axis }, rate).expect("a spot")
@@ -68,7 +68,7 @@ impl Spot {
         let path = lines(&part, pitch_mm, overscan_mm);
         let z = uniform(&part, &tif, &path, density_s_per_mm);
         let axis = part.grid().y;
-        (0..axis.len()).map(|r| [axis.at(r), z[[r, z.ncols() / 2]]]).collect()
+        (0..axis.len()).map(|r| [axis.coordinate_mm(r), z[[r, z.ncols() / 2]]]).collect()
     }
 }
 

@@ -296,7 +296,7 @@ impl Mrf {
 fn across_mm(tif: &Tif) -> f64 {
     let (rate, y) = (tif.rate_nm_per_s(), tif.grid().y);
     let moment = |k: i32| -> f64 {
-        rate.outer_iter().enumerate().map(|(r, row)| row.sum() * y.at(r).powi(k)).sum()
+        rate.outer_iter().enumerate().map(|(r, row)| row.sum() * y.coordinate_mm(r).powi(k)).sum()
     };
     (moment(2) / moment(0) - (moment(1) / moment(0)).powi(2)).sqrt()
 }

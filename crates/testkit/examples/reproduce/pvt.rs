@@ -393,7 +393,10 @@ fn without_pit_nm(run: &Run<'_>, trajectory: &Trajectory) -> f64 {
     let far = z.indexed_iter().max_by(|a, b| (a.1 - mean).abs().total_cmp(&(b.1 - mean).abs()));
     let ((row, column), _) = far.expect("a map has pixels");
     let masked = Array2::from_shape_fn(z.dim(), |(r, c)| {
-        let (dy, dx) = (grid.y.at(r) - grid.y.at(row), grid.x.at(c) - grid.x.at(column));
+        let (dy, dx) = (
+            grid.y.coordinate_mm(r) - grid.y.coordinate_mm(row),
+            grid.x.coordinate_mm(c) - grid.x.coordinate_mm(column),
+        );
         if dx.abs().max(dy.abs()) <= 1.2 { f64::NAN } else { z[[r, c]] }
     });
     Surface::new(*grid, masked).expect("a map").detilted_rms_nm()

@@ -438,7 +438,7 @@ fn pv_nm(part: &Surface, mut z: Array2<f64>, cut_mm: f64) -> f64 {
     let middle = [x, y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
     let radius_mm = 0.5 * (x.end_mm() - x.start_mm()) - cut_mm;
     for ((at, z), m) in z.indexed_iter_mut().zip(part.height_nm()) {
-        let (dx, dy) = (x.at(at.1) - middle[0], y.at(at.0) - middle[1]);
+        let (dx, dy) = (x.coordinate_mm(at.1) - middle[0], y.coordinate_mm(at.0) - middle[1]);
         if m.is_nan() || cut_mm > 0.0 && dx.hypot(dy) > radius_mm {
             *z = f64::NAN;
         }

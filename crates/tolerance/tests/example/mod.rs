@@ -13,7 +13,7 @@ pub fn desired() -> Surface {
     let axis = |n| Axis::new(0.0, 0.25, n).unwrap();
     let grid = Grid { x: axis(81), y: axis(49) };
     let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let (x, y) = (grid.x.coordinate_mm(c), grid.y.coordinate_mm(r));
         let cut = x + y > 28.0;
         if cut {
             f64::NAN
@@ -30,7 +30,7 @@ pub fn tif() -> Tif {
     let axis = Axis::new(-5.0, 0.25, 41).unwrap();
     let grid = Grid { x: axis, y: axis };
     let rate = |(r, c): (usize, usize)| {
-        let (x, y): (f64, f64) = (axis.at(c), axis.at(r));
+        let (x, y): (f64, f64) = (axis.coordinate_mm(c), axis.coordinate_mm(r));
         8.0 * (-(x * x + y * y) / 2.0).exp()
     };
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()

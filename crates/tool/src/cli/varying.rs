@@ -325,7 +325,7 @@ impl FactorArgs {
         let (ny, nx) = grid.shape();
         let values: Result<Vec<f64>, Invalid> = (0..ny * nx)
             .into_par_iter()
-            .map(|i| factor([grid.x.at(i % nx), grid.y.at(i / nx)]))
+            .map(|i| factor([grid.x.coordinate_mm(i % nx), grid.y.coordinate_mm(i / nx)]))
             .collect();
         let values = values.map_err(Failure::with_flags)?;
         let factor = Array2::from_shape_vec((ny, nx), values).expect("one factor per pixel");

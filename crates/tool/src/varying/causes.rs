@@ -69,7 +69,7 @@ fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
         None => Ok(()),
         Some(i) => {
             let problem = format!("is {} after {}", pairs[i][0], pairs[i - 1][0]);
-            Err(Invalid::at(name, i, problem, "give ascending parameters"))
+            Err(Invalid::at_index(name, i, problem, "give ascending parameters"))
         }
     }
 }
@@ -136,7 +136,7 @@ impl Spots {
         let offsets = Grid { x: x?, y: y? };
         let spots = measured.iter().map(|(parameter, tif)| {
             let samples = Array2::from_shape_fn(offsets.shape(), |(r, c)| {
-                tif.rate_at(offsets.x.at(c), offsets.y.at(r))
+                tif.rate_at(offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r))
             });
             (*parameter, samples)
         });
@@ -360,7 +360,8 @@ impl<'a> Overhang<'a> {
         };
         let grid = self.tif.grid();
         Array2::from_shape_fn(rate.dim(), |(r, c)| {
-            let pressure = (c0 + cx * grid.x.at(c) + cy * grid.y.at(r)).max(0.0);
+            let pressure =
+                (c0 + cx * grid.x.coordinate_mm(c) + cy * grid.y.coordinate_mm(r)).max(0.0);
             rate[[r, c]] * pressure
         })
     }
@@ -401,7 +402,7 @@ pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'st
         let radius = dx.hypot(dy);
         let (cosine, sine) = if radius > 0.0 { (dx / radius, dy / radius) } else { (1.0, 0.0) };
         Array2::from_shape_fn(offsets.shape(), |(r, c)| {
-            let (x, y) = (offsets.x.at(c), offsets.y.at(r));
+            let (x, y) = (offsets.x.coordinate_mm(c), offsets.y.coordinate_mm(r));
             spot.rate_at(cosine * x + sine * y, cosine * y - sine * x)
         })
     };
@@ -419,7 +420,7 @@ mod tests {
         let half = (outer_mm / pixel_mm).round();
         let axis = Axis::new(-half * pixel_mm, pixel_mm, 2 * half as usize + 1).unwrap();
         let height = Array2::from_shape_fn((axis.len(), axis.len()), |(r, c)| {
-            let radius_mm = axis.at(r).hypot(axis.at(c));
+            let radius_mm = axis.coordinate_mm(r).hypot(axis.coordinate_mm(c));
             if (hole_mm..=outer_mm).contains(&radius_mm) { 100.0 } else { f64::NAN }
         });
         Surface::new(Grid { x: axis, y: axis }, height).unwrap()
@@ -430,7 +431,8 @@ mod tests {
         let part = ring([30.0, 150.0], 2.0);
         let axis = Axis::new(-20.0, 1.0, 41).unwrap();
         let rate = Array2::from_shape_fn((41, 41), |(r, c)| {
-            10.0 * (1.0 - (axis.at(r).hypot(axis.at(c)) / 20.0).powi(2)).max(0.0)
+            10.0 * (1.0 - (axis.coordinate_mm(r).hypot(axis.coordinate_mm(c)) / 20.0).powi(2))
+                .max(0.0)
         });
         let tif = Tif::new(Grid { x: axis, y: axis }, rate).unwrap();
         let places = Places::new(&part);

@@ -220,7 +220,7 @@ impl<'a> Footprint<'a> {
         let nearest = here.or_else(|| form.nearest(tool_mm, self.places.middle_mm()));
         let contact = nearest.expect("a form exists somewhere on the part");
         Array2::from_shape_fn(self.offsets.shape(), |(r, c)| {
-            let u = [self.offsets.x.at(c), self.offsets.y.at(r)];
+            let u = [self.offsets.x.coordinate_mm(c), self.offsets.y.coordinate_mm(r)];
             // Beyond the part nothing is removed; there the form continues quadratically, so that the tool is smooth.
             let there =
                 form.point([tool_mm[0] + u[0], tool_mm[1] + u[1]]).filter(|_| here.is_some());

@@ -255,7 +255,9 @@ impl Lattice {
     /// Place of a sample [x, y], mm.
     fn place(&self, i: usize) -> [f64; 2] {
         match self {
-            Self::Places(Grid { x, y }) => [x.at(i % x.len()), y.at(i / x.len())],
+            Self::Places(Grid { x, y }) => {
+                [x.coordinate_mm(i % x.len()), y.coordinate_mm(i / x.len())]
+            }
             Self::Azimuths { middle_mm, radius_mm, count } => {
                 around(*middle_mm, *radius_mm, i as f64 / *count as f64)
             }
@@ -290,7 +292,10 @@ impl Lattice {
         match self {
             Self::Places(Grid { x, y }) => {
                 let (r, c) = (cell / (x.len() - 1), cell % (x.len() - 1));
-                [x.at(c) + part[0] * x.step_mm(), y.at(r) + part[1] * y.step_mm()]
+                [
+                    x.coordinate_mm(c) + part[0] * x.step_mm(),
+                    y.coordinate_mm(r) + part[1] * y.step_mm(),
+                ]
             }
             Self::Azimuths { middle_mm, radius_mm, count } => {
                 around(*middle_mm, *radius_mm, (cell as f64 + part[0]) / *count as f64)

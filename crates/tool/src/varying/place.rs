@@ -41,13 +41,14 @@ impl<'a> Places<'a> {
             ([low[0].min(c), low[1].min(r)], [high[0].max(c), high[1].max(r)])
         });
         let middle_mm = [(&grid.x, 0), (&grid.y, 1)]
-            .map(|(axis, k)| 0.5 * (axis.at(low[k]) + axis.at(high[k])));
+            .map(|(axis, k)| 0.5 * (axis.coordinate_mm(low[k]) + axis.coordinate_mm(high[k])));
         let border = all.filter(|&(r, c)| {
             let neighbours =
                 [(r + 1, c), (r.wrapping_sub(1), c), (r, c + 1), (r, c.wrapping_sub(1))];
             neighbours.iter().any(|n| z.get(*n).is_none_or(|z| z.is_nan()))
         });
-        let border_mm = border.map(|(r, c)| [grid.x.at(c), grid.y.at(r)]).collect();
+        let border_mm =
+            border.map(|(r, c)| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]).collect();
         Self { surface, form: None, middle_mm, border_mm }
     }
 
@@ -113,7 +114,7 @@ impl<'a> Places<'a> {
         let valid = self.surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
         valid
             .filter(|((r, c), _)| r % every_y == 0 && c % every_x == 0)
-            .map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)])
+            .map(|((r, c), _)| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)])
             .collect()
     }
 

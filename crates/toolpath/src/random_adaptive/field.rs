@@ -95,7 +95,8 @@ impl Field {
                 *end = [end[0].min(i), end[1].max(i)];
             }
         }
-        let extent = [0, 1].map(|a| axes[a].at(ends[a][1]) - axes[a].at(ends[a][0]));
+        let extent =
+            [0, 1].map(|a| axes[a].coordinate_mm(ends[a][1]) - axes[a].coordinate_mm(ends[a][0]));
         let whole = [0, 1].map(|a| extent[a] + 2.0 * reach[a]);
         let cells = whole.map(|w| (w * CELLS_PER_PITCH / p - 1e-9).ceil().max(1.0));
         let total = cells[0] * cells[1];
@@ -111,8 +112,9 @@ impl Field {
         }
         let side_mm = [0, 1].map(|a| whole[a] / cells[a]);
         let count = cells.map(|n| n as usize + 2 * MARGIN_CELLS);
-        let low_mm =
-            [0, 1].map(|a| axes[a].at(ends[a][0]) - reach[a] - MARGIN_CELLS as f64 * side_mm[a]);
+        let low_mm = [0, 1].map(|a| {
+            axes[a].coordinate_mm(ends[a][0]) - reach[a] - MARGIN_CELLS as f64 * side_mm[a]
+        });
         let mut field = Self {
             low_mm,
             side_mm,
@@ -175,7 +177,9 @@ impl Field {
         let mut weighted = vec![0.0; self.island.len()];
         let mut weight = weighted.clone();
         for ((r, c), z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
-            let k = self.cell([grid.x.at(c), grid.y.at(r)]).expect("pixels are in the lattice");
+            let k = self
+                .cell([grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)])
+                .expect("pixels are in the lattice");
             weighted[k] += z;
             weight[k] += 1.0;
         }

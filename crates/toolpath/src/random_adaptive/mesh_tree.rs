@@ -250,7 +250,7 @@ mod tests {
     fn field(valid: impl Fn(f64, f64) -> bool) -> Field {
         let axis = Axis::new(0.0, 0.5, 61).unwrap();
         let height = Array2::from_shape_fn((61, 61), |(r, c)| {
-            let (x, y) = (axis.at(c), axis.at(r));
+            let (x, y) = (axis.coordinate_mm(c), axis.coordinate_mm(r));
             if valid(x, y) { 1.0 + x } else { f64::NAN }
         });
         let surface = Surface::new(Grid { x: axis, y: axis }, height).unwrap();

@@ -129,7 +129,7 @@ fn row_means(surface: &Surface, across: [f64; 2], part: Interval, h: f64) -> (Ve
     let mut sum = vec![(0.0, 0.0); rows];
     let lowest = surface.statistics().min.min(0.0);
     for ((r, c), z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
-        let w = grid.x.at(c) * across[0] + grid.y.at(r) * across[1];
+        let w = grid.x.coordinate_mm(c) * across[0] + grid.y.coordinate_mm(r) * across[1];
         let row = &mut sum[(((w - part.low) / h).round() as usize).min(rows - 1)];
         *row = (row.0 + (z - lowest), row.1 + 1.0);
     }

@@ -132,7 +132,7 @@ pub fn schedule(
             let length = path.segment_length_mm(i);
             let problem = format!("is 0 s on a segment of {length} mm");
             let remedy = "PVT as published stretches nothing; give it time, or use pvt";
-            return Err(Invalid::at("dwell_s", i, problem, remedy).into());
+            return Err(Invalid::at_index("dwell_s", i, problem, remedy).into());
         }
     }
     if timed.is_empty() {
@@ -141,7 +141,7 @@ pub fn schedule(
     let durations: Vec<f64> = timed.iter().map(|i| dwell.dwell_s()[*i]).collect();
     let break_time_s = break_times(&durations);
     let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
-    let axes = [0, 1].map(|axis| Axis {
+    let axes = [0, 1].map(|axis| PublishedAxis {
         displacement_mm: timed.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
         duration_s: h.clone(),
         max_velocity: limits.max_velocity_mm_per_s()[axis],
@@ -171,7 +171,7 @@ pub fn schedule(
 }
 
 impl AsPublishedReport {
-    fn measure(&mut self, axis: usize, problem: &Axis, nodes: &Nodes) {
+    fn measure(&mut self, axis: usize, problem: &PublishedAxis, nodes: &Nodes) {
         let n = problem.duration_s.len();
         let mut largest = 0.0_f64;
         let mut sum = 0.0;
@@ -213,7 +213,7 @@ impl AsPublishedReport {
 
 /// The problem of one axis; N segments.
 #[derive(Debug)]
-struct Axis {
+struct PublishedAxis {
     displacement_mm: Vec<f64>,
     duration_s: Vec<f64>,
     max_velocity: f64,
@@ -241,7 +241,7 @@ impl Nodes {
 /// pass. Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
-impl Axis {
+impl PublishedAxis {
     /// Returns the distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
     fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
         let h = self.duration_s[i];
@@ -357,8 +357,8 @@ mod tests {
     use super::*;
     use nalgebra::{DMatrix, DVector};
 
-    fn axis(dp: &[f64], h: &[f64], max_velocity: f64, max_acceleration: f64) -> Axis {
-        Axis {
+    fn axis(dp: &[f64], h: &[f64], max_velocity: f64, max_acceleration: f64) -> PublishedAxis {
+        PublishedAxis {
             displacement_mm: dp.to_vec(),
             duration_s: h.to_vec(),
             max_velocity,
@@ -370,7 +370,7 @@ mod tests {
     /// Solution (v, a) of the nodes 1 .. N-1 by Eqs 9-16 as printed: six unknowns
     /// (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the absolute time `t` of the source. The matrix is
     /// dense, and the null space keeps the hard rows. There are no bounds; they must not be active.
-    fn as_printed(problem: &Axis) -> Vec<[f64; 2]> {
+    fn as_printed(problem: &PublishedAxis) -> Vec<[f64; 2]> {
         let n = problem.duration_s.len();
         let t = break_times(&problem.duration_s);
         let p: Vec<f64> = break_times(&problem.displacement_mm);
