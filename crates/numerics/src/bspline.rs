@@ -21,7 +21,8 @@ pub fn on_a_cell(f: f64) -> [f64; 4] {
     [g * g * g / 6.0, inner_spline(f), inner_spline(g), f * f * f / 6.0]
 }
 
-/// Returns the value of a spline on a cell beside its middle, at the offset `f` from the middle.
+/// Returns the value of a cubic B-spline, for knots at distance 1, in one of its two inner cells, at the distance `f`
+/// in [0, 1] from its middle.
 #[inline]
 fn inner_spline(f: f64) -> f64 {
     (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
@@ -37,30 +38,30 @@ pub struct Knots {
 }
 
 impl Knots {
-    /// Makes knots of `spans >= 1` spans of equal length on [0, `length`].
+    /// Makes knots with `spans >= 1` intervals of equal length on [0, `length`].
     pub fn uniform(length: f64, spans: usize) -> Self {
         let inner = (1..spans).map(|k| length * k as f64 / spans as f64);
         let t = [0.0; P + 1].into_iter().chain(inner).chain([length; P + 1]).collect();
         Self { t }
     }
 
-    /// Returns the number of control values n.
+    /// Returns the number of control values n, one per B-spline.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.t.len() - P - 1
     }
 
-    /// Returns all knots, (n+4).
+    /// Returns all knots (n+4), ascending, with the fourfold ends.
     pub fn all(&self) -> &[f64] {
         &self.t
     }
 
-    /// Returns the ends of the spans, ascending: the knots without their repetitions.
+    /// Returns the knots without their repetitions, ascending: the ends of the intervals.
     pub fn breaks(&self) -> &[f64] {
         &self.t[P..self.t.len() - P]
     }
 
-    /// Returns the interval on which `B_i` is not zero.
+    /// Returns the two ends of the interval on which the B-spline `B_i` is not zero.
     pub fn support(&self, i: usize) -> (f64, f64) {
         (self.t[i], self.t[i + P + 1])
     }
@@ -73,7 +74,7 @@ impl Knots {
         (0..self.len()).map(|i| (self.t[i + 1] + self.t[i + 2] + self.t[i + 3]) / 3.0).collect()
     }
 
-    /// Returns the largest k with `t_k <= s` in a span that is not empty.
+    /// Returns the index k of the knot interval that contains `s`: the largest k with `t_k <= s` and `t_k < t_{k+1}`.
     fn span(&self, s: f64) -> usize {
         let inner = &self.t[P + 1..self.len()];
         P + inner.partition_point(|t| *t <= s)
@@ -86,8 +87,8 @@ impl Knots {
         (k - P, recurrence::<4>(|i| self.t[i], k, s))
     }
 
-    /// Returns the index of the first B-spline that is not zero at `s`, and the derivatives of `B_i ..
-    /// B_{i+3}`.
+    /// Returns the index i of the first B-spline that is not zero at `s`, and the derivatives of `B_i .. B_{i+3}`
+    /// there.
     pub fn basis_derivative(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         let lower = recurrence::<3>(|i| self.t[i], k, s);
@@ -113,7 +114,7 @@ impl Knots {
         combine(d, self.basis_derivative(s))
     }
 
-    /// Returns the integral of D from the first knot, in closed form.
+    /// Returns the integral, from the first knot to s, of the spline with the control values `d` (n), in closed form.
     pub fn integral(&self, d: &[f64]) -> Integral<'_> {
         let mut e = vec![0.0];
         for i in 0..self.len() {
@@ -165,7 +166,7 @@ impl Knots {
     }
 }
 
-/// Integral of a spline: a quartic spline.
+/// Integral of a cubic spline from the first knot: a quartic spline.
 #[derive(Clone, Debug)]
 pub struct Integral<'a> {
     knots: &'a Knots,
@@ -183,13 +184,14 @@ impl Integral<'_> {
     }
 }
 
-/// Returns the sum of the splines that are not zero, with their control values.
+/// Returns the sum of the four B-splines that are not zero, each times its control value of `d`; the first has the
+/// index `first`.
 fn combine(d: &[f64], (first, basis): (usize, [f64; 4])) -> f64 {
     (0..4).map(|j| d[first + j] * basis[j]).sum()
 }
 
-/// Returns the values of the N B-splines of degree N - 1 that are not zero in span k, by the recurrence of Cox
-/// and de Boor.
+/// Returns the values at `s` of the N B-splines of degree N - 1 that are not zero in the knot interval k, by the
+/// recurrence of Cox and de Boor. `t(i)` is knot i.
 fn recurrence<const N: usize>(t: impl Fn(usize) -> f64, k: usize, s: f64) -> [f64; N] {
     let mut b = [0.0; N];
     b[0] = 1.0;

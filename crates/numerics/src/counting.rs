@@ -1,17 +1,17 @@
 //! Counting sort for keys that are small numbers, in time proportional to the number of items and
 //! keys.
 
-/// Item numbers in the order of their keys. Items of the same key stay in their order.
+/// Item numbers grouped by their keys, keys ascending. Items of the same key stay in ascending order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Grouped {
-    /// The items of key k are `items[first[k]..first[k + 1]]`.
+    /// Index in `items` of the first item of every key: the items of key k are `items[first[k]..first[k + 1]]`.
     first: Vec<u32>,
     items: Vec<u32>,
 }
 
 impl Grouped {
-    /// Groups the items 0, 1, 2, ... (fewer than 2^32) by their keys, all below `keys`. Items
-    /// without a key are left out.
+    /// Groups the items 0, 1, 2, ... (fewer than 2^32) by their keys. `key_of_item` gives their keys in order, all
+    /// below `keys`; items with the key `None` are left out.
     pub fn new(keys: usize, key_of_item: impl Iterator<Item = Option<usize>> + Clone) -> Self {
         // Element k + 1 first counts the items of key k, then those of all keys up to k.
         let mut first = vec![0_u32; keys + 1];
@@ -30,18 +30,18 @@ impl Grouped {
         Self { first, items }
     }
 
-    /// Returns the items of a key.
+    /// Returns the numbers of the items with this key, ascending.
     pub fn group(&self, key: usize) -> &[u32] {
         &self.items[self.first(key)..self.first(key + 1)]
     }
 
-    /// Returns the place of the first item of a key among all items. For the key after the last, it is the
-    /// number of items.
+    /// Returns the index of the first item of a key in [`Self::items`]. For the key after the last, it is the number
+    /// of items.
     pub fn first(&self, key: usize) -> usize {
         self.first[key] as usize
     }
 
-    /// Returns all items that have a key.
+    /// Returns the numbers of all items that have a key, grouped by key.
     pub fn items(&self) -> &[u32] {
         &self.items
     }

@@ -8,18 +8,18 @@
 /// A point of the plane.
 pub type Point = [f64; 2];
 
-/// A line segment: its two ends.
+/// A line segment, given by its two ends.
 pub type Chord = [Point; 2];
 
-/// Gap at which a bound counts as the distance, relative. Larger: the stated distance is too large by as much.
-/// Smaller: more halves.
+/// Gap between the bounds of a distance, relative to it, at which the search ends. Larger: the stated distance is too
+/// large by as much. Smaller: more halvings.
 const RELATIVE_GAP: f64 = 1e-7;
 
-/// The same, absolute, in the unit of the cubic: far below any length of a machine in mm. It ends the search where the
-/// distance is 0.
+/// The same gap, absolute, in the unit of the cubic. It is far below any length of a machine in mm, and ends the
+/// search where the distance is 0.
 const ABSOLUTE_GAP: f64 = 1e-11;
 
-/// Largest number of halvings. After 40 of them the gap is rounding.
+/// Largest number of halvings of the interval. After 40 of them the gap is rounding.
 const MAX_HALVINGS: usize = 40;
 
 /// Returns the distance of `point` from `chord`.
@@ -34,7 +34,8 @@ pub fn from_chord(point: Point, chord: &Chord) -> f64 {
     (from_a[0] - place * along[0]).hypot(from_a[1] - place * along[1])
 }
 
-/// Returns the Bernstein coefficients of the cubic with ascending coefficients per axis on [0, `end`].
+/// Returns the Bernstein coefficients, as points of the plane, of the cubic on [0, `end`]. `cubic` has the ascending
+/// coefficients of either axis.
 fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
     let per_axis = cubic.map(|c| {
         let first = c[1] * end;
@@ -50,11 +51,12 @@ fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
     [0, 1, 2, 3].map(|k| [per_axis[0][k], per_axis[1][k]])
 }
 
-/// Returns the largest distance of a cubic on [0, `end`] that is above `least`, or `least` if none is. The distance is
-/// an upper bound, and exact to 1e-7.
+/// Returns the largest distance of a plane cubic on [0, `end`] that is above `least`, or `least` if none is. The
+/// distance is an upper bound, and exact to 1e-7. It is infinite if `farthest` returns no finite number.
 ///
-/// `farthest` returns the largest distance of its points, for one chord or for the nearest of several: the smallest
-/// over the chords of the largest over the points. It may return any bound that is not above its second argument.
+/// `farthest(points, enough)` returns the largest distance of the points, for one chord or for the nearest of several:
+/// the smallest over the chords of the largest over the points. It may return any bound that is not above its second
+/// argument.
 pub fn largest(
     cubic: &[[f64; 4]; 2],
     end: f64,
@@ -86,7 +88,7 @@ pub fn largest(
     largest
 }
 
-/// Returns the corners of both halves of a cubic, by de Casteljau's construction.
+/// Returns the Bernstein coefficients of both halves of a cubic, by de Casteljau's construction.
 fn halves([a, b, c, d]: &[Point; 4]) -> [[Point; 4]; 2] {
     let [ab, bc, cd] = [(a, b), (b, c), (c, d)].map(|(p, q)| middle(p, q));
     let [abc, bcd] = [(ab, bc), (bc, cd)].map(|(p, q)| middle(&p, &q));

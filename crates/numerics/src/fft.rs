@@ -27,7 +27,7 @@ pub use rustfft::num_complex::{Complex, Complex64};
 
 use crate::vectors::vectorised;
 
-/// Adds `a b` to `sum`, element by element.
+/// Adds the products `a[i] b[i]` to `sum[i]`, for every element i.
 pub fn add_products(sum: &mut [Complex64], a: &[Complex64], b: &[Complex64]) {
     vectorised(
         #[inline(always)]
@@ -39,7 +39,7 @@ pub fn add_products(sum: &mut [Complex64], a: &[Complex64], b: &[Complex64]) {
     );
 }
 
-/// Adds `a b*` to `sum`, element by element.
+/// Adds the products of `a[i]` and the complex conjugate of `b[i]` to `sum[i]`, for every element i.
 pub fn add_conjugate_products(sum: &mut [Complex64], a: &[Complex64], b: &[Complex64]) {
     vectorised(
         #[inline(always)]
@@ -51,7 +51,7 @@ pub fn add_conjugate_products(sum: &mut [Complex64], a: &[Complex64], b: &[Compl
     );
 }
 
-/// Returns the smallest `m >= n` without prime factors above 7.
+/// Returns the smallest `m >= n` without prime factors above 7: a length whose transforms are fast.
 pub fn smooth_size(n: usize) -> usize {
     (n.max(1)..)
         .find(|&m| {

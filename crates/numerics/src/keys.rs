@@ -31,13 +31,14 @@ pub fn weights(f: f64) -> [f64; 4] {
     ]
 }
 
-/// Returns the means of Keys' weights over offsets f whose powers have the means `[f, f^2, f^3]`.
+/// Returns the means of Keys' four weights over a set of offsets f, from `[f, f^2, f^3]`: the means of their powers
+/// over the set.
 #[inline]
 pub fn mean_weights([f, f2, f3]: [f64; 3]) -> [f64; 4] {
     [f2 - 0.5 * (f3 + f), 1.0 + 1.5 * f3 - 2.5 * f2, 2.0 * f2 - 1.5 * f3 + 0.5 * f, 0.5 * (f3 - f2)]
 }
 
-/// Returns `samples` (ny, nx) with one ghost node on every side, (ny+2, nx+2).
+/// Returns `samples` (ny, nx) with one more node on every side, by quadratic continuation (the module): (ny+2, nx+2).
 ///
 /// An axis with fewer than three samples continues with the highest order that it has: linear for
 /// two samples, constant for one.
@@ -56,7 +57,7 @@ pub fn with_ghosts(samples: ArrayView2<f64>) -> Array2<f64> {
     g
 }
 
-/// Returns the ghost node next to `node(0)`, from the `n` nodes `node(0), node(1), ...` towards the middle.
+/// Returns the node before `node(0)` by continuation. `node(k)`, k < n, are the samples from the border inwards.
 fn continuation(n: usize, node: impl Fn(usize) -> f64) -> f64 {
     match n {
         1 => node(0),
@@ -74,7 +75,8 @@ fn continuation(n: usize, node: impl Fn(usize) -> f64) -> f64 {
 /// steps.
 pub const SNAP: f64 = 1e-9;
 
-/// Returns the lattice cell and the offset of the coordinate `s`, which is moved to a node within [`SNAP`].
+/// Returns the lattice cell (the index of the node below) and the offset in [0, 1) of the coordinate `s`, in steps. A
+/// coordinate within [`SNAP`] of a node is moved to it.
 #[inline]
 pub fn split(s: f64) -> (isize, f64) {
     // floor, without a call where the processor that is compiled for has no instruction for it

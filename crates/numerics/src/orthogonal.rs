@@ -12,7 +12,7 @@
 //! Source: F. W. J. Olver et al., NIST Handbook of Mathematical Functions, section 18.9; for the
 //! radial polynomials B. Honarvar Shakibaei, R. Paramesran, Opt. Lett. 38 (2013) 2487, Eq. 12.
 
-/// Writes `out[k] = P_k(u)`, k = 0, 1, ...
+/// Writes the Legendre polynomials `out[k] = P_k(u)` of the orders k = 0, 1, ... up to the length of `out`.
 pub fn legendre(u: f64, out: &mut [f64]) {
     for k in 0..out.len() {
         out[k] = match k {
@@ -26,7 +26,7 @@ pub fn legendre(u: f64, out: &mut [f64]) {
     }
 }
 
-/// Writes `out[k] = T_k(u)`, k = 0, 1, ...
+/// Writes the Chebyshev polynomials of the first kind `out[k] = T_k(u)`, k = 0, 1, ... up to the length of `out`.
 pub fn chebyshev(u: f64, out: &mut [f64]) {
     for k in 0..out.len() {
         out[k] = match k {
@@ -37,19 +37,20 @@ pub fn chebyshev(u: f64, out: &mut [f64]) {
     }
 }
 
-/// Returns the number of Zernike terms up to the radial order `order`.
+/// Returns the number of Zernike terms (n, m) with a radial order n <= `order`.
 pub fn zernike_terms(order: u32) -> usize {
     (order as usize + 1) * (order as usize + 2) / 2
 }
 
-/// Returns the index of the term (n, m) in the order of OSA and ANSI Z80.28: n ascending, then m.
+/// Returns the index, from 0, of the Zernike term of radial order n and azimuthal order m in the sequence of OSA and
+/// ANSI Z80.28: n ascending, then m.
 pub fn zernike_index(n: u32, m: i32) -> usize {
     let n = i64::from(n);
     ((n * (n + 2) + i64::from(m)) / 2) as usize
 }
 
-/// Writes all `Z_n^m(x, y)` with n <= `order` at x = rho cos(theta), y = rho sin(theta), at the indices of
-/// [`zernike_index`]. `out` has [`zernike_terms`] elements.
+/// Writes all Zernike polynomials `Z_n^m(x, y)` with n <= `order`, at x = rho cos(theta), y = rho sin(theta). Their
+/// places in `out` are those of [`zernike_index`], and `out` has [`zernike_terms`] elements.
 pub fn zernike(order: u32, x: f64, y: f64, out: &mut [f64]) {
     let n_max = order as usize;
     assert_eq!(out.len(), zernike_terms(order), "one element per term");

@@ -10,17 +10,17 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use ndarray::{ArrayBase, ArrayViewMut, Axis, DataMut, Dimension, RemoveAxis};
 use rayon::prelude::*;
 
-/// Pieces that a loop has for every thread, at least where it has so many items. More pieces balance uneven items
-/// better, and each costs some 50 ns.
+/// Smallest number of parts of a loop for every thread, where the loop has so many items. More parts balance uneven
+/// items better, and each costs some 50 ns.
 const PIECES_PER_THREAD: usize = 64;
 
-/// Calls `work` once with every number below `count`.
+/// Calls `work` once with every number 0, 1, ... below `count`, on all threads.
 pub fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
     let most = count.div_ceil(PIECES_PER_THREAD * rayon::current_num_threads()).max(1);
     (0..count).into_par_iter().with_max_len(most).for_each(work);
 }
 
-/// Returns `item(0)`, `item(1)`, ... up to `count`.
+/// Returns `item(0)`, `item(1)`, ... up to `item(count - 1)` in this order, computed on all threads.
 pub fn map<R: Send + Sync>(count: usize, item: &(dyn Fn(usize) -> R + Sync)) -> Vec<R> {
     let results: Vec<OnceLock<R>> = (0..count).map(|_| OnceLock::new()).collect();
     for_each(count, &|i| {
@@ -30,7 +30,7 @@ pub fn map<R: Send + Sync>(count: usize, item: &(dyn Fn(usize) -> R + Sync)) -> 
     values.map(|value| value.expect("every item has its result")).collect()
 }
 
-/// Calls `work` once with the number of every item and the item.
+/// Calls `work(i, item)` once for every item, on all threads; i counts the items from 0.
 pub fn consume<T: Send>(items: impl IntoIterator<Item = T>, work: &(dyn Fn(usize, T) + Sync)) {
     let items: Vec<Mutex<Option<T>>> =
         items.into_iter().map(|item| Mutex::new(Some(item))).collect();
@@ -42,7 +42,8 @@ pub fn consume<T: Send>(items: impl IntoIterator<Item = T>, work: &(dyn Fn(usize
     });
 }
 
-/// Calls `work` once with a workspace, the number of every item and the item. No two calls use one workspace at a time.
+/// Calls `work(workspace, i, item)` once for every item, on all threads. `workspace` makes a new one where none is
+/// idle, and no two calls use one at the same time.
 pub fn consume_with<W: Send, T: Send>(
     items: impl IntoIterator<Item = T>,
     workspace: &(dyn Fn() -> W + Sync),
@@ -57,7 +58,8 @@ pub fn consume_with<W: Send, T: Send>(
     });
 }
 
-/// Calls `work` once with the number of every band of `rows` rows of a map and the band; the last may have fewer rows.
+/// Divides a map into bands of `rows` rows, and calls `work(index of the band, band)` once for each. The last band may
+/// have fewer rows.
 pub fn for_each_band<A: Send, S: DataMut<Elem = A>, D: Dimension + RemoveAxis>(
     map: &mut ArrayBase<S, D>,
     rows: usize,
@@ -66,7 +68,8 @@ pub fn for_each_band<A: Send, S: DataMut<Elem = A>, D: Dimension + RemoveAxis>(
     consume(map.axis_chunks_iter_mut(Axis(0), rows), work);
 }
 
-/// Calls `work` once with the number of every piece of `length` values and the piece; the last may be shorter.
+/// Divides a slice into pieces of `length` values, and calls `work(index of the piece, piece)` once for each. The last
+/// piece may be shorter.
 pub fn for_each_piece<T: Send>(
     values: &mut [T],
     length: usize,

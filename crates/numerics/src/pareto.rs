@@ -3,8 +3,8 @@
 //! A point is on the front if no other point is at most as large in both quantities and smaller in
 //! one.
 
-/// Returns the indices of the points on the front, by ascending first quantity. Of equal points, only the first
-/// is on it. Points with NaN are not on it.
+/// Returns the indices in `points` of the points on the Pareto front, by ascending first quantity. Of equal points,
+/// only the first is on it. Points with NaN are not on it.
 pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|&i| !points[i].iter().any(|x| x.is_nan())).collect();

@@ -2,20 +2,20 @@
 //!
 //! Coefficients are ascending: `p(u) = c[0] + c[1] u + c[2] u^2 + c[3] u^3`.
 
-/// Returns the value `p(u)`, by nested multiplication.
+/// Returns the value `p(u)` of the polynomial with the ascending coefficients `c`, by nested multiplication.
 #[inline]
 pub fn evaluate(c: &[f64; 4], u: f64) -> f64 {
     ((c[3] * u + c[2]) * u + c[1]) * u + c[0]
 }
 
-/// Returns the coefficients of the derivative.
+/// Returns the ascending coefficients of the derivative p'(u) of the polynomial with the coefficients `c`.
 #[inline]
 pub fn derivative(c: &[f64; 4]) -> [f64; 4] {
     [c[1], 2.0 * c[2], 3.0 * c[3], 0.0]
 }
 
-/// Returns the polynomial q(u) = p(u + d), which begins at `d`: `q_k = p^(k)(d) / k!`. For d = 0 it equals p to
-/// the last bit.
+/// Returns the coefficients of q(u) = p(u + d), the same polynomial counted from `d`: `q_k = p^(k)(d) / k!`. For d = 0
+/// it equals p to the last bit.
 pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     if d == 0.0 {
         return *p;
@@ -49,12 +49,13 @@ pub fn quadratic_roots(a: f64, b: f64, c: f64, end: f64) -> impl Iterator<Item =
     roots.into_iter().flatten()
 }
 
-/// Returns `u` if it is in the open interval (0, `end`).
+/// Returns `u` if it is in the open interval (0, `end`), otherwise `None`.
 fn within(u: f64, end: f64) -> Option<f64> {
     if u > 0.0 && u < end { Some(u) } else { None }
 }
 
-/// Returns the exact smallest and largest value of `p` on [0, `end`], with the places where they occur.
+/// Returns the exact smallest and largest value of the polynomial with the coefficients `c` on [0, `end`], and the
+/// arguments u where they occur.
 ///
 /// The candidates are the two ends and the roots of p' inside.
 pub fn range(c: &[f64; 4], end: f64) -> Range {
@@ -79,22 +80,24 @@ pub struct Range {
     pub min: f64,
     /// Largest value.
     pub max: f64,
-    /// Place of the smallest value.
+    /// Argument u of the smallest value; the smaller one if several are equal.
     pub min_at: f64,
-    /// Place of the largest value.
+    /// Argument u of the largest value; the smaller one if several are equal.
     pub max_at: f64,
 }
 
 impl Range {
-    /// Returns the largest magnitude and its place.
+    /// Returns the largest magnitude of the polynomial and the argument u where it occurs.
     pub fn peak(&self) -> (f64, f64) {
         if -self.min > self.max { (-self.min, self.min_at) } else { (self.max, self.max_at) }
     }
 }
 
-/// Returns the root of `p(u) = level` in [`lo`, `hi`], where `p` is monotone and the level is bracketed.
+/// Returns the argument u in [`lo`, `hi`] at which the polynomial has the value `level`. It must be monotone there,
+/// and `level` must lie between its values at both ends.
 ///
-/// Newton's method, with bisection where it would leave the shrinking bracket. It ends at rounding.
+/// Uses Newton's method, with bisection where a step would leave the shrinking bracket. It ends when a step is
+/// rounding.
 pub fn monotone_crossing(c: &[f64; 4], level: f64, mut lo: f64, mut hi: f64) -> f64 {
     let rising = evaluate(c, hi) >= evaluate(c, lo);
     let d = derivative(c);

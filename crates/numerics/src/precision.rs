@@ -2,9 +2,9 @@
 
 use rustfft::FftNum;
 
-/// Number of a matrix, a transform or a factor, in either precision.
+/// Number type of a matrix, a transform or a factor: `f64` or `f32`.
 pub trait Real: FftNum + Default + Into<f64> {
-    /// Returns the number nearest to `value`.
+    /// Returns the number of this type that is nearest to `value`.
     fn rounded(value: f64) -> Self;
 }
 

@@ -19,7 +19,7 @@ pub fn gauss_legendre<const N: usize>() -> [(f64, f64); N] {
     })
 }
 
-/// Returns `(P_n(z), P_n'(z))` by Bonnet's recursion.
+/// Returns the Legendre polynomial of order n and its derivative, `(P_n(z), P_n'(z))`, by Bonnet's recursion.
 fn legendre(n: usize, z: f64) -> (f64, f64) {
     let mut previous = 0.0;
     let mut p = 1.0;

@@ -18,7 +18,7 @@
 
 use ndarray::{Array2, ArrayView2, Axis, Slice, Zip};
 
-/// The axis along which a slope is taken.
+/// Direction along which a slope is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Along {
     /// Along a row.
@@ -28,7 +28,7 @@ pub enum Along {
 }
 
 impl Along {
-    /// Returns the axis of an array [y, x].
+    /// Returns the axis of an array [y, x] along this direction: 1 for X, 0 for Y.
     pub fn axis(self) -> Axis {
         match self {
             Self::X => Axis(1),
@@ -37,15 +37,15 @@ impl Along {
     }
 }
 
-/// Returns the number of steps, at least one, nearest to the length `base`. `None` if `n` samples do not
-/// contain that many steps.
+/// Returns the number of sample steps of length `step`, at least one, that is nearest to the base length `base`.
+/// `None` if `n` samples do not contain that many steps.
 pub fn steps_of_base(base: f64, step: f64, n: usize) -> Option<usize> {
     let steps = (base / step).round().max(1.0);
     if steps.is_finite() && steps < n as f64 { Some(steps as usize) } else { None }
 }
 
-/// Returns the slopes of `z` at the `coordinates` along the axis, over `steps` samples. The result is empty
-/// for `steps` samples or fewer.
+/// Returns the slopes of `z` (ny, nx) along the axis, each between two samples that are `steps` apart. `coordinates`
+/// are those of the samples along this axis. The result is empty if there are no more than `steps` samples.
 pub fn slopes(z: ArrayView2<f64>, coordinates: &[f64], along: Along, steps: usize) -> Array2<f64> {
     let axis = along.axis();
     let count = z.len_of(axis).saturating_sub(steps);

@@ -75,31 +75,31 @@ pub fn without_plane(z: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f64> {
     }
 }
 
-/// A two-dimensional density, for both signs of the frequencies.
+/// Two-dimensional power spectral density S, for positive and negative frequencies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Density {
-    /// Frequencies along x, ascending (nx).
+    /// Frequencies along x, cycles per unit of length, ascending (nx).
     pub frequency_x: Vec<f64>,
-    /// Frequencies along y, ascending (ny).
+    /// Frequencies along y, cycles per unit of length, ascending (ny).
     pub frequency_y: Vec<f64>,
-    /// S (ny, nx).
+    /// Power spectral density S (ny, nx), in the squared unit of the samples times the squared unit of length.
     pub density: Array2<f64>,
-    /// Area of a bin: df along x times df along y.
+    /// Area of a bin: the frequency step along x times that along y.
     pub bin: f64,
 }
 
-/// Means over a ring of frequencies.
+/// Means over a ring of the frequency plane: the bins whose radial frequency |f| is in one interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// Mean of |f|.
+    /// Mean of the radial frequency |f| over the bins of the ring.
     pub frequency: f64,
-    /// Mean of S.
+    /// Mean of the power spectral density S over the bins of the ring.
     pub density: f64,
 }
 
 impl Density {
-    /// Computes the density S of `z` (ny, nx) without invalid samples, at `step` [dx, dy], under `window` [w_x,
-    /// w_y].
+    /// Computes the power spectral density S of `z` (ny, nx), which has no invalid samples. Its sample steps are [dx,
+    /// dy], and the windows [w_x, w_y] have nx and ny weights.
     pub fn new(z: ArrayView2<f64>, [dx, dy]: [f64; 2], [w_x, w_y]: [&[f64]; 2]) -> Self {
         let (ny, nx) = z.dim();
         // S = |F|^2 / (nx dx ny dy mean(w^2)), F = dx dy DFT(z w)
@@ -116,19 +116,21 @@ impl Density {
         }
     }
 
-    /// Returns the sum of S df over all bins. It equals the mean square of the weighted samples.
+    /// Returns the density S summed over all bins times the area of a bin. It equals the mean square of the windowed
+    /// samples.
     pub fn total(&self) -> f64 {
         self.density.sum() * self.bin
     }
 
-    /// Returns the sum of S df over the bins with `low` <= |f| < `high`.
+    /// Returns the mean square in a band: the density S summed over the bins with `low` <= |f| < `high`, times the
+    /// area of a bin.
     pub fn mean_square(&self, [low, high]: [f64; 2]) -> f64 {
         let inside = self.bins().filter(|(f, _)| *f >= low && *f < high);
         inside.map(|(_, s)| s).sum::<f64>() * self.bin
     }
 
-    /// Returns the means over `count` rings. `ring_of` gives the ring of a frequency |f|, if any. A ring
-    /// without a bin is `None`.
+    /// Returns the mean frequency and density of each of `count` rings. `ring_of` gives the index of the ring of a
+    /// radial frequency |f|, or `None` to leave the bin out. A ring without a bin is `None`.
     pub fn rings(&self, count: usize, ring_of: impl Fn(f64) -> Option<usize>) -> Vec<Option<Ring>> {
         let mut sums = vec![(0.0, 0.0, 0_usize); count];
         for (f, s) in self.bins() {
@@ -145,14 +147,15 @@ impl Density {
         rings.collect()
     }
 
-    /// Returns |f| and S of every bin.
+    /// Returns the radial frequency |f| and the density S of every bin.
     fn bins(&self) -> impl Iterator<Item = (f64, f64)> {
         let bins = self.density.indexed_iter();
         bins.map(|((r, c), s)| (self.frequency_x[c].hypot(self.frequency_y[r]), *s))
     }
 }
 
-/// Returns the frequencies and the mean one-sided density of the rows of `z`, at `step`, under `window`.
+/// Returns the frequencies f >= 0 (n / 2 + 1) and the one-sided density, averaged over the rows of `z` (rows, n).
+/// `step` is the distance of the samples; `window` has n weights.
 pub fn along_rows(z: ArrayView2<f64>, step: f64, window: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let (rows, n) = z.dim();
     let mut sums = vec![0.0; n / 2 + 1];
@@ -196,23 +199,24 @@ pub fn transfer(
     Array2::from_shape_fn((f_y.len(), f_x.len()), |(r, c)| lines[r][c])
 }
 
-/// Returns `exp(-2 pi i f x)` at every x.
+/// Returns the complex wave `exp(-2 pi i f x)` of the frequency `f` at every coordinate of `x`.
 fn waves(f: f64, x: &[f64]) -> Vec<Complex64> {
     x.iter().map(|x| Complex64::cis(-2.0 * PI * f * x)).collect()
 }
 
-/// Returns the mean of the squares of a window.
+/// Returns the mean of the squared weights of a window.
 pub fn mean_square(window: &[f64]) -> f64 {
     window.iter().map(|w| w * w).sum::<f64>() / window.len() as f64
 }
 
-/// Returns the indices of the elements of a transform of length `n` by ascending frequency.
+/// Returns the indices of the elements of a transform of length `n`, sorted by ascending frequency from the most
+/// negative one.
 fn ascending(n: usize) -> Vec<usize> {
     (n / 2 + 1..n).chain(0..=n / 2).collect()
 }
 
-/// Returns the largest rectangle of true by area: its first (row, column) and its (rows, columns). Of equal
-/// rectangles, the first.
+/// Returns the rectangle of largest area in which all flags are true: its first (row, column) and its size (rows,
+/// columns). Of equal rectangles, the first. Without a true flag the size is (0, 0).
 pub fn largest_rectangle(flags: &Array2<bool>) -> ((usize, usize), (usize, usize)) {
     let (ny, nx) = flags.dim();
     let mut best = ((0, 0), (0, 0));

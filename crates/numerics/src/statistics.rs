@@ -34,8 +34,8 @@ const PART: usize = 1 << 14;
 /// rounding of a sum.
 const SIDE_BY_SIDE: usize = 8;
 
-/// Returns the results of `evaluate` for parts of the rows of `map`, in order. It gets the number of the first row
-/// of a part, and the part.
+/// Divides `map` into parts of neighbouring rows, of about [`PART`] pixels each. Returns the results of `evaluate` for
+/// these parts, in order; it gets the index of the first row of a part, and the part.
 fn by_parts<T: Send + Sync>(
     map: ArrayView2<f64>,
     evaluate: impl Fn(usize, ArrayView2<f64>) -> T + Sync,
@@ -47,7 +47,7 @@ fn by_parts<T: Send + Sync>(
     })
 }
 
-/// Returns the pixels of a row, copied if they are not contiguous.
+/// Returns the pixels of a row as a slice, copied if they are not contiguous in memory.
 #[inline(always)]
 fn pixels(row: ArrayView1<'_, f64>) -> Cow<'_, [f64]> {
     row.to_slice().map_or_else(|| row.to_vec().into(), Cow::Borrowed)
@@ -95,7 +95,7 @@ fn sums<const N: usize>(
     })
 }
 
-/// Adds the terms of a few pixels of a row to their sums.
+/// Adds `terms_of(x, y, value)` of neighbouring pixels of a row to their sums; each pixel has its own set of sums.
 #[inline(always)]
 fn add<const M: usize, const N: usize>(
     pixels: &[f64; M],
@@ -159,7 +159,7 @@ pub fn valid_count(map: ArrayView2<f64>) -> usize {
     )[0] as usize
 }
 
-/// Counts the valid pixels that have each of these values.
+/// Returns, for each number in `values`, the count of the valid pixels that are equal to it.
 pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize; N] {
     let counts = sums_of_values(
         map,
@@ -169,7 +169,7 @@ pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize;
     counts.map(|n| n as usize)
 }
 
-/// Returns the sum of the excess of the valid pixels over `level`.
+/// Returns the sum of `value - level` over the valid pixels above `level`.
 pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
     let above = sums_of_values(
         map,
@@ -179,8 +179,8 @@ pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
     above[0]
 }
 
-/// Step between the rows that [`lowest`] samples for a bound on its result. Larger: a weaker bound,
-/// so that more pixels are sorted. Smaller: more pixels are sampled. It does not change the result.
+/// Step between the rows that [`lowest`] samples for an upper bound on its result. Larger: a weaker bound, so that
+/// more pixels are sorted. Smaller: more pixels are sampled. It does not change the result.
 const ROWS_PER_LOOK: usize = 16;
 
 /// Returns the lowest valid pixel after leaving out the lowest `fraction`, in [0, 1). If weights (ny, nx) are
@@ -199,7 +199,7 @@ pub fn lowest(map: ArrayView2<f64>, weight: Option<ArrayView2<f64>>, fraction: f
     ranked(low.collect(), rank)
 }
 
-/// Returns the valid pixels of row r that count: those of a weight above 0.
+/// Returns the valid pixels of row r with a weight above 0. Without weights, returns all valid pixels of the row.
 fn counted<'a>(
     map: ArrayView2<'a, f64>,
     weight: Option<ArrayView2<'a, f64>>,
@@ -210,7 +210,7 @@ fn counted<'a>(
         .map(|(_, v)| *v)
 }
 
-/// Returns the value with so many lower ones, if there are enough values.
+/// Returns the value that has `rank` lower ones among `values`; `None` if there are too few values.
 fn ranked(mut values: Vec<f64>, rank: usize) -> Option<f64> {
     if rank >= values.len() {
         return None;
@@ -290,12 +290,12 @@ pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
     Some(Plane { a: z_mean - b * x_mean - c * y_mean, b, c })
 }
 
-/// Returns coordinates from their mean, in units of a scale.
+/// Returns `(coordinate - mean) / scale` for every coordinate.
 fn scaled(coordinates: &[f64], mean: f64, scale: f64) -> Vec<f64> {
     coordinates.iter().map(|v| (v - mean) / scale).collect()
 }
 
-/// Returns `map` minus `plane`; NaN stays NaN.
+/// Returns `map` (ny, nx) minus `plane` at the coordinates `x` (nx) and `y` (ny); NaN stays NaN.
 pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) -> Array2<f64> {
     let mut out = map.to_owned();
     for ((r, c), v) in out.indexed_iter_mut() {
@@ -304,8 +304,8 @@ pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) 
     out
 }
 
-/// Returns the population RMS after removing the least-squares plane. If the valid pixels define no plane, only
-/// the mean is removed. `None` if there are no valid pixels.
+/// Returns the population RMS of `map` after removing its least-squares plane over the coordinates `x` (nx) and `y`
+/// (ny). If the valid pixels define no plane, only the mean is removed. `None` if there are no valid pixels.
 pub fn detilted_rms(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<f64> {
     let Some(plane) = fit_plane(map, x, y) else { return statistics(map).map(|s| s.rms) };
     // The mean of the remainder is zero but for rounding.

@@ -21,12 +21,12 @@ pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(work)
 }
 
-/// Arithmetic on vectors with a number in every lane.
+/// Arithmetic on vectors of the processor, each with one number in every lane. All operations act lane by lane.
 pub trait Lanes: Real {
     /// Vector type of the processor.
     type Vector<S: Simd>: Copy;
 
-    /// Returns the number of lanes of a vector.
+    /// Returns the number of lanes: how many numbers a vector holds.
     fn lanes<S: Simd>() -> usize;
     /// Returns a vector with `value` in every lane.
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;

@@ -45,7 +45,7 @@ use crate::vectors::Lanes;
 /// result.
 const LINES: usize = 16;
 
-/// Convolution with one kernel for sources of one shape.
+/// Convolution with one kernel, planned for sources of one shape.
 pub struct Convolution<T: Lanes + Planned = f64> {
     source: (usize, usize),
     kernel: Array2<f64>,
@@ -62,8 +62,8 @@ pub struct Convolution<T: Lanes + Planned = f64> {
 }
 
 impl<T: Lanes + Planned> Convolution<T> {
-    /// Plans transforms for sources of shape `source`, at least as large as the kernel on both
-    /// axes.
+    /// Plans the convolution with `kernel` (gy, gx) of sources of the shape `source` (sy, sx), at least as large as
+    /// the kernel on both axes.
     pub fn new(kernel: ArrayView2<f64>, source: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(
@@ -85,7 +85,8 @@ impl<T: Lanes + Planned> Convolution<T> {
         }
     }
 
-    /// Returns the valid part of kernel * source, (sy-gy+1, sx-gx+1).
+    /// Returns the valid part of the convolution, `valid` of the module: shape (sy-gy+1, sx-gx+1), in the product of
+    /// the units of kernel and source.
     pub fn valid(&self, source: ArrayView2<f64>) -> Array2<f64> {
         assert_eq!(source.dim(), self.source, "shape of the source");
         let (gy, gx) = self.kernel.dim();
@@ -98,8 +99,8 @@ impl<T: Lanes + Planned> Convolution<T> {
         }
     }
 
-    /// Applies the adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`. It has the shape of the
-    /// source.
+    /// Applies the adjoint of [`Self::valid`] to a map of the shape of a valid part: `<valid(s), m> = <s,
+    /// adjoint(m)>`. The result has the shape of the source.
     pub fn adjoint(&self, map: ArrayView2<f64>) -> Array2<f64> {
         // The kernel is rotated by 180 degrees, and the map is placed in the middle of zeros.
         let turned = self.kernel.slice(s![..;-1, ..;-1]);
@@ -125,14 +126,14 @@ impl<T: Lanes + Planned> Convolution<T> {
         self.through(map, self.placed(), scaled, (0, 0), self.source)
     }
 
-    /// Returns the place of the valid part in the source (row, column).
+    /// Returns the index (row, column) in the source of the first element of the valid part.
     fn placed(&self) -> (usize, usize) {
         (self.kernel.nrows() - 1, self.kernel.ncols() - 1)
     }
 
-    /// Puts `map` at `offset` in a field of zeros, multiplies its spectrum by the filter, and returns
-    /// the part of the result that starts at `from`. The columns stay in the cache between both
-    /// transforms.
+    /// Puts `map` at `offset` (row, column) in a field of zeros, multiplies its spectrum by `filter` of the spectrum
+    /// of the kernel, and transforms back. Returns the part of `shape` that starts at `from`. The columns stay in the
+    /// cache between both transforms.
     fn through(
         &self,
         map: ArrayView2<f64>,
@@ -205,7 +206,7 @@ impl<T: Lanes + Planned> Convolution<T> {
         out
     }
 
-    /// Returns the spectra [row][kx] of the rows of `map`, each placed at `offset` in a line of zeros.
+    /// Returns the spectra [row][kx] of the rows of `map`, each put at column `offset` in a line of zeros.
     fn rows(&self, map: ArrayView2<f64>, offset: usize) -> Vec<Complex<T>> {
         let px = self.size.1;
         let kx = px / 2 + 1;

@@ -29,12 +29,13 @@ const STEP: usize = 16;
 /// ahead. Smaller: shorter runs of writing into a block. It does not change the result.
 const ROWS: usize = 8;
 
-/// Returns true if fields may have `n` rows or columns.
+/// Returns true if a field (the array that is transformed) may have `n` rows or columns: a multiple of 16 without
+/// prime factors above 5.
 pub fn is_field_size(n: usize) -> bool {
     n > 0 && n.is_multiple_of(STEP) && is_size(n)
 }
 
-/// Returns the smallest size of a field `>= n` ([`is_field_size`]).
+/// Returns the smallest possible number of rows or columns of a field that is at least `n` ([`is_field_size`]).
 pub fn field_size(n: usize) -> usize {
     (n.max(1).next_multiple_of(STEP)..)
         .step_by(STEP)
@@ -42,16 +43,17 @@ pub fn field_size(n: usize) -> usize {
         .expect("powers of two are unbounded")
 }
 
-/// Access to two strips of sources, and to the valid parts of their convolutions.
+/// Reads two sources (the left and the right strip of a map), and writes the valid parts of their convolutions.
 pub trait Strips<T> {
-    /// Reads the elements from `column` on of a row of both sources; zero outside the sources.
+    /// Reads elements of one row of both sources, from `column` on, until `left` and `right` are full; zero outside
+    /// the sources.
     fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]);
 
-    /// Writes the elements from `column` on of a row of both valid parts.
+    /// Writes `left` and `right` to one row of both valid parts, from `column` on.
     fn write(&mut self, row: usize, column: usize, left: &[T], right: &[T]);
 }
 
-/// Two-dimensional convolution with one kernel.
+/// Plan of two-dimensional convolutions with one kernel, for fields of one size.
 pub struct LaneConvolution<T = f64> {
     kernel: (usize, usize),
     x: Transform<T>,
@@ -61,18 +63,18 @@ pub struct LaneConvolution<T = f64> {
     spectrum: Vec<T>,
 }
 
-/// Buffers of a thread.
+/// Buffers of one thread for a convolution.
 #[derive(Default)]
 pub struct Workspace<T> {
-    /// Elements along y for each `lanes` columns.
+    /// Field: elements along y for each group of `lanes` columns.
     field: Vec<T>,
-    /// Elements of `lanes` lines along x.
+    /// Elements of the `lanes` rows that are processed together.
     lines: Vec<T>,
 }
 
 impl<T: Lanes> LaneConvolution<T> {
-    /// Plans transforms for fields of shape `size`, each a size by [`is_field_size`], at least as
-    /// large as the kernel (gy, gx).
+    /// Plans the convolution with `kernel` (gy, gx) in fields of the shape `size` (rows, columns). Both must be sizes
+    /// by [`is_field_size`], at least as large as the kernel.
     pub fn new(kernel: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(gy >= 1 && gx >= 1 && size.0 >= gy && size.1 >= gx, "kernel exceeds the field");
@@ -97,7 +99,8 @@ impl<T: Lanes> LaneConvolution<T> {
         (self.y.size(), self.x.size())
     }
 
-    /// Makes the valid parts for sources of shape `source`, at most that of the fields.
+    /// Computes the valid parts of both strips, for sources of the shape `source` (rows, columns), at most that of the
+    /// fields.
     pub fn convolve(
         &self,
         source: (usize, usize),
@@ -107,7 +110,7 @@ impl<T: Lanes> LaneConvolution<T> {
         self.run(source, strips, work, None);
     }
 
-    /// Convolves the strips, or makes their spectrum where there is a place for it.
+    /// Convolves the strips. If `spectrum` is given, writes their spectrum there instead.
     fn run(
         &self,
         source: (usize, usize),
@@ -121,7 +124,7 @@ impl<T: Lanes> LaneConvolution<T> {
     }
 }
 
-/// The kernel as a source.
+/// The kernel as the left of two sources, times a scale; the right one is zero.
 struct Kernel<'a> {
     samples: ArrayView2<'a, f64>,
     scale: f64,
@@ -139,7 +142,7 @@ impl<T: Lanes> Strips<T> for Kernel<'_> {
     fn write(&mut self, _: usize, _: usize, _: &[T], _: &[T]) {}
 }
 
-/// A convolution, or only the spectrum of its strips.
+/// One run of a convolution, or only the spectrum of its strips if `spectrum` is given.
 struct ConvolutionRun<'a, T: Lanes, X> {
     plan: &'a LaneConvolution<T>,
     source: (usize, usize),
@@ -148,11 +151,11 @@ struct ConvolutionRun<'a, T: Lanes, X> {
     spectrum: Option<&'a mut Vec<T>>,
 }
 
-/// Layout of the numbers of a field.
+/// Layout of the numbers of a field: blocks of as many columns as there are lanes, one after the other.
 #[derive(Clone, Copy)]
 struct Places {
     lanes: usize,
-    /// Count of the numbers of an element in all lanes.
+    /// Count of the numbers of an element in all lanes: real and imaginary parts.
     element: usize,
     /// Count of numbers from one block of columns to the next.
     stride: usize,
@@ -163,13 +166,13 @@ struct Places {
 }
 
 impl Places {
-    /// Returns the range of the square of a block and a group of rows.
+    /// Returns the range of the numbers of a block of columns in a group of rows: a square of lanes.
     fn square(&self, block: usize, group: usize) -> Range<usize> {
         let from = block * self.stride + group * self.square;
         from..from + self.square
     }
 
-    /// Returns the range of the element of a block and a row.
+    /// Returns the range of the numbers of a block of columns in one row.
     fn element(&self, block: usize, row: usize) -> Range<usize> {
         let from = block * self.stride + row * self.element;
         from..from + self.element
@@ -270,7 +273,7 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Transforms the columns back and writes the valid parts.
+    /// Transforms the columns back and writes the valid parts to the strips.
     #[inline(always)]
     fn columns_back<S: Simd>(
         &self,
@@ -312,7 +315,7 @@ impl<T: Lanes> LaneConvolution<T> {
     }
 }
 
-/// Transposes the real and the imaginary parts of a square.
+/// Transposes the real parts and the imaginary parts of a square of lanes, each by themselves.
 #[inline(always)]
 fn transpose_parts<T: Lanes, S: Simd>(from: &[T], to: &mut [T]) {
     let lanes = T::lanes::<S>();

@@ -28,7 +28,7 @@ use crate::vectors::Lanes;
 /// the result.
 const BLOCK: usize = 128;
 
-/// Returns true if there is a transform of `n` elements: 2^a 3^b 5^c.
+/// Returns true if there is a transform of `n` elements: n > 0 has no prime factors above 5.
 pub fn is_size(n: usize) -> bool {
     let mut rest = n;
     for p in [2, 3, 5] {
@@ -54,11 +54,11 @@ pub struct Transform<T> {
     levels: Vec<Level<T>>,
 }
 
-/// Step (1) for blocks of `radix rest` elements.
+/// Step (1) of the module for blocks of `radix` times `rest` elements.
 struct Level<T> {
     radix: usize,
     rest: usize,
-    /// exp(-2 pi i j p / n), [j][p - 1].
+    /// Roots of unity exp(-2 pi i j p / n) of (1) as [real, imaginary], ordered [j][p - 1].
     twiddles: Vec<[T; 2]>,
 }
 
@@ -86,7 +86,8 @@ impl<T: Lanes> Transform<T> {
         self.size
     }
 
-    /// Transforms lines in place. Their frequencies are in the order of this type.
+    /// Transforms lines in place, one per lane. The frequencies come out in the order of this type, which is not
+    /// ascending.
     #[inline(always)]
     pub fn forward<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Forward }.run();
@@ -111,7 +112,8 @@ impl<T: Lanes> Transform<T> {
     }
 }
 
-/// Returns the radices of a length. Eights come first, so that the blocks are soon small.
+/// Returns the radices of the levels of a transform of `len` elements. Eights come first, so that the blocks are soon
+/// small.
 fn radices(len: usize) -> Vec<usize> {
     let mut twos = len.trailing_zeros();
     let mut rest = len >> twos;
@@ -142,7 +144,7 @@ fn radices(len: usize) -> Vec<usize> {
     radices
 }
 
-/// Operation on lines.
+/// Operation on lines: a transform, its inverse, or a convolution with this spectrum.
 enum What<'a, T: Lanes, S: Simd> {
     Forward,
     Inverse,
@@ -214,7 +216,7 @@ impl<T: Lanes, S: Simd> NullaryFnOnce for Step<'_, T, S> {
 }
 
 impl<T: Lanes> Level<T> {
-    /// Does step (1) within a block, or its inverse. With real and imaginary parts exchanged, the
+    /// Does step (1) of the module within a block, or its inverse. With real and imaginary parts exchanged, the
     /// transform is its own inverse.
     #[inline(always)]
     fn pass<S: Simd, const INVERSE: bool>(&self, simd: S, block: &mut [Element<T, S>]) {
@@ -287,7 +289,7 @@ fn exchange<T: Lanes, S: Simd, const INVERSE: bool>(v: &mut [Element<T, S>]) {
     }
 }
 
-/// Multiplies each element by its root of unity.
+/// Multiplies each element by its root of unity, [real, imaginary].
 #[inline(always)]
 fn twiddle<T: Lanes, S: Simd>(simd: S, v: &mut [Element<T, S>], roots: &[[T; 2]]) {
     for (v, [re, im]) in v.iter_mut().zip(roots) {
@@ -295,14 +297,14 @@ fn twiddle<T: Lanes, S: Simd>(simd: S, v: &mut [Element<T, S>], roots: &[[T; 2]]
     }
 }
 
-/// Returns `a b`.
+/// Returns the complex product `a b` in every lane.
 #[inline(always)]
 fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Element<T, S> {
     let [re, im] = [T::product(simd, a[0], b[0]), T::product(simd, a[0], b[1])];
     [T::negate_mul_add(simd, a[1], b[1], re), T::mul_add(simd, a[1], b[0], im)]
 }
 
-/// A discrete Fourier transform of a few elements.
+/// Discrete Fourier transform of RADIX elements, which one level of a transform consists of.
 trait Butterfly<const RADIX: usize> {
     fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; RADIX]) -> [Element<T, S>; RADIX];
 }
@@ -313,7 +315,7 @@ struct Four;
 struct Five;
 struct Eight;
 
-/// Returns a + b and a - b.
+/// Returns a + b and a - b, complex, in every lane.
 #[inline(always)]
 fn sum_and_difference<T: Lanes, S: Simd>(
     simd: S,
@@ -326,7 +328,7 @@ fn sum_and_difference<T: Lanes, S: Simd>(
     ]
 }
 
-/// Returns a - i b and a + i b.
+/// Returns a - i b and a + i b, complex, in every lane.
 #[inline(always)]
 fn turned<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> [Element<T, S>; 2] {
     [
@@ -424,8 +426,8 @@ impl Butterfly<8> for Eight {
     }
 }
 
-/// Rounds numbers to the precision of a transform, as many at a time as the compiler has vectors
-/// for.
+/// Rounds the numbers of `from` to the precision of a transform and writes them to `to`, several at a time so that the
+/// compiler uses vectors.
 #[inline(always)]
 pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
     /// Number of values that are rounded at a time. Larger: more than the compiler has vectors for.
@@ -447,8 +449,8 @@ pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
     }
 }
 
-/// Transposes a square of numbers whose side is the number of lanes. Row `i` begins at `from[i
-/// from_step]` and becomes the column `i` of the rows that begin at `to[j to_step]`.
+/// Transposes a square of numbers whose side is the number of lanes. Row `i` of it begins at `from[i from_step]`, and
+/// becomes column `i` of the square whose rows begin at `to[j to_step]`.
 #[inline(always)]
 pub fn transpose<T: Lanes, S: Simd>(from: &[T], from_step: usize, to: &mut [T], to_step: usize) {
     match T::lanes::<S>() {
@@ -465,7 +467,7 @@ pub fn transpose<T: Lanes, S: Simd>(from: &[T], from_step: usize, to: &mut [T], 
     }
 }
 
-/// Transposes by squares of four, for which the compiler has vectors.
+/// Transposes a square of side N, in smaller squares for which the compiler has vectors.
 #[inline(always)]
 fn transpose_square<T: Lanes, const N: usize>(
     from: &[T],

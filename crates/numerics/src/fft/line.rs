@@ -7,14 +7,14 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::{Complex64, smooth_size};
 
-/// Plan of the transforms of lines of up to `len` elements.
+/// Plan of the transforms of real lines of up to `len` elements.
 pub struct Lines {
     size: usize,
     forward: Arc<dyn RealToComplex<f64>>,
     inverse: Arc<dyn ComplexToReal<f64>>,
 }
 
-/// Buffers, one for each thread.
+/// Buffers of one thread for the transforms.
 pub struct Workspace {
     line: Vec<f64>,
     half: Vec<Complex64>,
@@ -32,7 +32,7 @@ impl Lines {
         Self { size, forward, inverse }
     }
 
-    /// Returns the number of elements of a spectrum.
+    /// Returns the number of elements of the spectrum of a real line: half of the frequencies.
     pub fn half(&self) -> usize {
         self.size / 2 + 1
     }
@@ -47,7 +47,7 @@ impl Lines {
         }
     }
 
-    /// Makes the spectrum of a line of zeros on which `write` has put its values.
+    /// Makes the spectrum of a line: `write` puts its values on a line of zeros, and `spectrum` receives the result.
     pub fn forward(
         &self,
         write: impl FnOnce(&mut [f64]),
@@ -61,7 +61,7 @@ impl Lines {
             .expect("buffers have the planned sizes");
     }
 
-    /// Returns the line of a spectrum, divided by the number of its elements.
+    /// Returns the line whose spectrum is given, by the inverse transform divided by the number of elements.
     pub fn inverse<'a>(&self, spectrum: &[Complex64], work: &'a mut Workspace) -> &'a [f64] {
         let scale = 1.0 / self.size as f64;
         work.half.iter_mut().zip(spectrum).for_each(|(h, s)| *h = s * scale);

@@ -27,15 +27,15 @@ pub const GROUP: usize = 8;
 /// more loops. It has to be a multiple of [`PAIR`] vectors of the widest processor.
 const RUN: usize = 16;
 
-/// The real parts of a run of frequencies, and then the imaginary ones.
+/// A run: [`RUN`] neighbouring frequencies, first their real parts, then the imaginary ones.
 pub type Run = [f64; 2 * RUN];
 
 /// Number of runs between the end of a line and the start of the next. With 0, lines can be a power
 /// of two apart, and all of them fall on the same few lines of the cache. Larger: more memory.
 const GAP: usize = 1;
 
-/// Plan of convolutions along one axis with several kernels. The spectra of their results are
-/// summed, and the spectrum of a source serves all kernels.
+/// Plan of convolutions along one axis with several kernels. The spectra of their results are summed before the
+/// inverse transform, and the spectrum of a source serves all kernels.
 pub struct LineConvolution {
     size: usize,
     kernels: usize,
@@ -45,12 +45,12 @@ pub struct LineConvolution {
     spectra: Vec<Run>,
 }
 
-/// Sum of products: its place, and the range of its terms among those of all sums.
+/// A sum of products: the spectrum that receives it, and the range of its terms in the list of all terms.
 pub type Sum<'a> = (&'a mut [Run], std::ops::Range<usize>);
 
 impl LineConvolution {
-    /// Plans transforms for kernels (m, g) and lines of `size >= g` elements, a size by
-    /// [`is_field_size`].
+    /// Plans convolutions with m kernels of g elements, (m, g), on lines of `size >= g` elements. `size` must be a
+    /// size by [`is_field_size`].
     pub fn new(kernels: ArrayView2<f64>, size: usize) -> Self {
         let (m, g) = kernels.dim();
         assert!(g >= 1 && size >= g, "kernel exceeds the line");
@@ -81,33 +81,34 @@ impl LineConvolution {
         self.size
     }
 
-    /// Returns the count of numbers from one line to the next.
+    /// Returns the count of numbers from the start of one line to that of the next.
     pub fn numbers(&self) -> usize {
         self.runs() * 2 * RUN
     }
 
-    /// Returns the left and the right line of a line that is not a spectrum.
+    /// Returns the left and the right real line, `size` elements each, of a line that is not transformed.
     pub fn left_and_right<'a>(&self, line: &'a [Run]) -> [&'a [f64]; 2] {
         let (left, rest) = line.as_flattened().split_at(self.size);
         [left, &rest[..self.size]]
     }
 
-    /// Replaces lines, in whole groups, by their spectra. `work` is a buffer.
+    /// Replaces lines by their spectra; their number must be a multiple of [`GROUP`]. `work` is a buffer.
     pub fn forward(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
             Arch::new().dispatch(GroupTransform::<false> { plan: self, lines, work });
         }
     }
 
-    /// Replaces sums of [`Self::subtract`], in whole groups, by their lines. `work` is a buffer.
+    /// Replaces the spectra that [`Self::subtract`] has summed by their lines; their number must be a multiple of
+    /// [`GROUP`]. `work` is a buffer.
     pub fn inverse(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
             Arch::new().dispatch(GroupTransform::<true> { plan: self, lines, work });
         }
     }
 
-    /// Passes the lines of one group of such sums to `write`, element by element: `write(i, first,
-    /// left, right)` gets element `i` of the left and of the right lines from line `first` on.
+    /// Transforms back the spectra of one group, and passes the result on element by element: `write(i, first, left,
+    /// right)` gets element `i` of the left and of the right lines, from line `first` on.
     pub fn inverse_by_elements(
         &self,
         lines: &[Run],
@@ -118,14 +119,14 @@ impl LineConvolution {
         Arch::new().dispatch(ByElements { plan: self, lines, work, write });
     }
 
-    /// Subtracts the convolutions of the terms (kernel, spectrum of a source) from the spectra of
-    /// their sums: `sum -= g_j s` for each.
+    /// Subtracts convolutions from the spectra in `sums`. Each term is (index j of a kernel, spectrum s of a source),
+    /// and its product `g_j s` with the spectrum of the kernel is subtracted.
     pub fn subtract(&self, sums: &mut [Sum<'_>], terms: &[(usize, &[Run])]) {
         Arch::new().dispatch(Subtract { plan: self, sums, terms });
     }
 
-    /// Returns the place in a line of element `i`: of the left line (part 0) or the right one (part 1), or of
-    /// the real (0) or imaginary (1) part of a spectrum.
+    /// Returns the index in the numbers of a line of element `i`: of the left line (part 0) or the right one (part 1).
+    /// In a spectrum: of its real (0) or imaginary (1) part.
     #[inline(always)]
     fn place<const SPECTRUM: bool>(&self, part: usize, i: usize) -> usize {
         if SPECTRUM { (i / RUN * 2 + part) * RUN + i % RUN } else { part * self.size + i }
@@ -166,7 +167,7 @@ impl LineConvolution {
         }
     }
 
-    /// Returns a buffer for as many lines as there are lanes.
+    /// Returns the part of `work` that holds as many lines as there are lanes; makes it longer if necessary.
     #[inline(always)]
     fn buffer<'a, S: Simd>(&self, work: &'a mut Vec<f64>) -> &'a mut [f64] {
         let needed = 2 * self.size * f64::lanes::<S>();
@@ -175,7 +176,7 @@ impl LineConvolution {
     }
 }
 
-/// The transform of a group of lines, or its inverse.
+/// The transform of a group of [`GROUP`] lines, or its inverse.
 struct GroupTransform<'a, const INVERSE: bool> {
     plan: &'a LineConvolution,
     lines: &'a mut [Run],
@@ -253,7 +254,7 @@ impl WithSimd for Subtract<'_, '_> {
 /// more sums than registers. Smaller: fewer independent sums.
 const PAIR: usize = 2;
 
-/// Subtracts the terms of run `k` from a sum, pair by pair.
+/// Subtracts the products of run `k` of all terms from the same run of a sum, pair of vectors by pair.
 #[inline(always)]
 fn subtract_run<S: Simd>(
     simd: S,
@@ -286,7 +287,7 @@ fn subtract_run<S: Simd>(
     }
 }
 
-/// Returns a pair of vectors of real parts (0) or of imaginary ones (1).
+/// Returns pair `pair` of the vectors of a run, of its real parts (`part` 0) or of its imaginary ones (1).
 #[inline(always)]
 fn part<S: Simd>(run: &Run, part: usize, pair: usize) -> &[<f64 as Lanes>::Vector<S>; PAIR] {
     let numbers = &run.as_chunks::<RUN>().0[part];

@@ -16,13 +16,13 @@ pub struct Plans<T> {
     pub forward_x: Arc<dyn RealToComplex<T>>,
     /// Rows: half of a spectrum to real numbers.
     pub inverse_x: Arc<dyn ComplexToReal<T>>,
-    /// Columns.
+    /// Forward transform of the columns of these spectra.
     pub forward_y: Arc<dyn Fft<T>>,
-    /// Columns.
+    /// Inverse transform of the columns.
     pub inverse_y: Arc<dyn Fft<T>>,
 }
 
-/// A number for which transforms can be planned.
+/// A number type for which transforms can be planned: `f64` or `f32`.
 pub trait Planned: Real {
     /// Plans the transforms of maps of `size` (rows, columns).
     fn plans(size: (usize, usize)) -> Plans<Self>;

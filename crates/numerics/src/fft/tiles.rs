@@ -23,12 +23,12 @@ use crate::vectors::Lanes;
 /// idle on small maps.
 const CORES: usize = 2;
 
-/// Plan of valid parts of convolutions with one kernel, of one shape.
+/// Plan of the convolutions with one kernel whose valid parts have one shape, tile by tile.
 pub struct Tiles<T> {
     convolution: LaneConvolution<T>,
     kernel: (usize, usize),
     shape: (usize, usize),
-    /// Rows of a band and columns of a strip.
+    /// Size of the parts of the result: rows of a band, and columns of a strip. A tile has two strips.
     part: (usize, usize),
     /// Buffers that no thread is using.
     idle: Mutex<Vec<Workspace<T>>>,
@@ -52,8 +52,8 @@ pub fn field_work<T>((ny, nx): (usize, usize)) -> f64 {
 }
 
 impl<T: Lanes> Tiles<T> {
-    /// Plans tiles for valid parts of this `shape`; `None` if transforms of `whole` real elements
-    /// are less work.
+    /// Plans tiles for valid parts of this `shape` (rows, columns). `None` if one transform of the whole field, of
+    /// `whole` real elements, is less work.
     pub fn new(kernel: ArrayView2<f64>, shape: (usize, usize), whole: usize) -> Option<Self> {
         let (gy, gx) = kernel.dim();
         // Two real elements count as one complex one, gathering and scattering of lines as a factor
@@ -81,7 +81,7 @@ impl<T: Lanes> Tiles<T> {
         Some(Self { convolution, kernel: (gy, gx), shape, part, idle: Mutex::default() })
     }
 
-    /// Returns the valid part of the convolution of `map`, placed at `offset` in a field of zeros.
+    /// Returns the valid part of the convolution of `map`, which is put at `offset` (row, column) in a field of zeros.
     pub fn valid(&self, map: ArrayView2<f64>, offset: (usize, usize)) -> Array2<f64> {
         let map = map.as_standard_layout();
         let data = map.as_slice().expect("in C order");
@@ -113,13 +113,13 @@ impl<T: Lanes> Tiles<T> {
     }
 }
 
-/// Returns the sizes of a field along an axis for a kernel of `g` and a valid part of `valid` elements, up to the
-/// smallest one that has room for all.
+/// Returns the possible sizes of a field along an axis, for a kernel of `g` elements and a valid part of `valid`
+/// elements in all. The largest one has room for the whole valid part.
 fn sizes(g: usize, valid: usize) -> Vec<usize> {
     (g..=field_size(valid + g - 1)).filter(|n| is_field_size(*n)).collect()
 }
 
-/// A map in C order in a field of zeros.
+/// A map in C order, put at an offset (row, column) in a field of zeros.
 #[derive(Clone, Copy)]
 struct Source<'a> {
     data: &'a [f64],
@@ -128,7 +128,7 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// Reads the elements of the field from `column` on.
+    /// Reads elements of row `row` of the field, from `column` on, until `to` is full; zero outside the map.
     #[inline(always)]
     fn read<T: Lanes>(&self, row: usize, column: usize, to: &mut [T]) {
         let (rows, columns) = self.shape;
@@ -151,12 +151,12 @@ impl Source<'_> {
     }
 }
 
-/// A part of the result.
+/// A tile: a part of the result, and the map that it is computed from.
 struct Tile<'a> {
     source: Source<'a>,
-    /// Its first element.
+    /// Row and column of its first element in the result.
     first: (usize, usize),
-    /// Columns of its left strip.
+    /// Number of columns of its left strip.
     columns: usize,
     out: ArrayViewMut2<'a, f64>,
 }

@@ -14,7 +14,7 @@ use super::Complex64;
 
 use crate::parallel;
 
-/// Returns the transform F of a real map, (ny, nx); element [0, 0] is the sum of the map.
+/// Returns the discrete Fourier transform F (ny, nx) of a real map; element [0, 0] is the sum of the map.
 pub fn forward(map: ArrayView2<f64>) -> Array2<Complex64> {
     transform(map.mapv(|v| Complex64::new(v, 0.0)), FftDirection::Forward)
 }

@@ -27,7 +27,7 @@ const DEPTH: usize = 64;
 /// B are read more often.
 const ROWS: usize = 4;
 
-/// Subtracts `a' b` from `c`; a and b (k, BLOCK), c (BLOCK, BLOCK).
+/// Subtracts `a' b` from `c`, all row by row: a and b have the shape (k, BLOCK), c (BLOCK, BLOCK).
 pub(crate) fn subtract_product<T: Lanes>(a: &[T], b: &[T], c: &mut [T]) {
     assert_eq!(a.len(), b.len(), "panels of one height");
     assert_eq!(c.len(), BLOCK * BLOCK, "elements of a block");

@@ -14,7 +14,7 @@ use crate::vectors::Lanes;
 /// not fit into registers. Smaller: idle lanes.
 pub const EIGHT: usize = 8;
 
-/// Rows of numbers. The first numbers of two neighbouring rows are `pitch` apart.
+/// Rows of numbers in memory. The first numbers of two neighbouring rows are `pitch` elements apart.
 #[derive(Clone, Copy, Debug)]
 pub struct PitchedRows<'a> {
     /// Numbers, from the first one of the rectangle on.
@@ -24,8 +24,8 @@ pub struct PitchedRows<'a> {
     pub pitch: usize,
 }
 
-/// Adds to `sums` the products of `a`, with eight numbers for each one of `b`, over `shape` (rows,
-/// columns).
+/// Adds `sum over r, c of a[r, c, l] b[r, c]` to `sums[l]`, over a rectangle of `shape` (rows, columns). `a` has eight
+/// numbers, one per l, for each number of `b`.
 pub fn add_products(
     a: PitchedRows<'_>,
     b: PitchedRows<'_>,
@@ -57,7 +57,7 @@ impl WithSimd for Products<'_> {
 }
 
 impl Products<'_> {
-    /// Runs the product with eight numbers in `VECTORS` vectors.
+    /// Runs the product with the eight numbers of an element in `VECTORS` vectors of the processor.
     #[inline(always)]
     fn by<S: Simd, const VECTORS: usize>(self, simd: S) {
         let Self { a, b, shape: (ny, nx), sums } = self;

@@ -17,12 +17,13 @@
 use nalgebra::{DMatrix, Dyn, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, s};
 
-/// Number of steps before the first test of convergence. A test needs the eigenvalues of a small
-/// matrix; the next one follows after half as many steps again. Larger: more steps than necessary.
-/// Smaller: more tests.
+/// Number of steps of the Lanczos process before the first test of convergence. A test needs the eigenvalues of a
+/// small matrix; the next one follows after half as many steps again. Larger: more steps than necessary. Smaller: more
+/// tests.
 const FIRST_LOOK: usize = 20;
 
-/// Length of a new vector, relative to the largest diagonal element, below which it is rounding.
+/// Length of a new vector, relative to the largest diagonal element of the tridiagonal matrix, below which it is
+/// rounding.
 /// Larger: the process ends before all of g is spanned. Smaller: it continues with vectors of
 /// rounding.
 const SPANNED: f64 = 1e-13;
@@ -38,27 +39,28 @@ const MAX_STEPS_FOR_LARGEST: usize = 150;
 /// square root. Larger: a less exact eigenvalue. Smaller: more steps.
 const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 
-/// Result of (1).
+/// Result of (1) of the module: a solution without the small eigenvalues.
 #[derive(Clone, Debug)]
 pub struct Truncated {
-    /// Solution x.
+    /// Solution x (n).
     pub value: Vec<f64>,
-    /// Number of eigenvalues above the cut.
+    /// Number of eigenvalues above the cut, which is a fraction of the largest one.
     pub rank: usize,
-    /// Largest eigenvalue.
+    /// Largest eigenvalue of H.
     pub largest: f64,
-    /// Smallest eigenvalue above the cut.
+    /// Smallest eigenvalue above the cut; infinite if there is none.
     pub smallest: f64,
-    /// Number of steps of the process.
+    /// Number of steps of the Lanczos process, one product with H each.
     pub steps: usize,
-    /// True if x changed by less than the tolerance between the last two tests, or if the process
-    /// spanned all of g.
+    /// True if x changed by less than the tolerance between the last two tests, or if the process spanned all of g.
     pub converged: bool,
 }
 
-/// Computes (1) from the products `apply`. The process ends when it has spanned all of g, or when x
-/// changed by less than `tolerance` of its length in the last third of the steps. At every test
-/// `watch` gets the ratio of that change to the tolerance.
+/// Computes the solution (1) of the module. `apply` is the product with H, and `cut` the smallest eigenvalue kept,
+/// relative to the largest.
+///
+/// The process ends when it has spanned all of g, or when x changed by less than `tolerance` of its length in the last
+/// third of the steps. At every test `watch` gets the ratio of that change to the tolerance.
 pub fn truncated(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     g: &[f64],
@@ -122,9 +124,9 @@ pub fn truncated(
     result
 }
 
-/// Returns the largest eigenvalue of H from the products `apply` of n numbers. The result is a lower bound.
-/// Unless another eigenvalue is near, its relative error is about the square of the residual at the
-/// end, 2e-3.
+/// Returns the largest eigenvalue of the matrix H (n, n), whose product with a vector is `apply`. The result is a
+/// lower bound. Unless another eigenvalue is near, its relative error is about the square of the residual at the end,
+/// 2e-3.
 ///
 /// The vectors are not made orthogonal to all previous ones, so three vectors are enough. An
 /// eigenvalue may then appear twice, which does no harm here. For an eigenvector s of T with the
@@ -166,8 +168,8 @@ pub fn largest_eigenvalue(apply: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     largest
 }
 
-/// Returns a number from -1/2 to 1/2 that is unrelated to its neighbours: the finaliser of SplitMix64 (G. L.
-/// Steele, D. Lea, C. H. Flood, OOPSLA 2014, Fig. 17).
+/// Returns a pseudorandom number from -1/2 to 1/2 for the index j: the finaliser of SplitMix64 (G. L. Steele, D. Lea,
+/// C. H. Flood, OOPSLA 2014, Fig. 17).
 fn without_structure(j: u64) -> f64 {
     let z = (j + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -175,7 +177,8 @@ fn without_structure(j: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// Returns the eigenvalues and eigenvectors of the tridiagonal matrix T of alpha and beta.
+/// Returns the eigenvalues and eigenvectors of the symmetric tridiagonal matrix T with the diagonal alpha and the
+/// elements beta beside it.
 fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     let k = alpha.len();
     let mut t = DMatrix::zeros(k, k);
@@ -189,8 +192,8 @@ fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     SymmetricEigen::new(t)
 }
 
-/// Solves (1) in the space of the first vectors, with the tridiagonal matrix T of alpha and beta in
-/// place of H.
+/// Solves (1) of the module in the space of the first Lanczos vectors, the rows of `v`. The tridiagonal matrix T of
+/// alpha and beta stands for H; `length` is the norm of g.
 fn solve(alpha: &[f64], beta: &[f64], v: &Array2<f64>, length: f64, cut: f64) -> Truncated {
     let k = alpha.len();
     let eigen = eigen(alpha, beta);

@@ -14,36 +14,37 @@
 
 use crate::linear::lanczos::largest_eigenvalue;
 
-/// The solution of (1) for one damping.
+/// Solution of the damped least squares problem (1) of the module for one damping.
 #[derive(Clone, Debug)]
 pub struct Damped {
-    /// Damping delta.
+    /// Damping delta, in the unit of the elements of A.
     pub damping: f64,
-    /// Solution x.
+    /// Solution x (n).
     pub value: Vec<f64>,
-    /// Number of steps.
+    /// Number of steps of the bidiagonalisation; each takes one product with A and one with its adjoint.
     pub iterations: usize,
-    /// True if the residual is orthogonal to the columns within the tolerance.
+    /// True if the residual met the tolerance of [`lsqr`], or if the solution is exactly zero.
     pub converged: bool,
 }
 
-/// State of one damping in addition to the common bidiagonalisation.
+/// State of the iteration for one damping, in addition to the bidiagonalisation that all dampings share.
 struct Lane {
     result: Damped,
     direction: Vec<f64>,
     phi_bar: f64,
     rho_bar: f64,
-    /// Squares of the components of the residual that the damping leaves.
+    /// Squared norm of the residual that the damping rotations have split off so far.
     left: f64,
     /// Squared Frobenius norm of the bidiagonal matrix so far.
     norm2: f64,
 }
 
-/// Solves (1) for every delta of `dampings`, in their order.
+/// Solves the damped least squares problem (1) of the module for every delta of `dampings`. Returns the solutions in
+/// their order.
 ///
-/// `apply` is x (n) -> A x (m), and `adjoint` its adjoint. A lane ends when `||[A' r - delta^2 x]||
-/// <= tolerance ||[A; delta I]||_F ||[r; delta x]||`. After every step `watch` gets the largest
-/// ratio of the two sides.
+/// `apply` is x (n) -> A x (m), and `adjoint` its adjoint, r (m) -> A' r (n). The iteration of a damping ends when
+/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`, with r = b - A x. After every step
+/// `watch` gets the largest ratio of the left side to the right one.
 pub fn lsqr(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     adjoint: impl Fn(&[f64]) -> Vec<f64>,
@@ -94,7 +95,8 @@ pub fn lsqr(
 }
 
 impl Lane {
-    /// Does one step; returns the ratio of the left side of the condition to the right one.
+    /// Does one step for this damping. Returns the ratio of the two sides of the stopping condition of [`lsqr`];
+    /// converged at 1 or below.
     fn advance(&mut self, v: &[f64], alpha: f64, beta: f64, tolerance: f64) -> f64 {
         let delta = self.result.damping;
         // A rotation takes delta out of the bidiagonal matrix ...
@@ -138,8 +140,8 @@ fn normalise(x: &mut [f64]) -> f64 {
     length
 }
 
-/// Returns the largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3. The
-/// result is a lower bound.
+/// Returns the largest singular value of a matrix A with n columns, to about 1e-3, from the products `x -> A' A x`.
+/// The result is a lower bound.
 pub fn largest_singular_value(normal: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     largest_eigenvalue(normal, n).sqrt()
 }

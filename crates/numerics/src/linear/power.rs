@@ -7,8 +7,8 @@
 //! for a symmetric positive semidefinite A that is known by its products only, and a diagonal S.
 //! Source: Golub and Van Loan, Matrix Computations, 4th ed., section 8.2.1.
 
-/// Returns estimates of the largest eigenvalue of `S A S`, S = diag(`scale`), one per product. They are
-/// lower bounds that increase. The iterator ends when a product vanishes, after the estimate 0.
+/// Returns estimates of the largest eigenvalue of `S A S` with the diagonal matrix S of `scale`, one per product with
+/// A. They are lower bounds that increase. The iterator ends when a product vanishes, after the estimate 0.
 ///
 /// `product(x)` is A x. The start has no structure, so that it contains every eigenvector.
 pub fn power_method(

@@ -34,7 +34,7 @@ use crate::{
 /// A symmetric matrix (n, n), stored as the lower triangle within the skyline.
 #[derive(Clone, Debug)]
 pub struct Skyline {
-    /// First column of every row.
+    /// First stored column of every row: the skyline.
     first: Vec<usize>,
     blocks: Vec<RowBlock>,
 }
@@ -44,11 +44,11 @@ pub struct Skyline {
 struct RowBlock {
     /// First column that is stored, a multiple of [`BLOCK`].
     start: usize,
-    /// (rows, columns up to and with the diagonal block); zero right of the diagonal.
+    /// Elements (rows, columns from `start` up to the end of the diagonal block); zero right of the diagonal.
     values: Array2<f64>,
 }
 
-/// An element of the lower triangle.
+/// An element of the lower triangle of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Element {
     /// Row of the element.
@@ -60,7 +60,8 @@ pub struct Element {
 }
 
 impl Skyline {
-    /// Makes a zero matrix that stores the columns from `first[i] <= i` on in row i.
+    /// Makes a zero matrix with n = `first.len()` rows. Row i stores the columns from `first[i] <= i` up to the
+    /// diagonal.
     pub fn zeros(first: Vec<usize>) -> Self {
         let n = first.len();
         let blocks = (0..n).step_by(BLOCK).map(|top| {
@@ -73,7 +74,7 @@ impl Skyline {
         Self { first, blocks }
     }
 
-    /// Makes the matrix with the lower triangle of a full one.
+    /// Makes the symmetric matrix with the lower triangle of the full matrix `a`, without reading the upper one.
     pub fn from_dense(a: &Array2<f64>) -> Self {
         assert!(a.is_square(), "a square matrix");
         let mut full = Self::zeros(vec![0; a.nrows()]);
@@ -91,12 +92,12 @@ impl Skyline {
         self.first.is_empty()
     }
 
-    /// Counts the stored numbers.
+    /// Counts the stored numbers, including the zeros that complete the blocks.
     pub fn elements(&self) -> usize {
         self.blocks.iter().map(|b| b.values.len()).sum()
     }
 
-    /// Returns the first column of row i.
+    /// Returns the first stored column of row i.
     pub fn first(&self, i: usize) -> usize {
         self.first[i]
     }
@@ -159,7 +160,7 @@ impl Skyline {
         *self.row(i).last().expect("a row has its diagonal")
     }
 
-    /// Returns `A x`.
+    /// Returns the product `A x` (n) of the whole symmetric matrix.
     pub fn product(&self, x: &[f64]) -> Vec<f64> {
         // Each task takes the rows with half of the elements; the split is the same on one thread.
         let half = self.elements() / 2;
@@ -181,7 +182,7 @@ impl Skyline {
         y
     }
 
-    /// Returns the part of `A x` (n) by the elements of some rows and their mirror images.
+    /// Returns the part of `A x` (n) that the stored elements of `rows` and their mirror images contribute.
     fn product_of_rows(&self, rows: Range<usize>, x: &[f64]) -> Vec<f64> {
         let mut y = vec![0.0; self.len()];
         vectorised(
@@ -199,7 +200,7 @@ impl Skyline {
         y
     }
 
-    /// Returns the submatrix of the rows and columns `keep`, which ascend.
+    /// Returns the submatrix of the rows and columns with the indices `keep`, which must ascend.
     pub fn principal(&self, keep: &[usize]) -> Self {
         let first = keep.iter().map(|i| keep.partition_point(|k| *k < self.first[*i])).collect();
         let mut part = Self::zeros(first);
@@ -214,7 +215,7 @@ impl Skyline {
         part
     }
 
-    /// Factorises the matrix; `None` if it is not positive definite to rounding.
+    /// Factorises the matrix into L L'; `None` if it is not positive definite to rounding.
     pub fn factorise(self) -> Option<Factor> {
         self.factorise_keeping(|panel| panel)
     }
@@ -280,16 +281,17 @@ impl Number for f32 {
     const LEAST_PIVOT: f64 = 16.0 * f32::EPSILON as f64;
 }
 
-/// Block of up to [`BLOCK`] rows of a factor, stored by columns.
+/// Block of up to [`BLOCK`] rows of a factor (a panel), stored column by column.
 #[derive(Clone, Debug)]
 struct Panel<T> {
     /// First column that is stored, a multiple of [`BLOCK`].
     start: usize,
-    /// (columns up to and with the diagonal block, rows); zero right of the diagonal.
+    /// Elements (columns from `start` up to the end of the diagonal block, rows); zero right of the diagonal.
     values: Array2<T>,
 }
 
-/// Factorises panel by panel; `keep` converts each finished panel into the stored one.
+/// Factorises panel by panel. `keep` converts each finished panel into the stored one. `None` if the matrix is not
+/// positive definite to rounding.
 fn factorise_panels<S: Number, T>(
     mut panels: Vec<Panel<S>>,
     keep: impl Fn(Panel<S>) -> Panel<T>,
@@ -326,7 +328,7 @@ fn factorise_panels<S: Number, T>(
     Some(Factor { len, panels: finished })
 }
 
-/// Returns, for every panel, the index of the last panel that has columns of it.
+/// Returns, for every panel k, the index of the last panel that stores columns of the diagonal block of k.
 fn last_panels<T>(panels: &[Panel<T>]) -> Vec<usize> {
     let mut last: Vec<usize> = (0..panels.len()).collect();
     for (i, panel) in panels.iter().enumerate() {

@@ -3,8 +3,8 @@
 //! Neither method exchanges rows: the matrix is diagonally dominant, at least weakly, or positive
 //! definite. Source: Golub and Van Loan, Matrix Computations, 4th ed., section 4.3.
 
-/// Row k of a tridiagonal system: its elements at the unknowns k - 1, k and k + 1, and its
-/// right-hand side. The elements at the unknowns -1 and n are not used.
+/// Row k of a tridiagonal system of n unknowns: its elements at the unknowns k - 1, k and k + 1, and its right-hand
+/// side. The elements at the unknowns -1 and n are not used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TridiagonalRow {
     /// Elements [k - 1, k, k + 1], called below, own and above.
@@ -14,13 +14,14 @@ pub struct TridiagonalRow {
 }
 
 impl TridiagonalRow {
-    /// Makes the row of an unknown with a fixed value, in place of its own equation.
+    /// Makes the row that sets its unknown to `value`, in place of its own equation.
     pub fn held(value: f64) -> Self {
         Self { elements: [0.0, 1.0, 0.0], right: value }
     }
 }
 
-/// Solves the system of n rows by Gaussian elimination without exchanges (Thomas' algorithm):
+/// Solves the system with the rows `row(k)`, k = 0 .. n-1, by Gaussian elimination without exchanges (Thomas'
+/// algorithm). Returns x (n):
 ///
 /// ```text
 /// u_k = above_k / (own_k - below_k u_{k-1})
@@ -43,13 +44,13 @@ pub fn solve(n: usize, row: impl Fn(usize) -> TridiagonalRow) -> Vec<f64> {
     x
 }
 
-/// `A = C P C'` of a symmetric positive definite tridiagonal matrix A, of which some rows and
-/// columns may be left out. C is unit lower bidiagonal, and P contains the pivots.
+/// Factors `A = C P C'` of a symmetric positive definite tridiagonal matrix A, of which some rows and columns may be
+/// left out. C is unit lower bidiagonal, and P contains the pivots on its diagonal.
 #[derive(Clone, Debug)]
 pub struct Factor {
-    /// Pivots; 0 if the row is left out.
+    /// Pivots, the diagonal of P; 0 if the row is left out.
     pivot: Vec<f64>,
-    /// C[j, j-1].
+    /// Elements C[j, j-1] below the diagonal; element 0 is not used.
     below: Vec<f64>,
 }
 
@@ -73,7 +74,7 @@ impl Factor {
         Self { pivot, below }
     }
 
-    /// Returns the solution `A^-1 r`; 0 where a row is left out.
+    /// Returns the solution x of `A x = r`; 0 where a row is left out.
     pub fn solve(&self, r: &[f64]) -> Vec<f64> {
         let mut x = r.to_vec();
         // C y = r

@@ -24,10 +24,10 @@ const REFINED_TO: f64 = 1e-3;
 /// The inverse `(K - U U')^-1`.
 #[derive(Clone, Debug)]
 pub struct Woodbury<T = f64> {
-    /// Factor of K.
+    /// Factor of the matrix K.
     factor: Factor<T>,
     v: Vec<Vec<f64>>,
-    /// Factor of S.
+    /// Factor of the small matrix S of (1) of the module.
     small: Factor,
 }
 
@@ -84,14 +84,14 @@ impl<T: Number> Woodbury<T> {
     }
 }
 
-/// Returns V = K^-1 U.
+/// Returns the columns of V = K^-1 U for the columns `u` of U.
 fn solutions<T: Number>(factor: &Factor<T>, u: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let mut v = u.to_vec();
     v.iter_mut().for_each(|v| factor.solve(v));
     v
 }
 
-/// Returns the factor of `S = 1 - U' V`.
+/// Returns the factor of `S = 1 - U' V`, from the columns of U and V; `None` if S is not positive definite.
 fn small(u: &[Vec<f64>], v: &[Vec<f64>]) -> Option<Factor> {
     let mut small = Skyline::zeros(vec![0; u.len()]);
     small.fill(|i, row| {

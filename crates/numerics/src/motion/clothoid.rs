@@ -32,8 +32,9 @@ const MAX_TERMS: usize = 40;
 /// Larger: truncation exceeds rounding. Smaller: more terms without an effect.
 const NEGLIGIBLE_TERM: f64 = 1e-18;
 
-/// Returns the position (1) at the arc length `s`, mm, in the frame of the start; the curve begins along the
-/// first axis.
+/// Returns the position (1) of the module at the arc length `s`, mm, in the frame of the start: the curve begins at
+/// the origin, along the first axis. `curvature` is that of the start, 1/mm; `sharpness` is its change per arc length,
+/// 1/mm^2.
 pub fn position(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     if curvature == 0.0 && sharpness == 0.0 {
         return [s, 0.0];
@@ -53,7 +54,7 @@ pub fn position(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     position
 }
 
-/// Returns the sum (2), mm.
+/// Returns the position at the arc length `s`, mm, as the sum (2) of the module.
 fn series(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     let bend = curvature * s;
     let change = sharpness * s * s;
@@ -74,7 +75,8 @@ fn series(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     sum.map(|v| s * v)
 }
 
-/// Returns the heading at the arc length `s` relative to that of the start, rad.
+/// Returns the heading at the arc length `s`, mm, relative to that of the start, rad; positive towards the second
+/// axis. The arguments are those of [`position`].
 pub fn heading(curvature: f64, sharpness: f64, s: f64) -> f64 {
     s * (curvature + 0.5 * sharpness * s)
 }

@@ -23,7 +23,8 @@
 //! | p1, v1 | `to` |
 //! | V, A | `max_velocity`, `max_acceleration` |
 
-/// Boundary conditions and limits of one axis.
+/// Positions and velocities of one axis at both ends of the motion, and its limits. Any unit of length and time, the
+/// same everywhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisLink {
     /// Position and velocity at the start.
@@ -36,13 +37,13 @@ pub struct AxisLink {
     pub max_acceleration: f64,
 }
 
-/// Duration of a piece, and ascending coefficients per axis of the position in the time since its
-/// start.
+/// Piece of the motion of both axes: its duration, and per axis the ascending coefficients of the position in the time
+/// since the start of the piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkPiece {
     /// Duration; > 0.
     pub duration: f64,
-    /// Coefficients per axis; the cubic one is zero.
+    /// Ascending coefficients of the position per axis; the cubic one is zero.
     pub coefficient: [[f64; 4]; 2],
 }
 
@@ -51,8 +52,8 @@ pub struct LinkPiece {
 /// missed. The link is then slower than necessary.
 const TRIALS: u32 = 400;
 
-/// Returns pieces of constant acceleration of both axes; none if both axes are already in their final
-/// state.
+/// Returns the fastest motion of both axes, as pieces of constant acceleration in order. Empty if both axes are
+/// already in their final state.
 pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     let duration = least_duration(axes);
     if duration == 0.0 {
@@ -85,7 +86,7 @@ pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     pieces
 }
 
-/// Returns the smallest duration that both axes can do.
+/// Returns the smallest duration in which both axes can reach their final states at the same time.
 fn least_duration(axes: &[AxisLink; 2]) -> f64 {
     let low = axes[0].least_for_velocity().max(axes[1].least_for_velocity());
     let high = axes[0].stop_and_go().max(axes[1].stop_and_go());
@@ -108,23 +109,22 @@ fn least_duration(axes: &[AxisLink; 2]) -> f64 {
     above
 }
 
-/// Returns true if both axes can arrive at this time.
+/// Returns true if both axes can reach their final states in exactly this duration.
 fn both_can_take(axes: &[AxisLink; 2], duration: f64) -> bool {
     axes.iter().all(|axis| axis.can_take(duration))
 }
 
-/// Motion that accelerates, holds and brakes, or its mirror image.
+/// Motion of one axis that accelerates, holds its velocity and brakes, or its mirror image.
 #[derive(Clone, Copy, Debug)]
 struct Profile {
-    /// Acceleration before the first corner; the acceleration after the second corner is its
-    /// opposite.
+    /// Acceleration before the first corner time; the acceleration after the second corner time is its opposite.
     acceleration: f64,
     corner: [f64; 2],
     displacement: f64,
 }
 
 impl Profile {
-    /// Returns the acceleration at a time.
+    /// Returns the acceleration at the time t since the start.
     fn acceleration(&self, t: f64) -> f64 {
         match t {
             _ if t < self.corner[0] => self.acceleration,
@@ -135,17 +135,18 @@ impl Profile {
 }
 
 impl AxisLink {
-    /// Returns p1 - p0.
+    /// Returns the displacement p1 - p0 from the start to the end.
     fn displacement(&self) -> f64 {
         self.to[0] - self.from[0]
     }
 
-    /// Returns the least duration of the change of velocity.
+    /// Returns the shortest duration of the change of velocity from v0 to v1 alone, at the largest acceleration.
     fn least_for_velocity(&self) -> f64 {
         (self.to[1] - self.from[1]).abs() / self.max_acceleration
     }
 
-    /// Returns the duration of the motion that brakes to rest, moves from rest to rest, and starts again.
+    /// Returns the duration of the motion that brakes to rest, moves from rest to rest, and accelerates to the final
+    /// velocity.
     fn stop_and_go(&self) -> f64 {
         let v = self.max_velocity;
         let a = self.max_acceleration;
@@ -157,14 +158,15 @@ impl AxisLink {
         ((v0.abs() + v1.abs()) / a + between) * (1.0 + 1e-12)
     }
 
-    /// Returns true if the axis can arrive at this time.
+    /// Returns true if the axis can reach its final state in exactly this duration.
     fn can_take(&self, duration: f64) -> bool {
         let [lowest, highest] = self.profiles(duration);
         let d = self.displacement();
         lowest.displacement <= d && d <= highest.displacement
     }
 
-    /// Returns the profiles by (2) and (3): the mirrored one first, then the direct one.
+    /// Returns the motions with the smallest and with the largest displacement in this duration, by (2) and (3) of the
+    /// module.
     fn profiles(&self, duration: f64) -> [Profile; 2] {
         let a = self.max_acceleration;
         [-1.0, 1.0].map(|sign| {
@@ -181,7 +183,8 @@ impl AxisLink {
         })
     }
 
-    /// Returns the weight of the highest profile in the mean of both profiles, 0 to 1.
+    /// Returns the weight, 0 to 1, of the motion with the largest displacement in the mean of both that reaches the
+    /// end.
     fn weight(&self, lowest: &Profile, highest: &Profile) -> f64 {
         let room = highest.displacement - lowest.displacement;
         if room <= 0.0 {

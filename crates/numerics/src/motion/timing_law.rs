@@ -15,25 +15,25 @@
 
 use crate::polynomial::{derivative, evaluate, range};
 
-/// One cubic piece of the motion along the arc.
+/// One piece of the motion along an arc, cubic in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimingPiece {
     /// Arc length at the start of the piece.
     pub start: f64,
     /// Arc length at the end of the piece.
     pub end: f64,
-    /// Duration; > 0.
+    /// Duration of the piece; > 0.
     pub duration: f64,
     /// Coefficients of the arc length in ascending powers of the time since the start of the piece.
     pub coefficient: [f64; 4],
 }
 
-/// Pieces, and their distance from the motion that they approximate.
+/// Pieces that approximate a motion, and their largest distance from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimingFit {
-    /// Pieces in order.
+    /// Pieces in order along the arc.
     pub pieces: Vec<TimingPiece>,
-    /// Largest distance from the motion at equal times, among 15 places in every piece.
+    /// Largest difference of arc length from the motion at equal times, among 15 places in every piece.
     pub largest_error: f64,
 }
 
@@ -51,10 +51,11 @@ pub const LEAST_TOLERANCE_MM: f64 = 1e-9;
 /// tolerance.
 const MAX_HALVINGS: u32 = 12;
 
-/// Fits the motion with the time `time(s)` and its derivative `density(s)` on the intervals between
-/// consecutive `breaks` (strictly ascending). The fit is within `tolerance` in arc length, and
-/// within `max_velocity` and `max_acceleration` along the arc (infinite if there is no limit). The
-/// motion itself should stay somewhat below both limits.
+/// Fits the motion that passes the arc length s at the time `time(s)`, with the derivative `density(s)` = dt/ds,
+/// between consecutive `breaks` (arc lengths, strictly ascending).
+///
+/// The fit is within `tolerance` in arc length, and within `max_velocity` and `max_acceleration` along the arc
+/// (infinite if there is no limit). The motion itself should stay somewhat below both limits.
 pub fn fit(
     time: impl Fn(f64) -> f64,
     density: impl Fn(f64) -> f64,
@@ -85,7 +86,7 @@ pub fn fit(
     fit
 }
 
-/// Returns the piece (1) from `start` to `end`.
+/// Returns the cubic Hermite piece (1) of the module from the arc length `start` to `end`.
 fn hermite(
     time: impl Fn(f64) -> f64,
     density: impl Fn(f64) -> f64,
@@ -101,7 +102,8 @@ fn hermite(
     TimingPiece { start, end, duration: h, coefficient }
 }
 
-/// Returns the largest distance of a piece from the motion at equal times, among [`PLACES`] places.
+/// Returns the largest difference of arc length between a piece and the motion at equal times, among [`PLACES`]
+/// places.
 fn largest_error(time: impl Fn(f64) -> f64, piece: &TimingPiece) -> f64 {
     let begin = time(piece.start);
     let errors = (1..=PLACES).map(|k| {
@@ -111,8 +113,8 @@ fn largest_error(time: impl Fn(f64) -> f64, piece: &TimingPiece) -> f64 {
     errors.fold(0.0, f64::max)
 }
 
-/// Returns the largest magnitude of the acceleration. It is at an end, because the acceleration is linear in
-/// time.
+/// Returns the largest magnitude of the acceleration in a piece. It is at an end, because the acceleration is linear
+/// in time.
 fn end_acceleration(piece: &TimingPiece) -> f64 {
     let [_, _, c2, c3] = piece.coefficient;
     (2.0 * c2).abs().max((2.0 * c2 + 6.0 * c3 * piece.duration).abs())

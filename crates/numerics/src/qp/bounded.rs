@@ -19,26 +19,25 @@ use crate::linear::{
     woodbury::Woodbury,
 };
 
-/// Number of steps of the power method for the largest eigenvalue, which bounds the steps of
-/// [`projected_gradient`]. Larger: more products. Smaller: a lower estimate, so that
-/// [`EIGENVALUE_MARGIN`] may not cover its error.
+/// Number of steps of the power method for the largest eigenvalue of the scaled H, which bounds the steps of
+/// [`projected_gradient`]. Larger: more products. Smaller: a lower estimate, so that [`EIGENVALUE_MARGIN`] may not
+/// cover its error.
 const POWER_STEPS: usize = 40;
 
 /// Factor on the estimate of the largest eigenvalue, which is a lower bound, to make it an upper
 /// one. Larger: shorter steps. Smaller: steps that are too long, so that the iteration may diverge.
 const EIGENVALUE_MARGIN: f64 = 1.02;
 
-/// Number of steps of [`projected_gradient`] between two tests of convergence. A test costs a
-/// product. Larger: more steps than necessary. Smaller: more tests.
+/// Number of steps of [`projected_gradient`] between two tests of convergence. A test costs a product with H. Larger:
+/// more steps than necessary. Smaller: more tests.
 const STEPS_BETWEEN_LOOKS: usize = 50;
 
-/// Number of gradient steps for a caller to do after an active set method has failed. Larger: more
-/// time. Smaller: less progress.
+/// Number of steps of [`projected_gradient`] that a caller should do after an active set method has failed. Larger:
+/// more time. Smaller: less progress.
 pub const DESCENT_STEPS: usize = 300;
 
-/// Number of products without a smaller residual after which [`conjugate_gradients`] has reached
-/// the rounding of its coarse solutions and ends. Larger: more products without an effect. Smaller:
-/// it ends in a plateau.
+/// Number of products with H without a smaller residual after which [`conjugate_gradients`] has reached the rounding
+/// of its coarse solutions and ends. Larger: more products without an effect. Smaller: it ends in a plateau.
 const PRODUCTS_WITHOUT_PROGRESS: usize = 60;
 
 /// Number of factorisations without a smaller natural residual after which [`active_set`] is
@@ -46,12 +45,12 @@ const PRODUCTS_WITHOUT_PROGRESS: usize = 60;
 /// begins without need.
 const CYCLING_AFTER: usize = 10;
 
-/// `H = K - U U'`: a skyline matrix less a few outer products.
+/// Matrix `H = K - U U'` (n, n) of the quadratic program: a skyline matrix less a few outer products.
 #[derive(Clone, Debug)]
 pub struct Quadratic {
-    /// K, positive definite.
+    /// Matrix K (n, n), positive definite.
     pub k: Skyline,
-    /// Columns of U (n each).
+    /// Columns of the matrix U, n elements each.
     pub u: Vec<Vec<f64>>,
 }
 
@@ -66,14 +65,15 @@ impl Quadratic {
         h_t
     }
 
-    /// Returns the diagonal of H.
+    /// Returns the diagonal of H (n).
     pub fn diagonal(&self) -> Vec<f64> {
         (0..self.k.len())
             .map(|j| self.k.diagonal(j) - self.u.iter().map(|u| u[j] * u[j]).sum::<f64>())
             .collect()
     }
 
-    /// Returns the solution x of `H_II x = r` with I = `keep`; `None` if H_II is not positive definite.
+    /// Returns the solution x of `H_II x = r`, where H_II has the rows and columns I = `keep` of H. `last` keeps the
+    /// factor for the next call. `None` if H_II is not positive definite.
     fn solve(&self, keep: &[usize], mut r: Vec<f64>, last: &mut LastFactor) -> Option<Vec<f64>> {
         if last.0.as_ref().is_none_or(|(set, _)| set != keep) {
             // The last factor is dropped first, so that only one is in memory.
@@ -88,19 +88,19 @@ impl Quadratic {
     }
 }
 
-/// The last set I that [`active_set`] solved for and the factor of H_II, for another g with the
-/// same H. If one solution is corrected by another, the free components are soon the same again.
+/// The last set I of free components that [`active_set`] solved for, and the factor of its submatrix H_II. It serves
+/// another g with the same H: if one solution is corrected by another, the free components are soon the same again.
 #[derive(Debug, Default)]
 pub struct LastFactor(Option<(Vec<usize>, Woodbury)>);
 
-/// A candidate solution of (1).
+/// A candidate solution of the bounded least squares problem (1) of the module.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// Candidate t.
+    /// Candidate t (n), within the bounds.
     pub value: Vec<f64>,
-    /// Natural residual (2).
+    /// Natural residual (2) of the module: the largest move of a component in a projected step, in the unit of t.
     pub natural_residual: f64,
-    /// Number of iterations: sets of free components, products, or gradient steps.
+    /// Number of iterations: sets of free components, products with H, or gradient steps.
     pub iterations: usize,
     /// Reason why the iteration ended.
     pub end: End,
@@ -111,13 +111,14 @@ pub struct Solution {
 pub enum End {
     /// The natural residual is within the tolerance.
     Optimal,
-    /// The monitored value no longer changes.
+    /// The objective no longer falls by enough between two tests.
     Stagnated,
     /// The allowed iterations are used up.
     IterationLimit,
 }
 
-/// Returns the natural residual (2) over the components with H_jj > 0.
+/// Returns the natural residual (2) of the module at `t`, with the gradient H t - g and the diagonal of H, over the
+/// components with H_jj > 0.
 pub fn natural_residual(
     t: &[f64],
     gradient: &[f64],
@@ -131,15 +132,16 @@ pub fn natural_residual(
         .fold(0.0, f64::max)
 }
 
-/// Solves (1) by the primal-dual active set method, for an H that can be factorised.
+/// Solves the bounded least squares problem (1) of the module by the primal-dual active set method, for an H that can
+/// be factorised.
 ///
 /// Source: Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865, algorithm of section 2. The
 /// sets of components at a bound are guessed from `t - q / c`, and the other components are solved
 /// for. If the sets repeat, (2) is zero to rounding. The method may cycle. Then the guess changes
 /// one component at a time (the one of largest index, Murty's rule), which ends.
 ///
-/// The components of `start` at a bound are the first sets. The method ends when the sets repeat,
-/// or as soon as (2) is below `enough`. `last` is of the same H, or empty. `None` if H is not
+/// The components of `start` at a bound give the first sets. The method ends when the sets repeat, or as soon as the
+/// natural residual (2) is below `enough`. `last` holds the last factor of the same H, or is empty. `None` if H is not
 /// positive definite.
 pub fn active_set(
     h: &Quadratic,
@@ -210,7 +212,7 @@ pub fn active_set(
     best
 }
 
-/// State of a component: free, or at a bound.
+/// State of a component: free, at its lower bound, or at its upper bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum BoundState {
     Free,
@@ -219,7 +221,7 @@ enum BoundState {
 }
 
 impl BoundState {
-    /// Returns the state of a component whose target is the value `aim`.
+    /// Returns the state of a component that should move to `aim`: at a bound if `aim` is beyond it, otherwise free.
     fn of_target(aim: f64, lo: f64, hi: f64) -> Self {
         match aim {
             aim if aim < lo => Self::Low,
@@ -230,12 +232,12 @@ impl BoundState {
     }
 }
 
-/// Returns the nearest point within the bounds.
+/// Returns the point within the bounds that is nearest to `t`, component by component.
 pub fn clip(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
     (0..t.len()).map(|j| t[j].clamp(lo[j], hi[j])).collect()
 }
 
-/// Returns the gradient H t - g.
+/// Returns the gradient `H t - g` of the objective at t.
 fn gradient(h: &Quadratic, g: &[f64], t: &[f64]) -> Vec<f64> {
     difference(&h.product(t), g)
 }
@@ -245,12 +247,13 @@ fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
-/// Returns the value `1/2 t' H t - g' t` of (1).
+/// Returns the objective `1/2 t' H t - g' t` of (1) of the module from t, the product `h_t` = H t, and g.
 fn objective(t: &[f64], h_t: &[f64], g: &[f64]) -> f64 {
     (0..t.len()).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum()
 }
 
-/// Returns the point with the bound components at their bounds, and a zero gradient of the free ones.
+/// Returns the point whose components are at their bounds where `state` says so, and whose gradient is zero in the
+/// free ones. `None` if the free part of H is not positive definite.
 fn solve_free(
     h: &Quadratic,
     g: &[f64],
@@ -281,38 +284,40 @@ fn solve_free(
 /// Conditions for the end of [`active_set_by_products`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProductSettings {
-    /// Natural residual to reach.
+    /// Natural residual, (2) of the module, at which the method ends.
     pub enough: f64,
-    /// Largest error of a linear solve, relative to its step, both in the norm of H.
+    /// Largest error of a linear solve in the norm of H, relative to the step that it finds.
     pub inexact: f64,
-    /// Largest number of sets.
+    /// Largest number of sets of free components.
     pub max_sets: usize,
-    /// Largest number of products within linear solves.
+    /// Largest number of products with H within the linear solves, all together.
     pub max_products: usize,
 }
 
-/// Acceleration of conjugate gradients on the free components: the exact solution in a coarse space
-/// V, and an approximate one for the remainder.
+/// Preconditioner of conjugate gradients on the free components: the exact solution in a small coarse space, spanned
+/// by the columns of V, and an approximate one for the remainder.
 pub trait Deflation {
-    /// Returns `V (V' H V)^-1 V' r` on the free components.
+    /// Returns `V (V' H V)^-1 V' r` on the free components, the solution for r in the coarse space; 0 elsewhere.
     fn coarse(&self, r: &[f64]) -> Vec<f64>;
-    /// Returns the product of an approximate inverse of H_II and r, for r orthogonal to V.
+    /// Returns the product of r with an approximate inverse of H on the free components (the smoother), for r
+    /// orthogonal to V.
     fn smooth(&self, r: &[f64]) -> Vec<f64>;
 }
 
 /// Result of [`active_set_by_products`].
 #[derive(Clone, Debug)]
 pub struct ProductSolution {
-    /// The point with the smallest value of (1).
+    /// The point with the smallest objective (1) of the module that the iteration met.
     pub solution: Solution,
-    /// The minimiser of (1) over the free components of the last set, without their bounds; the
-    /// others are at their bounds.
+    /// The minimiser of the objective over the free components of the last set, which may be beyond their bounds. The
+    /// other components are at their bounds.
     pub unbounded: Vec<f64>,
     /// Flags of the free components of the last set.
     pub free: Vec<bool>,
 }
 
-/// Returns the sets at the start: at a bound where the gradient q points beyond it.
+/// Returns the state of every component at the start `t` with the gradient `q`: at a bound if it is there and descent
+/// points beyond it. Components that do not move (`moves`) are not free.
 fn first_places(
     t: &[f64],
     q: &[f64],
@@ -329,12 +334,12 @@ fn first_places(
         .collect()
 }
 
-/// Solves (1) as [`active_set`] does, for an H that can only be applied. Conjugate gradients solve for the free
-/// components, and `deflation(free)` accelerates them.
+/// Solves (1) of the module as [`active_set`] does, for an H of which only products are known. Conjugate gradients
+/// solve for the free components, and `deflation(free)` makes their preconditioner.
 ///
-/// `apply(t)` is H t; components with H_jj <= 0 stay at `start`. The result is the point with the
-/// smallest value of (1) during the iteration, `start` included. The method ends when the sets
-/// repeat or (2) is small enough.
+/// `apply(t)` is H t; components with H_jj <= 0 stay at `start`. The result is the point with the smallest objective
+/// during the iteration, `start` included. The method ends when the sets repeat or the natural residual (2) is small
+/// enough.
 pub fn active_set_by_products<D: Deflation>(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     mut deflation: impl FnMut(&[bool]) -> D,
@@ -413,7 +418,7 @@ pub fn active_set_by_products<D: Deflation>(
     ProductSolution { solution, unbounded: x, free }
 }
 
-/// Puts the components that move on their bounds or, if they are free, within them.
+/// Puts the components that move (`moves`) on their bounds or, if they are free, within them.
 fn put_on_bounds(x: &mut [f64], state: &[BoundState], moves: &[bool], (lo, hi): (&[f64], &[f64])) {
     for j in (0..x.len()).filter(|j| moves[*j]) {
         match state[j] {
@@ -424,16 +429,17 @@ fn put_on_bounds(x: &mut [f64], state: &[BoundState], moves: &[bool], (lo, hi): 
     }
 }
 
-/// Solves `q_I = 0` for the free components of t by deflated conjugate gradients; q is the gradient
-/// at t, of all components. With `Q = V (V' H V)^-1 V'` and the smoother S,
+/// Moves the free components of t until the gradient is zero there, `q_I = 0`, by deflated conjugate gradients. `q` is
+/// the gradient at t, of all components, and is updated. With `Q = V (V' H V)^-1 V'` and the smoother S of
+/// [`Deflation`],
 ///
 /// ```text
 /// t += Q r,   z = S r + Q (r - H S r)        then the residuals r stay orthogonal to V
 /// ```
 ///
 /// Source: J. M. Tang, R. Nabben, C. Vuik, Y. A. Erlangga, J. Sci. Comput. 39 (2009) 340, method A-DEF2.
-/// Ends if `r' z <= inexact^2 * (decrease of (1) so far)`, or if `r' z` no longer falls. Returns
-/// the number of products.
+/// Ends if `r' z <= inexact^2 * (decrease of the objective so far)`, or if `r' z` no longer falls, or after `most`
+/// products with H. Returns the number of products.
 pub fn conjugate_gradients(
     apply: &impl Fn(&[f64]) -> Vec<f64>,
     deflation: &impl Deflation,
@@ -485,12 +491,12 @@ pub fn conjugate_gradients(
     products
 }
 
-/// Returns the negative gradient, 0 where a component is not free.
+/// Returns the negative gradient of the free components, and 0 for the others.
 fn descent(q: &[f64], free: &[bool]) -> Vec<f64> {
     q.iter().zip(free).map(|(q, free)| if *free { -q } else { 0.0 }).collect()
 }
 
-/// Moves t by `a p`, and its gradient q with it.
+/// Adds `a p` to t, and `a h_p`, with h_p = H p, to its gradient q.
 fn step(t: &mut [f64], q: &mut [f64], a: f64, (p, h_p): (&[f64], &[f64])) {
     for j in 0..t.len() {
         t[j] += a * p[j];
@@ -501,18 +507,20 @@ fn step(t: &mut [f64], q: &mut [f64], a: f64, (p, h_p): (&[f64], &[f64])) {
 /// Conditions for the end of an accelerated projected gradient iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GradientSettings {
-    /// Natural residual to reach.
+    /// Natural residual, (2) of the module, at which the iteration ends.
     pub tolerance: f64,
     /// Largest number of steps.
     pub max_iterations: usize,
-    /// The iteration ends if the objective plus `offset` falls by less than this fraction between
-    /// two tests, 50 steps apart.
+    /// Smallest relative decrease between two tests, 50 steps apart: the iteration ends if the objective plus `offset`
+    /// falls by a smaller fraction.
     pub stagnation: f64,
-    /// Constant that completes the objective of (1) to a sum of squares.
+    /// Constant that makes the objective of (1) of the module a sum of squares, so that its relative decrease has a
+    /// meaning.
     pub offset: f64,
 }
 
-/// Solves (1) by scaled accelerated projected gradient steps with restart, for any H that can be applied.
+/// Solves (1) of the module by scaled accelerated projected gradient steps with restart, for any H of which products
+/// are known.
 ///
 /// Source: Beck and Teboulle, SIAM J. Imaging Sci. 2 (2009) 183, Eqs 4.1-4.3, with the restart of
 /// O'Donoghue and Candes, Found. Comput. Math. 15 (2015) 715, Eq. 3.2, in the scale
@@ -524,8 +532,7 @@ pub struct GradientSettings {
 /// theta+ = (1 + sqrt(1 + 4 theta^2)) / 2,   y = t+ + (theta - 1)/theta+ (t+ - t)
 /// ```
 ///
-/// `apply(t)` is H t, and `diagonal` its diagonal (components with H_jj <= 0 stay at `lo`). `start`
-/// is a first guess.
+/// `apply(t)` is H t, and `diagonal` its diagonal. Components with H_jj <= 0 stay at `lo`. `start` is the first guess.
 pub fn projected_gradient(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     diagonal: &[f64],
@@ -587,7 +594,7 @@ pub fn projected_gradient(
     }
 }
 
-/// Returns an estimate of the largest eigenvalue of S H S, S = diag(H)^-1/2; 1 if H is zero.
+/// Returns an estimate of the largest eigenvalue of S H S with the scale S = diag(H)^-1/2; 1 if H is zero.
 fn largest_eigenvalue(apply: &impl Fn(&[f64]) -> Vec<f64>, diagonal: &[f64]) -> f64 {
     let scale: Vec<f64> =
         diagonal.iter().map(|d| if *d > 0.0 { d.sqrt().recip() } else { 0.0 }).collect();

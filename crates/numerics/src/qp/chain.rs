@@ -37,34 +37,35 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-/// Program (1) with n variables and n - 1 links, without its rows.
+/// Objective of the program (1) of the module, with n variables and n - 1 links between neighbours, without its
+/// constraint rows.
 #[derive(Clone, Debug, Default)]
 pub struct ChainProgram {
-    /// P_ii (n); > 0.
+    /// Diagonal elements P_ii (n) of the matrix P; > 0.
     pub diagonal: Vec<f64>,
-    /// P_{i,i+1} (n-1).
+    /// Elements P_{i,i+1} (n-1) of P beside the diagonal.
     pub beside: Vec<f64>,
-    /// c (n).
+    /// Linear coefficients c (n); the objective contains -c' x.
     pub linear: Vec<f64>,
-    /// Flags of the free variables (n); the other variables are zero.
+    /// Flags of the free variables (n); the other variables are fixed at zero.
     pub free: Vec<bool>,
-    /// Prices p (n-1), > 0; empty if the rows are hard.
+    /// Prices p (n-1) of the excess e_i of every link, > 0; empty if the rows are hard.
     pub price: Vec<f64>,
 }
 
-/// Rows of a half of the chain, in units of y and with a largest coefficient of 1. Rows without
-/// coefficients are left out.
+/// Constraint rows of a half of the chain, in the scaled variables y and with a largest coefficient of 1. Rows whose
+/// coefficients are all zero are left out.
 #[derive(Debug)]
 pub struct ChainRows {
     row: Vec<ChainRow>,
-    /// Coefficients k of the rows; empty if the rows are hard.
+    /// Coefficients k of the excess in every row; empty if the rows are hard.
     slack: Vec<f64>,
-    /// Number of rows up to the end of link k.
+    /// Number of rows of the links 0 .. k, for every link k.
     end: Vec<usize>,
     elastic: bool,
-    /// True if links and their ends are in descending order.
+    /// True if links and their two nodes come in descending order: in the upper half of the chain.
     up: bool,
-    /// Scales w of both ends of the present link.
+    /// Scales w (x = w y) of the two nodes of the link to which rows are being added.
     w: [f64; 2],
     /// True if a row without coefficients has a bound below zero.
     infeasible: bool,
@@ -72,13 +73,14 @@ pub struct ChainRows {
 
 #[derive(Clone, Copy, Debug)]
 struct ChainRow {
-    /// Coefficients of the outer and of the inner end of the link.
+    /// Coefficients of the two nodes of the link: the outer one (towards the end of the chain), and the inner one.
     a: [f64; 2],
     bound: f64,
 }
 
 impl ChainRows {
-    /// Adds `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the present link i.
+    /// Adds the constraint `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the link i for which `rows` of [`solve`] was
+    /// called.
     pub fn add(&mut self, a: [f64; 2], k: f64, bound: f64) {
         let a = [a[0] * self.w[0], a[1] * self.w[1]];
         let k = if self.elastic { k } else { 0.0 };
@@ -94,7 +96,7 @@ impl ChainRows {
         }
     }
 
-    /// Ends the present link, with its row `e >= 0`.
+    /// Completes the rows of the present link; if it has a price, with the row `e >= 0`.
     fn end_link(&mut self) {
         let start = self.end.last().copied().unwrap_or(0);
         if self.elastic && self.row.len() > start {
@@ -103,7 +105,7 @@ impl ChainRows {
         self.end.push(self.row.len());
     }
 
-    /// Returns the rows of link k.
+    /// Returns the range of the rows of link k.
     fn of_link(&self, k: usize) -> Range<usize> {
         let start = if k == 0 { 0 } else { self.end[k - 1] };
         start..self.end[k]
@@ -113,24 +115,24 @@ impl ChainRows {
 /// Reason why there is no solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// The rows contradict each other: some `l >= 0` has `G' l = 0` and `b' l < 0`.
+    /// The constraint rows contradict each other: some multipliers `l >= 0` have `G' l = 0` and `b' l < 0`.
     Infeasible,
     /// The iteration did not reach the tolerance.
     NotConverged,
 }
 
-/// Largest r_p and mean complementarity at the end, in units in which P has a unit diagonal and the
-/// largest linear term is 1. Larger: a less exact solution; at a row that is barely active, the
-/// error of y is the square root of it. Smaller: rounding prevents convergence.
+/// Largest primal residual r_p and mean complementarity at the end, in units in which P has a unit diagonal and the
+/// largest linear term is 1. Larger: a less exact solution; at a row that is barely active, the error of y is the
+/// square root of it. Smaller: rounding prevents convergence.
 const TOLERANCE: f64 = 1e-14;
 
-/// Largest r_d at the end, in the same units. It causes an error of the same size in y. Larger: a
-/// less exact solution. Smaller: the iteration does not end, because r_d has the rounding of `D r`,
-/// where D is up to 1 / [`TOLERANCE`] at an active row.
+/// Largest dual residual r_d = P y - c + G' l at the end, in the units of [`TOLERANCE`]. It causes an error of the
+/// same size in y. Larger: a less exact solution. Smaller: the iteration does not end, because r_d has the rounding of
+/// `D r`, where D is up to 1 / [`TOLERANCE`] at an active row.
 const DUAL_TOLERANCE: f64 = 1e-9;
 
-/// Largest r_p and complementarity at which the iteration may end early, when rounding prevents
-/// more. Larger: a less exact solution is accepted. Smaller: more programs fail.
+/// Largest primal residual r_p and complementarity at which the iteration may end early, when rounding prevents more.
+/// Larger: a less exact solution is accepted. Smaller: more programs fail.
 const EARLY_END_TOLERANCE: f64 = 1e-9;
 
 /// Largest number of iterations. Programs of 1e6 links take 7 to 40. Larger: more time before a
@@ -141,9 +143,9 @@ const MAX_ITERATIONS: usize = 150;
 /// chains. Smaller: the overhead of the thread exceeds its gain. It does not change the result.
 const MIN_LINKS_PER_THREAD: usize = 2048;
 
-/// Returns the solution x of (1). `rows` adds the rows of a link, in any order, but in the same order at every
-/// call. The program is scaled in place, because a copy of a long one would take as long as an
-/// iteration.
+/// Returns the solution x (n) of the program (1) of the module. `rows(i, to)` adds the rows of link i to `to`, in any
+/// order, but in the same order at every call. The program is scaled in place, because a copy of a long one would take
+/// as long as an iteration.
 ///
 /// # Errors
 /// Returns a failure if the rows contradict each other, or if the iteration does not reach the tolerance.
@@ -163,10 +165,11 @@ pub fn solve(
 }
 
 impl ChainProgram {
-    /// Scales (1) to the variables y, x = w y. Then all diagonal elements are equal (1 without
-    /// prices), the largest linear term is 1, and the objective is divided so that no price is
-    /// above 1. Variables that are not free have only their diagonal coefficient. Returns w and the
-    /// diagonal; `diagonal` is empty afterwards.
+    /// Scales (1) of the module to the variables y, x = w y. Then all diagonal elements are equal (1 without prices),
+    /// the largest linear term is 1, and the objective is divided so that no price is above 1.
+    ///
+    /// Variables that are not free keep only their diagonal coefficient. Returns the scales w (n) and the common
+    /// diagonal element; `diagonal` is empty afterwards.
     fn scale(&mut self) -> (Vec<f64>, f64) {
         // w_i = unit / sqrt(P_ii)
         let mut w = std::mem::take(&mut self.diagonal);
@@ -193,20 +196,20 @@ impl ChainProgram {
     }
 }
 
-/// State of a variable.
+/// State of a variable y_k, called node, in the iteration.
 #[derive(Clone, Copy, Default)]
 struct Node {
     y: f64,
-    /// In the forward pass: the right-hand side of (2), eliminated and divided by the pivot. In the
-    /// backward pass: the step.
+    /// In the forward pass: the right-hand side of (2) of the module, eliminated and divided by the pivot. In the
+    /// backward pass: the step of y.
     dy: f64,
-    /// Inverse 1 / D_ii of the pivot of L D L'.
+    /// Inverse of the pivot, 1 / D_kk, of the factorisation L D L' of the matrix of (2).
     inverse: f64,
-    /// Element of L at the next node towards the middle.
+    /// Element of L that couples this node with the next one towards the middle.
     below: f64,
 }
 impl Node {
-    /// Moves y by a fraction of the step; returns it.
+    /// Moves y by the fraction `length` of its step, and returns the new y.
     fn advance(&mut self, length: f64) -> f64 {
         self.y += length * self.dy;
         self.y
@@ -225,38 +228,38 @@ struct RowStep {
     slack: f64,
     s: f64,
     l: f64,
-    /// Element of r_p.
+    /// Element of the primal residual r_p = G y + s - b of this row.
     primal: f64,
     ds: f64,
 }
 
-/// State of the e of a link.
+/// State of the excess e of a link.
 #[derive(Clone, Copy, Default)]
 struct Excess {
     e: f64,
     /// Right-hand side in the forward pass, step in the backward pass.
     de: f64,
-    /// m of (3).
+    /// Vector m of (3) of the module: the weighted mean of the row coefficients of the link.
     mean: [f64; 2],
-    /// 1 / sum_j D_j k_j^2.
+    /// Inverse of the pivot of e: 1 / sum_j D_j k_j^2 over the rows j of the link.
     inverse: f64,
 }
 
-/// Contributions of an elimination to the next node towards the middle.
+/// Numbers that the elimination of a node adds to the next node towards the middle.
 #[derive(Clone, Copy, Default)]
 struct Carry {
-    /// Contribution to its pivot.
+    /// Addition to the pivot of that node.
     pivot: f64,
-    /// Contribution to its right-hand side.
+    /// Addition to its right-hand side.
     right: f64,
-    /// Contribution to its c - P y.
+    /// Addition to its element of c - P y.
     gradient: f64,
-    /// Contribution to its G' l.
+    /// Addition to its element of G' l.
     multipliers: f64,
 }
 
 impl Carry {
-    /// Returns the sum of both contributions.
+    /// Returns the sum of both contributions, which come from the two halves.
     fn plus(self, other: Self) -> Self {
         Self {
             pivot: self.pivot + other.pivot,
@@ -267,7 +270,8 @@ impl Carry {
     }
 }
 
-/// Elements of (2) in the nodes of a link: pivots, element beside them, and right-hand sides.
+/// Elements of the system (2) of the module in the two nodes of a link: pivots, the element that couples them, and
+/// right-hand sides.
 struct Block {
     pivot: [f64; 2],
     off: f64,
@@ -275,7 +279,8 @@ struct Block {
 }
 
 impl Block {
-    /// Adds a row: D b b' to the matrix, and -D r_p a to the right-hand side. Without an excess b = a.
+    /// Adds a constraint row: D b b' to the matrix, and -D r_p a to the right-hand side. `a` has its coefficients, `d`
+    /// its D, and `primal` its r_p. `b` is a without the part in the excess, and equals a if the row is hard.
     #[inline(always)]
     fn add(&mut self, b: [f64; 2], a: [f64; 2], d: f64, primal: f64) {
         self.pivot[0] += d * b[0] * b[0];
@@ -285,7 +290,7 @@ impl Block {
         self.right[1] -= a[1] * d * primal;
     }
 
-    /// Eliminates the node, and returns what it adds to the next one.
+    /// Eliminates the outer node, and returns the numbers that this adds to the inner one.
     #[inline(always)]
     fn eliminate(self, node: &mut Node) -> Carry {
         let Self { pivot, off, right } = self;
@@ -301,22 +306,22 @@ impl Block {
 /// Residuals that decide whether the iteration ends.
 #[derive(Clone, Copy, Default)]
 struct Residual {
-    /// Sum, and later the mean, of the complementarity.
+    /// Sum over the rows, and later the mean, of the complementarity s l.
     mu: f64,
-    /// Largest |r_d| = |P y - c + G' l|.
+    /// Largest magnitude of the dual residual r_d = P y - c + G' l.
     largest_dual: f64,
-    /// Largest |r_p|, and later the larger of that and mu.
+    /// Largest magnitude of the primal residual r_p, and later the larger of that and mu.
     largest: f64,
-    /// -b' l.
+    /// Sum -b' l over the rows, for the proof that the rows contradict each other.
     gain: f64,
-    /// Sum of l.
+    /// Sum of the multipliers l.
     total: f64,
-    /// Largest |G' l|.
+    /// Largest magnitude of an element of G' l.
     largest_multipliers: f64,
 }
 
 impl Residual {
-    /// Returns the residuals of two parts together.
+    /// Returns the residuals of both halves together.
     fn plus(self, other: Self) -> Self {
         Self {
             mu: self.mu + other.mu,
@@ -328,7 +333,8 @@ impl Residual {
         }
     }
 
-    /// Returns true if the residuals are within a tolerance.
+    /// Returns true if primal residual and complementarity are within `tolerance`, and the dual residual within
+    /// [`DUAL_TOLERANCE`].
     fn is_within(&self, tolerance: f64) -> bool {
         self.largest <= tolerance && self.largest_dual <= DUAL_TOLERANCE.max(tolerance)
     }
@@ -340,17 +346,17 @@ impl Residual {
     }
 }
 
-/// Longest step, and its effect on the complementarity.
+/// Inverse of the longest possible step, and the effect of the step on the complementarity.
 #[derive(Clone, Copy, Default)]
 struct Reach {
-    /// Largest -ds / s or -dl / l: the inverse of the longest step.
+    /// Largest -ds / s or -dl / l over the rows: the inverse of the longest step with s >= 0 and l >= 0.
     inverse: f64,
-    /// Sum of -ds dl of the predictor.
+    /// Sum of -ds dl over the rows, with the steps of the predictor.
     product: f64,
 }
 
 impl Reach {
-    /// Returns the reach of two parts together.
+    /// Returns the reach of both halves together.
     fn plus(self, other: Self) -> Self {
         let inverse = self.inverse.max(other.inverse);
         Self { inverse, product: self.product + other.product }
@@ -362,7 +368,7 @@ fn worse(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// A scaled program.
+/// A scaled program; `ELASTIC` if its rows have prices.
 struct Chain<'a, const ELASTIC: bool> {
     program: &'a ChainProgram,
     /// Diagonal element P_ii.
@@ -370,7 +376,7 @@ struct Chain<'a, const ELASTIC: bool> {
 }
 
 impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
-    /// Returns the solution w y.
+    /// Returns the solution x = w y (n) of the program before it was scaled.
     fn solve(
         &self,
         mut w: Vec<f64>,
@@ -384,7 +390,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         }
         let m = low.rows.row.len() + high.rows.row.len();
         let linear = self.program.linear[n / 2];
-        /// Runs a method on both halves, by two threads if that is a gain.
+        /// Calls a method of both halves, on two threads if that is a gain.
         macro_rules! both {
             ($method:ident($($argument:expr),*)) => {
                 if n < MIN_LINKS_PER_THREAD {
@@ -451,7 +457,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         Ok(w)
     }
 
-    /// Makes the links of both ends of the chain to its middle.
+    /// Makes the two halves of the chain, with the links from either end to the middle.
     fn halves(
         &self,
         w: &[f64],
@@ -466,7 +472,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
     }
 }
 
-/// Returns the nodes in order: those of the low half, the middle, those of the high half.
+/// Returns y of all nodes in order: those of the low half, the middle, those of the high half.
 fn values<const ELASTIC: bool>(low: &Half<ELASTIC>, middle: f64, high: &Half<ELASTIC>) -> Vec<f64> {
     let nodes = low.node.iter().map(|node| node.y).chain([middle]);
     nodes.chain(high.node.iter().rev().map(|node| node.y)).collect()
@@ -485,8 +491,8 @@ fn centring(mu: f64, reach: Reach, m: usize) -> f64 {
     (after / mu).max(0.0).powi(3)
 }
 
-/// Links from an end of the chain to its middle. Link k joins node k and node k + 1, counted from
-/// the end. Node k + 1 of the last link is the middle.
+/// Half of the chain: links from one of its ends to its middle. Link k joins node k and node k + 1, counted from the
+/// end. Node k + 1 of the last link is the middle, which is not in `node`.
 struct Half<'a, const ELASTIC: bool> {
     program: &'a ChainProgram,
     /// Diagonal element P_ii.
@@ -496,13 +502,13 @@ struct Half<'a, const ELASTIC: bool> {
     rows: ChainRows,
     node: Vec<Node>,
     pair: Vec<Pair>,
-    /// Steps; before the backward pass of the corrector, `l` contains its t.
+    /// Steps ds and dl of every row; before the backward pass of the corrector, `l` contains its target t of (2).
     step: Vec<Pair>,
     excess: Vec<Excess>,
 }
 
 impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
-    /// Collects the rows of the links of one half.
+    /// Collects the rows of the links of one half; `add(i, rows)` adds those of link i of the whole chain.
     fn new(
         program: &'a ChainProgram,
         diagonal: f64,
@@ -540,12 +546,12 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         }
     }
 
-    /// Returns the number of links.
+    /// Returns the number of links of this half.
     fn links(&self) -> usize {
         self.node.len()
     }
 
-    /// Returns the linear term c of the outer node of link k, and the element of P between both nodes.
+    /// Returns the linear term c of the outer node of link k, and the element of P that couples both nodes.
     fn terms(&self, k: usize) -> (f64, f64) {
         let ChainProgram { linear, beside, .. } = self.program;
         if self.up {
@@ -555,19 +561,20 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         }
     }
 
-    /// Returns the price of link k.
+    /// Returns the price of the excess of link k.
     fn price(&self, k: usize) -> f64 {
         let price = &self.program.price;
         price[if self.up { price.len() - 1 - k } else { k }]
     }
 
-    /// Returns the coefficients of the outer and of the inner node, k and the bound of row j.
+    /// Returns the values of row j: its coefficients [outer, inner node], the coefficient k of its excess, and its
+    /// bound.
     fn row(&self, j: usize) -> ([f64; 2], f64, f64) {
         let ChainRow { a, bound } = self.rows.row[j];
         (a, if ELASTIC { self.rows.slack[j] } else { 0.0 }, bound)
     }
 
-    /// Eliminates P y = c towards the middle.
+    /// Eliminates the system P y = c, without rows, from the end of the chain towards the middle.
     fn eliminate_free(&mut self) -> Carry {
         let mut carry = Carry::default();
         for k in 0..self.links() {
@@ -583,7 +590,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         carry
     }
 
-    /// Computes y by substitution from the middle, and the first slacks and multipliers.
+    /// Computes y by substitution from the middle, whose y is `middle`, and the first slacks and multipliers.
     fn start(&mut self, middle: f64) {
         let mut y1 = middle;
         for k in (0..self.links()).rev() {
@@ -600,8 +607,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         }
     }
 
-    /// Moves by the fraction `length` of the step, computes the residuals there, and eliminates (2)
-    /// of the predictor towards the middle.
+    /// Moves by the fraction `length` of the last step, computes the residuals there, and eliminates (2) of the
+    /// predictor towards the middle.
     fn advance_and_eliminate(&mut self, length: f64, middle: f64) -> (Carry, Residual) {
         let mut carry = Carry::default();
         let mut r = Residual::default();
@@ -683,7 +690,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         (carry, r)
     }
 
-    /// Computes the step of node k and of its link by substitution; returns the step of the node.
+    /// Computes the step of node k and of the excess of its link by substitution, from the step `dy1` of the inner
+    /// node. Returns the step of node k.
     fn substitute(&mut self, k: usize, dy1: f64) -> f64 {
         let node = &mut self.node[k];
         node.dy -= node.below * dy1;
@@ -697,13 +705,13 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         dy0
     }
 
-    /// Returns the excess e of link k and its step.
+    /// Returns the excess e of link k and its step; zeros if the rows are hard.
     fn excess_of(&self, k: usize) -> (f64, f64) {
         if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
     }
 
-    /// Returns the values of row j during a step: coefficients, s and l, r_p, and ds. The arguments are y, e
-    /// and their steps of its link.
+    /// Returns the values of row j during a step: coefficients, slack s, multiplier l, primal residual r_p, and ds.
+    /// The arguments are y and e of its link, and their steps.
     #[inline(always)]
     fn step_of(&self, j: usize, y: [f64; 2], dy: [f64; 2], (e, de): (f64, f64)) -> RowStep {
         let (a, slack, bound) = self.row(j);
@@ -713,7 +721,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         RowStep { a, slack, s, l, primal, ds }
     }
 
-    /// Substitutes the predictor from the middle outwards.
+    /// Substitutes the predictor from the middle outwards. `middle` and `step` are y of the middle node and its step.
     fn predict(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let mut y1 = middle;
@@ -735,7 +743,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         reach
     }
 
-    /// Eliminates (2) of the corrector towards the middle.
+    /// Eliminates (2) of the corrector towards the middle. `second` is the factor of the second-order term ds dl, and
+    /// `sigma_mu` the target of the complementarity.
     fn eliminate_corrector(&mut self, second: f64, sigma_mu: f64, middle: f64, step: f64) -> Carry {
         let mut carry = Carry::default();
         let mut inner = self.y_and_step(0, middle, step);
@@ -776,13 +785,13 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         carry
     }
 
-    /// Returns y of node k and its step; those of the middle beyond the last node.
+    /// Returns y of node k and its step; those of the middle node if k is beyond the last one.
     #[inline(always)]
     fn y_and_step(&self, k: usize, middle: f64, step: f64) -> (f64, f64) {
         self.node.get(k).map_or((middle, step), |node| (node.y, node.dy))
     }
 
-    /// Substitutes the corrector from the middle outwards.
+    /// Substitutes the corrector from the middle outwards. `middle` and `step` are y of the middle node and its step.
     fn correct(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let mut y1 = middle;

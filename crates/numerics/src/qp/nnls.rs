@@ -14,12 +14,12 @@
 
 use ndarray::{Array2, ArrayView1};
 
-/// A solution of (1).
+/// A solution of the non-negative least squares problem (1) of the module.
 #[derive(Clone, Debug)]
 pub struct NonNegative {
-    /// Solution x.
+    /// Solution x (n).
     pub value: Vec<f64>,
-    /// Number of components that were freed or fixed again.
+    /// Number of changes of the active set: components freed, or fixed at zero again.
     pub iterations: usize,
     /// Largest violation of the optimality conditions, with `q = H x - g`: `|q_j| / H_jj` of a free
     /// component, and `max(0, -q_j) / H_jj` of a component at zero.
@@ -28,10 +28,10 @@ pub struct NonNegative {
     pub converged: bool,
 }
 
-/// Solves (1); components with `H_jj <= 0` stay 0.
+/// Solves the non-negative least squares problem (1) of the module; components with `H_jj <= 0` stay 0.
 ///
-/// Ends when no component at zero would grow: `-q_j <= tolerance max |g|`. Before every change
-/// `watch` gets the largest ratio of the two sides.
+/// Ends when no component at zero would grow: with the gradient q = H x - g, `-q_j <= tolerance max |g|`. Before every
+/// change of the active set `watch` gets the largest ratio of the left side to the right one.
 pub fn nnls(
     h: &Array2<f64>,
     g: &[f64],
@@ -101,7 +101,7 @@ pub fn nnls(
     NonNegative { value: x, iterations, violation, converged }
 }
 
-/// Returns the gradient `H x - g` from the columns where x is not zero.
+/// Returns the gradient `H x - g`; only the free components `members` of x may differ from zero.
 fn gradient(h: &Array2<f64>, g: &[f64], x: &[f64], members: &[usize]) -> Vec<f64> {
     let mut q: Vec<f64> = g.iter().map(|v| -v).collect();
     for &k in members.iter().filter(|k| x[**k] != 0.0) {
@@ -113,14 +113,14 @@ fn gradient(h: &Array2<f64>, g: &[f64], x: &[f64], members: &[usize]) -> Vec<f64
     q
 }
 
-/// Cholesky factor of the rows and columns of H that are free, row by row.
+/// Cholesky factor of the rows and columns of H whose components are free, in the order in which they were freed.
 struct Free {
     rows: Vec<Vec<f64>>,
     members: Vec<usize>,
 }
 
 impl Free {
-    /// Adds component j; returns false if its column depends on those of the free components.
+    /// Frees component j. Returns false, and changes nothing, if its column depends on those of the free components.
     fn add(&mut self, h: &Array2<f64>, j: usize) -> bool {
         // L l = H[members, j],  d = H_jj - l' l
         let mut row = Vec::with_capacity(self.members.len() + 1);
@@ -140,7 +140,7 @@ impl Free {
         true
     }
 
-    /// Removes the k-th free component. Rotations bring the rows below back to triangular form.
+    /// Fixes the k-th free component again. Rotations bring the rows below back to triangular form.
     fn remove(&mut self, k: usize) {
         self.rows.remove(k);
         self.members.remove(k);
@@ -161,7 +161,7 @@ impl Free {
         }
     }
 
-    /// Solves `L L' y = g[members]`.
+    /// Returns the solution y of `L L' y = g` for the free components, with the factor L.
     fn solve(&self, g: &[f64]) -> Vec<f64> {
         let mut y: Vec<f64> = Vec::with_capacity(self.members.len());
         for (k, row) in self.rows.iter().enumerate() {
