@@ -5,13 +5,13 @@ use ndarray::{Array2, Zip};
 use planish_types::{Invalid, Surface, ToolPath};
 use serde::Serialize;
 
-/// A bound on the dwell times.
+/// A lower or an upper bound on the dwell times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Bound {
     /// One time for every dwell point, s.
     Seconds(f64),
-    /// Proportional to the length of the segment, s/mm.
+    /// Time per length of the segment, the same for every segment, s/mm.
     SecondsPerMm(f64),
 }
 

@@ -45,7 +45,7 @@ pub mod udo;
 pub use model::columns;
 use planish_types::Invalid;
 
-/// Reasons for which no dwell times can be found.
+/// Reasons for which a solver finds no dwell times.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DwellError {
     /// The inputs or settings contradict themselves or each other.
@@ -57,15 +57,15 @@ pub enum DwellError {
          valid pixel, or removes the same everywhere; check that surface, tool path and TIF are in mm and in the same frame"
     )]
     OutOfReach {
-        /// Dwell points of the path.
+        /// Number of dwell points of the path.
         points: usize,
     },
-    /// The normal equations are not positive definite.
+    /// The normal equations of the least-squares problem are not positive definite.
     #[error(
         "the dwell times are not determined by the surface; raise `tikhonov` (now {tikhonov}) above 0"
     )]
     Singular {
-        /// Regularisation that was used.
+        /// Regularisation alpha that was used, dimensionless.
         tikhonov: f64,
     },
 }

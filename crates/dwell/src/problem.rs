@@ -45,12 +45,12 @@ use crate::{
     objective::{REST_FRACTION, median_length_mm},
 };
 
-/// A desired removal, a tool, a path, and the least dwell times.
+/// Input of every solver: a desired removal, a tool, a path, and the least dwell times.
 #[derive(Clone, Copy, Debug)]
 pub struct Problem<'a> {
-    /// Desired removal.
+    /// Desired removal, a map of heights, nm.
     pub desired: &'a Surface,
-    /// Tool.
+    /// TIF of the tool.
     pub tif: &'a Tif,
     /// Tool path.
     pub path: &'a ToolPath,
@@ -58,19 +58,20 @@ pub struct Problem<'a> {
     pub weight: Option<&'a Array2<f64>>,
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
-    /// Floor of the dwell times.
+    /// Lower bound of every dwell time, called the floor.
     pub min_dwell: Bound,
 }
 
 impl<'a> Problem<'a> {
-    /// Returns the same problem with another map and tool, if there are any: those of [`Tif::centred_on`].
+    /// Returns the same problem with the map and tool of [`Tif::centred_on`] in place of its own; unchanged if there
+    /// are none.
     pub(crate) fn with(&self, centred: Option<&'a (Surface, Tif)>) -> Self {
         centred.map_or(*self, |(desired, tif)| Self { desired, tif, ..*self })
     }
 }
 
-/// Returns the RMS of the map before the plan, over the pixels of a weight that is not 0. Accepts weights of
-/// another shape, which the solver refuses later.
+/// Returns the RMS of the desired map before the plan, over the valid pixels whose weight is not 0. Weights of another
+/// shape do not fail here; the solver refuses them later.
 pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
     let Some(weight) = weight else { return Rms::of_surface(desired) };
     let mut height = desired.height_nm().clone();
@@ -86,14 +87,14 @@ pub struct Solution<R> {
     pub dwell: DwellTime,
     /// Result in numbers that every solver has.
     pub outcome: Outcome,
-    /// Report of this solver.
+    /// Report of the solver that found them.
     pub report: R,
 }
 
-/// Effect of the dwell times, in the removal model of the solver.
+/// Effect of the dwell times, by the removal model of the solver: not by the independent prediction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
-    /// `columns` (exact) or `fft` (large problems).
+    /// Form of the removal operator: `columns` (exact) or `fft` (large problems).
     pub operator: &'static str,
     /// RMS (mean removed) of the residual, nm.
     pub model_rms_nm: f64,
@@ -101,13 +102,13 @@ pub struct Outcome {
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
-    /// Dwell points at their floor that reach the map.
+    /// Number of dwell points that reach the map and have the least allowed dwell time.
     pub at_floor: usize,
-    /// Dwell points that do not reach the map; they have the density of their neighbours.
+    /// Number of dwell points that do not reach the map; they have the dwell time per length of their neighbours.
     pub unreached_points: usize,
-    /// Valid pixels that no dwell point reaches: nothing can be corrected there.
+    /// Number of valid pixels that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
-    /// Mean removal by the floor alone, nm.
+    /// Mean removal by the least allowed dwell times alone, nm.
     pub floor_removal_nm: f64,
     /// Lattice of the map on which the TIF was sampled anew; left out where the samples are its own.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -115,31 +116,32 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Returns the reason for which the dwell times are no plan although the solver ended well, or none. Example:
-    /// they leave more than the map `before` them.
+    /// Returns the reason for which the dwell times are no plan although the solver ended well; `None` if there is no
+    /// such reason. Example: the residual is larger than the map, whose RMS is `before`.
     pub fn drawback(&self, before: Rms) -> Option<String> {
         let after = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
         plausible::drawback(before, after, self.total_time_s)
     }
 }
 
-/// A problem made ready for a solver: its weights, its floor (1), and its operator.
+/// A problem made ready for a solver: weights of the pixels, floor of the dwell times ((1) of the module), and removal
+/// operator B.
 pub(crate) struct DwellModel<'a> {
     pub problem: Problem<'a>,
-    /// The tool on the lattice of the map.
+    /// TIF on the lattice of the map.
     pub tif: Cow<'a, Tif>,
     lattice: TifLattice,
     pub places: Vec<Vec<ToolPlace>>,
     pub operator: Operator,
-    /// Zero on invalid pixels.
+    /// Weights of the pixels (ny, nx), zero on invalid pixels.
     pub weight: Array2<f64>,
     pub lo: Vec<f64>,
-    /// B lo, where a floor is above 0.
+    /// Removal B lo by the floor alone (ny, nx), nm; `None` if no floor is above 0.
     floor_removal: Option<Array2<f64>>,
-    /// B' w.
+    /// Weighted removal B' w of one second at every dwell point (n), nm/s, called its sensitivity.
     pub sensitivity: Vec<f64>,
     unreached_below: f64,
-    /// l_j / l, at least [`REST_FRACTION`].
+    /// Length of every segment over their median, l_j / l (n); at least [`REST_FRACTION`].
     pub shape: Vec<f64>,
 }
 
@@ -147,7 +149,7 @@ pub(crate) struct DwellModel<'a> {
 /// long runs are refused. Chosen: no plan needs a thousandth of it.
 const MAX_STEPS: usize = 1_000_000;
 
-/// Refuses a number of steps that no machine would do.
+/// Refuses a limit of steps above [`MAX_STEPS`], which no machine would do.
 pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
     if steps <= MAX_STEPS {
         return Ok(());
@@ -175,8 +177,8 @@ impl<'a> DwellModel<'a> {
         Self::with_sensitivity(problem, Operator::adjoint)
     }
 
-    /// Makes the model for solvers on a map of dwell times. They ask the sensitivity of a dwell point only whether it
-    /// reaches the map. Within two pixels of its reach, a point counts as reaching it.
+    /// Makes the model for solvers whose unknown is a map of dwell times. They only ask whether a dwell point reaches
+    /// the map, so a point within two pixels of its reach counts as reaching it.
     ///
     /// # Errors
     /// Refuses what [`Self::new`] refuses.
@@ -219,7 +221,7 @@ impl<'a> DwellModel<'a> {
         })
     }
 
-    /// Refuses a floor that removes more on average than the map has from its lowest to its highest point.
+    /// Refuses a floor whose removal is larger on average than the PV of the map over the counted pixels.
     fn refuse_a_floor_above_the_map(&self) -> Result<(), Invalid> {
         let Some(floor_removal) = &self.floor_removal else { return Ok(()) };
         let (low, high) = self.range(self.problem.desired.height_nm());
@@ -247,7 +249,8 @@ impl<'a> DwellModel<'a> {
         Err(Invalid::at_index("min_dwell", j, problem, remedy))
     }
 
-    /// Applies `evaluate` to bands of `map` and their weights; returns the results in order.
+    /// Calls `evaluate` with bands of rows of `map` and the weights there. Returns the results in the order of the
+    /// bands.
     fn by_bands<T: Send + Sync>(
         &self,
         map: &Array2<f64>,
@@ -271,7 +274,7 @@ impl<'a> DwellModel<'a> {
         bands.into_iter().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
-    /// Returns the weighted mean of a map (ny, nx).
+    /// Returns the weighted mean of a map (ny, nx), in its unit.
     pub fn mean(&self, map: &Array2<f64>) -> f64 {
         let bands = self.by_bands(map, |z, w| {
             Zip::from(z).and(w).fold((0.0, 0.0), |(sum, weight), z, w| {
@@ -282,25 +285,27 @@ impl<'a> DwellModel<'a> {
         sum / weight
     }
 
-    /// Returns the lowest value where the weight is not zero, after this fraction of the pixels is left out.
+    /// Returns the lowest value of a map (ny, nx) where the weight is not zero, after the lowest `fraction` of these
+    /// pixels is left out.
     pub fn lowest(&self, map: &Array2<f64>, fraction: f64) -> f64 {
         statistics::lowest(map.view(), Some(self.weight.view()), fraction)
             .expect("a model has a pixel that counts")
     }
 
-    /// Returns `z - mean z` of a map z (ny, nx), 0 where the weight is 0.
+    /// Returns a map (ny, nx) minus its weighted mean; 0 where the weight is 0.
     pub fn centred(&self, map: &Array2<f64>) -> Array2<f64> {
         let mean = self.mean(map);
         Zip::from(map).and(&self.weight).map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
     }
 
-    /// Returns the weighted RMS of a map without its mean.
+    /// Returns the weighted RMS of a map (ny, nx) minus its mean, in the unit of the map.
     pub fn rms(&self, map: &Array2<f64>) -> f64 {
         let z = self.centred(map);
         ((&z * &z * &self.weight).sum() / self.weight.sum()).sqrt()
     }
 
-    /// Returns `z - B lo` of (1), shape (ny, nx), nm; 0 where the weight is 0.
+    /// Returns the removal that the dwell times above the floor have to make, `z - B lo` of (1) of the module: (ny,
+    /// nx), nm; 0 where the weight is 0.
     pub fn target(&self) -> Array2<f64> {
         let z = Zip::from(self.problem.desired.height_nm()).and(&self.weight);
         match &self.floor_removal {
@@ -315,19 +320,21 @@ impl<'a> DwellModel<'a> {
         self.sensitivity[j].abs() > self.unreached_below
     }
 
-    /// Returns `A t` of (2), one element per pixel by rows, for dwell times t (n).
+    /// Returns the weighted removal without piston, `A t` of (2) of the module, for dwell times t (n), s: one element
+    /// per pixel, row by row.
     pub fn weighted(&self, t: &[f64]) -> Vec<f64> {
         self.project(&self.operator.apply(t))
     }
 
-    /// Returns `M W^1/2 z` of a map z (ny, nx), one element per pixel by rows.
+    /// Returns `M W^1/2 z` of (2) of the module for a map z (ny, nx): its deviation from the mean times the root of
+    /// the weight, one element per pixel, row by row.
     pub fn project(&self, map: &Array2<f64>) -> Vec<f64> {
         // M W^1/2 z = W^1/2 (z - mean z)
         let centred = self.centred(map);
         centred.iter().zip(&self.weight).map(|(z, w)| w.sqrt() * z).collect()
     }
 
-    /// Returns `A' y` of (2), shape (n), for y with one element per pixel by rows.
+    /// Returns the adjoint product `A' y` of (2) of the module (n), for y with one element per pixel, row by row.
     pub fn weighted_adjoint(&self, y: &[f64]) -> Vec<f64> {
         let y = ArrayView2::from_shape(self.weight.dim(), y).expect("one per pixel");
         // W^1/2 M y = W^1/2 (y - W^1/2 sum(W^1/2 y) / sum(w))
@@ -341,9 +348,9 @@ impl<'a> DwellModel<'a> {
         self.operator.adjoint(&(self.centred(map) * &self.weight))
     }
 
-    /// Returns the dwell times (3) with the least level c that brings every dwell time to its floor where a level can:
-    /// where b > 0.1. Dwell times that are still below are put on their floor and counted; so are unreached dwell
-    /// points.
+    /// Returns the dwell times `a + c b` of (3) of the module. The level c is the least one that brings every dwell
+    /// time to its floor where a level can: where b > 0.1. Dwell times that are still below are put on their floor and
+    /// counted; so are unreached dwell points.
     pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
         let n = self.lo.len();
         let level = (0..n)
@@ -368,7 +375,7 @@ impl<'a> DwellModel<'a> {
         Levelled { dwell_s, level_s: level, clipped }
     }
 
-    /// Counts the valid pixels that no dwell point reaches. `removal` is what the dwell times remove.
+    /// Counts the valid pixels that no dwell point reaches. `removal` is the removal of the dwell times `dwell_s`, nm.
     fn unreached(&self, removal: &Array2<f64>, dwell_s: &[f64]) -> usize {
         // With R >= 0 what is removed in B t is at most max(t) of what is in B 1, and that at most
         // 2 n peak (Keys' interpolation stays below 1.3 peak): most maps need no second removal.
@@ -388,7 +395,7 @@ impl<'a> DwellModel<'a> {
         self.pixels_up_to(&ones, FFT_ROUNDING * ones.iter().copied().fold(0.0, f64::max))
     }
 
-    /// Counts the pixels of a map that count and are at most `limit`.
+    /// Counts the pixels with a weight above 0 at which a map (ny, nx) is at most `limit`.
     fn pixels_up_to(&self, map: &Array2<f64>, limit: f64) -> usize {
         let counts = self.by_bands(map, |z, w| {
             z.iter().zip(w).filter(|(z, w)| **w > 0.0 && **z <= limit).count()
@@ -396,8 +403,8 @@ impl<'a> DwellModel<'a> {
         counts.iter().sum()
     }
 
-    /// Returns the solution with these dwell times, s; those of unreached dwell points get the density of their
-    /// neighbours.
+    /// Returns the solution with these dwell times (n), s. Unreached dwell points get the dwell time per length of
+    /// their neighbours.
     ///
     /// # Errors
     /// Refuses dwell times that are not finite or negative.
@@ -408,7 +415,7 @@ impl<'a> DwellModel<'a> {
         self.finish_as_they_are(dwell_s, report)
     }
 
-    /// Returns the solution with these dwell times, s, unchanged.
+    /// Returns the solution with exactly these dwell times (n), s.
     ///
     /// # Errors
     /// Refuses dwell times that are not finite or negative.
@@ -441,16 +448,17 @@ impl<'a> DwellModel<'a> {
     }
 }
 
-/// Dwell times with the level of (3).
+/// Dwell times (n), s, raised to their floor by a common level of dwell ((3) of the module).
 pub(crate) struct Levelled {
     pub dwell_s: Vec<f64>,
-    /// c, s.
+    /// Level of dwell c of (3), s.
     pub level_s: f64,
-    /// Dwell times that no level brings to their floor.
+    /// Number of dwell times that no level brings to their floor.
     pub clipped: usize,
 }
 
-/// Returns l_j / l of every dwell point; a rest gets [`REST_FRACTION`].
+/// Returns the length of every segment over their median, l_j / l (n); a rest (a point without a length) gets
+/// [`REST_FRACTION`].
 fn shape(path: &ToolPath) -> Vec<f64> {
     match median_length_mm(path) {
         Some(median) => (0..path.len())
@@ -460,7 +468,7 @@ fn shape(path: &ToolPath) -> Vec<f64> {
     }
 }
 
-/// Refuses a setting that is not a finite number in its range.
+/// Refuses a setting that is not finite or not in its `range`; the message names it, and gives the remedy.
 pub(crate) fn check(
     name: &'static str,
     value: f64,

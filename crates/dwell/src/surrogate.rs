@@ -42,10 +42,10 @@ pub use resolution::{
     factorisation_work, spline_pitch,
 };
 
-/// H~.
+/// A surrogate H~ of the normal matrix.
 pub enum Surrogate {
-    /// Factorised.
+    /// Matrix (1) of the module, which is factorised.
     Ordered(Ordered),
-    /// Applied.
+    /// Operator (2) of the module, of which products are made by FFT.
     Convolved(Box<Convolved>),
 }

@@ -35,13 +35,15 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// Returns the places of the tool in each column; none if the tool is lifted. A segment has a three-point Gauss
-    /// rule on the whole, or on equal parts that are short beside the tool.
+    /// Returns the places of the tool in each column: positions with their fractions of the dwell time. A column is
+    /// empty if the tool is lifted. A segment has a three-point Gauss rule on the whole, or on equal parts that are
+    /// short beside the tool.
     pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<ToolPlace>> {
         self.places_in_parts(path, longest_part_mm(tif))
     }
 
-    /// Returns the places with parts of a segment no longer than these along x and y.
+    /// Returns the places of [`Self::places`] in each column, with parts of a segment that are at most `longest_mm`
+    /// [x, y] long.
     fn places_in_parts(self, path: &ToolPath, longest_mm: [f64; 2]) -> Vec<Vec<ToolPlace>> {
         let rule = gauss_legendre::<3>();
         let headings_rad = headings_of_path_rad(path);
@@ -66,9 +68,11 @@ impl Columns {
     }
 }
 
-/// Returns the length along x and y of a part up to which three Gauss points see what a tool removes on the way, mm:
-/// two standard deviations of a Gaussian, by its slopes. A tool with steep flanks is narrow by these, and three
-/// points never see it exactly; of such a one it is half of the spread.
+/// Returns the largest length along x and y of a part on which three Gauss points represent the removal of the moving
+/// tool, mm.
+///
+/// It is two standard deviations of a Gaussian, found from the slopes of the TIF. A tool with steep flanks is narrow
+/// by these, and three points never represent it exactly; for such a tool it is half of the spread.
 fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     // 1 / (2 sigma^2) and sigma^2 / 2 of a Gaussian, weighted with R^2: noise far from the tool counts for nothing.
     let slopes = tif.slope_energy_per_mm2();
@@ -80,7 +84,8 @@ fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     })
 }
 
-/// Returns the moment `sum R^2 (x - about)^power / sum R^2` of a TIF along x (0) or y (1).
+/// Returns the moment `sum R^2 (x - about)^power / sum R^2` of a TIF R along x (`axis` 0) or y (1), in mm to this
+/// power.
 fn energy_moment(tif: &Tif, axis: usize, power: i32, about_mm: f64) -> f64 {
     let rate = tif.rate_nm_per_s();
     let grid = tif.grid();
@@ -93,17 +98,20 @@ fn energy_moment(tif: &Tif, axis: usize, power: i32, about_mm: f64) -> f64 {
     terms.sum::<f64>() / energy
 }
 
-/// Smallest half length of a part, over the spread of the TIF, dimensionless; see [`longest_part_mm`]. Larger: longer
-/// parts of tools with steep flanks, and a larger error of the removal. Smaller: more parts, and more time.
+/// Smallest half length of a part as a fraction of the spread of the TIF, dimensionless; see [`longest_part_mm`].
+/// Larger: longer parts of tools with steep flanks, and a larger error of the removal. Smaller: more parts, and more
+/// time.
 const LEAST_PART_OF_SPREAD: f64 = 0.25;
 
-/// Returns the number of equal parts of a displacement that are no longer than this along x and y.
+/// Returns the smallest number of equal parts of a displacement [x, y] that are no longer than `longest_mm` along x
+/// and y.
 fn parts(displacement_mm: [f64; 2], longest_mm: [f64; 2]) -> usize {
     let [x, y] = [0, 1].map(|axis| (displacement_mm[axis].abs() / longest_mm[axis]).ceil());
     (x.max(y) as usize).max(1)
 }
 
-/// Returns the places of a rule on 0..1, applied to each of so many equal parts of it.
+/// Applies a quadrature rule on [0, 1], (node, weight), to each of `parts` equal parts of the interval. Returns
+/// `place(s, w)` for every node s and its weight w.
 fn in_parts(
     rule: &[(f64, f64)],
     parts: usize,
@@ -114,9 +122,9 @@ fn in_parts(
     each.map(|(s, w)| place(s, w)).collect()
 }
 
-/// Returns the places of the tool in each of `columns` columns of an executed motion. Every piece that serves a
-/// column with the tool on has a three-point Gauss rule in time on the whole, or on equal parts that are short beside
-/// the tool.
+/// Returns the places of the tool in each of `columns` columns of an executed motion; column j belongs to dwell point
+/// j. Every segment of the trajectory with the tool on has a three-point Gauss rule in time on the whole, or on equal
+/// parts that are short beside the tool.
 pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<ToolPlace>> {
     let rule = gauss_legendre::<3>();
     let longest_mm = longest_part_mm(tif);
@@ -142,8 +150,8 @@ pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<T
     places
 }
 
-/// Returns the mean factor of the time of a tool over what serves each of `columns` columns of an executed motion; 1
-/// without one.
+/// Returns, for each of `columns` columns of an executed motion, the mean factor of a rate that depends on the time of
+/// the run. It is 1 where no motion serves the column, and for other tools.
 pub fn time_factors(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<f64> {
     let Some(time) = tif.variation().and_then(|v| v.time_factor()) else {
         return vec![1.0; columns];
@@ -159,16 +167,17 @@ pub fn time_factors(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<f
     sums.into_iter().map(|(sum, total)| if total > 0.0 { sum / total } else { 1.0 }).collect()
 }
 
-/// One column of B: a rectangle of pixels, zero elsewhere.
+/// One column of the removal matrix B: the removal rate of one dwell point on a rectangle of pixels; zero elsewhere.
 #[derive(Clone, Debug, Default)]
 pub struct Patch {
-    /// First pixel row and column.
+    /// First pixel of the rectangle (row, column) in the map.
     pub origin: (usize, usize),
-    /// nm/s, possibly empty.
+    /// Removal rate on the rectangle (rows, columns), nm/s; possibly empty.
     pub rate_nm_per_s: Array2<f64>,
 }
 
-/// Returns B by columns; empty patches where the tool is nowhere.
+/// Returns the columns of B for the places of the tool in each of them; a patch is empty where the tool reaches no
+/// pixel.
 pub fn patches(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
     let factor = tif.variation().and_then(|v| v.factor_on(grid));
     parallel::map(places.len(), &|j| {
@@ -180,12 +189,13 @@ pub fn patches(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Vec<Patch> 
     })
 }
 
-/// Returns a patch without pixels.
+/// Returns an empty patch.
 fn nowhere() -> Patch {
     Patch { origin: (0, 0), rate_nm_per_s: Array2::zeros((0, 0)) }
 }
 
-/// Returns the first and last pixel along x and y that any of the places reaches, if one does.
+/// Returns the first and last pixel, along x and along y, that the TIF covers from any of the places. `None` if it
+/// covers none.
 fn reach(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]> {
     let [x, y] = [0, 1].map(|axis| {
         let covered = places.iter().filter_map(|p| pixels(p.position_mm[axis], grid, tif, axis));
@@ -194,7 +204,8 @@ fn reach(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Option<[(usize, usize)
     Some([x?, y?])
 }
 
-/// Returns `sum_q w_q K(x_i; p_q)` on the pixels that any of the places reaches, without the factor of the pixels.
+/// Returns the removal rate `sum_q w_q K(x_i; p_q)` on the pixels that the tool covers from any of the places, without
+/// the factor of the pixels.
 fn patch(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     let Some(v) = tif.variation() else { return of_kernel(places, tif, grid) };
     let each = v.components().iter().enumerate().map(|(k, component)| {
@@ -209,7 +220,8 @@ fn patch(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     sum.unwrap_or_else(nowhere)
 }
 
-/// Returns `sum_q w_q R(x_i - p_q)` on the pixels that any of the places reaches.
+/// Returns the removal rate `sum_q w_q R(x_i - p_q)` of a TIF R that is the same everywhere, on the pixels that it
+/// covers from any of the places.
 fn of_kernel(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     let Some([x, y]) = reach(places, tif, grid) else { return nowhere() };
     let mut rate_nm_per_s = Array2::zeros((y.1 - y.0 + 1, x.1 - x.0 + 1));
@@ -234,7 +246,7 @@ fn of_kernel(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     Patch { origin: (y.0, x.0), rate_nm_per_s }
 }
 
-/// Writes the sum of four rows, with a weight each, to `out`.
+/// Writes the sum of four rows of `rows`, each times its weight of `w`, to `out`.
 fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
     let n = out.len();
     let all = rows.as_slice().expect("whole rows of an array in C order");
@@ -249,9 +261,9 @@ fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
 struct SampleRow {
     samples: Vec<f64>,
     by_phase: Vec<f64>,
-    /// Samples to a pixel.
+    /// Number of samples of the TIF to a pixel.
     stride: usize,
-    /// Samples of a phase.
+    /// Number of samples of one phase.
     of_phase: usize,
 }
 
@@ -273,7 +285,7 @@ impl SampleRow {
         }
     }
 
-    /// Returns the samples at the node and under the pixels after it, `count` in all.
+    /// Returns `count` samples: that at the index `node`, and those one pixel further each.
     fn under(&self, node: usize, count: usize) -> &[f64] {
         match self.stride {
             1 => &self.samples[node..node + count],
@@ -282,12 +294,13 @@ impl SampleRow {
     }
 }
 
-/// Returns the samples of a TIF to a pixel, the nearest whole number.
+/// Returns the number of samples of a TIF to a pixel along an axis, the nearest whole number, at least 1.
 fn stride(map: &Axis, samples: &Axis) -> usize {
     (map.step_mm() / samples.step_mm()).round().max(1.0) as usize
 }
 
-/// Returns the first and last pixel along x (0) or y (1) whose offset from `p` is within the edges of the TIF.
+/// Returns the first and last pixel along x (`axis` 0) or y (1) that the TIF covers from the tool position `p`, mm.
+/// `None` if it covers none.
 fn pixels(p: f64, grid: &Grid, tif: &Tif, axis: usize) -> Option<(usize, usize)> {
     let map = [&grid.x, &grid.y][axis];
     let start_mm = [tif.grid().x, tif.grid().y][axis].start_mm();
@@ -298,19 +311,20 @@ fn pixels(p: f64, grid: &Grid, tif: &Tif, axis: usize) -> Option<(usize, usize)>
     if first <= last { Some((first as usize, last as usize)) } else { None }
 }
 
-/// Pixels along an axis and where the TIF of a tool is on them.
+/// The pixels along an axis under the TIF, and the samples of the TIF that each of them interpolates.
 struct Under {
-    /// First pixel, from the start of the range.
+    /// First pixel under the TIF, counted from the start of the range.
     pixel: usize,
-    /// First of the four nodes of every pixel, in the samples with ghosts.
+    /// Index of the first of the four samples of every pixel, counted with the ghost nodes.
     node: Vec<usize>,
-    /// Keys' weights of every pixel: where the TIF and the map have not quite the same pitch, no two are the same.
+    /// Keys' four weights for every pixel; they differ from pixel to pixel if the TIF and the map do not have exactly
+    /// the same pitch.
     w: [Vec<f64>; 4],
     /// Runs of neighbouring pixels whose nodes are [`stride`] apart.
     runs: Vec<Range<usize>>,
 }
 
-/// Difference of two offsets from a node, in steps of the TIF, below which they are the same. Larger: the weights of
+/// Difference of two offsets from a sample, in steps of the TIF, below which they are the same. Larger: the weights of
 /// one pixel serve another one at which they are wrong. Smaller: rounding of coordinates splits runs of pixels, which
 /// costs time.
 const SAME_OFFSET: f64 = 1e-11;
@@ -320,8 +334,8 @@ const SAME_OFFSET: f64 = 1e-11;
 const SHORTEST_RUN: usize = 8;
 
 impl Under {
-    /// Finds the pixels in `range` along x (0) or y (1) under a tool at `p`; the weights are those of Keys times
-    /// `fraction`.
+    /// Finds the pixels in `range` (first, last) along x (`axis` 0) or y (1) under a tool at `p`, mm. The weights are
+    /// those of Keys times `fraction`.
     fn new(
         p: f64,
         grid: &Grid,
@@ -357,7 +371,7 @@ impl Under {
         under
     }
 
-    /// Adds `sum_t w_t g[node + t]` to the pixels, g the samples of a `row` of the TIF.
+    /// Adds `sum_t w_t g[node + t]`, t = 0 .. 3, to the pixels in `out`, with the samples g of a row of the TIF.
     fn add(&self, row: &SampleRow, out: &mut [f64]) {
         let out = &mut out[self.pixel..self.pixel + self.node.len()];
         for run in &self.runs {
@@ -383,13 +397,14 @@ impl Under {
 }
 
 impl Patch {
-    /// Multiplies by a factor of every pixel of the map.
+    /// Multiplies the rates by a factor for every pixel of the map (ny, nx).
     pub(crate) fn times(&mut self, factor: &Array2<f64>) {
         let ((r, c), (ny, nx)) = (self.origin, self.rate_nm_per_s.dim());
         self.rate_nm_per_s *= &factor.slice(s![r..r + ny, c..c + nx]);
     }
 
-    /// Returns the rows of the map and, in each, its columns and the patch there.
+    /// Returns, for every row of the rectangle: the index of the row in the map, the range of its columns there, and
+    /// the rates.
     fn rows(&self) -> impl Iterator<Item = (usize, Range<usize>, &[f64])> {
         let (r, c) = self.origin;
         let width = self.rate_nm_per_s.ncols();
@@ -399,7 +414,7 @@ impl Patch {
             .map(move |(k, row)| (r + k, c..c + width, row))
     }
 
-    /// Returns the sum of the products with a map (ny, nx).
+    /// Returns the sum over the pixels of the rate times a map (ny, nx).
     pub fn product(&self, map: &Array2<f64>) -> f64 {
         let all = map.as_slice().expect("in C order");
         let width = map.ncols();
@@ -408,7 +423,7 @@ impl Patch {
             .sum()
     }
 
-    /// Returns the sum of the squares, weighted with a map (ny, nx).
+    /// Returns the sum over the pixels of the squared rate times a weight (ny, nx), called the energy of the column.
     fn energy(&self, weight: &Array2<f64>) -> f64 {
         let rows = self.rows().map(|(r, c, rate)| {
             let w = weight.slice(s![r, c]);
@@ -417,7 +432,7 @@ impl Patch {
         rows.sum()
     }
 
-    /// Returns the part of a map (ny, nx) on the pixels of the patch.
+    /// Returns the part of a map (ny, nx) on the rectangle of the patch.
     pub(crate) fn part_of(&self, map: &Array2<f64>) -> Array2<f64> {
         let (r, c) = self.origin;
         let (ny, nx) = self.rate_nm_per_s.dim();
@@ -425,20 +440,21 @@ impl Patch {
     }
 }
 
-/// B as stored patches.
+/// The removal matrix B, stored by columns.
 pub struct Stored {
-    /// One per column.
+    /// Columns of B, one for every dwell point.
     pub(super) patches: Vec<Patch>,
     shape: (usize, usize),
 }
 
 impl Stored {
-    /// Stores the columns of one path, TIF and map.
+    /// Computes and stores the columns for the places of the tool in each of them, on the pixels of `grid`.
     pub fn new(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Self {
         Self { patches: patches(places, tif, grid), shape: grid.shape() }
     }
 
-    /// Returns `B t`, shape (ny, nx), nm. Every pixel sums in the order of the columns, whatever the threads.
+    /// Returns the removal `B t` (ny, nx), nm, for dwell times t (n), s. Every pixel sums in the order of the columns,
+    /// whatever the threads.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = Array2::zeros(self.shape);
         parallel::for_each_band(&mut map, ROWS_PER_TASK, &|b, mut band| {
@@ -462,19 +478,19 @@ impl Stored {
         map
     }
 
-    /// Returns `B' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         parallel::map(self.patches.len(), &|j| self.patches[j].product(map))
     }
 
-    /// Returns the sum of `w_i B_ij^2` for every column (n).
+    /// Returns the energy of every column under a weight w (ny, nx): the sum of `w_i B_ij^2` over the pixels i, (n).
     pub fn energy(&self, weight: &Array2<f64>) -> Vec<f64> {
         parallel::map(self.patches.len(), &|j| self.patches[j].energy(weight))
     }
 }
 
-/// Computes `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together, the columns of
-/// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell. The columns of B are not kept.
+/// Computes `P W^1/2 B`, the columns of B on cells of `size` x `size` pixels that are taken together: `sum_i w_i B_ij
+/// / sqrt(sum_i w_i)` over the pixels i of every cell. The columns of B are not kept.
 ///
 /// Where every cell that a column reaches has pixels of one weight, the weights of the interpolation are summed along
 /// either axis before they meet the samples g of the TIF. With those of pixel row r and pixel column c, a_t(r) and
@@ -498,19 +514,20 @@ pub fn on_cells(
     })
 }
 
-/// Computes `P W^-1/2 m` of a map m: `sum_i m_i / sqrt(sum_i w_i)` over the pixels i of every cell.
+/// Computes `P W^-1/2 m`, a map m (ny, nx) on cells of `size` x `size` pixels: `sum_i m_i / sqrt(sum_i w_i)` over the
+/// pixels i of every cell.
 pub fn map_on_cells(map: &Array2<f64>, weight: &Array2<f64>, size: usize) -> Array2<f64> {
     let mut cells = sums(map, size);
     Zip::from(&mut cells).and(&sums(weight, size)).for_each(|v, w| *v *= reciprocal_root(*w));
     cells
 }
 
-/// Returns the sums over the pixels of every cell.
+/// Returns the sum of a map over the pixels of every cell of `size` x `size` pixels; cells at the end may be smaller.
 fn sums(map: &Array2<f64>, size: usize) -> Array2<f64> {
     by_cells(map, size, 0.0, |sum, pixels| pixels.iter().for_each(|v| *sum += v))
 }
 
-/// Computes a number for every cell, which begins as `begin` and meets its pixels row by row.
+/// Computes a number for every cell. It starts as `begin`, and `meet` updates it with each row of pixels of the cell.
 fn by_cells(
     map: &Array2<f64>,
     size: usize,
@@ -529,22 +546,22 @@ fn by_cells(
     cells
 }
 
-/// Returns `1 / sqrt(w)`; 0 without a weight.
+/// Returns `1 / sqrt(w)`; 0 if w is 0.
 fn reciprocal_root(w: f64) -> f64 {
     if w > 0.0 { w.sqrt().recip() } else { 0.0 }
 }
 
-/// Cells of pixels of a map under a TIF.
+/// Cells of `size` x `size` pixels of a map, for columns of one TIF.
 struct PixelCells<'a> {
     tif: &'a Tif,
     grid: &'a Grid,
     weight: &'a Array2<f64>,
     size: usize,
-    /// `1 / sqrt(sum_i w_i)` of every cell; 0 without a weight.
+    /// Factor `1 / sqrt(sum_i w_i)` of every cell, over its pixels i; 0 without a weight.
     scale: Array2<f64>,
-    /// The weight of each pixel of a cell; NaN where they are not alike.
+    /// Common weight of the pixels of every cell; NaN where their weights differ.
     alike: Array2<f64>,
-    /// Factor of every pixel, if the tool has one.
+    /// Factor of the removal at every pixel, if the tool has one.
     factor: Option<Cow<'a, Array2<f64>>>,
 }
 
@@ -559,7 +576,7 @@ impl<'a> PixelCells<'a> {
         Self { tif, grid, weight, size, scale, alike, factor }
     }
 
-    /// Computes a column, from all of its pixels.
+    /// Computes the column for some places of the tool on the cells, from all of its pixels.
     fn by_pixels(&self, places: &[ToolPlace]) -> Patch {
         let Self { tif, grid, size, .. } = *self;
         let mut p = patch(places, tif, grid);
@@ -592,8 +609,8 @@ impl<'a> PixelCells<'a> {
         Patch { origin: (top, left), rate_nm_per_s: cells }
     }
 
-    /// Computes a column by (1); `None` where it reaches a cell of which the pixels have not one weight, or where
-    /// they have factors.
+    /// Computes the column for some places of the tool on the cells by the sums (1) of [`on_cells`]. `None` if it
+    /// reaches a cell whose pixels differ in weight, or if the pixels have factors.
     fn by_sums(&self, places: &[ToolPlace]) -> Option<Patch> {
         let Self { tif, grid, size, .. } = *self;
         if self.factor.is_some() {
@@ -623,7 +640,7 @@ impl<'a> PixelCells<'a> {
         Some(Patch { origin: (top, left), rate_nm_per_s: cells })
     }
 
-    /// Sums the weights of the pixels in a range of an axis under a place to cells.
+    /// Sums Keys' weights of the pixels in a range of an axis, under the tool at one place, to cells.
     fn summed(
         &self,
         kernel: &Tif,
@@ -637,17 +654,17 @@ impl<'a> PixelCells<'a> {
     }
 }
 
-/// The right side of (1) for all cells under a column.
+/// The right side of (1) of [`on_cells`] for all cells under a column.
 struct TwoSums<'a> {
-    /// g
+    /// Samples g of the TIF with its ghost nodes.
     samples: &'a Array2<f64>,
-    /// `sum_m A_m g[m, n]` of a row of cells, by n.
+    /// Sums `sum_m A_m g[m, n]` of one row of cells, for every sample column n.
     row: Vec<f64>,
-    /// `sum_m A_m g[m, n]` of all rows of cells: those of one n are adjacent.
+    /// Sums `sum_m A_m g[m, n]` of all rows of cells; those of one n are adjacent.
     rows: Vec<f64>,
-    /// (1): the cells of one column of them side by side.
+    /// Results of (1): those of one column of cells are adjacent.
     cells: Vec<f64>,
-    /// Rows of cells.
+    /// Number of rows of cells.
     height: usize,
 }
 
@@ -663,8 +680,8 @@ impl<'a> TwoSums<'a> {
         }
     }
 
-    /// Adds the places on one line along x, by A from the row of cells `top` on and by the B of each from the column
-    /// `left` on.
+    /// Adds the places of the tool on one line along x. `along_y` has the weights A of the line, from the row of cells
+    /// `top` on; `along_x` has the weights B of each place, from the column of cells `left` on.
     fn add(&mut self, along_y: &Summed, top: usize, along_x: &[Summed], left: usize) {
         let Self { samples, row, rows, cells, height } = self;
         let nodes = samples.ncols();
@@ -701,20 +718,21 @@ impl<'a> TwoSums<'a> {
     }
 }
 
-/// A or B of (1) for the cells along an axis.
+/// Weights A or B of (1) of [`on_cells`] for the cells along an axis.
 struct Summed {
-    /// First cell.
+    /// Index of the first cell.
     cell: usize,
-    /// The first sample of every cell, of those with ghosts.
+    /// Index of the first sample of every cell, counted with the ghost nodes.
     node: Vec<usize>,
-    /// Start of the weights of every cell in `weight`, and the end of the last ones.
+    /// Index in `weight` of the first weight of every cell, and the end of the last ones.
     from: Vec<usize>,
     /// The weights of all cells, one after the other.
     weight: Vec<f64>,
 }
 
 impl Summed {
-    /// Sums the weights of the pixels under a tool, which begin at pixel `first` of the map, to cells.
+    /// Sums the weights of the pixels under a tool to cells of `size` pixels. The range of `under` begins at pixel
+    /// `first` of the map.
     fn new(under: &Under, first: usize, size: usize) -> Self {
         let first = first + under.pixel;
         let mut summed =
@@ -735,7 +753,7 @@ impl Summed {
         summed
     }
 
-    /// Returns every cell, its first node, and the weights from there on.
+    /// Returns for every cell its index, its first sample, and the weights of the samples from there on.
     fn cells(&self) -> impl Iterator<Item = (usize, (usize, &[f64]))> {
         let weights = self.from.windows(2).map(|w| &self.weight[w[0]..w[1]]);
         (self.cell..).zip(self.node.iter().copied().zip(weights))
@@ -743,18 +761,18 @@ impl Summed {
 }
 
 impl Patch {
-    /// Returns the sum of the squares.
+    /// Returns the sum of the squared rates.
     pub fn square(&self) -> f64 {
         dot(self.all(), self.all())
     }
 
-    /// Returns the rows (axis 0) or columns (axis 1) of the map that it is on.
+    /// Returns the range of the rows (`axis` 0) or columns (1) of the map that the rectangle covers.
     pub fn range(&self, axis: usize) -> Range<usize> {
         let start = [self.origin.0, self.origin.1][axis];
         start..start + self.rate_nm_per_s.shape()[axis]
     }
 
-    /// Returns true if the patches have a pixel in common.
+    /// Returns true if the two rectangles have a pixel in common.
     pub fn overlaps(&self, other: &Self) -> bool {
         [0, 1].iter().all(|axis| {
             let own = self.range(*axis);
@@ -763,7 +781,7 @@ impl Patch {
         })
     }
 
-    /// Returns the rates row by row.
+    /// Returns the rates row by row, as one slice.
     pub fn all(&self) -> &[f64] {
         self.rate_nm_per_s.as_slice().expect("in C order")
     }

@@ -37,46 +37,46 @@ use lattice::{Lattice, Placed, kernel, placed, samples, without_ghosts};
 use spill::{Across, Corners, LINES_PER_TASK};
 pub use sums::Sums;
 
-/// B of [`crate::model::columns`] as an operator: (1) for every kernel of the tool.
+/// The removal matrix B of [`crate::model::columns`] as an operator: (1) of the module for every kernel of the tool.
 pub struct FftOperator {
     kernels: Vec<KernelOperator>,
-    /// Factor of every pixel, if the tool has one.
+    /// Factor of the removal at every pixel, if the tool has one.
     factor: Option<Array2<f64>>,
-    /// The mean tool by its energy at every place, for a tool that varies.
+    /// For a tool that varies: the mean tool, with the energy at every place that the tool has there.
     by_energy: Option<Box<KernelOperator>>,
     /// Shape of the map (ny, nx).
     shape: (usize, usize),
-    /// Nodes for each pixel along [x, y].
+    /// Number of nodes of the lattice for each pixel along [x, y].
     parts: [usize; 2],
 }
 
-/// (1) for a kernel and the places at which it removes.
+/// Operator (1) of the module for one kernel of the tool, and the places at which it removes.
 struct KernelOperator {
     columns: usize,
-    /// g[j], j = -1 ..= last on both axes.
+    /// Samples g[j] of the TIF with ghost nodes, j = -1 ..= last on both axes.
     samples: Array2<f64>,
     corners: Corners,
     convolution: Convolution,
     rows: Across,
-    /// Transposed.
+    /// The same as `rows` with the axes swapped.
     columns_across: Across,
     spread: Spread,
     spills: bool,
 }
 
-/// Size of a sample at the border of the TIF, as a fraction of the peak, up to which its spill is left out. Larger:
-/// the removal errs by that fraction at the rim of the tool. Smaller: rounding in the margin of a TIF costs the time
-/// of the spill.
+/// Size of a sample at the border of the TIF, as a fraction of the peak, up to which its removal beyond the border
+/// (the spill) is left out. Larger: the removal errs by that fraction at the rim of the tool. Smaller: rounding in the
+/// margin of a TIF costs the time of the spill.
 const NEGLIGIBLE_SPILL: f64 = 1e-14;
 
 impl FftOperator {
-    /// Makes the operator for the columns of one path, TIF and map.
+    /// Makes the operator for the places of the tool in each column, on the pixels of `grid`.
     pub fn new(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Self {
         Self::spreading(places, tif, grid, Spread::Keys, true)
     }
 
-    /// Makes C S alone, of samples that are continued by zeros: for a surrogate. With few samples Keys' weights are too
-    /// rough and ghost nodes far from R.
+    /// Makes the part E = C S of (1) of the module alone, with samples that are continued by zeros, for a surrogate.
+    /// With few samples Keys' weights are too rough, and ghost nodes are far from the TIF.
     pub fn without_border(
         places: &[Vec<ToolPlace>],
         tif: &Tif,
@@ -107,18 +107,18 @@ impl FftOperator {
         Self { kernels, factor, by_energy, shape: grid.shape(), parts }
     }
 
-    /// Returns true if (1) is exact: the TIF is on the lattice of the map.
+    /// Returns true if (1) of the module is exact: the TIF is on the lattice of the map.
     pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
         let nodes = nodes(grid, parts(tif, grid));
         [0, 1].iter().all(|axis| Lattice::new(&nodes, tif, *axis, Spread::Keys).own)
     }
 
-    /// Returns true if (1) is exact, and every node is a pixel.
+    /// Returns true if (1) of the module is exact, and every node of the lattice is a pixel.
     pub fn has_pitch_of(tif: &Tif, grid: &Grid) -> bool {
         parts(tif, grid) == [1, 1] && Self::is_exact(tif, grid)
     }
 
-    /// Returns `B t`, shape (ny, nx), nm.
+    /// Returns the removal `B t` (ny, nx), nm, for dwell times t (n), s.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let sum = self.kernels.iter().map(|kernel| kernel.apply(t)).reduce(|a, b| a + b);
         let mut map = self.on_pixels(sum.expect("a tool has a kernel"));
@@ -128,12 +128,13 @@ impl FftOperator {
         map
     }
 
-    /// Returns `B' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         self.sum_of_adjoints(map, KernelOperator::adjoint)
     }
 
-    /// Returns `E' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `E' m` (n) of (1) of the module for a map m (ny, nx): with the spill over the
+    /// border of the TIF.
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.sum_of_adjoints(map, KernelOperator::adjoint_with_spill)
     }
@@ -156,8 +157,9 @@ impl FftOperator {
         sums
     }
 
-    /// Returns `B' m` with R^2 in place of R, but for what spills. Of a tool that varies, R is the mean tool with the
-    /// energy that the tool has at every place.
+    /// Returns the adjoint product `B' m` (n) with the squared TIF in place of the TIF; the spill over its border is
+    /// not subtracted. For a tool that varies, the TIF is the mean tool, with the energy that the tool has at every
+    /// place.
     pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let map = match &self.factor {
             Some(factor) => Cow::Owned(map * factor * factor),
@@ -167,7 +169,7 @@ impl FftOperator {
         self.by_energy.as_deref().unwrap_or(&self.kernels[0]).adjoint_of_squared_tif(&map)
     }
 
-    /// Returns what is on the nodes of the pixels.
+    /// Returns the values on those nodes of the lattice that are pixels (ny, nx).
     fn on_pixels(&self, nodes: Array2<f64>) -> Array2<f64> {
         match self.parts {
             [1, 1] => nodes,
@@ -175,7 +177,8 @@ impl FftOperator {
         }
     }
 
-    /// Returns the adjoint of [`Self::on_pixels`].
+    /// Returns a map (ny, nx) on all nodes of the lattice, zero between the pixels: the adjoint of
+    /// [`Self::on_pixels`].
     fn on_nodes<'a>(&self, map: Cow<'a, Array2<f64>>) -> Cow<'a, Array2<f64>> {
         let [nx, ny] = self.parts;
         if self.parts == [1, 1] {
@@ -188,13 +191,13 @@ impl FftOperator {
     }
 }
 
-/// Returns the samples of the TIF for each pixel along [x, y], the nearest whole numbers.
+/// Returns the number of samples of the TIF for each pixel along [x, y], the nearest whole numbers, at least 1.
 fn parts(tif: &Tif, grid: &Grid) -> [usize; 2] {
     [(&grid.x, &tif.grid().x), (&grid.y, &tif.grid().y)]
         .map(|(map, samples)| (map.step_mm() / samples.step_mm()).round().max(1.0) as usize)
 }
 
-/// Returns the nodes of a map with so many parts of a pixel along [x, y].
+/// Returns the lattice that has `parts` nodes for each pixel of a map along [x, y].
 fn nodes(grid: &Grid, parts: [usize; 2]) -> Grid {
     let [x, y] = [(&grid.x, parts[0]), (&grid.y, parts[1])].map(|(axis, parts)| {
         let step_mm = axis.step_mm() / parts as f64;
@@ -239,7 +242,7 @@ impl KernelOperator {
         Self { columns, samples, corners, convolution, rows, columns_across, spread, spills }
     }
 
-    /// Returns `B t`, shape (ny, nx), nm.
+    /// Returns the removal `B t` of this kernel on the nodes, nm, for dwell times t (n), s.
     fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = self.convolution.valid(self.rows.seconds(t).view());
         if self.spills {
@@ -256,7 +259,7 @@ impl KernelOperator {
         map
     }
 
-    /// Returns `B' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `B' m` (n) of this kernel for a map m on the nodes.
     fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let mut sums = self.adjoint_with_spill(map);
         if self.spills {
@@ -273,12 +276,12 @@ impl KernelOperator {
         sums
     }
 
-    /// Returns `E' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `E' m` (n) of (1) of the module for a map m on the nodes: with the spill.
     fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
     }
 
-    /// Returns `B' m` with R^2 in place of R, but for what spills.
+    /// Returns the adjoint product `B' m` (n) with the squared kernel in its place; the spill is not subtracted.
     fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let squared = kernel(&self.samples.mapv(|r| r * r), self.spread);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
@@ -287,7 +290,7 @@ impl KernelOperator {
     }
 }
 
-/// Returns true for a node k of n that is a border or a ghost of the TIF.
+/// Returns true if node k of n along an axis is a border sample or a ghost node of the TIF.
 fn is_border(k: usize, n: usize) -> bool {
     k <= 2 || k + 4 >= n
 }

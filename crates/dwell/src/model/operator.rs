@@ -31,12 +31,12 @@ const MAX_TIF_PIXELS: f64 = 2.7e8;
 /// square. Smaller: fewer problems can be solved.
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
-/// Returns the number of pixels of the map that the TIF covers.
+/// Returns the number of pixels of the map that the rectangle of the TIF covers.
 pub fn pixels_under(tif: &Tif, grid: &Grid) -> f64 {
     tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2()
 }
 
-/// Returns [`pixels_under`]; refuses so many that the units must be wrong.
+/// Returns [`pixels_under`]; refuses more than [`MAX_TIF_PIXELS`], at which the units must be wrong.
 fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
     let pixels = pixels_under(tif, grid);
     if pixels <= MAX_TIF_PIXELS {
@@ -49,16 +49,16 @@ fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
     ))
 }
 
-/// B.
+/// The removal matrix B (pixels, n), in one of two forms.
 pub enum Operator {
     /// Stored columns.
     Stored(Stored),
-    /// Operator by spreading and FFT.
+    /// Operator that spreads the dwell times on the pixels and convolves them by FFT.
     Fft(Box<FftOperator>),
 }
 
 impl Operator {
-    /// Makes B for the places of the tool in each column.
+    /// Makes B for the places of the tool in each column: stored if it is small enough, otherwise by FFT.
     ///
     /// # Errors
     /// Refuses a TIF that covers so many pixels that the units must be wrong.
@@ -80,12 +80,13 @@ impl Operator {
         }
     }
 
-    /// Returns true if B is that of [`columns`] but for rounding: stored, or by FFT if TIF and map have one pitch.
+    /// Returns true if B is exact but for rounding: stored by columns, or by FFT if the TIF is on the lattice of the
+    /// map.
     pub fn is_exact(&self, tif: &Tif, grid: &Grid) -> bool {
         matches!(self, Self::Stored(_)) || FftOperator::is_exact(tif, grid)
     }
 
-    /// Returns `B t`, shape (ny, nx), nm.
+    /// Returns the removal `B t` (ny, nx), nm, for dwell times t (n), s.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         match self {
             Self::Stored(b) => b.apply(t),
@@ -93,8 +94,8 @@ impl Operator {
         }
     }
 
-    /// Returns what [`Self::adjoint`] returns; where that is by FFT, the TIF ends up to two pixels beyond its last
-    /// samples.
+    /// Returns an approximation of [`Self::adjoint`] that is faster by FFT: there the TIF ends up to two pixels beyond
+    /// its last samples. Stored columns give the exact product.
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
             Self::Stored(_) => self.adjoint(map),
@@ -102,7 +103,7 @@ impl Operator {
         }
     }
 
-    /// Returns `B' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let patches = match self {
             Self::Stored(b) => &b.patches,
@@ -118,14 +119,15 @@ impl Operator {
     }
 }
 
-/// B for a certificate: by the FFT where the TIF has the pitch of the map, by its columns where it has not and they
-/// fit. Where a pixel has several samples of the TIF, a transform of all of them takes longer than the columns.
+/// The removal matrix B for a certificate: by FFT if the TIF has the pitch of the map, otherwise by columns if they
+/// fit into memory. Where a pixel has several samples of the TIF, a transform of all of them takes longer than the
+/// columns.
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
     /// Stored columns.
     Stored(Stored),
-    /// Operator by spreading and FFT.
+    /// Operator that spreads the dwell times on the pixels and convolves them by FFT.
     Convolved(Box<FftOperator>),
 }
 
@@ -151,7 +153,7 @@ impl Removal {
         })
     }
 
-    /// Returns `B t`, shape (ny, nx), nm.
+    /// Returns the removal `B t` (ny, nx), nm, for dwell times t (n), s.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         match self {
             Self::Stored(b) => b.apply(t),
@@ -159,7 +161,7 @@ impl Removal {
         }
     }
 
-    /// Returns `B' m` (n) for a map m (ny, nx).
+    /// Returns the adjoint product `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
             Self::Stored(b) => b.adjoint(map),
@@ -168,8 +170,8 @@ impl Removal {
     }
 }
 
-/// Returns `B' W B - b b' / sum(w)`, b = B' w: the normal matrix (n, n) with a free piston, for solvers that
-/// need a matrix. Refuses one that does not fit.
+/// Returns the normal matrix (n, n) of the least squares with a free piston, `B' W B - b b' / sum(w)` with b = B' w,
+/// nm^2/s^2. Refuses one that does not fit into memory.
 pub fn normal_matrix(
     places: &[Vec<ToolPlace>],
     tif: &Tif,

@@ -1,16 +1,17 @@
-//! A place of the tool in a column of the removal model.
+//! A place: position of the tool with its fraction of a dwell time. A column of the removal model consists of such
+//! places.
 
 use planish_types::Pose;
 
-/// The tool is at `position_mm` for this fraction of a dwell time.
+/// The tool spends this fraction of a dwell time at `position_mm`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolPlace {
     /// Position [x, y], mm.
     pub position_mm: [f64; 2],
     /// Direction of the motion there, rad from positive x towards positive y.
     pub heading_rad: f64,
-    /// Fraction of the dwell time; those of a column sum to 1, but for the factor of the time of a tool that has
-    /// one.
+    /// Fraction of the dwell time; those of a column sum to 1. If the rate of the tool depends on the time of the run,
+    /// its factor is included.
     pub fraction: f64,
 }
 

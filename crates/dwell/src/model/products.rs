@@ -12,21 +12,22 @@ use planish_numerics::linear::{
 
 use super::columns::Patch;
 
-/// Largest number of patches of a [`Bundle`]: the number of lanes that are computed at once.
+/// Largest number of patches of a [`Bundle`]: the number of products that the processor computes at once.
 pub const MOST_BUNDLED: usize = interleaved::EIGHT;
 
-/// A few columns of B side by side, on the pixels of any of them. The products of all of them with another column read
-/// that one once.
+/// A few columns of B side by side, on the rectangle of pixels that contains all of them. Their products with another
+/// column read that column once for all.
 #[derive(Debug)]
 pub struct Bundle {
     origin: (usize, usize),
     shape: (usize, usize),
-    /// nm/s of every column, pixel by pixel ([`MOST_BUNDLED`] of each); zero where a column is not.
+    /// Removal rate of every column, nm/s, pixel by pixel ([`MOST_BUNDLED`] numbers of each); zero where a column does
+    /// not reach.
     rate_nm_per_s: Vec<f64>,
 }
 
 impl Bundle {
-    /// Bundles up to [`MOST_BUNDLED`] patches near each other.
+    /// Bundles up to [`MOST_BUNDLED`] columns, which should be near each other.
     pub fn new<'a>(patches: impl Iterator<Item = &'a Patch> + Clone) -> Self {
         let [rows, columns] = [0, 1].map(|axis| {
             let ranges = patches.clone().filter(|p| !p.rate_nm_per_s.is_empty());
@@ -46,8 +47,8 @@ impl Bundle {
         Self { origin, shape: (rows.len(), columns.len()), rate_nm_per_s }
     }
 
-    /// Returns the sum of the products of every patch of the bundle with another one, where both are; zero beyond the
-    /// last one of the bundle.
+    /// Returns the product of every column of the bundle with another column, summed over their common pixels.
+    /// Elements beyond the last column of the bundle are zero.
     pub fn dots(&self, other: &Patch) -> [f64; MOST_BUNDLED] {
         let mut dots = [0.0; MOST_BUNDLED];
         let rows = overlap(self.origin.0, self.shape.0, other.range(0));
@@ -65,24 +66,24 @@ impl Bundle {
     }
 }
 
-/// Returns the common part of two ranges, one of them given by its start and length.
+/// Returns the common part of the range of `len` elements from `start` on and another range; it may be empty.
 fn overlap(start: usize, len: usize, other: Range<usize>) -> Range<usize> {
     start.max(other.start)..(start + len).min(other.end)
 }
 
 /// Columns in an order in which the matrix of their products has a small skyline.
 pub struct Order {
-    /// Column of every row of the matrix.
+    /// Index of the column of B for every row of the matrix.
     pub order: Vec<usize>,
-    /// First column of the matrix in every row.
+    /// First stored column of every row of the matrix.
     pub first: Vec<usize>,
-    /// Elements from there to the diagonal, of all rows.
+    /// Number of stored elements of the matrix, up to the diagonal, over all rows.
     pub elements: usize,
 }
 
 impl Order {
-    /// Orders some `columns` along the one of the axes of the map with the smaller skyline. `position(axis, j)` is
-    /// where column j is along x (0) or y (1). There is room for the elements of these pairs, too.
+    /// Orders some `columns` along that axis of the map for which the skyline is smaller. `position(axis, j)` is the
+    /// coordinate of column j along x (0) or y (1). The skyline also has room for the elements of `pairs` of columns.
     pub fn new(
         columns: &[usize],
         patches: &[Patch],
@@ -93,7 +94,7 @@ impl Order {
         if x.elements <= y.elements { x } else { y }
     }
 
-    /// Orders the columns along one axis.
+    /// Orders the columns along x (`axis` 0) or y (1).
     fn along(
         axis: usize,
         columns: &[usize],
@@ -126,8 +127,8 @@ impl Order {
         Self { order, first, elements }
     }
 
-    /// Returns the matrix of the products of these patches. Where `known(i, l)` has the element of row i and column l
-    /// it is not computed.
+    /// Returns the matrix of the products of these columns of B. An element of row i and column l for which `known(i,
+    /// l)` returns a value is not computed.
     pub fn products(
         &self,
         patches: &[Patch],
@@ -152,7 +153,7 @@ impl Order {
     }
 }
 
-/// Returns the row of every one of `columns` columns that has one in this order.
+/// Returns, for every one of `columns` columns, its row in this order; `None` if it has none.
 pub fn rows(order: &[usize], columns: usize) -> Vec<Option<usize>> {
     let mut rows = vec![None; columns];
     order.iter().enumerate().for_each(|(i, j)| rows[*j] = Some(i));

@@ -13,8 +13,8 @@ use planish_types::{Tif, Variation};
 
 use super::place::ToolPlace;
 
-/// Returns the kernels of a tool, and the places of each for some columns: those of the tool itself, if it does not
-/// vary.
+/// Returns the kernels of a tool, each with its places in the columns. A tool that does not vary is its own only
+/// kernel, with the same places.
 pub fn kernels<'a>(
     places: &'a [Vec<ToolPlace>],
     tif: &'a Tif,
@@ -32,14 +32,14 @@ pub fn kernels<'a>(
     })
 }
 
-/// Returns a place with its fraction times the weight of a kernel.
+/// Returns a place whose fraction is multiplied by the weight of one kernel of the variation there.
 pub fn weighted(variation: &Variation, kernel: usize, place: &ToolPlace) -> ToolPlace {
     let weight = variation.weight(kernel, place.pose());
     ToolPlace { fraction: weight * place.fraction, ..*place }
 }
 
-/// Returns places whose fractions are those of the tool times the ratio of its energy there to that of the mean tool,
-/// `int K^2 / int R^2`.
+/// Returns places whose fractions are multiplied by the energy of the tool there over that of the mean tool, `int K^2
+/// / int R^2`. The places of a tool that does not vary stay as they are.
 pub fn by_energy<'a>(places: &'a [Vec<ToolPlace>], tif: &Tif) -> Cow<'a, [Vec<ToolPlace>]> {
     let Some(v) = tif.variation() else { return Cow::Borrowed(places) };
     let rates: Vec<_> = v.components().iter().map(|c| c.kernel().rate_nm_per_s()).collect();

@@ -1,5 +1,5 @@
-//! The surrogate as an operator: too many dwell points for a matrix, which grows with their square over the width
-//! of the TIF, while a product by FFT grows with the number of cells.
+//! The surrogate as an operator, for too many dwell points for a matrix. A matrix grows with their square over the
+//! width of the TIF, while a product by FFT grows with the number of cells.
 
 use ndarray::Array2;
 use planish_numerics::{
@@ -24,14 +24,15 @@ use crate::{
 /// before their set is found. Chosen: measured problems take 2 to 12.
 const MAX_ACTIVE_SETS: usize = 30;
 
-/// Gain of a conjugate-gradient step, as a fraction of the gain so far in the norm of H~, at which the conjugate
-/// gradients end. Larger: more steps with inexact solutions. Smaller: more products per step.
+/// Decrease of the objective by one step of conjugate gradients, as a fraction of the decrease so far in the norm of
+/// H~, at which they end. Larger: more steps with inexact solutions. Smaller: more products per step.
 const LINEAR_SOLVE_ERROR: f64 = 0.1;
 
-/// H~ as an operator on the cells: the TIF and the weights of the pixels are sampled on these.
+/// The surrogate H~ of the normal matrix as an operator on cells: the TIF and the weights of the pixels are sampled
+/// there.
 pub struct Convolved {
     h: Operator,
-    /// Diagonal of H~ without the penalty.
+    /// Diagonal of H~ (n) without the penalty.
     diagonal: Vec<f64>,
     splines: Option<Splines>,
 }
@@ -43,7 +44,7 @@ struct Operator {
 }
 
 impl Operator {
-    /// Returns `H~ t`, with the penalty.
+    /// Returns the product `H~ t` (n), with the penalty.
     fn product(&self, penalty: &Penalty, t: &[f64]) -> Vec<f64> {
         let mut h_t = self.b.adjoint(&(self.b.apply(t) * &self.weight));
         for u in &self.u {
@@ -55,14 +56,14 @@ impl Operator {
     }
 }
 
-/// Data that [`TwoLevel`] needs.
+/// Spline lattice and removal sums, from which [`TwoLevel`] is made.
 struct Splines {
     sums: Sums,
     nodes: Nodes,
     coarse: Coarse,
 }
 
-/// Dwell times of which some are free, without their bounds.
+/// Dwell times of which the free ones may be beyond their bounds.
 pub struct Unbounded {
     /// Dwell times, s.
     pub t: Vec<f64>,
@@ -70,19 +71,19 @@ pub struct Unbounded {
     pub free: Vec<bool>,
 }
 
-/// A minimum of H~.
+/// Dwell times at which the objective with the surrogate H~ is least.
 pub struct Minimum {
     /// Dwell times within the bounds, s.
     pub t: Vec<f64>,
-    /// Minimum over the last set of free dwell times, without their bounds; none after gradient steps.
+    /// Minimum over the last set of free dwell times without their bounds; `None` after gradient steps.
     pub unbounded: Option<Unbounded>,
-    /// Products, or gradient steps.
+    /// Number of products with H~, or of gradient steps.
     pub iterations: usize,
 }
 
 impl Convolved {
-    /// Makes H~ for cells of `size` x `size` pixels. With a pitch of splines its minimum is found by them and an active
-    /// set, without by gradient steps.
+    /// Makes H~ for cells of `size` x `size` pixels. With a pitch of splines, its minimum is found by the two-level
+    /// method on active sets; without one, by gradient steps.
     ///
     /// # Errors
     /// Refuses cells that no axis can have.
@@ -130,7 +131,8 @@ impl Convolved {
         Ok(Self { h: Operator { b, weight: cells, u }, diagonal, splines })
     }
 
-    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`. Components that are not reached stay.
+    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds, for steps d from the dwell times `t`. Columns that
+    /// are not reached keep their times.
     pub fn minimum(
         &mut self,
         penalty: &Penalty,
@@ -188,9 +190,10 @@ impl Convolved {
         Minimum { t: descended.value, unbounded: None, iterations: descended.iterations }
     }
 
-    /// Returns the minimum of `q'd + d'H~d / 2` over free components alone, without bounds, and the number of products,
-    /// which is at most `max_products`. The factor at hand is used again where it is of some of these, which should be
-    /// nearly all.
+    /// Returns the step that minimises `q'd + d'H~d / 2` over the free components alone, without bounds, and the
+    /// number of products with H~, at most `max_products`.
+    ///
+    /// The last factor is used again if all its components are free; these should be nearly all free ones.
     pub fn step(
         &mut self,
         penalty: &Penalty,
@@ -219,18 +222,19 @@ impl Convolved {
     }
 }
 
-/// Largest length of a column, in cells, that two places represent: half the width of the TIF. Larger: the surrogate
-/// errs more for long segments. Smaller: more places, and more time.
+/// Largest length of a column, in cells, that is represented by two places of the tool: half the width of the TIF.
+/// Larger: the surrogate errs more for long segments. Smaller: more places, and more time.
 const MAX_CELLS_IN_TWO: f64 = 3.0;
 
-/// Returns the pixels of the map that begin a cell, and one beyond the last.
+/// Returns the axis of the cells: the first pixel of every cell of `size` pixels, and one beyond the last.
 fn cell_axis(map: &Axis, size: usize) -> Result<Axis, Invalid> {
     let cells = (map.len() - 1).div_ceil(size) + 1;
     Axis::new(map.start_mm(), size as f64 * map.step_mm(), cells)
 }
 
-/// Returns two places in place of more, with their mean and with their spread along the line on which that is
-/// largest. For uniform motion along a line it is Gauss' rule: `k^4 l^4 / 4320` of a wave k is lost on a length l.
+/// Returns two places of the tool in place of more, with the same mean, and the same spread along the line on which
+/// that is largest. Columns longer than `longest_mm` stay as they are. For uniform motion along a line it is Gauss'
+/// rule: `k^4 l^4 / 4320` of a wave k is lost on a length l.
 fn in_two(places: &[ToolPlace], longest_mm: f64) -> Vec<ToolPlace> {
     let total: f64 = places.iter().map(|p| p.fraction).sum();
     if places.len() <= 2 || length_mm(places) > longest_mm || total <= 0.0 {
@@ -258,8 +262,8 @@ fn mean(places: &[ToolPlace], total: f64, value: impl Fn(&ToolPlace) -> f64) -> 
     places.iter().map(|p| p.fraction * value(p)).sum::<f64>() / total
 }
 
-/// Returns the weights of the pixels on the first pixels of cells of `size`, by linear interpolation between these:
-/// so sums over pixels of what is linear between them are kept.
+/// Returns the weights of the pixels, shared linearly by the nearest first pixels of cells of `size` pixels, in the
+/// shape `shape`. Sums over the pixels of anything that is linear between these are kept.
 fn on_cells(weight: &Array2<f64>, shape: (usize, usize), size: usize) -> Array2<f64> {
     let mut cells = Array2::<f64>::zeros(shape);
     for ((r, c), w) in weight.indexed_iter().filter(|(_, w)| **w > 0.0) {
@@ -272,7 +276,7 @@ fn on_cells(weight: &Array2<f64>, shape: (usize, usize), size: usize) -> Array2<
     cells
 }
 
-/// Returns the two cells that share a pixel along an axis, with their shares.
+/// Returns the two cells that share a pixel along an axis, with their shares, which sum to 1.
 fn shares(pixel: usize, size: usize) -> [(usize, f64); 2] {
     let below = pixel / size;
     let f = (pixel % size) as f64 / size as f64;
@@ -280,8 +284,8 @@ fn shares(pixel: usize, size: usize) -> [(usize, f64); 2] {
     [(below, 1.0 - f), (below + usize::from(f > 0.0), f)]
 }
 
-/// Samples the TIF at the pitch of the cells, with room for what its spline does beyond it: 0.27 of it each sample
-/// further.
+/// Samples the TIF at the pitch of the cells, with three more samples at either end, because its spline goes on there:
+/// each further sample has 0.27 of the one before.
 fn sampled(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
     let [x, y] = [(&tif.grid().x, &map.x), (&tif.grid().y, &map.y)].map(|(own, map)| {
         const BEYOND: usize = 3;

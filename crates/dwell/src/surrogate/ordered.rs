@@ -1,6 +1,7 @@
 //! The surrogate as a matrix: few enough dwell points for skyline Cholesky factorisations.
 //!
-//! In the order of its columns along one axis of the map H~ has a small skyline: `model::products`.
+//! In the order of its columns along one axis of the map, H~ has a small skyline (few stored elements):
+//! `model::products`.
 
 use planish_numerics::qp::bounded::{
     self, DESCENT_STEPS, End, GradientSettings, LastFactor, Quadratic,
@@ -14,8 +15,8 @@ use crate::{
     objective::Penalty,
 };
 
-/// Fraction of its natural residual to which a step of H~ on cells is solved; the exact gradient corrects more than
-/// that. Larger: more corrections. Smaller: more factorisations per step.
+/// Fraction of the natural residual that a step by H~ on cells may leave; the exact gradient corrects more than that.
+/// Larger: more corrections. Smaller: more factorisations per step.
 const RESIDUAL_FRACTION_ON_CELLS: f64 = 0.02;
 
 /// Number of factorisations after which the active-set method counts as cycling, from any start; gradient steps then
@@ -27,18 +28,18 @@ const MAX_FACTORISATIONS: usize = 30;
 /// gradient steps is taken. They have found most of the active set, so that a longer attempt is justified.
 const MAX_FACTORISATIONS_AFTER_DESCENT: usize = 100;
 
-/// The columns in an order in which H~ has a small skyline.
+/// The surrogate H~ of the normal matrix as a skyline matrix, its columns in an order in which that is small.
 pub struct Ordered {
-    /// Column of every row of H~; unreached ones are not among them.
+    /// Dwell point of every row of H~; unreached ones have no row.
     order: Vec<usize>,
-    /// H~ with room for the couplings of the penalty.
+    /// H~ without the penalty, with room for the elements that the penalty adds.
     data: Quadratic,
     /// Fraction of the natural residual that a step may leave.
     enough: f64,
 }
 
 impl Ordered {
-    /// Makes H~ of the columns on the cells; `exact` when these are pixels.
+    /// Makes H~ from the columns of B on the cells and the columns `u` of U; `exact` is true if the cells are pixels.
     pub fn new(
         cells: &[Patch],
         u: &[Vec<f64>],
@@ -65,7 +66,7 @@ impl Ordered {
         }
     }
 
-    /// Returns H~ with the penalty added.
+    /// Returns H~ plus the matrix of the penalty.
     pub fn penalised(&self, penalty: &Penalty) -> Penalised {
         let rows = rows(&self.order, penalty.len());
         let mut h = self.data.clone();
@@ -79,7 +80,7 @@ impl Ordered {
     }
 }
 
-/// [`Ordered`] with its penalty.
+/// [`Ordered`] with the matrix of the penalty added.
 pub struct Penalised {
     order: Vec<usize>,
     h: Quadratic,
@@ -88,8 +89,9 @@ pub struct Penalised {
 }
 
 impl Penalised {
-    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the number of sets of free dwell
-    /// times that it took. `None` when H~ is not positive definite.
+    /// Returns the dwell times that minimise `q'd + d'H~d / 2` within the bounds, for steps d from the dwell times
+    /// `t`. Returns the number of sets of free dwell times that were solved for, too. `None` if H~ is not positive
+    /// definite.
     pub fn minimum(
         &mut self,
         t: &[f64],

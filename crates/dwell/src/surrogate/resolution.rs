@@ -51,7 +51,8 @@ const QUICK_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 /// Larger: more memory. Smaller: more problems without the two-level method.
 const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 7e8;
 
-/// Returns the pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
+/// Returns the side, in pixels of the map, of the largest cell that loses at most the fraction `max_loss` of the
+/// energy of the TIF, at most [`MAX_CELL_PIXELS`].
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
     let hx = map.x.step_mm();
@@ -63,13 +64,13 @@ pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
     small_loss.next().unwrap_or(1)
 }
 
-/// Returns the largest extent of the places of a column along an axis, mm.
+/// Returns the larger of the extents of the places of a column along x and y, mm.
 pub fn length_mm(places: &[ToolPlace]) -> f64 {
     let (low, high) = extent(places.iter().map(|p| &p.position_mm));
     (high[0] - low[0]).max(high[1] - low[1]).max(0.0)
 }
 
-/// Returns the mask of the reached columns that a spline of this pitch can include.
+/// Returns the mask of the reached columns that are short enough for splines of this pitch.
 pub fn are_short(places: &[Vec<ToolPlace>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
     places
         .iter()
@@ -80,9 +81,9 @@ pub fn are_short(places: &[Vec<ToolPlace>], reached: &[bool], pitch_mm: f64) -> 
         .collect()
 }
 
-/// Returns the pitch of splines that can represent what the TIF resolves, mm; none where most columns are longer, or
-/// where their matrix would be too large, which depends on the area under the reached columns, not on
-/// their number.
+/// Returns the pitch of splines that represent all that the TIF resolves, mm. `None` if most columns are too long for
+/// it, or if the matrix of the splines would be too large. Its size depends on the area under the reached columns, not
+/// on their number.
 pub fn spline_pitch(places: &[Vec<ToolPlace>], reached: &[bool], tif: &Tif) -> Option<f64> {
     let of_reached = places.iter().zip(reached).filter(|(_, reached)| **reached).map(|(p, _)| p);
     let (size_mm, least_mm) = least_pitch_mm(of_reached);
@@ -96,21 +97,21 @@ fn count(mask: &[bool]) -> usize {
     mask.iter().filter(|is_set| **is_set).count()
 }
 
-/// Returns true if dwell points are so far apart that splines over them are wider than the resolution of the TIF. The
+/// Returns true if dwell points are so far apart that the splines over them are wider than the TIF resolves. The
 /// conjugate gradients then take many steps.
 pub fn are_sparse(places: &[Vec<ToolPlace>], tif: &Tif) -> bool {
     let (_, least_mm) = least_pitch_mm(places.iter().filter(|places| !places.is_empty()));
     least_mm > SPLINE_PITCH_OVER_TIF_WIDTH * width_mm(tif)
 }
 
-/// Returns the width of a TIF, mm: sigma of a Gaussian.
+/// Returns the width `(<R^2> / <|grad R|^2>)^1/2` of a TIF R, mm: sigma of a Gaussian.
 fn width_mm(tif: &Tif) -> f64 {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
     1.0 / (along_x + along_y).sqrt()
 }
 
-/// Returns the size of the rectangle that columns take up [x, y], and the least pitch of splines that their spacing
-/// in it allows, mm.
+/// Returns the size [x, y] of the rectangle that contains the columns, mm, and the least pitch of splines that the
+/// mean spacing of the columns allows, mm.
 fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<ToolPlace>> + Clone) -> ([f64; 2], f64) {
     let count = places.clone().count();
     let (low, high) = extent(places.flatten().map(|p| &p.position_mm));
@@ -119,8 +120,9 @@ fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<ToolPlace>> + Clone) 
     (size_mm, MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm)
 }
 
-/// Returns the least pitch, mm, for which the matrix is quickly factorised, or else is not too large, for a TIF of a
-/// width, over a rectangle; sizes of the rectangle and the TIF are [x, y].
+/// Returns the least pitch of splines, mm, for which their matrix is quickly factorised, or else is not too large;
+/// `None` if it is too large. `width_mm` is the width of the TIF. `size_mm` and `tif_mm` are the sizes [x, y] of the
+/// rectangle of the columns and of the TIF.
 fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Option<f64> {
     let mut pitch_mm = SPLINE_PITCH_OVER_TIF_WIDTH * width_mm;
     while spline_factor_elements(pitch_mm, size_mm, tif_mm) > QUICK_SPLINE_FACTOR_ELEMENTS
@@ -132,7 +134,8 @@ fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Optio
     if elements <= MAX_SPLINE_FACTOR_ELEMENTS { Some(pitch_mm) } else { None }
 }
 
-/// Returns about how many elements the factor of the matrix of the splines has: those of the narrower band of the two.
+/// Estimates the number of elements of the factor of the matrix of the splines, numbered along the axis with the
+/// narrower band.
 fn spline_factor_elements(pitch_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> f64 {
     let [x, y] = size_mm.map(|v| v / pitch_mm + 4.0);
     let reach_mm = spline_reach_mm(tif_mm, pitch_mm);
@@ -141,8 +144,8 @@ fn spline_factor_elements(pitch_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) ->
     x * y * (across_x * y).min(across_y * x)
 }
 
-/// Returns about how many multiplications a factorisation of the normal matrix of all columns takes: those of a band
-/// that is as wide as there are columns within the TIF along one of the axes.
+/// Estimates the number of multiplications of a factorisation of the normal matrix of all columns. Its band has as
+/// many columns as lie within the TIF along one axis, that with the narrower band.
 pub fn factorisation_work(places: &[Vec<ToolPlace>], tif: &Tif) -> f64 {
     let n = places.len() as f64;
     let (low, high) = extent(places.iter().flatten().map(|p| &p.position_mm));
@@ -151,12 +154,13 @@ pub fn factorisation_work(places: &[Vec<ToolPlace>], tif: &Tif) -> f64 {
     n * (n * x.min(y)).powi(2)
 }
 
-/// Returns the largest distance of two splines whose removals meet, for a TIF of the size [x, y]: [x, y], mm.
+/// Returns the largest distance [x, y], mm, of two splines whose removals overlap, for a TIF of the size `tif_mm` [x,
+/// y].
 pub fn spline_reach_mm(tif_mm: [f64; 2], pitch_mm: f64) -> [f64; 2] {
     tif_mm.map(|size| size + 4.0 * pitch_mm)
 }
 
-/// Returns the least and the largest [x, y] of some points.
+/// Returns the least and the largest coordinates [x, y] of some points; infinite and reversed if there are none.
 pub fn extent<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> ([f64; 2], [f64; 2]) {
     let start = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     points.fold(start, |(low, high), p| {

@@ -1,40 +1,41 @@
-//! Symmetric matrices of the nodes of a lattice that couple only near ones: as they are made, an order of magnitude
-//! smaller than the skyline that their factor fills.
+//! Symmetric matrices of the nodes of a lattice that couple only near nodes. Before they are factorised they take an
+//! order of magnitude less memory than the skyline that their factor fills.
 
 use std::ops::Range;
 
 use planish_numerics::parallel;
 
-/// Nodes of a lattice, numbered line by line.
+/// Matrix of the nodes of a lattice, which are numbered line by line; it has a row for every node.
 #[cfg_attr(test, derive(Debug, PartialEq))]
 pub struct Stencils {
-    /// Nodes of a line.
+    /// Number of nodes of a line.
     per_line: usize,
-    /// Most nodes from one to another that is coupled with it, across the lines and along them.
+    /// Largest distance in nodes of two nodes that are coupled: across the lines, and along them.
     reach: [usize; 2],
-    /// For every row, the values of the rows that are coupled with it and do not come after it: by the distance
-    /// across the lines, then along them.
+    /// Elements of every row at the nodes that are coupled with its node and do not come after it: ordered by the
+    /// distance across the lines, then along them.
     values: Vec<f64>,
 }
 
 impl Stencils {
-    /// Makes the zero matrix for so many nodes.
+    /// Makes the zero matrix for `nodes` nodes in lines of `per_line` nodes.
     pub fn zeros(nodes: usize, per_line: usize, reach: [usize; 2]) -> Self {
         Self { per_line, reach, values: vec![0.0; nodes * Self::len(reach)] }
     }
 
-    /// Returns the number of elements of a row.
+    /// Returns the number of stored elements of a row.
     fn len(reach: [usize; 2]) -> usize {
         (reach[0] + 1) * (2 * reach[1] + 1)
     }
 
-    /// Returns the index, in a row at s along a line, of the node at m there, so many before it across the lines.
+    /// Returns the index in a row of an element. The node of the row is at s along its line; the other node is at m
+    /// along its line, which comes `before` lines earlier.
     fn index(reach: [usize; 2], before: usize, s: usize, m: usize) -> usize {
         before * (2 * reach[1] + 1) + m + reach[1] - s
     }
 
     /// Returns the nodes that may be coupled with some of these rows of one line and do not come after the last of
-    /// them: how many lines before, and where along a line.
+    /// them, as (number of lines before, index along the line).
     fn near(
         rows: &Range<usize>,
         per_line: usize,
@@ -49,7 +50,8 @@ impl Stencils {
         })
     }
 
-    /// Returns the nodes that may be coupled with row i and do not come after it, and their indices in the row.
+    /// Returns the nodes that may be coupled with node i and do not come after it, and the indices of their elements
+    /// in row i.
     fn coupled(
         i: usize,
         per_line: usize,
@@ -61,8 +63,8 @@ impl Stencils {
             .map(move |(before, m)| ((l - before) * per_line + m, Self::index(reach, before, s, m)))
     }
 
-    /// Calls `write` for all of these rows, which begin and end with whole lines: up to `most` of one
-    /// line at a time.
+    /// Calls `write` for parts of the rows `rows`, which begin and end with whole lines. A part has up to `most` rows
+    /// of one line.
     pub fn fill(&mut self, rows: Range<usize>, most: usize, write: impl Fn(Near<'_>) + Sync) {
         let Self { per_line, reach, .. } = *self;
         let len = Self::len(reach);
@@ -77,7 +79,8 @@ impl Stencils {
         });
     }
 
-    /// Returns the rows in as many parts as leaves the rows coupled with one in it and in the part before.
+    /// Returns the rows divided into ranges so long that the nodes coupled with a row are in its range and in the
+    /// range before.
     pub fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let rows = self.rows();
         let part = self.reach[0].max(1) * self.per_line;
@@ -89,7 +92,7 @@ impl Stencils {
         self.values.len() / Self::len(self.reach)
     }
 
-    /// Returns the mask of the rows that are coupled with one of `these`, or are one of `these`.
+    /// Returns the mask of the nodes that are in `these` or are coupled with one of them.
     pub fn coupled_with(&self, these: &[bool]) -> Vec<bool> {
         let mut coupled = these.to_vec();
         for i in 0..self.rows() {
@@ -101,20 +104,21 @@ impl Stencils {
         coupled
     }
 
-    /// Adds to the element of two nodes, of which the second one does not come after the first: line and
-    /// place in it of either.
+    /// Adds `value` to the element of two nodes, each given as [line, index along it]. The second node must not come
+    /// after the first.
     #[inline]
     pub fn add(&mut self, [l, s]: [usize; 2], [k, m]: [usize; 2], value: f64) {
         let row = (l * self.per_line + s) * Self::len(self.reach);
         self.values[row + Self::index(self.reach, l - k, s, m)] += value;
     }
 
-    /// Adds another of the same nodes and reach.
+    /// Adds another matrix of the same nodes and reach.
     pub fn add_all(&mut self, other: &Self) {
         self.values.iter_mut().zip(&other.values).for_each(|(v, other)| *v += other);
     }
 
-    /// Adds row i to one that begins with column `first` and ends with the diagonal; what comes before must be zero.
+    /// Adds row i to `to`, whose elements are those of the columns from `first` to the diagonal. Elements before
+    /// column `first` must be zero.
     pub fn add_row(&self, i: usize, first: usize, to: &mut [f64]) {
         let len = Self::len(self.reach);
         let row = &self.values[i * len..(i + 1) * len];
@@ -126,7 +130,7 @@ impl Stencils {
     }
 }
 
-/// Neighbouring rows of [`Stencils`], all of one line.
+/// Some neighbouring rows of [`Stencils`], all of one line, to be written.
 pub struct Near<'a> {
     rows: Range<usize>,
     per_line: usize,
@@ -135,7 +139,7 @@ pub struct Near<'a> {
 }
 
 impl Near<'_> {
-    /// Returns the rows that this part holds.
+    /// Returns the range of the rows in this part.
     pub fn rows(&self) -> Range<usize> {
         self.rows.clone()
     }
@@ -148,8 +152,8 @@ impl Near<'_> {
         near.map(move |(before, m)| (l - before) * per_line + m)
     }
 
-    /// Returns the element (i, k) of one of these rows and a node of [`Self::coupled`]; `None` where k comes after i or
-    /// is too far away.
+    /// Returns the element of row i of this part and node k, to be written. `None` if k comes after i or is too far
+    /// away.
     pub fn element(&mut self, i: usize, k: usize) -> Option<&mut f64> {
         let [(l, s), (n, m)] = [i, k].map(|node| (node / self.per_line, node % self.per_line));
         let is_near = k <= i && l - n <= self.reach[0] && s.abs_diff(m) <= self.reach[1];

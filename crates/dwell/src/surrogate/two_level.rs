@@ -44,19 +44,19 @@ use crate::{
     objective::Penalty,
 };
 
-/// The lattice of (1) and where the columns are on it.
+/// The lattice of splines of (1) of the module, and the position of the columns on it.
 pub struct Nodes {
-    /// (y, x)
+    /// Number of nodes (y, x).
     shape: (usize, usize),
-    /// True if a line of nodes in the matrix runs along x; else it runs along y.
+    /// True if neighbouring rows of the matrix are nodes along x, false if along y.
     by_rows: bool,
-    /// Weights of every column; none if it is not reached.
+    /// Splines at every column (n); `None` if the column is not reached or too long.
     weights: Vec<Option<Weights>>,
-    /// Columns by cell.
+    /// Columns grouped by their cells.
     by_cell: Grouped,
 }
 
-/// The splines at a column: those of the nodes (r + i, c + k), i, k < 4, in cell (r, c).
+/// Values of the splines at a column in cell (r, c): those of the nodes (r + i, c + k), i, k < 4.
 #[derive(Clone, Copy)]
 struct Weights {
     cell: (u32, u32),
@@ -65,12 +65,13 @@ struct Weights {
 }
 
 impl Weights {
-    /// Returns the 16 products of the splines along y and x, row by row.
+    /// Returns the 16 products of the spline values along y and x, row by row.
     fn products(&self) -> impl Iterator<Item = f64> {
         self.y.iter().flat_map(|y| self.x.iter().map(move |x| y * x))
     }
 
-    /// Returns true if the difference of the two columns is in the matrix of the lattice.
+    /// Returns true if the penalty on the difference of the two columns is in the matrix of the lattice as it is, not
+    /// as a bound.
     fn is_near(&self, other: &Self) -> bool {
         self.cell.0.abs_diff(other.cell.0) <= MAX_COUPLED_CELLS
             && self.cell.1.abs_diff(other.cell.1) <= MAX_COUPLED_CELLS
@@ -82,9 +83,9 @@ impl Weights {
 /// a less exact matrix.
 const MAX_COUPLED_CELLS: u32 = 1;
 
-/// Increase of the diagonal, as a fraction of the part of `V' L V` without differences; splines may differ on no
-/// column. Larger: Q is less exact, and conjugate gradients take more steps. Smaller: the matrix may be singular to
-/// rounding.
+/// Increase of the diagonal of the matrix of the lattice, as a fraction of the part of `V' L V` without differences.
+/// Without it, splines that differ on no column would make the matrix singular. Larger: Q is less exact, and conjugate
+/// gradients take more steps. Smaller: the matrix may be singular to rounding.
 const SPLINE_RIDGE: f64 = 1e-3;
 
 /// Largest number of elements of the removal by all splines that are kept from one set of free columns to the next
@@ -92,7 +93,7 @@ const SPLINE_RIDGE: f64 = 1e-3;
 const MAX_KEPT_PATCH_ELEMENTS: usize = 200_000_000;
 
 impl Nodes {
-    /// Makes the lattice over the reached columns of a TIF of the size [x, y].
+    /// Makes the lattice of pitch `pitch_mm` over the reached columns, for a TIF of the size `tif_mm` [x, y].
     pub fn new(
         places: &[Vec<ToolPlace>],
         reached: &[bool],
@@ -126,41 +127,41 @@ impl Nodes {
         Self { shape: (ny, nx), by_rows, weights, by_cell }
     }
 
-    /// Returns the number of nodes.
+    /// Returns the number of nodes of the lattice.
     fn len(&self) -> usize {
         self.shape.0 * self.shape.1
     }
 
-    /// Returns the number of nodes of a line.
+    /// Returns the number of nodes of a line, along which the rows of the matrix are numbered.
     fn line(&self) -> usize {
         if self.by_rows { self.shape.1 } else { self.shape.0 }
     }
 
-    /// Returns the row of a node in the matrix: line by line.
+    /// Returns the row of the matrix for the node (r, c); rows are numbered line by line.
     fn row(&self, r: usize, c: usize) -> usize {
         let (ny, nx) = self.shape;
         if self.by_rows { r * nx + c } else { c * ny + r }
     }
 
-    /// Returns the node of a row.
+    /// Returns the node (r, c) of row i of the matrix.
     fn node(&self, i: usize) -> (usize, usize) {
         let (ny, nx) = self.shape;
         if self.by_rows { (i / nx, i % nx) } else { (i % ny, i / ny) }
     }
 
-    /// Returns true if a difference of near columns couples two rows.
+    /// Returns true if the difference of two near columns couples the rows a and b of the matrix.
     fn are_linked(&self, a: usize, b: usize) -> bool {
         let ((ra, ca), (rb, cb)) = (self.node(a), self.node(b));
         ra.abs_diff(rb) <= PENALTY_REACH && ca.abs_diff(cb) <= PENALTY_REACH
     }
 
-    /// Returns the rows of the nodes over a column, in the order of its weights.
+    /// Returns the rows of the 16 nodes over a column, in the order of [`Weights::products`].
     fn over(&self, w: &Weights) -> impl Iterator<Item = usize> {
         let (r, c) = (w.cell.0 as usize, w.cell.1 as usize);
         (0..16).map(move |k| self.row(r + k / 4, c + k % 4))
     }
 
-    /// Returns V' r (nodes), for r (n).
+    /// Returns the product V' r (one element per node) for r (n); only free columns count.
     fn restrict(&self, r: &[f64], free: &[bool]) -> Vec<f64> {
         let mut sums = vec![0.0; self.len()];
         for ((w, r), _) in self.weights.iter().zip(r).zip(free).filter(|(_, free)| **free) {
@@ -171,7 +172,7 @@ impl Nodes {
         sums
     }
 
-    /// Returns V c (n), for c (nodes).
+    /// Returns the product V c (n) for c (one element per node); 0 for columns that are not free.
     fn prolong(&self, c: &[f64], free: &[bool]) -> Vec<f64> {
         parallel::map(self.weights.len(), &|j| match &self.weights[j] {
             Some(w) if free[j] => self.over(w).zip(w.products()).map(|(i, v)| v * c[i]).sum(),
@@ -179,7 +180,8 @@ impl Nodes {
         })
     }
 
-    /// Returns a column of V: the columns under the node of a row, and their weights.
+    /// Returns the elements of V in the column of a node, given by its row: (index of a free dwell point, spline
+    /// value).
     fn under(&self, row: usize, free: &[bool]) -> Vec<(usize, f64)> {
         let (r, c) = self.node(row);
         let rows = self.shape.0 - 3;
@@ -198,8 +200,8 @@ impl Nodes {
         under
     }
 
-    /// Returns V' L V. A difference of columns that are not near is replaced by its bound
-    /// `(v t_k - u t_{k-1})^2 <= 2 v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
+    /// Returns the matrix of the penalty on the lattice, V' L V, over the free columns. A difference of columns that
+    /// are not near is replaced by its bound `(v t_k - u t_{k-1})^2 <= 2 v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
     fn penalty(&self, penalty: &Penalty, free: &[bool]) -> Stencils {
         let steps = penalty.steps();
         let parts = parallel::map(PENALTY_PARTS, &|part| {
@@ -231,12 +233,12 @@ impl Nodes {
         sums
     }
 
-    /// Returns the weights of column j, if it is free and reached.
+    /// Returns the spline values of column j; `None` if it is not free or has none.
     fn free_weights(&self, j: usize, free: &[bool]) -> Option<&Weights> {
         if free[j] { self.weights[j].as_ref() } else { None }
     }
 
-    /// Adds `factor g g'`, g the sum of some columns of V' that are near.
+    /// Adds `factor g g'` to a matrix, with g the sum of some near columns of V', each times its number.
     fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, sums: &mut Stencils) {
         const SIDE: usize = 1 + PENALTY_REACH;
         let r0 = columns.iter().map(|c| c.0.cell.0).min().unwrap_or(0);
@@ -265,7 +267,7 @@ impl Nodes {
         }
     }
 
-    /// Makes the zero matrix of all nodes.
+    /// Makes the zero matrix of all nodes, with room for couplings up to `reach` nodes [across, along] the lines.
     fn stencils(&self, reach: [usize; 2]) -> Stencils {
         Stencils::zeros(self.len(), self.line(), reach)
     }
@@ -276,37 +278,37 @@ fn centre_mm(places: &[ToolPlace]) -> [f64; 2] {
     [0, 1].map(|k| places.iter().map(|p| p.fraction * p.position_mm[k]).sum::<f64>())
 }
 
-/// Returns the cell of a position along an axis, in cells, and the splines there.
+/// Returns the cell of a position along an axis, given in cells, and the values of the four splines there.
 fn cell_and_splines(position: f64, cells: usize) -> (u32, [f64; 4]) {
     let i = (position as usize).min(cells - 1);
     (i as u32, bspline::on_a_cell(position - i as f64))
 }
 
-/// Returns the indices of one of [`PENALTY_PARTS`] parts.
+/// Returns the range of indices below `len` that is part number `part` of [`PENALTY_PARTS`].
 fn part_of(part: usize, len: usize) -> Range<usize> {
     part * len / PENALTY_PARTS..(part + 1) * len / PENALTY_PARTS
 }
 /// the result does not either. Larger: more memory. Another value changes the last digits of the result.
 const PENALTY_PARTS: usize = 2;
 
-/// Largest distance, in nodes, of two nodes that the difference of near columns couples; follows from the width of
+/// Largest distance, in nodes, of two nodes that the difference of near columns couples. It follows from the width of
 /// the splines and [`MAX_COUPLED_CELLS`].
 const PENALTY_REACH: usize = 3 + MAX_COUPLED_CELLS as usize;
 
-/// `V' B' W B V` of some free columns.
+/// Matrix `V' B' W B V` of the splines on the lattice, over some free columns.
 pub struct Coarse {
     free: Vec<bool>,
-    /// `W^1/2 B V` of every row: of all rows where they are kept, else of those that are at work.
+    /// Removal `W^1/2 B V` by the spline of every row: of all rows if they are kept, otherwise of the rows at work.
     patches: Vec<Patch>,
     keeps_patches: bool,
     matrix: Stencils,
-    /// First column of every row of the factor.
+    /// First stored column of every row of the factor.
     first: Vec<usize>,
-    /// The inverse that was made of it last, for which penalty: of the same free columns.
+    /// Inverse that was made from this matrix last, for the same free columns, and the penalty that it is for.
     last: Option<(Penalty, Arc<Woodbury<f32>>)>,
 }
 
-/// Rows and columns of the map.
+/// Ranges of the rows and columns of the map that a column or spline reaches.
 type Extent = (Range<usize>, Range<usize>);
 
 /// Returns true if two ranges have an element in common.
@@ -314,7 +316,8 @@ fn meet(a: &Range<usize>, b: &Range<usize>) -> bool {
     a.start < b.end && b.start < a.end
 }
 
-/// Returns the most lines from one to another that it meets; `nodes` has the line and the reach of every node.
+/// Returns the largest number of lines between two lines of nodes whose removals overlap. `nodes` gives the line of
+/// every node, and the range of pixels that it reaches.
 fn line_reach<'a>(lines: usize, nodes: impl Iterator<Item = (usize, &'a Range<usize>)>) -> usize {
     let mut of_lines: Vec<Option<Range<usize>>> = vec![None; lines];
     for (line, reach) in nodes.filter(|(_, reach)| !reach.is_empty()) {
@@ -332,7 +335,7 @@ fn line_reach<'a>(lines: usize, nodes: impl Iterator<Item = (usize, &'a Range<us
 }
 
 impl Coarse {
-    /// Makes the zero matrix, for no free column; with room for the reached ones.
+    /// Makes the zero matrix, for no free column, with room for all reached ones.
     pub fn new(nodes: &Nodes, sums: &Sums, reached: &[bool]) -> Self {
         let extents: Vec<Extent> = parallel::map(nodes.len(), &|i| {
             sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j))
@@ -370,7 +373,7 @@ impl Coarse {
         known && self.free.iter().zip(free).all(|(own, free)| *free || !own)
     }
 
-    /// Makes the matrix that of other free columns.
+    /// Updates the matrix to another set of free columns.
     fn update(&mut self, nodes: &Nodes, sums: &Sums, weight: &Array2<f64>, free: &[bool]) {
         let mut changed = vec![false; nodes.len()];
         for (j, w) in nodes.weights.iter().enumerate() {
@@ -416,7 +419,8 @@ impl Coarse {
         }
     }
 
-    /// Returns `(V' H V)^-1` of the columns that [`Self::update`] was for; none where that is singular to rounding.
+    /// Returns the inverse `(V' H V)^-1` for the columns of the last [`Self::update`]; `None` if the matrix is
+    /// singular to rounding.
     fn inverse(
         &self,
         nodes: &Nodes,
@@ -448,18 +452,20 @@ impl Coarse {
     }
 }
 
-/// Q and L^-1 of some free columns.
+/// Preconditioner for some free columns: the coarse solution Q of (1) of the module, and the inverse L^-1 of the
+/// penalty.
 pub struct TwoLevel<'a> {
     nodes: &'a Nodes,
     free: Vec<bool>,
-    /// Factor of L.
+    /// Factor of the matrix L of the penalty on the free columns.
     chain: tridiagonal::Factor,
-    /// `(V' H V)^-1`; none where that is singular to rounding.
+    /// Inverse `(V' H V)^-1`; `None` if the matrix is singular to rounding.
     inverse: Option<Arc<Woodbury<f32>>>,
 }
 
 impl<'a> TwoLevel<'a> {
-    /// Makes the preconditioner for some free columns, to which `coarse` is updated; `u` is that of all columns.
+    /// Makes the preconditioner for some free columns, and updates `coarse` to them. `u` has the columns of U over all
+    /// dwell points.
     pub fn new(
         nodes: &'a Nodes,
         coarse: &mut Coarse,
@@ -478,7 +484,8 @@ impl<'a> TwoLevel<'a> {
         Self::again(nodes, coarse, penalty, free)
     }
 
-    /// Makes the preconditioner for free columns that include those of `coarse`: the others are in L, but not in V.
+    /// Makes the preconditioner for free columns that include those of `coarse`, from its last inverse. The other free
+    /// columns take part in L only, not in V.
     pub fn again(nodes: &'a Nodes, coarse: &Coarse, penalty: &Penalty, free: &[bool]) -> Self {
         let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());
         Self { nodes, free: coarse.free.clone(), chain: chain(penalty, free), inverse }
@@ -486,8 +493,8 @@ impl<'a> TwoLevel<'a> {
 }
 
 impl Deflation for TwoLevel<'_> {
-    /// Returns `Q r = V (V' H V)^-1 V' r`; zero where the matrix is singular to rounding, which only costs
-    /// steps.
+    /// Returns the coarse solution `Q r = V (V' H V)^-1 V' r`. It is zero if the matrix is singular to rounding, which
+    /// only costs steps.
     fn coarse(&self, r: &[f64]) -> Vec<f64> {
         let Some(inverse) = &self.inverse else { return vec![0.0; r.len()] };
         let mut c = self.nodes.restrict(r, &self.free);
@@ -500,7 +507,8 @@ impl Deflation for TwoLevel<'_> {
     }
 }
 
-/// Returns the factor of L on the free columns: a chain, because only neighbours along the path are coupled.
+/// Returns the factor of L on the free columns, a tridiagonal matrix, because only neighbours along the path are
+/// coupled.
 fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
     let mut diagonal = vec![0.0; free.len()];
     let mut below = vec![0.0; free.len()];

@@ -9,23 +9,24 @@ use planish_types::{Grid, Tif};
 
 use crate::model::columns::ToolPlace;
 
-/// Difference of two pitches, accumulated over the whole TIF, in steps, up to which they are the same. The same pitch
-/// may be rounded differently in two files. Larger: the removal shifts by up to that many steps. Smaller: rounded
-/// pitches cost the time of another lattice.
+/// Difference of the pitches of TIF and map, accumulated over the whole TIF, in steps, up to which they are the same.
+/// The same pitch may be rounded differently in two files. Larger: the removal shifts by up to that many steps.
+/// Smaller: rounded pitches cost the time of another lattice.
 const SAME_PITCH: f64 = 1e-4;
 
-/// Method to spread a tool between nodes on four of them, with the kernel that belongs to it.
+/// Weights by which the time of a tool between nodes is spread on four of them along an axis, with the kernel that
+/// belongs to these weights.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Spread {
-    /// Keys' weights, and the samples of R with ghost nodes: what R is between its samples.
+    /// Keys' weights. The kernel is the samples of the TIF with ghost nodes.
     Keys,
-    /// The cubic B-splines, and the coefficients of the spline through the samples, which is 0 beyond them: for samples
-    /// so few that Keys' weights would be too rough. At a fifth of the sampling frequency these lose 3 % and have an
-    /// image of 3 %, splines 0.4 %.
+    /// Cubic B-splines. The kernel is the coefficients of the spline through the samples, which is 0 beyond them. It
+    /// serves samples so few that Keys' weights would be too rough: at a fifth of the sampling frequency these lose 3
+    /// % and have an image of 3 %, splines 0.4 %.
     Splines,
 }
 
-/// One axis: pixel i of the map, sample j of R, j = -1 ..= last.
+/// One axis of the lattice: pixels i of the map, and samples j = -1 ..= last of the TIF.
 #[derive(Clone, Copy)]
 pub struct Lattice {
     start_mm: f64,
@@ -35,9 +36,9 @@ pub struct Lattice {
     tif_end_mm: f64,
     /// True if the samples of the TIF have the pitch of the map.
     pub own: bool,
-    /// Upper edge of R, in pixels from the lower one.
+    /// Upper edge of the TIF, counted from the lower one, in steps of the lattice.
     pub edge: f64,
-    /// The last sample with a ghost node beyond the upper edge.
+    /// Index of the last sample of the TIF, a ghost node beyond the upper edge.
     pub last: isize,
     spread: Spread,
 }
@@ -69,7 +70,7 @@ impl Lattice {
         }
     }
 
-    /// Returns the weights of the nodes -1 ..= 2 at the offset f from node 0.
+    /// Returns the weights of the nodes -1 ..= 2 for a tool at the offset f, in steps, from node 0.
     #[inline]
     pub fn weights(&self, f: f64) -> [f64; 4] {
         match self.spread {
@@ -78,30 +79,31 @@ impl Lattice {
         }
     }
 
-    /// Returns the offset of sample j from the tool, mm.
+    /// Returns the offset of sample j of the TIF from the tool along the axis, mm; at most the end of the TIF.
     pub fn offset_mm(&self, j: usize) -> f64 {
         (self.tif_start_mm + j as f64 * self.step_mm).min(self.tif_end_mm)
     }
 
-    /// Returns the number of samples with ghost nodes.
+    /// Returns the number of samples of the TIF along the axis, with ghost nodes.
     pub fn kernel(&self) -> usize {
         self.last as usize + 2
     }
 
-    /// Returns the number of nodes -last ..= pixels, from which a sample reaches a pixel.
+    /// Returns the number of nodes (sources) from which the TIF reaches a pixel: -last ..= pixels.
     pub fn sources(&self) -> usize {
         self.pixels + self.last as usize + 1
     }
 
-    /// Returns the cell of a tool at p, mm, and its offset there; `None` if it does not reach the map.
+    /// Returns the cell of a tool at the coordinate p, mm, and its offset there in steps. `None` if it does not reach
+    /// the map.
     pub fn place(&self, p: f64) -> Option<(i32, f64)> {
         let (cell, f) = keys::split((p + self.tif_start_mm - self.start_mm) / self.step_mm);
         let reaches = cell >= -self.last - 2 && cell <= self.pixels as isize + 1;
         if reaches { Some((cell as i32, f)) } else { None }
     }
 
-    /// Returns the pixel offsets k from C that are beyond R: all up to the first returned value, and all from the
-    /// second one on. There k - f lies outside [0, edge].
+    /// Returns two pixel offsets k from the cell of a tool at the offset f. Pixels up to the first and from the second
+    /// one on are beyond the TIF: there k - f lies outside [0, edge].
     pub fn spills(&self, f: f64) -> [isize; 2] {
         let low = if f > 0.0 { 0 } else { -1 };
         let (whole, _) = keys::split(self.edge + f);
@@ -109,7 +111,7 @@ impl Lattice {
     }
 }
 
-/// A tool on the lattice; [across, along].
+/// A place of the tool on the lattice. Pairs are [across, along] the lines of the lattice that are processed.
 #[derive(Clone, Copy)]
 pub struct Placed {
     pub cell: [i32; 2],
@@ -118,7 +120,7 @@ pub struct Placed {
     pub column: u32,
 }
 impl Placed {
-    /// Returns the same tool with the axes swapped.
+    /// Returns the same place with the two axes swapped.
     pub fn swapped(&self) -> Self {
         let [cell_across, cell_along] = self.cell;
         let [across, along] = self.offset;
@@ -126,7 +128,8 @@ impl Placed {
     }
 }
 
-/// Returns the tools of all columns that reach the map, in the order of the columns.
+/// Returns the places of all columns from which the tool reaches the map, in the order of the columns; their pairs are
+/// [y, x].
 pub fn placed(places: &[Vec<ToolPlace>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
     let mut placed = Vec::new();
     for (j, places) in places.iter().enumerate() {
@@ -145,7 +148,7 @@ pub fn placed(places: &[Vec<ToolPlace>], x: &Lattice, y: &Lattice) -> Vec<Placed
     placed
 }
 
-/// Puts zeros in the place of the ghost nodes.
+/// Sets the ghost nodes, the outermost samples, to zero.
 pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
     let (my, mx) = samples.dim();
     samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
@@ -153,7 +156,7 @@ pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
     samples
 }
 
-/// Returns the kernel that is convolved with the spread dwell times, from samples of R.
+/// Returns the kernel with which the spread dwell times are convolved, from the samples of the TIF.
 pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     let mut kernel = samples.clone();
     if spread == Spread::Keys {
@@ -172,8 +175,8 @@ pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     kernel
 }
 
-/// Returns R at the pixels of the map, with a ghost node before its lower edge and up to two beyond its upper
-/// one.
+/// Returns the TIF at the nodes of the lattice, nm/s, with a ghost node before its lower edge and up to two beyond its
+/// upper edge.
 pub fn samples(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
     if x.own && y.own {
         return tif.with_ghosts().clone();

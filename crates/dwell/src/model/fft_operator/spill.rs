@@ -12,26 +12,27 @@ use planish_numerics::{
 
 use super::lattice::{Lattice, Placed};
 
-/// The places in the order of their cells across, [across, along].
+/// Places of the tool in the order of their cells across the lines. Pairs are [across, along] the lines.
 pub struct Across {
     pub across: Lattice,
     pub along: Lattice,
     places: Vec<Placed>,
     groups: Vec<Group>,
     lines: line::Lines,
-    /// Spectra of the samples that spill: j of the first, and one for each.
+    /// Samples of the TIF, across the lines, that spill: their indices j, and the spectra of their rows.
     border: Vec<(isize, Vec<Complex64>)>,
 }
 
-/// Places of one cell across that spill into the same lines.
+/// Places of one cell across that spill onto the same lines.
 struct Group {
     cell: isize,
-    /// Lines up to this one and from this one on spill.
+    /// Offsets from the cell: lines up to the first and from the second one on receive spill.
     spills: [isize; 2],
     places: Range<usize>,
 }
 
-/// Sources `start .. end` of a line, and how many of the four weights come before them.
+/// Part of a line on which a tool is spread: its sources `start .. end`, and how many of the four weights fall before
+/// them.
 struct Under {
     start: usize,
     end: usize,
@@ -39,13 +40,13 @@ struct Under {
 }
 
 impl Under {
-    /// Returns the sum of a line under the tool, weighted.
+    /// Returns the sum of a line on this part, weighted with the four weights.
     fn sum(&self, weights: &[f64; 4], line: &[f64]) -> f64 {
         let on = line[self.start..self.end].iter().zip(&weights[self.skipped..]);
         on.map(|(v, w)| w * v).sum()
     }
 
-    /// Adds the seconds to a line under the tool, by the weights.
+    /// Adds `seconds` times the four weights to a line on this part.
     fn add(&self, seconds: f64, weights: &[f64; 4], line: &mut [f64]) {
         let on = line[self.start..self.end].iter_mut().zip(&weights[self.skipped..]);
         on.for_each(|(v, w)| *v += w * seconds);
@@ -57,14 +58,14 @@ impl Under {
 /// an assertion.
 const MAX_BORDER: usize = 8;
 
-/// A number for each of these nodes.
+/// A number for each of the nodes of one axis that receive spill.
 type Nodes = [f64; MAX_BORDER];
 
-/// The samples at the corners of R, for what spills over two edges.
+/// Samples at the corners of the TIF, for the removal that spills over two edges at once.
 pub struct Corners {
-    /// Offsets c of the nodes beyond the edges of the lines.
+    /// Offsets c along the lines, from the cell, of the nodes beyond the edges.
     nodes: Vec<isize>,
-    /// For every spilling sample j across, and every weight e along: g[j, c - e] of every node.
+    /// Samples g[j, c - e] of every node c, for every spilling sample j across and every weight e along.
     samples: Vec<[Nodes; 4]>,
 }
 
@@ -72,7 +73,7 @@ pub struct Corners {
 pub const LINES_PER_TASK: usize = 32;
 
 impl Across {
-    /// Sorts the places, and transforms the samples [across, along] that spill.
+    /// Sorts the places by cells, and transforms those rows of the samples [across, along] that spill.
     pub fn new(
         across: Lattice,
         along: Lattice,
@@ -109,19 +110,19 @@ impl Across {
         Self { across, along, places, groups, lines, border }
     }
 
-    /// Returns the spectrum of sample j, if it spills.
+    /// Returns the spectrum of row j of the samples; `None` if it does not spill.
     fn sample(&self, j: isize) -> Option<&[Complex64]> {
         self.border.iter().find(|(k, _)| *k == j).map(|(_, g)| g.as_slice())
     }
 
-    /// Returns the groups with a cell in the range.
+    /// Returns the groups whose cells are in the range.
     fn within(&self, cells: Range<isize>) -> &[Group] {
         let [from, to] =
             [cells.start, cells.end].map(|cell| self.groups.partition_point(|g| g.cell < cell));
         &self.groups[from..to.max(from)]
     }
 
-    /// Returns S t on the sources (across, along), s.
+    /// Returns the dwell times t (n) spread on the sources, S t, shape (across, along), s.
     pub fn seconds(&self, t: &[f64]) -> Array2<f64> {
         let mut seconds = Array2::zeros((self.across.sources(), self.along.sources()));
         parallel::for_each_band(&mut seconds, LINES_PER_TASK, &|b, mut band| {
@@ -147,13 +148,13 @@ impl Across {
         seconds
     }
 
-    /// Returns the weights of a tool across and along.
+    /// Returns the four weights of a place across the lines, and the four along them.
     #[inline(always)]
     fn weights(&self, p: &Placed) -> ([f64; 4], [f64; 4]) {
         (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]))
     }
 
-    /// Returns the sources of a line that a tool is spread on.
+    /// Returns the sources of a line on which a place is spread.
     fn sources_under(&self, p: &Placed) -> Under {
         let first = p.cell[1] as isize - 1 + self.along.last;
         let sources = self.along.sources() as isize;
@@ -162,7 +163,7 @@ impl Across {
         Under { start: start as usize, end: end as usize, skipped: (start - first) as usize }
     }
 
-    /// Adds the seconds of the node d of a group, with the weights along.
+    /// Adds to a line the seconds of all places of a group, each with its weight d across and its weights along.
     fn spread(&self, group: &Group, d: isize, t: &[f64], line: &mut [f64]) {
         for p in &self.places[group.places.clone()] {
             let (across, along) = self.weights(p);
@@ -171,7 +172,7 @@ impl Across {
         }
     }
 
-    /// Returns `S' f` (n), summed by columns.
+    /// Returns the adjoint `S' f` of the spreading for a field f on the sources, summed by columns (n).
     pub fn gather(&self, field: &Array2<f64>, columns: usize) -> Vec<f64> {
         let field = field.as_slice().expect("in C order");
         let height = self.across.sources() as isize;
@@ -197,23 +198,23 @@ impl Across {
         sums
     }
 
-    /// Returns the lines k on which a group spills, over its lower or its upper edge.
+    /// Returns the offsets k of the lines onto which a group spills, over its lower or its upper edge.
     fn lines_beyond(&self, group: &Group, upper: bool) -> RangeInclusive<isize> {
         if upper { group.spills[1]..=self.across.last + 2 } else { -2..=group.spills[0] }
     }
 
-    /// Returns the weights d by which it spills on the line k.
+    /// Returns the weights d, -1 ..= 2, by which a group spills onto the line at the offset k.
     fn weights_of(&self, k: isize, upper: bool) -> RangeInclusive<isize> {
         if upper { (k - self.across.last).max(-1)..=2 } else { -1..=(k + 1).min(2) }
     }
 
-    /// Returns the pairs (k, d) at which a group spills, of its lower or its upper edge.
+    /// Returns all pairs (line offset k, weight d) by which a group spills over its lower or its upper edge.
     fn pairs(&self, group: &Group, upper: bool) -> impl Iterator<Item = (isize, isize)> {
         self.lines_beyond(group, upper)
             .flat_map(move |k| self.weights_of(k, upper).map(move |d| (k, d)))
     }
 
-    /// Returns the cells that spill into lines of the range, over their lower or their upper edge.
+    /// Returns the range of cells that spill onto lines of the range, over their lower or their upper edge.
     fn cells(&self, lines: &Range<isize>, upper: bool) -> Range<isize> {
         if upper {
             lines.start - self.across.last - 2..lines.end - self.across.edge.floor() as isize
@@ -222,8 +223,8 @@ impl Across {
         }
     }
 
-    /// Returns what spills (2) onto the lines of the map (across, along); with `corners` what spills over both edges
-    /// is left out.
+    /// Returns the removal that spills onto the lines of the map by (2), shape (across, along), nm, for dwell times t
+    /// (n), s. With `corners` the removal that spills over both edges is left out.
     pub fn spill(&self, t: &[f64], corners: Option<&Corners>) -> Array2<f64> {
         let pixels = self.along.pixels;
         let mut map = Array2::zeros((self.across.pixels, pixels));
@@ -290,7 +291,7 @@ impl Across {
         map
     }
 
-    /// Returns the corners of these samples [across, along].
+    /// Returns the samples at the corners of the TIF, from its samples [across, along].
     pub fn corners(&self, samples: &Array2<f64>) -> Corners {
         let last = self.along.last;
         let beyond = keys::split(self.along.edge).0 + 1;
@@ -310,14 +311,15 @@ impl Across {
         Corners { samples: corners.collect(), nodes }
     }
 
-    /// Returns the index of sample j among those that spill.
+    /// Returns the index in `border` of the spilling sample j.
     #[inline(always)]
     fn slot(&self, j: isize) -> usize {
         (if j <= 1 { j + 1 } else { j - self.across.last + self.border.len() as isize - 1 })
             as usize
     }
 
-    /// Adds `E ly lx` of one tool on the lines of the range, by `add(line, pixel, rate)`.
+    /// Passes on the removal `E ly lx` of one place that spills over both edges, on the lines of the range, by
+    /// `add(line, pixel, rate)`.
     ///
     /// ```text
     /// rate[k, c] = sum_d wy_d sum_e wx_e g[k - d, c - e]
@@ -374,7 +376,7 @@ impl Across {
         }
     }
 
-    /// Subtracts the adjoint of [`Self::spill`] from the sums of the columns.
+    /// Subtracts the adjoint of [`Self::spill`] for a map from the sums of the columns (n).
     pub fn subtract_spill(
         &self,
         map: ArrayView2<f64>,
@@ -453,7 +455,7 @@ impl Across {
         }
     }
 
-    /// Subtracts what the corners of the places of some groups have on a map.
+    /// Subtracts the product of a map with the corners of the places of some groups from the values of these places.
     fn subtract_corners(
         &self,
         groups: &[Group],

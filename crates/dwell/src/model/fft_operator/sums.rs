@@ -12,27 +12,27 @@ use crate::model::{
     varying,
 };
 
-/// Sums of a few columns of `FftOperator::without_border`, on the pixels that they reach.
+/// Makes the removal of a few columns of `FftOperator::without_border` at a time, on the pixels that they reach.
 pub struct Sums {
     kernels: Vec<KernelSums>,
-    /// Factor of every pixel, if the tool has one.
+    /// Factor of the removal at every pixel, if the tool has one.
     factor: Option<Array2<f64>>,
 }
 
-/// [`Sums`] of a kernel of the tool.
+/// [`Sums`] of one kernel of the tool.
 struct KernelSums {
     x: Lattice,
     y: Lattice,
     placed: Vec<Placed>,
-    /// The places of column j are `first[j] .. first[j + 1]`.
+    /// Index in `placed` of the first place of every column: those of column j are `first[j] .. first[j + 1]`.
     first: Vec<u32>,
-    /// Nodes (y, x) under which `correlation` is planned.
+    /// Largest number of nodes (y, x) for which `correlation` is planned.
     room: (usize, usize),
     correlation: Convolution,
 }
 
 impl Sums {
-    /// Makes the sums for columns whose places lie within a square of `size_mm`.
+    /// Plans the sums for columns whose places lie within a square with the side `size_mm`.
     pub fn new(
         places: &[Vec<ToolPlace>],
         tif: &Tif,
@@ -47,13 +47,13 @@ impl Sums {
         Self { kernels, factor }
     }
 
-    /// Returns the pixels (y, x) that the columns reach.
+    /// Returns the ranges of the pixels (y, x) that the columns with these indices reach.
     pub fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
         // All kernels have one grid, and reach the same pixels.
         self.kernels[0].extent(columns)
     }
 
-    /// Returns `sum_j t_j B_j` for columns j and their t_j.
+    /// Returns the removal `sum_j t_j B_j` of some columns, given as pairs (j, t_j).
     pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let kernels = self.kernels.iter().map(|kernel| kernel.patch(t));
         let sum = kernels.reduce(|mut sum, patch| {
@@ -89,12 +89,12 @@ impl KernelSums {
         Self { x, y, placed, first, room, correlation }
     }
 
-    /// Returns the places of a column.
+    /// Returns the places of a column on the lattice.
     fn places(&self, column: usize) -> &[Placed] {
         &self.placed[self.first[column] as usize..self.first[column + 1] as usize]
     }
 
-    /// Returns the first and last nodes [y, x] that the columns are spread on.
+    /// Returns the first and the last node [y, x] on which the columns are spread; `None` if they have no places.
     fn nodes(&self, columns: impl Iterator<Item = usize>) -> Option<[[isize; 2]; 2]> {
         let cells = columns.flat_map(|j| self.places(j)).map(|p| p.cell.map(|c| c as isize));
         let ends = cells.map(|c| [c.map(|c| c - 1), c.map(|c| c + 2)]);
@@ -103,7 +103,7 @@ impl KernelSums {
         })
     }
 
-    /// Returns the pixels (y, x) that nodes reach.
+    /// Returns the ranges of the pixels (y, x) that the tool reaches from the nodes between `low` and `high`, [y, x].
     fn pixels(&self, [low, high]: [[isize; 2]; 2]) -> (Range<usize>, Range<usize>) {
         let [rows, columns] = [(0, self.y), (1, self.x)].map(|(axis, l)| {
             let to = (high[axis] + l.last + 1).clamp(0, l.pixels as isize) as usize;
@@ -112,12 +112,12 @@ impl KernelSums {
         (rows, columns)
     }
 
-    /// Returns the pixels (y, x) that the columns reach.
+    /// Returns the ranges of the pixels (y, x) that the columns with these indices reach.
     fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
         self.nodes(columns).map_or((0..0, 0..0), |nodes| self.pixels(nodes))
     }
 
-    /// Returns `sum_j t_j B_j` for columns j and their t_j.
+    /// Returns the removal `sum_j t_j B_j` by this kernel of some columns, given as pairs (j, t_j).
     fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let Some(nodes) = self.nodes(t.iter().map(|(j, _)| *j)) else { return Patch::default() };
         let (rows, columns) = self.pixels(nodes);
@@ -149,7 +149,7 @@ impl KernelSums {
     }
 }
 
-/// Makes the convolution of `samples` with all of a source of shape `room`, as an adjoint.
+/// Plans the full convolution of `samples` with a source of at most the shape `room`, as the adjoint of a convolution.
 fn full_correlation(samples: &Array2<f64>, room: (usize, usize)) -> Convolution {
     let (my, mx) = samples.dim();
     let reversed = samples.slice(s![..;-1, ..;-1]);
