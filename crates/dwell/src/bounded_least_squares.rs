@@ -97,12 +97,13 @@ use report::SAME_TIME_FACTOR;
 pub use report::{Algorithm, BoundedReport, BoundedSolution, RatesOfTime};
 pub use settings::{BoundedSettings, Product, Program};
 
-/// Solves (1) for `desired` along `path`, within the bounds of the settings.
+/// Finds the dwell times that minimise the objective (1) of the module for the desired removal along `path`, within
+/// the bounds of the settings.
 ///
 /// `weight` (ny, nx) >= 0 weighs the pixels; without it every valid pixel counts 1.
 ///
 /// # Errors
-/// Refuses what [`solve_within`] refuses, and bounds that are no times.
+/// Refuses inputs that [`solve_within`] refuses, and bounds that are negative or not finite.
 pub fn solve(
     desired: &Surface,
     tif: &Tif,
@@ -113,9 +114,11 @@ pub fn solve(
     solve_within(desired, tif, path, weight, settings, bounds(path, settings)?)
 }
 
-/// Solves (1) for `desired` along `path`, within these bounds (n), s. A rate that depends on the time of the run is
-/// that of the times of the plan: the problem is solved in rounds, each with the rates at the times of the round
-/// before.
+/// Finds the dwell times that minimise the objective (1) of the module for the desired removal along `path`, within
+/// these bounds (n), s.
+///
+/// If the rate of the tool depends on the time of the run, the problem is solved in rounds. Each has the rates at the
+/// times that the dwell times of the round before lead to.
 ///
 /// # Errors
 /// Refuses weights, settings and bounds that are not in their range, and a tool that does not reach the map.
@@ -163,7 +166,8 @@ pub fn solve_within(
     }
 }
 
-/// Returns the program of these columns within bounds.
+/// Returns the program (columns, bounds and first guess) for the places of the tool in each column, with bounds (n),
+/// s.
 fn program<'a>(
     places: &'a [Vec<ToolPlace>],
     (lo, hi): (&[f64], &[f64]),
@@ -172,13 +176,13 @@ fn program<'a>(
     Program { places, lo: lo.to_vec(), hi: hi.to_vec(), guess, quadratic: None }
 }
 
-/// Largest number of times that a tool whose rate depends on the time of the run is solved for. The first solution has
-/// the removal of the last one but for bounds and regularisation, so that few rounds are enough. Larger: more time.
-/// Smaller: more plans are refused.
+/// Largest number of rounds for a tool whose rate depends on the time of the run. The first solution has the removal
+/// of the last one but for bounds and regularisation, so that few rounds are enough. Larger: more time. Smaller: more
+/// plans are refused.
 const MAX_ROUNDS_OF_TIMES: usize = 12;
 
-/// Returns the mean factor of the time over each of some dwell times (n), s, one after the other from the start of the
-/// run.
+/// Returns the mean factor of a time-dependent rate over each of the dwell times (n), s, spent one after the other
+/// from the start of the run.
 fn time_factors(time: &TimeFactor, dwell_s: &[f64]) -> Vec<f64> {
     let mut start_s = 0.0;
     let mut factors = Vec::with_capacity(dwell_s.len());
@@ -189,8 +193,8 @@ fn time_factors(time: &TimeFactor, dwell_s: &[f64]) -> Vec<f64> {
     factors
 }
 
-/// Returns the dwell times (n), s, one after the other from the start of the run, that remove as much as these times at
-/// the factor 1.
+/// Returns the dwell times (n), s, that remove as much as `effective_s` at a rate factor of 1. They are spent one
+/// after the other from the start of the run.
 fn times_of_effective(time: &TimeFactor, effective_s: &[f64]) -> Vec<f64> {
     let mut start_s = 0.0;
     let mut dwell_s = Vec::with_capacity(effective_s.len());
@@ -202,13 +206,13 @@ fn times_of_effective(time: &TimeFactor, effective_s: &[f64]) -> Vec<f64> {
     dwell_s
 }
 
-/// Returns places at a rate with a factor.
+/// Returns the places with their fractions multiplied by the factor of the rate.
 fn at_rate(places: &[ToolPlace], factor: f64) -> Vec<ToolPlace> {
     places.iter().map(|p| ToolPlace { fraction: factor * p.fraction, ..*p }).collect()
 }
 
-/// Solves (1) with the columns and the bounds of a program. The fractions of its places hold the factors of a rate that
-/// depends on the time of the run.
+/// Finds the dwell times that minimise (1) of the module with the columns and bounds of a program. The fractions of
+/// its places include the factors of a rate that depends on the time of the run.
 ///
 /// # Errors
 /// Refuses what [`solve_within`] refuses.

@@ -91,7 +91,7 @@ struct CommonArgs {
     output: OutputArgs,
 }
 
-/// Settings of a solver with those that all have.
+/// Settings of a solver with those that all solvers have, as the manifest states them.
 #[derive(Serialize)]
 struct Resolved<S> {
     columns: Columns,
@@ -100,7 +100,7 @@ struct Resolved<S> {
     solver: S,
 }
 
-/// The solver's own report with the numbers that all have.
+/// Report of a solver with the numbers that all solvers have.
 #[derive(Serialize)]
 struct Reported<'a, R> {
     #[serde(flatten)]
@@ -109,7 +109,7 @@ struct Reported<'a, R> {
     report: &'a R,
 }
 
-/// The maps and the path that a solver works on.
+/// The maps and the path that a solver works on, as read from the files.
 struct Nouns {
     desired: Surface,
     tif: Tif,
@@ -129,7 +129,7 @@ impl CommonArgs {
     }
 }
 
-/// End of a solver as the command reports it.
+/// End of a solver, as the command reports it.
 struct Ended {
     /// Reason for which the solver ended.
     end: End,
@@ -139,7 +139,7 @@ struct Ended {
     words: String,
 }
 
-/// Reads, solves, writes, and prints one line.
+/// Reads the inputs, runs the solver, writes the dwell times, and prints one line.
 fn solve<S: Serialize, R: Serialize>(
     method: &'static str,
     common: &CommonArgs,
@@ -199,14 +199,15 @@ fn solve<S: Serialize, R: Serialize>(
     Ok(status)
 }
 
-/// Warns of a TIF that is too sharp for the lattice of the map.
+/// Warns if the TIF is too sharp for the lattice of the map.
 fn warn_of(lattice: Option<TifLattice>) {
     if let Some(warning) = lattice.and_then(|lattice| lattice.warning()) {
         warn(warning);
     }
 }
 
-/// Returns the status: negative with this reason of the library, if there is one.
+/// Returns the status of the command: negative with this reason, in which names of settings become flags; done if
+/// there is no reason.
 fn status(negative: Option<String>) -> Status {
     negative.map_or(Status::Done, |reason| Status::Negative(with_flags(&reason)))
 }

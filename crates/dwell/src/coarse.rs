@@ -43,7 +43,8 @@ const SQUARES_ON_RISE: f64 = 7.0;
 /// that are large beside the pixels. Smaller: more squares, and more time, for such tools.
 pub(crate) const MAX_SQUARE_PIXELS: usize = 64;
 
-/// Returns K for a map: the largest that the TIF allows, 1 for a map that is not large.
+/// Returns the side K of the squares for a map, pixels: the largest that the TIF allows, or 1 for a map below
+/// [`MIN_PIXELS_FOR_SQUARES`].
 pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     let grid = desired.grid();
     if grid.x.len() * grid.y.len() < MIN_PIXELS_FOR_SQUARES {
@@ -66,17 +67,17 @@ pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     ((x.min(y) / SQUARES_ON_RISE) as usize).clamp(1, MAX_SQUARE_PIXELS)
 }
 
-/// Returns a sample of the TIF (row, column), 0 beyond its samples.
+/// Returns the sample (row, column) of the TIF, nm/s; 0 beyond its samples.
 fn rate_or_zero(rate: &Array2<f64>, (r, c): (isize, isize)) -> f64 {
     let inside = r >= 0 && c >= 0;
     let sample = if inside { rate.get([r as usize, c as usize]) } else { None };
     sample.copied().unwrap_or(0.0)
 }
 
-/// (1) and (2); what is summed is summed in the precision of `T`.
+/// Operators (1) and (2) of the module for a map of dwell times on squares. `T` is the precision of their sums.
 pub(crate) struct CoarseMap<T: Lanes + Planned> {
     size: usize,
-    /// Tool positions, all of them.
+    /// Grid of all tool positions, not only of the coarse nodes.
     nodes: Grid,
     /// Shape of the map, pixels (ny, nx).
     pixels: (usize, usize),
@@ -110,12 +111,12 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         self.shape
     }
 
-    /// Returns the means of the removal over the squares (2), nm, for the times at the coarse nodes, s.
+    /// Returns the mean removal over every square, (2) of the module, nm, for the times at the coarse nodes, s.
     pub fn removal(&self, t: ArrayView2<f64>) -> Array2<f64> {
         self.convolution.valid(t)
     }
 
-    /// Applies the adjoint of (2).
+    /// Applies the adjoint of [`Self::removal`] to a map on squares; the result is on the coarse nodes.
     pub fn adjoint(&self, map: &Array2<f64>) -> Array2<f64> {
         self.convolution.adjoint(map.view())
     }
@@ -129,7 +130,7 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         })
     }
 
-    /// Returns the times (1) on all tool positions, s, from those at the coarse nodes.
+    /// Returns the times on all tool positions, s, from those at the coarse nodes, by (1) of the module.
     pub fn prolong(&self, t: Array2<f64>) -> Array2<f64> {
         if self.size == 1 {
             return t;
@@ -162,7 +163,8 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         tau
     }
 
-    /// Returns the desired means and the weights of the squares, from those of the pixels (ny, nx).
+    /// Returns the desired means and the weights of the squares, from the desired removal and the weights of the
+    /// pixels (ny, nx).
     pub fn restrict(&self, e: &Array2<f64>, w: &Array2<f64>) -> (Array2<f64>, Array2<f64>) {
         if self.size == 1 {
             return (e.clone(), w.clone());
@@ -212,8 +214,8 @@ struct Square {
     centroid: [f64; 2],
 }
 
-/// Returns the mean, moved from the centroid to the middle along the plane through the squares around;
-/// not below half the mean, so that what is desired stays positive.
+/// Returns the value of a square in its middle: its mean over the valid pixels, moved from their centroid along the
+/// plane through the squares around. It is at least half the mean, so that the desired removal stays positive.
 fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) -> f64 {
     let own = squares[[r, c]];
     let off = own.centroid.iter().any(|d| d.abs() > 1e-9);
@@ -246,7 +248,7 @@ fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) 
     (own.mean - gx * own.centroid[0] - gy * own.centroid[1]).max(0.5 * own.mean)
 }
 
-/// Returns the kernel of (2), on both axes.
+/// Returns the kernel G of (2) of the module, on both axes, nm/s, from the samples of the TIF.
 fn coarse_kernel(samples: &Array2<f64>, size: usize) -> Array2<f64> {
     if size == 1 {
         return samples.clone();
@@ -255,7 +257,7 @@ fn coarse_kernel(samples: &Array2<f64>, size: usize) -> Array2<f64> {
     coarse_lines(rows.t(), size).t().as_standard_layout().into_owned()
 }
 
-/// Applies (2) along the first axis: returns G[D], D = -(n - 1) ..= 0.
+/// Applies (2) of the module along the first axis: returns G[D], D = -(n - 1) ..= 0, for every column of `samples`.
 fn coarse_lines(samples: ArrayView2<f64>, size: usize) -> Array2<f64> {
     let (s, width) = samples.dim();
     let (k, n) = (size as isize, (s + 2 * size - 3) / size + 1);

@@ -20,19 +20,20 @@ use planish_types::ToolPath;
 
 use crate::objective::{has_density, median_length_mm};
 
-/// One undecided dwell point: its time is the sum of `factor t_k` over these k.
+/// One undecided dwell point. Its dwell time is the sum of `factor t_k` over its two `sources` (k, factor).
 struct Tie {
     point: usize,
     sources: [(usize, f64); 2],
 }
 
-/// The ties of (1) along a path.
+/// Dwell times of the undecided points along a path as sums of others, (1) of the module; each is a tie.
 pub(crate) struct Continuation {
     ties: Vec<Tie>,
 }
 
 impl Continuation {
-    /// Makes the ties of the dwell points of a path that are not `decided`; none if all points are decided.
+    /// Makes the ties of the dwell points j for which `decided(j)` is false: points that the map does not decide.
+    /// There are none if all points are decided, or if no segment has a length.
     pub fn new(path: &ToolPath, decided: impl Fn(usize) -> bool) -> Self {
         let Some(median) = median_length_mm(path) else { return Self { ties: Vec::new() } };
         let n = path.len();
@@ -67,14 +68,15 @@ impl Continuation {
         Self { ties: ties.collect() }
     }
 
-    /// Sets the times of the undecided points from those of the others, by (1).
+    /// Sets the dwell times of the undecided points in t (n) from those of the others, by (1) of the module.
     pub fn apply(&self, t: &mut [f64]) {
         for tie in &self.ties {
             t[tie.point] = tie.sources.iter().map(|(k, factor)| factor * t[*k]).sum();
         }
     }
 
-    /// Applies the adjoint of (1): adds what counts for an undecided point to those that decide it.
+    /// Applies the adjoint of (1) of the module to s (n): adds the element of every undecided point, times the
+    /// factors, to those of its sources.
     pub fn gather(&self, s: &mut [f64]) {
         for tie in &self.ties {
             for (k, factor) in tie.sources {
@@ -83,7 +85,7 @@ impl Continuation {
         }
     }
 
-    /// Sets the times of the undecided points by (1), within their bounds.
+    /// Sets the dwell times of the undecided points by (1) of the module, limited to their bounds.
     pub fn apply_within(&self, t: &mut [f64], lo: &[f64], hi: &[f64]) {
         self.apply(t);
         for Tie { point, .. } in &self.ties {

@@ -22,11 +22,11 @@ use planish_numerics::{
 };
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 
-/// (1): R at the pixels of the map.
+/// Removal by a map of dwell times, (1) of the module, with the TIF sampled at the pitch of the map.
 pub(crate) struct DwellMap {
-    /// Tool positions.
+    /// Lattice of tool positions.
     pub grid: Grid,
-    /// Sum of R over the pixels, nm/s.
+    /// Sum of the samples of the TIF at the pitch of the map, nm/s.
     pub rate_sum: f64,
     convolution: Convolution,
 }
@@ -42,12 +42,13 @@ impl DwellMap {
         Ok(Self { grid: nodes, rate_sum: kernel.sum(), convolution })
     }
 
-    /// Returns the removal (1), shape (ny, nx), nm, for the times on the nodes, s.
+    /// Returns the removal, (1) of the module, (ny, nx), nm, for the times on the nodes of the lattice, s.
     pub fn removal(&self, seconds: ArrayView2<f64>) -> Array2<f64> {
         self.convolution.valid(seconds)
     }
 
-    /// Applies the adjoint of (1) with `filter` of the spectrum of R in place of its conjugate.
+    /// Applies the adjoint of (1) of the module to a map (ny, nx), with `filter` of the spectrum of the TIF in place
+    /// of its conjugate. Returns a field on the lattice.
     pub fn filtered(
         &self,
         map: &Array2<f64>,
@@ -57,7 +58,7 @@ impl DwellMap {
     }
 }
 
-/// Returns R at the pitch of the map, and the tool positions from which it reaches the map.
+/// Returns the TIF at the pitch of the map, and the lattice of the tool positions from which it reaches the map.
 ///
 /// # Errors
 /// Refuses a TIF that varies over the part.
@@ -78,22 +79,23 @@ fn samples_at_pitch(map: &Axis, tif: &Axis) -> usize {
     ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1
 }
 
-/// Returns the offset of sample k of the TIF from the tool, mm.
+/// Returns the offset of sample k of the TIF, at the pitch of the map, from the tool, mm.
 fn sample_mm(map: &Axis, tif: &Axis, k: usize) -> f64 {
     tif.start_mm() + k as f64 * map.step_mm()
 }
 
-/// Returns the tool positions along an axis: from node 0 the last sample of R reaches pixel 0.
+/// Returns the tool positions along an axis. From the first one, the last of the `samples` of the TIF reaches the
+/// first pixel.
 fn tool_positions(map: &Axis, tif: &Axis, samples: usize) -> Result<Axis, Invalid> {
     let start = map.start_mm() - sample_mm(map, tif, samples - 1);
     Axis::new(start, map.step_mm(), map.len() + samples - 1)
 }
 
-/// Assignment of the nodes of a lattice to dwell points.
+/// Assignment of the nodes of a lattice to the dwell points of a path.
 pub(crate) struct NodeOwners {
     grid: Grid,
     points: Buckets,
-    /// Nearest dwell point that is near enough.
+    /// Index of the nearest dwell point of every node; [`NO_POINT`] if it is not near enough.
     nearest: Array2<u32>,
 }
 
@@ -165,8 +167,8 @@ impl NodeOwners {
         self.nearest.mapv(|j| j != NO_POINT)
     }
 
-    /// Returns the times (2) of `n` dwell points, s. Time on a node without a dwell point near enough goes to the
-    /// nearest dwell point, too.
+    /// Returns the times of `n` dwell points, s, from those on the nodes, by (2) of the module. The time on a node
+    /// without a dwell point near enough goes to the nearest dwell point, too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
         // Each row by itself, and neighbours with one dwell point together.
         let of_rows = parallel::map(seconds.nrows(), &|r| {
@@ -203,7 +205,7 @@ fn squared_distance(q: [f64; 2], p: [f64; 2]) -> f64 {
     (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
 }
 
-/// Returns the middle one of numbers >= 0, the upper of two; `None` of none.
+/// Returns the median of numbers >= 0, the upper one of two; `None` if there are no numbers.
 fn median(parts: &[Vec<f32>]) -> Option<f32> {
     let mut counts = vec![0; 1 << 15];
     parts.iter().flatten().for_each(|v| counts[upper_bits(*v)] += 1);
@@ -220,15 +222,15 @@ fn median(parts: &[Vec<f32>]) -> Option<f32> {
     Some(*near.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
-/// Returns the upper half of the bits of a number >= 0. It grows with the number: the middle one is among those that
-/// share it.
+/// Returns the upper half of the bits of a number >= 0. It grows with the number, so the median is among the numbers
+/// that share it.
 fn upper_bits(v: f32) -> usize {
     (v.to_bits() >> 16) as usize
 }
 
-/// Nodes that are no unknowns, and the unknowns whose time they have.
+/// Nodes of a lattice that are no unknowns, each with the unknown whose time it gets.
 pub(crate) struct Spread {
-    /// Node, and the unknown whose time it has.
+    /// Pairs of a node and the unknown whose time it gets, both by index in the lattice, row by row.
     ties: Vec<(u32, u32)>,
 }
 
@@ -266,14 +268,15 @@ impl Spread {
         Self { ties }
     }
 
-    /// Sets the times of the other nodes to those of their unknowns.
+    /// Sets the times of the nodes that are no unknowns to those of their unknowns.
     pub fn apply(&self, t: &mut [f64]) {
         for (node, source) in &self.ties {
             t[*node as usize] = t[*source as usize];
         }
     }
 
-    /// Applies the adjoint: adds what counts for a node to the unknown whose time it has.
+    /// Applies the adjoint of [`Self::apply`]: adds the element of every such node to that of the unknown whose time
+    /// it gets.
     pub fn gather(&self, s: &mut [f64]) {
         for (node, source) in &self.ties {
             s[*source as usize] += s[*node as usize];
@@ -281,12 +284,12 @@ impl Spread {
     }
 }
 
-/// Points sorted into squares, for the search of the nearest one.
+/// Points sorted into squares, for a quick search of the nearest point.
 struct Buckets {
     start: [f64; 2],
     side: f64,
     shape: [usize; 2],
-    /// Points by square.
+    /// Points grouped by the square that contains them.
     grouped: Grouped,
     /// Index and position of the points, mm [x, y], in the order of `grouped`.
     points: Vec<(u32, [f64; 2])>,
@@ -313,9 +316,9 @@ impl Buckets {
         Self { start, side, shape, grouped, points }
     }
 
-    /// Finds the nearest point, and its squared distance, for the nodes of some rows that have a point within the
-    /// side of a square. Of equal distances the lowest number counts. In a lattice of square cells every node has a
-    /// point within 0.71 sides.
+    /// Finds the nearest point, by its number, and its squared distance for every node of some rows that has a point
+    /// within the side of a square. Of equal distances the lowest number counts. In a lattice of square cells every
+    /// node has a point within 0.71 sides.
     fn within_a_side(
         &self,
         grid: &Grid,
@@ -357,8 +360,9 @@ impl Buckets {
         );
     }
 
-    /// Returns the place of the nearest point to p (for the next guess), its number, and its distance; the lowest
-    /// number of equals. The nearer the guess, the quicker. Beyond `reach` it may be another one than the nearest.
+    /// Returns the point nearest to p, mm: its index in `points` (for the next guess), its number, and its distance;
+    /// of equal distances, the lowest number. A nearer `guess` makes it quicker. Beyond the distance `reach` another
+    /// point than the nearest may be returned.
     fn nearest(&self, p: [f64; 2], guess: usize, reach: f64) -> (usize, (u32, f64)) {
         let own = [0, 1].map(|a| {
             let b = ((p[a] - self.start[a]) / self.side).floor();
@@ -400,7 +404,7 @@ impl Buckets {
     }
 }
 
-/// Returns the nodes of an axis within a distance of p, mm.
+/// Returns the range of the nodes of an axis within `distance` of the coordinate p, mm.
 #[inline(always)]
 fn nodes_within(axis: &Axis, p: f64, distance: f64) -> Range<usize> {
     let low = (p - distance - axis.start_mm()) / axis.step_mm();
@@ -410,24 +414,24 @@ fn nodes_within(axis: &Axis, p: f64, distance: f64) -> Range<usize> {
     from.min(to)..to
 }
 
-/// Returns a square above which squared distances are larger than `distance` by more than rounding.
+/// Returns the square of a distance, raised by 1e-6 of it, so that rounding does not exclude a point at this distance.
 fn rounded_up_square(distance: f64) -> f64 {
     1.000_001 * distance * distance
 }
 
-/// The search for the point nearest to `p`.
+/// State of the search for the point nearest to `p`, mm.
 struct NearestSearch<'a> {
     buckets: &'a Buckets,
     p: [f64; 2],
-    /// Place of the best point so far, its number and its distance.
+    /// Index in the list of the best point so far.
     place: usize,
     best: (u32, f64),
-    /// Squared distance beyond which no point is better.
+    /// Squared distance above which a point is not better than the best one.
     above: f64,
 }
 
 impl NearestSearch<'_> {
-    /// Looks for a better point in a square [x, y], which may lie outside.
+    /// Looks for a better point in a square, given by its indices [x, y], which may lie outside of all squares.
     #[inline]
     fn look_into(&mut self, square: [isize; 2]) {
         let Self { buckets: Buckets { start, side, shape, grouped, points }, p, .. } = *self;

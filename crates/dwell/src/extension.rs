@@ -23,26 +23,26 @@ use planish_types::{Axis, Grid, Invalid};
 /// closely, and may swing beyond it. Smaller: it is smoother.
 const POLYNOMIALS_Y_X: (usize, usize) = (6, 9);
 
-/// A map with a border on every side, and the pixels that are known.
+/// A map with a border of pixels on every side, and the mask of its valid pixels.
 pub(crate) struct Extension {
-    /// The extended map.
+    /// Grid of the extended map.
     pub grid: Grid,
-    /// Pixels of border above and below, and to the left and right.
+    /// Number of pixels of the border: [above and below, left and right].
     pub border: [usize; 2],
-    /// Known pixels of the extended map.
+    /// Valid pixels of the extended map.
     valid: Array2<bool>,
-    /// Per pixel: the nearest valid one.
+    /// Nearest valid pixel (row, column) of every pixel.
     nearest: Array2<(usize, usize)>,
     ring: Array2<bool>,
-    /// Chebyshev polynomials at the rows (ny, a) and columns (nx, b).
+    /// Chebyshev polynomials T_a at the rows (ny, a) and T_b at the columns (nx, b) of the extended map.
     basis: (Array2<f64>, Array2<f64>),
-    /// Factor of the normal equations of (2).
+    /// Factor of the normal equations of the fit (2) of the module; `None` if they are singular.
     factor: Option<Factor>,
 }
 
 impl Extension {
-    /// Makes a border of `border` rows and columns around the pixels of `grid` with `valid`; the ring of (2) begins
-    /// `ring_mm` from the nearest valid pixel.
+    /// Makes a border of `border` pixels [above and below, left and right] around the pixels of `grid`, of which
+    /// `valid` is the mask. The ring of (2) of the module begins `ring_mm` from the nearest valid pixel.
     ///
     /// # Errors
     /// Refuses a border that no axis can have.
@@ -77,7 +77,7 @@ impl Extension {
         Ok(extension)
     }
 
-    /// Returns the distance of a pixel to the nearest valid one, mm.
+    /// Returns the distance of a pixel (row, column) of the extended map to the nearest valid one, mm.
     pub fn distance_mm(&self, (r, c): (usize, usize)) -> f64 {
         let (nr, nc) = self.nearest[[r, c]];
         let dy = r as f64 - nr as f64;
@@ -85,14 +85,15 @@ impl Extension {
         (dx * self.grid.x.step_mm()).hypot(dy * self.grid.y.step_mm())
     }
 
-    /// Returns the part of an extended map that is the map.
+    /// Returns the part of an extended map without the border.
     pub fn inner(&self, map: &Array2<f64>) -> Array2<f64> {
         let (ny, nx) = map.dim();
         let [rows, columns] = self.border;
         map.slice(s![rows..ny - rows, columns..nx - columns]).to_owned()
     }
 
-    /// Returns (2) on the extended map, for a map (ny, nx) whose invalid pixels may hold anything.
+    /// Returns the extended map for a map (ny, nx): valid pixels keep their values, the others follow (2) of the
+    /// module. The values of invalid pixels do not matter.
     pub fn rise(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut z = Array2::zeros(self.valid.dim());
         let (ny, nx) = map.dim();
@@ -110,12 +111,12 @@ impl Extension {
         Array2::from_shape_fn(z.dim(), |p| if self.fitted(p) { odd[p] } else { polynomial[p] })
     }
 
-    /// Returns true for a pixel that (2) is fitted to, and which keeps its value.
+    /// Returns true if the polynomial of (2) of the module is fitted to this pixel: a valid one, or one of the ring.
     fn fitted(&self, p: (usize, usize)) -> bool {
         self.valid[p] || self.ring[p]
     }
 
-    /// Returns (1) at a pixel; the value itself on valid pixels.
+    /// Returns the odd reflection (1) of the module at a pixel p; on valid pixels it is the value itself.
     fn odd(&self, z: &Array2<f64>, p: (usize, usize)) -> f64 {
         let e = self.nearest[p];
         let mirrored = (2 * e.0).checked_sub(p.0).zip((2 * e.1).checked_sub(p.1));
@@ -125,7 +126,8 @@ impl Extension {
         }
     }
 
-    /// Returns the factor of Phi' Phi over the fitted pixels; `None` when it is singular (all valid pixels on a line).
+    /// Returns the factor of the normal matrix of the polynomials over the fitted pixels. `None` if it is singular,
+    /// for example if all valid pixels are on a line.
     fn normal_equations(&self) -> Option<Factor> {
         let (ty, tx) = &self.basis;
         let (a, b) = POLYNOMIALS_Y_X;
@@ -142,19 +144,19 @@ impl Extension {
     }
 }
 
-/// Returns an axis with so many more coordinates at each end.
+/// Returns an axis with `border` more coordinates at each end.
 fn widened(axis: &Axis, border: usize) -> Result<Axis, Invalid> {
     let start_mm = axis.start_mm() - border as f64 * axis.step_mm();
     Axis::new(start_mm, axis.step_mm(), axis.len() + 2 * border)
 }
 
-/// Returns the products of every column of t with every other, as the columns of a matrix.
+/// Returns the products of every column of t (m, k) with every column, as the columns of a matrix (m, k^2).
 fn column_products(t: &Array2<f64>) -> Array2<f64> {
     let k = t.ncols();
     Array2::from_shape_fn((t.nrows(), k * k), |(i, q)| t[[i, q / k]] * t[[i, q % k]])
 }
 
-/// Returns T_0 .. T_{count-1} (columns) at `n` points from -1 to 1 (rows).
+/// Returns the Chebyshev polynomials T_0 .. T_{count-1} (columns) at `n` points from -1 to 1 (rows).
 fn chebyshev(n: usize, count: usize) -> Array2<f64> {
     let x = Array1::from_iter((0..n).map(|i| 2.0 * i as f64 / (n - 1) as f64 - 1.0));
     let mut t = Array2::ones((n, count));
@@ -168,7 +170,8 @@ fn chebyshev(n: usize, count: usize) -> Array2<f64> {
     t
 }
 
-/// Finds, for every pixel, the nearest true one (Euclidean, pixels of dx by dy); one must be true.
+/// Finds, for every pixel, the nearest valid one (row, column); at least one must be valid. The distance is Euclidean,
+/// between pixels of the size `dx` by `dy`.
 ///
 /// Exact in two passes: nearest in the column, then the lower envelope of the parabolas
 /// `(c - k)^2 dx^2 + d_k^2` along each row. Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory of

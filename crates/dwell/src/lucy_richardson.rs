@@ -69,25 +69,26 @@ pub enum Unknowns {
     Map,
 }
 
-/// Settings of the solver.
+/// Settings of the Lucy-Richardson deconvolution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LucyRichardsonSettings {
     /// Unknowns of the solver.
     pub unknowns: Unknowns,
-    /// mu: weight of the total variation; >= 0, useful up to 0.02.
+    /// Weight mu of the total variation, dimensionless; >= 0, useful up to 0.02.
     pub total_variation: f64,
-    /// c: what is removed at the lowest pixel, as a fraction of the largest minus the smallest E; > 0.
+    /// Removal c at the lowest pixel, as a fraction of the range of the desired removal above `low` of (1) of the
+    /// module; > 0.
     pub margin: f64,
-    /// Fraction of the pixels, the lowest ones, that may be cut off; in [0, 1).
+    /// Fraction of the pixels, the lowest ones, that may lie below `low` of (1) of the module; in [0, 1).
     pub pits: f64,
-    /// Relative change of the RMS over ten steps below which the steps end.
+    /// Relative decrease of the RMS over ten steps below which the solver ends.
     pub min_decrease: f64,
     /// Largest number of steps.
     pub max_iterations: usize,
     /// True if `max_iterations` is the wanted end. More steps fit more noise, so that a limited number of steps can
     /// be a choice and is then not reported as a failure.
     pub stop_at_max: bool,
-    /// True if steps start from extrapolated points, (3).
+    /// True if steps start from extrapolated points, (3) of the module.
     pub accelerated: bool,
     /// Side of the squares on which a map of dwell times is solved, pixels, from 1 to 64. Default: 1 for maps below a
     /// million pixels, and for larger maps the largest side that the TIF allows.
@@ -110,7 +111,7 @@ impl Default for LucyRichardsonSettings {
     }
 }
 
-/// Result of the solver.
+/// Report of the Lucy-Richardson deconvolution.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LucyRichardsonReport {
     /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
@@ -118,16 +119,17 @@ pub struct LucyRichardsonReport {
     pub end: End,
     /// Number of steps.
     pub iterations: usize,
-    /// sum w (E ln m - m) before the first step, and after each.
+    /// Log-likelihood sum w (E ln m - m), with the removal m, before the first step and after each.
     pub log_likelihood: Vec<f64>,
-    /// RMS of E - m (mean removed) before the first step, and after each, nm.
+    /// RMS of the difference E - m of desired and actual removal (mean removed), before the first step and after each,
+    /// nm.
     pub rms_nm: Vec<f64>,
-    /// Unknowns that are not too near to or beyond the reach of the tool.
+    /// Number of unknowns that are solved for: those well within the reach of the tool.
     pub active: usize,
     /// Negative samples of the TIF that were taken as zero.
     pub clipped_tif_samples: usize,
-    /// Side of the squares of pixels that it was solved on; likelihood and RMS above are those of
-    /// their means.
+    /// Side of the squares of pixels on which a map of dwell times was solved. Likelihood and RMS above are those of
+    /// the means over the squares.
     pub pixels_per_cell: usize,
 }
 
@@ -154,7 +156,8 @@ const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 /// may grow without use. Smaller: the limit cuts dwell times that the map needs.
 const MAX_TIME_OVER_MEAN: f64 = 20.0;
 
-/// Maximises the likelihood by (2), on the path or on a map of dwell times.
+/// Maximises the likelihood by the steps (2) of the module, with the dwell times of the path or a map of dwell times
+/// as unknowns.
 ///
 /// # Errors
 /// Refuses settings out of range, what every solver refuses, and a map of dwell times for a TIF that varies.
@@ -185,7 +188,7 @@ pub fn solve(
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
 }
 
-/// Makes the model that these unknowns need.
+/// Makes the removal model that these unknowns need.
 fn ready<'a>(problem: &Problem<'a>, unknowns: Unknowns) -> Result<DwellModel<'a>, DwellError> {
     match unknowns {
         Unknowns::Path => DwellModel::new(problem),
@@ -223,7 +226,7 @@ fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
     Ok((Tif::new(*tif.grid(), rate)?, negative))
 }
 
-/// Returns E of (1), shape (ny, nx), nm; 0 where the weight is 0.
+/// Returns the positive desired removal E of (1) of the module, (ny, nx), nm; 0 where the weight is 0.
 fn positive_target(model: &DwellModel<'_>, settings: &LucyRichardsonSettings) -> Array2<f64> {
     let mut e = model.target();
     let low = model.lowest(&e, settings.pits);
@@ -236,20 +239,20 @@ fn positive_target(model: &DwellModel<'_>, settings: &LucyRichardsonSettings) ->
     e
 }
 
-/// Operators and vectors that the step (2) needs.
+/// Operators and vectors of the unknowns T that the step (2) of the module needs.
 struct Unknown<'a> {
     forward: &'a dyn Fn(&[f64]) -> Array2<f64>,
     adjoint: &'a dyn Fn(&Array2<f64>) -> Vec<f64>,
-    /// kappa, from T and the mean of T.
+    /// Curvature kappa of (2), from T and the mean of T.
     curvature: &'a dyn Fn(&[f64], f64) -> Vec<f64>,
-    /// B' w.
+    /// Weighted removal B' w of one second at every unknown, nm/s.
     sensitivity: &'a [f64],
     active: &'a [bool],
-    /// T of a uniform density, in any unit.
+    /// Times T of a uniform dwell time per length or area, in any unit.
     uniform: &'a [f64],
 }
 
-/// Solves for the dwell times of the path.
+/// Solves for the dwell times of the path; returns them, s, and the report.
 fn on_path(
     model: &DwellModel<'_>,
     e: &Array2<f64>,
@@ -282,7 +285,8 @@ fn on_path(
     (t, report)
 }
 
-/// Returns kappa along the path (n), with the density q = t / (l_j / l):
+/// Returns the curvature kappa of (2) of the module along the path (n), with the density q = t / (l_j / l), eps a
+/// fraction of the mean:
 /// `kappa_j = p_j - p_{j-1}`, `p_j = (q_{j+1} - q_j) / sqrt((q_{j+1} - q_j)^2 + eps^2)`.
 fn curvature_along_path(t: &[f64], shape: &[f64], active: &[bool], mean: f64) -> Vec<f64> {
     let mut before = 0.0;
@@ -300,7 +304,7 @@ fn curvature_along_path(t: &[f64], shape: &[f64], active: &[bool], mean: f64) ->
     kappa
 }
 
-/// Solves for a map of dwell times, and brings it to the path.
+/// Solves for a map of dwell times and transfers it to the path; returns the dwell times, s, and the report.
 fn on_map(
     model: &DwellModel<'_>,
     e: &Array2<f64>,
@@ -361,7 +365,7 @@ fn on_map(
     Ok((t, report))
 }
 
-/// Returns true if the pixel nearest to `p` has a positive weight.
+/// Returns true if the pixel that contains the point `p` [x, y], mm, has a positive weight; false outside the map.
 pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bool {
     let grid = desired.grid();
     match (index_of_cell(&grid.y, p[1]), index_of_cell(&grid.x, p[0])) {
@@ -370,14 +374,14 @@ pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bo
     }
 }
 
-/// Returns the index of the pixel that contains p, mm; `None` beyond the axis.
+/// Returns the index of the pixel that contains the coordinate p, mm; `None` beyond the axis.
 fn index_of_cell(axis: &Axis, p: f64) -> Option<usize> {
     let i = (p - axis.start_mm()) / axis.step_mm() + 0.5;
     if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
 }
 
-/// Returns `div(grad T / sqrt(|grad T|^2 + eps^2))` by forward differences, and backward ones of their result;
-/// no difference over the border of the active nodes.
+/// Returns the curvature `div(grad T / sqrt(|grad T|^2 + eps^2))` of a map T (ny, nx), by forward differences, and
+/// backward ones of their result. No difference is taken across the border of the active nodes.
 fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) -> Vec<f64> {
     let mut normal = vec![[0.0; 2]; t.len()];
     parallel::for_each_piece(&mut normal, nx, &|r, normal| {
@@ -399,11 +403,11 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
     divergence.collect()
 }
 
-/// Number of elements of a piece of a sum. Another value changes the last digits of the result.
+/// Number of elements of a partial sum in [`sum_of_products`]. Another value changes the last digits of the result.
 const ELEMENTS_PER_PIECE: usize = 1 << 13;
 
-/// Replaces t by the point of (3) from which the next step goes on: `x` is (2) of t, and `extrapolated` has x_k and
-/// g_k.
+/// Replaces t by the extrapolated point (3) of the module, from which the next step starts. `x` is the result of the
+/// step (2) from t. `extrapolated` has x_k and g_k of the step before, and is updated.
 fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64>, Vec<f64>)>) {
     // t becomes g, then the point to go on from.
     t.iter_mut().zip(&x).for_each(|(t, x)| *t = x - *t);
@@ -418,7 +422,8 @@ fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64
     *extrapolated = Some((x, std::mem::replace(t, y)));
 }
 
-/// Repeats (2) until it settles; returns the times of the unknowns and the report.
+/// Repeats the step (2) of the module until it settles or its number is used up; returns the times of the unknowns, s,
+/// and the report.
 fn iterate(
     w: &Array2<f64>,
     e: &Array2<f64>,
@@ -496,12 +501,13 @@ fn iterate(
     (t, report)
 }
 
-/// Returns `sum a_i b_i`, as the sum of the sums over pieces.
+/// Returns `sum a_i b_i`, as the sum of the sums over pieces of [`ELEMENTS_PER_PIECE`] elements.
 fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     a.chunks(ELEMENTS_PER_PIECE).zip(b.chunks(ELEMENTS_PER_PIECE)).map(|(a, b)| dot(a, b)).sum()
 }
 
-/// Returns `sum w (E ln m - m)` and the RMS (mean removed) of E - m; m becomes w E / m.
+/// Returns the log-likelihood `sum w (E ln m - m)` and the RMS (mean removed) of E - m for the removal m (ny, nx).
+/// Replaces m by w E / m.
 fn compared(e: &Array2<f64>, w: &Array2<f64>, floor: f64, m: &mut Array2<f64>) -> (f64, f64) {
     let mut parts = vec![[0.0; 4]; m.nrows()];
     parallel::consume(m.outer_iter_mut().zip(&mut parts), &|r, (mut m, sums)| {

@@ -19,7 +19,7 @@ pub const REST_FRACTION: f64 = 0.01;
 /// passes as a free function.
 const DEPENDENT_FRACTION: f64 = 1e-12;
 
-/// Returns the median length of the segments that have one, mm.
+/// Returns the median length of the segments that have one, mm; `None` if no segment has a length.
 pub fn median_length_mm(path: &ToolPath) -> Option<f64> {
     let mut lengths: Vec<f64> =
         (0..path.len()).map(|j| path.segment_length_mm(j)).filter(|l| *l > 0.0).collect();
@@ -37,17 +37,18 @@ pub enum Free {
     Plane,
 }
 
-/// Functions that need not be removed, orthonormal under the weights:
+/// Free functions of the map, which need not be removed (piston, or plane), orthonormal under the weights:
 /// `sum_i w_i f_l(x_i) f_m(x_i) = [l = m]`.
 pub struct Basis {
     x_mm: Vec<f64>,
     y_mm: Vec<f64>,
-    /// f = a + b (x - x0) + c (y - y0) with the middle of the map at (x0, y0).
+    /// Coefficients [a, b, c] of every function f = a + b (x - x0) + c (y - y0), with the middle of the map at (x0,
+    /// y0), mm.
     functions: Vec<[f64; 3]>,
 }
 
 impl Basis {
-    /// Makes the functions on the pixels of `grid` with these weights.
+    /// Makes the functions for the pixels of `grid` with these weights (ny, nx).
     pub fn new(grid: &Grid, weight: &Array2<f64>, free: Free) -> Self {
         let x_mm = from_middle_mm(&grid.x);
         let y_mm = from_middle_mm(&grid.y);
@@ -91,7 +92,7 @@ impl Basis {
         f[0] + f[1] * self.x_mm[c] + f[2] * self.y_mm[r]
     }
 
-    /// Returns `sum_i w_i m_i f(x_i)` for every function.
+    /// Returns the coefficient `sum_i w_i m_i f(x_i)` of a map m (ny, nx) in every free function f.
     pub fn coefficients(&self, weight: &Array2<f64>, map: &Array2<f64>) -> Vec<f64> {
         // By rows: sums of w m and of w m x.
         let rows: Vec<(f64, f64)> = parallel::map(map.nrows(), &|r| {
@@ -111,7 +112,7 @@ impl Basis {
         sums
     }
 
-    /// Takes the component in the functions out of the map.
+    /// Subtracts from the map (ny, nx) its component in the free functions.
     pub fn project(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
         let coefficients = self.coefficients(weight, map);
         parallel::consume(map.outer_iter_mut(), &|r, mut row| {
@@ -125,8 +126,8 @@ impl Basis {
         });
     }
 
-    /// Takes W f times the sum of the map times f out of the map, for every function: the adjoint of
-    /// [`Self::project`].
+    /// Applies the adjoint of [`Self::project`] to the map m: subtracts `W f sum_i m_i f(x_i)` for every free function
+    /// f.
     pub fn project_adjoint(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
         let coefficients = self.coefficients(&Array2::ones(weight.dim()), map);
         for (k, f) in coefficients.iter().zip(&self.functions) {
@@ -149,13 +150,14 @@ impl Basis {
     }
 }
 
-/// Returns the coordinates of an axis from its middle, mm.
+/// Returns the coordinates of an axis, counted from its middle, mm.
 fn from_middle_mm(axis: &Axis) -> Vec<f64> {
     let middle = 0.5 * (axis.start_mm() + axis.end_mm());
     axis.coordinates().iter().map(|v| v - middle).collect()
 }
 
-/// Returns the weighted product of two functions from the moments of 1, x, y, of which the lower triangle is filled.
+/// Returns the weighted product of two functions with the coefficients a and b, from the moments of 1, x, y, of which
+/// only the lower triangle is read.
 fn moment_product(moments: &[[f64; 3]; 3], a: &[f64; 3], b: &[f64; 3]) -> f64 {
     let mut sum = 0.0;
     for k in 0..3 {
@@ -166,7 +168,8 @@ fn moment_product(moments: &[[f64; 3]; 3], a: &[f64; 3], b: &[f64; 3]) -> f64 {
     sum
 }
 
-/// Returns `sum_i w_i a_i b_i`, added by rows: the result is the same for every number of threads.
+/// Returns `sum_i w_i a_i b_i` of two maps (ny, nx), added row by row: the result is the same for every number of
+/// threads.
 pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     let sums: Vec<f64> = parallel::map(weight.nrows(), &|r| {
         let factors = weight.row(r).into_iter().zip(a.row(r)).zip(b.row(r));
@@ -175,20 +178,21 @@ pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) 
     sums.iter().sum()
 }
 
-/// Weights of the terms of the penalty.
+/// Weights of the terms of the objective other than the residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyWeights {
     /// alpha: weight of the dwell time per area above its lower bound.
     pub tikhonov: f64,
     /// beta: weight of the slope of the dwell time per area along the path.
     pub slope_weight: f64,
-    /// Price of a second beside half the mean square of the residual, nm^2/s.
+    /// Weight of one second of dwell time in half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
 }
 
-/// Smallest A, in areas of a dwell point. However small the tool, the weights of neighbouring dwell times then do not
-/// fall below those of a path with this many points in the area of the TIF. Larger: smoother dwell times on coarse
-/// paths. Smaller: neighbouring dwell times may differ more than a machine can follow.
+/// Smallest effective area A of the TIF in the penalty, in areas of a dwell point. However small the tool, the weights
+/// of neighbouring dwell times then do not fall below those of a path with this many points in the area of the TIF.
+/// Larger: smoother dwell times on coarse paths. Smaller: neighbouring dwell times may differ more than a machine can
+/// follow.
 pub const POINTS_PER_AREA: f64 = 36.0;
 
 /// Quantities to which the weights of the penalty are relative.
@@ -215,8 +219,8 @@ impl PenaltyScale {
     }
 }
 
-/// Returns the lengths of the path on which dwell times are spent (n), mm: those of the segments; a rest has the
-/// median.
+/// Returns the length along the path that every dwell time belongs to (n), mm: that of the segment, or the median
+/// length for a rest.
 pub fn lengths_mm(path: &ToolPath) -> Vec<f64> {
     let median = median_length_mm(path);
     (0..path.len())
@@ -233,7 +237,7 @@ pub fn has_density(path: &ToolPath, j: usize, median_mm: f64) -> bool {
     path.tool_on()[j] && path.segment_length_mm(j) > REST_FRACTION * median_mm
 }
 
-/// Returns the distance of neighbouring lines of the path, mm. A tool of the volumetric removal rate V that takes 1
+/// Returns the distance p of neighbouring lines of the path, mm. A tool of the volumetric removal rate V that takes 1
 /// s/mm along lines at the distance p removes V / p on average, so with `b = B' w` (n)
 ///
 /// ```text
@@ -265,7 +269,7 @@ pub struct Penalty {
     /// Weight of one second of dwell time, in the unit of the objective.
     time: f64,
     lo: Vec<f64>,
-    /// k and the factors u, v of a term `(v t_k - u t_{k-1})^2 / 2`.
+    /// Index k and factors u, v of every slope term `(v t_k - u t_{k-1})^2 / 2`.
     steps: Vec<(usize, f64, f64)>,
 }
 
@@ -306,22 +310,24 @@ impl Penalty {
         self.lo.len()
     }
 
-    /// Returns `alpha D A / a_j` of every dwell time (n).
+    /// Returns the diagonal `alpha D A / a_j` of the Tikhonov term (n).
     pub fn alpha(&self) -> &[f64] {
         &self.alpha
     }
 
-    /// Returns the least `alpha D A / a_j`: a lower bound of the eigenvalues of L.
+    /// Returns the least diagonal element `alpha D A / a_j` of the Tikhonov term: a lower bound of the eigenvalues of
+    /// L.
     pub fn least_alpha(&self) -> f64 {
         self.alpha.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the terms `(v t_k - u t_{k-1})^2 / 2` of the slope as (k, u, v).
+    /// Returns the slope terms `(v t_k - u t_{k-1})^2 / 2` of the penalty as (k, u, v).
     pub fn steps(&self) -> &[(usize, f64, f64)] {
         &self.steps
     }
 
-    /// Calls `add(j, k, v)` for elements of the matrix L with k <= j; an element is the sum of all its calls.
+    /// Calls `add(j, k, v)` with parts v of the elements (j, k), k <= j, of the matrix L of the penalty. An element is
+    /// the sum of all its parts.
     pub fn for_each(&self, mut add: impl FnMut(usize, usize, f64)) {
         for (j, alpha) in self.alpha.iter().enumerate() {
             add(j, j, *alpha);
@@ -333,7 +339,7 @@ impl Penalty {
         }
     }
 
-    /// Returns the diagonal of L (n).
+    /// Returns the diagonal of the matrix L of the penalty (n).
     pub fn diagonal(&self) -> Vec<f64> {
         let mut diagonal = vec![0.0; self.len()];
         self.for_each(|j, k, v| {
@@ -344,7 +350,7 @@ impl Penalty {
         diagonal
     }
 
-    /// Adds `L t` to `out` (n).
+    /// Adds the product `L t` with the matrix of the penalty to `out` (n).
     pub fn add_product(&self, t: &[f64], out: &mut [f64]) {
         out.iter_mut().zip(t).zip(&self.alpha).for_each(|((o, t), alpha)| *o += alpha * t);
         for &(k, u, v) in &self.steps {

@@ -42,13 +42,13 @@ use crate::{
     surrogate::{MAX_LOSS_FACTORISED, cell_size},
 };
 
-/// (1) for fixed places of the tool.
+/// Half the mean square of the residual, (1) of the module, as a function of the times at fixed places of the tool.
 pub struct Residual<'a> {
     desired: &'a Surface,
     tif: Cow<'a, Tif>,
-    /// Places of the tool with the factor of the rate there.
+    /// Places of the tool; their fractions are factors of the removal rate.
     places: Vec<ToolPlace>,
-    /// Weights of the pixels; their sum is 1.
+    /// Weights of the pixels (ny, nx); their sum is 1.
     weight: Array2<f64>,
     free: Free,
     basis: Basis,
@@ -56,18 +56,18 @@ pub struct Residual<'a> {
     cell_size: usize,
 }
 
-/// (1) at some times.
+/// Value and gradient of (1) of the module at some times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
-    /// f, nm^2.
+    /// Half the mean square f of the residual, nm^2.
     pub half_mean_square_nm2: f64,
-    /// Its derivatives (n), nm^2/s.
+    /// Derivatives of f by the times at the places (n), nm^2/s.
     pub gradient_nm2_per_s: Vec<f64>,
 }
 
 impl<'a> Residual<'a> {
-    /// Makes (1) for the desired removal, a tool, and its places (n). Without weights every valid pixel counts the
-    /// same.
+    /// Makes the function for a desired removal, a tool, and its positions `places_mm` (n) as [x, y]. Without weights
+    /// every valid pixel counts the same.
     ///
     /// # Errors
     /// Refuses weights as the solvers do, a TIF that has no place on the lattice of the map, and places that reach
@@ -83,7 +83,8 @@ impl<'a> Residual<'a> {
         Self::at_places(desired, tif, places, weight, free)
     }
 
-    /// Makes (1) for places with their directions; the fraction of a place is the factor of the rate there.
+    /// Makes the function for places with their directions of motion; the fraction of a place is a factor of the
+    /// removal rate there.
     ///
     /// # Errors
     /// Refuses what [`Self::new`] refuses.
@@ -108,7 +109,7 @@ impl<'a> Residual<'a> {
         Ok(Self { desired, tif, places, weight, free, basis, operator, cell_size })
     }
 
-    /// Limits the side of the cells of the normal matrices, pixels.
+    /// Limits the side of the cells of the normal matrices to `pixels` pixels.
     pub fn on_cells_of_at_most(self, pixels: usize) -> Self {
         Self { cell_size: self.cell_size.min(pixels), ..self }
     }
@@ -118,7 +119,7 @@ impl<'a> Residual<'a> {
         self.cell_size
     }
 
-    /// Returns f and its gradient for the times at the places (n), s.
+    /// Returns half the mean square f of the residual and its gradient, for the times at the places (n), s.
     pub fn evaluate(&self, time_s: &[f64]) -> Evaluation {
         self.evaluate_removal(&self.removal_nm(time_s))
     }
@@ -128,7 +129,8 @@ impl<'a> Residual<'a> {
         self.operator.apply(time_s)
     }
 
-    /// Returns f and its gradient for a removal (ny, nx), nm, in the place of B t.
+    /// Returns half the mean square f of the residual and its gradient, for a removal (ny, nx), nm, in place of B t.
+    /// The gradient is by the times at the places.
     pub fn evaluate_removal(&self, removal_nm: &Array2<f64>) -> Evaluation {
         let mut r = Zip::from(self.desired.height_nm())
             .and(removal_nm)
@@ -141,8 +143,8 @@ impl<'a> Residual<'a> {
         Evaluation { half_mean_square_nm2: 0.5 * square, gradient_nm2_per_s: gradient }
     }
 
-    /// Returns the product of the curvature of f with some times at the places (n), s: the change of the gradient,
-    /// nm^2/s.
+    /// Returns the product of the second derivatives of f with some times at the places (n), s: the change of the
+    /// gradient (n), nm^2/s.
     pub fn curvature(&self, time_s: &[f64]) -> Vec<f64> {
         let mut r = self.removal_nm(time_s);
         self.basis.project(&self.weight, &mut r);
@@ -154,8 +156,8 @@ impl<'a> Residual<'a> {
         (&self.removal_nm(time_s) * &self.weight).sum()
     }
 
-    /// Returns the normal matrix of columns (m), each a sum of some places by their indices, with a time at each. It
-    /// has room for the coupling of every column with the next one.
+    /// Returns the normal matrix of m columns. Each column is a sum of places, given as pairs (index of the place,
+    /// time per unit of the column). The matrix has room for the coupling of every column with the next one.
     ///
     /// Parts that are `known` from another matrix of the same map and tool are not computed again.
     ///
@@ -195,7 +197,7 @@ impl<'a> Residual<'a> {
         Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
     }
 
-    /// Returns the places of a column, given by index and time.
+    /// Returns the places of a column given as pairs (index, time), with their fractions multiplied by the times.
     fn timed_places(&self, column: &[(usize, f64)]) -> Vec<ToolPlace> {
         let timed = column.iter().map(|(index, time)| {
             let place = self.places[*index];
@@ -204,7 +206,7 @@ impl<'a> Residual<'a> {
         timed.collect()
     }
 
-    /// Returns the removal of every column on cells of pixels; takes known ones out of `known`.
+    /// Returns the removal of every column on cells of pixels; takes that of known columns out of `known`.
     fn on_cells(&self, places: &[Vec<ToolPlace>], known: &mut Known) -> Vec<Patch> {
         let grid = self.desired.grid();
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
@@ -219,11 +221,11 @@ impl<'a> Residual<'a> {
     }
 }
 
-/// Known parts of the normal matrix of some columns, from that of others, see [`Normal::for_next`].
+/// Parts of the normal matrix of other columns that are used again, see [`Normal::for_next`].
 pub struct Known {
-    /// Column there of every column, if it is one.
+    /// For every new column, the index of the equal column of the other matrix; `None` if there is none.
     column: Vec<Option<usize>>,
-    /// Row of every column there.
+    /// Row of every column in the other matrix.
     row_of: Vec<usize>,
     k: Skyline,
     cells: Vec<Patch>,
@@ -235,14 +237,14 @@ impl Known {
         Self { column: vec![None; columns], row_of: Vec::new(), k, cells: Vec::new() }
     }
 
-    /// Returns the row of a column, if it is known.
+    /// Returns the row of the other matrix for a new column; `None` if it is not known.
     fn row(&self, column: usize) -> Option<KnownRow<'_>> {
         let row = self.row_of[self.column[column]?];
         Some(KnownRow { known: self, row, first: self.k.first(row), elements: self.k.row(row) })
     }
 }
 
-/// A row of the other normal matrix.
+/// A row of the other normal matrix, for a known column.
 struct KnownRow<'a> {
     known: &'a Known,
     row: usize,
@@ -251,7 +253,8 @@ struct KnownRow<'a> {
 }
 
 impl KnownRow<'_> {
-    /// Returns the element of this row and another column, if that one is known, too.
+    /// Returns the element of this row for another new column; `None` if that one is not known, or its element is not
+    /// in this row.
     fn coupling(&self, column: usize) -> Option<f64> {
         let Known { column: before, row_of, k, .. } = self.known;
         let other = row_of[before[column]?];
@@ -264,29 +267,29 @@ impl KnownRow<'_> {
     }
 }
 
-/// The normal matrix of some columns in an order in which its skyline is small.
+/// The normal matrix of some columns, in an order in which it has few stored elements.
 #[derive(Clone, Debug)]
 pub struct Normal {
-    /// Column of every row.
+    /// Index of the column for every row of the matrix.
     pub order: Vec<usize>,
-    /// The matrix, nm^2 by the unit of the columns squared.
+    /// The matrix: second derivatives of f, nm^2 per square of the unit of the columns.
     pub matrix: Quadratic,
-    /// True if the matrix is nowhere above the curvature of f.
+    /// True if the matrix is at most the second derivatives of f, (2) of the module, so that it can prove bounds.
     pub below_curvature: bool,
     /// Removal of every column, on cells of pixels.
     cells: Vec<Patch>,
 }
 
 impl Normal {
-    /// Returns the row of every column.
+    /// Returns the row of the matrix for every column.
     pub fn row_of(&self) -> Vec<usize> {
         let mut row_of = vec![0; self.order.len()];
         self.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
         row_of
     }
 
-    /// Returns the parts that the matrix of other columns can take from this one. `column` holds, for every column
-    /// there, the column here that equals it, if there is one.
+    /// Returns the parts that the normal matrix of other columns can take from this one. `column` holds, for every
+    /// other column, the index of the equal column here; `None` if there is none.
     pub fn for_next(self, column: Vec<Option<usize>>) -> Known {
         Known { column, row_of: self.row_of(), k: self.matrix.k, cells: self.cells }
     }

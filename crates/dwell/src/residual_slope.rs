@@ -25,7 +25,7 @@ use serde::Serialize;
 /// Weight of the slope of the residual, and the base length of the slope.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ResidualSlope {
-    /// W: weight of the square of a slope, nm/mm, beside the square of a height, nm; mm^2, > 0.
+    /// Weight W of the squared slope, in nm/mm, beside the squared height, in nm; mm^2, > 0.
     pub weight_mm2: f64,
     /// Base length of the slopes, mm; the nearest whole number of steps is used, at least one.
     pub base_mm: f64,
@@ -46,8 +46,8 @@ impl ResidualSlope {
         Ok(())
     }
 
-    /// Returns twice the term (1) of a residual, over the number of its valid pixels, nm^2: W times the mean square
-    /// of the slopes, which adds to the mean square of the heights.
+    /// Returns W times the mean square of the slopes of a residual, nm^2, which adds to the mean square of the
+    /// heights: twice the term (1) of the module, over the number of valid pixels.
     pub fn mean_square_nm2(&self, residual: &Surface) -> f64 {
         let weight = residual.height_nm().map(|z| if z.is_nan() { 0.0 } else { 1.0 });
         let known = residual.height_nm().map(|z| if z.is_nan() { 0.0 } else { *z });
@@ -56,17 +56,17 @@ impl ResidualSlope {
     }
 }
 
-/// S of (1) on the pixels of a map.
+/// Matrix S of (1) of the module on the pixels of a map.
 pub(crate) struct SlopeTerm {
     weight_mm2: f64,
-    /// Axis, steps and base, mm.
+    /// Direction of every slope: array axis, number of steps of the base, and base length, mm.
     directions: Vec<(NdAxis, usize, f64)>,
-    /// Roots of the weights of the pixels.
+    /// Square roots of the weights of the pixels (ny, nx).
     root: Array2<f64>,
 }
 
 impl SlopeTerm {
-    /// Makes S for the weights of the pixels (ny, nx).
+    /// Makes the matrix S for the weights of the pixels (ny, nx). An axis shorter than the base has no slopes.
     pub fn new(slope: &ResidualSlope, grid: &Grid, weight: &Array2<f64>) -> Self {
         let along = [(Along::X, &grid.x), (Along::Y, &grid.y)];
         let directions = along.into_iter().filter_map(|(along, axis)| {

@@ -41,16 +41,16 @@ use crate::{
     problem::{DwellModel, Problem, Solution, check},
 };
 
-/// Settings of the solver.
+/// Settings of the robust iterative Fourier transform algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RiftaSettings {
-    /// RMS that a smaller margin may cost, nm; >= 0.
+    /// Increase of the residual RMS at which a smaller margin is still taken, nm; >= 0.
     pub margin_tolerance_nm: f64,
-    /// Change of the RMS at which the lift of the map ends, nm; > 0.
+    /// Change of the residual RMS below which the lifts of the map end, nm; > 0.
     pub piston_tolerance_nm: f64,
-    /// Largest number of lifts of the map.
+    /// Largest number of lifts of the map by a piston, for each margin.
     pub max_lifts: usize,
-    /// Part of the pixels, the lowest ones, that do not decide how much is removed; in [0, 1).
+    /// Fraction of the pixels, the lowest ones, that do not decide how much is removed; in [0, 1).
     pub pits: f64,
 }
 
@@ -61,25 +61,25 @@ impl Default for RiftaSettings {
     }
 }
 
-/// Result of the solver.
+/// Report of the robust iterative Fourier transform algorithm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RiftaReport {
     /// Reason for which the lifts of the map ended: `settled` (another lift would lower the RMS by little or not at
     /// all), or `lift-limit`.
     pub end: End,
-    /// Cap of the gain, times the sum of R over the pixels (1: the gain for a constant).
+    /// Cap gamma of the gain, times the sum of the TIF over the pixels; 1 is the gain for a constant.
     pub relative_gamma: f64,
-    /// Lift of the map, nm.
+    /// Lift of the map by a piston, nm.
     pub piston_nm: f64,
     /// Margin of the dwell times beyond the aperture, mm.
     pub margin_mm: f64,
     /// Margins that were tried, mm.
     pub tried_margin_mm: Vec<f64>,
-    /// RMS of the dwell map, before the path, by margin, nm.
+    /// RMS of the residual of the dwell map, before its transfer to the path, for every margin that was tried, nm.
     pub tried_rms_nm: Vec<f64>,
-    /// Time of the dwell map by margin, s.
+    /// Total time of the dwell map for every margin that was tried, s.
     pub tried_time_s: Vec<f64>,
-    /// RMS of the dwell map, before it went to the path, nm.
+    /// RMS of the residual of the dwell map, before its transfer to the path, nm.
     pub map_rms_nm: f64,
 }
 
@@ -94,7 +94,8 @@ impl RiftaReport {
     }
 }
 
-/// Solves by (1), with the margin that costs less time and hardly any residual.
+/// Finds the dwell times by the inverse filter (1) of the module, with the margin that costs less time and hardly any
+/// residual.
 ///
 /// # Errors
 /// Refuses settings out of range, a TIF that varies or is larger than the map, and what every solver refuses.
@@ -182,16 +183,16 @@ struct Fourier<'a> {
     map: DwellMap,
     cells: NodeOwners,
     extension: Extension,
-    /// z - B lo - min on the aperture, continued, and its weight by the distance (1 within reach).
+    /// Desired removal above the floor and above its minimum in the aperture, continued over the extended map, nm.
     target: Array2<f64>,
     taper: Array2<f64>,
     /// Distance of the nodes of the lattice to the aperture, mm.
     distance_mm: Array2<f64>,
-    /// Half size of the TIF.
+    /// Half size of the TIF, the larger one of x and y, mm.
     radius_mm: f64,
 }
 
-/// The dwell map for a margin and its effect.
+/// The dwell map for one margin, and its residual.
 struct MarginTrial {
     seconds: Array2<f64>,
     gamma: f64,
@@ -232,7 +233,8 @@ impl<'a> Fourier<'a> {
         Ok(Self { model, map, cells, extension, target, taper, distance_mm, radius_mm })
     }
 
-    /// Returns the dwell map (1) within the margin, its residual in the aperture, and the RMS of that.
+    /// Returns the dwell map (1) of the module within the margin, s, its residual in the aperture, nm, and the RMS of
+    /// the residual. The map is lifted by `piston_nm`.
     fn apply(&self, piston_nm: f64, gamma: f64, margin_mm: f64) -> (Array2<f64>, Array2<f64>, f64) {
         let lifted = (&self.target + piston_nm) * &self.taper;
         let mut seconds = self.map.filtered(&lifted, |r| {
@@ -253,7 +255,7 @@ impl<'a> Fourier<'a> {
         (seconds, residual, rms)
     }
 
-    /// Lifts the map until the RMS settles, for one margin.
+    /// Finds the dwell map for one margin: lifts the map until the RMS of the residual settles.
     fn solve(&self, margin_mm: f64, settings: &RiftaSettings) -> MarginTrial {
         let gamma = self.gamma(margin_mm);
         let mut piston_nm = 0.0;
@@ -279,7 +281,8 @@ impl<'a> Fourier<'a> {
         MarginTrial { time_s, seconds, gamma, piston_nm, margin_mm, rms_nm: rms, settled }
     }
 
-    /// Returns the cap of the gain with the least RMS: a scan over three decades, then the golden section.
+    /// Returns the cap gamma of the gain with the least RMS for a margin, s/nm: a scan over three decades, then the
+    /// golden section.
     fn gamma(&self, margin_mm: f64) -> f64 {
         let unit = 1.0 / self.map.rate_sum;
         let scan: Vec<f64> =
@@ -308,19 +311,20 @@ impl<'a> Fourier<'a> {
         unit * if rms < scan[k] { narrowed } else { ln_cap(k) }.exp()
     }
 
-    /// Returns the RMS with a cap, given as the logarithm of gamma over that for a constant.
+    /// Returns the RMS of the residual for a cap of the gain and a margin, nm. The cap is given as the logarithm of
+    /// gamma over the gain for a constant.
     fn rms_of_cap(&self, ln_cap: f64, margin_mm: f64) -> f64 {
         let unit = 1.0 / self.map.rate_sum;
         self.apply(0.0, unit * ln_cap.exp(), margin_mm).2
     }
 }
 
-/// Returns the logarithm of the k-th cap of the scan.
+/// Returns the k-th cap of the scan, as the logarithm of gamma over the gain for a constant.
 fn ln_cap(k: usize) -> f64 {
     1e3_f64.ln() * k as f64 / CAPS_SCANNED as f64
 }
 
-/// Returns the index of the coordinate nearest to p, mm; that of an end beyond it.
+/// Returns the index of the coordinate nearest to p, mm; for a p beyond the axis, that of its nearer end.
 fn nearest_index(axis: &Axis, p: f64) -> usize {
     let i = ((p - axis.start_mm()) / axis.step_mm()).round();
     i.clamp(0.0, (axis.len() - 1) as f64) as usize

@@ -30,7 +30,8 @@ use crate::{
     problem::{DwellModel, Problem, Solution, check},
 };
 
-/// Choice of delta. Relative dampings are fractions of the largest singular value of `M W^1/2 B`.
+/// Choice of the damping delta. Relative dampings are fractions of the largest singular value of the weighted removal
+/// matrix `M W^1/2 B`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Damping {
@@ -38,16 +39,16 @@ pub enum Damping {
     Relative(f64),
     /// Largest damping whose residual (RMS, mean removed) is at most this noise, nm.
     Discrepancy(f64),
-    /// Corner of the L-curve.
+    /// Damping at the corner of the L-curve.
     LCurve,
 }
 
-/// Settings of the solver.
+/// Settings of the damped least squares.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TikhonovLsqrSettings {
-    /// Choice of delta.
+    /// Choice of the damping delta.
     pub damping: Damping,
-    /// Orthogonality of residual and columns at which LSQR ends.
+    /// Relative size of the product of the residual with the columns at which LSQR ends; 0 at the minimum.
     pub tolerance: f64,
     /// Largest number of steps of LSQR.
     pub max_iterations: usize,
@@ -61,28 +62,29 @@ impl Default for TikhonovLsqrSettings {
     }
 }
 
-/// Result of the solver.
+/// Report of the damped least squares.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TikhonovLsqrReport {
-    /// `converged` or `iteration-limit`.
+    /// Reason for the end: `converged` or `iteration-limit`.
     pub end: End,
-    /// Steps of LSQR.
+    /// Number of steps of LSQR.
     pub iterations: usize,
-    /// Relative damping that was used.
+    /// Relative damping that was used, as a fraction of the largest singular value.
     pub relative_damping: f64,
-    /// delta, nm/s (a singular value of B times the root of the weights).
+    /// Damping delta that was used, nm/s, in the unit of the singular values of the weighted removal matrix.
     pub damping_nm_per_s: f64,
-    /// True if the residual reached the noise; always true without `discrepancy`.
+    /// True if the residual is not above the given noise; always true without `discrepancy`.
     pub noise_reached: bool,
-    /// Relative dampings of the search.
+    /// Relative dampings that the search tried.
     pub searched: Vec<f64>,
-    /// RMS (mean removed) of the residual before the floor, by damping, nm.
+    /// RMS (mean removed) of the residual for every damping tried, before the dwell times are raised to their floor,
+    /// nm.
     pub searched_rms_nm: Vec<f64>,
-    /// |t - t_ref| by damping, s.
+    /// Norm |t - t_ref| of the dwell times above the level of dwell, for every damping tried, s.
     pub searched_norm_s: Vec<f64>,
-    /// Level of dwell c that the floor asks for, s.
+    /// Level of dwell c, the common time that the floor asks for, s ((3) of [`crate::problem`]).
     pub level_s: f64,
-    /// Dwell times that no level brings to their floor.
+    /// Number of dwell times that no level brings to their floor; they are put there.
     pub clipped: usize,
 }
 
@@ -127,7 +129,7 @@ impl Damping {
     }
 }
 
-/// Solves (1), with the damping or by the search for it.
+/// Finds the dwell times that minimise (1) of the module, with the given damping or by the search for one.
 ///
 /// # Errors
 /// Refuses a damping or a noise that is not positive, and what every solver refuses.
@@ -202,7 +204,8 @@ fn falling_dampings((from, to, count): (f64, f64, usize)) -> Vec<f64> {
     (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect()
 }
 
-/// Returns the solution for the right-hand side b with each of the dampings, as fractions of `largest`.
+/// Returns the solutions for the right-hand side b, one for each of the dampings `relative`, which are fractions of
+/// `largest`.
 fn damped(
     model: &DwellModel<'_>,
     b: &[f64],
@@ -228,8 +231,8 @@ fn residual_rms(model: &DwellModel<'_>, solutions: &[Damped]) -> Vec<f64> {
     solutions.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect()
 }
 
-/// Returns the index of the corner of the curve (ln residual, ln norm): the largest Menger curvature
-/// `4 area / (product of the sides)` of three neighbours that turn towards the origin.
+/// Returns the index of the corner of the L-curve (ln residual, ln norm): the point with the largest Menger curvature
+/// `4 area / (product of the sides)` of it and its two neighbours, among those that turn towards the origin.
 fn corner(residual: &[f64], norm: &[f64]) -> usize {
     let p: Vec<[f64; 2]> = residual.iter().zip(norm).map(|(r, n)| [r.ln(), n.ln()]).collect();
     (1..p.len().saturating_sub(1))

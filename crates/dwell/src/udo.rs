@@ -46,16 +46,16 @@ pub enum Floor {
     Shift,
 }
 
-/// Settings of the solver.
+/// Settings of the universal dwell time optimisation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UdoSettings {
     /// Method to keep the dwell times above their floor.
     pub floor: Floor,
-    /// beta: fraction of the best step that is taken from the second round on; in (0, 1].
+    /// Fraction beta of the best step that is taken from the second round on; in (0, 1].
     pub step: f64,
-    /// RMS at which it ends, nm; >= 0.
+    /// RMS of the residual at which the solver ends, nm; >= 0, 0 for no threshold.
     pub threshold_nm: f64,
-    /// Largest number of rounds.
+    /// Largest number of rounds of (2) of the module.
     pub max_iterations: usize,
 }
 
@@ -66,15 +66,15 @@ impl Default for UdoSettings {
     }
 }
 
-/// Result of the solver.
+/// Report of the universal dwell time optimisation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct UdoReport {
     /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
     /// not reached), or `rounds-done` where there is no threshold: the rounds are the end asked for.
     pub end: End,
-    /// Rounds after the first image.
+    /// Number of rounds after the first adjoint image.
     pub iterations: usize,
-    /// RMS of the residual, mean removed, after the first image and each round, nm.
+    /// RMS of the residual (mean removed), nm, after the first adjoint image and after each round.
     pub rms_nm: Vec<f64>,
 }
 
@@ -92,7 +92,7 @@ impl UdoReport {
     }
 }
 
-/// Solves by (1) and (2).
+/// Finds the dwell times by the adjoint images (1) and rounds (2) of the module.
 ///
 /// # Errors
 /// Refuses settings out of range, a TIF that varies or is larger than the map, and what every solver refuses.
@@ -165,7 +165,8 @@ pub fn solve(
     }
 }
 
-/// Returns gamma of (1): the step with the least RMS of `z - gamma m`, means removed.
+/// Returns the step gamma of (1) of the module: the one with the least RMS of `z - gamma m` (means removed), for the
+/// maps m and z (ny, nx).
 fn best_step(model: &DwellModel<'_>, m: &Array2<f64>, z: &Array2<f64>) -> f64 {
     let m = model.centred(m);
     let mut cov = 0.0;
@@ -179,7 +180,7 @@ fn best_step(model: &DwellModel<'_>, m: &Array2<f64>, z: &Array2<f64>) -> f64 {
     if var > 0.0 { (cov / var).max(0.0) } else { 0.0 }
 }
 
-/// B_e and the extension.
+/// The extended map, and the removal operator B_e on it.
 struct Image {
     extension: Extension,
     operator: Operator,
@@ -201,7 +202,7 @@ impl Image {
         Ok(Self { extension, operator })
     }
 
-    /// Returns b of (1), shape (n), for a map (ny, nx).
+    /// Returns the adjoint image b of (1) of the module (n), for a map z (ny, nx).
     fn adjoint(&self, z: &Array2<f64>) -> Vec<f64> {
         let mut z = self.extension.rise(z);
         let mean = z.sum() / z.len() as f64;
@@ -209,7 +210,7 @@ impl Image {
         self.operator.adjoint(&z)
     }
 
-    /// Returns B t on the pixels of the map, (ny, nx).
+    /// Returns the removal B t on the pixels of the map (ny, nx), nm, for dwell times t (n), s.
     fn removal(&self, t: &[f64]) -> Array2<f64> {
         self.extension.inner(&self.operator.apply(t))
     }

@@ -37,14 +37,14 @@ use crate::{
     problem::check,
 };
 
-/// Settings of the solver.
+/// Settings of the constrained least squares.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BclsSettings {
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
-    /// eta: least feed as a fraction of the largest reachable one; in [0, 1), 0 for none.
+    /// Least feed eta as a fraction of the largest reachable feed; in [0, 1), 0 for none.
     pub least_feed: f64,
-    /// alpha of the [least squares](bounded_least_squares).
+    /// Weight alpha of the Tikhonov term of the [least squares](bounded_least_squares), dimensionless.
     pub tikhonov: f64,
 }
 
@@ -54,31 +54,33 @@ impl Default for BclsSettings {
     }
 }
 
-/// The bounds in numbers, and whether the dwell times keep them.
+/// Feeds, lengths and violations of the bounds (2) of the module.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BclsReport {
-    /// (3) for the largest limits along a segment of the path, mm.
+    /// Pitch limit (3) of the module for the largest limits along a segment of the path, mm.
     pub pitch_limit_mm: f64,
     /// Shortest segment with a length, mm.
     pub shortest_segment_mm: f64,
-    /// Segments below (3): their least dwell time is longer than the largest feed asks for.
+    /// Number of segments shorter than the pitch limit (3): their least dwell time is longer than the largest feed of
+    /// the machine asks for.
     pub below_pitch_limit: usize,
-    /// Smallest and largest V* of (1), mm/s.
+    /// Smallest and largest reachable feed V* of (1) of the module, mm/s.
     pub reachable_mm_per_s: [f64; 2],
-    /// Neighbours whose change of feed does not fit into the longer one of them; 0.
+    /// Number of pairs of neighbouring segments whose change of feed does not fit into the longer one; 0 within the
+    /// bounds.
     pub trapezoid_violations: usize,
 }
 
-/// The least-squares solution within (2).
+/// The least-squares solution within the bounds (2) of the module.
 #[derive(Clone, Debug)]
 pub struct Bcls {
-    /// Dwell times and certificate.
+    /// Dwell times, with the report of the least squares.
     pub solution: BoundedSolution,
-    /// The bounds.
+    /// Report on the bounds.
     pub report: BclsReport,
 }
 
-/// Solves within (2).
+/// Finds the dwell times with the least residual RMS within the bounds (2) of the module.
 ///
 /// # Errors
 /// Refuses a TIF whose rate depends on the time of the run, what [`bounds`] refuses, and what
@@ -113,22 +115,22 @@ pub fn solve(
     Ok(Bcls { solution, report })
 }
 
-/// (1) and (2) of every segment.
+/// Reachable feeds (1) and bounds of the dwell times (2) of the module for every segment (n).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
-    /// d / V*, s; 0 for a rest.
+    /// Least dwell time d / V*, s; 0 for a rest.
     pub lo: Vec<f64>,
-    /// d / (eta V*), s.
+    /// Largest dwell time d / (eta V*), s.
     pub hi: Vec<f64>,
-    /// V*: largest reachable feed of every segment, mm/s.
+    /// Largest reachable feed V* of every segment, mm/s.
     reachable_mm_per_s: Vec<f64>,
-    /// A along the segment, mm/s^2.
+    /// Largest acceleration A along every segment, mm/s^2.
     acceleration_mm_per_s2: Vec<f64>,
-    /// Right-hand side of (3) for every segment: least length at which the machine reaches its largest feed, mm.
+    /// Least length of every segment at which the machine reaches its largest feed, (3) of the module, mm.
     pitch_limit_mm: Vec<f64>,
 }
 
-/// Returns the bounds (1) and (2) of every segment.
+/// Returns the reachable feeds (1) and the bounds (2) of the module for every segment.
 ///
 /// # Errors
 /// Refuses a least feed that is no fraction, and a path whose lengths differ too much for it.
@@ -191,7 +193,8 @@ pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bound
     })
 }
 
-/// Returns the limit along segment j, by the axis that reaches its own limit first; a rest has no direction.
+/// Returns the limit of the speed or acceleration along segment j, from the limits [x, y] of the axes. The axis that
+/// reaches its own limit first decides. Infinite for a rest, which has no direction.
 fn limit_along(path: &ToolPath, j: usize, limit: [f64; 2]) -> f64 {
     let d = path.displacement_mm(j);
     let length = path.segment_length_mm(j);
@@ -201,7 +204,7 @@ fn limit_along(path: &ToolPath, j: usize, limit: [f64; 2]) -> f64 {
 }
 
 impl Bounds {
-    /// Returns the bounds in numbers.
+    /// Returns the report on the bounds for some dwell times (n), s.
     fn report(&self, path: &ToolPath, dwell_s: &[f64]) -> BclsReport {
         let length_mm = |j: &usize| path.segment_length_mm(*j);
         let moving: Vec<usize> = (0..path.len()).filter(|j| length_mm(j) > 0.0).collect();
@@ -220,8 +223,8 @@ impl Bounds {
         }
     }
 
-    /// Counts the neighbours with `|v_{k+1}^2 - v_k^2| > max(2 A d)` of the two, v = d / t: the change of feed does
-    /// not fit into the longer of them.
+    /// Counts the pairs of neighbouring segments with `|v_{k+1}^2 - v_k^2| > max(2 A d)`, the maximum over both: the
+    /// change of feed (v = d / t) does not fit into the longer of them.
     pub fn trapezoid_violations(&self, path: &ToolPath, dwell_s: &[f64]) -> usize {
         let n = path.len();
         let d: Vec<f64> = (0..n).map(|j| path.segment_length_mm(j)).collect();

@@ -57,26 +57,27 @@ const LEAST_PART_OF_LINES: f64 = 0.6;
 /// Settings of the feed law.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct FeedLawSettings {
-    /// d everywhere, mm; measured line by line where absent.
+    /// Pitch d of all lines, mm; measured line by line if absent.
     pub pitch_mm: Option<f64>,
 }
 
-/// Result of the feed law.
+/// Report of the feed law.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FeedLawReport {
     /// `direct`: nothing is solved for.
     pub end: End,
-    /// Number of lines.
+    /// Number of lines of the raster.
     pub lines: usize,
-    /// Smallest and largest d of the lines, mm.
+    /// Smallest and largest pitch d of the lines, mm.
     pub pitch_mm: [f64; 2],
-    /// Number of segments of lines that need more than the largest feed. The tool removes more there than is desired.
+    /// Number of segments of lines on which the law asks for more than the largest feed. The tool removes more there
+    /// than is desired.
     pub too_fast: usize,
     /// Height that was added to the map so that no height is negative, nm.
     pub lifted_nm: f64,
 }
 
-/// Computes the dwell times (2), and what they do in the removal model of the solvers.
+/// Computes the dwell times (2) of the module, and their effect in the removal model of the solvers.
 ///
 /// # Errors
 /// Refuses what [`dwell`] refuses, and what every solver refuses.
@@ -90,7 +91,7 @@ pub fn solve(
     DwellModel::with_any_floor(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
 }
 
-/// Computes the dwell times (2), without what they do.
+/// Computes the dwell times (2) of the module alone, without their effect.
 ///
 /// # Errors
 /// Refuses a pitch that is not positive, a path without lines or with a line that has no pitch, a floor out of range,
@@ -149,19 +150,19 @@ pub fn dwell(
     Ok((DwellTime::new(dwell_s)?, report))
 }
 
-/// A line: consecutive segments in the common direction.
+/// A line of the raster: consecutive segments in the common direction.
 #[derive(Clone, Debug)]
 struct RasterLine {
     segments: std::ops::Range<usize>,
     pass: i64,
     /// Coordinate across the lines, from an origin that all lines share, mm.
     across_mm: f64,
-    /// Start and end along the direction of the lines, mm.
+    /// Start and end along the direction of the lines, from an origin that all lines share, mm.
     along_mm: [f64; 2],
 }
 
-/// Returns the lines of a path, in its order, and their direction; refuses a path whose length is not mostly that of
-/// parallel lines.
+/// Returns the lines of a path, in its order, and the unit vector [x, y] of their direction. Refuses a path whose
+/// length is not mostly that of parallel lines.
 fn lines(path: &ToolPath) -> Result<(Vec<RasterLine>, [f64; 2]), Invalid> {
     let is_on = |i: &usize| path.tool_on()[*i] && path.segment_length_mm(*i) > 0.0;
     let on: Vec<usize> = (0..path.len()).filter(is_on).collect();
@@ -208,18 +209,18 @@ fn lines(path: &ToolPath) -> Result<(Vec<RasterLine>, [f64; 2]), Invalid> {
     Ok((lines, along))
 }
 
-/// Returns the scalar product.
+/// Returns the scalar product of two vectors [x, y].
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-/// Returns the unit vector along a segment.
+/// Returns the unit vector [x, y] along segment i.
 fn unit(path: &ToolPath, i: usize) -> [f64; 2] {
     path.displacement_mm(i).map(|d| d / path.segment_length_mm(i))
 }
 
-/// Returns the axis of most of the length of some segments, by the sum of l exp(2 i angle), in which there and back are
-/// the same.
+/// Returns the unit vector [x, y] of the direction in which most of the length of some segments lies. It comes from
+/// the sum of l exp(2 i angle), in which opposite directions are the same.
 fn main_direction(path: &ToolPath, segments: &[usize]) -> [f64; 2] {
     let mut cosine = 0.0;
     let mut sine = 0.0;
@@ -233,7 +234,8 @@ fn main_direction(path: &ToolPath, segments: &[usize]) -> [f64; 2] {
     [angle.cos(), angle.sin()]
 }
 
-/// Returns the intervals of the other lines at the place of each line: start and end along it, mm.
+/// Returns, for each line, the intervals [start, end] along it, mm, of all other lines that have the same coordinate
+/// across.
 fn in_the_same_place(lines: &[RasterLine]) -> Vec<Vec<[f64; 2]>> {
     let order = across_order(lines);
     let mut others = vec![Vec::new(); lines.len()];
@@ -248,15 +250,15 @@ fn in_the_same_place(lines: &[RasterLine]) -> Vec<Vec<[f64; 2]>> {
     others
 }
 
-/// Returns the lines in the order of their coordinates across them.
+/// Returns the indices of the lines in the order of their coordinates across them.
 fn across_order(lines: &[RasterLine]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..lines.len()).collect();
     order.sort_by(|a, b| lines[*a].across_mm.total_cmp(&lines[*b].across_mm));
     order
 }
 
-/// Returns the distance of a line to another one that is beside it, mm; `None` for the same line and one that does not
-/// overlap it.
+/// Returns the distance of a line to another one that is beside it, mm. `None` if the other one has the same
+/// coordinate across, or does not overlap it along.
 fn distance_beside_mm(line: &RasterLine, other: &RasterLine) -> Option<f64> {
     let distance_mm = (other.across_mm - line.across_mm).abs();
     let is_beside = distance_mm > SAME_LINE_MM
@@ -265,7 +267,7 @@ fn distance_beside_mm(line: &RasterLine, other: &RasterLine) -> Option<f64> {
     if is_beside { Some(distance_mm) } else { None }
 }
 
-/// Returns d of every line; refuses a line without another one beside it.
+/// Returns the measured pitch d of every line, mm; refuses a line without another one beside it.
 fn measured(lines: &[RasterLine]) -> Result<Vec<f64>, Invalid> {
     let order = across_order(lines);
     // Distances to the nearest line beside one, before and after it: of its own pass, or of all.
@@ -303,8 +305,8 @@ fn measured(lines: &[RasterLine]) -> Result<Vec<f64>, Invalid> {
     Ok(pitches)
 }
 
-/// Returns the mean over a square around `p` of the map, linear between its pixels, or the valid pixel nearest to it,
-/// nm. Invalid pixels have no part in it.
+/// Returns the mean height over a square with the side `side_mm` around the point `p` [x, y], mm, of the map, linear
+/// between its valid pixels, nm. If the square holds no valid pixel, returns the height of the nearest one.
 fn depth_nm(desired: &Surface, p: [f64; 2], side_mm: f64) -> f64 {
     let grid = desired.grid();
     let z = desired.height_nm();
@@ -323,8 +325,8 @@ fn depth_nm(desired: &Surface, p: [f64; 2], side_mm: f64) -> f64 {
     if total > 0.0 { sum / total } else { z[desired.nearest_valid(p)] }
 }
 
-/// Returns the pixels of an axis that have a part in the mean of what is linear between them, from `v` - side/2 to
-/// `v` + side/2, each with its part times side / pixel:
+/// Returns the pixels of an axis that take part in the mean, over `v` - side/2 to `v` + side/2, of a function that is
+/// linear between them. Each comes with its weight, in pixels:
 ///
 /// ```text
 /// w_i = H(b - i) - H(a - i),   H' = max(1 - |u|, 0)     a, b the ends, in pixels

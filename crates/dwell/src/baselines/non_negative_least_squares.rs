@@ -29,14 +29,14 @@ use crate::{
     problem::{DwellModel, Problem, Solution, check},
 };
 
-/// Settings of the solver.
+/// Settings of the non-negative least squares.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NonNegativeSettings {
-    /// alpha; >= 0.
+    /// Weight alpha of the Tikhonov term, dimensionless; >= 0.
     pub tikhonov: f64,
-    /// Gradient at which it ends, as a fraction of the largest at the floor.
+    /// Gradient at which the solver ends, as a fraction of the largest one at the floor.
     pub tolerance: f64,
-    /// Largest number of components that are freed or put back, per dwell point.
+    /// Largest number of changes per dwell point; a change frees a dwell time or puts it back on its floor.
     pub max_changes_per_point: usize,
 }
 
@@ -48,12 +48,12 @@ impl Default for NonNegativeSettings {
     }
 }
 
-/// Result of the solver.
+/// Report of the non-negative least squares.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NonNegativeReport {
-    /// `optimal` or `iteration-limit`.
+    /// Reason for the end: `optimal` or `iteration-limit`.
     pub end: End,
-    /// Components that were freed or put back.
+    /// Number of changes: dwell times freed, or put back on their floor.
     pub iterations: usize,
     /// Largest change of a dwell time in a projected gradient step, s; 0 at the optimum.
     pub kkt_residual_s: f64,
@@ -72,7 +72,7 @@ impl NonNegativeReport {
     }
 }
 
-/// Solves (1).
+/// Finds the dwell times that minimise (1) of the module.
 ///
 /// # Errors
 /// Refuses a negative alpha, more than 6000 dwell points, and what every solver refuses.

@@ -30,14 +30,14 @@ use crate::{
     problem::{DwellModel, Problem, Solution, check},
 };
 
-/// Settings of the solver.
+/// Settings of the truncated singular value decomposition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TruncatedSvdSettings {
     /// Singular values up to this fraction of the largest are left out; between 0 and 1.
     pub cut: f64,
-    /// Change of the dwell times, as a fraction of them, at which the process ends.
+    /// Relative change of the dwell times at which the Lanczos process ends.
     pub tolerance: f64,
-    /// Largest number of steps of the process; each keeps a vector of n.
+    /// Largest number of steps of the Lanczos process; each keeps a vector of n numbers.
     pub max_iterations: usize,
 }
 
@@ -47,22 +47,22 @@ impl Default for TruncatedSvdSettings {
     }
 }
 
-/// Result of the solver.
+/// Report of the truncated singular value decomposition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TruncatedSvdReport {
-    /// `converged` or `step-limit`.
+    /// Reason for the end: `converged` or `step-limit`.
     pub end: End,
-    /// Steps of the process.
+    /// Number of steps of the Lanczos process.
     pub steps: usize,
-    /// Singular values that were kept (as far as the map contains their vectors).
+    /// Number of singular values that were kept, as far as the map contains their vectors.
     pub rank: usize,
     /// Largest singular value, nm/s.
     pub largest_singular_value_nm_per_s: f64,
-    /// Smallest that was kept, nm/s.
+    /// Smallest singular value that was kept, nm/s.
     pub smallest_singular_value_nm_per_s: f64,
-    /// Level of dwell c that the floor asks for, s.
+    /// Level of dwell c, the common time that the floor asks for, s ((3) of [`crate::problem`]).
     pub level_s: f64,
-    /// Dwell times that no level brings to their floor.
+    /// Number of dwell times that no level brings to their floor; they are put there.
     pub clipped: usize,
 }
 
@@ -76,7 +76,7 @@ impl TruncatedSvdReport {
     }
 }
 
-/// Computes (1).
+/// Computes the dwell times (1) of the module.
 ///
 /// # Errors
 /// Refuses a cut that is no fraction, no steps at all, and what every solver refuses.

@@ -2,8 +2,8 @@
 //!
 //! It is proven by the exact gradient alone, so whatever the surrogate does, the claim in the report holds.
 
-/// Returns the upper bound of the decrease of (1) that is still possible. With the diagonal C of the Tikhonov term,
-/// `c_j = alpha D A / a_j`, H is at least C, so
+/// Returns an upper bound of the decrease of the objective (1) that is still possible at dwell times t with the
+/// gradient q. H is at least the diagonal matrix C of the Tikhonov term, `c_j = alpha D A / a_j`, so
 ///
 /// ```text
 /// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - c_j (t_j - s)^2 / 2
@@ -13,9 +13,9 @@
 /// curvature: the bounds are exact in it, and where they are finite a component adds at most
 /// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever c_j.
 ///
-/// t may be anything: also beyond its bounds `f(t)` less this is a lower bound of the minimum.
+/// The dwell times t may be beyond their bounds: `f(t)` minus the result is a lower bound of the minimum there, too.
 ///
-/// Returns `None` without alpha.
+/// Returns `None` if alpha is 0.
 pub fn gap(
     t: &[f64],
     q: &[f64],

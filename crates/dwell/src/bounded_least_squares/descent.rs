@@ -76,7 +76,8 @@ const WHOLE_STEP_FROM: f64 = 0.6;
 /// Larger: free dwell times count as being at a bound. Smaller: rounding makes bound ones free.
 const BOUND_ROUNDING: f64 = 1e-13;
 
-/// The objective (1) but for the columns: its penalty, and the weights that the pixels have now.
+/// Terms of the objective (1) other than the columns: its penalty, its free functions, the present weights of the
+/// pixels, and the slope term.
 struct Terms {
     penalty: Penalty,
     basis: Basis,
@@ -85,7 +86,7 @@ struct Terms {
 }
 
 impl Terms {
-    /// Returns the objective with these terms.
+    /// Returns the objective (1) of a problem with these terms.
     fn weighted<'a>(&'a self, problem: &BoundedProblem<'a>) -> Weighted<'a> {
         Weighted {
             penalty: &self.penalty,
@@ -97,64 +98,64 @@ impl Terms {
     }
 }
 
-/// A step of the dwell times with the removal that it adds.
+/// A step of the dwell times (n), s, with the removal (ny, nx) that it adds, nm.
 type Step = (Vec<f64>, Array2<f64>);
 
-/// The descent, between two of its states.
+/// The descent to the minimum of (1), between two of the states of the module.
 pub struct Descent<'s> {
     settings: &'s BoundedSettings,
     grid: Grid,
     terms: Terms,
-    /// Diagonal of H.
+    /// Diagonal of the normal matrix H (n); 0 for unreached columns.
     diagonal: Vec<f64>,
-    /// Dwell times, s.
+    /// Present dwell times (n), s.
     pub t: Vec<f64>,
-    /// B t.
+    /// Removal B t of these dwell times (ny, nx), nm.
     pub removal_nm: Array2<f64>,
-    /// Sets of free dwell times that were solved for with H~, or products with it.
+    /// Number of sets of free dwell times that were solved for with the surrogate H~, or of products with it.
     pub iterations: usize,
-    /// Steps of H~.
+    /// Number of steps found by the surrogate H~, each corrected by the exact gradient.
     pub corrections: usize,
-    /// Slow steps in a row, and the natural residual before the last one.
+    /// Number of slow steps in a row, and the natural residual before the last step, s.
     slow: (usize, f64),
     first_gap: Option<f64>,
-    /// Largest lower bound of (1).
+    /// Largest lower bound of the minimum of (1) that was proven so far.
     bound: f64,
-    /// End at which the steps changed too little.
+    /// Reason to end at the next look, if the steps changed too little.
     settled: Option<End>,
-    /// The step before, p.
+    /// Step before the present one.
     before: Option<Step>,
-    /// Where the next step goes on without bounds, and the rounds that have done so.
+    /// Dwell times from which the next step goes on without bounds, if it does.
     unbounded: Option<Unbounded>,
     rounds_without_bounds: usize,
-    /// The factorised H~ with the penalty.
+    /// The factorised surrogate H~ with the matrix of the penalty.
     penalised: Option<Penalised>,
 }
 
-/// The exact objective and its gradient at the dwell times, and what follows from them.
+/// Exact objective (1) and its gradient at the present dwell times, and the decision whether the descent ends there.
 pub struct Look {
     objective: f64,
     gradient: Vec<f64>,
-    /// Largest move that the gradient still asks of a dwell time, s.
+    /// Natural residual: the largest move of a dwell time that the gradient still asks for, s.
     pub natural_residual: f64,
-    /// Gap over the objective.
+    /// Proven distance of the objective from its minimum, relative to the objective; `None` if alpha is 0.
     pub relative_gap: Option<f64>,
-    /// True if no dwell time would still move by more than the tolerance.
+    /// True if the natural residual is within the tolerance.
     is_still: bool,
-    /// Reason for which the descent ends here.
+    /// Reason for which the descent ends here; `None` if it goes on.
     pub end: Option<End>,
 }
 
-/// The end of a step, or of the descent.
+/// Result of the search for a step.
 pub enum Target {
-    /// Dwell times with a smaller objective; with the mask of the free ones where they were found without bounds.
+    /// Dwell times with a smaller objective. If they were found without bounds, with the mask of the free ones.
     To(Vec<f64>, Option<Vec<bool>>),
-    /// There are none.
+    /// No such dwell times: the descent ends for this reason.
     End(End),
 }
 
 impl<'s> Descent<'s> {
-    /// Makes the start of the descent of a problem.
+    /// Starts the descent at the first dwell times of a problem.
     pub fn new(problem: &BoundedProblem<'_>, settings: &'s BoundedSettings) -> Self {
         let weights = settings.penalty_weights();
         let penalty = Penalty::new(problem.path, problem.lo, &problem.scale, &weights);
@@ -196,7 +197,8 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Gives the pixels the weights of their own residual, with a Huber loss and from the second step on.
+    /// Gives every pixel the Huber weight of its present residual. Does nothing without a Huber loss or before the
+    /// first step.
     pub fn reweigh(&mut self, problem: &BoundedProblem<'_>) {
         let Some(k) = self.settings.huber_nm.filter(|_| self.corrections > 0) else { return };
         // That of before is one of other weights.
@@ -207,7 +209,8 @@ impl<'s> Descent<'s> {
         self.terms.basis = Basis::new(&self.grid, &self.terms.weight, self.settings.free);
     }
 
-    /// Looks at the exact objective, and decides whether the descent ends here.
+    /// Computes the exact objective and gradient, and decides whether the descent ends here, at the latest after
+    /// `max_corrections` steps.
     pub fn look(&mut self, problem: &BoundedProblem<'_>, max_corrections: usize) -> Look {
         let settings = self.settings;
         let weighted = self.terms.weighted(problem);
@@ -243,7 +246,8 @@ impl<'s> Descent<'s> {
         progress::done(usual.max(proven));
     }
 
-    /// Finds dwell times with a smaller objective: by steps without bounds, or by H~.
+    /// Finds dwell times with a smaller objective: without bounds if the last step left such a start, otherwise by the
+    /// surrogate H~.
     ///
     /// # Errors
     /// Refuses a problem whose H~ is singular in every form.
@@ -264,7 +268,7 @@ impl<'s> Descent<'s> {
         Ok(target)
     }
 
-    /// Gives the factorised surrogate smaller cells after slow steps.
+    /// Gives the factorised surrogate smaller cells of pixels after [`SLOW_STEPS_BEFORE_SHARPENING`] slow steps.
     fn sharpen_where_slow(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) {
         let (count, before) = self.slow;
         let is_slow = look.natural_residual > SLOW_RESIDUAL_FRACTION * before;
@@ -277,8 +281,8 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Minimises the objective without bounds, from the dwell times that the surrogate has left for it. Returns
-    /// `None` if it has left none, or if the objective would not fall.
+    /// Minimises the objective without bounds, from the dwell times that the surrogate has left for it. Returns `None`
+    /// if it has left none, or if the objective would not fall.
     fn without_bounds(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) -> Option<Target> {
         let from = self.unbounded.take()?;
         let most = self.settings.max_iterations.saturating_sub(self.iterations);
@@ -293,7 +297,8 @@ impl<'s> Descent<'s> {
         if falls { Some(Target::To(to, Some(end.free))) } else { None }
     }
 
-    /// Returns the minimum of H~; where H~ is singular, that of H~ on smaller cells.
+    /// Finds the minimum of the surrogate H~ within the bounds. If H~ is singular, uses one with smaller cells, or
+    /// without factors.
     fn by_surrogate(
         &mut self,
         problem: &mut BoundedProblem<'_>,
@@ -334,7 +339,8 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Returns how far the gradient steps, or the two-level method where there are splines, go for the minimum of H~.
+    /// Returns the conditions at which the search for the minimum of H~ ends: for gradient steps, or for the two-level
+    /// method if there is a pitch of splines.
     fn gradient_settings(&self, splines_mm: Option<f64>, look: &Look) -> GradientSettings {
         GradientSettings {
             tolerance: match splines_mm {
@@ -348,7 +354,8 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Goes to the exact minimum on the way to the target, and notes whether that has changed enough.
+    /// Moves to the exact minimum on the way to the dwell times `to`, or to `to` itself, and notes whether the
+    /// objective has changed enough.
     pub fn advance(
         &mut self,
         problem: &BoundedProblem<'_>,
@@ -387,8 +394,8 @@ impl<'s> Descent<'s> {
         self.corrections += 1;
     }
 
-    /// Returns the better one of the step to the target and of a step in the plane of that and the step before, with
-    /// the fall of the objective.
+    /// Returns the better of two steps, with the decrease of the objective: the one to the dwell times `to`, and the
+    /// best one in the plane of that and the step before.
     fn best_step(&self, problem: &BoundedProblem<'_>, look: &Look, to: &[f64]) -> (f64, Step) {
         let t = &self.t;
         let q = &look.gradient;
@@ -423,7 +430,7 @@ impl<'s> Descent<'s> {
     }
 }
 
-/// Returns the part s of a step d with the removal `d_nm`.
+/// Returns the step `s d` and its removal, from the step d and its removal `d_nm`.
 fn scaled(s: f64, d: &[f64], d_nm: &Array2<f64>) -> Step {
     (d.iter().map(|d| s * d).collect(), s * d_nm)
 }
@@ -432,7 +439,7 @@ fn slope(q: &[f64], t: &[f64], to: &[f64]) -> f64 {
     q.iter().zip(to.iter().zip(t)).map(|(q, (to, t))| q * (to - t)).sum()
 }
 
-/// Returns `t` within its bounds, and on them where it differs by rounding.
+/// Returns the dwell time `t` within its bounds, and exactly on a bound from which it differs by rounding only.
 fn snapped(t: f64, lo: f64, hi: f64) -> f64 {
     let rounding = BOUND_ROUNDING * t.abs().max(lo.abs());
     match t {

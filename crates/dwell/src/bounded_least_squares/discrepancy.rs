@@ -41,7 +41,8 @@ const BEYOND_NOISE: f64 = 8.0;
 /// [`BEYOND_NOISE`] deviations. Smaller: errors of the expected noise.
 const QUADRATURE_POINTS: usize = 32;
 
-/// Solves the problem, at the smoothness of the settings or at the one that the noise of the map asks for.
+/// Solves the problem at the smoothness of the settings. If the noise of the map is given, raises the smoothness until
+/// the residual is no smaller than the noise.
 ///
 /// # Errors
 /// Refuses a problem whose surrogate is singular in every form.
@@ -61,8 +62,9 @@ pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellEr
 }
 
 impl BoundedProblem<'_> {
-    /// Returns the largest beta at which the residual does not exceed the noise (Morozov's discrepancy
-    /// principle), and its minimum; `first` is that of the beta of the settings, which fits the noise.
+    /// Returns the largest smoothness beta at which the residual does not exceed the noise (Morozov's discrepancy
+    /// principle), and the minimum at that beta. `first` is the minimum at the beta of the settings, whose residual
+    /// does not exceed it.
     fn stop_at(&mut self, noise_nm: f64, first: Iterate) -> Result<(f64, Iterate), DwellError> {
         let mut low = self.settings.slope_weight.max(MIN_SMOOTHNESS);
         let mut best = first;
@@ -89,7 +91,8 @@ impl BoundedProblem<'_> {
         Ok((low, best))
     }
 
-    /// Returns the RMS of the residual without its free part, nm; with a Huber loss as in (1).
+    /// Returns the RMS of the residual without its free part (piston or plane), nm; with a Huber loss only over the
+    /// pixels that (1) of the module counts.
     fn rms_nm(&self, iterate: &Iterate) -> f64 {
         let mut r = &self.z - &iterate.removal_nm;
         self.project_free(&self.weight, &mut r);
@@ -111,13 +114,14 @@ impl BoundedProblem<'_> {
         if weight > 0.0 { (squares / weight).sqrt() } else { f64::INFINITY }
     }
 
-    /// Takes the free part out of a residual, for these weights of the pixels.
+    /// Subtracts the free part (piston or plane) from a residual (ny, nx), with these weights of the pixels.
     fn project_free(&self, weight: &Array2<f64>, r: &mut Array2<f64>) {
         Basis::new(self.desired.grid(), weight, self.settings.free).project(weight, r);
     }
 }
 
-/// Returns the root of the right-hand side of (1), nm.
+/// Returns the RMS of normal noise of the RMS `noise_nm` over those values that are at most `most_nm`: the root of the
+/// right-hand side of (1) of the module, nm.
 fn rms_within(noise_nm: f64, most_nm: f64) -> f64 {
     let c = most_nm / noise_nm;
     if c >= BEYOND_NOISE {

@@ -28,21 +28,22 @@ const ROUGH_CELLS: usize = 2;
 /// start without easier ones.
 const MAX_ROUGH_TIKHONOV: f64 = 1e-2;
 
-/// Number of steps of H~ for an easier problem. Larger: a better start of the next problem, for more time.
+/// Number of steps by the surrogate H~ for an easier problem. Larger: a better start of the next problem, for more
+/// time.
 const ROUGH_CORRECTIONS: usize = 1;
 
-/// Number of steps of H~ for an easier problem with a Huber loss, whose weights come with the second step. Smaller:
-/// the next problem starts without these weights.
+/// Number of steps by the surrogate H~ for an easier problem with a Huber loss, whose weights come with the second
+/// step. Smaller: the next problem starts without these weights.
 const ROUGH_CORRECTIONS_HUBER: usize = 3;
 
-/// State of the iteration.
+/// Dwell times at the end of a descent, and how they were reached.
 pub struct Iterate {
     pub t: Vec<f64>,
-    /// B t.
+    /// Removal B t of the dwell times t (ny, nx), nm.
     pub removal_nm: Array2<f64>,
-    /// Sets of free dwell times that were solved for with H~, or products with it.
+    /// Number of sets of free dwell times that were solved for with the surrogate H~, or of products with it.
     pub iterations: usize,
-    /// Steps of H~.
+    /// Number of steps found by H~, each corrected by the exact gradient.
     pub corrections: usize,
     pub natural_residual: f64,
     pub relative_gap: Option<f64>,
@@ -50,7 +51,7 @@ pub struct Iterate {
 }
 
 impl BoundedProblem<'_> {
-    /// Minimises (1) by steps of its surrogate:
+    /// Minimises the objective (1) with the smoothness beta = `slope_weight`, by steps of its surrogate:
     ///
     /// ```text
     /// repeat  q = gradient of (1) at t                           exact
@@ -59,7 +60,7 @@ impl BoundedProblem<'_> {
     ///         t += p
     /// ```
     ///
-    /// Where the two-level method finds d, the next one is by [`Self::without_bounds`].
+    /// If the two-level method finds d, the step after it is found by [`Self::without_bounds`].
     ///
     /// d is a descent direction whatever H~ is, and vanishes only at the minimum of (1). With the
     /// step before, p, this is the conjugate gradient method preconditioned by H~ as soon as the
@@ -106,8 +107,8 @@ impl BoundedProblem<'_> {
         Ok(iterations)
     }
 
-    /// Minimises (1) as [`Self::minimise`] does, with the weights and limits of these settings, in at most so many
-    /// corrections.
+    /// Minimises the objective (1) as [`Self::minimise`] does, with the weights and limits of these settings, in at
+    /// most `max_corrections` steps.
     fn minimise_by(
         &mut self,
         settings: &BoundedSettings,

@@ -40,47 +40,49 @@ const MORE_FACTORISED: usize = 10;
 /// Larger: longer factorisations. Smaller: more problems take many steps of the two-level method.
 const MOST_WORK: f64 = 1e11;
 
-/// (1) with everything that defines it.
+/// The problem (1) with its inputs and everything that is computed once.
 pub struct BoundedProblem<'a> {
     pub desired: &'a Surface,
     tif: &'a Tif,
     pub path: &'a ToolPath,
     places: &'a [Vec<ToolPlace>],
     pub settings: &'a BoundedSettings,
-    /// B.
+    /// Removal operator B (pixels, n), nm/s.
     pub b: Removal,
-    /// z minus its weighted mean, 0 where the weight is 0.
+    /// Desired removal minus its weighted mean (ny, nx), nm; 0 where the weight is 0.
     pub z: Array2<f64>,
-    /// Weights of the pixels as given.
+    /// Weights of the pixels as given (ny, nx), without those of a Huber loss.
     pub weight: Array2<f64>,
     pub lo: &'a [f64],
-    /// Upper bounds; the lower ones of unreached columns, which keep them whatever the others do.
+    /// Upper bounds (n), s. Unreached columns have their lower bound here, so that their dwell times never change.
     pub hi: Vec<f64>,
-    /// Upper bounds as given.
+    /// Upper bounds as given (n), s.
     pub hi_given: &'a [f64],
     pub reached: Vec<bool>,
-    /// Diagonal of H without the penalty.
+    /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2.
     pub diagonal: Vec<f64>,
     /// Quantities to which the weights of the penalty are relative.
     pub scale: PenaltyScale,
-    /// U of (2): the free functions.
+    /// Columns of U of (2), one (n) for each free function of the map (piston, or plane).
     u: Vec<Vec<f64>>,
     pub surrogate: Surrogate,
-    /// Pixels along the side of a cell of `surrogate`.
+    /// Number of pixels along the side of a cell of `surrogate`.
     pub cell: usize,
-    /// Pitch of its splines, mm.
+    /// Pitch of the splines of `surrogate`, mm; `None` if it has none.
     pub splines_mm: Option<f64>,
     /// Dwell times at which the steps begin (n), s.
     pub start: Vec<f64>,
     /// True if `start` is a guess of the caller.
     pub is_guessed: bool,
-    /// Q.
+    /// Product with the matrix Q of (1), if the program has one.
     pub quadratic: Option<Product<'a>>,
 }
 
-/// Returns `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: what the column has on `cells`, or without
-/// them the mean of R^2 along a segment in place of the square of the mean, with the kernel spill. Where a column is so
-/// weak that the estimate would decide whether it reaches the map at all, it is computed from the column itself.
+/// Returns the energy `sum_i w_i B_ij^2` of every column j (n). For stored columns it is exact. By FFT it is an
+/// estimate: the energy of the column on `cells`, or without cells the mean of R^2 along a segment in place of the
+/// square of the mean, with the spill over the border of the TIF.
+///
+/// A column so weak that the estimate would decide whether it reaches the map at all is computed exactly.
 fn energies(
     b: &Removal,
     cells: Option<&[Patch]>,
@@ -188,8 +190,8 @@ impl<'a> BoundedProblem<'a> {
         })
     }
 
-    /// Gives the factorised H~ smaller cells. Returns `false` when there are none, where their columns would take too
-    /// much memory, or where another H~ is used.
+    /// Gives the factorised surrogate H~ smaller cells. Returns `false` if there are no smaller ones, if their columns
+    /// would take too much memory, or if H~ is not factorised.
     pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
         let grid = self.desired.grid();
         let smaller = self.cell / 2;
@@ -208,8 +210,8 @@ impl<'a> BoundedProblem<'a> {
         true
     }
 
-    /// Puts an H~ without factors in the place of one that is singular to rounding. Returns `false` where there are few
-    /// points, which are not determined then.
+    /// Replaces a factorised H~ that is singular to rounding by one that is only applied. Returns `false` for few
+    /// dwell points: the map then does not determine their dwell times.
     ///
     /// # Errors
     /// Refuses cells that no axis can have.
@@ -225,7 +227,8 @@ impl<'a> BoundedProblem<'a> {
         Ok(true)
     }
 
-    /// Makes H~ for many dwell points, on cells of a size and with splines of a pitch.
+    /// Makes the surrogate H~ for many dwell points. `cells` is the side of its cells, pixels, and the pitch of its
+    /// splines, mm.
     ///
     /// # Errors
     /// Refuses cells that no axis can have.
@@ -236,7 +239,7 @@ impl<'a> BoundedProblem<'a> {
     }
 }
 
-/// Returns z minus its weighted mean, 0 where the weight is 0.
+/// Returns the map z minus its weighted mean (ny, nx); 0 where the weight is 0.
 fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     let mut sum = 0.0;
     let mut total = 0.0;
@@ -256,8 +259,9 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     centred
 }
 
-/// Returns the cells and the pitch of the splines of the surrogate for many dwell points; no pitch where the Tikhonov
-/// term, its least diagonal element given beside D, is weak.
+/// Returns the side of the cells, pixels, and the pitch of the splines, mm, of the surrogate for many dwell points.
+/// The pitch is `None` if `least_alpha`, the least diagonal element of the Tikhonov term, is small against D =
+/// `strongest`.
 fn cells_of_convolved(
     places: &[Vec<ToolPlace>],
     reached: &[bool],
@@ -274,7 +278,8 @@ fn cells_of_convolved(
     (surrogate::cell_size(tif, grid, loss), splines_mm)
 }
 
-/// Makes the surrogate for many dwell points, on cells of a size and with splines of a pitch.
+/// Makes the surrogate for many dwell points. `cells` is the side of its cells, pixels, and the pitch of its splines,
+/// mm.
 fn convolved(
     places: &[Vec<ToolPlace>],
     reached: &[bool],
@@ -288,7 +293,8 @@ fn convolved(
     Ok(Surrogate::Convolved(Box::new(h)))
 }
 
-/// Returns true if H~ is to be factorised, for this many dwell points and more where splines represent too little.
+/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for ten times more if splines represent
+/// too little of the problem.
 fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
     let n = places.len();
     let says_too_little =
@@ -299,8 +305,8 @@ fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
             && surrogate::factorisation_work(places, tif) <= MOST_WORK
 }
 
-/// Returns the quantities to which the weights of the penalty are relative. The first free function is the constant
-/// 1 / (sum of w)^1/2, so its column `u` of U is B' w over that.
+/// Returns the quantities to which the weights of the penalty are relative. `u` is the column of U for the first free
+/// function, the constant 1 / (sum of w)^1/2, so it is B' w over this root.
 fn penalty_scale(
     path: &ToolPath,
     tif: &Tif,
@@ -313,7 +319,7 @@ fn penalty_scale(
     PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w)
 }
 
-/// Returns the largest element of the diagonal of H: the element itself, not the estimate.
+/// Returns the largest element of the diagonal of H, computed exactly even if `diagonal` is an estimate.
 fn strongest(
     diagonal: &[f64],
     places: &[Vec<ToolPlace>],

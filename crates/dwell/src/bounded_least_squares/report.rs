@@ -32,34 +32,34 @@ impl fmt::Display for Algorithm {
     }
 }
 
-/// Result of the solver.
+/// Report of the bounded least squares: method, certificate and residual.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BoundedReport {
     /// Method that found the steps.
     pub algorithm: Algorithm,
-    /// Sets of free dwell times that were solved for with the surrogate of H, or products with it.
+    /// Number of sets of free dwell times that were solved for with the surrogate of H, or of products with it.
     pub iterations: usize,
-    /// Steps of the surrogate, each corrected by the exact gradient.
+    /// Number of steps found by the surrogate, each corrected by the exact gradient.
     pub corrections: usize,
-    /// Pixels along the side of a cell of the surrogate; 1: exact.
+    /// Number of pixels along the side of a cell of the surrogate; 1 if its pixels are those of the map.
     pub cell_pixels: usize,
     /// Reason for which the steps ended: `optimal`, `stagnated` (the objective changes no more) or `iteration-limit`.
     pub end: End,
     /// Natural residual, the largest |t - clip(t - gradient / H_jj)|, s: 0 at the optimum.
     pub kkt_residual_s: f64,
-    /// Bound on how far (1) is above its minimum, relative to it; left out when alpha is 0: then
-    /// `kkt_residual_s` alone certifies the result.
+    /// Upper bound of the distance of the objective (1) from its minimum, relative to the objective. It is left out if
+    /// alpha is 0: then `kkt_residual_s` alone certifies the result.
     #[serde(flatten)]
     pub proven: ProvenGap,
-    /// beta that was used: the given one, or what the noise level asked for.
+    /// Smoothness beta that was used: the given one, or the one that the noise level asked for.
     pub slope_weight: f64,
-    /// Dwell points at their lower bound, unreached and lifted ones not counted.
+    /// Number of dwell points at their lower bound, unreached and lifted ones not counted.
     pub at_lower_bound: usize,
-    /// Dwell points at their upper bound.
+    /// Number of dwell points at their upper bound.
     pub at_upper_bound: usize,
-    /// Dwell points that do not reach the map; they have the density of their neighbours.
+    /// Number of dwell points that do not reach the map; they have the dwell time per length of their neighbours.
     pub unreached_points: usize,
-    /// Valid pixels that no dwell point reaches: nothing can be corrected there.
+    /// Number of valid pixels that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm.
     pub model_rms_nm: f64,
@@ -70,29 +70,30 @@ pub struct BoundedReport {
     /// Lattice of the map on which the TIF was sampled anew; left out where the samples are its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tif_lattice: Option<TifLattice>,
-    /// Rates at the times of the plan; left out unless the rate depends on the time of the run.
+    /// Rounds for a rate that depends on the time of the run; left out for other tools.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rates_of_time: Option<RatesOfTime>,
-    /// Root of twice the mean of a robust loss, of the map and of the residual, nm; none without a robust loss.
+    /// Root of twice the mean Huber loss of [the map, the residual], nm; none without a Huber loss.
     #[serde(skip)]
     pub robust_nm: Option<[f64; 2]>,
 }
 
-/// Relative difference of a rate in the model of the solver from that at the times of the plan up to which it is the
-/// same. Larger: dwell times for rates that are wrong by it. Smaller: more rounds.
+/// Largest relative difference between a rate in the model of the solver and the rate at the times of the plan at
+/// which they count as the same. Larger: dwell times for rates that are wrong by it. Smaller: more rounds.
 pub(super) const SAME_TIME_FACTOR: f64 = 1e-5;
 
-/// Rates of a plan for a tool whose rate depends on the time of the run.
+/// Convergence of a plan for a tool whose rate depends on the time of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatesOfTime {
-    /// Problems that were solved, each with the rates at the times of the one before.
+    /// Number of problems that were solved, each with the rates at the times of the one before.
     pub rounds: usize,
-    /// Largest relative difference of a rate in the model from that at the times of the plan.
+    /// Largest relative difference of a rate in the model of the solver from that at the times of the plan.
     pub rate_error: f64,
 }
 
 impl RatesOfTime {
-    /// Returns the reason of a negative verdict: rates that are not those of the plan's own times.
+    /// Returns the reason of a negative verdict: the rates in the model are not those at the times of the plan. `None`
+    /// if they are.
     fn negative(&self) -> Option<String> {
         let Self { rounds, rate_error } = *self;
         if rate_error <= SAME_TIME_FACTOR {
@@ -106,9 +107,11 @@ impl RatesOfTime {
 }
 
 impl BoundedReport {
-    /// Returns the reason of a negative verdict, or none. A result without its certificate is not known to be the
-    /// best, and the best one is no plan if it leaves more than the map `before` it. A robust loss measures this by
-    /// itself: the pits that it leaves alone would decide an RMS, and removal around them deepens them.
+    /// Returns the reason of a negative verdict; `None` if the verdict is positive. A result without its certificate
+    /// is not known to be the best, and the best one is no plan if it leaves more than the map, whose RMS is `before`.
+    ///
+    /// With a Huber loss, the loss itself is compared: the pits that it leaves alone would decide an RMS, and removal
+    /// around them deepens them.
     pub fn negative(&self, before: Rms) -> Option<String> {
         let plain = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
         let (before, after) = match self.robust_nm {
@@ -136,7 +139,7 @@ impl BoundedReport {
     }
 }
 
-/// Dwell times and what was reached.
+/// Dwell times of the bounded least squares, and the report on them.
 #[derive(Clone, Debug)]
 pub struct BoundedSolution {
     /// Dwell times.
@@ -146,7 +149,7 @@ pub struct BoundedSolution {
 }
 
 impl BoundedProblem<'_> {
-    /// Makes the solution from the result of [`Self::minimise`] at this beta.
+    /// Makes the solution from the result of [`Self::minimise`] with the smoothness beta = `slope_weight`.
     pub(super) fn finish(
         &self,
         mut iterate: Iterate,
@@ -199,25 +202,26 @@ impl BoundedProblem<'_> {
         Ok(BoundedSolution { dwell: DwellTime::new(iterate.t)?, report })
     }
 
-    /// Counts the valid pixels on which a removal is nothing but the rounding that an FFT leaves.
+    /// Counts the valid pixels whose removal is no more than the rounding of an FFT.
     fn unreached_pixels(&self, removal_nm: &Array2<f64>) -> usize {
         let floor = FFT_ROUNDING * removal_nm.iter().copied().fold(0.0, f64::max);
         removal_nm.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
     }
 }
 
-/// Number of steps of the piston. Each halves the error at least, if more than half of the pixels are within k.
-/// Larger: more time. Smaller: the piston is not exact to rounding.
+/// Number of steps of the iteration for the piston. Each halves the error at least, if more than half of the pixels
+/// are within k. Larger: more time. Smaller: the piston is not exact to rounding.
 const PISTON_STEPS: usize = 50;
 
-/// Returns the root of twice the mean of the Huber loss rho, at the piston p where it is least:
+/// Returns the root of twice the mean Huber loss rho of a map z with the threshold k, nm, at the piston p where it is
+/// least:
 ///
 /// ```text
 /// sqrt(2 sum w rho(z - p) / sum w),   p <- sum w h z / sum w h,   h = min(1, k / |z - p|)
 /// rho(e) = e^2 / 2 up to |e| = k,     k (|e| - k / 2) beyond it
 /// ```
 ///
-/// the RMS where no pixel is farther than k from the mean.
+/// It is the RMS if no pixel is farther than k from the mean.
 fn huber_rms(z: &Array2<f64>, weight: &Array2<f64>, k: f64) -> f64 {
     let counted: Vec<(f64, f64)> =
         z.iter().zip(weight).filter(|(_, w)| **w > 0.0).map(|(z, w)| (*z, *w)).collect();

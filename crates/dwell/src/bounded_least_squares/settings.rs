@@ -9,18 +9,18 @@ use crate::{
     residual_slope::ResidualSlope,
 };
 
-/// Settings of the solver.
+/// Settings of the bounded least squares.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BoundedSettings {
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
-    /// Lower bound.
+    /// Lower bound of every dwell time.
     pub min_dwell: Bound,
-    /// Upper bound; none when absent.
+    /// Upper bound of every dwell time; none if absent.
     pub max_dwell: Option<Bound>,
-    /// alpha: weight of the dwell time per area above its lower bound; >= 0.
+    /// Weight alpha of the squared dwell time per area above its lower bound, dimensionless; >= 0.
     pub tikhonov: f64,
-    /// beta: weight of the slope of the dwell time per area along the path; >= 0.
+    /// Weight beta of the squared slope of the dwell time per area along the path, dimensionless; >= 0.
     pub slope_weight: f64,
     /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
     pub time_weight_nm2_per_s: f64,
@@ -28,17 +28,17 @@ pub struct BoundedSettings {
     pub free: Free,
     /// Residual above which a pixel counts linearly instead of squared (Huber loss), nm; for maps with pits.
     pub huber_nm: Option<f64>,
-    /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller; with a Huber loss pixels
-    /// beyond its threshold do not count there.
+    /// RMS of the noise of the map, nm: the smoothness beta is raised until the residual is no smaller. With a Huber
+    /// loss, pixels beyond its threshold do not count in this comparison.
     pub noise_rms_nm: Option<f64>,
-    /// Weight of the slope of the residual beside its height; none when absent.
+    /// Weight of the squared slope of the residual, and its base length; no such term if absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub residual_slope: Option<ResidualSlope>,
-    /// Dwell points up to which the surrogate of H is factorised.
+    /// Largest number of dwell points for which the surrogate of H is factorised.
     pub max_factorised_points: usize,
-    /// Natural residual that is enough, s.
+    /// Natural residual at which the solver ends, s.
     pub tolerance_s: f64,
-    /// Bound on how far (1) is above its minimum, relative to it, that is enough.
+    /// Proven distance of the objective (1) from its minimum, relative to the objective, at which the solver ends.
     pub relative_gap: f64,
     /// Largest number of products with the surrogate of H if it is not factorised.
     pub max_iterations: usize,
@@ -69,7 +69,7 @@ impl Default for BoundedSettings {
 }
 
 impl BoundedSettings {
-    /// Returns the weights of the terms beside the residual.
+    /// Returns the weights of the terms of the objective other than the residual.
     pub(super) fn penalty_weights(&self) -> PenaltyWeights {
         PenaltyWeights {
             tikhonov: self.tikhonov,
@@ -79,10 +79,10 @@ impl BoundedSettings {
     }
 }
 
-/// A product with a symmetric positive semidefinite matrix (n, n): from t (n) to Q t (n).
+/// Function that multiplies a vector by a symmetric positive semidefinite matrix Q (n, n): from t (n) to Q t (n).
 pub type Product<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 
-/// The columns of B and the bounds of their dwell times.
+/// A program: the columns of the removal matrix B, and the bounds of their dwell times.
 #[derive(Clone)]
 pub struct Program<'a> {
     /// Places of the tool in each column (n).
@@ -93,6 +93,6 @@ pub struct Program<'a> {
     pub hi: Vec<f64>,
     /// Dwell times of a similar problem (n), s: a first guess, which only saves time.
     pub guess: Option<Vec<f64>>,
-    /// Q of a further term `t'Q t / 2` of the objective, nm^2/s^2; none when absent.
+    /// Matrix Q of a further term `t'Q t / 2` of the objective, nm^2/s^2; no such term if absent.
     pub quadratic: Option<Product<'a>>,
 }

@@ -14,9 +14,9 @@ use planish_types::progress;
 use super::{prepared::BoundedProblem, weighted::Weighted};
 use crate::surrogate::{Surrogate, Unbounded};
 
-/// Change of (1) by the bounds, as a fraction of (1), above which the solution without bounds is dropped: other dwell
-/// times should then be free. Larger: more rounds with a wrong set of free dwell times. Smaller: useful solutions are
-/// dropped.
+/// Change of the objective when the dwell times are put back within their bounds, as a fraction of it, above which the
+/// solution without bounds is dropped: other dwell times should then be free. Larger: more rounds with a wrong set of
+/// free dwell times. Smaller: useful solutions are dropped.
 const MAX_COST_OF_BOUNDS: f64 = 1e-3;
 
 /// Fraction of the wanted gap at which the steps end; the rest is left for the cost of the bounds. Larger: the bounds
@@ -29,16 +29,17 @@ const SLOW_GAP_FRACTION: f64 = 0.5;
 
 /// Result of [`BoundedProblem::without_bounds`].
 pub struct WithoutBounds {
-    /// Dwell times, some of the free ones beyond their bounds; none where the bounds cost too much.
+    /// Dwell times, of which free ones may be beyond their bounds; `None` if putting them back costs too much.
     pub end: Option<Unbounded>,
-    /// Largest lower bound of (1) that was proven.
+    /// Largest lower bound of the minimum of (1) that was proven.
     pub bound: f64,
-    /// Products with H~.
+    /// Number of products with the surrogate H~.
     pub products: usize,
 }
 
 impl BoundedProblem<'_> {
-    /// Goes on from the minimum of the surrogate over free dwell times without their bounds to that of (1):
+    /// Goes on from `from`, the minimum of the surrogate over the free dwell times without their bounds, to the
+    /// minimum of the objective (1) over them:
     ///
     /// ```text
     /// repeat  q = gradient of (1) at t                           exact
@@ -47,8 +48,9 @@ impl BoundedProblem<'_> {
     ///         t += p
     /// ```
     ///
-    /// Dwell times at a bound that (1) would take away from it become free. `objective` is (1) at the dwell times
-    /// within the bounds that were found with `from`. The steps end at a relative gap, or after so many products.
+    /// Dwell times at a bound become free if (1) falls when they leave it. `objective` is (1) at the dwell times
+    /// within the bounds that were found with `from`. The steps end at the gap `relative_gap`, or after `max_products`
+    /// products with H~.
     pub(super) fn without_bounds(
         &mut self,
         weighted: &Weighted,

@@ -9,23 +9,24 @@ use crate::{
     residual_slope::SlopeTerm,
 };
 
-/// Determinant of the products of two directions, as a fraction of that of orthogonal ones, up to which they count as
-/// parallel. Larger: useful second directions are dropped. Smaller: rounding decides the step.
+/// Determinant of the 2 x 2 matrix of [`Weighted::plane_minimum`], as a fraction of that of orthogonal directions, up
+/// to which two directions count as parallel. Larger: useful second directions are dropped. Smaller: rounding decides
+/// the step.
 const MIN_DETERMINANT_FRACTION: f64 = 1e-9;
 
-/// (1) with the weights that pixels have now.
+/// The objective (1) with the present weights of the pixels.
 pub struct Weighted<'a> {
     pub penalty: &'a Penalty,
     pub basis: &'a Basis,
     pub weight: &'a Array2<f64>,
-    /// Q.
+    /// Product with the matrix Q of (1), if there is one.
     pub quadratic: Option<Product<'a>>,
-    /// S.
+    /// Matrix S of the slope of the residual, if it counts.
     pub slope: Option<&'a SlopeTerm>,
 }
 
 impl Weighted<'_> {
-    /// Returns the value of (1) at dwell times with their removal B t, and its gradient q.
+    /// Returns the value of (1) at the dwell times t (n) with their removal B t (ny, nx), and its gradient q (n).
     pub fn evaluate(
         &self,
         problem: &BoundedProblem,
@@ -58,12 +59,12 @@ impl Weighted<'_> {
         (value, q)
     }
 
-    /// Returns `e' H e` of a step with its removal B e.
+    /// Returns the curvature `e' H e` of (1) along a step e (n) with its removal B e (ny, nx).
     pub fn curvature(&self, e: &[f64], e_nm: &Array2<f64>) -> f64 {
         self.between((e, e_nm), (e, e_nm))
     }
 
-    /// Returns `d' H p` of two steps with their removals.
+    /// Returns `d' H p` of two steps d and p, each given with its removal.
     fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
         let mut curved = vec![0.0; p.0.len()];
         self.penalty.add_product(p.0, &mut curved);
@@ -84,7 +85,7 @@ impl Weighted<'_> {
         height + sloped + dot(&curved, d.0)
     }
 
-    /// Returns the minimum of `q'e + e'He / 2` over `e = a d + b p`, as [a, b]:
+    /// Returns the factors [a, b] at which `q'e + e'He / 2` is least over the steps `e = a d + b p`. `dd` is d'Hd.
     ///
     /// ```text
     /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
@@ -108,7 +109,8 @@ impl Weighted<'_> {
 }
 
 impl BoundedProblem<'_> {
-    /// Returns the upper bound of the decrease of (1) from its value at t with the gradient q: [`gap`].
+    /// Returns an upper bound of the decrease of (1) that is still possible at t with the gradient q; `None` if alpha
+    /// is 0.
     pub fn gap(&self, penalty: &Penalty, t: &[f64], q: &[f64]) -> Option<f64> {
         gap(t, q, self.lo, &self.hi, penalty.alpha(), &self.reached)
     }
