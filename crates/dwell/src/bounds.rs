@@ -9,7 +9,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Bound {
-    /// One time for every dwell point, s.
+    /// The same time for every dwell point, s.
     Seconds(f64),
     /// Time per length of the segment, the same for every segment, s/mm.
     SecondsPerMm(f64),

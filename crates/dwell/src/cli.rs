@@ -135,7 +135,7 @@ struct Ended {
     end: End,
     /// Reason of a negative verdict; none if the verdict is positive.
     negative: Option<String>,
-    /// Further sentences for the user.
+    /// Further sentences for the user, printed after the numbers.
     words: String,
 }
 

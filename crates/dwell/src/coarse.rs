@@ -79,7 +79,7 @@ pub(crate) struct CoarseMap<T: Lanes + Planned> {
     size: usize,
     /// Grid of all tool positions, not only of the coarse nodes.
     nodes: Grid,
-    /// Shape of the map, pixels (ny, nx).
+    /// Shape of the map (ny, nx), in pixels.
     pixels: (usize, usize),
     /// Shape of the lattice of coarse nodes, (rows, columns).
     shape: (usize, usize),
@@ -87,7 +87,7 @@ pub(crate) struct CoarseMap<T: Lanes + Planned> {
 }
 
 impl<T: Lanes + Planned> CoarseMap<T> {
-    /// Makes the lattice for maps on `grid` in squares of `size` x `size` pixels.
+    /// Makes the operators for maps on `grid` in squares of `size` x `size` pixels.
     ///
     /// # Errors
     /// Refuses a TIF that varies over the part.

@@ -98,7 +98,7 @@ impl Continuation {
 mod tests {
     use super::*;
 
-    /// Segments of 1 and 2 mm in turn along x; the sixth is lifted.
+    /// Returns a path of segments of 1 and 2 mm in turn along x; the tool is lifted on the sixth.
     fn path() -> ToolPath {
         let x = [0.0, 1.0, 3.0, 4.0, 6.0, 7.0, 9.0, 10.0, 12.0];
         let points = x.map(|x| [x, 0.0]).to_vec();

@@ -99,7 +99,7 @@ pub(crate) struct NodeOwners {
     nearest: Array2<u32>,
 }
 
-/// Marks a node that has no dwell point near enough.
+/// Index in place of a dwell point, for a node that has none near enough.
 const NO_POINT: u32 = u32::MAX;
 
 /// Number of rows of nodes that one thread takes at a time. Larger: fewer tasks than threads on small maps. Smaller:
@@ -107,9 +107,10 @@ const NO_POINT: u32 = u32::MAX;
 const NODE_ROWS_PER_TASK: usize = 64;
 
 impl NodeOwners {
-    /// Assigns nodes to the nearest dwell point with the tool on, unless it is farther away than twice the median
-    /// distance of the nodes in the `aperture`. The aperture is a test of a position, because mm bounds [x, y] cannot
-    /// describe a disk. In a cell of a lattice the corner is 1.8 medians from the middle.
+    /// Assigns every node of `grid` to the nearest dwell point with the tool on, unless that is too far away. The
+    /// limit is twice the median distance of the nodes in the `aperture` from their dwell points; in a cell of a
+    /// lattice the corner is 1.8 medians from the middle. `aperture` tests a position [x, y], mm, because bounds
+    /// cannot describe a disk.
     pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
         let points: Vec<(u32, [f64; 2])> = (0..path.len())
             .filter(|j| path.tool_on()[*j])
@@ -200,7 +201,7 @@ impl NodeOwners {
     }
 }
 
-/// Returns the square of the distance of two points.
+/// Returns the squared distance of two points [x, y].
 fn squared_distance(q: [f64; 2], p: [f64; 2]) -> f64 {
     (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
 }

@@ -19,8 +19,8 @@ use planish_numerics::{
 };
 use planish_types::{Axis, Grid, Invalid};
 
-/// Number of Chebyshev polynomials along y and x, those of the source. Larger: the extension follows the map more
-/// closely, and may swing beyond it. Smaller: it is smoother.
+/// Number of Chebyshev polynomials along y and x, those of the source of the module. Larger: the extension follows the
+/// map more closely, and may swing beyond it. Smaller: it is smoother.
 const POLYNOMIALS_Y_X: (usize, usize) = (6, 9);
 
 /// A map with a border of pixels on every side, and the mask of its valid pixels.

@@ -18,6 +18,11 @@
 //! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
 //! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
 //! | [`baselines::feed_law`] | nothing is solved for: the feed law of rasters of one or several pitches |
+//!
+//! Words of this crate: a *column* j of B is the removal rate of dwell point or segment j on all pixels. It consists
+//! of *places*: positions of the tool, each with its fraction of the dwell time. A dwell point is *reached* if its
+//! column is not negligible. The *floor* is the lower bound of a dwell time, and the *density* is the dwell time per
+//! length of the path.
 
 // The command line names this library as any other program does.
 extern crate self as planish_dwell;
@@ -48,7 +53,7 @@ use planish_types::Invalid;
 /// Reasons for which a solver finds no dwell times.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DwellError {
-    /// The inputs or settings contradict themselves or each other.
+    /// The inputs or settings are out of range, or contradict each other.
     #[error(transparent)]
     Invalid(#[from] Invalid),
     /// The tool does not reach the part.

@@ -72,7 +72,7 @@ pub enum Unknowns {
 /// Settings of the Lucy-Richardson deconvolution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LucyRichardsonSettings {
-    /// Unknowns of the solver.
+    /// Quantities that are solved for: dwell times of the path, or a map of dwell times.
     pub unknowns: Unknowns,
     /// Weight mu of the total variation, dimensionless; >= 0, useful up to 0.02.
     pub total_variation: f64,
@@ -85,8 +85,8 @@ pub struct LucyRichardsonSettings {
     pub min_decrease: f64,
     /// Largest number of steps.
     pub max_iterations: usize,
-    /// True if `max_iterations` is the wanted end. More steps fit more noise, so that a limited number of steps can
-    /// be a choice and is then not reported as a failure.
+    /// True if stopping after `max_iterations` steps is intended, and not to be reported as a failure. More steps fit
+    /// more noise, so that a limited number of steps can be a choice.
     pub stop_at_max: bool,
     /// True if steps start from extrapolated points, (3) of the module.
     pub accelerated: bool,
@@ -114,8 +114,8 @@ impl Default for LucyRichardsonSettings {
 /// Report of the Lucy-Richardson deconvolution.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LucyRichardsonReport {
-    /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
-    /// was to end the steps.
+    /// Reason for the end: `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` if the number of
+    /// steps was meant to end it.
     pub end: End,
     /// Number of steps.
     pub iterations: usize,
@@ -126,7 +126,7 @@ pub struct LucyRichardsonReport {
     pub rms_nm: Vec<f64>,
     /// Number of unknowns that are solved for: those well within the reach of the tool.
     pub active: usize,
-    /// Negative samples of the TIF that were taken as zero.
+    /// Number of negative samples of the TIF that were taken as zero.
     pub clipped_tif_samples: usize,
     /// Side of the squares of pixels on which a map of dwell times was solved. Likelihood and RMS above are those of
     /// the means over the squares.
@@ -196,7 +196,7 @@ fn ready<'a>(problem: &Problem<'a>, unknowns: Unknowns) -> Result<DwellModel<'a>
     }
 }
 
-/// Refuses squares that are no multiple of a pixel or too large, and squares without a map.
+/// Refuses squares whose side is 0 or too large, and squares for the dwell times of a path, which has none.
 fn check_size(settings: &LucyRichardsonSettings) -> Result<(), DwellError> {
     let problem = match settings.pixels_per_cell {
         Some(size) if !(1..=MAX_SQUARE_PIXELS).contains(&size) => format!("is {size}"),
@@ -210,9 +210,8 @@ fn check_size(settings: &LucyRichardsonSettings) -> Result<(), DwellError> {
     Err(Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 
-/// Returns a TIF that is not negative, as the likelihood needs it: zeros in the place of negative rates, scaled to the
-/// same volume. Returns the number of these samples, too. A tool that varies keeps its kernels, of which single ones
-/// are negative.
+/// Returns a TIF without negative rates, as the likelihood needs it: they become zero, and the rest is scaled to the
+/// same volume. Returns their number, too. A tool that varies keeps its kernels, which may be negative one by one.
 fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
     if tif.variation().is_some() {
         return Ok((tif.clone(), 0));

@@ -137,7 +137,7 @@ impl Basis {
         }
     }
 
-    /// Returns the columns of `U = B' W f`, one (n) for every function; `adjoint` applies B' to a map.
+    /// Returns the columns of `U = B' W f`, one (n) for every free function f; `adjoint` applies B' to a map (ny, nx).
     pub fn columns(
         &self,
         weight: &Array2<f64>,
@@ -181,9 +181,9 @@ pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) 
 /// Weights of the terms of the objective other than the residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyWeights {
-    /// alpha: weight of the dwell time per area above its lower bound.
+    /// Weight alpha of the squared dwell time per area above its lower bound, dimensionless.
     pub tikhonov: f64,
-    /// beta: weight of the slope of the dwell time per area along the path.
+    /// Weight beta of the squared slope of the dwell time per area along the path, dimensionless.
     pub slope_weight: f64,
     /// Weight of one second of dwell time in half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
@@ -195,17 +195,18 @@ pub struct PenaltyWeights {
 /// follow.
 pub const POINTS_PER_AREA: f64 = 36.0;
 
-/// Quantities to which the weights of the penalty are relative.
+/// Quantities of tool, map and path to which the weights of the penalty are relative, so that they mean the same at
+/// every pitch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyScale {
-    /// D: the largest diagonal element of `B' W B`, nm^2/s^2.
+    /// Largest diagonal element D of the matrix `B' W B`, nm^2/s^2.
     pub strongest: f64,
     /// Sum of the weights of the pixels.
     pub pixel_weight: f64,
-    /// A: effective area of the TIF ([`Tif::effective_area_mm2`]), and at least that of [`POINTS_PER_AREA`] dwell
+    /// Effective area A of the TIF ([`Tif::effective_area_mm2`]), and at least that of [`POINTS_PER_AREA`] dwell
     /// points, mm^2.
     pub area_mm2: f64,
-    /// p: distance of neighbouring lines of the path, mm ([`line_distance_mm`]).
+    /// Distance p of neighbouring lines of the path, mm ([`line_distance_mm`]).
     pub line_distance_mm: f64,
 }
 
@@ -251,8 +252,8 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
     if removed > 0.0 { tif.vrr_nm_mm2_per_s() * pixel_weight / removed } else { 0.0 }
 }
 
-/// The terms of the objective beside the residual. With `a_j = p l_j`, the area of the part that a dwell point
-/// stands for, and `r_j = t_j / a_j`, the dwell time per area:
+/// The penalty: the terms of the objective other than the residual. With `a_j = p l_j`, the area of the part that a
+/// dwell point stands for, and `r_j = t_j / a_j`, the dwell time per area:
 ///
 /// ```text
 /// 1/2 alpha D A   sum_j a_j (r_j - lo_j / a_j)^2
@@ -264,7 +265,7 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
 #[derive(Clone, PartialEq)]
 pub struct Penalty {
-    /// Diagonal of the Tikhonov term of every dwell time: `alpha D A / a_j`.
+    /// Diagonal element `alpha D A / a_j` of the Tikhonov term of every dwell time (n).
     alpha: Vec<f64>,
     /// Weight of one second of dwell time, in the unit of the objective.
     time: f64,
@@ -305,7 +306,7 @@ impl Penalty {
         Self { alpha, time, lo: lo.to_vec(), steps }
     }
 
-    /// Returns the number of dwell times.
+    /// Returns the number of dwell times n.
     pub fn len(&self) -> usize {
         self.lo.len()
     }
@@ -389,8 +390,8 @@ mod tests {
         Axis::new(start, step, n).unwrap()
     }
 
-    /// Lines along x, `pitch` apart, over (0, width) x (0, height) with half a pitch to its border; the tool is off
-    /// between them.
+    /// Returns a path of lines along x, `pitch` apart, over (0, width) x (0, height) with half a pitch to its border.
+    /// The tool is off between the lines.
     fn raster([width, height]: [f64; 2], pitch: f64, step: f64) -> ToolPath {
         let (lines, steps) = ((height / pitch).round() as usize, (width / step).round() as usize);
         let mut points = Vec::new();

@@ -52,7 +52,7 @@ pub struct Problem<'a> {
     pub desired: &'a Surface,
     /// TIF of the tool.
     pub tif: &'a Tif,
-    /// Tool path.
+    /// Tool path along which the dwell times are found.
     pub path: &'a ToolPath,
     /// Weights of the pixels (ny, nx) >= 0; without them every valid pixel counts 1.
     pub weight: Option<&'a Array2<f64>>,
@@ -83,9 +83,9 @@ pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
 /// Dwell times, their effect, and the report of the solver.
 #[derive(Clone, Debug)]
 pub struct Solution<R> {
-    /// Dwell times.
+    /// Dwell times along the path.
     pub dwell: DwellTime,
-    /// Result in numbers that every solver has.
+    /// Numbers that every solver reports.
     pub outcome: Outcome,
     /// Report of the solver that found them.
     pub report: R,
@@ -263,7 +263,7 @@ impl<'a> DwellModel<'a> {
         })
     }
 
-    /// Returns the smallest and the largest value of `map` where the weight is not zero.
+    /// Returns the smallest and the largest value of `map` (ny, nx) where the weight is not zero.
     pub fn range(&self, map: &Array2<f64>) -> (f64, f64) {
         let none = (f64::INFINITY, f64::NEG_INFINITY);
         let bands = self.by_bands(map, |z, w| {
@@ -343,7 +343,7 @@ impl<'a> DwellModel<'a> {
         self.operator.adjoint(&((&y - &(&root * mean)) * &root))
     }
 
-    /// Returns `B' W M z` (n) of a map z (ny, nx): the right-hand side of the normal equations.
+    /// Returns `B' W M z` (n) of (2) of the module for a map z (ny, nx): the right-hand side of the normal equations.
     pub fn gradient(&self, map: &Array2<f64>) -> Vec<f64> {
         self.operator.adjoint(&(self.centred(map) * &self.weight))
     }

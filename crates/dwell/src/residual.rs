@@ -114,7 +114,7 @@ impl<'a> Residual<'a> {
         Self { cell_size: self.cell_size.min(pixels), ..self }
     }
 
-    /// Returns the pixels along the side of a cell of the normal matrices.
+    /// Returns the number of pixels along the side of a cell of the normal matrices.
     pub fn cell_size(&self) -> usize {
         self.cell_size
     }
@@ -151,7 +151,7 @@ impl<'a> Residual<'a> {
         self.operator.adjoint(&(&r * &self.weight))
     }
 
-    /// Returns the mean removal over the weighted pixels, nm, for the times at the places (n), s.
+    /// Returns the weighted mean of the removal over the pixels, nm, for the times at the places (n), s.
     pub fn mean_removal_nm(&self, time_s: &[f64]) -> f64 {
         (&self.removal_nm(time_s) * &self.weight).sum()
     }
@@ -276,7 +276,7 @@ pub struct Normal {
     pub matrix: Quadratic,
     /// True if the matrix is at most the second derivatives of f, (2) of the module, so that it can prove bounds.
     pub below_curvature: bool,
-    /// Removal of every column, on cells of pixels.
+    /// Removal of every column on cells of pixels, for [`Normal::for_next`].
     cells: Vec<Patch>,
 }
 
@@ -294,12 +294,12 @@ impl Normal {
         Known { column, row_of: self.row_of(), k: self.matrix.k, cells: self.cells }
     }
 
-    /// Drops the parts that only [`Normal::for_next`] needs.
+    /// Returns the matrix without the parts that only [`Normal::for_next`] needs, to free their memory.
     pub fn as_last(self) -> Self {
         Self { cells: Vec::new(), ..self }
     }
 
-    /// Returns the product of the matrix with a vector, both in the order of the columns.
+    /// Returns the product of the matrix with a vector x (m), both in the order of the columns, not of the rows.
     pub fn product(&self, x: &[f64]) -> Vec<f64> {
         let by_rows: Vec<f64> = self.order.iter().map(|j| x[*j]).collect();
         let mut product = vec![0.0; x.len()];
@@ -309,8 +309,8 @@ impl Normal {
     }
 }
 
-/// Returns the positions of the columns along an axis, mm. A column without a place gets the position of its
-/// predecessor, so that their coupling costs nothing.
+/// Returns the mean positions of the columns along x (`axis` 0) or y (1), mm. A column without a place gets the
+/// position of its predecessor, so that their coupling costs nothing.
 fn positions_mm(columns: &[Vec<ToolPlace>], axis: usize) -> Vec<f64> {
     let mut positions: Vec<f64> = Vec::with_capacity(columns.len());
     for places in columns {

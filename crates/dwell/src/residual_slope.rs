@@ -32,7 +32,7 @@ pub struct ResidualSlope {
 }
 
 impl ResidualSlope {
-    /// Refuses a weight or a base that is no positive number.
+    /// Refuses a weight or a base length that is no positive number.
     pub(crate) fn check(&self) -> Result<(), Invalid> {
         let named = [
             ("residual_slope_weight_mm2", self.weight_mm2),
@@ -80,7 +80,7 @@ impl SlopeTerm {
         }
     }
 
-    /// Returns the product S r with a map r (ny, nx).
+    /// Returns the product S r of the matrix of (1) of the module with a residual map r (ny, nx).
     pub fn product(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(map.dim());
         for (axis, steps, base_mm) in &self.directions {

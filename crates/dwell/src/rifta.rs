@@ -177,7 +177,7 @@ pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<
     Ok(())
 }
 
-/// The extended map and what does not change from one margin to the next.
+/// The extended map, and everything that stays the same from one margin to the next.
 struct Fourier<'a> {
     model: &'a DwellModel<'a>,
     map: DwellMap,
@@ -186,7 +186,8 @@ struct Fourier<'a> {
     /// Desired removal above the floor and above its minimum in the aperture, continued over the extended map, nm.
     target: Array2<f64>,
     taper: Array2<f64>,
-    /// Distance of the nodes of the lattice to the aperture, mm.
+    /// Distance of every node of the lattice from the aperture, mm; 0 inside, infinite for nodes far from every dwell
+    /// point.
     distance_mm: Array2<f64>,
     /// Half size of the TIF, the larger one of x and y, mm.
     radius_mm: f64,
@@ -200,7 +201,7 @@ struct MarginTrial {
     margin_mm: f64,
     rms_nm: f64,
     time_s: f64,
-    /// True if the lifts ended before their limit.
+    /// True if the lifts ended before their largest number.
     settled: bool,
 }
 

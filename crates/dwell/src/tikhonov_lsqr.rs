@@ -35,7 +35,7 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Damping {
-    /// This relative damping, > 0.
+    /// This damping as a fraction of the largest singular value, > 0.
     Relative(f64),
     /// Largest damping whose residual (RMS, mean removed) is at most this noise, nm.
     Discrepancy(f64),
@@ -250,7 +250,7 @@ fn turn([a, b, c]: [[f64; 2]; 3]) -> f64 {
     if sides > 0.0 { -2.0 * cross / sides } else { f64::NEG_INFINITY }
 }
 
-/// Returns the distance of two points.
+/// Returns the Euclidean distance of two points [x, y].
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (b[0] - a[0]).hypot(b[1] - a[1])
 }

@@ -69,8 +69,8 @@ impl Default for UdoSettings {
 /// Report of the universal dwell time optimisation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct UdoReport {
-    /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
-    /// not reached), or `rounds-done` where there is no threshold: the rounds are the end asked for.
+    /// Reason for the end: `threshold` (reached), `stopped` (another round would raise the RMS), `iteration-limit`
+    /// (the threshold was not reached), or `rounds-done` (there is no threshold, and all rounds were done).
     pub end: End,
     /// Number of rounds after the first adjoint image.
     pub iterations: usize,

@@ -12,12 +12,12 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
 }
 
-/// 12 x 8 mm in pixels of 0.25 mm.
+/// Returns the grid of the map: 12 x 8 mm in pixels of 0.25 mm.
 fn map_grid() -> Grid {
     Grid { x: axis(0.0, 0.25, 49), y: axis(0.0, 0.25, 33) }
 }
 
-/// Gaussian of 5 nm/s and sigma 0.8 mm, out to 3 mm.
+/// Returns a Gaussian TIF of 5 nm/s and sigma 0.8 mm, out to 3 mm.
 fn tif() -> Tif {
     let g = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -27,7 +27,7 @@ fn tif() -> Tif {
     Tif::new(g, rate).unwrap()
 }
 
-/// Two passes of four dwell points, 2 mm apart, off the pixel centres.
+/// Returns a path of two passes of four dwell points each, 2 mm apart, off the pixel centres.
 fn path() -> ToolPath {
     let dwell: Vec<[f64; 2]> = (0..8)
         .map(|i| {
@@ -43,7 +43,7 @@ fn path() -> ToolPath {
 
 const PLANTED_S: [f64; 8] = [0.4, 1.0, 0.7, 0.2, 0.9, 1.3, 0.5, 0.8];
 
-/// Removal by `seconds` at the dwell points of `path`, nm, by the definition of the TIF.
+/// Returns the removal by `seconds` at the dwell points of `path` (ny, nx), nm, by the definition of the TIF.
 fn removal(path: &ToolPath, seconds: &[f64]) -> Array2<f64> {
     let (g, tif) = (map_grid(), tif());
     Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -53,7 +53,7 @@ fn removal(path: &ToolPath, seconds: &[f64]) -> Array2<f64> {
     })
 }
 
-/// A surface that the planted dwell times remove but for a piston of 20 nm.
+/// Writes the inputs: among them a surface that the planted dwell times remove up to a piston of 20 nm.
 fn prepare(dir: &Path) {
     let height = removal(&path(), &PLANTED_S) + 20.0;
     write(dir, "surface", &Surface::new(map_grid(), height).unwrap());
@@ -63,7 +63,7 @@ fn prepare(dir: &Path) {
 
 const INPUTS: [&str; 7] =
     ["bounded-least-squares", "--surface", "surface", "--tif", "tif", "--tool-path", "tool_path"];
-/// Columns at the dwell points, no regularisation: the planted dwell times are the solution.
+/// Flags for columns at the dwell points and no regularisation: the planted dwell times are the solution.
 const EXACT: [&str; 4] = ["--columns=point", "--tikhonov=0", "--slope-weight=0", "--out=dwell"];
 
 fn run_on(threads: &str, dir: &Path, arguments: &[&str]) -> Output {
@@ -295,7 +295,8 @@ fn the_bytes_do_not_depend_on_the_threads() {
     assert!(manifest.contains("\"two-level\"") && manifest.contains("\"optimal\""), "{manifest}");
 }
 
-/// Exit code 2, one message that says `expected`, no output.
+/// Runs the command with the flags `more`, and checks for exit code 2, one message that contains `expected`, and no
+/// output.
 fn refused(dir: &Path, more: &[&str], expected: &[&str]) {
     let output = run(dir, more);
     let message = text(&output.stderr);
@@ -380,7 +381,7 @@ fn bad_maps_end_with_2_and_name_file_place_and_remedy() {
     refused_map(&["bad/x_mm.npy: has shape [49]", "33 from height_nm.npy"]);
 }
 
-/// Like [`refused`] after `change` has replaced an input.
+/// Checks as [`refused`] does, after `change` has replaced an input.
 fn refused_after(change: impl FnOnce(&Path), more: &[&str], expected: &[&str]) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());

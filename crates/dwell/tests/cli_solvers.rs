@@ -8,7 +8,8 @@ use planish_testkit::program::{save_array, text, write};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 use serde_json::{Value, json};
 
-/// A bowl of 10 x 8 mm, a bell of +-2 mm, a raster of 1 mm with 2 mm of overscan, a machine.
+/// Writes the inputs: a bowl of 10 x 8 mm, a bell-shaped TIF of +-2 mm, a raster of 1 mm with 2 mm of overscan, and a
+/// machine.
 fn prepare(dir: &Path) {
     let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
     let g = Grid { x: axis(0.0, 41), y: axis(0.0, 33) };
@@ -37,7 +38,7 @@ fn prepare(dir: &Path) {
     fs::write(dir.join("machine.json"), machine.to_string()).unwrap();
 }
 
-/// Subcommands with a flag of their own.
+/// Every solver as a subcommand, with one of its own flags.
 const SOLVERS: [&[&str]; 11] = [
     &["bcls", "--machine=machine.json"],
     &["non-negative-least-squares", "--min-dwell-s=0.05"],

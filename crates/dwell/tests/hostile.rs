@@ -4,7 +4,7 @@ use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 
 const BINARY: &str = "planish-dwell";
 
-/// A solver, its numeric flags and its counts.
+/// Cases: a solver, its flags that take a number, and its flags that take a count.
 const CASES: [(&str, &[&str], &[&str]); 9] = [
     (
         "bounded-least-squares",
@@ -113,7 +113,7 @@ fn a_floor_that_makes_the_surface_worse_and_a_run_of_months_are_negative() {
     }
 }
 
-/// The end of a solver, as the manifest says it.
+/// Returns the reason for which the solver ended, and the status, as the manifest states them.
 fn end(dir: &std::path::Path) -> (String, serde_json::Value) {
     let text = std::fs::read_to_string(dir.join("out/manifest.json")).unwrap();
     let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();

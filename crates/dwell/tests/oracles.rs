@@ -19,7 +19,7 @@ fn grid() -> Grid {
     Grid { x: Axis::new(0.0, 0.25, 41).unwrap(), y: Axis::new(0.0, 0.25, 29).unwrap() }
 }
 
-/// Bell of 3.25 mm radius (2.2 mm wide at half its height) on the pixels of the map.
+/// Returns a bell-shaped TIF of 3.25 mm radius (2.2 mm wide at half its height) on the pixels of the map.
 fn tif() -> Tif {
     let a = Axis::new(-3.25, 0.25, 27).unwrap();
     let g = Grid { x: a, y: a };
@@ -30,7 +30,7 @@ fn tif() -> Tif {
     Tif::new(g, rate).unwrap()
 }
 
-/// Boustrophedon of 1 mm over the map and `over` mm beyond.
+/// Returns a boustrophedon of 1 mm pitch over the map and `over` mm beyond.
 fn path(over: f64) -> ToolPath {
     let (nx, ny) = ((10.0 + 2.0 * over) as usize, (7.0 + 2.0 * over) as usize);
     let mut points = Vec::new();
@@ -44,7 +44,7 @@ fn path(over: f64) -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-/// Two kernels: the bell, and the bell times the offset along x. Their weights change over the part.
+/// Returns a tool of two kernels: the bell, and the bell times the offset along x. Their weights change over the part.
 fn varying() -> Tif {
     let bell = tif();
     let offsets = *bell.grid();
@@ -68,12 +68,12 @@ fn varying() -> Tif {
     .unwrap()
 }
 
-/// B t of the bell.
+/// Returns the removal B t (ny, nx), nm, of the bell for dwell times t (n), s.
 fn removal(path: &ToolPath, columns: Columns, t: &[f64]) -> Array2<f64> {
     removal_of(&tif(), path, columns, t)
 }
 
-/// B t.
+/// Returns the removal B t (ny, nx), nm, of a tool for dwell times t (n), s.
 fn removal_of(tif: &Tif, path: &ToolPath, columns: Columns, t: &[f64]) -> Array2<f64> {
     let mut out = Array2::zeros(grid().shape());
     for (p, t) in patches(&columns.places(path, tif), tif, &grid()).iter().zip(t) {
@@ -92,7 +92,7 @@ fn surface(height: Array2<f64>) -> Surface {
     Surface::new(grid(), height).unwrap()
 }
 
-/// A smooth desired removal of some 10 nm.
+/// Returns a smooth desired removal of some 10 nm (ny, nx).
 fn bowl() -> Array2<f64> {
     let g = grid();
     Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -217,7 +217,7 @@ fn both_algorithms_give_the_same_dwell() {
     assert!((rms / dense.report.model_rms_nm - 1.0).abs() < 1e-2, "{rms} {:?}", dense.report);
 }
 
-/// (1) by its definition, for equal weights and a free piston.
+/// Returns the objective (1) of the bounded least squares by its definition, for equal weights and a free piston.
 fn objective(case: &Case, settings: &BoundedSettings, t: &[f64]) -> f64 {
     let map = case.desired.grid();
     let b = patches(&settings.columns.places(&case.path, &case.tif), &case.tif, map);
@@ -576,7 +576,7 @@ fn bounds_point_by_point_hold() {
     assert_eq!(found.report.end, End::Optimal);
 }
 
-/// D: the largest diagonal element of `B' P B`, P without the mean.
+/// Returns D, the largest diagonal element of `B' P B`; P subtracts the mean of a map.
 fn strongest(path: &ToolPath) -> f64 {
     let pixels = grid().shape().0 * grid().shape().1;
     let of = |p: &planish_dwell::columns::Patch| {
@@ -770,7 +770,8 @@ fn a_price_on_time_is_its_derivative() {
     }
 }
 
-/// A mirror of 10 x 7 mm in pixels of `pixel` mm, a bell, and lines `pitch` apart, all `scale` times as large.
+/// Returns a mirror of 10 x 7 mm in pixels of `pixel` mm, a bell-shaped TIF, and a path of lines `pitch` apart, all
+/// `scale` times as large.
 fn mirror(pixel: f64, pitch: f64, scale: f64) -> (Surface, Tif, ToolPath) {
     let axis = |from: f64, to: f64| {
         Axis::new(scale * from, scale * pixel, ((to - from) / pixel).round() as usize + 1).unwrap()

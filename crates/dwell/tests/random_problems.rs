@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::definition::Penalty;
 
-/// A map with holes under a tool, a raster that is neither straight nor everywhere on, and bounds.
+/// A random problem: a map with holes, a tool, a raster that is neither straight nor everywhere on, and bounds.
 struct Case {
     desired: Surface,
     weight: Array2<f64>,
@@ -27,7 +27,7 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
 }
 
-/// `pitch_mm` is that of the TIF; the map has 0.25 mm.
+/// Makes the problem of a seed. `pitch_mm` is the pitch of the TIF; that of the map is 0.25 mm.
 fn case(seed: u64, pitch_mm: f64) -> Case {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let map = Grid {
@@ -97,14 +97,14 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     Case { desired, weight, tif, path, lo, hi, settings }
 }
 
-/// Parts of (1), by its definition.
+/// Parts of the objective (1) of the bounded least squares, by its definition.
 struct Definition {
     columns: Vec<Patch>,
-    /// Given weights, 0 on invalid pixels.
+    /// Given weights of the pixels (ny, nx), 0 on invalid pixels.
     weight: Array2<f64>,
-    /// Orthonormal under the weights.
+    /// Free functions (piston, or plane), each (ny, nx), orthonormal under the weights.
     free: Vec<Array2<f64>>,
-    /// Diagonal of `B' W B - U U'`.
+    /// Diagonal of the matrix `B' W B - U U'` (n).
     diagonal: Vec<f64>,
 }
 
@@ -147,13 +147,13 @@ impl Definition {
         found
     }
 
-    /// `sum_i w_i B_ij m_i` for a column j and values m under it.
+    /// Returns `sum_i w_i B_ij m_i` for the column `p` of B and values m on its pixels.
     fn along(&self, p: &Patch, m: &Array2<f64>) -> f64 {
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         (&p.rate_nm_per_s * m * self.weight.slice(s![r..r + ny, c..c + nx])).sum()
     }
 
-    /// `z - B t` without its free part, 0 where nothing counts.
+    /// Returns the residual `z - B t` (ny, nx) without its free part, nm; 0 where the weight is 0.
     fn residual(&self, case: &Case, t: &[f64]) -> Array2<f64> {
         let mut residual = case.desired.height_nm().mapv(|z| if z.is_nan() { 0.0 } else { z });
         for (p, t) in self.columns.iter().zip(t) {
@@ -167,7 +167,8 @@ impl Definition {
         residual
     }
 
-    /// Largest |t - clip(t - gradient / H_jj)| for a given D, s, over columns that reach the map.
+    /// Returns the natural residual, the largest |t - clip(t - gradient / H_jj)| over columns that reach the map, s,
+    /// for a given D.
     fn natural_residual(&self, case: &Case, t: &[f64], d: f64) -> f64 {
         let largest = self.diagonal.iter().copied().fold(0.0, f64::max);
         // In (1) an unreached column stays at its bound.

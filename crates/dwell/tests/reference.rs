@@ -15,7 +15,7 @@ use planish_dwell::{
 use planish_testkit::mirror::{Mirror, mirror};
 use planish_types::{End, ToolPath};
 
-/// Published: point columns, 0.1 s.
+/// Returns the problem with the published settings: columns at the dwell points, and at least 0.1 s each.
 fn problem<'a>(mirror: &'a Mirror, path: &'a ToolPath) -> Problem<'a> {
     Problem {
         desired: &mirror.desired,

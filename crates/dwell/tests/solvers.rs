@@ -21,12 +21,12 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
 }
 
-/// 9 x 7 mm in pixels of 0.25 mm.
+/// Returns the grid of the map: 9 x 7 mm in pixels of 0.25 mm.
 fn grid() -> Grid {
     Grid { x: axis(0.0, 0.25, 37), y: axis(0.0, 0.25, 29) }
 }
 
-/// R on +-3 mm, vanishing towards the border.
+/// Returns the TIF with the rate `rate(x, y)`, nm/s, on +-3 mm; it vanishes towards the border.
 fn tif(rate: impl Fn(f64, f64) -> f64) -> Tif {
     let g = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
     let edge = |v: f64| (1.0 - (v / 3.25).powi(2)).powi(3);
@@ -41,12 +41,12 @@ fn bell() -> Tif {
     tif(|x, y| 8.0 * (-(x * x + y * y) / (2.0 * 0.8 * 0.8)).exp())
 }
 
-/// A fluid jet: no removal under the nozzle, a spectrum with zeros.
+/// Returns the TIF of a fluid jet: no removal under the nozzle, and a spectrum with zeros.
 fn ring() -> Tif {
     tif(|x, y| 8.0 * (-(x.hypot(y) - 1.2).powi(2) / (2.0 * 0.35 * 0.35)).exp())
 }
 
-/// A drop with a tail, as of magnetorheological finishing: neither even nor centred.
+/// Returns a TIF like a drop with a tail, as in magnetorheological finishing: neither even nor centred.
 fn drop() -> Tif {
     tif(|x, y| {
         let length = if x > 0.4 { 0.5 } else { 1.3 };
@@ -54,7 +54,8 @@ fn drop() -> Tif {
     })
 }
 
-/// Back and forth over the map and `over` mm beyond, pitch and step 0.5 mm, dwell points in the middle.
+/// Returns a raster over the map and `over` mm beyond, pitch and step 0.5 mm, dwell points in the middle of the
+/// segments.
 fn path(over: f64) -> ToolPath {
     let (nx, ny) = ((2.0 * (9.0 + 2.0 * over)) as usize, (2.0 * (7.0 + 2.0 * over)) as usize);
     let mut points = Vec::new();
@@ -68,7 +69,7 @@ fn path(over: f64) -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-/// B t on the map.
+/// Returns the removal B t on the map (ny, nx), nm, for dwell times t (n), s.
 fn removal(path: &ToolPath, tif: &Tif, t: &[f64]) -> Array2<f64> {
     let mut out = Array2::zeros(grid().shape());
     for (p, t) in patches(&Columns::Segment.places(path, tif), tif, &grid()).iter().zip(t) {
@@ -78,7 +79,7 @@ fn removal(path: &ToolPath, tif: &Tif, t: &[f64]) -> Array2<f64> {
     out
 }
 
-/// A smooth density of 0.1 to 0.5 s/mm along the path.
+/// Returns dwell times (n), s, with a smooth density of 0.1 to 0.5 s/mm along the path.
 fn planted(path: &ToolPath) -> Vec<f64> {
     let at = |p: &[f64; 2]| 0.3 + 0.12 * (0.6 * p[0]).sin() + 0.08 * (0.5 * p[1] + 1.0).cos();
     (path.dwell_point_mm().iter().enumerate())
@@ -90,7 +91,7 @@ fn surface(height: Array2<f64>) -> Surface {
     Surface::new(grid(), height).unwrap()
 }
 
-/// A surface whose shape no dwell of this tool meets exactly.
+/// Returns a surface whose shape no dwell times of this tool meet exactly.
 fn bowl() -> Array2<f64> {
     let g = grid();
     Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -99,12 +100,12 @@ fn bowl() -> Array2<f64> {
     })
 }
 
-/// Both axes alike.
+/// Returns the limits of a machine whose two axes are alike.
 fn machine(velocity: f64, acceleration: f64) -> Limits {
     planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
 
-/// Problem and requirements of one line of the table.
+/// Problem and requirements of one row of the table of solvers.
 struct Case<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
@@ -113,7 +114,7 @@ struct Case<'a> {
     floor_s_per_mm: f64,
 }
 
-/// Dwell times, and the numbers that all have (bounded least squares and its bcls report their own).
+/// Dwell times, and the numbers that all solvers report (bounded least squares and bcls have reports of their own).
 struct Found {
     dwell: DwellTime,
     outcome: Option<Outcome>,
@@ -204,7 +205,7 @@ fn rms(height: &Array2<f64>) -> f64 {
     surface(height.clone()).statistics().rms
 }
 
-/// Residual RMS over initial RMS, by columns that the solver did not make.
+/// Returns the RMS of the residual over that of the map, by columns that the solver did not make.
 fn remaining(case: &Case<'_>, t: &[f64]) -> f64 {
     let z = case.desired.height_nm();
     rms(&(z - &removal(case.path, case.tif, t))) / rms(z)

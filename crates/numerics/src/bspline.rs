@@ -66,7 +66,7 @@ impl Knots {
         (self.t[i], self.t[i + P + 1])
     }
 
-    /// Returns Greville's abscissae (n): the mean of the three inner knots of every `B_i`.
+    /// Returns the Greville abscissae (n), one for each B-spline `B_i`: the mean of its three inner knots.
     ///
     /// They are the control values of D = s. The values of a spline at these abscissae determine
     /// it.
@@ -123,7 +123,7 @@ impl Knots {
         Integral { knots: self, e }
     }
 
-    /// Returns the knots without the inner break `k` of [`Self::breaks`], 0 < k < last.
+    /// Returns the knots without the inner knot with the index `k` in [`Self::breaks`], 0 < k < last.
     pub fn without(&self, k: usize) -> Self {
         let mut t = self.t.clone();
         t.remove(P + k);
@@ -174,7 +174,7 @@ pub struct Integral<'a> {
 }
 
 impl Integral<'_> {
-    /// Returns the value of the integral at `s`.
+    /// Returns the integral of the spline from the first knot to `s`.
     pub fn value(&self, s: f64) -> f64 {
         let t = &self.knots.t;
         let k = self.knots.span(s);

@@ -5,7 +5,7 @@
 //! distance of the cubic, and a point of the cubic gives a lower bound. Halving the interval closes the gap (G. Farin,
 //! *Curves and Surfaces for CAGD*, chapter 5).
 
-/// A point of the plane.
+/// A point [x, y] of the plane.
 pub type Point = [f64; 2];
 
 /// A line segment, given by its two ends.
@@ -22,7 +22,7 @@ const ABSOLUTE_GAP: f64 = 1e-11;
 /// Largest number of halvings of the interval. After 40 of them the gap is rounding.
 const MAX_HALVINGS: usize = 40;
 
-/// Returns the distance of `point` from `chord`.
+/// Returns the distance of `point` from the nearest point of the line segment `chord`.
 pub fn from_chord(point: Point, chord: &Chord) -> f64 {
     let [a, b] = chord;
     let along = [b[0] - a[0], b[1] - a[1]];

@@ -38,7 +38,8 @@ pub fn mean_weights([f, f2, f3]: [f64; 3]) -> [f64; 4] {
     [f2 - 0.5 * (f3 + f), 1.0 + 1.5 * f3 - 2.5 * f2, 2.0 * f2 - 1.5 * f3 + 0.5 * f, 0.5 * (f3 - f2)]
 }
 
-/// Returns `samples` (ny, nx) with one more node on every side, by quadratic continuation (the module): (ny+2, nx+2).
+/// Returns `samples` (ny, nx) with one more node, called ghost node, on every side: (ny+2, nx+2). Ghost nodes continue
+/// the samples quadratically, as the module says.
 ///
 /// An axis with fewer than three samples continues with the highest order that it has: linear for
 /// two samples, constant for one.
@@ -57,7 +58,7 @@ pub fn with_ghosts(samples: ArrayView2<f64>) -> Array2<f64> {
     g
 }
 
-/// Returns the node before `node(0)` by continuation. `node(k)`, k < n, are the samples from the border inwards.
+/// Returns the ghost node before `node(0)`. `node(k)`, k < n, are the samples from the border inwards.
 fn continuation(n: usize, node: impl Fn(usize) -> f64) -> f64 {
     match n {
         1 => node(0),
@@ -96,7 +97,7 @@ pub fn split(s: f64) -> (isize, f64) {
 mod tests {
     use super::*;
 
-    /// Interpolates a 1-D function sampled at 0..n through `with_ghosts`.
+    /// Interpolates a function that is sampled at 0, 1, .. n-1 at the coordinate s, through `with_ghosts`.
     fn interpolate(f: impl Fn(f64) -> f64, n: usize, s: f64) -> f64 {
         let samples = Array2::from_shape_fn((1, n), |(_, c)| f(c as f64));
         let g = with_ghosts(samples.view());

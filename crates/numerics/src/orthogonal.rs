@@ -92,7 +92,7 @@ mod tests {
     use super::*;
     use crate::quadrature::gauss_legendre;
 
-    /// The closed form, Born and Wolf section 9.2.1.
+    /// Returns the radial Zernike polynomial by its closed form, Born and Wolf section 9.2.1.
     fn radial(n: u32, m: u32, rho: f64) -> f64 {
         let factorial = |k: u32| (1..=k).map(f64::from).product::<f64>();
         (0..=(n - m) / 2)

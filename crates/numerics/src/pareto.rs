@@ -21,7 +21,7 @@ pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     order
 }
 
-/// Returns the area that points dominate below a corner, in the logarithms of both quantities:
+/// Returns the area of the rectangles that points span up to a corner, in the logarithms of both quantities:
 ///
 /// ```text
 /// A = sum_i ln(x_(i+1) / x_i) ln(Y / y_i)        over the front x_1 < x_2 < ..., with x_(n+1) = X
@@ -45,7 +45,7 @@ pub fn dominated_area(points: &[[f64; 2]], corner: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Front by its definition, point against point.
+    /// Returns the front by its definition: compares every point with every other one.
     fn by_definition(points: &[[f64; 2]]) -> Vec<usize> {
         let dominates = |a: [f64; 2], b: [f64; 2]| a[0] <= b[0] && a[1] <= b[1] && a != b;
         let mut front: Vec<usize> = (0..points.len())

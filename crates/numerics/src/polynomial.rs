@@ -76,9 +76,9 @@ pub fn range(c: &[f64; 4], end: f64) -> Range {
 /// Smallest and largest value of a polynomial on an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
-    /// Smallest value.
+    /// Smallest value of the polynomial on the interval.
     pub min: f64,
-    /// Largest value.
+    /// Largest value of the polynomial on the interval.
     pub max: f64,
     /// Argument u of the smallest value; the smaller one if several are equal.
     pub min_at: f64,

@@ -21,9 +21,9 @@ use ndarray::{Array2, ArrayView2, Axis, Slice, Zip};
 /// Direction along which a slope is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Along {
-    /// Along a row.
+    /// Along a row, from column to column.
     X,
-    /// Along a column.
+    /// Along a column, from row to row.
     Y,
 }
 

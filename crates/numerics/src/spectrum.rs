@@ -59,7 +59,7 @@ pub fn hann(n: usize) -> Vec<f64> {
     (0..n).map(|i| 0.5 * (1.0 - (2.0 * PI * i as f64 / n as f64).cos())).collect()
 }
 
-/// Returns `z` (ny, nx) minus its mean.
+/// Returns the samples `z` (ny, nx) minus their mean.
 pub fn without_mean(z: ArrayView2<f64>) -> Array2<f64> {
     let z = z.to_owned();
     let mean = z.mean().unwrap_or(0.0);

@@ -13,15 +13,15 @@ use crate::vectors::vectorised;
 pub struct Statistics {
     /// Number of valid (not NaN) pixels.
     pub valid_count: usize,
-    /// Arithmetic mean.
+    /// Arithmetic mean of the valid pixels.
     pub mean: f64,
-    /// Population RMS after removing the mean.
+    /// Population RMS of the valid pixels after removing their mean.
     pub rms: f64,
-    /// Largest minus smallest value.
+    /// Largest minus smallest valid value.
     pub pv: f64,
-    /// Smallest value.
+    /// Smallest valid value.
     pub min: f64,
-    /// Largest value.
+    /// Largest valid value.
     pub max: f64,
 }
 
@@ -150,7 +150,7 @@ pub fn range(map: ArrayView2<f64>) -> (f64, f64) {
     parts.into_iter().flatten().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
-/// Counts the valid pixels.
+/// Counts the valid (not NaN) pixels of a map.
 pub fn valid_count(map: ArrayView2<f64>) -> usize {
     sums_of_values(
         map,
@@ -218,7 +218,7 @@ fn ranked(mut values: Vec<f64>, rank: usize) -> Option<f64> {
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// Returns the statistics of the valid pixels; `None` if there are none.
+/// Returns the statistics of the valid pixels of a map; `None` if there are none.
 pub fn statistics(map: ArrayView2<f64>) -> Option<Statistics> {
     let [n, sum] = sums_of_values(
         map,
@@ -243,11 +243,11 @@ pub fn statistics(map: ArrayView2<f64>) -> Option<Statistics> {
 /// Least-squares plane `z = a + b x + c y` through the valid pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
-    /// Height at the coordinate origin.
+    /// Value of the plane at the coordinate origin, in the unit of the map.
     pub a: f64,
-    /// Slope along x.
+    /// Slope along x, in the unit of the map per unit of the coordinates.
     pub b: f64,
-    /// Slope along y.
+    /// Slope along y, in the unit of the map per unit of the coordinates.
     pub c: f64,
 }
 

@@ -23,36 +23,36 @@ pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
 
 /// Arithmetic on vectors of the processor, each with one number in every lane. All operations act lane by lane.
 pub trait Lanes: Real {
-    /// Vector type of the processor.
+    /// Vector type of the processor for this number type.
     type Vector<S: Simd>: Copy;
 
     /// Returns the number of lanes: how many numbers a vector holds.
     fn lanes<S: Simd>() -> usize;
     /// Returns a vector with `value` in every lane.
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
-    /// Returns `a + b`.
+    /// Returns `a + b` in every lane.
     fn sum<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// Returns `a - b`.
+    /// Returns `a - b` in every lane.
     fn difference<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// Returns `a b`.
+    /// Returns the product `a b` in every lane.
     fn product<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// Returns `a b + c`.
+    /// Returns `a b + c` in every lane, rounded once if the processor can.
     fn mul_add<S: Simd>(
         simd: S,
         a: Self::Vector<S>,
         b: Self::Vector<S>,
         c: Self::Vector<S>,
     ) -> Self::Vector<S>;
-    /// Returns `c - a b`.
+    /// Returns `c - a b` in every lane, rounded once if the processor can.
     fn negate_mul_add<S: Simd>(
         simd: S,
         a: Self::Vector<S>,
         b: Self::Vector<S>,
         c: Self::Vector<S>,
     ) -> Self::Vector<S>;
-    /// Returns the numbers as vectors; their count is a multiple of [`Self::lanes`].
+    /// Views a slice of numbers as vectors; its length must be a multiple of [`Self::lanes`].
     fn vectors<S: Simd>(numbers: &[Self]) -> &[Self::Vector<S>];
-    /// Returns the numbers as mutable vectors; their count is a multiple of [`Self::lanes`].
+    /// Views a slice of numbers as mutable vectors; its length must be a multiple of [`Self::lanes`].
     fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [Self::Vector<S>];
 }
 

@@ -64,7 +64,7 @@ pub struct FeedLawSettings {
 /// Report of the feed law.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FeedLawReport {
-    /// `direct`: nothing is solved for.
+    /// Always `direct`: nothing is solved for.
     pub end: End,
     /// Number of lines of the raster.
     pub lines: usize,
@@ -339,7 +339,7 @@ fn weights(axis: &Axis, v: f64, side_mm: f64) -> Vec<(usize, f64)> {
     parts.filter(|(_, w)| *w > 0.0).collect()
 }
 
-/// Returns H(u) of [`weights`]: the integral of `max(1 - |u|, 0)` up to u.
+/// Returns H(u) of [`weights`]: the integral of the hat function `max(1 - |u|, 0)` from -1 to u.
 fn hat_integral(u: f64) -> f64 {
     let rest = 1.0 - u.abs().min(1.0);
     if u < 0.0 { 0.5 * rest * rest } else { 1.0 - 0.5 * rest * rest }
@@ -352,7 +352,7 @@ mod tests {
     use ndarray::Array2;
     use planish_types::Grid;
 
-    /// A Gaussian of 1 mm and 10 nm/s, to 7 sigma, on pixels of 0.25 mm.
+    /// Returns a Gaussian TIF of sigma 1 mm and 10 nm/s, out to 7 sigma, on pixels of 0.25 mm.
     fn tif() -> Tif {
         let axis = Axis::new(-7.0, 0.25, 57).unwrap();
         let g = |k: usize| (-0.5 * axis.coordinate_mm(k).powi(2)).exp();

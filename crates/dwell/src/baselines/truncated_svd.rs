@@ -33,7 +33,7 @@ use crate::{
 /// Settings of the truncated singular value decomposition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TruncatedSvdSettings {
-    /// Singular values up to this fraction of the largest are left out; between 0 and 1.
+    /// Singular values up to this fraction of the largest one are left out; between 0 and 1.
     pub cut: f64,
     /// Relative change of the dwell times at which the Lanczos process ends.
     pub tolerance: f64,

@@ -32,14 +32,14 @@ use crate::{
     surrogate::{Penalised, Surrogate, Unbounded},
 };
 
-/// Usual number of corrections of a problem, for the estimate of the remaining time only. Larger: the progress starts
-/// slower and ends with a jump. Smaller: it waits before its end.
+/// Usual number of corrections (steps by the surrogate) of a problem, for the estimate of the remaining time only.
+/// Larger: the progress starts slower and ends with a jump. Smaller: it waits before its end.
 const USUAL_CORRECTIONS: f64 = 6.0;
 /// Largest fraction of the progress that is reported before the end, for the estimate of the remaining time only.
 const BEFORE_LAST: f64 = 0.9;
 
-/// Fraction of the natural residual above which a step is slow: it leaves more than this. Larger: fewer steps count
-/// as slow. Smaller: the surrogate gets smaller cells earlier, and costs more.
+/// Fraction of the natural residual above which a step counts as slow: the step leaves more than this. Larger: fewer
+/// steps count as slow. Smaller: the surrogate gets smaller cells earlier, and costs more.
 const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
 
 /// Number of slow steps in a row after which the factorised surrogate gets smaller cells. Larger: more slow steps.
@@ -51,20 +51,20 @@ const SLOW_STEPS_BEFORE_SHARPENING: usize = 2;
 /// end, larger residual. Smaller: more steps.
 const STAGNATION: f64 = 2e-4;
 
-/// Fraction of the natural residual that a step of the two-level method may leave. Larger: more corrections by the
-/// exact gradient. Smaller: more products with H~ per step.
+/// Fraction of the natural residual that the search for a step by the two-level method may leave. Larger: more
+/// corrections by the exact gradient. Smaller: more products with H~ per step.
 const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.1;
 
-/// Fraction of the natural residual that gradient steps may leave. It is smaller than that of the two-level method
-/// because gradient steps are more expensive to restart.
+/// Fraction of the natural residual that the search for a step by gradient steps may leave. It is smaller than that of
+/// the two-level method because gradient steps are more expensive to restart.
 const RESIDUAL_FRACTION_GRADIENT: f64 = 0.01;
 
-/// Largest number of rounds that continue without bounds before the surrogate finds other sets. Larger: more rounds
-/// with a set of free dwell times that may be wrong. Smaller: more searches for sets.
+/// Largest number of steps in a row that are found without bounds before the surrogate chooses the free dwell times
+/// again. Larger: more steps with a set of free dwell times that may be wrong. Smaller: more searches for sets.
 const MAX_ROUNDS_WITHOUT_BOUNDS: usize = 3;
 
-/// Decrease of (1) that a step promises, as a fraction of (1), up to which it is rounding and the steps end. Larger:
-/// an earlier end. Smaller: steps that only rounding decides.
+/// Decrease of the objective (1) that a step promises, as a fraction of (1), up to which it is rounding and the steps
+/// end. Larger: an earlier end. Smaller: steps that only rounding decides.
 const STEP_ROUNDING: f64 = 1e-15;
 
 /// Length of the best step, over the whole step, above which the whole step is taken. Only a whole step puts the
@@ -236,7 +236,7 @@ impl<'s> Descent<'s> {
         Look { objective, gradient, natural_residual, relative_gap, is_still, end }
     }
 
-    /// Reports the progress: by the number of corrections, or by the gap, whichever is further.
+    /// Reports the progress: by the number of corrections, or by the proven gap, whichever is further.
     fn tell_progress(&mut self, relative_gap: Option<f64>) {
         let usual = (self.corrections as f64 / USUAL_CORRECTIONS).min(BEFORE_LAST);
         let proven = relative_gap.map_or(0.0, |gap| {

@@ -33,8 +33,8 @@ const SMOOTHNESS_FACTOR: f64 = 10.0;
 /// meets the noise less closely. Smaller: more trials, each of which solves the problem.
 const SMOOTHNESS_RATIO: f64 = 1.05;
 
-/// Threshold of the Huber loss, in standard deviations of the noise, from which on no noise lies beyond it, to
-/// rounding. Larger: integrals whose value is known. Smaller: the tail of the noise is left out.
+/// Ratio of the threshold of the Huber loss to the standard deviation of the noise above which no noise lies beyond
+/// the threshold, to rounding. Larger: integrals whose value is known. Smaller: the tail of the noise is left out.
 const BEYOND_NOISE: f64 = 8.0;
 
 /// Number of points of the Gauss rule for integrals over the normal distribution: exact to rounding over

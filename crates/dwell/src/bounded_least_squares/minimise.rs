@@ -11,8 +11,8 @@ use super::{
 };
 use crate::DwellError;
 
-/// Largest number of steps of H~. Larger: problems that do not converge take longer. Smaller: slow problems end
-/// without a certificate. Chosen: measured problems take 3 to 6.
+/// Largest number of steps by the surrogate H~. Larger: problems that do not converge take longer. Smaller: slow
+/// problems end without a certificate. Chosen: measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
 
 /// Easier problems that are solved before (1), one after the other, see [`BoundedProblem::approach`]: weights of the
@@ -20,7 +20,8 @@ const MAX_CORRECTIONS: usize = 100;
 /// problem, or smaller steps of the weights, cost as much time as they save.
 const ROUGH_PROBLEMS: [(f64, f64); 2] = [(1e3, 2.0), (30.0, 1.5)];
 
-/// Side of the cells of an easier problem over that for (1). Larger: cheaper and less exact easier problems.
+/// Ratio of the side of the cells of an easier problem to that for (1). Larger: cheaper and less exact easier
+/// problems.
 const ROUGH_CELLS: usize = 2;
 
 /// Largest alpha of an easier problem, dimensionless; a problem with a larger one is left out, because the penalty

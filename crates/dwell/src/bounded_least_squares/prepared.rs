@@ -17,12 +17,14 @@ use crate::{
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
-/// Smallest diagonal of the Tikhonov term, over D, for the two-level method. Below it, the rounding of the method is
-/// larger than the term. Larger: more problems take the slower gradient steps. Smaller: rounding decides the steps.
+/// Smallest diagonal element of the Tikhonov term, as a fraction of D, for the two-level method. Below it, the
+/// rounding of the method is larger than the term. Larger: more problems take the slower gradient steps. Smaller:
+/// rounding decides the steps.
 const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 
-/// Estimated energy of a column, as a fraction of the largest, below which it is computed. Larger: more columns are
-/// computed, which takes time. Smaller: columns of weak effect keep an inexact estimate.
+/// Estimated energy (weighted sum of squares) of a column, as a fraction of the largest, below which it is computed
+/// exactly. Larger: more columns are computed, which takes time. Smaller: columns of weak effect keep an inexact
+/// estimate.
 const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 
 /// Ratio of the largest rate on the border to the peak above which a TIF ends abruptly, dimensionless. Wide splines
@@ -61,7 +63,7 @@ pub struct BoundedProblem<'a> {
     pub reached: Vec<bool>,
     /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2.
     pub diagonal: Vec<f64>,
-    /// Quantities to which the weights of the penalty are relative.
+    /// Quantities to which the weights of the penalty are relative: D, A and p of (1).
     pub scale: PenaltyScale,
     /// Columns of U of (2), one (n) for each free function of the map (piston, or plane).
     u: Vec<Vec<f64>>,

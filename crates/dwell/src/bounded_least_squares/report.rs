@@ -18,11 +18,11 @@ use crate::{continuation::Continuation, model::FFT_ROUNDING, surrogate::Surrogat
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Algorithm {
-    /// Active sets on the factorised surrogate of H.
+    /// Sets of free dwell times (active sets), with factorisations of the surrogate of H.
     ActiveSet,
     /// Conjugate gradients on the active set, preconditioned on a lattice of B-splines.
     TwoLevel,
-    /// Projected gradient steps.
+    /// Projected gradient steps with products of the surrogate.
     ProjectedGradient,
 }
 
@@ -142,9 +142,9 @@ impl BoundedReport {
 /// Dwell times of the bounded least squares, and the report on them.
 #[derive(Clone, Debug)]
 pub struct BoundedSolution {
-    /// Dwell times.
+    /// Dwell times along the path.
     pub dwell: DwellTime,
-    /// Report of the solver.
+    /// Report of the solver on them.
     pub report: BoundedReport,
 }
 

@@ -22,7 +22,7 @@ pub struct BoundedSettings {
     pub tikhonov: f64,
     /// Weight beta of the squared slope of the dwell time per area along the path, dimensionless; >= 0.
     pub slope_weight: f64,
-    /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
+    /// Weight of one second of the total time in half the mean square of the residual, nm^2/s; >= 0.
     pub time_weight_nm2_per_s: f64,
     /// Low-order terms of the map that need not be removed.
     pub free: Free,
@@ -85,7 +85,7 @@ pub type Product<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 /// A program: the columns of the removal matrix B, and the bounds of their dwell times.
 #[derive(Clone)]
 pub struct Program<'a> {
-    /// Places of the tool in each column (n).
+    /// Places of the tool in each of the n columns: positions with their fractions of the dwell time.
     pub places: &'a [Vec<ToolPlace>],
     /// Lower bounds (n), s.
     pub lo: Vec<f64>,

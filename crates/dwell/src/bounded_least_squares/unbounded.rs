@@ -19,8 +19,8 @@ use crate::surrogate::{Surrogate, Unbounded};
 /// free dwell times. Smaller: useful solutions are dropped.
 const MAX_COST_OF_BOUNDS: f64 = 1e-3;
 
-/// Fraction of the wanted gap at which the steps end; the rest is left for the cost of the bounds. Larger: the bounds
-/// may spoil the certificate. Smaller: more steps.
+/// Fraction of the wanted relative gap at which the steps without bounds end; the rest is left for the cost of the
+/// bounds. Larger: the bounds may spoil the certificate. Smaller: more steps.
 const GAP_FRACTION: f64 = 0.3;
 
 /// Fraction of the gap that a step may leave; the steps end if one leaves more. Larger: more slow steps. Smaller: the

@@ -712,7 +712,7 @@ impl<'a> TwoSums<'a> {
         );
     }
 
-    /// Adds the sums of all places to `cells` (rows of cells, columns of cells).
+    /// Adds the sums of all places of the column to `cells` (rows of cells, columns of cells).
     fn add_to(&self, cells: &mut Array2<f64>) {
         cells.indexed_iter_mut().for_each(|((r, c), v)| *v += self.cells[c * self.height + r]);
     }
@@ -803,7 +803,7 @@ mod tests {
         (Tif::new(g, rate).unwrap(), map)
     }
 
-    /// A map with pixels of these pitches.
+    /// Returns a grid of pixels with these pitches, mm.
     fn of_pitch(x_mm: f64, y_mm: f64) -> Grid {
         Grid { x: Axis::new(0.0, x_mm, 37).unwrap(), y: Axis::new(0.0, y_mm, 29).unwrap() }
     }

@@ -324,7 +324,7 @@ mod tests {
         )
     }
 
-    /// B t by its columns.
+    /// Returns the removal B t by the columns of B.
     fn by_columns(places: &[Vec<ToolPlace>], tif: &Tif, map: &Grid, t: &[f64]) -> Array2<f64> {
         let mut removal = Array2::zeros(map.shape());
         for (p, t) in columns::patches(places, tif, map).iter().zip(t) {
@@ -338,7 +338,7 @@ mod tests {
         largest_magnitude(map.iter().copied())
     }
 
-    /// Places on nodes, between them, and around the map, one in each column.
+    /// Returns columns of one place each: on nodes, between them, and around the map.
     fn places(map: &Grid) -> Vec<Vec<ToolPlace>> {
         let at = |axis: &Axis, k: usize| axis.start_mm() + k as f64 * 0.45 * axis.step_mm();
         (0..2600)
@@ -469,7 +469,7 @@ mod tests {
         }
     }
 
-    /// Three kernels, with weights that change over the part and a factor of every pixel.
+    /// Returns a tool of three kernels, with weights that change over the part and a factor of every pixel.
     fn varying(constant: &Tif, map: &Grid) -> Tif {
         let offsets = *constant.grid();
         let kernel = |by: fn([f64; 2]) -> f64| {

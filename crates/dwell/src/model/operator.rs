@@ -18,8 +18,8 @@ use crate::model::{
 /// the FFT.
 const MAX_STORED_ELEMENTS: f64 = 5e7;
 
-/// Largest number of elements of B that are held temporarily, or if they are more exact than the FFT (2 GB). Larger:
-/// more memory. Smaller: more problems use the FFT or are refused.
+/// Largest number of elements of B that are held for a short time, or if they are more exact than the FFT (2 GB).
+/// Larger: more memory. Smaller: more problems use the FFT or are refused.
 pub const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 
 /// Largest number of pixels of the map under the TIF; a larger TIF is refused. The TIF may exceed the map, but not by
@@ -27,8 +27,8 @@ pub const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 /// are refused.
 const MAX_TIF_PIXELS: f64 = 2.7e8;
 
-/// Largest number of dwell points of a normal matrix (288 MB); more are refused. Larger: memory grows with the
-/// square. Smaller: fewer problems can be solved.
+/// Largest number n of dwell points for which the normal matrix (n, n) is stored (288 MB); more are refused. Larger:
+/// memory grows with the square. Smaller: fewer problems can be solved.
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
 /// Returns the number of pixels of the map that the rectangle of the TIF covers.
@@ -51,7 +51,7 @@ fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
 
 /// The removal matrix B (pixels, n), in one of two forms.
 pub enum Operator {
-    /// Stored columns.
+    /// The matrix, stored by columns.
     Stored(Stored),
     /// Operator that spreads the dwell times on the pixels and convolves them by FFT.
     Fft(Box<FftOperator>),
@@ -125,14 +125,14 @@ impl Operator {
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
-    /// Stored columns.
+    /// The matrix, stored by columns.
     Stored(Stored),
     /// Operator that spreads the dwell times on the pixels and convolves them by FFT.
     Convolved(Box<FftOperator>),
 }
 
 impl Removal {
-    /// Makes B for the places of the tool in each column; `as_columns` allows columns, where they fit.
+    /// Makes B for the places of the tool in each column; stored by columns if they fit and `as_columns` allows it.
     ///
     /// # Errors
     /// Refuses a TIF that covers so many pixels that the units must be wrong.

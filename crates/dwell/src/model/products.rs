@@ -166,7 +166,7 @@ mod tests {
 
     use super::*;
 
-    /// A patch with numbers that no other one has.
+    /// Returns a patch whose numbers differ from those of every other patch.
     fn patch(origin: (usize, usize), shape: (usize, usize)) -> Patch {
         let of = |(r, c)| {
             let (r, c) = ((r + origin.0) as f64, (c + origin.1) as f64);
@@ -175,7 +175,7 @@ mod tests {
         Patch { origin, rate_nm_per_s: Array2::from_shape_fn(shape, of) }
     }
 
-    /// Pixel by pixel.
+    /// Returns the product of two patches, computed pixel by pixel.
     fn product(a: &Patch, b: &Patch) -> f64 {
         let at = |p: &Patch, (r, c): (usize, usize)| {
             let inside = p.range(0).contains(&r) && p.range(1).contains(&c);
@@ -208,7 +208,8 @@ mod tests {
         assert_eq!(Bundle::new(patches[2..3].iter()).dots(&patches[0]), [0.0; MOST_BUNDLED]);
     }
 
-    /// Patches of different sizes at scattered places, so that some reach much further than their neighbours.
+    /// Returns patches of different sizes at scattered positions, so that some reach much further than their
+    /// neighbours.
     fn scattered() -> Vec<Patch> {
         let at = |k: usize| {
             let length = if k.is_multiple_of(6) { 30 } else { 9 };

@@ -20,8 +20,8 @@ use crate::{
     objective::{Basis, Free, Penalty},
 };
 
-/// Largest number of sets of free dwell times in a step. Larger: a step that cycles takes longer. Smaller: steps end
-/// before their set is found. Chosen: measured problems take 2 to 12.
+/// Largest number of sets of free dwell times that one step tries. Larger: a step that cycles takes longer. Smaller:
+/// steps end before their set is found. Chosen: measured problems take 2 to 12.
 const MAX_ACTIVE_SETS: usize = 30;
 
 /// Decrease of the objective by one step of conjugate gradients, as a fraction of the decrease so far in the norm of
@@ -257,7 +257,7 @@ fn in_two(places: &[ToolPlace], longest_mm: f64) -> Vec<ToolPlace> {
     both.to_vec()
 }
 
-/// Returns the mean of a value over places, weighted by their fractions; `total` is the sum of the fractions.
+/// Returns the mean of `value` over places, weighted with their fractions; `total` is the sum of the fractions.
 fn mean(places: &[ToolPlace], total: f64, value: impl Fn(&ToolPlace) -> f64) -> f64 {
     places.iter().map(|p| p.fraction * value(p)).sum::<f64>() / total
 }

@@ -34,7 +34,7 @@ pub struct Ordered {
     order: Vec<usize>,
     /// H~ without the penalty, with room for the elements that the penalty adds.
     data: Quadratic,
-    /// Fraction of the natural residual that a step may leave.
+    /// Fraction of the natural residual at which the search for a step ends.
     enough: f64,
 }
 

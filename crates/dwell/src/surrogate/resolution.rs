@@ -21,34 +21,35 @@ pub const MAX_LOSS_GRADIENT: f64 = 2e-2;
 /// Smaller: more cells, and more time.
 const MAX_CELL_PIXELS: usize = 16;
 
-/// Pitch of the splines over the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma of a Gaussian). Larger: a
-/// smaller factor, and more steps of conjugate gradients. Smaller: the reverse. Chosen by the time that problems
-/// took.
+/// Pitch of the splines as a multiple of the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma of a Gaussian).
+/// Larger: a smaller factor of their matrix, and more steps of conjugate gradients. Smaller: the reverse. Chosen by
+/// the time that problems took.
 const SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.8;
 
-/// Largest pitch of the splines over the width of the TIF for a factor that is made quickly. Beyond it, conjugate
-/// gradients take several times as many steps to find what wider splines cannot represent.
+/// Largest pitch of the splines, as a multiple of the width of the TIF, to which it is raised for a factor that is
+/// made quickly. Beyond it, conjugate gradients take several times as many steps to find the part that wider splines
+/// cannot represent.
 const MAX_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 1.0;
 
 /// Factor by which the pitch grows in each trial until the factor of the matrix is small enough. Larger: the pitch
 /// overshoots more. Smaller: more trials.
 const WIDENED_BY: f64 = 1.05;
 
-/// Smallest pitch over the mean spacing of the columns. With many more splines than columns, the splines are
-/// dependent and their matrix is singular to rounding. Larger: coarser splines than the TIF needs. Smaller: singular
-/// matrices.
+/// Smallest pitch of the splines as a multiple of the mean spacing of the columns. With many more splines than
+/// columns, the splines are dependent and their matrix is singular to rounding. Larger: coarser splines than the TIF
+/// needs. Smaller: singular matrices.
 const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
 
-/// Largest length of a column over the pitch for which a spline can include the column. Larger: splines represent
-/// long columns badly. Smaller: fewer columns take part in the coarse solution.
+/// Largest length of a column, as a multiple of the pitch of the splines, for which a spline can include the column.
+/// Larger: splines represent long columns badly. Smaller: fewer columns take part in the coarse solution.
 const MAX_COLUMN_OVER_SPLINE_PITCH: f64 = 2.0;
 
 /// Number of elements of the factor of the matrix of the splines up to which the pitch is not widened: the factor
 /// takes seconds. Larger: longer factorisations. Smaller: wider splines, and more conjugate gradients.
 const QUICK_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 
-/// Largest number of elements of the factor (2.8 GB, twice that while it is made); with more there are no splines.
-/// Larger: more memory. Smaller: more problems without the two-level method.
+/// Largest number of elements of the factor of the matrix of the splines (2.8 GB, twice that while it is made); with
+/// more there are no splines. Larger: more memory. Smaller: more problems without the two-level method.
 const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 7e8;
 
 /// Returns the side, in pixels of the map, of the largest cell that loses at most the fraction `max_loss` of the

@@ -87,7 +87,7 @@ impl Stencils {
         (0..rows).step_by(part).map(move |from| from..(from + part).min(rows))
     }
 
-    /// Returns the number of rows.
+    /// Returns the number of rows: one for every node.
     fn rows(&self) -> usize {
         self.values.len() / Self::len(self.reach)
     }

@@ -78,9 +78,9 @@ impl Weights {
     }
 }
 
-/// Largest distance, in cells, of two columns whose difference is in the matrix of the lattice. For columns farther
-/// apart, which would widen its skyline, the matrix has a bound of the difference. Larger: a larger factor. Smaller:
-/// a less exact matrix.
+/// Largest distance, in cells, of two columns for which the penalty on their difference is in the matrix of the
+/// lattice as it is. For columns farther apart, which would widen its skyline, the matrix has a bound of it. Larger: a
+/// larger factor. Smaller: a less exact matrix.
 const MAX_COUPLED_CELLS: u32 = 1;
 
 /// Increase of the diagonal of the matrix of the lattice, as a fraction of the part of `V' L V` without differences.
@@ -288,7 +288,8 @@ fn cell_and_splines(position: f64, cells: usize) -> (u32, [f64; 4]) {
 fn part_of(part: usize, len: usize) -> Range<usize> {
     part * len / PENALTY_PARTS..(part + 1) * len / PENALTY_PARTS
 }
-/// the result does not either. Larger: more memory. Another value changes the last digits of the result.
+/// Number of parts into which the columns are divided for the sum of `V' L V`. It does not depend on the number of
+/// threads, so the result does not either. Larger: more memory. Another value changes the last digits of the result.
 const PENALTY_PARTS: usize = 2;
 
 /// Largest distance, in nodes, of two nodes that the difference of near columns couples. It follows from the width of
@@ -367,7 +368,7 @@ impl Coarse {
         }
     }
 
-    /// Returns true if the last inverse is for this penalty, and all its columns are free.
+    /// Returns true if the last inverse is for this penalty, and all columns of that inverse are free.
     pub fn is_of(&self, penalty: &Penalty, free: &[bool]) -> bool {
         let known = self.last.as_ref().is_some_and(|(last, _)| last == penalty);
         known && self.free.iter().zip(free).all(|(own, free)| *free || !own)

@@ -4,18 +4,19 @@ use ndarray::{Array2, s};
 use planish_dwell::columns::Patch;
 use planish_types::{Tif, ToolPath};
 
-/// `1/2 sum_j alpha_j (t_j - lo_j)^2 + 1/2 sum_k beta_k (t_k / l_k - t_{k-1} / l_{k-1})^2`.
+/// The penalty `1/2 sum_j alpha_j (t_j - lo_j)^2 + 1/2 sum_k beta_k (t_k / l_k - t_{k-1} / l_{k-1})^2` of the bounded
+/// least squares, by its definition.
 pub struct Penalty {
-    /// `alpha D A / (p l_j)` (n).
+    /// Factors `alpha D A / (p l_j)` of the Tikhonov term (n).
     pub alpha: Vec<f64>,
-    /// `beta D A^2 / (p m_k)` of segments k - 1 and k (n); 0 where one of them has no density.
+    /// Factors `beta D A^2 / (p m_k)` of the slope between segments k - 1 and k (n); 0 if one of them has no density.
     pub beta: Vec<f64>,
-    /// l (n), mm.
+    /// Lengths l of the segments (n), mm.
     pub length_mm: Vec<f64>,
 }
 
 impl Penalty {
-    /// Makes the definition for `columns` of segments on a map whose pixels have the weights `weight`, and D
+    /// Makes the penalty for `columns` of segments on a map whose pixels have the weights `weight`, with D =
     /// `strongest`.
     pub fn new(
         path: &ToolPath,
@@ -58,7 +59,7 @@ impl Penalty {
         Self { alpha, beta, length_mm }
     }
 
-    /// Its value.
+    /// Returns the value of the penalty at the dwell times t (n).
     #[allow(dead_code, reason = "not every test that has this module needs all of it")]
     pub fn value(&self, t: &[f64], lo: &[f64]) -> f64 {
         let far: f64 = (0..t.len()).map(|j| self.alpha[j] * (t[j] - lo[j]).powi(2)).sum();
@@ -68,7 +69,7 @@ impl Penalty {
         0.5 * (far + rough)
     }
 
-    /// Its gradient (n).
+    /// Returns the gradient of the penalty at the dwell times t (n).
     #[allow(dead_code, reason = "not every test that has this module needs all of it")]
     pub fn gradient(&self, t: &[f64], lo: &[f64]) -> Vec<f64> {
         let mut q: Vec<f64> = (0..t.len()).map(|j| self.alpha[j] * (t[j] - lo[j])).collect();
@@ -80,7 +81,7 @@ impl Penalty {
         q
     }
 
-    /// Diagonal of its matrix (n).
+    /// Returns the diagonal of the matrix of the penalty (n).
     #[allow(dead_code, reason = "not every test that has this module needs all of it")]
     pub fn diagonal(&self) -> Vec<f64> {
         let mut d = self.alpha.clone();

@@ -112,9 +112,9 @@ impl<T: Lanes + Planned> Convolution<T> {
         }
     }
 
-    /// Applies the adjoint with `filter(G)` in place of conj(G), where G is the spectrum of the kernel. A
-    /// filter near 1 / G gives a source whose valid part is near `map`. The result has the shape of
-    /// the source.
+    /// Applies the adjoint with `filter(G)` in place of the complex conjugate of G, where G is the spectrum of the
+    /// kernel. A filter near 1 / G gives a source whose valid part is near `map`. The result has the shape of the
+    /// source.
     pub fn filtered(
         &self,
         map: ArrayView2<f64>,
@@ -265,7 +265,7 @@ mod tests {
         Array2::from_shape_simple_fn(shape, || rng.random_range(-1.0..1.0))
     }
 
-    /// Valid part of the convolution by its definition.
+    /// Computes the valid part of the convolution of the kernel g with the source s by its definition.
     fn by_definition(g: &Array2<f64>, s: &Array2<f64>) -> Array2<f64> {
         let ((gy, gx), (sy, sx)) = (g.dim(), s.dim());
         Array2::from_shape_fn((sy - gy + 1, sx - gx + 1), |(i, j)| {

@@ -157,11 +157,11 @@ struct Places {
     lanes: usize,
     /// Count of the numbers of an element in all lanes: real and imaginary parts.
     element: usize,
-    /// Count of numbers from one block of columns to the next.
+    /// Count of numbers from the start of one block of columns to that of the next.
     stride: usize,
-    /// Count of the numbers of as many elements as there are lanes.
+    /// Count of the numbers of a square: as many elements of a block as there are lanes.
     square: usize,
-    /// Count of the blocks with columns of the source.
+    /// Count of the blocks that contain columns of the source.
     blocks: usize,
 }
 
@@ -308,8 +308,8 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Returns the number of blocks of columns that the wrapped part of a circular convolution fills
-    /// completely.
+    /// Returns the number of blocks of columns that contain only wrapped elements of the circular convolution, and are
+    /// not used.
     fn spoilt(&self, places: Places) -> usize {
         (self.kernel.1 - 1) / places.lanes
     }

@@ -39,10 +39,10 @@ pub fn is_size(n: usize) -> bool {
     rest == 1
 }
 
-/// An element of a line in every lane: the real and the imaginary parts.
+/// One element of the lines, in every lane: vectors of the real and of the imaginary parts.
 pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];
 
-/// Returns the numbers as elements: the real parts of the first element, its imaginary parts, and so on.
+/// Views numbers as elements: the real parts of the first element in all lanes, its imaginary parts, and so on.
 #[inline(always)]
 pub fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [Element<T, S>] {
     T::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
@@ -151,7 +151,7 @@ enum What<'a, T: Lanes, S: Simd> {
     Convolve(&'a [Element<T, S>]),
 }
 
-/// Levels of a transform and the lines, for one vector type of a processor.
+/// One operation: the levels of the transform, and the lines, for one vector type of a processor.
 struct Step<'a, T: Lanes, S: Simd> {
     simd: S,
     levels: &'a [Level<T>],
@@ -542,7 +542,7 @@ mod tests {
         }
     }
 
-    /// Frequencies in the order of a transform: digits of the radices, the last one first.
+    /// Returns the frequencies in the order of a transform of n elements: the digits of the radices are reversed.
     fn order(n: usize) -> Vec<usize> {
         let radices = radices(n);
         (0..n)

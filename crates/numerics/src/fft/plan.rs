@@ -12,9 +12,9 @@ use crate::precision::Real;
 
 /// Transforms of the rows of a real map, and of the columns of their spectra.
 pub struct Plans<T> {
-    /// Rows: real numbers to half of their spectrum.
+    /// Transform of the rows: from real numbers to half of their spectrum.
     pub forward_x: Arc<dyn RealToComplex<T>>,
-    /// Rows: half of a spectrum to real numbers.
+    /// Inverse transform of the rows: from half of a spectrum to real numbers.
     pub inverse_x: Arc<dyn ComplexToReal<T>>,
     /// Forward transform of the columns of these spectra.
     pub forward_y: Arc<dyn Fft<T>>,

@@ -30,7 +30,7 @@ pub struct Tiles<T> {
     shape: (usize, usize),
     /// Size of the parts of the result: rows of a band, and columns of a strip. A tile has two strips.
     part: (usize, usize),
-    /// Buffers that no thread is using.
+    /// Buffers that no thread uses at present.
     idle: Mutex<Vec<Workspace<T>>>,
 }
 

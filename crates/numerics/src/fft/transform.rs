@@ -19,7 +19,7 @@ pub fn forward(map: ArrayView2<f64>) -> Array2<Complex64> {
     transform(map.mapv(|v| Complex64::new(v, 0.0)), FftDirection::Forward)
 }
 
-/// Returns the real part of the inverse transform: `inverse(forward(z)) = z`.
+/// Returns the real part of the inverse transform (ny, nx) of a spectrum: `inverse(forward(z)) = z`.
 pub fn inverse(spectrum: Array2<Complex64>) -> Array2<f64> {
     let scale = 1.0 / spectrum.len() as f64;
     transform(spectrum, FftDirection::Inverse).mapv(|v| v.re * scale)

@@ -15,8 +15,8 @@ use pulp::{Arch, Simd, WithSimd};
 
 use crate::vectors::Lanes;
 
-/// Number of rows of a block. Larger: the unblocked part takes longer. Smaller: the matrix products
-/// do not run at full speed.
+/// Number of rows of a block of the matrix. Larger: the factorisation of the diagonal blocks, without matrix products,
+/// takes longer. Smaller: the matrix products do not run at full speed.
 pub(crate) const BLOCK: usize = 64;
 
 /// Number of rows of both panels that are used for all of C before the next ones: 32 KiB in single

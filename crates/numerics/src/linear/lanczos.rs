@@ -28,14 +28,14 @@ const FIRST_LOOK: usize = 20;
 /// rounding.
 const SPANNED: f64 = 1e-13;
 
-/// Number of steps for the largest eigenvalue before the first test. Larger: more steps than
-/// necessary. Smaller: more tests.
+/// Number of steps of [`largest_eigenvalue`] before the first test. Larger: more steps than necessary. Smaller: more
+/// tests.
 const FIRST_LOOK_AT_LARGEST: usize = 8;
 /// Largest number of steps for the largest eigenvalue. Larger: more time if eigenvalues are
 /// crowded. Smaller: a less exact eigenvalue.
 const MAX_STEPS_FOR_LARGEST: usize = 150;
 
-/// Residual of the largest eigenvalue, relative to it, at which its process ends: 1e-3 of its
+/// Residual of the largest eigenvalue, relative to it, at which [`largest_eigenvalue`] ends: 1e-3 of its
 /// square root. Larger: a less exact eigenvalue. Smaller: more steps.
 const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 

@@ -29,7 +29,7 @@ pub fn power_method(
     })
 }
 
-/// Returns the Euclidean norm.
+/// Returns the Euclidean norm of x.
 fn norm(x: &[f64]) -> f64 {
     x.iter().map(|v| v * v).sum::<f64>().sqrt()
 }

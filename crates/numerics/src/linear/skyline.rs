@@ -39,7 +39,7 @@ pub struct Skyline {
     blocks: Vec<RowBlock>,
 }
 
-/// Block of up to [`BLOCK`] rows.
+/// Block of up to [`BLOCK`] rows of a matrix, stored row by row.
 #[derive(Clone, Debug)]
 struct RowBlock {
     /// First column that is stored, a multiple of [`BLOCK`].
@@ -87,7 +87,7 @@ impl Skyline {
         self.first.len()
     }
 
-    /// Returns true if there is no row.
+    /// Returns true if the matrix has no rows.
     pub fn is_empty(&self) -> bool {
         self.first.is_empty()
     }
@@ -132,7 +132,7 @@ impl Skyline {
         });
     }
 
-    /// Returns row i from its first column up to the diagonal.
+    /// Returns the stored elements of row i, from its first column up to the diagonal.
     pub fn row(&self, i: usize) -> &[f64] {
         let rows = &self.blocks[i / BLOCK];
         let width = rows.values.ncols();
@@ -264,7 +264,7 @@ impl Skyline {
     }
 }
 
-/// Number type of a factor.
+/// Number type of a factor: `f64` or `f32`.
 pub trait Number: Lanes + LinalgScalar {
     /// Smallest square of a pivot, relative to the diagonal element of the matrix, that is not
     /// rounding. Larger: nearly singular matrices are refused. Smaller: a pivot of rounding is
@@ -389,7 +389,7 @@ impl<T: Number> Panel<T> {
     }
 }
 
-/// Subtracts `a' b` from `c`.
+/// Subtracts the matrix product `a' b` from `c`.
 fn subtract<T: Number>(a: &ArrayView2<'_, T>, b: &ArrayView2<'_, T>, c: &mut ArrayViewMut2<'_, T>) {
     let (a_all, b_all, c_all) = (a.as_slice(), b.as_slice(), c.as_slice_mut());
     match (a_all, b_all, c_all) {
@@ -400,15 +400,15 @@ fn subtract<T: Number>(a: &ArrayView2<'_, T>, b: &ArrayView2<'_, T>, c: &mut Arr
 }
 
 impl<T> Panel<T> {
-    /// Returns the number of rows.
+    /// Returns the number of rows of this block.
     fn rows(&self) -> usize {
         self.values.ncols()
     }
 }
 
 impl<T: Copy> Panel<T> {
-    /// Splits the values into the columns before the diagonal block and those of it. The first row
-    /// is `top`.
+    /// Splits the elements into those of the columns before the diagonal block and those of the diagonal block. `top`
+    /// is the first row of the panel.
     fn split(&self, top: usize) -> (&[T], &[T]) {
         let all = self.values.as_slice().expect("in C order");
         all.split_at((top - self.start) * self.rows())
@@ -423,7 +423,7 @@ pub struct Factor<T = f64> {
 }
 
 impl<T: Number> Factor<T> {
-    /// Returns the smallest square of a pivot. It is at least the smallest eigenvalue.
+    /// Returns the smallest squared diagonal element of L (a pivot). It is at least the smallest eigenvalue of A.
     pub fn least_pivot(&self) -> f64 {
         let of_panels = self.panels.iter().map(|panel| {
             let rows = panel.rows();
@@ -435,7 +435,7 @@ impl<T: Number> Factor<T> {
         of_panels.fold(f64::INFINITY, f64::min)
     }
 
-    /// Solves `A x = b` in place.
+    /// Solves `A x = b`; x replaces b.
     pub fn solve(&self, b: &mut [f64]) {
         assert_eq!(b.len(), self.len, "length of the right-hand side");
         let elements: usize = self.panels.iter().map(|panel| panel.values.len()).sum();
@@ -492,7 +492,8 @@ impl<T: Number> Factor<T> {
     }
 }
 
-/// Returns `columns y` for as many rows. `columns` is stored column by column.
+/// Returns the product of the matrix `columns` (`rows`, length of y) and y. It is stored column by column; elements
+/// beyond `rows` are zero.
 fn products<T: Number>(columns: &[T], y: &[f64], rows: usize) -> [f64; BLOCK] {
     let mut sums = [0.0; BLOCK];
     vectorised(
@@ -502,7 +503,7 @@ fn products<T: Number>(columns: &[T], y: &[f64], rows: usize) -> [f64; BLOCK] {
     sums
 }
 
-/// Subtracts `columns' x` from y. `columns` is stored column by column.
+/// Subtracts from y the product of the transposed matrix `columns` and x. The matrix is stored column by column.
 fn subtract_products<T: Number>(columns: &[T], x: &[f64], y: &mut [f64]) {
     vectorised(
         #[inline(always)]
@@ -514,7 +515,8 @@ fn subtract_products<T: Number>(columns: &[T], x: &[f64], y: &mut [f64]) {
     );
 }
 
-/// Adds `columns y` to `sums`. `columns` has as many rows as there are sums.
+/// Adds the product of the matrix `columns` and y to `sums`. The matrix is stored column by column, and has as many
+/// rows as there are sums.
 #[inline(always)]
 fn add_products<T: Number>(columns: &[T], y: &[f64], sums: &mut [f64]) {
     let rows = sums.len();
@@ -537,7 +539,7 @@ fn add_products<T: Number>(columns: &[T], y: &[f64], sums: &mut [f64]) {
 /// the times of problems; the value does not change the result.
 const MIN_ELEMENTS_PARALLEL: usize = 1_000_000;
 
-/// Runs both functions, by two threads if `parallel`.
+/// Runs both functions, on two threads if `parallel`, and returns their results.
 fn both<R: Send>(
     parallel: bool,
     a: impl FnOnce() -> R + Send,
@@ -546,7 +548,7 @@ fn both<R: Send>(
     if parallel { rayon::join(a, b) } else { (a(), b()) }
 }
 
-/// Returns the sum of products.
+/// Returns the scalar product of a and b, in double precision.
 #[inline(always)]
 pub fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
     let mut sums = Sums::default();
@@ -574,14 +576,14 @@ impl Sums {
         }
     }
 
-    /// Returns the sum.
+    /// Returns the sum of the eight sums.
     #[inline(always)]
     fn total(&self) -> f64 {
         self.0.iter().sum()
     }
 }
 
-/// Adds `a x` to `y`.
+/// Adds `a x`, the vector x times a number, to `y`.
 #[inline(always)]
 pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
     for (y, x) in y.iter_mut().zip(x) {
@@ -589,7 +591,8 @@ pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
     }
 }
 
-/// Returns the inverse X of L, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.
+/// Returns the inverse X of the lower triangular matrix L, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k,
+/// :]) / L[i, i]`.
 fn inverse(l: &Array2<f64>) -> Array2<f64> {
     let n = l.nrows();
     let mut x = Array2::zeros((n, n));
@@ -638,7 +641,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// A ragged skyline of a diagonally dominant matrix: eigenvalues from 1 to about 5.
+    /// Returns a positive definite matrix with rows of different lengths, sparse and dense: diagonally dominant,
+    /// eigenvalues from 1 to about 5.
     fn spd(n: usize, reach: usize) -> (Skyline, Array2<f64>) {
         let mut rng = ChaCha8Rng::seed_from_u64((n * 1000 + reach) as u64);
         let mut dense = Array2::<f64>::zeros((n, n));

@@ -7,9 +7,9 @@
 /// side. The elements at the unknowns -1 and n are not used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TridiagonalRow {
-    /// Elements [k - 1, k, k + 1], called below, own and above.
+    /// Elements at the unknowns [k - 1, k, k + 1], called below, own and above.
     pub elements: [f64; 3],
-    /// Right-hand side.
+    /// Right-hand side of the row.
     pub right: f64,
 }
 

@@ -21,7 +21,7 @@ const MOST_REFINEMENTS: usize = 4;
 /// that is left along the directions of U. Larger: a less exact S. Smaller: more steps.
 const REFINED_TO: f64 = 1e-3;
 
-/// The inverse `(K - U U')^-1`.
+/// The inverse `(K - U U')^-1` of (1) of the module, as factors.
 #[derive(Clone, Debug)]
 pub struct Woodbury<T = f64> {
     /// Factor of the matrix K.
@@ -72,7 +72,7 @@ impl<T: Number> Woodbury<T> {
         None
     }
 
-    /// Solves `(K - U U') x = b` in place.
+    /// Solves `(K - U U') x = b`; x replaces b.
     pub fn solve(&self, b: &mut [f64]) {
         // x = K^-1 b + V S^-1 V' b
         let mut c: Vec<f64> = self.v.iter().map(|v| dot(v, b)).collect();

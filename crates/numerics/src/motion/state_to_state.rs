@@ -27,9 +27,9 @@
 /// same everywhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisLink {
-    /// Position and velocity at the start.
+    /// Position and velocity at the start, [p0, v0].
     pub from: [f64; 2],
-    /// Position and velocity at the end.
+    /// Position and velocity at the end, [p1, v1].
     pub to: [f64; 2],
     /// Largest magnitude of the velocity; > 0 and at least those at the ends.
     pub max_velocity: f64,
@@ -41,7 +41,7 @@ pub struct AxisLink {
 /// since the start of the piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkPiece {
-    /// Duration; > 0.
+    /// Duration of the piece; > 0.
     pub duration: f64,
     /// Ascending coefficients of the position per axis; the cubic one is zero.
     pub coefficient: [[f64; 4]; 2],

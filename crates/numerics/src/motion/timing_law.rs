@@ -126,7 +126,7 @@ mod tests {
 
     const NONE: f64 = f64::INFINITY;
 
-    /// D = 1 + s: t = s + s^2/2, s = sqrt(1 + 2t) - 1.
+    /// Returns the fit of the motion with the density D = 1 + s: t = s + s^2/2, s = sqrt(1 + 2t) - 1.
     fn fitted(tolerance: f64) -> TimingFit {
         fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 0.7, 3.0], tolerance, NONE, NONE)
     }

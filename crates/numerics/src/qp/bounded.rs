@@ -55,7 +55,7 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Returns the product `H t`.
+    /// Returns the product `H t` (n) for a vector t (n).
     pub fn product(&self, t: &[f64]) -> Vec<f64> {
         let mut h_t = self.k.product(t);
         for u in &self.u {
@@ -242,7 +242,7 @@ fn gradient(h: &Quadratic, g: &[f64], t: &[f64]) -> Vec<f64> {
     difference(&h.product(t), g)
 }
 
-/// Returns `a - b`.
+/// Returns `a - b`, element by element.
 fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
@@ -281,7 +281,7 @@ fn solve_free(
     Some(t)
 }
 
-/// Conditions for the end of [`active_set_by_products`].
+/// Conditions at which [`active_set_by_products`] ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProductSettings {
     /// Natural residual, (2) of the module, at which the method ends.
@@ -312,7 +312,7 @@ pub struct ProductSolution {
     /// The minimiser of the objective over the free components of the last set, which may be beyond their bounds. The
     /// other components are at their bounds.
     pub unbounded: Vec<f64>,
-    /// Flags of the free components of the last set.
+    /// Flags of the components that were free in the last set.
     pub free: Vec<bool>,
 }
 
@@ -504,7 +504,7 @@ fn step(t: &mut [f64], q: &mut [f64], a: f64, (p, h_p): (&[f64], &[f64])) {
     }
 }
 
-/// Conditions for the end of an accelerated projected gradient iteration.
+/// Conditions at which [`projected_gradient`] ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GradientSettings {
     /// Natural residual, (2) of the module, at which the iteration ends.
@@ -610,7 +610,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// H = G'G + ridge I with as many rows as columns: moderately conditioned.
+    /// Makes H = G'G + ridge I (n, n) from a random square G, moderately conditioned, and a random g (n).
     fn random_problem(n: usize, ridge: f64, seed: u64) -> (Array2<f64>, Vec<f64>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let a = Array2::from_shape_simple_fn((n, n), || rng.random_range(-1.0..1.0));
@@ -618,7 +618,7 @@ mod tests {
         (a.t().dot(&a) + ridge * Array2::<f64>::eye(n), g)
     }
 
-    /// H in two forms: without outer products, and as a fuller matrix less two of them.
+    /// Returns H in two forms: without outer products, and as a larger matrix minus two of them.
     fn forms(h: &Array2<f64>) -> [Quadratic; 2] {
         let n = h.nrows();
         let u: Vec<Vec<f64>> = (1..3_u32)
@@ -634,7 +634,7 @@ mod tests {
         [Quadratic { k, u: Vec::new() }, Quadratic { k: fuller, u }]
     }
 
-    /// [`active_set`] to the end, with no factor at hand.
+    /// Runs [`active_set`] to its end, without a factor from an earlier call.
     fn active_set_alone(
         h: &Quadratic,
         g: &[f64],
@@ -668,7 +668,7 @@ mod tests {
         }
     }
 
-    /// A coarse space of some sines on the free components, and the diagonal for the rest.
+    /// Preconditioner with a coarse space of some sines on the free components, and the diagonal for the rest.
     struct OfSines {
         v: Vec<Vec<f64>>,
         factor: crate::linear::skyline::Factor,

@@ -67,7 +67,7 @@ pub struct ChainRows {
     up: bool,
     /// Scales w (x = w y) of the two nodes of the link to which rows are being added.
     w: [f64; 2],
-    /// True if a row without coefficients has a bound below zero.
+    /// True if the program cannot be solved: a row without coefficients has a bound below zero.
     infeasible: bool,
 }
 
@@ -112,7 +112,7 @@ impl ChainRows {
     }
 }
 
-/// Reason why there is no solution.
+/// Reason why [`solve`] returns no solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
     /// The constraint rows contradict each other: some multipliers `l >= 0` have `G' l = 0` and `b' l < 0`.
@@ -237,7 +237,7 @@ struct RowStep {
 #[derive(Clone, Copy, Default)]
 struct Excess {
     e: f64,
-    /// Right-hand side in the forward pass, step in the backward pass.
+    /// Right-hand side of e in the forward pass, step of e in the backward pass.
     de: f64,
     /// Vector m of (3) of the module: the weighted mean of the row coefficients of the link.
     mean: [f64; 2],
@@ -371,7 +371,7 @@ fn worse(a: f64, b: f64) -> f64 {
 /// A scaled program; `ELASTIC` if its rows have prices.
 struct Chain<'a, const ELASTIC: bool> {
     program: &'a ChainProgram,
-    /// Diagonal element P_ii.
+    /// Diagonal element of the scaled matrix P, the same for all variables.
     diagonal: f64,
 }
 
@@ -495,9 +495,9 @@ fn centring(mu: f64, reach: Reach, m: usize) -> f64 {
 /// end. Node k + 1 of the last link is the middle, which is not in `node`.
 struct Half<'a, const ELASTIC: bool> {
     program: &'a ChainProgram,
-    /// Diagonal element P_ii.
+    /// Diagonal element of the scaled matrix P, the same for all variables.
     diagonal: f64,
-    /// True if this is the half with the last nodes.
+    /// True if this is the half with the last nodes of the chain.
     up: bool,
     rows: ChainRows,
     node: Vec<Node>,
@@ -825,7 +825,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// `a[0] x_link + a[1] x_{link+1} - slack e_link <= bound`.
+    /// Constraint row `a[0] x_link + a[1] x_{link+1} - slack e_link <= bound` of a test program.
     #[derive(Clone, Copy)]
     struct Bound {
         link: usize,
@@ -834,7 +834,7 @@ mod tests {
         bound: f64,
     }
 
-    /// Program (1), its rows in any order within their links.
+    /// A test program (1) of the module, with its rows in any order within their links.
     #[derive(Clone)]
     struct Case {
         program: ChainProgram,
@@ -851,7 +851,7 @@ mod tests {
         }
     }
 
-    /// Bounds of both signs around a known point, so that hard rows have a solution.
+    /// Makes a random program of n variables. Its bounds hold around a known point, so that hard rows have a solution.
     fn random(n: usize, elastic: bool, rng: &mut ChaCha8Rng) -> Case {
         let size: Vec<f64> = (0..n).map(|_| 10.0_f64.powf(rng.random_range(-1.5..1.5))).collect();
         let inside: Vec<f64> = (0..n).map(|i| rng.random_range(-1.0..1.0) / size[i]).collect();
@@ -876,7 +876,7 @@ mod tests {
         Case { program: ChainProgram { diagonal, beside, linear, free, price }, rows }
     }
 
-    /// Solution of the same program by a general conic solver.
+    /// Returns the solution of the same program by a general conic solver; `None` if that fails.
     fn clarabel(Case { program, rows: bounds }: &Case) -> Option<Vec<f64>> {
         let (n, elastic) = (program.diagonal.len(), !program.price.is_empty());
         let variables = n + program.price.len();

@@ -44,7 +44,7 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// Makes the lattice of a map and a TIF along x (0) or y (1).
+    /// Makes the lattice of a map and a TIF along x (`axis` 0) or y (1).
     pub fn new(map: &Grid, tif: &Tif, axis: usize, spread: Spread) -> Self {
         let map = [&map.x, &map.y][axis];
         let samples = [&tif.grid().x, &tif.grid().y][axis];
