@@ -35,7 +35,7 @@ impl Grouped {
         &self.items[self.first(key)..self.first(key + 1)]
     }
 
-    /// Returns the index of the first item of a key in [`Self::items`]. For the key after the last, it is the number
+    /// Returns the index of the first item of a key among all items. For the key after the last, it is the number
     /// of items.
     pub fn first(&self, key: usize) -> usize {
         self.first[key] as usize

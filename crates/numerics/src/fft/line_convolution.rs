@@ -27,7 +27,7 @@ pub const GROUP: usize = 8;
 /// more loops. It has to be a multiple of [`PAIR`] vectors of the widest processor.
 const RUN: usize = 16;
 
-/// A run: [`RUN`] neighbouring frequencies, first their real parts, then the imaginary ones.
+/// A run: 16 neighbouring frequencies, first their real parts, then the imaginary ones.
 pub type Run = [f64; 2 * RUN];
 
 /// Number of runs between the end of a line and the start of the next. With 0, lines can be a power
