@@ -1,4 +1,4 @@
-//! Programs of motion controllers, as the motion that the controller will run.
+//! Reads programs of motion controllers back, as the motion that the controller will run.
 //!
 //! This module follows the manuals of the controllers, not `planish-export`. The two share no code, so that
 //! an error in one of them is not hidden by the same error in the other.
@@ -11,8 +11,8 @@
 //! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed; joined by parabolas after `G64 P` |
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
 //!
-//! [`Configuration`] states what a program does not say: the place of the axes before it, and the size of a
-//! count. Without a list of axes a program moves x and y.
+//! [`Configuration`] states what a program does not say: the position of the axes before it, and the length of an
+//! encoder count. Without a list of axes a program moves x and y.
 
 pub mod csv;
 pub mod galil;
@@ -23,20 +23,20 @@ pub mod xps;
 use planish_types::{AxesMotion, ControllerKind, Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
 
-/// Settings of the controller. A setting that a program needs and that is absent is refused, with a message
-/// that asks for it.
+/// Settings of the controller for reading a program. A setting that a program needs and that is absent is refused, with
+/// a message that asks for it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Configuration {
-    /// Place of the axes (x, y) before the program, mm.
+    /// Position of the axes [x, y] before the program starts, mm.
     pub start_mm: Option<[f64; 2]>,
-    /// Size of a count of (x, y), mm.
+    /// Length of an encoder count of [x, y], mm.
     pub count_mm: Option<[f64; 2]>,
-    /// Axes of a program of all axes, in their order. Empty: x and y.
+    /// Axes that the program moves, in the order of its numbers. If empty, it moves x and y.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<ProgramAxis>,
-    /// Sample time, s.
+    /// Sample time of the controller (Galil), s.
     pub sample_s: Option<f64>,
-    /// Unit of time of a PMAC's velocities, s.
+    /// Time unit of the velocities of a PMAC, s: 1e-3 for mm/ms.
     pub feedrate_time_unit_s: Option<f64>,
     /// Transform that took the motion from the part to the axes. The inverse is applied to the motion that
     /// is read.
@@ -51,24 +51,24 @@ pub struct Configuration {
     pub program_blake3: Option<String>,
 }
 
-/// An axis of a program of all axes.
+/// An axis of a program that lists its axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProgramAxis {
     /// Name of the axis: x, y, z, r, a, b or c.
     pub name: String,
     /// Unit of its positions, mm or deg.
     pub unit: String,
-    /// Position before the program, in the unit.
+    /// Position of the axis before the program starts, in its unit.
     pub start: f64,
-    /// Size of a count, in the unit.
+    /// Length or angle of an encoder count, in the unit of the axis.
     pub count: f64,
 }
 
-/// Axes that a program moves.
+/// Axes that a program moves: names, units, start and count sizes.
 struct Layout {
-    /// Names, in their order.
+    /// Names of the axes, in the order of the numbers in the program.
     names: Vec<String>,
-    /// Units, mm or deg.
+    /// Units of the axes, mm or deg.
     units: Vec<String>,
     start: Option<Vec<f64>>,
     count: Option<Vec<f64>>,
@@ -80,24 +80,25 @@ impl Layout {
         self.names.len()
     }
 
-    /// Returns the letter of every axis in a PMAC or G-code program. A radius is X.
+    /// Returns the letter of every axis in a PMAC or G-code program. The radius `r` of a spindle has the letter X.
     fn letters(&self) -> Vec<char> {
         let first = self.names.iter().map(|name| name.chars().next().unwrap_or('?'));
         first.map(|letter| if letter == 'r' { 'X' } else { letter.to_ascii_uppercase() }).collect()
     }
 
-    /// Returns true if an axis turns.
+    /// Returns true if at least one axis is a rotation (its unit is deg).
     fn turns(&self) -> bool {
         self.units.iter().any(|unit| unit == "deg")
     }
 }
 
-/// Names of the axes that a machine may have, with their units.
+/// Names of the axes that a program may move, with their units.
 const AXES: [(&str, &str); 7] =
     [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
 
 impl Configuration {
-    /// Returns the axes; refuses unknown ones, one twice, and numbers that are not finite.
+    /// Returns the axes of the configuration, x and y if it lists none. Refuses unknown or repeated axes, and numbers
+    /// that are not finite.
     fn layout(&self) -> Result<Layout, Invalid> {
         if self.axes.is_empty() {
             return Ok(Layout {
@@ -134,7 +135,8 @@ impl Configuration {
         })
     }
 
-    /// Returns this configuration, with absent settings taken from `about`, the file beside the program.
+    /// Returns this configuration, completed with the settings of `about`, the file beside the program. Settings that
+    /// are present in both stay as they are here.
     pub fn completed_by(self, about: Self) -> Self {
         Self {
             start_mm: self.start_mm.or(about.start_mm),
@@ -203,7 +205,7 @@ pub fn read_axes(
     }
 }
 
-/// Returns a doubt about a program that is read: a probable mistake that may be right.
+/// Returns a doubt about a program: a text on a probable mistake that may also be intended. Returns `None` without one.
 pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
     let text = crate::text::text("program", bytes).ok()?;
     match controller {
@@ -212,8 +214,8 @@ pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
     }
 }
 
-/// Refuses a configuration of another program. Its size of a count or its start would make another motion
-/// of this program.
+/// Refuses a configuration that belongs to another program, by its hash. Its count size or start position would give
+/// this program another motion.
 fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     let Some(expected) = &configuration.program_blake3 else { return Ok(()) };
     let hash = blake3::hash(bytes).to_hex();
@@ -229,17 +231,19 @@ fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     Err(Invalid::whole("program_blake3", problem, remedy))
 }
 
-/// A state that a program names: time since its start (s), positions (mm, deg) and velocities of the axes.
+/// A state that a program commands: time since its start (s), positions of the axes (mm or deg) and velocities (mm/s or
+/// deg/s).
 #[derive(Clone, Debug)]
 struct Knot {
     time_s: f64,
     position: Vec<f64>,
     velocity: Vec<f64>,
-    /// True if the tool removes until the next knot.
+    /// True if the tool removes material until the next knot.
     tool_on: bool,
 }
 
-/// Returns the cubic through position and velocity at both ends of a time T:
+/// Returns the coefficients of the cubic through the positions `p` and velocities `v` at both ends of the time T =
+/// `time_s`:
 ///
 /// ```text
 /// p(u) = p0 + v0 u + (3 (p1 - p0)/T - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 (p1 - p0)/T)/T^2 u^3
@@ -254,7 +258,7 @@ fn hermite(p: [f64; 2], v: [f64; 2], time_s: f64) -> [f64; 4] {
     ]
 }
 
-/// Returns the motion through knots. Refuses fewer than two.
+/// Returns the motion through the knots, with a cubic between two of them on every axis. Refuses fewer than two knots.
 fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     if knots.len() < 2 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
@@ -276,15 +280,15 @@ fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     )
 }
 
-/// Way out for a line that is not read.
+/// Remedy in the messages about a line that cannot be read.
 const REMEDY: &str = "correct the line, or leave it out if it moves nothing and switches nothing";
 
-/// Returns the error of a line, counted from 1.
+/// Returns the message about a wrong line of the program; `line` counts from 1.
 fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
     Invalid::at_index("program line", line, problem, REMEDY)
 }
 
-/// Returns the finite number that a text is.
+/// Returns the number in a text. Refuses text that is no finite number; `line` is for the message.
 fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     text.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
         let short: String = text.trim().chars().take(20).collect();
@@ -292,7 +296,7 @@ fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     })
 }
 
-/// Returns a setting that the program needs. Refuses an absent one.
+/// Returns the value of a setting that the program needs, or refuses its absence. `name` is that of the setting.
 fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| {
         let remedy = format!("give `{name}`, or `about` with the file beside the program");
@@ -300,7 +304,7 @@ fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     })
 }
 
-/// Returns a positive number; refuses any other.
+/// Returns the value `v` if it is finite and positive, or refuses it. `name` is that of the setting.
 fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 {
         Ok(v)
