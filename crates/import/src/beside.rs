@@ -505,7 +505,7 @@ impl Beside {
     }
 }
 
-/// Returns true if `key` is one of the words that `|` separates in `keys`.
+/// Returns true if `key` is one of the words in the list `keys`, whose separator is `|`.
 fn is_key(keys: &str, key: &str) -> bool {
     keys.split('|').any(|word| word == key)
 }
@@ -558,7 +558,7 @@ fn row_of(value: &str) -> Option<FirstRow> {
     }
 }
 
-/// Returns the wavelength, nm, in a text such as `z [waves @ 632.8 nm]`.
+/// Returns the wavelength of the light, nm, in a text such as `z [waves @ 632.8 nm]`; `None` without one.
 fn wavelength_in(text: &str) -> Option<f64> {
     let (_, after) = text.split_once('@')?;
     let Quantity { value, rest } = leading_number(after)?;

@@ -7,7 +7,7 @@ use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale as AxisScale, Svg, cells, colour, frame::range};
 use planish_types::Grid;
 
-/// Height of the texts, pixels of the picture. Larger: texts overlap. Smaller: they are hard to read.
+/// Size of the lettering, pixels of the picture. Larger: texts overlap. Smaller: they are hard to read.
 const FONT_PX: f64 = 16.0;
 
 /// Length of the larger side of the map, pixels of the picture. Larger: the picture does not fit onto a screen.
@@ -32,9 +32,9 @@ const LEVELS: usize = 48;
 /// Quantity and unit of the values, for the label of the colour bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Height in nm.
+    /// Heights in nm.
     HeightNm,
-    /// Removal rate in nm/s.
+    /// Removal rates in nm/s.
     RateNmPerS,
 }
 

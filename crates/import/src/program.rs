@@ -38,12 +38,12 @@ pub struct Configuration {
     pub sample_s: Option<f64>,
     /// Time unit of the velocities of a PMAC, s: 1e-3 for mm/ms.
     pub feedrate_time_unit_s: Option<f64>,
-    /// Transform that took the motion from the part to the axes. The inverse is applied to the motion that
-    /// is read.
+    /// Transform from the part to the axes with which the program was written. Its inverse takes the motion back to the
+    /// part; `None` leaves the motion in the coordinates of the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
-    /// True if the exported motion was in the coordinates of the machine; the motion that is read is then
-    /// in them too.
+    /// True if the exported motion was in the coordinates of the machine, so that the motion that is read is in them
+    /// too.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
     /// BLAKE3 hash of the program that this configuration belongs to; `None` if it was written by hand.
@@ -75,7 +75,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// Returns the number of axes.
+    /// Returns the number of axes that the program moves.
     fn len(&self) -> usize {
         self.names.len()
     }

@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::{Format, Unit};
 
-/// Side of the map that the first row of a file is.
+/// Side of the map, smallest or largest y, that the first row of a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstRow {
@@ -42,7 +42,7 @@ pub struct Pick {
     /// Pitch [x, y], mm, of the grid to which scattered points (lines `x y z`) are interpolated; `None` if the points
     /// lie on a grid.
     pub grid_mm: Option<[f64; 2]>,
-    /// Unit of the coordinates of scattered points.
+    /// Unit of the coordinates of scattered points; `None` if the file states it.
     pub coordinate_unit: Option<Unit>,
     /// Columns of x, y and the values in lines of text, by name or by number, counted from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -56,7 +56,7 @@ pub struct Pick {
 pub struct Coordinates {
     /// Coordinates of the columns (nx); ascending or descending.
     pub x: Vec<f64>,
-    /// Coordinates of the rows (ny); ascending or descending.
+    /// Coordinates of the rows (ny), ascending or descending.
     pub y: Vec<f64>,
     /// Unit of the coordinates, if the file states it.
     pub unit: Option<Unit>,
@@ -113,7 +113,7 @@ impl Window {
 /// Content of the file of a map, as stored, with all that the file states about it.
 #[derive(Clone, Debug)]
 pub struct Reading {
-    /// Format of the file.
+    /// Format that the file was read as.
     pub format: Format,
     /// Stored values (rows, columns) in the order of the file; NaN marks invalid pixels.
     pub values: Array2<f64>,
@@ -132,7 +132,7 @@ pub struct Reading {
     pub lone_unit: Option<Unit>,
     /// Factor that the file states: `unit` per stored value.
     pub factor: f64,
-    /// Height of the stored value 0, in `unit`.
+    /// Height of the stored value 0, in `unit`; it is added after the multiplication by `factor`.
     pub offset: f64,
     /// Surface height per wavefront height that `factor` contains already, such as 0.5 for one reflection; `None` if
     /// the file does not state it.
@@ -300,24 +300,24 @@ pub enum Rotation {
 /// Statements of the user about a file. With `None` the statement of the file counts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReadingSettings {
-    /// True: a unit, pitch or wavelength given here takes the place of a different one in the file, with a warning.
-    /// False: it is refused.
+    /// True: a unit, pitch or wavelength of the user replaces a different one of the file, with a warning. False: a
+    /// contradiction is refused.
     pub override_file: bool,
     /// Unit of the values in the file.
     pub unit: Option<Unit>,
     /// Wavelength of the light, nm, for heights in waves.
     pub wavelength_nm: Option<f64>,
-    /// Distance of pixel centres along (x, y), mm.
+    /// Distance of pixel centres along [x, y], mm.
     pub pixel_mm: Option<[f64; 2]>,
     /// Unit of the coordinates that the file lists.
     pub coordinate_unit: Option<Unit>,
-    /// Surface height per stated height: 1 for a surface, 0.5 for the wavefront of one reflection.
+    /// Surface height per height in the file: 1 for a surface, 0.5 for the wavefront of one reflection.
     pub surface_per_value: f64,
     /// True if the file counts material (or removal) as negative, so that the sign is changed.
     pub negate: bool,
     /// Stored value that marks invalid pixels, besides NaN and the marker of the format.
     pub no_data: Option<f64>,
-    /// Side of the map that the first row of the file is.
+    /// Side of the map that the first row of the file is; `None` leaves it to the file or its format.
     pub first_row: Option<FirstRow>,
     /// True to mirror the map in x.
     pub flip_x: bool,
@@ -356,11 +356,11 @@ impl Default for ReadingSettings {
 /// Conversion of the file that was applied, as the manifest records it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Statement {
-    /// Format of the file.
+    /// Format that the file was read as.
     pub format: Format,
     /// Unit of the values in the file.
     pub unit: Unit,
-    /// Source of the unit: "file", "custom of the format" or "asked for".
+    /// Source of the unit: "file", "custom of the format" or "asked for" (the user stated it).
     pub unit_from: &'static str,
     /// Height in nm (or rate in nm/s) per stored value: all factors and the sign in one.
     pub nm_per_value: f64,
@@ -368,9 +368,9 @@ pub struct Statement {
     pub nm_of_zero: f64,
     /// Surface height per height in the file, such as 0.5 for the wavefront of one reflection.
     pub surface_per_value: f64,
-    /// Distance of pixel centres along (x, y), mm, in the map that was written.
+    /// Distance of pixel centres along [x, y], mm, in the map that was written.
     pub pixel_mm: [f64; 2],
-    /// Source of the pitch: "file" or "asked for".
+    /// Source of the pitch: "file" or "asked for" (the user stated it).
     pub pitch_from: &'static str,
     /// Side of the map that the first row of the file is.
     pub first_row: FirstRow,
@@ -972,9 +972,9 @@ fn turn(grid: Grid, values: Array2<f64>, settings: &ReadingSettings) -> (Grid, A
     }
 }
 
-/// Returns the grid of a map that was turned, with the coordinate 0 at the same place of the part as in the file.
-/// Coordinates are mirrored and turned with the pixels. Otherwise a tool would act at a distance from the
-/// place from which the file counts its offsets, and a mark of the part would lie elsewhere on its map.
+/// Returns the grid of a map that was mirrored or turned, with coordinates that are mirrored and turned like its
+/// pixels. So x = y = 0 stays at the same point of the part: a tool keeps its offsets, and marks of the part keep their
+/// coordinates.
 fn turned_about_0(grid: &Grid, settings: &ReadingSettings) -> Result<Grid, Invalid> {
     let [x, y] = [settings.flip_x, settings.flip_y].map(|flip| if flip { -1.0 } else { 1.0 });
     // Sign of the coordinate of the file that became x, and of the one that became y; 90 degrees: (x, y) -> (-y, x)

@@ -19,7 +19,8 @@ use crate::budget::check_size;
 /// spacing, and a median between them.
 const LONGEST_SIDE: f64 = 3.0;
 
-/// Memory of a point in the triangulation, bytes: a vertex, six half edges, two faces, and the lists that order them.
+/// Memory of a point in the triangulation, bytes. Derived: a vertex, six half edges, two faces, and the lists that
+/// order them. Larger: refuses large sets of points. Smaller: a set can exceed the memory.
 const BYTES_PER_CORNER: usize = 400;
 
 struct Corner {

@@ -128,7 +128,7 @@ pub struct SlopeReport {
     pub y: Statement,
     /// Unit of the slopes in both files.
     pub unit: SlopeUnit,
-    /// RMS of the slopes along [x, y] without their means, urad.
+    /// RMS of the slopes along [x, y] after subtraction of their means, urad.
     pub slope_rms_urad: [f64; 2],
     /// RMS of the part of the slopes that no surface can have, urad: the residual of (1) of the module, over both axes.
     pub residual_urad: f64,

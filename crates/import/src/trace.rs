@@ -53,7 +53,7 @@ use self::{
     motion::Between,
 };
 
-/// Subject of the messages of this module.
+/// Subject of the messages about a log.
 const NAME: &str = "log";
 
 /// Controller or format that wrote a log.
@@ -130,11 +130,11 @@ pub struct Trace {
     pub rate_factor: Option<Vec<f64>>,
     /// Comparison of the time stamps with equal steps.
     pub clock: Clock,
-    /// Columns, unit and warnings of the reading.
+    /// Columns, unit and warnings, as they were read.
     pub statement: TraceStatement,
 }
 
-/// Columns, unit and warnings of the reading of a log, for the user to check.
+/// Record of how a log was read, for the manifest: format, columns and units.
 #[derive(Clone, Debug, Serialize)]
 pub struct TraceStatement {
     /// Controller or format that wrote the log.
@@ -143,7 +143,7 @@ pub struct TraceStatement {
     pub columns: Vec<(String, String)>,
     /// Size of a stored value of every position, mm or degrees, in the order of the columns.
     pub mm_or_deg_per_value: Vec<f64>,
-    /// Source of the unit of the positions: "the log" or "asked for".
+    /// Source of the unit of the positions: "the log" or "asked for" (the user stated it).
     pub unit_from: &'static str,
     /// Warnings for the user.
     pub warnings: Vec<String>,

@@ -74,7 +74,7 @@ const LEAST_PROBABILITY: f64 = 1e-3;
 /// more warnings. Smaller: noise decides.
 const MIRRORED: f64 = 2.0;
 
-/// Residual of one fiducial.
+/// Residual of one fiducial after the fit.
 #[derive(Clone, Debug, Serialize)]
 pub struct Residual {
     /// Name of the fiducial, or its number, counted from 1.
@@ -95,21 +95,21 @@ pub struct Estimate {
     pub standard_error: f64,
 }
 
-/// Result of a fit: the transform and its quality.
+/// Fitted transform from map to machine, and the quality of the fit.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    /// Transform from the map to the machine.
+    /// Transform from the coordinates of the map to those of the machine.
     pub transform: Transform,
-    /// Quality of the fit.
+    /// Residuals, standard errors and warnings of the fit.
     pub report: FitReport,
 }
 
-/// Quality of a fitted transform.
+/// Quality of a fitted transform: residuals, standard errors and warnings.
 #[derive(Clone, Debug, Serialize)]
 pub struct FitReport {
     /// Kind of transform that was fitted.
     pub model: TransformModel,
-    /// Number of fiducials.
+    /// Number of fiducials that were fitted.
     pub fiducials: usize,
     /// Degrees of freedom: measured coordinates (two per fiducial) minus the parameters of the transform.
     pub degrees_of_freedom: usize,
@@ -123,7 +123,7 @@ pub struct FitReport {
     pub standard_error_mm: [f64; 2],
     /// Largest standard error of the transformed position of a fiducial, over all fiducials and both coordinates, mm.
     pub largest_standard_error_mm: f64,
-    /// RMS of the residuals per coordinate, mm.
+    /// RMS of the residuals over all fiducials and both coordinates, mm.
     pub rms_mm: f64,
     /// Sum of the squares of the residuals, each divided by its uncertainty; dimensionless.
     pub chi_square: f64,
@@ -497,7 +497,7 @@ fn covariance(
 struct Numbers {
     model: TransformModel,
     degrees_of_freedom: usize,
-    /// True if the uncertainties of the fiducials are stated.
+    /// True if the file states uncertainties of the fiducials.
     is_stated: bool,
     chi_square: f64,
     variance: f64,

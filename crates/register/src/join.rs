@@ -68,7 +68,7 @@ impl Default for JoinSettings {
 /// The map joined from sub-apertures, with the quality of the fit.
 #[derive(Clone, Debug)]
 pub struct Joined {
-    /// The map, on a grid with the pitch of the first map that contains all maps.
+    /// The joined map, nm, on the smallest grid that contains all maps and continues the pixels of the first one.
     pub joined: Surface,
     /// Quality of the fit: misfit, subtracted terms, and overlaps.
     pub report: JoinReport,
@@ -79,7 +79,7 @@ pub struct Joined {
 pub struct JoinReport {
     /// Misfit of the maps where they overlap, nm: the root of the sum (1) of the module over its degrees of freedom.
     pub misfit_nm: f64,
-    /// Number of pixels that at least two maps cover.
+    /// Number of pixels of the joined map that at least two maps cover.
     pub overlap_pixels: usize,
     /// Number of valid pixels of the joined map.
     pub pixels: usize,
@@ -238,7 +238,7 @@ fn extent(piece: &Array2<f64>) -> [usize; 4] {
     })
 }
 
-/// Returns the number of common valid pixels of every pair of maps, as a symmetric table [map][map].
+/// Returns the number of common valid pixels of every pair of maps: element `[k][l]` is that of the maps k and l.
 fn common_pixels(pieces: &[Array2<f64>]) -> Vec<Vec<usize>> {
     let mut counts = vec![vec![0; pieces.len()]; pieces.len()];
     let (ny, nx) = pieces[0].dim();

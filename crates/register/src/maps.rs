@@ -68,7 +68,7 @@ pub struct MapSettings {
     pub most_rotation_deg: f64,
     /// Highest total order of the Legendre terms that are fitted to the removal: 0 is the piston, 1 the plane.
     pub free_order: usize,
-    /// Wavelength, mm, above which features are filtered out of both maps; `None` keeps all.
+    /// Wavelength, mm, above which features are filtered out of both maps before the fit; `None` keeps all.
     pub shorter_than_mm: Option<f64>,
 }
 
@@ -77,7 +77,7 @@ pub struct MapSettings {
 pub struct MapRegistration {
     /// Transform from the coordinates of the map before to those of the map after.
     pub transform: Transform,
-    /// Quality of the registration.
+    /// Standard errors, residual and common features.
     pub report: MapReport,
 }
 
@@ -108,20 +108,20 @@ pub struct MapReport {
 /// the features that the registration needs. Smaller: less of the removal can be fitted.
 const MOST_ORDER: usize = 8;
 
-/// Smallest ratio of the correlation of derivatives at the place found to its RMS at wrong places,
+/// Smallest ratio of the correlation of derivatives at the position found to its RMS at wrong positions,
 /// dimensionless; a smaller ratio is refused. Larger: refuses maps with weak features. Smaller: chance
-/// passes for features. Derived: within the limits of the search some hundred places are independent of
+/// passes for features. Derived: within the limits of the search some hundred positions are independent of
 /// each other, and the best of so many reaches 2.5 by chance.
 const LEAST_FEATURES: f64 = 3.0;
 
 /// Largest standard error of a shift, and of the rotation times half the diagonal of the map, pixels; a
-/// larger one is refused. Larger: accepts a place that is less certain. Smaller: refuses more maps. Chosen:
+/// larger one is refused. Larger: accepts an uncertain position. Smaller: refuses more maps. Chosen:
 /// an error of more than half a pixel is no better than a comparison by eye.
 const MOST_ERROR_PIXELS: f64 = 0.5;
 
-/// Number of wrong places on each side along each axis; they are displaced by multiples of a tenth of the
-/// map. 3 makes 48 wrong places. Larger: the RMS at wrong places is known better, for more time and less
-/// common area. Smaller: that RMS is less certain.
+/// Number of wrong positions on each side along each axis, at which the correlation shows what chance does. They are
+/// displaced by multiples of a tenth of the map; 3 makes 48 of them. Larger: the RMS at wrong positions is known
+/// better, for more time and less common area. Smaller: that RMS is less certain.
 const WRONG_PLACES: i64 = 3;
 
 /// Largest absolute correlation that enters Fisher's transformation; a larger one is counted as this one.
@@ -150,8 +150,8 @@ const LEAST_PIXELS: usize = 200;
 /// maps that do not settle. Smaller: refuses maps that settle slowly.
 const MOST_STEPS: usize = 50;
 /// Gauss-Newton step, pixels, below which the registration has settled. Smaller: it may never settle,
-/// because pixels enter and leave at the border of the common area. Larger: the place is off by up to this
-/// step.
+/// because pixels enter and leave at the border of the common area. Larger: the position is off by up to
+/// this step.
 const SETTLED_PIXELS: f64 = 5e-3;
 
 /// Position of the later map on the earlier one: shift [x, y] in mm and rotation in rad, positive from x towards y.
@@ -578,7 +578,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Returns the ratios of [`Self::features`] at a place; refuses ratios below [`LEAST_FEATURES`].
+    /// Returns the ratios of [`Self::features`] at a pose. Refuses ratios below [`LEAST_FEATURES`].
     fn check_features(&self, pose: Pose) -> Result<[f64; 3], Invalid> {
         let features = self.features(pose);
         let names = ["along x", "along y", "around the middle"];
@@ -654,7 +654,7 @@ fn autocovariance(map: &Array2<f64>, i: isize, j: isize) -> (f64, f64) {
 }
 
 impl Equations {
-    /// Returns the Gauss-Newton step: shift in mm, rotation in rad.
+    /// Returns the Gauss-Newton step of the pose: shift in mm, rotation in rad.
     fn step(&self, problem: &Problem) -> Result<Pose, Invalid> {
         let solved = self.inverse()? * &self.right;
         Ok([solved[0], solved[1], solved[2] / problem.half_diagonal_mm])
@@ -689,7 +689,8 @@ impl Equations {
         Ok(DMatrix::from_fn(m, m, |i, j| inverse[(i, j)] / (g[i] * h[j])))
     }
 
-    /// Returns the covariance of the pose: the sandwich by blocks. Refuses too few blocks.
+    /// Returns the covariance (3 x 3) of the pose, in mm and rad: C of the module, from the sums over blocks. Refuses
+    /// too few blocks with pixels.
     fn covariance(&self, problem: &Problem) -> Result<DMatrix<f64>, Invalid> {
         let blocks = self.scores.len();
         if blocks < LEAST_BLOCKS {

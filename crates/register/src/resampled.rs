@@ -8,7 +8,7 @@ use crate::field::Field;
 /// displaced by as much. Smaller: rounded coordinates are interpolated, which smooths the noise of the map.
 const SAME_PIXEL: f64 = 1e-6;
 
-/// Reads heights of one map at points of another grid.
+/// A map that can be read at the pixels of another grid.
 pub(crate) struct Resampled<'a> {
     map: &'a Surface,
     field: Field,
@@ -17,7 +17,7 @@ pub(crate) struct Resampled<'a> {
 }
 
 impl<'a> Resampled<'a> {
-    /// Prepares to read `map` at the pixels of `grid`.
+    /// Prepares to read `map` at the pixels of `grid`, and compares the pixels of both.
     pub fn new(map: &'a Surface, grid: &Grid) -> Self {
         let own = map.grid();
         let rows_columns = offset(&grid.y, &own.y).zip(offset(&grid.x, &own.x));
@@ -25,7 +25,7 @@ impl<'a> Resampled<'a> {
         Self { map, field: Field::new(map.clone()), offset }
     }
 
-    /// Returns true if the grid has the pixels of the map, so that nothing is interpolated.
+    /// Returns true if the pixels of the grid are pixels of the map, so that no height is interpolated.
     pub fn is_exact(&self) -> bool {
         self.offset.is_some()
     }

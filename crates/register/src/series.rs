@@ -39,7 +39,7 @@ pub struct SeriesSettings {
     /// Settings of the registration of every map on the first one; `None` if the part did not move between the
     /// measurements.
     pub registration: Option<MapSettings>,
-    /// Highest total order of the Legendre terms by which two measurements differ: 0 is the piston, 1 the plane.
+    /// Highest total order of the Legendre terms by which two measurements may differ: 0 is the piston, 1 the plane.
     pub free_order: usize,
 }
 
@@ -81,7 +81,7 @@ pub struct Member {
     pub interpolated: bool,
     /// RMS of the difference from the first map after subtraction of the fitted low-order terms, nm.
     pub difference_rms_nm: f64,
-    /// Number of valid pixels in common with the first map.
+    /// Number of pixels that are valid in this map and in the first one.
     pub pixels: usize,
 }
 
@@ -89,11 +89,11 @@ pub struct Member {
 /// maps the standard deviation is known to 2 %.
 pub const MOST_MAPS: usize = 1000;
 
-/// Refusal of one map of several: its index, from 0, and the reason.
+/// Refusal of one map of several, with the reason.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("map {}: {reason}", index + 1)]
 pub struct RefusedMap {
-    /// Index of the map, from 0.
+    /// Index of the refused map, counted from 0.
     pub index: usize,
     /// Problem of the map, with a remedy.
     pub reason: Invalid,

@@ -76,7 +76,7 @@ pub(crate) fn is_codev(text: &str) -> bool {
         .is_some_and(|p| p.position("SSZ").is_some() || p.position("WVL").is_some())
 }
 
-/// Remedy for a file without a grid of heights.
+/// Remedy in the messages about a file without a grid of heights.
 const AGAIN: &str = "write it again as a grid (GRD) of a surface (SUR)";
 
 /// Reads the map of a CODE V file. Refuses polynomials, filters, and another number of heights than pixels.

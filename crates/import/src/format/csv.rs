@@ -108,7 +108,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
 #[derive(Default)]
 struct Comments {
     beside: Beside,
-    /// Lines of text above the numbers.
+    /// Text lines above the numbers, for the manifest; at most [`MOST_LINES`].
     lines: Vec<String>,
     is_keyence: bool,
 }
@@ -169,7 +169,7 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
     Ok((header, first))
 }
 
-/// Returns the text without its first `lines` lines.
+/// Returns the text after its first `lines` lines; empty if it has fewer.
 fn from_line(text: &str, lines: usize) -> &str {
     match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
         Some((end, _)) => &text[end + 1..],

@@ -44,8 +44,8 @@ use crate::{
 const NAME: &str = "HDF5 file";
 const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-/// Depth of groups within groups to which datasets are listed. Larger: more time on a hostile file.
-/// Smaller: a dataset in a deeper group has to be named by its path.
+/// Largest depth of nested groups in which datasets are listed. Larger: more time on a hostile file. Smaller: a dataset
+/// in a deeper group has to be named by its path.
 const DEEPEST: usize = 6;
 
 /// Largest number of values of an attribute that are read. Larger: more time on hostile files. Smaller: refuses

@@ -175,7 +175,7 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save a 2-D array of real numbers with numpy.save")
 }
 
-/// Reads an array of any shape: real numbers, or one text.
+/// Reads the bytes of a `.npy` file as an array of any shape, which holds real numbers or one text.
 fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     if b.slice(0, 6)? != b"\x93NUMPY" {

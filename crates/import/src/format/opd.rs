@@ -27,7 +27,7 @@ const NAME: &str = "OPD file";
 const ENTRY: usize = 24;
 pub(crate) const MAGIC: &[u8] = b"\x01\x00Directory";
 
-/// Names of blocks that hold heights.
+/// Names that a block of heights can have.
 const MAPS: [&str; 4] = ["RAW_DATA", "RAW DATA", "OPD", "SAMPLE_DATA"];
 
 struct Block {

@@ -83,7 +83,7 @@ enum Body {
     Phase,
 }
 
-/// The lines of the header of a Zygo file.
+/// Header of a Zygo text file, as its lines.
 struct ZygoHeader<'a>(Vec<&'a str>);
 
 impl ZygoHeader<'_> {

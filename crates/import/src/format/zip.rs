@@ -76,7 +76,7 @@ impl<'a> Archive<'a> {
         self.members.iter().any(|member| member.name == name)
     }
 
-    /// Returns the names of the members, and their sizes in bytes.
+    /// Returns the names of the members, each with the size of its content, bytes.
     pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
         self.members.iter().map(|member| (member.name.as_str(), member.size))
     }

@@ -29,7 +29,7 @@ const MOST_VELOCITY: i64 = 22_000_000;
 /// Commands that change no motion: end of a program, servo on, waits, and messages to the host.
 const WITHOUT_MOTION: [&str; 6] = ["EN", "SH", "AM", "MC", "MG", "WT"];
 
-/// Units of TM in a second (DMC-40x0 command reference, TM).
+/// Time units of the command TM per second (DMC-40x0 command reference, TM).
 const TM_PER_S: f64 = 1.024e6;
 
 /// A command of the program that the reader acts on.

@@ -82,7 +82,7 @@ fn without_comments(line: &str, is_comment: &mut bool) -> String {
     }
 }
 
-/// Splits a line into its statements.
+/// Splits the text of a line into its statements; `line` is its number, for messages.
 fn statements(line: usize, text: &str) -> Result<Vec<Statement>, Invalid> {
     let upper = text.to_ascii_uppercase();
     let mut rest = upper.trim_start();

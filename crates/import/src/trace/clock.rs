@@ -74,7 +74,7 @@ pub struct Timing<'a> {
     pub most_gap_s: f64,
 }
 
-/// A gap in the time stamps.
+/// A gap in the time stamps, where samples were lost.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Gap {
     /// Index of the last sample before the gap, counted from 0.
@@ -92,7 +92,7 @@ pub struct Gap {
 pub struct Clock {
     /// Sampling rate, Hz.
     pub rate_hz: f64,
-    /// Source of the rate: "asked for" or "the usual step of the time stamps".
+    /// Source of the rate: "asked for" (the user stated it) or "the usual step of the time stamps".
     pub rate_from: &'static str,
     /// True if the times are stamps of the log; false if they follow from the rate.
     pub stamps: bool,
@@ -109,7 +109,7 @@ pub struct Clock {
     /// Drift accumulated at the end of the log, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_at_the_end_s: Option<f64>,
-    /// RMS scatter of the stamps about equal steps, s.
+    /// RMS distance of the stamps from equal steps, s.
     pub scatter_s: f64,
     /// Unit of the last digit of the stamps, s, if they are equal steps rounded to it.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -29,7 +29,7 @@ pub enum Role {
     SetpointY,
     /// Measured position of the axis with this index in [`Columns::axes`].
     Axis(usize),
-    /// Beam current.
+    /// Beam current, in the unit of the log.
     Current,
     /// Switch of the tool: 1 if it removes, 0 if not.
     ToolOn,
@@ -46,7 +46,7 @@ impl Role {
         matches!(self, Self::Time | Self::TimeY)
     }
 
-    /// Returns the name of the setting that gives the column of the quantity.
+    /// Returns the name of the setting that states the column of the quantity, such as `setpoint_x`.
     pub fn setting(self) -> &'static str {
         match self {
             Self::Time => "time",
@@ -90,9 +90,9 @@ pub struct Columns {
     pub time: Option<String>,
     /// Time stamps of y, if they are not those of x.
     pub time_y: Option<String>,
-    /// Measured position of x.
+    /// Measured positions of x.
     pub x: Option<String>,
-    /// Measured position of y.
+    /// Measured positions of y.
     pub y: Option<String>,
     /// Setpoint (commanded position) of x.
     pub setpoint_x: Option<String>,
@@ -107,7 +107,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Returns all quantities, in the order in which columns are assigned.
+    /// Returns all quantities that a log may have, in the order in which columns are assigned to them.
     pub fn roles(&self) -> Vec<Role> {
         let mut roles = vec![Role::Time, Role::TimeY];
         match self.axes.len() {
@@ -154,7 +154,7 @@ impl Columns {
 /// A column of a log, with the quantity that it holds.
 #[derive(Clone, Debug)]
 pub struct Column {
-    /// Quantity of the column.
+    /// Quantity that the column holds.
     pub role: Role,
     /// Name of the column, or its number as text.
     pub name: String,
@@ -238,7 +238,7 @@ pub fn stated_unit(
 /// Index of the column that holds a quantity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnPlace {
-    /// Quantity of the column.
+    /// Quantity that the column holds.
     pub role: Role,
     /// Index of the column, counted from 0.
     pub index: usize,

@@ -31,9 +31,9 @@ const LAG_SAMPLES: usize = 100_000;
 /// minimum is less certain.
 const SEARCH_SAMPLES: usize = 1000;
 
-/// Step of the search on a grid, s. Larger: the search can miss the minimum. Smaller: more time. Chosen:
-/// the sum of squares has one minimum within a quarter of the time of a line of a raster, which takes
-/// seconds.
+/// Step of the delay in the first search for the beginning of the plan, s. Larger: the search can miss the minimum.
+/// Smaller: more time. Chosen: the sum of squares has one minimum within a quarter of the time of a raster line, which
+/// takes seconds.
 const SEARCH_STEP_S: f64 = 0.02;
 
 /// Largest delay that can be searched for, s. Larger: the search takes longer than some seconds. Smaller:
@@ -43,7 +43,7 @@ const LONGEST_SEARCH_S: f64 = 300.0;
 /// Largest number of Gauss-Newton steps. Larger: more time. Smaller: no lag is reported where a delay settles
 /// slowly.
 const MOST_STEPS: usize = 30;
-/// Step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
+/// Gauss-Newton step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
 /// Smaller: more steps, without a visible gain.
 const SETTLED_S: f64 = 1e-10;
 /// Largest last Gauss-Newton step of an axis' delay, in standard errors of the delay, at which the delay counts as
@@ -85,7 +85,7 @@ pub struct AxisError {
     pub rms_mm: f64,
     /// Largest magnitude of the following error, mm.
     pub largest_mm: f64,
-    /// Time of the largest error, s after the first sample.
+    /// Time of the error with the largest magnitude, s after the first sample.
     pub largest_at_s: f64,
     /// Lag of the axis, ms, positive if it is late; absent if the axis does not move or the delay has not
     /// settled.
@@ -394,7 +394,7 @@ fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Inv
 /// Part of a plan that a log covers, and the difference between their tool states.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Extent {
-    /// Duration of the plan, s.
+    /// Total duration of the plan, s.
     pub plan_s: f64,
     /// Duration of the plan before the first sample of the log, s.
     pub before_the_log_s: f64,

@@ -22,7 +22,7 @@ const MOST_OF_THE_STEPS: f64 = 0.01;
 
 /// Measured positions of an axis, with their times.
 pub struct LoggedAxis<'a> {
-    /// Name of the axis.
+    /// Name of the axis, such as `x`.
     pub name: String,
     /// Unit of its positions, mm or deg.
     pub unit: &'static str,

@@ -11,7 +11,7 @@ const MOST_DIGITS: usize = 18;
 pub struct Stamps {
     /// Differences of the stamps from the first one (n).
     pub differences: Vec<f64>,
-    /// The first stamp.
+    /// The first stamp as written, in the unit of the column.
     pub first: f64,
     start: (i64, f64),
     /// Largest number of decimals of a stamp.

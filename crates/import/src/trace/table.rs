@@ -664,7 +664,7 @@ impl ColumnValues {
 
 /// A column to read, with its values so far.
 struct Wanted {
-    /// Column, counted from 0.
+    /// Index of the column, counted from 0.
     index: usize,
     values: ColumnValues,
 }
@@ -723,7 +723,7 @@ fn rows(
 enum SampleEnd {
     /// All wanted cells of the line have values.
     Whole,
-    /// A cell of a wanted column is empty: the log ends.
+    /// A cell of a wanted column is empty, so that the log ends before this line.
     Empty,
 }
 

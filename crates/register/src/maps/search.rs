@@ -86,7 +86,8 @@ fn places(limit: f64, step: f64) -> Vec<f64> {
     (0..=2 * half).map(|k| (k as f64 - half as f64) * step).collect()
 }
 
-/// Returns the correlation coefficient of pairs; minus infinity if there are fewer than [`LEAST_COMPARED`].
+/// Returns the correlation coefficient of pairs of heights; minus infinity if there are fewer than [`LEAST_COMPARED`],
+/// or without variance.
 fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let [mut n, mut a, mut b, mut aa, mut bb, mut ab] = [0.0; 6];
     for (p, q) in pairs {

@@ -37,9 +37,9 @@ const BETWEEN_READS: Duration = Duration::from_millis(50);
 
 /// Directory that a run wants to use alone, and the inputs of the run.
 pub struct Claim {
-    /// Output directory of the run.
+    /// Output directory of the run, which the claim locks.
     pub out: PathBuf,
-    /// Name of the pipeline.
+    /// Name of the pipeline, such as `raster`.
     pub pipeline: String,
     /// Path of the recipe of a simulated mirror; `None` if the mirror is measured.
     pub fixture: Option<PathBuf>,
@@ -55,7 +55,7 @@ pub struct Claim {
 
 /// Word in the value of a setting that may name a file or a directory.
 pub struct Named {
-    /// Name of the setting.
+    /// Name of the setting whose value contains the word.
     pub setting: String,
     /// Word, read as a path.
     pub path: PathBuf,
@@ -337,8 +337,8 @@ fn holder(lock: &mut File) -> String {
     "another run".into()
 }
 
-/// Returns true if the directory belongs to `owner`, false if it has no owner, and an error if it belongs
-/// to another one.
+/// Returns true if the directory belongs to `owner`, and false if it has no owner yet. Refuses the directory of another
+/// owner, and one with other content.
 fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     let refused = |problem: String| Err(Failure::new(format!("{} {problem}", out.display())));
     let text = match read_regular(&out.join(OWNER)) {
@@ -383,7 +383,7 @@ fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     Ok(names.into_iter().min())
 }
 
-/// Writes `run.json`. The lock is held, so no other run writes it.
+/// Writes the owner to `run.json`. The lock is held, so no other run writes it.
 fn write_owner(out: &Path, owner: &Owner) -> Result<(), Failure> {
     let text = format!("{}\n", serde_json::to_string_pretty(owner)?);
     let file = OutputFile::begin("out", &out.join(OWNER), false, &Inputs::new())?;

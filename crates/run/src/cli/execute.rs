@@ -345,7 +345,7 @@ pub fn assumed_machine(scope: &Scope) -> Result<Option<String>, Failure> {
 /// Trial of the commands to come, so that a mistake in a setting is found before the long stages. It takes place before
 /// the run, and again when mirror, tool and tool path exist.
 struct Rehearsal {
-    /// Directory of the run.
+    /// Output directory of the run.
     out: String,
     /// Paths of the artifacts that the run has made so far.
     made: Vec<String>,

@@ -22,7 +22,7 @@ pub struct Verdict {
     plan: Vec<PathBuf>,
 }
 
-/// Names of the artifacts on which the verdict on a plan rests, if they exist.
+/// Names of the artifacts of a plan that carry a verdict, as far as they exist.
 const JUDGED: [&str; 4] = ["trajectory", "removal", "verdict", "specification"];
 
 /// Names of the artifacts that must stand beside a trajectory, so that the directory holds a complete plan.
@@ -74,7 +74,7 @@ struct Whole<'a> {
     run: &'a Path,
     /// Artifacts that were checked already, by their paths in the run.
     seen: BTreeSet<PathBuf>,
-    /// For each role in [`SHARED`], the hash of the file, and an artifact that was made with it.
+    /// Hash of the input file for each role in [`SHARED`], and the first artifact that was made with it.
     shared: BTreeMap<String, (String, PathBuf)>,
 }
 
