@@ -331,7 +331,8 @@ mod tests {
         read(controller, text.as_bytes(), &configuration()).unwrap_err().to_string()
     }
 
-    /// 1 mm in x in 0.1 s from rest to rest, then 0.2 s of standing.
+    /// Checks that the motion is 1 mm in x in 0.1 s from rest to rest, then 0.2 s at rest. `straight` is true for
+    /// motion at constant speed.
     fn is_the_move(trajectory: &Trajectory, straight: bool) {
         assert_eq!(trajectory.len(), 2);
         let t = trajectory.break_time_s();
@@ -382,7 +383,7 @@ mod tests {
         is_the_move(&read(ControllerKind::Csv, csv), false);
     }
 
-    /// Axes r, z and c.
+    /// Returns a configuration with the axes r, z and c of a spindle.
     fn of_a_spindle() -> Configuration {
         let axis = |name: &str, unit: &str, start: f64, count: f64| ProgramAxis {
             name: name.into(),
@@ -429,7 +430,8 @@ mod tests {
         }
     }
 
-    /// Two lines of 1 s: r by 1 mm and 3 mm, c by 90 degrees and none. P bounds the corner of r alone.
+    /// Checks two lines of 1 s: r by 1 mm and 3 mm, c by 90 degrees and 0. The path tolerance P bounds the corner of r
+    /// alone.
     #[test]
     fn joined_lines_of_rotary_axes_are_bounded_along_the_linear_ones() {
         let text = |p: &str| format!("G64 P{p}\nG0 X0 Z0 C0\nG93\nG1 X1 C90 F60\nG1 X4 F60\nM2\n");
@@ -479,7 +481,8 @@ mod tests {
         assert!(plane.contains("read a motion of all axes"), "{plane}");
     }
 
-    /// Two lines of 1 s, 1 mm and 3 mm: parabolas of 1 s around the three nodes, 1, 2 and -3 mm/s^2, from rest to rest.
+    /// Checks two lines of 1 s, 1 mm and 3 mm long. They become parabolas of 1 s around three nodes, with 1, 2 and -3
+    /// mm/s^2, from rest to rest.
     #[test]
     fn joined_lines_are_parabolas_at_continuous_velocity() {
         let text = |mode: &str| format!("{mode}\nG0 X0 Y0\nG93\nG1 X1 F60\nG1 X4 F60\nM2\n");
@@ -506,8 +509,8 @@ mod tests {
         assert!(message(ControllerKind::Gcode, changed).contains("line[5]: changes the path mode"));
     }
 
-    /// Lines of 0.1 s and 0.1 mm that are joined: a run of them begins and ends half a line earlier and later. A dwell adds
-    /// its P, wherever it stands.
+    /// Checks joined lines of 0.1 s and 0.1 mm. A group of them begins half a line earlier and ends half a line later;
+    /// a dwell adds its P anywhere.
     #[test]
     fn a_dwell_takes_its_time_at_the_beginning_in_the_middle_and_at_the_end() {
         let lines = ["G1 X0.1 F600\n", "G1 X0.2 F600\n", "G1 X0.3 F600\n"];
@@ -562,7 +565,7 @@ mod tests {
         assert_eq!(doubt(ControllerKind::Gcode, b"G4 P22.5\nG4 P150.5\n"), None);
     }
 
-    /// Programs as people keep them: 1 mm in x in 0.1 s from rest to rest, then 0.2 s of standing.
+    /// Checks programs as users write them: 1 mm in x in 0.1 s from rest to rest, then 0.2 s at rest.
     #[test]
     fn programs_of_others_are_read() {
         use ControllerKind::*;

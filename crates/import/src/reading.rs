@@ -1037,7 +1037,7 @@ mod tests {
     use super::*;
     use ndarray::array;
 
-    /// Two rows, three columns, all different.
+    /// Returns a reading of two rows and three columns, with all values different.
     fn reading() -> Reading {
         let values = array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);

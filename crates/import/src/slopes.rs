@@ -590,7 +590,8 @@ mod tests {
     use planish_types::Axis;
     use std::f64::consts::PI;
 
-    /// Heights in nm and slopes in urad of `40 sin(a x + b y) cos(c y) + x y`, whose slopes along x and y are not separable.
+    /// Returns the height in nm of `40 sin(a x + b y) cos(c y) + x y`, and its slopes along x and y in urad. They are
+    /// not separable.
     fn field(x: f64, y: f64) -> [f64; 3] {
         let [a, b, c] = [2.0 * PI / 9.0, 0.3, 2.0 * PI / 7.0];
         let (sine, cosine) = (a * x + b * y).sin_cos();
@@ -610,7 +611,8 @@ mod tests {
         }
     }
 
-    /// Slopes on a grid where `inside`, and the largest error of their integral, nm.
+    /// Integrates the slopes of [`field`] on a grid of `n` pixels, valid where `inside` is true. Returns the largest
+    /// error of the heights, nm, and the number of steps.
     fn error(n: usize, inside: fn(f64, f64) -> bool) -> (f64, usize) {
         let g = grid(n);
         let maps = [0, 1, 2].map(|k| {

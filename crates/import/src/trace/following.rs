@@ -551,7 +551,7 @@ mod tests {
     use super::*;
     use crate::trace::motion::{Between, through};
 
-    /// x swings, y goes on slowly.
+    /// Returns a position [x, y], mm, at the time `t`, s: x swings, and y advances slowly.
     fn at(t: f64) -> [f64; 2] {
         [40.0 * (0.8 * t).sin(), 0.2 * t]
     }
@@ -630,7 +630,7 @@ mod tests {
         assert!(found.axes[0].lag_ms.is_some() && found.axes[1].lag_ms.is_none());
     }
 
-    /// A log whose clock runs 40 parts per million fast, as two quartz oscillators may differ.
+    /// Checks a log whose clock runs 40 parts per million fast, as two quartz oscillators may differ.
     #[test]
     fn a_drift_against_the_plan_is_named() {
         let plan = plan();

@@ -106,7 +106,7 @@ fn median_of_moves(steps: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// 2 s of a line of a raster at 1 kHz: 50 mm/s, turned at its ends.
+    /// Returns positions, mm, of a raster line at 50 mm/s that turns at its ends: 2 s at 1 kHz.
     fn line() -> Vec<f64> {
         (0..2000).map(|i| 20.0 * (f64::from(i) * 0.0025).sin()).collect()
     }

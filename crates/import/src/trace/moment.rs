@@ -284,7 +284,7 @@ fn days_before(year: i64) -> i64 {
 mod tests {
     use super::*;
 
-    /// Seconds of `text` after `start`.
+    /// Returns the seconds from the moment `start` to the moment `text`; `None` if one of them is no moment.
     fn after(start: &str, text: &str) -> Option<f64> {
         let both = [Moment::read(start)?, Moment::read(text)?];
         Some(times(&both).ok()?.seconds[1])

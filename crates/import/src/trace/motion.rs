@@ -135,7 +135,7 @@ fn inner(h_before: f64, h_after: f64, s_before: f64, s_after: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Largest distance in x from x(t) = `of`(t) in the middles of the pieces.
+    /// Returns the largest distance of the pieces from x(t) = `of(t)` in their middles.
     fn error(of: fn(f64) -> f64, time_s: &[f64], between: Between) -> f64 {
         let p: Vec<[f64; 2]> = time_s.iter().map(|t| [of(*t), -of(*t)]).collect();
         let motion = through(time_s, &p, f64::INFINITY, between).unwrap();

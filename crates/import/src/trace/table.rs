@@ -849,7 +849,7 @@ mod tests {
         assert_eq!(column(&read, Role::X).name, "column 3");
     }
 
-    /// Header of a TwinCAT Scope: the line above the samples is none of names.
+    /// Checks the header of a TwinCAT Scope, whose last line above the samples does not hold the names of the columns.
     #[test]
     fn names_and_units_may_have_lines_of_their_own() {
         let head = "Name\tScope\nStart\t132959733843760000\tMontag\n\nName\tActPos_X\tActPos_Y\n\
