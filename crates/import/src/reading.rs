@@ -601,8 +601,8 @@ fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
             && agree(sizes[0], sizes[1])
 }
 
-/// Returns the unit and its source for a file that states none for its values. The file may state a unit without saying
-/// what of; then the user must decide.
+/// Returns the unit and its source for a file that states none for its values. A unit that the file states without
+/// saying of what is taken for the values, with a warning, unless the user states another one.
 fn unit_of_user(
     reading: &Reading,
     requested: Option<Unit>,

@@ -1,7 +1,8 @@
 //! The transform that takes fiducials of a map to those of a machine, by weighted least squares.
 //!
-//! With the weights w = 1/sigma^2 and the points about their weighted means, d = p - mean p and
-//! e = q - mean q, the image of the mean is the mean, and
+//! A fiducial lies at p in the map and at q on the machine, with the standard deviation sigma per coordinate. With the
+//! weights w = 1/sigma^2 and the points about their weighted means, d = p - mean p and e = q - mean q, the transform
+//! takes the mean of p to the mean of q (the image), and its matrix M is
 //!
 //! ```text
 //! rigid        theta = atan2(B, A),   A = sum w (d_x e_x + d_y e_y),   B = sum w (d_x e_y - d_y e_x)
@@ -9,14 +10,15 @@
 //! affine       M = (sum w e d') N^-1, N = sum w d d'
 //! ```
 //!
-//! in closed form. About the means the errors of image and matrix are uncorrelated:
+//! in closed form, with theta the angle of a rigid transform. About the means the errors of image and matrix are
+//! uncorrelated:
 //!
 //! ```text
 //! var image = 1 / sum w per axis,   var theta = var a = var b = 1 / sum w |d|^2,   cov (M_x.) = N^-1
 //! ```
 //!
-//! times one, where the uncertainties were given, or the mean square of the residuals per degree of freedom
-//! where they were not.
+//! M_x. is the first row of M; the second has the same covariance. If no uncertainties were given, sigma is 1, and these
+//! variances are multiplied by the mean square of the residuals per degree of freedom.
 
 use planish_types::{Invalid, Transform, text::significant};
 use serde::Serialize;

@@ -408,10 +408,10 @@ pub struct Extent {
     /// no tool state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool_differs_s: Option<f64>,
-    /// Duration of the plan that the log covers, s.
+    /// Duration of the log from its first to its last sample, s.
     #[serde(skip)]
     log_s: f64,
-    /// Duration that the log covers with the tool off in the plan, s.
+    /// Duration that both log and plan cover, with the tool off in the plan, s.
     #[serde(skip)]
     planned_off_s: f64,
     /// Duration that the samples cannot resolve, s: one mean interval between samples per switch in the plan.
