@@ -17,8 +17,8 @@
 //! var image = 1 / sum w per axis,   var theta = var a = var b = 1 / sum w |d|^2,   cov (M_x.) = N^-1
 //! ```
 //!
-//! M_x. is the first row of M; the second has the same covariance. If no uncertainties were given, sigma is 1, and these
-//! variances are multiplied by the mean square of the residuals per degree of freedom.
+//! M_x. is the first row of M; the second has the same covariance. If no uncertainties were given, sigma is 1, and
+//! these variances are multiplied by the mean square of the residuals per degree of freedom.
 
 use planish_types::{Invalid, Transform, text::significant};
 use serde::Serialize;

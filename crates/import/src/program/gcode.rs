@@ -235,8 +235,8 @@ impl<'a> Machine<'a> {
         Ok(end)
     }
 
-    /// Moves to the position `target` by G0 or G1; `None` is an axis whose position is not yet known. `feed` is the number
-    /// of the F word of the line.
+    /// Moves to the position `target` by G0 or G1; `None` is an axis whose position is not yet known. `feed` is the
+    /// number of the F word of the line.
     fn go(
         &mut self,
         number: usize,
