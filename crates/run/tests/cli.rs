@@ -833,8 +833,8 @@ fn a_link_or_a_pipe_is_not_written_in_the_directory_of_a_run() {
     assert_eq!(fs::read_to_string(dir.path().join("mine")).unwrap(), "mine");
 }
 
-/// Checks that a stage that runs itself without end is refused, and that a word of earlier pipelines is refused with its
-/// replacement.
+/// Checks that a stage that runs itself without end is refused, and that a word of earlier pipelines is refused with
+/// its replacement.
 #[test]
 fn a_pipeline_that_cannot_run_is_refused_before_it_begins() {
     let dir = bench();

@@ -8,7 +8,7 @@
 //! | `learning/K` | run K and the results of its evaluation: measured, truth, reconciliation, tif, transform, error_budget.json, the next plan, tolerance, decision; from the second run on the motion that is commanded |
 //! | `without/K` | run K without learning: measured, truth, the next plan |
 //! | `known/K` | the same on a machine whose tool and part position are those of the plan |
-//! | `alike` | a second mirror like the first, with its first run in each chain, after the last run of the first mirror |
+//! | `alike` | a second mirror like the first, and its first run in each chain, planned at the end |
 //! | `report` | table as a page |
 
 use std::{
