@@ -1,4 +1,4 @@
-//! The choice of a map, its coordinates and its mask among the named arrays of a file.
+//! The choice of a map, its coordinates and its mask among the named arrays of a file that holds several.
 
 use ndarray::Array2;
 use planish_types::Invalid;
@@ -8,10 +8,10 @@ use crate::{
     reading::{Coordinates, Pick},
 };
 
-/// Names that optics groups use for a map and for a TIF, with their coordinates.
+/// Names that optics groups use for the arrays [map, x, y]: first of a height map, then of a tool influence function.
 pub(crate) const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 
-/// Names of coordinates beside a map of any name.
+/// Pairs of names [x, y] under which coordinates are looked for beside a map of any name.
 pub(crate) const BESIDE: [[&str; 2]; 8] = [
     ["X", "Y"],
     ["x", "y"],
@@ -23,40 +23,40 @@ pub(crate) const BESIDE: [[&str; 2]; 8] = [
     ["X_m", "Y_m"],
 ];
 
-/// Words in the name of an array that says which pixels are valid.
+/// Words in the name of an array that marks valid or invalid pixels, in lower case.
 const MARKS: [&str; 5] = ["mask", "valid", "bad", "flag", "quality"];
 
-/// A name and a shape.
+/// Name and shape of an array in a file.
 pub(crate) type Named = (String, Vec<u64>);
 
-/// The arrays of a file.
+/// Names and shapes of the arrays in a file.
 #[derive(Debug, Default)]
 pub(crate) struct Arrays {
-    /// Arrays of real numbers.
+    /// Arrays of real numbers, which may be a map or coordinates.
     pub numbers: Vec<Named>,
-    /// Arrays of truth values, which are no heights.
+    /// Arrays of truth values, which may be masks but no heights.
     pub marks: Vec<Named>,
 }
 
 impl Arrays {
-    /// Returns the shape of an array of real numbers.
+    /// Returns the shape of the array of real numbers called `name`, or `None` without one.
     fn shape(&self, name: &str) -> Option<&[u64]> {
         self.numbers.iter().find(|a| a.0 == name).map(|a| &a.1[..])
     }
 }
 
-/// Returns the name of an array without its groups.
+/// Returns the part of an array's name after the last `/`, without its groups.
 pub(crate) fn leaf(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
-/// Returns the groups or structures of an array, with the sign after them.
+/// Returns the part of an array's name before the name itself: its groups or structures, with the last `/` or `.`.
 pub(crate) fn prefix(name: &str) -> &str {
     &name[..name.rfind(['/', '.']).map_or(0, |end| end + 1)]
 }
 
-/// Returns the names to read out of `arrays`: those asked for, else customary ones that are there, else the only map,
-/// with the coordinates beside it.
+/// Returns the names of the arrays to read. Names in `pick` have priority, then customary names that exist, then the
+/// only map; the coordinates beside it are added. `file` is the subject of messages.
 pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<Pick, Invalid> {
     if pick.x.is_some() != pick.y.is_some() {
         return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
@@ -78,7 +78,8 @@ pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result
     Ok(chosen)
 }
 
-/// Returns the name of the map that nobody names. Refuses a file with several maps or none.
+/// Returns the name of the map if the user names none: the customary one, or the only matrix. Refuses a file with
+/// several maps or none.
 fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, Invalid> {
     let maps = arrays.numbers.iter().filter(|a| a.1.len() == 2 && a.1.iter().all(|n| *n > 1));
     let maps: Vec<&str> = maps.map(|a| a.0.as_str()).collect();
@@ -109,7 +110,7 @@ fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, 
     }
 }
 
-/// Refuses a map beside which lies an array of its size that may say which pixels are valid.
+/// Refuses a map if another array of its size may mark valid pixels, because the user has to say what it means.
 fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), Invalid> {
     let Some((_, shape)) = arrays.numbers.iter().find(|a| a.0 == map) else { return Ok(()) };
     let named = arrays.numbers.iter().filter(|a| {
@@ -127,8 +128,8 @@ fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), In
     Err(Invalid::whole(file, problem, remedy))
 }
 
-/// Returns the names of the coordinates x and y beside a map: its own ones beside a customary map; beside another one,
-/// vectors or matrices of its size that are not those of another customary map.
+/// Returns the names of the coordinates [x, y] beside the map called `map`. Coordinates that belong to another
+/// customary map are not taken. Returns `None` without a pair of the right shapes.
 fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> {
     let group = prefix(map);
     let customary = CUSTOMARY.iter().find(|[z, ..]| map[group.len()..] == **z);
@@ -155,8 +156,8 @@ fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> 
     None
 }
 
-/// Returns true if arrays of the shapes `x` and `y` may be coordinates of a map: both are of its shape, or vectors of
-/// its two lengths, in either order.
+/// Returns true if arrays of the shapes `x` and `y` may be coordinates of a map of the shape `map`. Both have that
+/// shape, or are vectors of its two lengths, in either order.
 fn are_coordinates(x: &[u64], y: &[u64], map: &[u64]) -> bool {
     let mut counts =
         [x, y].map(|shape| shape.iter().try_fold(1u64, |n, size| n.checked_mul(*size)));
@@ -166,7 +167,8 @@ fn are_coordinates(x: &[u64], y: &[u64], map: &[u64]) -> bool {
     (x == map && y == map) || counts == sizes
 }
 
-/// Returns the coordinates of an axis from a vector, or from a matrix that varies along one axis only.
+/// Returns the `len` coordinates of an axis from a vector, or from a matrix that varies along the `columns` (x) or the
+/// rows (y) only. Refuses another matrix.
 pub(crate) fn along(
     name: &'static str,
     values: &Array2<f64>,
@@ -191,8 +193,8 @@ pub(crate) fn along(
     Ok(line)
 }
 
-/// Returns the coordinates of the columns and rows of a map of `(rows, columns)` from arrays called as `pick` says,
-/// with the unit at the end of their names.
+/// Returns the coordinates of the columns and rows of a map of the shape `(rows, columns)`. `x` and `y` are the arrays
+/// that `pick` names; the unit comes from the end of their names.
 pub(crate) fn named_coordinates(
     pick: &Pick,
     x: &Array2<f64>,
@@ -210,8 +212,8 @@ pub(crate) fn named_coordinates(
     Ok(Coordinates { x: along("x", x, columns, true)?, y: along("y", y, rows, false)?, unit })
 }
 
-/// Returns true where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be
-/// transposed.
+/// Returns true if x varies along the rows of the file and y along its columns, as MATLAB's `ndgrid` makes them. Such a
+/// map must be transposed. `size` is (rows, columns).
 pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
     let (rows, columns) = size;
     if [x, y].iter().all(|a| a.nrows() == 1 || a.ncols() == 1) {
@@ -224,12 +226,12 @@ pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) 
     x.dim() == size && y.dim() == size && goes_along_rows(x) && !goes_along_rows(y)
 }
 
-/// Returns an array, transposed where the map [`is_turned`].
+/// Returns an array, transposed if `is_turned`.
 pub(crate) fn upright(values: Array2<f64>, is_turned: bool) -> Array2<f64> {
     if is_turned { values.reversed_axes().as_standard_layout().into_owned() } else { values }
 }
 
-/// The warning where [`is_turned`] transposed a map.
+/// Warning for a map that was transposed because of [`is_turned`].
 pub(crate) const TURNED: &str = "x goes along the rows of the file: the map was transposed";
 
 #[cfg(test)]

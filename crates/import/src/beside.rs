@@ -1,4 +1,4 @@
-//! Statements that a file makes beside its numbers: comments and lines of text, attributes, variables and cards.
+//! Statements that a file makes beside its numbers: comments, lines of text, attributes, variables and header cards.
 //!
 //! A statement is a key and a value, such as `# Value units: nm`, `"XY Calibration","500","um"` or `pixel_mm = 0.5`, or names
 //! with their units, such as `# x[mm] y[mm] z[um]` or `# mm mm nm`. [`Beside`] reads it, or keeps it for a warning. A
@@ -16,13 +16,14 @@ use crate::{
     unit::Unit,
 };
 
-/// Most statements that a warning quotes.
+/// Largest number of unused statements that a warning quotes.
 const MOST_QUOTED: usize = 5;
 
-/// Longest part of a comment that is read, characters. Larger: more memory for a hostile file.
+/// Longest part of a comment that is read, characters. Larger: more memory for a hostile file. Smaller: long statements
+/// are cut.
 const LONGEST: usize = 1000;
 
-/// Keys of the unit of the values, separated by `|`, as in all lists below.
+/// Keys that state the unit of the heights or rates, in lower case. `|` separates them, as in all lists below.
 const UNITS: &str = "\
     unit|units|value unit|value units|z unit|z units|zunit|zunits|unit z|units z|unit of z|\
     units of z|height unit|height units|data unit|data units|rate unit|rate units|removal unit|\
@@ -33,21 +34,21 @@ const UNITS: &str = "\
     jednotky hodnot|единицы значений|единицы|单位|值单位|数值单位|值的单位|z单位|z 单位|高度单位|単位|値の単位|高さ単位|高さの単位|z単位|\
     z 単位";
 
-/// Keys of the unit of both coordinates.
+/// Keys that state the unit of both coordinates.
 const COORDINATE_UNITS: &str = "\
     coordinate unit|coordinate units|coordinates unit|lateral unit|lateral units|xy unit|xy units|\
     xyunits|xyunit|x unit|y unit|x units|y units|xunit|yunit|xunits|yunits|axis unit|axis units|\
     position unit|position units|xy einheit|x einheit|y einheit";
 
-/// Keys of the size along x.
+/// Keys that state the size of the map along x.
 const WIDTHS: &str = "\
     width|breite|largeur|ancho|anchura|larghezza|largura|šířka|ширина|宽度|宽|寬度|幅|x size|size x|xreal";
 
-/// Keys of the size along y.
+/// Keys that state the size of the map along y.
 const HEIGHTS: &str = "\
     height|höhe|hoehe|hauteur|alto|altura|altezza|výška|высота|高度|高|高さ|y size|size y|yreal";
 
-/// Keys of the distance of pixels.
+/// Keys that state the distance of neighbouring pixels.
 const PITCHES: &str = "\
     pixel size|pixelsize|pixel pitch|pixel spacing|pixel|pixels|pitch|lateral resolution|\
     lateral res|sampling|spacing|xy calibration|calibration|d|step|pix|pixsize|pixelsz|pixsz|\
@@ -57,84 +58,86 @@ const PITCHES: &str = "\
     passo|xy kalibrierung|kalibrierung|étalonnage xy|calibración xy|calibrazione xy|校正值|校正|校正値|\
     xyキャリブレーション|キャリブレーション|像素尺寸|像素大小|像素间距|画素サイズ|ピクセルサイズ|画素ピッチ";
 
-/// Keys of the wavelength of the light.
+/// Keys that state the wavelength of the light.
 const WAVELENGTHS: &str = "\
     wavelength|wave length|lambda|wavelen|wavelnth|wl|λ|wellenlänge|longueur d'onde|\
     longitud de onda|lunghezza d'onda|длина волны|波长|波長";
 
-/// Keys of the side of the map that the first row is.
+/// Keys that state which side of the map the first row of the file is.
 const ROWS: &str = "\
     first row|first line|row order|rows|origin|erste zeile|première ligne|primera fila|prima riga";
 
-/// Keys whose value lists the columns.
+/// Keys whose value lists the names of the columns.
 const COLUMNS: &str = "columns|column|fields|data|format|spalten|colonnes|columnas|colonne";
 
-/// Keys of the number of columns and of rows.
+/// Keys that state the number of columns, then those that state the number of rows.
 const COUNTS: [&str; 2] = [
     "horizontal|x pixels|xpixels|nx|xres|ncols|columns|spalten",
     "vertical|y pixels|ypixels|ny|yres|nrows|rows|zeilen",
 ];
 
-/// Parts of keys that could change how values or pixels are read.
+/// Parts of keys that could change how values or pixels are read; unused statements with such keys give a warning.
 const TELLING: &str = "\
     unit|pixel|pitch|spacing|resolution|scale|offset|wavelength|missing|einheit|unité|unidad|unità|\
     单位|単位|calibration|sampling";
 
-/// Names of the values of a map.
+/// Names under which a column or statement may give the values of a map.
 const VALUE_NAMES: &str = "\
     z|h|height|heights|höhe|höhen|hauteur|hauteurs|altura|alturas|altezza|altezze|thickness|dicke|\
     depth|tiefe|sag|figure|error|surface|value|values|werte|rate|rates|removal|opd|film|高さ|高度|map|\
     intensity";
 
-/// Names of both coordinates.
+/// Names that stand for both coordinates together.
 const COORDINATE_NAMES: &str = "xy|lateral|coordinates|coordinate|koordinaten|coordonnées";
 
-/// A variable or an attribute beside a map.
+/// A variable or an attribute beside a map, as text.
 #[derive(Debug)]
 pub(crate) struct Variable {
     pub key: String,
     pub value: String,
-    /// Where it stands, for the user.
+    /// Place of the variable in the file, for messages.
     pub place: String,
 }
 
-/// Statements that were read.
+/// Statements of a file that were read so far; `None` for those that it does not make.
 #[derive(Debug, Default)]
 pub(crate) struct Beside {
-    /// Unit of the values.
+    /// Unit of the values of the map.
     unit: Option<Unit>,
-    /// Name of the unit of the values, and the reason to refuse it.
+    /// Unit of the values as the file writes it; `unit_problem` is the reason to refuse it if nobody understands it.
     unit_word: Option<String>,
     unit_problem: Option<Invalid>,
-    /// A unit that may be that of the values or of the coordinates.
+    /// Unit that may be that of the values or that of the coordinates: the file does not say.
     pub lone_unit: Option<Unit>,
-    /// Unit of the coordinates.
+    /// Unit of both coordinates.
     pub coordinate_unit: Option<Unit>,
-    /// Sizes along (x, y), mm.
+    /// Sizes of the map along [x, y], mm.
     size_mm: [Option<f64>; 2],
-    /// Pitch along (x, y), mm.
+    /// Distances of neighbouring pixels along [x, y], mm.
     pitch_mm: [Option<f64>; 2],
-    /// Sizes along (x, y) whose unit is another statement, as SPIP writes them, and that unit.
+    /// Sizes along [x, y] in the units `length_unit`, which are separate statements, as SPIP writes them.
     length: [Option<f64>; 2],
     length_unit: [Option<Unit>; 2],
     nm_per_bit: Option<f64>,
     wavelength_nm: Option<f64>,
     first_row: Option<FirstRow>,
-    /// Numbers of columns and rows.
+    /// Stated numbers of columns and rows, in this order.
     counts: [Option<usize>; 2],
-    /// A size with its unit under a key that is not known, and the line or place after it.
+    /// Size (mm) with its unit under an unknown key, and the place of the next statement. Two such sizes in a row are
+    /// those along x and y.
     unknown_size: Option<(f64, usize)>,
-    /// Statements that are not used, as a warning quotes them.
+    /// Statements that are not used, as a warning quotes them; at most [`MOST_QUOTED`].
     unused: Vec<String>,
 }
 
-/// A number and what follows it.
+/// A number, and the text that follows it.
 struct Quantity<'a> {
     value: f64,
     rest: &'a str,
 }
 
-/// Returns the number that a text begins with, a decimal comma in it or a point.
+/// Returns the number at the beginning of a text, with a decimal point or comma; `None` without one, or if it is not
+/// finite.
 fn leading_number(text: &str) -> Option<Quantity<'_>> {
     let text = text.trim();
     let end = text
@@ -152,20 +155,20 @@ fn leading_number(text: &str) -> Option<Quantity<'_>> {
     Some(Quantity { value, rest: text[end..].trim() })
 }
 
-/// Returns a key in lower case, with blanks for its marks.
+/// Returns a key in lower case; hyphens, points, underscores, tabs and quotation marks become single blanks.
 fn plain(key: &str) -> String {
     let marks = ['_', '-', '.', '\u{a0}', '\u{202f}', '\t', '"'];
     key.to_lowercase().replace(marks, " ").split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Splits a statement at its colon or sign of equality.
+/// Splits a statement at its first colon or equals sign into key and value; `None` without such a sign.
 pub(crate) fn key_and_value(text: &str) -> Option<(&str, &str)> {
     let (key, value) = text.split_once([':', '=', '：'])?;
     Some((key.trim(), value.trim().trim_matches(['"', '\''])))
 }
 
 impl Beside {
-    /// Reads a comment without its mark; `line` counts from 1.
+    /// Reads a comment without the sign that begins it; `line` is its number, counted from 1.
     ///
     /// # Errors
     /// Refuses a unit that is not understood, and a statement that contradicts another one.
@@ -212,7 +215,7 @@ impl Beside {
         Ok(())
     }
 
-    /// Reads a line of text above the numbers, which is split into `fields`.
+    /// Reads a line of text above the numbers, which is split into `fields`: key, value, and perhaps a unit.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -232,8 +235,8 @@ impl Beside {
         Ok(())
     }
 
-    /// Reads a statement of `key`, which may end with its unit, and returns true if it is used; `unit` stands apart, and
-    /// `place` is the number of the line, or counts the statements.
+    /// Reads a statement. Its unit stands at the end of `key` or in `unit`. `place` is the number of the line or of the
+    /// statement. Returns true if the statement is used.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -286,7 +289,7 @@ impl Beside {
         }
     }
 
-    /// Reads a statement whose value begins with a number; as [`Self::add`].
+    /// Reads a statement whose value begins with a number; arguments and result are those of [`Self::add`].
     fn add_number(
         &mut self,
         key: &str,
@@ -351,7 +354,8 @@ impl Beside {
         }
     }
 
-    /// Reads variables or attributes, of which `pixel_size_unit` may be the unit of `pixel_size`.
+    /// Reads variables or attributes. One called `pixel_size_unit` is taken for the unit of `pixel_size`, if both
+    /// exist.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -377,8 +381,8 @@ impl Beside {
         Ok(())
     }
 
-    /// Reads the names of columns with their units, such as `x[mm] y[mm] z[um]`, `mm mm nm` or `x, y in mm, z in nm`, and
-    /// returns true if the text is one.
+    /// Reads a text that names columns with their units, such as `x[mm] y[mm] z[um]`, `mm mm nm` or `x, y in mm, z in
+    /// nm`. Returns false if the text states no unit.
     fn add_columns(&mut self, text: &str) -> Result<bool, Invalid> {
         let units = units_of_columns(text)?;
         if units == [None; 3] {
@@ -388,7 +392,8 @@ impl Beside {
         Ok(true)
     }
 
-    /// Takes the units of x, y and z. Refuses two units of the coordinates, and another unit of the values than before.
+    /// Records the units of the columns x, y and z; `None` leaves one open. Refuses different units of x and y, and
+    /// units that contradict earlier ones.
     fn take_columns(&mut self, [x, y, z]: [Option<Unit>; 3]) -> Result<(), Invalid> {
         if let (Some(x), Some(y)) = (x, y)
             && x != y
@@ -407,10 +412,10 @@ impl Beside {
         z.map_or(Ok(()), |unit| self.state_unit(unit))
     }
 
-    /// Takes a unit of the values.
+    /// Records the unit of the values.
     ///
     /// # Errors
-    /// Refuses another one than before.
+    /// Refuses a unit that differs from an earlier statement.
     pub fn state_unit(&mut self, unit: Unit) -> Result<(), Invalid> {
         if let Some(before) = self.unit.filter(|before| *before != unit) {
             let problem = format!("is {before} in one statement of the file, {unit} in another");
@@ -420,7 +425,7 @@ impl Beside {
         Ok(())
     }
 
-    /// Keeps a statement that is not used, for the warning.
+    /// Records a statement that is not used, for the warning. `place` says where it stands.
     pub fn leave(&mut self, statement: &str, place: &str) {
         if self.unused.len() < MOST_QUOTED {
             let short = statement.trim().chars().filter(|c| !c.is_control()).take(60);
@@ -428,7 +433,7 @@ impl Beside {
         }
     }
 
-    /// Gives the statements to a reading that has none of its own.
+    /// Completes `reading` with these statements: each fills what the format itself does not state.
     ///
     /// # Errors
     /// Refuses a statement that contradicts the numbers or another statement.
@@ -500,24 +505,25 @@ impl Beside {
     }
 }
 
-/// Returns true if `key` is one of the words that `|` separates in `keys`.
+/// Returns true if `key` is one of the words in the list `keys`, whose separator is `|`.
 fn is_key(keys: &str, key: &str) -> bool {
     keys.split('|').any(|word| word == key)
 }
 
-/// Returns true for a text that begins with a number and its unit.
+/// Returns true if the text begins with a number and a unit that follows it.
 fn is_length(value: &str) -> bool {
     let word = leading_number(value).and_then(|number| number.rest.split_whitespace().next());
     word.is_some_and(|word| Unit::spelled(word).is_some())
 }
 
-/// Returns true if a key could change how values or pixels are read.
+/// Returns true if a key could change how values or pixels are read, such as one with the word `scale`.
 pub(crate) fn is_telling(key: &str) -> bool {
     let key = plain(key);
     TELLING.split('|').any(|word| key.contains(word))
 }
 
-/// Returns which of the axes (x, y) the name of a pitch is about, such as `pixel size`, `x pixel size`, `dx` or `pixel y`.
+/// Returns for which of the axes [x, y] a key states the pixel distance, such as `pixel size`, `x pixel size`, `dx` or
+/// `pixel y`. Returns `None` for another key.
 fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
     if is_key(PITCHES, name) && name != "d" {
         return Some([true; 2]);
@@ -536,7 +542,8 @@ fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
     None
 }
 
-/// Returns the side that a text says the first row is.
+/// Returns the side of the map that the first row is, from words such as `top` or `unten`; `None` without or with both
+/// sides.
 fn row_of(value: &str) -> Option<FirstRow> {
     let value = value.to_lowercase();
     let [top, bottom] = [
@@ -551,7 +558,7 @@ fn row_of(value: &str) -> Option<FirstRow> {
     }
 }
 
-/// Returns the wavelength, nm, in a text such as `z [waves @ 632.8 nm]`.
+/// Returns the wavelength of the light, nm, in a text such as `z [waves @ 632.8 nm]`; `None` without one.
 fn wavelength_in(text: &str) -> Option<f64> {
     let (_, after) = text.split_once('@')?;
     let Quantity { value, rest } = leading_number(after)?;
@@ -562,7 +569,7 @@ fn wavelength_in(text: &str) -> Option<f64> {
     }
 }
 
-/// Returns the unit in a sentence such as `all lengths in m`, which does not say of which column.
+/// Returns the unit in a sentence such as `all lengths in m`, which names no column; `None` without one.
 fn unit_after_in(text: &str) -> Option<Unit> {
     let words: Vec<&str> =
         text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
@@ -574,19 +581,21 @@ fn unit_after_in(text: &str) -> Option<Unit> {
         .find_map(|pair| Unit::spelled(pair[1]))
 }
 
-/// Returns true for a sentence that may state the unit of a column in a word that is none, such as `heights in furlong`.
+/// Returns true for a sentence that may state the unit of a column, but in a word that is no known unit, such as
+/// `heights in furlong`.
 fn claims_a_unit(text: &str) -> bool {
     let words: Vec<String> = text.split_whitespace().map(plain).collect();
     let names = words.iter().any(|word| axes_of_name(word) != [false; 3]);
     names && words.iter().any(|word| matches!(word.as_str(), "in" | "unit" | "units"))
 }
 
-/// Returns a wavelength without a unit in nm, where its size allows only one: light has between 0.1 and 20 um.
+/// Returns a wavelength that was stated without a unit, in nm. It is read as nm, um or m, whichever lies between 100 nm
+/// and 20 um; `None` if none does.
 fn wavelength_nm(value: f64) -> Option<f64> {
     [1.0, 1e3, 1e9].into_iter().map(|nm| value * nm).find(|nm| (100.0..20_000.0).contains(nm))
 }
 
-/// A piece of a line that names columns.
+/// A part of a line that names columns: a word, the text in brackets, or a number.
 #[derive(Debug, PartialEq)]
 enum HeaderWord<'a> {
     Word(&'a str),
@@ -594,7 +603,7 @@ enum HeaderWord<'a> {
     Number,
 }
 
-/// Returns the words, numbers and brackets of a text.
+/// Splits a text into its words, numbers and texts in brackets.
 fn header_words(text: &str) -> Vec<HeaderWord<'_>> {
     let mut words = Vec::new();
     let mut rest = text;
@@ -627,7 +636,7 @@ fn header_words(text: &str) -> Vec<HeaderWord<'_>> {
     words
 }
 
-/// Returns which of x, y and z a word names.
+/// Returns which of the columns [x, y, z] a word names; a word such as `xy` names two.
 fn axes_of_name(word: &str) -> [bool; 3] {
     let word = plain(word);
     if is_key(COORDINATE_NAMES, &word) {
@@ -637,7 +646,7 @@ fn axes_of_name(word: &str) -> [bool; 3] {
     [first == Some("x"), first == Some("y"), is_key(VALUE_NAMES, &word)]
 }
 
-/// Returns the units that a text gives to the columns x, y and z; `None` where it gives none.
+/// Returns the units that a text gives to the columns [x, y, z]; `None` for a column without one.
 ///
 /// # Errors
 /// Refuses a word in brackets after the name of a column that is no unit.
@@ -719,7 +728,7 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
     Ok(units)
 }
 
-/// Returns true if a word of a text is a unit.
+/// Returns true if a word of the text, or a text in brackets, is a unit.
 fn names_a_unit(text: &str) -> bool {
     header_words(text).iter().any(|piece| match piece {
         HeaderWord::Word(word) => {

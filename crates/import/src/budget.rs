@@ -28,21 +28,22 @@ pub const MOST_FILE_BYTES: u64 = 1 << 30;
 /// any interferometer has.
 pub const MOST_PIXELS: usize = 1 << 25;
 
-/// Memory that a pixel needs until it is written, bytes. Larger: large maps are refused although they would
+/// Memory that a pixel needs while a map is read, bytes. Larger: large maps are refused although they would
 /// fit into the memory. Smaller: a map can exceed the memory of the process. Derived: five 64-bit numbers,
 /// which are the value as stored, in nm, in the order of the file, in the order of the map, and as written.
 pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
 
-/// Memory that a line `x y z` needs until its pixel is written, bytes. Larger and smaller: as
-/// [`BYTES_PER_PIXEL`]. Derived: three numbers and two last digits in a list that doubles as it grows, the coordinates
-/// of an axis in order, and the pixel.
+/// Memory that a line `x y z` of a text needs while it is read, bytes. Larger and smaller: as [`BYTES_PER_PIXEL`].
+/// Derived: three numbers and two last digits in a list that doubles as it grows, the coordinates of an axis in order,
+/// and the pixel.
 pub(crate) const BYTES_PER_POINT: usize = 3 * 5 * 8 + 3 * 8 + BYTES_PER_PIXEL;
 
-/// Largest number of samples of a log; more are refused. Larger: more memory for one file. Smaller: refuses
+/// Largest number of samples (times with positions) of a machine log; more are refused. Larger: more memory for one
+/// file. Smaller: refuses
 /// long logs. Chosen: nine hours at 1 kHz.
 pub(crate) const MOST_SAMPLES: usize = MOST_PIXELS;
 
-/// Memory that a sample of a log needs until it is written, bytes. Larger and smaller: as
+/// Memory that a sample of a machine log needs while it is read, bytes. Larger and smaller: as
 /// [`BYTES_PER_PIXEL`]. Derived: seven columns in lists that double as they grow, times and positions, and
 /// a segment of the motion, twice for a moment.
 pub(crate) const BYTES_PER_SAMPLE: usize = 3 * 7 * 8 + 8 * 8 + 3 * 96;
@@ -63,13 +64,14 @@ pub(crate) const MOST_TEXT_BYTES: usize = 1 << 18;
 /// Smaller: refuses maps with small chunks. Derived: as many chunks of eight pixels as [`MOST_PIXELS`] has.
 pub(crate) const MOST_READS: u64 = 1 << 22;
 
-/// Largest number of elements that may be read if one needs `bytes_each` bytes: at most [`MOST_PIXELS`],
+/// Returns the largest number of elements that may be read if each needs `bytes_each` bytes: at most [`MOST_PIXELS`],
 /// and no more than fit into the memory of the process.
 pub(crate) fn most_of(bytes_each: usize) -> usize {
     MOST_PIXELS.min((budget::memory_bytes() / bytes_each as u64) as usize)
 }
 
-/// Refuses one more element than `count`, if one needs `bytes_each` bytes and the limit is reached.
+/// Refuses to read one more element after `count`, each of `bytes_each` bytes, if the limit is reached. `array` is the
+/// subject of the message.
 pub(crate) fn check_room(
     array: &'static str,
     count: usize,
@@ -82,8 +84,8 @@ pub(crate) fn check_room(
     budget::affordable(array, (count + 1) as f64, bytes_each, "crop it").map(drop)
 }
 
-/// Returns the number of pixels of a map of this size, or refuses it; `array` names the array that claims
-/// the size.
+/// Returns the number of pixels of a map of `rows` x `columns`. Refuses fewer than 2 x 2 and too many. `array` is the
+/// subject of the message.
 pub(crate) fn check_size(
     array: &'static str,
     rows: usize,
@@ -96,7 +98,8 @@ pub(crate) fn check_size(
     check_elements(array, &[rows as u64, columns as u64])
 }
 
-/// Returns the number of elements of an array of this shape, or refuses it.
+/// Returns the number of elements of an array of this shape. Refuses more than [`MOST_PIXELS`], or than fit into the
+/// memory.
 pub(crate) fn check_elements(array: &'static str, shape: &[u64]) -> Result<usize, Invalid> {
     let n = shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s));
     match n.filter(|n| *n <= MOST_PIXELS as u64) {
@@ -113,7 +116,7 @@ pub(crate) fn check_elements(array: &'static str, shape: &[u64]) -> Result<usize
     }
 }
 
-/// A file holds more than `most` of `what`.
+/// Returns the message that a file holds more than `most` items of the kind `what`.
 pub(crate) fn too_many(file: &'static str, most: usize, what: &str, remedy: &str) -> Invalid {
     Invalid::whole(file, format!("holds more than {most} {what}"), remedy)
 }

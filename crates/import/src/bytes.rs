@@ -1,8 +1,8 @@
-//! Numbers read from bytes, and messages for bytes that end too early.
+//! Numbers and text read from the bytes of a file, with messages if the bytes end too early.
 
 use planish_types::Invalid;
 
-/// The bytes of a file, read by offset.
+/// The bytes of a file, read by their offset from its beginning.
 #[derive(Clone, Copy)]
 pub(crate) struct Bytes<'a> {
     pub all: &'a [u8],
@@ -12,7 +12,7 @@ pub(crate) struct Bytes<'a> {
 }
 
 impl<'a> Bytes<'a> {
-    /// Returns `len` bytes from byte `start` on. Refuses what lies beyond the end.
+    /// Returns `len` bytes from byte `start` on. Refuses a range beyond the end of the file.
     pub fn slice(&self, start: usize, len: usize) -> Result<&'a [u8], Invalid> {
         start.checked_add(len).and_then(|end| self.all.get(start..end)).ok_or_else(|| {
             let problem =
@@ -21,7 +21,7 @@ impl<'a> Bytes<'a> {
         })
     }
 
-    /// Returns the bytes of a number, in the order of this machine.
+    /// Returns the N bytes of a number from byte `start` on, in the byte order of this machine.
     fn array<const N: usize>(&self, start: usize) -> Result<[u8; N], Invalid> {
         let mut bytes = [0; N];
         bytes.copy_from_slice(self.slice(start, N)?);
@@ -55,7 +55,8 @@ impl<'a> Bytes<'a> {
         self.array(start).map(f64::from_ne_bytes)
     }
 
-    /// Returns the text up to a NUL, without spaces at its ends. Refuses what lies beyond the end.
+    /// Returns the text in `len` bytes from byte `start` on, up to a NUL. Control characters, and blanks at the ends,
+    /// are removed. Refuses a range beyond the end of the file.
     pub fn text(&self, start: usize, len: usize) -> Result<String, Invalid> {
         let bytes = self.slice(start, len)?;
         let end = bytes.iter().position(|b| *b == 0).unwrap_or(len);
@@ -64,7 +65,7 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// A number type of a file.
+/// A type of number that a file stores: integer, unsigned integer or float, with its bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Number {
     I8,
@@ -81,7 +82,7 @@ pub(crate) enum Number {
 }
 
 impl Number {
-    /// Returns the bytes of one number.
+    /// Returns the size of one number, bytes.
     pub fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -91,8 +92,8 @@ impl Number {
         }
     }
 
-    /// Returns `count` numbers from `bytes`, which must hold them; exactly, so a 64-bit integer that a 64-bit
-    /// float does not have is refused.
+    /// Returns the first `count` numbers of `bytes`, which must hold so many. Refuses a 64-bit integer that no 64-bit
+    /// float equals.
     pub fn decode(self, bytes: &[u8], count: usize, big_endian: bool) -> Result<Vec<f64>, Invalid> {
         fn each<const N: usize>(
             bytes: &[u8],
@@ -133,7 +134,7 @@ impl Number {
     }
 }
 
-/// Returns the number that the bits of a 16-bit float (IEEE 754 binary16) mean.
+/// Returns the value of a 16-bit float (IEEE 754 binary16) from its bits.
 fn half(bits: u16) -> f64 {
     let exponent = i32::from(bits >> 10) & 31;
     let fraction = f64::from(bits & 1023);
@@ -146,14 +147,14 @@ fn half(bits: u16) -> f64 {
     if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
-/// Returns a 64-bit integer as a float; infinite where no float is equal to it.
+/// Returns a 64-bit integer as a float, or infinity if no float equals it.
 pub(crate) fn exact<T: Copy + Into<i128>>(v: T) -> f64 {
     let v: i128 = v.into();
     let float = v as f64;
     if float as i128 == v { float } else { f64::INFINITY }
 }
 
-/// Refuses what [`exact`] could not convert.
+/// Refuses numbers that [`exact`] could not convert: those that are infinite.
 pub(crate) fn refuse_rounded<'a>(values: impl IntoIterator<Item = &'a f64>) -> Result<(), Invalid> {
     match values.into_iter().position(|v| v.is_infinite()) {
         None => Ok(()),

@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and what all commands that read maps have in common.
+//! The subcommands, one file each, and the flags and functions that the commands for maps share.
 
 // The text of a field is the help of its flag, where [default: ...] is no link.
 #![allow(rustdoc::broken_intra_doc_links)]
@@ -125,7 +125,7 @@ pub struct FileArgs {
 }
 
 impl FileArgs {
-    /// Returns the artifact, and the picture where one is asked for.
+    /// Returns the output of the command: the artifact, and the picture if the user asks for one.
     pub fn output(&self, kind: &'static Kind) -> Output {
         let output = Output::directory(&self.output, kind);
         match &self.picture {
@@ -134,7 +134,8 @@ impl FileArgs {
         }
     }
 
-    /// Returns the names of the arrays to read from a file that holds several.
+    /// Returns the names of the arrays to read from a file that holds several. `is_tif` is true for a tool influence
+    /// function.
     pub fn pick(&self, is_tif: bool) -> Pick {
         Pick {
             dataset: self.dataset.clone(),
@@ -148,7 +149,7 @@ impl FileArgs {
         }
     }
 
-    /// Returns the settings of the library from the flags.
+    /// Returns the settings for reading a map from the flags. `origin` is the point of the map at x = y = 0.
     pub fn settings(&self, origin: Origin) -> ReadingSettings {
         ReadingSettings {
             override_file: self.override_file,
@@ -168,8 +169,8 @@ impl FileArgs {
         }
     }
 
-    /// Returns the format of the flag, or that the content or the ending of the file tells; `bytes` are `None`
-    /// for a directory. Refuses a file of which neither the flag nor the file tells it.
+    /// Returns the format that the flag states, else that of the content or of the ending of the file name. `bytes` are
+    /// `None` for a directory. Refuses a file whose format remains unknown.
     pub fn format(&self, bytes: Option<&[u8]>) -> Result<Format, Failure> {
         let path = &self.file;
         let Some(bytes) = bytes else { return Ok(Format::Directory) };
@@ -185,8 +186,8 @@ impl FileArgs {
         })
     }
 
-    /// Writes the picture that is requested. It appears with the map; an older one is replaced with --force. Fails if
-    /// it cannot be written.
+    /// Writes the picture if the user asks for one. It appears together with the map; an older one is replaced only
+    /// with --force. Fails if it cannot be written.
     pub fn put_picture(
         &self,
         output: &mut Writer,
@@ -197,7 +198,7 @@ impl FileArgs {
     }
 }
 
-/// Reads three names or numbers, with commas between them.
+/// Reads three names or numbers of columns, separated by commas.
 fn columns(text: &str) -> Result<[String; 3], String> {
     let names: Vec<String> = text.split(',').map(|name| name.trim().to_string()).collect();
     let all =
@@ -207,12 +208,12 @@ fn columns(text: &str) -> Result<[String; 3], String> {
     })
 }
 
-/// Returns a message of the library, with the file that it is about.
+/// Returns a failure with the path of the file, and the library's message in the words of the command line.
 pub fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
     Failure::new(format!("{}: {}", path.display(), with_flags(&error.to_string())))
 }
 
-/// Returns the bytes of a file of another program. Refuses an empty one.
+/// Reads the bytes of a file that another program wrote, and records it as the input `role`. Refuses an empty file.
 fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = inputs.read_bytes(role, path, MOST_FILE_BYTES)?;
     if bytes.is_empty() {
@@ -221,13 +222,13 @@ fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Fail
     Ok(bytes)
 }
 
-/// Returns the bytes of a map, or `None` for a directory. Refuses a file that is empty, or that cannot be read.
+/// Returns the bytes of a map, or `None` for a directory. Refuses a file that is empty or cannot be read.
 pub fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
     if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
 }
 
-/// Reads a map from the bytes of its file, or from its directory. Refuses a file that is not of the format, or does not
-/// have what `pick` names.
+/// Reads a map from the bytes of its file, or from its directory without `bytes`. Refuses a file that is not of the
+/// format, and names in `pick` that the file does not have.
 pub fn open(
     inputs: &mut Inputs,
     role: &str,
@@ -254,13 +255,14 @@ pub fn open(
     read(format, &bytes, pick).map_err(|e| about(path, &e))
 }
 
-/// Returns the statement of the library, its warnings in the words of the command line.
+/// Returns the statement with its warnings in the words of the command line: flags in place of names of fields.
 pub fn in_flags(statement: Statement) -> Statement {
     let warnings = statement.warnings.iter().map(|warning| with_flags(warning)).collect();
     Statement { warnings, ..statement }
 }
 
-/// Prints the warnings, and how the file was read, in the name of `program`, for the user to check.
+/// Prints the warnings, and how the file was read (format, pixels, unit, orientation), for the user to check. `program`
+/// begins each line.
 pub fn report(program: &str, statement: &Statement, grid: &Grid) {
     for warning in &statement.warnings {
         warn(warning);
@@ -294,7 +296,7 @@ pub fn report(program: &str, statement: &Statement, grid: &Grid) {
     ));
 }
 
-/// Returns the picture of what was read, as SVG.
+/// Returns a picture of the map as SVG, with the file name, the size and the number of invalid pixels as its title.
 pub fn draw(
     grid: &Grid,
     map: &Array2<f64>,

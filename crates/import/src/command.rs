@@ -17,7 +17,7 @@ struct ImportCli<Others: Subcommands> {
     method: crate::cli::ImportMethod<Others>,
 }
 
-/// Returns the command `planish import`, with further subcommands of another stage, which have a second name here.
+/// Returns the command `planish import`. `Others` are subcommands of another stage that are offered here too.
 pub const fn command<Others: Subcommands>() -> Stage {
     Stage {
         name: env!("CARGO_PKG_NAME"),

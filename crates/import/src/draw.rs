@@ -7,11 +7,11 @@ use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale as AxisScale, Svg, cells, colour, frame::range};
 use planish_types::Grid;
 
-/// Height of the texts, pixels of the picture. Larger: texts overlap. Smaller: they are hard to read.
+/// Size of the lettering, pixels of the picture. Larger: texts overlap. Smaller: they are hard to read.
 const FONT_PX: f64 = 16.0;
 
-/// Larger side of the map, pixels of the picture. Larger: the picture does not fit onto a screen. Smaller:
-/// details are lost.
+/// Length of the larger side of the map, pixels of the picture. Larger: the picture does not fit onto a screen.
+/// Smaller: details are lost.
 const SIZE_PX: f64 = 800.0;
 
 /// Margins at the left, top, right and bottom of the map, pixels of the picture. Larger: empty space.
@@ -29,16 +29,16 @@ const CELLS: usize = 200;
 /// Number of colours. Larger: smoother colours and a larger file. Smaller: visible steps.
 const LEVELS: usize = 48;
 
-/// Quantity of the values, for the bar of colours.
+/// Quantity and unit of the values, for the label of the colour bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Height in nm.
+    /// Heights in nm.
     HeightNm,
-    /// Removal rate in nm/s.
+    /// Removal rates in nm/s.
     RateNmPerS,
 }
 
-/// Returns a picture of `map` (ny, nx) on `grid`, with a title, as SVG.
+/// Returns a picture of `map` (ny, nx) on `grid` as SVG text. `title` stands above it; pixels that are NaN are grey.
 pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String {
     let [x, y] = [grid.x.edges_mm(), grid.y.edges_mm()];
     let [width_mm, height_mm] = [x, y].map(|[low, high]| high - low);

@@ -1,4 +1,4 @@
-//! Formats of maps, one file each: how it is recognised, and its reader.
+//! Formats of maps, one file each: a function that recognises the format, and a reader.
 //!
 //! | module | format | source of its layout |
 //! |---|---|---|
@@ -106,7 +106,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// Returns the format of a file from its first bytes, where they tell; text of numbers does not.
+    /// Returns the format of a file from its first bytes; `None` if they do not tell, as in a text of numbers.
     pub fn recognise(bytes: &[u8]) -> Option<Self> {
         let starts = |magic: &[u8]| bytes.starts_with(magic);
         if metropro::is_magic(bytes) {
@@ -157,8 +157,8 @@ impl Format {
         }
     }
 
-    /// Returns the format of a text of numbers from the ending of the file's name, in lower case, and from its first
-    /// lines where several formats have that ending.
+    /// Returns the format of a text of numbers from the ending of the file name, in lower case. Some endings belong to
+    /// several formats; then the first lines decide. Returns `None` for another ending.
     pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
         match ending {
             "csv" => Some(Self::Csv),
@@ -169,10 +169,10 @@ impl Format {
     }
 }
 
-/// Reads the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
+/// Reads a map from the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
 ///
 /// # Errors
-/// Refuses a file that is not of the format, names that the format does not have, and what its reader refuses.
+/// Refuses a file that is not of the format, names that the format does not have, and content that its reader refuses.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.grid_mm.is_some() && format != Format::Xyz {
         let problem = "was given, but only lines x y z are interpolated";

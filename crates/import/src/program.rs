@@ -1,4 +1,4 @@
-//! Programs of motion controllers, as the motion that the controller will run.
+//! Reads programs of motion controllers back, as the motion that the controller will run.
 //!
 //! This module follows the manuals of the controllers, not `planish-export`. The two share no code, so that
 //! an error in one of them is not hidden by the same error in the other.
@@ -11,8 +11,8 @@
 //! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed; joined by parabolas after `G64 P` |
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
 //!
-//! [`Configuration`] states what a program does not say: the place of the axes before it, and the size of a
-//! count. Without a list of axes a program moves x and y.
+//! [`Configuration`] states what a program does not say: the position of the axes before it, and the length of an
+//! encoder count. Without a list of axes a program moves x and y.
 
 pub mod csv;
 pub mod galil;
@@ -23,27 +23,27 @@ pub mod xps;
 use planish_types::{AxesMotion, ControllerKind, Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
 
-/// Settings of the controller. A setting that a program needs and that is absent is refused, with a message
-/// that asks for it.
+/// Settings of the controller for reading a program. A setting that a program needs and that is absent is refused, with
+/// a message that asks for it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Configuration {
-    /// Place of the axes (x, y) before the program, mm.
+    /// Position of the axes [x, y] before the program starts, mm.
     pub start_mm: Option<[f64; 2]>,
-    /// Size of a count of (x, y), mm.
+    /// Length of an encoder count of [x, y], mm.
     pub count_mm: Option<[f64; 2]>,
-    /// Axes of a program of all axes, in their order. Empty: x and y.
+    /// Axes that the program moves, in the order of its numbers. If empty, it moves x and y.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<ProgramAxis>,
-    /// Sample time, s.
+    /// Sample time of the controller (Galil), s.
     pub sample_s: Option<f64>,
-    /// Unit of time of a PMAC's velocities, s.
+    /// Time unit of the velocities of a PMAC, s: 1e-3 for mm/ms.
     pub feedrate_time_unit_s: Option<f64>,
-    /// Transform that took the motion from the part to the axes. The inverse is applied to the motion that
-    /// is read.
+    /// Transform from the part to the axes with which the program was written. Its inverse takes the motion back to the
+    /// part; `None` leaves the motion in the coordinates of the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
-    /// True if the exported motion was in the coordinates of the machine; the motion that is read is then
-    /// in them too.
+    /// True if the exported motion was in the coordinates of the machine, so that the motion that is read is in them
+    /// too.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
     /// BLAKE3 hash of the program that this configuration belongs to; `None` if it was written by hand.
@@ -51,53 +51,54 @@ pub struct Configuration {
     pub program_blake3: Option<String>,
 }
 
-/// An axis of a program of all axes.
+/// An axis of a program that lists its axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProgramAxis {
     /// Name of the axis: x, y, z, r, a, b or c.
     pub name: String,
     /// Unit of its positions, mm or deg.
     pub unit: String,
-    /// Position before the program, in the unit.
+    /// Position of the axis before the program starts, in its unit.
     pub start: f64,
-    /// Size of a count, in the unit.
+    /// Length or angle of an encoder count, in the unit of the axis.
     pub count: f64,
 }
 
-/// Axes that a program moves.
+/// Axes that a program moves: names, units, start and count sizes.
 struct Layout {
-    /// Names, in their order.
+    /// Names of the axes, in the order of the numbers in the program.
     names: Vec<String>,
-    /// Units, mm or deg.
+    /// Units of the axes, mm or deg.
     units: Vec<String>,
     start: Option<Vec<f64>>,
     count: Option<Vec<f64>>,
 }
 
 impl Layout {
-    /// Returns the number of axes.
+    /// Returns the number of axes that the program moves.
     fn len(&self) -> usize {
         self.names.len()
     }
 
-    /// Returns the letter of every axis in a PMAC or G-code program. A radius is X.
+    /// Returns the letter of every axis in a PMAC or G-code program. The radius `r` of a spindle has the letter X.
     fn letters(&self) -> Vec<char> {
         let first = self.names.iter().map(|name| name.chars().next().unwrap_or('?'));
         first.map(|letter| if letter == 'r' { 'X' } else { letter.to_ascii_uppercase() }).collect()
     }
 
-    /// Returns true if an axis turns.
+    /// Returns true if at least one axis is a rotation (its unit is deg).
     fn turns(&self) -> bool {
         self.units.iter().any(|unit| unit == "deg")
     }
 }
 
-/// Names of the axes that a machine may have, with their units.
+/// Names of the axes that a program may move, with their units.
 const AXES: [(&str, &str); 7] =
     [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
 
 impl Configuration {
-    /// Returns the axes; refuses unknown ones, one twice, and numbers that are not finite.
+    /// Returns the axes of the configuration, x and y if it lists none. Refuses unknown or repeated axes, and numbers
+    /// that are not finite.
     fn layout(&self) -> Result<Layout, Invalid> {
         if self.axes.is_empty() {
             return Ok(Layout {
@@ -134,7 +135,8 @@ impl Configuration {
         })
     }
 
-    /// Returns this configuration, with absent settings taken from `about`, the file beside the program.
+    /// Returns this configuration, completed with the settings of `about`, the file beside the program. Settings that
+    /// are present in both stay as they are here.
     pub fn completed_by(self, about: Self) -> Self {
         Self {
             start_mm: self.start_mm.or(about.start_mm),
@@ -203,7 +205,7 @@ pub fn read_axes(
     }
 }
 
-/// Returns a doubt about a program that is read: a probable mistake that may be right.
+/// Returns a doubt about a program: a text on a probable mistake that may also be intended. Returns `None` without one.
 pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
     let text = crate::text::text("program", bytes).ok()?;
     match controller {
@@ -212,8 +214,8 @@ pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
     }
 }
 
-/// Refuses a configuration of another program. Its size of a count or its start would make another motion
-/// of this program.
+/// Refuses a configuration that belongs to another program, by its hash. Its count size or start position would give
+/// this program another motion.
 fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     let Some(expected) = &configuration.program_blake3 else { return Ok(()) };
     let hash = blake3::hash(bytes).to_hex();
@@ -229,17 +231,19 @@ fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     Err(Invalid::whole("program_blake3", problem, remedy))
 }
 
-/// A state that a program names: time since its start (s), positions (mm, deg) and velocities of the axes.
+/// A state that a program commands: time since its start (s), positions of the axes (mm or deg) and velocities (mm/s or
+/// deg/s).
 #[derive(Clone, Debug)]
 struct Knot {
     time_s: f64,
     position: Vec<f64>,
     velocity: Vec<f64>,
-    /// True if the tool removes until the next knot.
+    /// True if the tool removes material until the next knot.
     tool_on: bool,
 }
 
-/// Returns the cubic through position and velocity at both ends of a time T:
+/// Returns the coefficients of the cubic through the positions `p` and velocities `v` at both ends of the time T =
+/// `time_s`:
 ///
 /// ```text
 /// p(u) = p0 + v0 u + (3 (p1 - p0)/T - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 (p1 - p0)/T)/T^2 u^3
@@ -254,7 +258,7 @@ fn hermite(p: [f64; 2], v: [f64; 2], time_s: f64) -> [f64; 4] {
     ]
 }
 
-/// Returns the motion through knots. Refuses fewer than two.
+/// Returns the motion through the knots, with a cubic between two of them on every axis. Refuses fewer than two knots.
 fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     if knots.len() < 2 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
@@ -276,15 +280,15 @@ fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     )
 }
 
-/// Way out for a line that is not read.
+/// Remedy in the messages about a line that cannot be read.
 const REMEDY: &str = "correct the line, or leave it out if it moves nothing and switches nothing";
 
-/// Returns the error of a line, counted from 1.
+/// Returns the message about a wrong line of the program; `line` counts from 1.
 fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
     Invalid::at_index("program line", line, problem, REMEDY)
 }
 
-/// Returns the finite number that a text is.
+/// Returns the number in a text. Refuses text that is no finite number; `line` is for the message.
 fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     text.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
         let short: String = text.trim().chars().take(20).collect();
@@ -292,7 +296,7 @@ fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     })
 }
 
-/// Returns a setting that the program needs. Refuses an absent one.
+/// Returns the value of a setting that the program needs, or refuses its absence. `name` is that of the setting.
 fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| {
         let remedy = format!("give `{name}`, or `about` with the file beside the program");
@@ -300,7 +304,7 @@ fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     })
 }
 
-/// Returns a positive number; refuses any other.
+/// Returns the value `v` if it is finite and positive, or refuses it. `name` is that of the setting.
 fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 {
         Ok(v)
@@ -327,7 +331,8 @@ mod tests {
         read(controller, text.as_bytes(), &configuration()).unwrap_err().to_string()
     }
 
-    /// 1 mm in x in 0.1 s from rest to rest, then 0.2 s of standing.
+    /// Checks that the motion is 1 mm in x in 0.1 s from rest to rest, then 0.2 s at rest. `straight` is true for
+    /// motion at constant speed.
     fn is_the_move(trajectory: &Trajectory, straight: bool) {
         assert_eq!(trajectory.len(), 2);
         let t = trajectory.break_time_s();
@@ -378,7 +383,7 @@ mod tests {
         is_the_move(&read(ControllerKind::Csv, csv), false);
     }
 
-    /// Axes r, z and c.
+    /// Returns a configuration with the axes r, z and c of a spindle.
     fn of_a_spindle() -> Configuration {
         let axis = |name: &str, unit: &str, start: f64, count: f64| ProgramAxis {
             name: name.into(),
@@ -425,7 +430,8 @@ mod tests {
         }
     }
 
-    /// Two lines of 1 s: r by 1 mm and 3 mm, c by 90 degrees and none. P bounds the corner of r alone.
+    /// Checks two lines of 1 s: r by 1 mm and 3 mm, c by 90 degrees and 0. The path tolerance P bounds the corner of r
+    /// alone.
     #[test]
     fn joined_lines_of_rotary_axes_are_bounded_along_the_linear_ones() {
         let text = |p: &str| format!("G64 P{p}\nG0 X0 Z0 C0\nG93\nG1 X1 C90 F60\nG1 X4 F60\nM2\n");
@@ -475,7 +481,8 @@ mod tests {
         assert!(plane.contains("read a motion of all axes"), "{plane}");
     }
 
-    /// Two lines of 1 s, 1 mm and 3 mm: parabolas of 1 s around the three nodes, 1, 2 and -3 mm/s^2, from rest to rest.
+    /// Checks two lines of 1 s, 1 mm and 3 mm long. They become parabolas of 1 s around three nodes, with 1, 2 and -3
+    /// mm/s^2, from rest to rest.
     #[test]
     fn joined_lines_are_parabolas_at_continuous_velocity() {
         let text = |mode: &str| format!("{mode}\nG0 X0 Y0\nG93\nG1 X1 F60\nG1 X4 F60\nM2\n");
@@ -502,8 +509,8 @@ mod tests {
         assert!(message(ControllerKind::Gcode, changed).contains("line[5]: changes the path mode"));
     }
 
-    /// Lines of 0.1 s and 0.1 mm that are joined: a run of them begins and ends half a line earlier and later. A dwell adds
-    /// its P, wherever it stands.
+    /// Checks joined lines of 0.1 s and 0.1 mm. A group of them begins half a line earlier and ends half a line later;
+    /// a dwell adds its P anywhere.
     #[test]
     fn a_dwell_takes_its_time_at_the_beginning_in_the_middle_and_at_the_end() {
         let lines = ["G1 X0.1 F600\n", "G1 X0.2 F600\n", "G1 X0.3 F600\n"];
@@ -558,7 +565,7 @@ mod tests {
         assert_eq!(doubt(ControllerKind::Gcode, b"G4 P22.5\nG4 P150.5\n"), None);
     }
 
-    /// Programs as people keep them: 1 mm in x in 0.1 s from rest to rest, then 0.2 s of standing.
+    /// Checks programs as users write them: 1 mm in x in 0.1 s from rest to rest, then 0.2 s at rest.
     #[test]
     fn programs_of_others_are_read() {
         use ControllerKind::*;

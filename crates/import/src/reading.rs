@@ -4,9 +4,10 @@
 //! height (nm) = (offset + factor x stored value) x unit of the file (nm) x factor asked for
 //! ```
 //!
-//! Without an offset this is one multiplication, so that a map comes back to the last bit its file
-//! holds. A unit or a pitch that the file does not state is asked for. A setting that contradicts the
-//! file is refused with both values; with [`ReadingSettings::override_file`] it takes the file's place.
+//! Without an offset this is one multiplication, so that a map comes back to the last bit its file holds. A unit or a
+//! pitch that the file does not state is asked for. A setting that contradicts the file is refused with both values;
+//! with [`ReadingSettings::override_file`] it takes the file's place. Settings are the statements of the user; a
+//! [`Reading`] holds those of the file.
 
 use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, text::significant};
@@ -15,7 +16,7 @@ use serde_json::Value;
 
 use crate::{Format, Unit};
 
-/// Side of the map that the first row of a file is.
+/// Side of the map, smallest or largest y, that the first row of a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstRow {
@@ -26,26 +27,27 @@ pub enum FirstRow {
     SmallestY,
 }
 
-/// Choice of an array in a file that holds several.
+/// Choice of arrays by name in a file that holds several; `None` leaves the choice to the reader.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pick {
-    /// Name or path of the map.
+    /// Name or path of the array that is the map.
     #[serde(rename = "data")]
     pub dataset: Option<String>,
-    /// Name or path of the coordinates along the columns.
+    /// Name or path of the x coordinates, one per column.
     pub x: Option<String>,
-    /// Name or path of the coordinates along the rows.
+    /// Name or path of the y coordinates, one per row.
     pub y: Option<String>,
-    /// Name or path of a map of the same size in which a number other than 0 marks an invalid pixel.
+    /// Name or path of an array of the same size as the map, in which a number other than 0 marks an invalid pixel.
     pub mask: Option<String>,
-    /// Pitch along (x, y), mm, to which lines `x y z` of scattered points are interpolated.
+    /// Pitch [x, y], mm, of the grid to which scattered points (lines `x y z`) are interpolated; `None` if the points
+    /// lie on a grid.
     pub grid_mm: Option<[f64; 2]>,
-    /// Unit of the coordinates of scattered points.
+    /// Unit of the coordinates of scattered points; `None` if the file states it.
     pub coordinate_unit: Option<Unit>,
-    /// Columns of x, y and the values in lines of text, by name or by number from 1.
+    /// Columns of x, y and the values in lines of text, by name or by number, counted from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub columns: Option<[String; 3]>,
-    /// True if a TIF is wanted: its customary names are then tried if no name is given.
+    /// True if the map is a tool influence function (TIF): its customary names are then tried if no name is given.
     pub is_tif: bool,
 }
 
@@ -54,47 +56,47 @@ pub struct Pick {
 pub struct Coordinates {
     /// Coordinates of the columns (nx); ascending or descending.
     pub x: Vec<f64>,
-    /// Coordinates of the rows (ny); ascending or descending.
+    /// Coordinates of the rows (ny), ascending or descending.
     pub y: Vec<f64>,
     /// Unit of the coordinates, if the file states it.
     pub unit: Option<Unit>,
 }
 
-/// The rule by which a header places the pixels, in the order of the file and in its units, (x, y) each:
+/// Rule by which a header places the pixels, for [x, y] each, in the order and in the units of the file:
 ///
 /// ```text
 /// coordinate of pixel i = coordinate + step (i - pixel)
 /// ```
 #[derive(Clone, Debug)]
 pub struct Rule {
-    /// Step from a pixel to the next; not 0. Where it is negative the axis descends.
+    /// Step from a pixel to the next, not 0. The axis descends if it is negative.
     pub step: [f64; 2],
-    /// Unit of step and coordinate, where the file states it.
+    /// Unit of step and coordinate along [x, y], if the file states it.
     pub unit: [Option<Unit>; 2],
-    /// Pixel, counted from 0, and its coordinate; `None` where the header has no more than steps.
+    /// A pixel, counted from 0, and its coordinate, for [x, y]; `None` if the header states steps alone.
     pub reference: Option<[(f64, f64); 2]>,
 }
 
-/// Place of the first pixel of a file in a larger frame: the camera, or the field of a scanner. Rows count in the order of
-/// the file.
+/// Position of the first pixel of a file in a larger frame: the camera, or the field of a scanner. Rows are counted in
+/// the order of the file.
 #[derive(Clone, Copy, Debug)]
 pub struct Window {
-    /// Column and row of the first pixel, from those of the frame; in mm where `in_mm`.
+    /// Column and row [x, y] of the first pixel, counted from the first of the frame; in mm if `in_mm`.
     pub first: [f64; 2],
     /// True if `first` is in mm, false if it is in pixels.
     pub in_mm: bool,
-    /// Rows of the frame, where the file states them.
+    /// Number of rows of the frame; `None` if the file does not state it.
     pub frame_rows: Option<f64>,
 }
 
 impl Window {
-    /// Returns the window whose first pixel is at this place, mm, in a frame of unknown size.
+    /// Returns the window whose first pixel lies at `first` [x, y], mm, in a frame of unknown size.
     pub(crate) fn at_mm(first: [f64; 2]) -> Self {
         Self { first, in_mm: true, frame_rows: None }
     }
 
-    /// Returns the coordinates of the smallest x and y of a map with `rows` rows, mm. The coordinate 0 is the first column
-    /// of the frame, and its last row; where that is not known, its first row.
+    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the frame, y
+    /// = 0 its last row, or its first row if the size of the frame is unknown.
     fn start_mm(&self, pitch_mm: [f64; 2], rows: usize, first_row: FirstRow) -> [f64; 2] {
         let [x, y] = [0, 1].map(|k| self.first[k] * if self.in_mm { 1.0 } else { pitch_mm[k] });
         let last = (rows - 1) as f64 * pitch_mm[1];
@@ -108,53 +110,55 @@ impl Window {
     }
 }
 
-/// Contents of a file.
+/// Content of the file of a map, as stored, with all that the file states about it.
 #[derive(Clone, Debug)]
 pub struct Reading {
-    /// Format of the file.
+    /// Format that the file was read as.
     pub format: Format,
-    /// Stored values (rows, columns) in the order of the file; NaN = invalid pixel.
+    /// Stored values (rows, columns) in the order of the file; NaN marks invalid pixels.
     pub values: Array2<f64>,
-    /// True where the file stores 32-bit floats: a value that is looked for is rounded to one first.
+    /// True if the file stores 32-bit floats. A marker of invalid pixels is then rounded to 32 bits before the
+    /// comparison.
     pub single: bool,
-    /// Unit of `offset + factor * value`, where the file states it.
+    /// Unit of `offset + factor * value`; `None` if the file does not state it.
     pub unit: Option<Unit>,
-    /// True if the unit is not in the file, but the one that writers of this format use.
+    /// True if the file does not state the unit, and it is the one that writers of this format use.
     pub unit_by_custom: bool,
-    /// Reason to refuse what the file says of the unit, unless the user states it in the place of the file.
+    /// Reason to refuse the unit of the file. The user can override it by stating the unit.
     pub unit_problem: Option<Invalid>,
-    /// Name of the unit in the file, where it has one of its own.
+    /// Unit as the file writes it, if it states one in words.
     pub unit_word: Option<String>,
-    /// A unit that the file states without saying of what: of the values, or of the coordinates.
+    /// Unit that the file states without saying whether it is that of the values or that of the coordinates.
     pub lone_unit: Option<Unit>,
-    /// Factor of the file: stored value to `unit`.
+    /// Factor that the file states: `unit` per stored value.
     pub factor: f64,
-    /// Height of the stored value 0, in `unit`.
+    /// Height of the stored value 0, in `unit`; it is added after the multiplication by `factor`.
     pub offset: f64,
-    /// Surface per wavefront that `factor` contains already (0.5: one reflection), where the file states it.
+    /// Surface height per wavefront height that `factor` contains already, such as 0.5 for one reflection; `None` if
+    /// the file does not state it.
     pub scale_applied: Option<f64>,
-    /// Wavelength, nm, where the file states it.
+    /// Wavelength of the light, nm; `None` if the file does not state it.
     pub wavelength_nm: Option<f64>,
-    /// Distance of pixel centres along (x, y), mm, where the file states it.
+    /// Distance of pixel centres along [x, y], mm; `None` if the file does not state it.
     pub pixel_mm: Option<[f64; 2]>,
-    /// Coordinates, where the file has them.
+    /// Coordinates of all columns and rows; `None` if the file does not list them.
     pub coordinates: Option<Coordinates>,
-    /// The rule of the coordinates, where the file has that in their place.
+    /// Rule of the coordinates, if the header states one in place of coordinates.
     pub rule: Option<Rule>,
-    /// Place of the map in a larger frame, where the file states it.
+    /// Position of the map in a larger frame, if the file states it.
     pub window: Option<Window>,
-    /// Side of the map that the first row is, by the format.
+    /// Side of the map that the first row of the file is, by the statement of the file or the convention of the format.
     pub first_row: FirstRow,
-    /// True if the file itself states that side.
+    /// True if the file itself states which side the first row is.
     pub first_row_stated: bool,
-    /// Other statements of the file, for the manifest.
+    /// Further statements of the file, recorded in the manifest of the artifact.
     pub stated: Value,
     /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl Reading {
-    /// Returns the reading of a directory of `.npy`: `map` (ny, nx) in nm or nm/s on `grid`.
+    /// Returns the reading of a directory of `.npy` files: `map` (ny, nx) in nm or nm/s on `grid`.
     pub fn of_map(grid: &Grid, map: &Array2<f64>) -> Self {
         let mut reading = Self::new(Format::Directory, map.clone(), FirstRow::SmallestY);
         reading.unit = Some(Unit::named("nm"));
@@ -166,7 +170,7 @@ impl Reading {
         reading
     }
 
-    /// Returns a reading of which the file states nothing but its values.
+    /// Returns a reading with the stored values alone: factor 1, offset 0, and nothing that the file states.
     pub(crate) fn new(format: Format, values: Array2<f64>, first_row: FirstRow) -> Self {
         Self {
             format,
@@ -192,8 +196,8 @@ impl Reading {
         }
     }
 
-    /// Takes the unit that the file calls `name` in its field `place`. A word that is no unit is a refusal that the user
-    /// can override.
+    /// Records the unit that the file calls `name` in its field `place`. A word that is no unit is refused later,
+    /// unless the user overrides it.
     pub(crate) fn state_unit(&mut self, place: &'static str, name: &str) {
         self.unit_word = Some(name.to_string());
         match Unit::stated(place, name) {
@@ -202,7 +206,8 @@ impl Reading {
         }
     }
 
-    /// Takes the unit at the end of the name of a variable, such as `height_nm` or `rate_nm_per_min`.
+    /// Records the unit at the end of the name of a variable, such as `height_nm` or `rate_nm_per_min`. A name without
+    /// a unit changes nothing.
     pub(crate) fn state_unit_of_name(&mut self, name: &str) {
         let mut words = name.rsplit('_');
         let time = words.next().unwrap_or_default();
@@ -227,8 +232,8 @@ impl Reading {
         }
     }
 
-    /// Makes the pixels invalid whose stored value is `marker`, and returns how many there are. The comparison is in the
-    /// type of the stored values: -999.9 as a 32-bit float is not the 64-bit number of that name.
+    /// Makes the pixels invalid whose stored value is `marker`, and returns their number. The comparison uses the type
+    /// of the stored values: -999.9 as a 32-bit float is not the 64-bit number of that name.
     pub(crate) fn invalidate(&mut self, marker: f64) -> usize {
         let marker = if self.single { f64::from(marker as f32) } else { marker };
         let mut count = 0;
@@ -239,7 +244,7 @@ impl Reading {
         count
     }
 
-    /// Makes the pixels invalid at which `mask`, called `name` in the file, is not 0.
+    /// Makes the pixels invalid at which `mask`, called `name` in the file, is not 0. Refuses a mask of another shape.
     pub(crate) fn apply_mask(&mut self, name: &str, mask: &Array2<f64>) -> Result<(), Invalid> {
         if mask.dim() != self.values.dim() {
             let problem =
@@ -292,37 +297,37 @@ pub enum Rotation {
     ThreeQuarters,
 }
 
-/// Statements of the user about a file. `None` leaves a quantity to the file.
+/// Statements of the user about a file. With `None` the statement of the file counts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReadingSettings {
-    /// True: a unit, pitch or wavelength given here takes the place of a different one in the file, with a warning.
-    /// False: it is refused.
+    /// True: a unit, pitch or wavelength of the user replaces a different one of the file, with a warning. False: a
+    /// contradiction is refused.
     pub override_file: bool,
-    /// Unit of the heights.
+    /// Unit of the values in the file.
     pub unit: Option<Unit>,
-    /// Wavelength of heights in waves, nm.
+    /// Wavelength of the light, nm, for heights in waves.
     pub wavelength_nm: Option<f64>,
-    /// Distance of pixel centres along (x, y), mm.
+    /// Distance of pixel centres along [x, y], mm.
     pub pixel_mm: Option<[f64; 2]>,
-    /// Unit of the coordinates in the file.
+    /// Unit of the coordinates that the file lists.
     pub coordinate_unit: Option<Unit>,
-    /// Surface height per stated height: 1 for a surface, 0.5 for the wavefront of one reflection.
+    /// Surface height per height in the file: 1 for a surface, 0.5 for the wavefront of one reflection.
     pub surface_per_value: f64,
-    /// True if the file counts material as negative.
+    /// True if the file counts material (or removal) as negative, so that the sign is changed.
     pub negate: bool,
-    /// A stored value that marks an invalid pixel.
+    /// Stored value that marks invalid pixels, besides NaN and the marker of the format.
     pub no_data: Option<f64>,
-    /// Side of the map that the first row of the file is.
+    /// Side of the map that the first row of the file is; `None` leaves it to the file or its format.
     pub first_row: Option<FirstRow>,
-    /// Mirror x.
+    /// True to mirror the map in x.
     pub flip_x: bool,
-    /// Mirror y.
+    /// True to mirror the map in y.
     pub flip_y: bool,
-    /// Turn, after mirroring.
+    /// Rotation of the map after mirroring.
     pub rotation: Rotation,
-    /// Place of the coordinate 0.
+    /// Point of the map that gets the coordinates x = y = 0.
     pub origin: Origin,
-    /// Coordinates of the pixel with the smallest x and y in the map that is written, mm.
+    /// Coordinates [x, y] that the pixel with the smallest x and y gets, mm; `None` leaves them to `origin`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub place_mm: Option<[f64; 2]>,
 }
@@ -348,24 +353,24 @@ impl Default for ReadingSettings {
     }
 }
 
-/// Conversion of a reading, for the manifest.
+/// Conversion of the file that was applied, as the manifest records it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Statement {
-    /// Format of the file.
+    /// Format that the file was read as.
     pub format: Format,
-    /// Unit of the heights in the file.
+    /// Unit of the values in the file.
     pub unit: Unit,
-    /// Source of the unit: "file", "custom of the format" or "asked for".
+    /// Source of the unit: "file", "custom of the format" or "asked for" (the user stated it).
     pub unit_from: &'static str,
-    /// Height in nm of a step of 1 in the stored value: all factors and the sign in one.
+    /// Height in nm (or rate in nm/s) per stored value: all factors and the sign in one.
     pub nm_per_value: f64,
-    /// Height in nm of the stored value 0.
+    /// Height in nm (or rate in nm/s) of the stored value 0.
     pub nm_of_zero: f64,
-    /// Surface height per stated height.
+    /// Surface height per height in the file, such as 0.5 for the wavefront of one reflection.
     pub surface_per_value: f64,
-    /// Distance of pixel centres along (x, y), mm, in the map that was written.
+    /// Distance of pixel centres along [x, y], mm, in the map that was written.
     pub pixel_mm: [f64; 2],
-    /// Source of the pitch: "file" or "asked for".
+    /// Source of the pitch: "file" or "asked for" (the user stated it).
     pub pitch_from: &'static str,
     /// Side of the map that the first row of the file is.
     pub first_row: FirstRow,
@@ -373,19 +378,19 @@ pub struct Statement {
     pub flip_x: bool,
     /// True if the map was mirrored in y.
     pub flip_y: bool,
-    /// Turn of the map after mirroring, degrees.
+    /// Rotation of the map after mirroring, degrees.
     pub rotation: Rotation,
-    /// Number of invalid pixels.
+    /// Number of invalid pixels of the map that was written.
     pub invalid: usize,
-    /// Other statements of the file.
+    /// Further statements of the file.
     pub stated: Value,
     /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl Reading {
-    /// Returns the place of the offset 0 of a map of rates, if nobody states it: as the coordinates of the file have
-    /// it, or in the middle if there are none.
+    /// Returns the usual origin of a tool influence function, if nobody states it: that of the coordinates in the file,
+    /// or the centre of the map without them.
     pub fn usual_tif_origin(&self, settings: &ReadingSettings) -> Origin {
         let by_rule = self.rule.as_ref().is_some_and(|rule| {
             rule.reference.is_some()
@@ -395,7 +400,7 @@ impl Reading {
     }
 }
 
-/// Returns the map of a reading, heights in nm.
+/// Converts a reading to a surface error map, with heights in nm on a grid in mm.
 ///
 /// # Errors
 /// Refuses a reading whose unit or pitch neither the file nor the settings state, settings that contradict the file,
@@ -408,8 +413,8 @@ pub fn surface(
     Ok((Surface::new(grid, values)?, statement))
 }
 
-/// Returns the map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it
-/// has a time. A spot that has to be cut out or divided by its time is one for `planish-tool`.
+/// Converts a reading to a complete tool influence function (TIF): rates in nm/s at offsets from the tool centre. A
+/// unit without a time counts as per second. `planish-tool` reads a spot that must be cut out or divided by its time.
 ///
 /// # Errors
 /// Refuses what [`surface`] refuses, and rates of which [`Tif::new`] makes no TIF.
@@ -418,16 +423,16 @@ pub fn tif(reading: Reading, settings: &ReadingSettings) -> Result<(Tif, Stateme
     Ok((Tif::new(grid, values)?, statement))
 }
 
-/// Quantity of the values of a map.
+/// Quantity that the values of a map have.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum MapQuantity {
-    /// Lengths.
+    /// Heights, which are lengths.
     Heights,
-    /// Lengths per time; per second where the unit has no time.
+    /// Removal rates, which are lengths per time; a unit without a time counts as per second.
     Rates,
 }
 
-/// Returns grid, values (ny, nx) in nm or nm/s, and the statement of a reading.
+/// Returns the grid (mm), the values (ny, nx) in nm or nm/s, and the statement of the conversion.
 fn map(
     mut reading: Reading,
     settings: &ReadingSettings,
@@ -491,8 +496,8 @@ fn map(
     Ok((grid, values, statement))
 }
 
-/// Takes out the factor of the file where the settings have another one. Refuses a factor that is not positive, or that
-/// contradicts the file.
+/// Removes the wavefront factor that the file has applied, if the settings state another one. Refuses a factor that is
+/// not positive, or that contradicts the file.
 fn apply_surface_per_value(
     reading: &mut Reading,
     settings: &ReadingSettings,
@@ -515,12 +520,12 @@ fn apply_surface_per_value(
     Ok(())
 }
 
-/// Distance of an extreme stored value from all other ones, relative to their range, from which on it is doubted as a mark
-/// of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches are doubted.
+/// Smallest distance of an extreme stored value from all others, in ranges of the others, at which it is doubted as a
+/// marker of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches are doubted.
 const FAR: f64 = 3.0;
 
-/// Returns the warning for two pixels or more with exactly the least or the largest value, if it lies far from all
-/// others.
+/// Returns a warning if two or more pixels share the smallest or the largest stored value, far from all others: it may
+/// mark invalid pixels.
 fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
     let finite = values.iter().copied().filter(|v| v.is_finite());
     let least = finite.clone().fold(f64::INFINITY, f64::min);
@@ -541,7 +546,8 @@ fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
     None
 }
 
-/// Returns the unit of the values, and its source. Refuses a setting that contradicts the file.
+/// Returns the unit of the values, and its source ("file", "custom of the format" or "asked for"). Refuses a setting
+/// that contradicts the file.
 fn unit(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -585,7 +591,7 @@ fn unit(
     }
 }
 
-/// Returns true for two names of one unit. Rates without a time are per second.
+/// Returns true if two names stand for the same unit. Rates without a time are per second.
 fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
     let sizes = [a, b].map(|unit| unit.nm(Some(1.0)).unwrap_or(f64::NAN));
     a == b
@@ -595,8 +601,8 @@ fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
             && agree(sizes[0], sizes[1])
 }
 
-/// Returns [`unit`] of a file that states none for its values, but perhaps one of which it does not say what it is the
-/// unit of.
+/// Returns the unit and its source for a file that states none for its values. A unit that the file states without
+/// saying of what is taken for the values, with a warning, unless the user states another one.
 fn unit_of_user(
     reading: &Reading,
     requested: Option<Unit>,
@@ -628,7 +634,7 @@ fn unit_of_user(
     }
 }
 
-/// Refuses a setting that is not what the file says, with both values; it is a warning where the setting overrides.
+/// Refuses a setting that contradicts the file, with both values. With `override_file`, it adds a warning instead.
 fn contradicts(
     name: &'static str,
     stated: String,
@@ -647,7 +653,8 @@ fn contradicts(
     ))
 }
 
-/// Returns the wavelength of heights in waves, nm. Refuses a setting that contradicts the file.
+/// Returns the wavelength of heights in waves, nm; `None` for heights in another unit. Refuses a setting that
+/// contradicts the file.
 fn wavelength(
     reading: &Reading,
     unit: Unit,
@@ -679,22 +686,22 @@ fn wavelength(
     }
 }
 
-/// Returns true where two numbers are one: writers keep 6 digits or more.
+/// Returns true if two numbers agree to a relative difference of 1e-5, because writers keep 6 digits or more.
 fn agree(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-5 * a.abs()
 }
 
-/// A map with both axes ascending.
+/// A map whose rows and columns ascend in y and x, with its grid.
 struct Placed {
     grid: Grid,
     values: Array2<f64>,
     first_row: FirstRow,
     pitch_from: &'static str,
-    /// True if the grid has the coordinates of the file; otherwise it begins at 0.
+    /// True if the grid has the coordinates of the file; otherwise its first pixel is at 0.
     has_coordinates: bool,
 }
 
-/// Places the values on their grid, by the coordinates of the file or by a pitch.
+/// Arranges the values on a grid in mm, by the coordinates of the file or by a pitch.
 fn place(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -740,7 +747,8 @@ fn place(
     place_by_coordinates(reading, coordinates, [unit.mm()?; 2])
 }
 
-/// Returns [`place`] of a file with arrays of coordinates; `unit_mm` are their units along (x, y), mm.
+/// Arranges the values on a grid by arrays of coordinates, as [`place`] does. `unit_mm` are the units of the
+/// coordinates [x, y], mm.
 fn place_by_coordinates(
     reading: &Reading,
     coordinates: &Coordinates,
@@ -767,7 +775,8 @@ fn place_by_coordinates(
     })
 }
 
-/// Returns the axis through coordinates of `len` pixels, in units of `to_mm`, and true if they descend.
+/// Returns the uniform axis of `len` pixels through the coordinates, and true if they descend. `to_mm` is the unit of
+/// the coordinates, mm; `name` is for messages.
 fn ascending(
     name: &'static str,
     coordinates: &[f64],
@@ -786,7 +795,8 @@ fn ascending(
     Ok((Axis::from_coordinates(name, &mm)?, descends))
 }
 
-/// Returns the unit of coordinates that the file states or the user gives, who must not contradict each other.
+/// Returns the unit of the coordinates that the user or the file states; `None` without either. Refuses a
+/// contradiction.
 fn coordinate_unit(
     stated: Option<Unit>,
     settings: &ReadingSettings,
@@ -800,8 +810,8 @@ fn coordinate_unit(
     Ok(settings.coordinate_unit.or(stated))
 }
 
-/// Returns the distance of pixel centres, mm, and where it is from: the user or the file, who must not contradict each
-/// other.
+/// Returns the distance of pixel centres [x, y], mm, and its source, the user or the file. Refuses a contradiction, and
+/// a missing pitch.
 fn pitch(
     of_file: Option<[f64; 2]>,
     settings: &ReadingSettings,
@@ -836,7 +846,8 @@ fn pitch(
     Ok((pitch, pitch_from))
 }
 
-/// Returns [`place`] of a file without arrays of coordinates: with its [`Rule`], or with a pitch alone.
+/// Arranges the values of a file without arrays of coordinates, as [`place`] does: by its [`Rule`], or by a pitch
+/// alone.
 fn place_by_pitch(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -913,7 +924,7 @@ fn place_by_pitch(
     })
 }
 
-/// Returns a rule in mm, or `None` where nobody knows its unit.
+/// Returns the rule of the coordinates in mm, or `None` if neither the file nor the user states its unit.
 fn in_mm(
     rule: &Rule,
     settings: &ReadingSettings,
@@ -932,8 +943,8 @@ fn in_mm(
     Ok(Some(in_mm))
 }
 
-/// Mirrors, then turns. A mirrored axis keeps its numbers; a quarter turn swaps the axes.
-/// [`turned_about_0`] corrects the numbers if they are coordinates of the file.
+/// Mirrors the map, then turns it. A mirrored axis keeps its numbers; a quarter turn swaps the axes. [`turned_about_0`]
+/// corrects the numbers if they are coordinates of the file.
 fn turn(grid: Grid, values: Array2<f64>, settings: &ReadingSettings) -> (Grid, Array2<f64>) {
     let mut view = values.view();
     // Half a turn mirrors both axes.
@@ -961,9 +972,9 @@ fn turn(grid: Grid, values: Array2<f64>, settings: &ReadingSettings) -> (Grid, A
     }
 }
 
-/// Returns the grid of a map that was turned, with the coordinate 0 at the same place of the part as in the file.
-/// Coordinates are mirrored and turned with the pixels. Otherwise a tool would act at a distance from the
-/// place from which the file counts its offsets, and a mark of the part would lie elsewhere on its map.
+/// Returns the grid of a map that was mirrored or turned, with coordinates that are mirrored and turned like its
+/// pixels. So x = y = 0 stays at the same point of the part: a tool keeps its offsets, and marks of the part keep their
+/// coordinates.
 fn turned_about_0(grid: &Grid, settings: &ReadingSettings) -> Result<Grid, Invalid> {
     let [x, y] = [settings.flip_x, settings.flip_y].map(|flip| if flip { -1.0 } else { 1.0 });
     // Sign of the coordinate of the file that became x, and of the one that became y; 90 degrees: (x, y) -> (-y, x)
@@ -979,13 +990,13 @@ fn turned_about_0(grid: &Grid, settings: &ReadingSettings) -> Result<Grid, Inval
     Ok(Grid { x: x?, y: y? })
 }
 
-/// Returns the axis with another first coordinate.
+/// Returns the axis with another first coordinate, and the same pixels and pitch.
 fn started_at(axis: &Axis, start_mm: f64) -> Result<Axis, Invalid> {
     Axis::new(start_mm, axis.step_mm(), axis.len())
 }
 
-/// Returns the grid with its coordinate 0, or its first pixel, where the user wants it; `has_place` is true if the file
-/// states its place.
+/// Returns the grid with x = y = 0, or with its first pixel, where the user wants it. `has_place` is true if the file
+/// states coordinates.
 fn set_origin(
     grid: Grid,
     settings: &ReadingSettings,
@@ -1026,7 +1037,7 @@ mod tests {
     use super::*;
     use ndarray::array;
 
-    /// Two rows, three columns, all different.
+    /// Returns a reading of two rows and three columns, with all values different.
     fn reading() -> Reading {
         let values = array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);

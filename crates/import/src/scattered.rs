@@ -1,4 +1,4 @@
-//! Heights of scattered points on a uniform grid.
+//! Interpolation of scattered points to the heights of a uniform grid.
 //!
 //! The points are the corners of Delaunay triangles. A pixel in a triangle gets the height of the plane through its three
 //! corners, so a plane comes back to rounding and a curvature c in a triangle of longest side d is missed by at most c d^2 / 6.
@@ -14,12 +14,13 @@ use spade::{
 
 use crate::budget::check_size;
 
-/// Longest side of a triangle that is used, in median sides. Larger: wider holes are bridged. Smaller: points whose density
-/// varies leave holes. Profiles five times as dense along as across have sides of 1 to 5 of their spacing, and a median
-/// between them.
+/// Longest side of a triangle that is used, in median sides of all triangles. Larger: wider holes are bridged. Smaller:
+/// points whose density varies leave holes. Profiles five times as dense along as across have sides of 1 to 5 of their
+/// spacing, and a median between them.
 const LONGEST_SIDE: f64 = 3.0;
 
-/// Memory of a point in the triangulation, bytes: a vertex, six half edges, two faces, and the lists that order them.
+/// Memory of a point in the triangulation, bytes. Derived: a vertex, six half edges, two faces, and the lists that
+/// order them. Larger: refuses large sets of points. Smaller: a set can exceed the memory.
 const BYTES_PER_CORNER: usize = 400;
 
 struct Corner {
@@ -35,24 +36,24 @@ impl HasPosition for Corner {
     }
 }
 
-/// A grid of heights, and what was done.
+/// Heights on a grid, with its coordinates.
 pub(crate) struct Gridded {
-    /// Heights (rows, columns); NaN = invalid.
+    /// Heights (rows, columns) in the unit of the points; NaN marks invalid pixels.
     pub values: Array2<f64>,
-    /// Coordinates of the columns and rows, mm.
+    /// Coordinates of the columns (`x_mm`) and of the rows (`y_mm`), mm.
     pub x_mm: Vec<f64>,
     pub y_mm: Vec<f64>,
-    /// Sentences for the user.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Returns the distance of two points.
+/// Returns the distance of two points, mm.
 fn length(a: Point2<f64>, b: Point2<f64>) -> f64 {
     (a.x - b.x).hypot(a.y - b.y)
 }
 
-/// Returns the height at a place, NaN in no triangle whose sides are at most `longest`, and a vertex near it, from
-/// which the search for the next place begins.
+/// Returns the height at `point`, or NaN outside of all triangles whose sides are at most `longest` (mm). It also
+/// returns a nearby corner, `hint` for the next search.
 fn interpolated(
     mesh: &DelaunayTriangulation<Corner>,
     point: Point2<f64>,
@@ -94,8 +95,8 @@ fn interpolated(
     }
 }
 
-/// Grids `points` (x and y in mm, height) with a pitch along (x, y). Refuses fewer points than a triangle has, two
-/// heights at one place, and grids that do not fit into the memory.
+/// Interpolates `points` (x and y in mm, height) to a grid of the pitch `pixel_mm` [x, y]. Refuses fewer points than a
+/// triangle has, two heights at one position, and grids that do not fit into the memory.
 pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, Invalid> {
     if let Some(p) = pixel_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Invalid::whole("grid_mm", format!("is {p}"), "a pitch is positive"));
@@ -157,8 +158,7 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
     Ok(Gridded { values, x_mm, y_mm, warnings })
 }
 
-/// Returns a point whose coordinates are 0 where the predicates of the triangulation cannot decide of them. These are
-/// tiny beside a pitch.
+/// Returns a point; coordinates below 1e-30 mm become 0, because the triangulation cannot decide about them.
 fn tidy(place: [f64; 2]) -> Point2<f64> {
     let [x, y] = place.map(|v| if v.abs() < 1e-30 { 0.0 } else { v });
     Point2::new(x, y)

@@ -17,8 +17,9 @@
 //! mirrored at its edges: without invalid pixels the first step is the solution, and with any mask the number of steps does
 //! not depend on the number of pixels.
 //!
-//! Slopes of a surface have no curl: what (1) leaves says whether the maps belong together. With the other sign of the slopes
-//! along y the same two integrals give the other residual, and the sign with far less of it is right.
+//! A surface has slopes without curl, so the residual of (1) says whether the two maps belong together. With the other
+//! sign of the slopes along y the same two integrals give the other residual, and the sign with far less of it is
+//! right.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -38,42 +39,42 @@ use serde::Serialize;
 
 use crate::reading::{Reading, ReadingSettings, Statement, surface};
 
-/// Relative residual of the normal equations at which the iteration ends. Larger: heights are less exact. Smaller: rounding
-/// keeps it going.
+/// Norm of the residual of the normal equations relative to that of their right side, at which the iteration ends.
+/// Larger: heights are less exact. Smaller: rounding keeps it going.
 const TOLERANCE: f64 = 1e-12;
 
-/// Most steps of the iteration. Larger: more time where rounding prevents the tolerance. Smaller: masks of many narrow
-/// pieces are not solved. Measured: 15 for a disc, 60 for a comb.
+/// Largest number of steps of the iteration. Larger: more time where rounding prevents the tolerance. Smaller: masks of
+/// many narrow pieces are not solved. Measured: 15 for a disc, 60 for a comb.
 const MOST_STEPS: usize = 500;
 
-/// Residual slopes relative to the slopes without their means, from which on the maps are doubted. Larger: maps that do not
-/// belong together pass. Smaller: noisy maps are doubted.
+/// Largest ratio of the residual slopes to the slopes without their means; above it a warning doubts the maps. Larger:
+/// maps that do not belong together pass. Smaller: noisy maps are doubted.
 const MOST_RESIDUAL: f64 = 0.3;
 
-/// Ratio of the residuals of the two signs of the slopes along y, from which on the smaller one is certainly right. Larger:
-/// the wrong sign is refused less often. Smaller: noise decides.
+/// Ratio of the residuals with the two signs of the slopes along y, above which the smaller one is certainly right.
+/// Larger: the wrong sign is refused less often. Smaller: noise decides.
 const DECISIVE: f64 = 3.0;
 
-/// Statements of the user about maps of slopes.
+/// Statements of the user about two maps of slopes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SlopeSettings {
-    /// Unit of the slopes, where the files do not state it.
+    /// Unit of the slopes; `None` if the files state it.
     pub unit: Option<SlopeUnit>,
-    /// True if the file counts slopes along x towards smaller x.
+    /// True if the slopes along x are positive where the surface rises towards smaller x.
     pub negate_x: bool,
-    /// True if the file counts slopes along y towards smaller y.
+    /// True if the slopes along y are positive where the surface rises towards smaller y.
     pub negate_y: bool,
-    /// True to take the maps as they are, although another sign fits them better.
+    /// True to keep the signs of the maps, even if the other sign along y fits far better.
     pub trust_signs: bool,
-    /// Everything else, as for a map of heights.
+    /// Settings that a map of slopes shares with a map of heights, such as pitch, origin and orientation.
     pub map: ReadingSettings,
 }
 
-/// Unit of slopes.
+/// Unit of slopes: an angle, or a ratio of two lengths.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlopeUnit {
     name: String,
-    /// Size in rad of an angle, or as a ratio of lengths.
+    /// Size of the unit: in rad for an angle, otherwise the ratio.
     size: f64,
     is_angle: bool,
 }
@@ -111,37 +112,37 @@ impl std::str::FromStr for SlopeUnit {
 }
 
 impl SlopeUnit {
-    /// Returns the slope of a value, urad.
+    /// Returns the slope, urad (1e-6 of rise over run), of a value in this unit.
     fn urad(&self, value: f64) -> f64 {
         let ratio = value * self.size;
         1e6 * if self.is_angle { ratio.tan() } else { ratio }
     }
 }
 
-/// Heights, and what the slopes say of them.
+/// Quality of heights from slopes, and how the two files were read.
 #[derive(Clone, Debug, Serialize)]
 pub struct SlopeReport {
-    /// Reading of the slopes along x; lengths of its statements in nm are slopes in urad.
+    /// Conversion of the map of slopes along x. Fields in nm hold slopes in urad there.
     pub x: Statement,
-    /// Reading of the slopes along y.
+    /// Conversion of the map of slopes along y, also in urad.
     pub y: Statement,
-    /// Unit of the slopes.
+    /// Unit of the slopes in both files.
     pub unit: SlopeUnit,
-    /// RMS of the slopes along [x, y] without their means, urad.
+    /// RMS of the slopes along [x, y] after subtraction of their means, urad.
     pub slope_rms_urad: [f64; 2],
-    /// RMS of the slopes that no surface has, urad: what is left of (1), over both axes.
+    /// RMS of the part of the slopes that no surface can have, urad: the residual of (1) of the module, over both axes.
     pub residual_urad: f64,
-    /// The same with the other sign of the slopes along y.
+    /// RMS of that part if the slopes along y had the other sign, urad.
     pub residual_of_other_sign_urad: f64,
-    /// Valid pixels that are not connected with the others, and are left out.
+    /// Number of valid pixels outside of the largest connected region, which are left out.
     pub unconnected_pixels: usize,
-    /// Steps of the iteration.
+    /// Number of steps of the conjugate gradients.
     pub steps: usize,
-    /// Remarks for the user.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Integrates maps of slopes along x and y.
+/// Integrates two maps of slopes, along x and along y, to a map of heights in nm.
 ///
 /// # Errors
 /// Refuses maps of two grids, a unit that is no slope, and signs that contradict each other.
@@ -220,13 +221,13 @@ pub fn slopes(
     Ok((map, report))
 }
 
-/// Returns true if two axes have other pixels.
+/// Returns true if two axes differ in their pixels, by number or by more than 1e-3 of the pitch.
 fn differ(a: &Axis, b: &Axis) -> bool {
     let ends = [(a.start_mm(), b.start_mm()), (a.end_mm(), b.end_mm())];
     a.len() != b.len() || ends.iter().any(|(a_mm, b_mm)| (a_mm - b_mm).abs() > 1e-3 * a.step_mm())
 }
 
-/// Returns the unit of both maps: that of the files, or of the user. Refuses two units, and one that is no slope.
+/// Returns the unit of both maps, as the files or the user state it. Refuses different units, and one that is no slope.
 fn unit(
     along_x: &Reading,
     along_y: &Reading,
@@ -275,7 +276,7 @@ fn unit(
     }
 }
 
-/// Returns the slopes of a reading on their grid, urad in the place of nm.
+/// Returns the slopes of a reading on their grid, urad where a surface has nm. `negate` changes their sign.
 fn map_of_slopes(
     mut reading: Reading,
     unit: &SlopeUnit,
@@ -296,7 +297,8 @@ fn map_of_slopes(
     surface(reading, &ReadingSettings { no_data: None, ..settings.clone() })
 }
 
-/// Refuses slopes along y of which the other sign is certainly right, and doubts maps that do not belong together.
+/// Refuses maps if the other sign of the slopes along y is certainly right. Adds a warning if the maps may not belong
+/// together.
 fn judge_signs(
     made: &Integrated,
     settings: &SlopeSettings,
@@ -332,7 +334,7 @@ fn judge_signs(
     Ok(())
 }
 
-/// Heights of two maps of slopes.
+/// Heights from two maps of slopes, with the quantities of [`SlopeReport`].
 struct Integrated {
     height_nm: Array2<f64>,
     slope_rms_urad: [f64; 2],
@@ -342,7 +344,8 @@ struct Integrated {
     steps: usize,
 }
 
-/// Integrates slopes along x and y, urad.
+/// Integrates slopes along x and y, urad, both (ny, nx) with NaN at invalid pixels, on `grid`. Refuses fewer than 4
+/// connected pixels.
 fn integrate(
     slope_x: &Array2<f64>,
     slope_y: &Array2<f64>,
@@ -388,7 +391,7 @@ fn integrate(
     })
 }
 
-/// Keeps the largest connected region of `valid`, and returns the number of pixels that were in others.
+/// Makes all pixels of `valid` false outside of its largest connected region. Returns their number.
 fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
     let (rows, columns) = valid.dim();
     let mut region = Array2::<usize>::zeros((rows, columns));
@@ -419,8 +422,8 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
     total - sizes[largest]
 }
 
-/// Returns (2): the difference of the heights of every pixel and the next one along `axis`, nm; 0 where one of them is
-/// absent.
+/// Returns the height differences (2) of the module, nm, between every pixel and the next one along `axis` (0: along y,
+/// 1: along x). They are 0 if one of the two is invalid. `slope` is in urad.
 fn differences(
     slope: &Array2<f64>,
     valid: &Array2<bool>,
@@ -442,7 +445,8 @@ fn differences(
     all
 }
 
-/// Returns the integral of the slopes of a run from pixel `i` to the next one, in pixels.
+/// Returns the integral of the slopes from pixel `i` to the next one, in slope times pixels. `s` holds the slopes of a
+/// run of at least two valid pixels.
 fn step_of_run(s: ArrayView1<f64>, i: usize) -> f64 {
     let n = s.len();
     match n {
@@ -455,17 +459,18 @@ fn step_of_run(s: ArrayView1<f64>, i: usize) -> f64 {
     }
 }
 
-/// Returns the sum of the products of the elements.
+/// Returns the sum of the products of corresponding elements.
 fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The normal matrix of (1) on the valid pixels.
+/// The matrix of the normal equations of (1) of the module, a weighted Laplacian on the valid pixels.
 struct Laplacian {
     valid: Array2<bool>,
-    /// w along (x, y), 1/mm^2.
+    /// Weights w = 1/h^2 along [x, y], 1/mm^2.
     weight: [f64; 2],
-    /// Inverse eigenvalues on the rectangle that is mirrored at its edges (2 ny, 2 nx).
+    /// Inverse eigenvalues of the Laplacian on the rectangle mirrored at its edges (2 ny, 2 nx), mm^2; 0 for the
+    /// constant.
     inverse: Array2<f64>,
 }
 
@@ -482,7 +487,8 @@ impl Laplacian {
         Self { valid, weight, inverse }
     }
 
-    /// Calls `visit` with every pair of neighbours that are both valid: their places, and the axis (0 is x).
+    /// Calls `visit` for every pair of valid neighbours: the pixels (row, column) of both, and the axis between them
+    /// (0: x, 1: y).
     fn for_each_edge(&self, mut visit: impl FnMut((usize, usize), (usize, usize), usize)) {
         let (rows, columns) = self.valid.dim();
         for r in 0..rows {
@@ -500,7 +506,7 @@ impl Laplacian {
         }
     }
 
-    /// Returns the right side of the normal equations.
+    /// Returns the right side of the normal equations, from the height differences along x and y, nm.
     fn divergence(&self, along_x: &Array2<f64>, along_y: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(along_x.dim());
         self.for_each_edge(|a, b, axis| {
@@ -511,7 +517,7 @@ impl Laplacian {
         sum
     }
 
-    /// Returns the left side of the normal equations.
+    /// Returns the left side of the normal equations: the matrix times the heights `z`.
     fn apply(&self, z: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(z.dim());
         self.for_each_edge(|a, b, axis| {
@@ -522,7 +528,7 @@ impl Laplacian {
         sum
     }
 
-    /// Applies the inverse on the whole rectangle, and takes the valid pixels of it.
+    /// Applies the inverse of the Laplacian on the whole rectangle to a residual. The result is 0 at invalid pixels.
     fn precondition(&self, residual: &Array2<f64>) -> Array2<f64> {
         let (rows, columns) = residual.dim();
         let fold = |i: usize, n: usize| if i < n { i } else { 2 * n - 1 - i };
@@ -540,8 +546,8 @@ impl Laplacian {
         )
     }
 
-    /// Solves by preconditioned conjugate gradients; returns the number of steps too. The heights are known up to a
-    /// constant.
+    /// Solves the normal equations by preconditioned conjugate gradients. Returns the heights, nm, which are known up
+    /// to a constant, and the number of steps.
     fn solve(&self, right: &Array2<f64>) -> (Array2<f64>, usize) {
         let mut z = Array2::zeros(right.dim());
         let mut residual = right.clone();
@@ -564,7 +570,7 @@ impl Laplacian {
         (z, MOST_STEPS)
     }
 
-    /// Returns the RMS of what (1) leaves of the slopes, urad.
+    /// Returns the RMS of the slopes that the heights `z` do not explain, urad: the residual of (1) of the module.
     fn residual_urad(&self, z: &Array2<f64>, along_x: &Array2<f64>, along_y: &Array2<f64>) -> f64 {
         let mut sum = 0.0;
         let mut count = 0usize;
@@ -584,7 +590,8 @@ mod tests {
     use planish_types::Axis;
     use std::f64::consts::PI;
 
-    /// Heights in nm and slopes in urad of `40 sin(a x + b y) cos(c y) + x y`, whose slopes along x and y are not separable.
+    /// Returns the height in nm of `40 sin(a x + b y) cos(c y) + x y`, and its slopes along x and y in urad. They are
+    /// not separable.
     fn field(x: f64, y: f64) -> [f64; 3] {
         let [a, b, c] = [2.0 * PI / 9.0, 0.3, 2.0 * PI / 7.0];
         let (sine, cosine) = (a * x + b * y).sin_cos();
@@ -604,7 +611,8 @@ mod tests {
         }
     }
 
-    /// Slopes on a grid where `inside`, and the largest error of their integral, nm.
+    /// Integrates the slopes of [`field`] on a grid of `n` pixels, valid where `inside` is true. Returns the largest
+    /// error of the heights, nm, and the number of steps.
     fn error(n: usize, inside: fn(f64, f64) -> bool) -> (f64, usize) {
         let g = grid(n);
         let maps = [0, 1, 2].map(|k| {

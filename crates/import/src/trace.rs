@@ -1,18 +1,19 @@
-//! Logs of machines, as the motion that the machine made.
+//! Logs of machines (recorded axis positions over time), read as the motion that the machine made.
 //!
 //! A controller records the positions of its axes: an encoder log, a gathering, a scope trace. The removal
 //! is an integral along that motion as it is along a plan's. So a log becomes a [`Trajectory`] with one
 //! segment per interval between two samples ([`motion`]), and the residual *as run* can be compared with
 //! the residual *as planned*.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
-//! | [`columns`] | which columns of a log are what, by number, by name, or as the controller names them |
+//! | [`columns`] | choice of the quantity of every column of a log: by number, by name, or by the names that
+//! controllers use |
 //! | [`table`] | text in columns: CSV, XPS gatherings, Aerotech and Galil logs |
-//! | [`datasets`] | HDF5 |
+//! | [`datasets`] | logs in HDF5 files |
 //! | [`clock`] | time stamps or a rate: gaps, drift and scatter |
-//! | [`moment`], [`stamp`] | times that are moments, or numbers |
-//! | [`jumps`] | samples to which no axis moves |
+//! | [`moment`], [`stamp`] | time stamps: dates with times of day, or numbers |
+//! | [`jumps`] | samples that no axis can have reached |
 //! | [`motion`] | cubic or straight pieces between the samples |
 //! | [`following`] | following error of the log against its setpoint or a plan |
 //!
@@ -52,7 +53,7 @@ use self::{
     motion::Between,
 };
 
-/// Subject of the messages of this module.
+/// Subject of the messages about a log.
 const NAME: &str = "log";
 
 /// Controller or format that wrote a log.
@@ -72,7 +73,8 @@ pub enum LogFormat {
 }
 
 impl LogFormat {
-    /// Returns the format of a log from its first bytes, or from the ending of its name in lower case.
+    /// Returns the format of a log from its first bytes, or from the ending of its file name in lower case. Returns
+    /// `None` if neither tells.
     pub fn recognise(bytes: &[u8], ending: Option<&str>) -> Option<Self> {
         match ending {
             _ if crate::format::hdf5::is_hdf5(bytes) => Some(Self::Hdf5),
@@ -82,66 +84,66 @@ impl LogFormat {
     }
 }
 
-/// Settings for reading a log: what the log does not state.
+/// Settings for reading a log: statements of the user that the log does not make.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct TraceSettings {
-    /// Columns of the quantities; those that are not given are found by the names in the file.
+    /// Columns of the quantities; `None` for those that the names in the file tell.
     pub columns: Columns,
-    /// Unit of the positions, where the log does not state it: of a length, or counts.
+    /// Unit of the positions, if the log does not state it: a length or counts.
     pub unit: Option<Unit>,
-    /// Unit of the positions of rotary axes, where the log does not state it: of an angle.
+    /// Unit of the positions of rotary axes, if the log does not state it: an angle.
     pub angle_unit: Option<Unit>,
-    /// Size of a count of (x, y), mm.
+    /// Length of an encoder count of [x, y], mm; negative if an axis counts backwards.
     pub count_mm: Option<[f64; 2]>,
-    /// Unit of the time stamps, where the log does not state it: of a time, or samples.
+    /// Unit of the time stamps, if the log does not state it: a time or samples.
     pub time_unit: Option<Unit>,
-    /// Sample time of the controller, s: of time stamps in samples.
+    /// Sample time of the controller, s, for time stamps that count samples.
     pub sample_s: Option<f64>,
-    /// Samples per second that the log was to have, Hz.
+    /// Sampling rate that was set for the log, Hz.
     pub rate_hz: Option<f64>,
-    /// Longest gap between two samples that is bridged, s.
+    /// Longest time between two samples that is interpolated, s; a log with a longer gap is refused.
     pub most_gap_s: f64,
-    /// Beam current, in the unit of the log, at which the tool removes as its TIF says.
+    /// Beam current, in the unit of the log, at which the removal rate is that of the TIF.
     pub nominal_current: Option<f64>,
-    /// Beginning of the motion, s after the first sample.
+    /// Beginning of the motion to keep, s after the first sample; `None` keeps all.
     pub from_s: Option<f64>,
-    /// End of the motion, s after the first sample.
+    /// End of the motion to keep, s after the first sample; `None` keeps all.
     pub until_s: Option<f64>,
-    /// Motion between two samples.
+    /// Interpolation between two samples, cubic or straight.
     pub between: Between,
 }
 
-/// A log: samples of x and y in mm, or of all axes of a machine, in the order of time.
+/// A log of n samples: positions of x and y, or of all axes of a machine, in the order of time.
 #[derive(Clone, Debug)]
 pub struct Trace {
-    /// Time since the first sample of the log (n), s; ascending.
+    /// Time since the first sample of the log, s, ascending (n).
     pub time_s: Vec<f64>,
-    /// Measured positions of x and y (n), mm; empty where all axes of a machine are read.
+    /// Measured positions [x, y], mm (n); empty if all axes of a machine are read.
     pub actual_mm: Vec<[f64; 2]>,
-    /// Measured positions of all axes of a machine, each (n), mm or degrees; empty where x and y are read.
+    /// Measured positions of every axis of a machine, mm or degrees (axes of n each); empty if x and y are read.
     pub axes: Vec<Vec<f64>>,
-    /// Setpoints of the axes (n), mm.
+    /// Setpoints [x, y] of the controller, mm (n); `None` if the log has none.
     pub setpoint_mm: Option<Vec<[f64; 2]>>,
-    /// True if the tool removed from a sample to the next (n).
+    /// True if the tool was switched on from this sample to the next (n); `None` if the log has no switch.
     pub tool_on: Option<Vec<bool>>,
-    /// Rate of the tool relative to its TIF (n).
+    /// Removal rate relative to that of the TIF, from the beam current (n); `None` if the log has no current.
     pub rate_factor: Option<Vec<f64>>,
-    /// Comparison of the time stamps with the rate.
+    /// Comparison of the time stamps with equal steps.
     pub clock: Clock,
-    /// Columns, unit and warnings of the reading.
+    /// Columns, unit and warnings, as they were read.
     pub statement: TraceStatement,
 }
 
-/// Columns, unit and warnings of the reading of a log, for the user to check.
+/// Record of how a log was read, for the manifest: format, columns and units.
 #[derive(Clone, Debug, Serialize)]
 pub struct TraceStatement {
     /// Controller or format that wrote the log.
     pub format: LogFormat,
-    /// Column or dataset of every quantity that was read.
+    /// Pairs of a quantity and the column or dataset of the file that it was read from.
     pub columns: Vec<(String, String)>,
-    /// mm, or degrees, per stored value of every position, in the order of the columns.
+    /// Size of a stored value of every position, mm or degrees, in the order of the columns.
     pub mm_or_deg_per_value: Vec<f64>,
-    /// Source of the unit of the positions: "the log" or "asked for".
+    /// Source of the unit of the positions: "the log" or "asked for" (the user stated it).
     pub unit_from: &'static str,
     /// Warnings for the user.
     pub warnings: Vec<String>,
@@ -166,7 +168,7 @@ const USUAL_RATE_FACTOR: f64 = 2.0;
 /// drifting current counts as off. Smaller: a beam that is being switched off still counts as on.
 const BEAM_ON: f64 = 0.5;
 
-/// Reads the bytes of a log.
+/// Reads the bytes of a log, and converts the positions to mm or degrees on one time axis.
 ///
 /// # Errors
 /// Refuses a log without the columns that are needed, columns whose unit nobody states or that contradict the settings,
@@ -213,19 +215,19 @@ pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result
     Ok(trace)
 }
 
-/// Returns the column of a quantity.
+/// Returns the column of the quantity `role`, or `None` if the log has none.
 fn find(columns: &[Column], role: Role) -> Option<&Column> {
     columns.iter().find(|c| c.role == role)
 }
 
-/// Returns the pairs of two quantities (n); `None` if one of them is absent.
+/// Returns the values of two quantities in pairs (n), or `None` if one of them is absent.
 fn pair(columns: &[Column], [x, y]: [Role; 2]) -> Option<Vec<[f64; 2]>> {
     let [x, y] = [find(columns, x)?, find(columns, y)?];
     Some(x.values.iter().zip(&y.values).map(|(x, y)| [*x, *y]).collect())
 }
 
-/// Returns the times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is
-/// interpolated to the times of the log, and the log is cut to the times that all quantities have.
+/// Returns the times of the samples, s, and their comparison with equal steps. A quantity with its own time stamps is
+/// interpolated to the times of the log. The log is cut to the times that all quantities have.
 fn on_one_clock(
     columns: &mut [Column],
     times: &[Column],
@@ -303,7 +305,8 @@ fn on_one_clock(
     Ok((time_s, clock))
 }
 
-/// Returns the warning that channels have times of their own, and are interpolated to `time_s` of the column `main`.
+/// Returns the warning that quantities have their own time stamps, and are interpolated to `time_s` of the column
+/// `main`.
 fn warning_of_own_times(
     columns: &[Column],
     times: &[Column],
@@ -325,8 +328,8 @@ fn warning_of_own_times(
     )
 }
 
-/// Returns the values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they
-/// are `held`.
+/// Interpolates samples at `time_s` to the ascending times `at_s`, by cubics. With `held`, it returns the last sample
+/// at or before each time.
 fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f64> {
     let n = time_s.len().min(values.len());
     let pieces = motion::pieces(&time_s[..n], &values[..n], f64::INFINITY, Between::Cubic);
@@ -346,7 +349,7 @@ fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f6
     resampled
 }
 
-/// Refuses settings that are not positive, and units of another quantity.
+/// Refuses settings that are not positive, and units of the wrong quantity, such as an angle for a length.
 fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     let positive = [
         ("rate_hz", settings.rate_hz),
@@ -374,14 +377,15 @@ fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// mm, or degrees, per stored value of the positions.
+/// Size of a stored value of every position column, mm or degrees, and the source of the unit.
 struct PositionScale {
     factors: Vec<f64>,
     unit_from: &'static str,
 }
 
 impl PositionScale {
-    /// Returns the units of the positions, by the log or by the settings, which must not contradict each other.
+    /// Finds the units of the position columns, from the log or the settings. Refuses a contradiction, and a missing
+    /// unit.
     fn new(columns: &[Column], settings: &TraceSettings) -> Result<Self, Invalid> {
         let mut scale = Self { factors: Vec::new(), unit_from: "the log" };
         for column in columns.iter().filter(|c| c.role.is_position()) {
@@ -422,7 +426,7 @@ impl PositionScale {
     }
 }
 
-/// Returns the mm per count of a position.
+/// Returns the length of an encoder count of a position, mm. Refuses a log in counts without `count_mm`.
 fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
     let axis = match role {
         Role::X | Role::SetpointX => 0,
@@ -439,7 +443,7 @@ fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
     Ok(count_mm[axis])
 }
 
-/// Returns the switch of the tool, from numbers that are 0 or 1.
+/// Returns the switch of the tool, true for 1 and false for 0. Refuses other numbers.
 fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     if let Some(i) = column.values.iter().position(|v| *v != 0.0 && *v != 1.0) {
         let remedy = "a switch of the tool is 0 (off) or 1 (on); give such a column, or the beam current as `current`";
@@ -448,7 +452,8 @@ fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     Ok(column.values.iter().map(|v| *v == 1.0).collect())
 }
 
-/// Returns w = I / I_nominal; a value slightly below zero becomes zero.
+/// Returns the removal rate relative to the TIF, the current over the nominal current, of every sample. Values slightly
+/// below zero become zero. Refuses currents in another unit than `nominal`.
 fn rate_factor(
     column: &Column,
     nominal: Option<f64>,
@@ -508,7 +513,7 @@ fn rate_factor(
 const SAME_UNIT: &str =
     "give the nominal current in the unit of the log, or check the column of the current";
 
-/// Returns the problem of a current of a log beside a nominal one in another unit.
+/// Returns the problem text for a current that cannot have the unit of the nominal current.
 fn other_unit(current: f64, nominal: f64) -> String {
     format!(
         "is {}, and `nominal_current` is {}: the tool would remove {} times as fast as its TIF says",
@@ -519,7 +524,7 @@ fn other_unit(current: f64, nominal: f64) -> String {
 }
 
 impl Trace {
-    /// Refuses positions that no machine reaches.
+    /// Refuses positions that no machine reaches, which are a sign of a wrong unit.
     fn check_plausible(&self) -> Result<(), Invalid> {
         let all = [Some(&self.actual_mm), self.setpoint_mm.as_ref()];
         for positions in all.into_iter().flatten() {
@@ -548,7 +553,7 @@ impl Trace {
         Ok(())
     }
 
-    /// Returns the measured positions of each axis, with its name and unit.
+    /// Returns the measured positions of each axis, with its name and unit, for the search for jumps.
     fn positions(&self, settings: &TraceSettings) -> Vec<jumps::LoggedAxis<'_>> {
         let time_s = &self.time_s;
         if !self.axes.is_empty() {
@@ -570,7 +575,7 @@ impl Trace {
         axes.collect()
     }
 
-    /// Returns the samples from `from_s` to `until_s`.
+    /// Returns the samples from `from_s` to `until_s` of the settings. Refuses a range with fewer than two.
     fn cropped(mut self, settings: &TraceSettings) -> Result<Self, Invalid> {
         let from_s = settings.from_s.unwrap_or(0.0);
         let until_s = settings.until_s.unwrap_or(f64::INFINITY);
@@ -601,8 +606,8 @@ impl Trace {
         Ok(self)
     }
 
-    /// Returns the state of the tool in the intervals between the samples (n-1), true if it removed. It is from the
-    /// switch, the current, or both; `None` if the log has neither.
+    /// Returns true for every interval between two samples in which the tool removed (n-1). The switch, the current, or
+    /// both decide; `None` if the log has neither.
     pub fn removes(&self) -> Option<Vec<bool>> {
         let intervals = self.time_s.len() - 1;
         let switched = self.tool_on.as_ref().map(|on| on[..intervals].to_vec());
@@ -615,7 +620,7 @@ impl Trace {
         })
     }
 
-    /// Returns the switch of the tool in the intervals (n-1); on where the log has none.
+    /// Returns the switch of the tool in every interval between two samples (n-1); true if the log has no switch.
     fn switched_on(&self) -> Vec<bool> {
         let intervals = self.time_s.len() - 1;
         match &self.tool_on {
@@ -624,8 +629,7 @@ impl Trace {
         }
     }
 
-    /// Returns the motion of the log; its time counts from the first sample. Refuses numbers of which no motion is
-    /// made.
+    /// Returns the motion of x and y, with its time from the first sample. Refuses samples that make no valid motion.
     pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;
@@ -642,8 +646,8 @@ impl Trace {
         }
     }
 
-    /// Returns the motion of all axes of a machine; its time counts from the first sample. Refuses numbers of which no
-    /// motion is made.
+    /// Returns the motion of all axes of a machine, with its time from the first sample. Refuses samples that make no
+    /// valid motion.
     pub fn axes_motion(&self, between: Between) -> Result<AxesMotion, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let by_axis: Vec<Vec<[f64; 4]>> = (self.axes.iter())
@@ -654,7 +658,8 @@ impl Trace {
         AxesMotion::new(self.time_s.clone(), coefficient, self.switched_on(), vec![None; k])
     }
 
-    /// Returns the motion of the setpoint, if the log has it. Refuses numbers of which no motion is made.
+    /// Returns the commanded motion of the setpoints, or `None` if the log has none. Refuses samples that make no valid
+    /// motion.
     pub fn setpoint(&self, between: Between) -> Result<Option<Trajectory>, Invalid> {
         let Some(setpoint_mm) = &self.setpoint_mm else { return Ok(None) };
         let gap_s = self.clock.longest_step_s();

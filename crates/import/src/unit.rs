@@ -8,11 +8,11 @@ use planish_types::{
 };
 use serde::{Serialize, Serializer};
 
-/// Quantities that the values of a map may have.
+/// Quantities that the values of a map may have: heights or removal rates, in lengths or in wavelengths.
 pub(crate) const VALUES: [Quantity; 4] =
     [Quantity::Length, Quantity::LengthPerTime, Quantity::Waves, Quantity::WavesPerTime];
 
-/// Unit of the values of a map, or of its coordinates.
+/// Unit of the values of a map, or of its coordinates, from the table [`planish_types::units`].
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Unit(units::Unit);
 
@@ -47,30 +47,30 @@ impl FromStr for Unit {
 }
 
 impl Unit {
-    /// Returns the unit of a symbol that the table has.
+    /// Returns the unit with this symbol, such as `nm`.
     ///
     /// # Panics
-    /// If the table does not have it.
+    /// Panics if the table has no such symbol.
     pub fn named(symbol: &'static str) -> Self {
         Self(units::Unit::read(symbol, &VALUES).expect("the table has the symbol"))
     }
 
-    /// Returns the unit, if values or coordinates of a map can have it.
+    /// Returns the unit if the values or coordinates of a map can have it, otherwise `None`.
     fn checked(unit: units::Unit) -> Option<Self> {
         let quantity = unit.quantity();
         let is_checked = VALUES.contains(&quantity) || quantity == Quantity::Pixels;
         if is_checked { Some(Self(unit)) } else { None }
     }
 
-    /// Returns the unit that `text` spells, if values or coordinates of a map can have it.
+    /// Returns the unit that `text` spells, such as `um` or `nm/min`; `None` if it is none that a map can have.
     pub(crate) fn spelled(text: &str) -> Option<Self> {
         units::Unit::read(text, &VALUES).and_then(Self::checked)
     }
 
-    /// Returns the unit that a file calls `name` in its field `place`.
+    /// Returns the unit that a file states as the word `name` in its field `place`.
     ///
     /// # Errors
-    /// Refuses a word that is no unit of a map, by its name.
+    /// Refuses a word that is no unit of a map; the message quotes it.
     pub fn stated(place: &'static str, name: &str) -> Result<Self, Invalid> {
         let unit = units::Unit::read(name, &VALUES);
         if let Some(unit) = unit.and_then(Self::checked) {
@@ -91,10 +91,11 @@ impl Unit {
         Err(Invalid::whole(place, format!("is \"{short}\""), remedy))
     }
 
-    /// Returns the name of a variable or column without its unit, and the unit.
+    /// Splits the name of a variable or column, such as `height_nm` or `z [um]`, into the name and the unit; `None`
+    /// without a unit.
     ///
     /// # Errors
-    /// A word in brackets, after a slash or after "in" that is no unit of a map.
+    /// Refuses a word in brackets, after a slash or after "in" that is no unit of a map.
     pub(crate) fn of_name(text: &str) -> Result<(String, Option<Self>), Invalid> {
         let remedy = "rename the column, or delete its unit and give `unit` and `coordinate_unit`";
         let Header { name, unit } =
@@ -112,30 +113,30 @@ impl Unit {
         }
     }
 
-    /// Returns true for a length or waves over a time.
+    /// Returns true if the unit is that of a rate: a length or wavelengths over a time.
     pub(crate) fn is_rate(self) -> bool {
         self.0.per_s().is_some()
     }
 
-    /// Returns the unit without its time.
+    /// Returns the unit without its time: `nm` for `nm/s`.
     pub(crate) fn without_time(self) -> Self {
         Self(self.0.numerator())
     }
 
-    /// Returns true for wavelengths of light, also over a time.
+    /// Returns true if the unit is the wavelength of the light, alone or over a time.
     pub(crate) fn is_waves(self) -> bool {
         self.0.numerator().quantity() == Quantity::Waves
     }
 
-    /// Returns true for pixels.
+    /// Returns true if the unit is the pixel.
     pub(crate) fn is_pixels(self) -> bool {
         self.0.quantity() == Quantity::Pixels
     }
 
-    /// Returns one unit in nm, or a rate in nm/s.
+    /// Returns the size of the unit in nm, or in nm/s for a rate. `wavelength_nm` is that of the light, for waves.
     ///
     /// # Errors
-    /// Waves without a wavelength, and pixels.
+    /// Refuses waves without a wavelength, and pixels.
     pub(crate) fn nm(self, wavelength_nm: Option<f64>) -> Result<f64, Invalid> {
         if self.is_pixels() {
             let remedy = "heights are lengths: give `unit`";
@@ -157,10 +158,10 @@ impl Unit {
         }
     }
 
-    /// Returns one unit of a lateral coordinate in mm.
+    /// Returns the size of the unit of a coordinate in mm.
     ///
     /// # Errors
-    /// A unit that is no length.
+    /// Refuses a unit that is no length.
     pub(crate) fn mm(self) -> Result<f64, Invalid> {
         if self.0.quantity() == Quantity::Length {
             return Ok(self.0.size(-3));

@@ -1,8 +1,8 @@
-//! Description of a file of no known format, and the remedy.
+//! Message for a file of an unknown format: its likely type, and the remedy.
 
 use crate::text;
 
-/// First bytes of formats that are not read, with their name and what helps.
+/// First bytes of file formats that are not read, with a name for the message and a remedy.
 const OTHERS: [(&[u8], &str, &str); 24] = [
     (b"CDF\x01", "a netCDF classic file", "convert it: nccopy -k nc4 IN OUT.h5"),
     (b"CDF\x02", "a netCDF classic file", "convert it: nccopy -k nc4 IN OUT.h5"),
@@ -46,7 +46,8 @@ const OTHERS: [(&[u8], &str, &str); 24] = [
     (b"Wyko ASCII", "an ASCII export of Wyko", "export it as .opd"),
 ];
 
-/// Returns the problem and the remedy for a file that starts with `bytes`; `formats` are the names that `format` takes.
+/// Returns the message for a file that starts with `bytes` and has an unknown format. `formats` are the names of those
+/// that are read.
 pub fn unknown(bytes: &[u8], formats: &[String]) -> String {
     let (looks, remedy) = looks(bytes);
     format!(
@@ -55,7 +56,7 @@ pub fn unknown(bytes: &[u8], formats: &[String]) -> String {
     )
 }
 
-/// Returns what a file looks like, and the remedy.
+/// Returns the likely type of a file from its first bytes, and the remedy.
 fn looks(bytes: &[u8]) -> (String, String) {
     if let Some((_, name, remedy)) = OTHERS.iter().find(|other| bytes.starts_with(other.0)) {
         return ((*name).into(), (*remedy).into());

@@ -17,7 +17,7 @@ fn call(out: &Path, file: &str, flags: &[&str]) -> Output {
         .unwrap()
 }
 
-/// The map that is read, its manifest, and the warnings.
+/// Reads a map with the program. Returns the map, its manifest, and the warnings.
 fn read(file: &str, flags: &[&str]) -> (Surface, Manifest, String) {
     let tmp = tempfile::tempdir().unwrap();
     let out = tmp.path().join("out");
@@ -28,7 +28,7 @@ fn read(file: &str, flags: &[&str]) -> (Surface, Manifest, String) {
     (loaded.value, loaded.manifest.unwrap(), warned)
 }
 
-/// The one message with which the file is refused; nothing is written.
+/// Runs the program on a file that it must refuse. Checks that nothing was written, and returns the message.
 fn refused(file: &str, flags: &[&str]) -> String {
     let tmp = tempfile::tempdir().unwrap();
     let out = tmp.path().join("out");
@@ -43,14 +43,14 @@ fn invalid(map: &Surface) -> usize {
     map.height_nm().iter().filter(|v| v.is_nan()).count()
 }
 
-/// The map in most of the cases, nm: row 0 is the smallest y.
+/// Returns the map that most of the test files hold, nm (ny, nx). Row 0 is the smallest y.
 fn truth() -> Array2<f64> {
     let bytes = fs::read(Path::new(CASES).join("truth.npy")).unwrap();
     planish_import::read(planish_import::Format::Npy, &bytes, &Default::default()).unwrap().values
 }
 
-/// The map of [`truth`] on pixels of 0.5 mm, every height within `tolerance_nm`, and `invalid_pixels` invalid ones: 12,
-/// or 0 where the format has none and the file has heights there.
+/// Checks that `map` is that of [`truth`] on pixels of 0.5 mm, with every height within `tolerance_nm`. It must have
+/// `invalid_pixels` invalid ones: 12, or 0 if the format cannot mark them and the file has heights there.
 fn is_truth(map: &Surface, tolerance_nm: f64, invalid_pixels: usize) {
     let truth = truth();
     assert_eq!((map.height_nm().dim(), invalid(map)), (truth.dim(), invalid_pixels));
@@ -63,7 +63,7 @@ fn is_truth(map: &Surface, tolerance_nm: f64, invalid_pixels: usize) {
     }
 }
 
-/// RMS to the four digits of the right value.
+/// Checks that the RMS of the map is `right_nm`, to four digits.
 fn has_rms(map: &Surface, right_nm: f64) {
     let rms = map.statistics().rms;
     assert!((rms - right_nm).abs() < 5e-5, "{rms}, not {right_nm}");
@@ -249,7 +249,7 @@ fn a_measurement_of_several_is_chosen() {
     assert!(warned.contains("not square (aspect 2)"), "{warned}");
 }
 
-/// Files that state unit and pitch: no flag is needed, and a flag that contradicts them is refused.
+/// Checks files that state unit and pitch: they need no flag, and a flag that contradicts them is refused.
 #[test]
 fn files_that_state_everything_need_no_flag() {
     // Each with the rounding of its numbers in nm, its invalid pixels, and the name of its format.
@@ -279,8 +279,8 @@ fn files_that_state_everything_need_no_flag() {
     }
 }
 
-/// A container with three channels. The first row is the top: the marked corner of channel 0 is the first pixel of the
-/// file, which has the smallest x and the largest y.
+/// Checks a Gwyddion file with three channels. The first row is the top: the marked corner of channel 0 is the first
+/// pixel of the file, which has the smallest x and the largest y.
 #[test]
 fn a_channel_of_a_gwyddion_file_is_chosen_by_its_number() {
     let said = refused("two.gwy", &[]);
@@ -303,7 +303,7 @@ fn a_channel_of_a_gwyddion_file_is_chosen_by_its_number() {
     assert!(warned.contains("marks 12 pixel(s), which are read as invalid"), "{warned}");
 }
 
-/// MATLAB structures, compressed or not, and within each other: a field has the name `structure.field`.
+/// Checks MATLAB structures, compressed or not, and nested ones: a field has the name `structure.field`.
 #[test]
 fn a_field_of_a_structure_is_read_by_its_name() {
     let names = ["--dataset", "mirror.Z", "--x", "mirror.about.X", "--y", "mirror.about.Y"];
@@ -383,7 +383,7 @@ fn scattered_points_are_gridded_on_request() {
     assert!(said.contains("has its pixels on a grid"), "{said}");
 }
 
-/// What a damaged or unusual file of each format is refused for.
+/// Checks that a damaged or unusual file of each format is refused with the right reason.
 #[test]
 fn what_a_reader_does_not_know_is_refused() {
     let tmp = tempfile::tempdir().unwrap();
@@ -514,7 +514,8 @@ fn a_format_that_is_not_known_is_described() {
     }
 }
 
-/// Writes a file into a directory of its own, and returns both.
+/// Writes a file into a new temporary directory. Returns the directory, which exists as long as this value, and the
+/// path.
 fn put(name: &str, bytes: &[u8]) -> (tempfile::TempDir, String) {
     let tmp = tempfile::tempdir().unwrap();
     let path = tmp.path().join(name);
@@ -523,7 +524,7 @@ fn put(name: &str, bytes: &[u8]) -> (tempfile::TempDir, String) {
     (tmp, path)
 }
 
-/// The map as text with a line per row, of four decimals; `word` is what stands for an invalid pixel.
+/// Returns the map of [`truth`] as text, one line per row, with four decimals. `word` stands at invalid pixels.
 fn table(separator: &str, word: &str) -> String {
     let field = |v: &f64| if v.is_nan() { word.to_string() } else { format!("{v:.4}") };
     let line = |row: ndarray::ArrayView1<f64>| {
@@ -532,7 +533,7 @@ fn table(separator: &str, word: &str) -> String {
     truth().rows().into_iter().map(line).collect()
 }
 
-/// Half a unit of the last of four decimals, nm.
+/// Half a unit of the last of four decimals, nm, and a margin for rounding.
 const FOUR_DECIMALS_NM: f64 = 5.1e-5;
 
 #[test]
@@ -665,7 +666,7 @@ fn what_hdf5_and_matlab_say_beside_the_numbers_is_obeyed() {
     assert!(warned.contains("the map was transposed"), "{warned}");
 }
 
-/// A surface data file with 64-bit floats.
+/// Checks surface data files with 64-bit floats, whose least float marks invalid pixels.
 #[test]
 fn surface_data_files_mark_by_the_least_float() {
     for magic in ["bISO-1.0", "bBCR-1.0", "bISO-2.0"] {
@@ -702,18 +703,18 @@ fn an_image_of_fits_has_a_name() {
     assert!(said.contains("has no HDU \"SCI\", only 2"), "{said}");
 }
 
-/// The path of a case of the second round.
+/// Returns the path of a file of the second collection of cases.
 fn second(file: &str) -> String {
     Path::new(CASES).with_file_name("cases-2").join(file).to_str().unwrap().to_string()
 }
 
-/// The map of the cases of the second round, nm: row 0 is the smallest y.
+/// Returns the map that the files of the second collection hold, nm (ny, nx). Row 0 is the smallest y.
 fn second_truth() -> Array2<f64> {
     let bytes = fs::read(second("truth.npy")).unwrap();
     planish_import::read(planish_import::Format::Npy, &bytes, &Default::default()).unwrap().values
 }
 
-/// The map of [`second_truth`] on pixels of 0.5 mm, every height within `tolerance_nm`.
+/// Checks that `map` is that of [`second_truth`] on pixels of 0.5 mm, with every height within `tolerance_nm`.
 fn is_second_truth(map: &Surface, tolerance_nm: f64) {
     let truth = second_truth();
     assert_eq!(map.height_nm().dim(), truth.dim());
@@ -724,7 +725,7 @@ fn is_second_truth(map: &Surface, tolerance_nm: f64) {
     }
 }
 
-/// Writes a text and returns its path.
+/// Writes a text to the file `name` in `dir`, and returns its path.
 fn put_text(dir: &Path, name: &str, text: &str) -> String {
     let path = dir.join(name);
     fs::write(&path, text).unwrap();
@@ -1065,7 +1066,8 @@ fn slopes_become_heights() {
     }
 }
 
-/// A log of x = 10 (1 - cos(pi t / 2)) mm, y = 3 t mm, 0.2 s at 1 kHz: a line per sample from its index, time, x and y.
+/// Returns a log of x = 10 (1 - cos(pi t / 2)) mm, y = 3 t mm, 0.2 s at 1 kHz, after the lines `head`. `line` makes the
+/// text of a sample from its index, time (s), x and y (mm).
 fn log_of(head: &str, line: impl Fn(i32, f64, f64, f64) -> String) -> String {
     let lines = (0..=200).map(|i| {
         let t = f64::from(i) * 1e-3;
@@ -1090,7 +1092,7 @@ fn call_trace(
     (output, loaded)
 }
 
-/// The motion of a log, the clock of its manifest, and the warnings.
+/// Reads a log with the program. Returns the motion, the sampling rate in the manifest (Hz), and the warnings.
 fn trace(text: impl AsRef<[u8]>, flags: &[&str]) -> (Trajectory, f64, String) {
     let (output, loaded) = call_trace("log.csv", text.as_ref(), flags);
     let warned = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -1108,7 +1110,7 @@ fn refused_trace(text: impl AsRef<[u8]>, flags: &[&str]) -> String {
     said
 }
 
-/// The motion of [`log_of`], its end within `within_mm`, and 1 kHz to 8 digits.
+/// Checks that the result of [`trace`] is the motion of [`log_of`]: its end within `within_mm`, and 1 kHz to 8 digits.
 fn is_the_log((motion, rate_hz, _): &(Trajectory, f64, String), within_mm: f64) {
     // The rate is rounded to the fewest digits that the stamps allow, or fitted to stamps of 9 digits or more.
     assert!((rate_hz / 1000.0 - 1.0).abs() < 1e-8, "{rate_hz}");
@@ -1119,7 +1121,7 @@ fn is_the_log((motion, rate_hz, _): &(Trajectory, f64, String), within_mm: f64) 
     assert!((0..2).all(|a| (end[a] - right[a]).abs() < within_mm), "{end:?}");
 }
 
-/// Half of the sixth decimal of a position, mm.
+/// Half a unit of the sixth decimal of a position, mm, and a margin for rounding.
 const SIXTH: f64 = 0.6e-6;
 
 #[test]
@@ -1213,7 +1215,7 @@ fn clocks_of_logs_are_days_dates_hours_and_epochs() {
     assert_eq!(trace(ms, &[]).1, 400.0);
 }
 
-/// 10 kHz and 10 mm/s: 0.1 ms is 420 steps of a double of 1.77e9 s.
+/// Checks times since 1970 at 10 kHz and 10 mm/s. There 0.1 ms is only 420 steps of a double of 1.77e9 s.
 #[test]
 fn times_since_1970_make_no_accelerations() {
     let log = |time: &dyn Fn(i32) -> String| -> String {
@@ -1330,7 +1332,8 @@ fn jumps_and_drifts_of_logs_are_named() {
     assert!(trace(log(0.0, 0.0), &flags).2.is_empty());
 }
 
-/// The log of five axes becomes their motion, in mm and degrees; without the machine its further axes are named.
+/// Checks that the log of five axes becomes their motion, in mm and degrees. Without the machine, the message names the
+/// axes beside x and y.
 #[test]
 fn all_axes_of_a_machine_are_read_by_their_names() {
     let text =

@@ -19,7 +19,7 @@ fn call(dir: &Path, arguments: &[&str]) -> Output {
         .unwrap()
 }
 
-/// Runs, expects exit code 0, returns what was printed and what was warned of.
+/// Runs the program, and checks that the exit code is 0. Returns its standard output and its warnings.
 fn done(dir: &Path, arguments: &[&str]) -> (String, String) {
     let output = call(dir, arguments);
     let text = |b: &[u8]| String::from_utf8_lossy(b).into_owned();
@@ -29,7 +29,8 @@ fn done(dir: &Path, arguments: &[&str]) -> (String, String) {
     (said, warned)
 }
 
-/// Runs, expects exit code 2, one line and nothing written; returns the line.
+/// Runs the program, and checks that the exit code is 2, the message has one line, and nothing is written. Returns that
+/// line.
 fn refused(dir: &Path, arguments: &[&str]) -> String {
     let output = call(dir, &[arguments, &["--out", "refused"]].concat());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -117,7 +118,8 @@ fn a_program_becomes_a_motion() {
     assert_eq!(artifact::read::<Trajectory>(&dir.join("b")).unwrap().value, motion);
 }
 
-/// Two files are written one after the other; a kill between them leaves the count of another program.
+/// Checks a file beside the program that belongs to another program. Both are written one after the other, so that a
+/// kill between them can leave such a pair.
 #[test]
 fn the_file_beside_another_program_is_refused() {
     let tmp = tempfile::tempdir().unwrap();
@@ -190,7 +192,7 @@ fn bad_files_and_flags_are_one_message() {
     }
 }
 
-/// A file of some kilobytes that claims gigabytes: the program runs in an address space of 1.5 GiB.
+/// Checks a file of some kilobytes that claims gigabytes. The program runs in an address space of 1.5 GiB.
 #[test]
 fn what_a_header_claims_takes_no_memory() {
     let tmp = tempfile::tempdir().unwrap();
@@ -273,7 +275,7 @@ fn real_files_have_their_published_values() {
     assert_eq!((map.height_nm().dim(), range(&map)), ((4, 4), (1000.0, 2000.0)));
 }
 
-/// 0.5 s at 1 kHz of a motion along x at 20 mm/s, as a gathering of an XPS whose axes come 2 ms late.
+/// Returns an XPS gathering of 0.5 s at 1 kHz: a motion along x at 20 mm/s, whose axes lag by 2 ms.
 fn gathering() -> String {
     let at = |t: f64| 20.0 * t.max(0.0) + (9.0 * t).sin();
     let line = |i: i32| {
@@ -384,7 +386,8 @@ fn a_current_in_another_unit_than_the_nominal_one_is_refused_with_both() {
     assert!(warned.is_empty(), "{warned}");
 }
 
-/// 10 s of a motion with two lifts of 1 s as a plan, and its log with the switch `on(t)` until `until_s`.
+/// Writes a plan of 10 s with the tool off in two segments of 1 s, and its log up to `until_s`. `on(t)` is the tool
+/// state in the log.
 fn plan_and_log(dir: &Path, until_s: f64, on: Option<&dyn Fn(f64) -> bool>) {
     let is_on = |i: usize| i != 3 && i != 7;
     let c = |i: usize| {

@@ -16,7 +16,7 @@ use planish_types::ControllerKind;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// 2 x 3 raw values, no two alike.
+/// Returns 2 x 3 stored values, all different.
 fn raw() -> Array2<f64> {
     array![[1.0, -2.0, 3.0], [40.0, 50.0, -60.0]]
 }
@@ -122,7 +122,8 @@ fn deflated(data: &[u8]) -> Vec<u8> {
     b
 }
 
-/// Z column by column, X and Y as `meshgrid` makes them, X compressed.
+/// Returns a MATLAB file with the map Z, stored column by column, and X and Y as `meshgrid` makes them. X is
+/// compressed.
 fn mat_map() -> Vec<u8> {
     let columns = |m: &Array2<f64>| m.t().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let z: Vec<u8> = raw().t().iter().map(|v| *v as i8 as u8).collect();
@@ -152,7 +153,7 @@ fn sdf_binary() -> Vec<u8> {
     b
 }
 
-/// Every text or binary format that can be written here, with what it needs.
+/// Returns one valid file of every format that can be written here, as the start of random damage.
 fn seeds() -> Vec<(Format, Vec<u8>)> {
     let phase: Vec<i32> = raw().iter().map(|v| *v as i32).collect();
     let f64s: Vec<u8> = raw().iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -241,14 +242,14 @@ fn fits_scale_blank_unit_and_pitch() {
     assert_eq!((grid.y.start_mm(), grid.y.step_mm()), (0.0, 2.0));
 }
 
-/// 3 x 2 heights 0 ... 5 nm, row by row, with these cards.
+/// Returns a FITS file of 2 rows and 3 columns, with heights 0 to 5 nm row by row, and these further cards.
 fn placed(cards: &[&str]) -> Vec<u8> {
     let data: Vec<u8> = (0..6).flat_map(|v| f64::from(v).to_be_bytes()).collect();
     let first = ["SIMPLE  = T", "BITPIX  = -64", "NAXIS   = 2", "NAXIS1  = 3", "NAXIS2  = 2"];
     fits(&[&first[..], &["BUNIT   = 'nm'"], cards].concat(), &data)
 }
 
-/// The height at every coordinate, as (x, y, z), or the message.
+/// Returns [x, y, z] of every pixel of a FITS file (mm, mm, nm), or the message.
 fn heights(bytes: &[u8], settings: &ReadingSettings) -> Result<Vec<[f64; 3]>, String> {
     let reading = read(Format::Fits, bytes, &Pick::default()).map_err(|e| e.to_string())?;
     let (map, _) = surface(reading, settings).map_err(|e| e.to_string())?;
@@ -455,7 +456,7 @@ fn bad_files_are_refused_with_what_is_wrong() {
     assert!(message(Format::Hdf5, b"not this").contains("signature"));
 }
 
-/// Damage: some bytes replaced, a piece taken out, put in twice, or the end cut off.
+/// Returns a damaged copy of a file: some bytes are replaced, or a part is removed, repeated or cut off at the end.
 fn damaged(seed: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..random.random_range(1..5) {
@@ -492,7 +493,7 @@ fn executions() -> usize {
     given.map_or(1000, |n| n.parse().expect("PLANISH_FUZZ_EXECUTIONS is a number"))
 }
 
-/// No damage makes a reader panic; what it still reads is a map.
+/// Checks that no damage makes a reader panic, and that all it still reads is a valid map.
 #[test]
 fn damaged_files_are_read_or_refused() {
     let settings = ReadingSettings {

@@ -21,7 +21,7 @@ const LIMIT: Duration = Duration::from_secs(20);
 /// fails, which sets 1 GiB aside and uses little of it; the program and its threads take 100 MiB each.
 const ADDRESS_SPACE_KIB: usize = 1_700_000;
 
-/// Runs to its end, or to [`LIMIT`].
+/// Runs the program to its end, or stops it after [`LIMIT`].
 fn run(dir: &Path, arguments: &[&str]) -> Output {
     let line = format!("ulimit -v {ADDRESS_SPACE_KIB}; exec \"$@\"");
     let mut command = Command::new("sh");
@@ -30,7 +30,8 @@ fn run(dir: &Path, arguments: &[&str]) -> Output {
     run_within(command.current_dir(dir), LIMIT)
 }
 
-/// Runs, expects exit code 2, one line, nothing written; returns the line.
+/// Runs the program, and checks that the exit code is 2, the message has one line, and nothing is written. Returns that
+/// line.
 fn refused(dir: &Path, arguments: &[&str]) -> String {
     let output = run(dir, &[arguments, &["--out", "refused"]].concat());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -106,8 +107,8 @@ fn an_empty_file_is_called_empty() {
     assert!(refused(dir, &["surface", "a", "--format", "xyz"]).contains("holds no points"));
 }
 
-/// An HDF5 file of the first layout whose root group holds `names` links, all to itself: the paths of
-/// six names alone are `names`^6.
+/// Returns an HDF5 file of the first layout whose root group holds `names` links, all to itself. It has `names`^6 paths
+/// of six names.
 fn cycle(names: u64) -> Vec<u8> {
     const UNDEFINED: u64 = u64::MAX;
     let (root, tree, heap, text) = (96_u64, 136_u64, 680_u64, 712_u64);
@@ -163,7 +164,7 @@ fn element(kind: u32, data: &[u8]) -> Vec<u8> {
     b
 }
 
-/// A MATLAB matrix of doubles; with `flags` 8 it is complex.
+/// Returns a MATLAB matrix of doubles as an element of a file; with `flags` 8 it is complex.
 fn matrix(name: &str, rows: i32, columns: i32, flags: u8, data: &[u8]) -> Vec<u8> {
     let sizes = [rows.to_le_bytes(), columns.to_le_bytes()].concat();
     let head = element(6, &[6, flags, 0, 0, 0, 0, 0, 0]);
@@ -344,7 +345,7 @@ const NUMBERS: [&str; 14] = [
     "99999999999999999999",
 ];
 
-/// Collects the places where a JSON value is null, because a number that JSON does not have becomes null.
+/// Appends to `found` the paths at which a JSON value is null, because JSON writes NaN and infinity as null.
 fn nulls(value: &Value, at: &str, found: &mut Vec<String>) {
     match value {
         Value::Null => found.push(at.into()),
@@ -354,7 +355,7 @@ fn nulls(value: &Value, at: &str, found: &mut Vec<String>) {
     }
 }
 
-/// Runs a command. Returns what is wrong with its end, if anything, and whether it ran.
+/// Runs a command on hostile input. Returns the fault in its end, if any, and true if it did not refuse the input.
 fn judged(dir: &Path, arguments: &[&str]) -> (Option<String>, bool) {
     let _ = fs::remove_dir_all(dir.join("out"));
     let _ = fs::remove_file(dir.join("p.svg"));
@@ -384,7 +385,7 @@ fn judged(dir: &Path, arguments: &[&str]) -> (Option<String>, bool) {
     (wrong, output.status.code() != Some(2))
 }
 
-/// A command with a `?` where a hostile number goes, and a number that is usual there.
+/// Commands with a `?` in place of a number that the test replaces by hostile ones, each with a usual number.
 const FLAGS: [(&str, &str); 24] = [
     ("surface a.csv --unit waves --pixel-mm 1 --wavelength-nm ?", "632.8"),
     ("surface a.csv --unit nm --pixel-mm ?", "0.5"),

@@ -1,8 +1,8 @@
-//! The distribution of a sum of squares.
+//! The distribution of chi-square, the sum of the squares of independent standard normal numbers.
 
 /// Returns the probability that the sum of the squares of `degrees` standard normal numbers exceeds `sum`, by the cube
-/// root of Wilson and Hilferty. Its error is below 0.005 for three degrees and more, and below 0.02 for
-/// one.
+/// root of Wilson and Hilferty. `degrees` is above 0. The error is below 0.005 for three degrees and more, and below
+/// 0.02 for one.
 pub fn exceeded(sum: f64, degrees: f64) -> f64 {
     // (chi^2 / k)^(1/3) is normal about 1 - 2/(9k) with the variance 2/(9k)
     let v = 2.0 / (9.0 * degrees);
@@ -10,8 +10,8 @@ pub fn exceeded(sum: f64, degrees: f64) -> f64 {
     0.5 * complementary_error_function(z / std::f64::consts::SQRT_2)
 }
 
-/// Returns erfc(x), to a relative error of 1.2e-7. Source: W. H. Press et al., Numerical Recipes, section 6.2.2, a
-/// Chebyshev fit in t = 1 / (1 + |x| / 2).
+/// Returns the complementary error function erfc(x), to a relative error of 1.2e-7. Source: W. H. Press et al.,
+/// Numerical Recipes, section 6.2.2, a Chebyshev fit in t = 1 / (1 + |x| / 2).
 fn complementary_error_function(x: f64) -> f64 {
     const C: [f64; 10] = [
         -1.26551223,

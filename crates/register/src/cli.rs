@@ -43,18 +43,20 @@ impl RegisterMethod {
     }
 }
 
-/// Returns a value with its standard error as text; the value with `digits` decimals.
+/// Returns an estimate with its standard error as text, in the unit of the estimate. The value has `digits` decimals,
+/// the error two significant digits.
 fn with_error(estimate: Estimate, digits: usize) -> String {
     let error = significant(estimate.standard_error, 2);
     format!("{:.digits$} (standard error {error})", estimate.value)
 }
 
-/// Reads the maps in these directories.
+/// Reads the surface error maps in these artifact directories, in their order, and records them as inputs.
 fn read_maps(inputs: &mut Inputs, paths: &[PathBuf]) -> Result<Vec<Surface>, Failure> {
     paths.iter().map(|dir| Ok(inputs.read("maps", dir)?)).collect()
 }
 
-/// Returns the refusal of one map, with its directory, and a further remedy.
+/// Returns the message that refuses one map of several: its directory, the reason, and `remedy` at the end. If a
+/// setting is at fault, the message names no directory.
 fn about_map(paths: &[PathBuf], refused: &RefusedMap, remedy: &str) -> Failure {
     // What is wrong with a setting is not about a map.
     const SETTINGS: [&str; 4] =

@@ -1,9 +1,10 @@
 //! Fiducials: points that are measured both in the map and on the machine.
 //!
 //! A CSV file has one line per fiducial, and a header in any order of `map_x_mm, map_y_mm, machine_x_mm,
-//! machine_y_mm`. Optional columns are `name`, `uncertainty_mm` (standard deviation of the machine's
-//! coordinates, per axis) and `map_uncertainty_mm`. A name may have another unit of length, as `map_x (um)`. A JSON file is a list of objects with `map_mm: [x, y]`,
-//! `machine_mm: [x, y]` and the same optional keys. Lines of the CSV that begin with `#` are comments.
+//! machine_y_mm`. Optional columns are `name`, `uncertainty_mm` (standard deviation of the machine's coordinates, per
+//! axis) and `map_uncertainty_mm`. A name may have another unit of length, as `map_x (um)`. A JSON file is a list of
+//! objects with `map_mm: [x, y]`, `machine_mm: [x, y]` and the same optional keys. Lines of the CSV that begin with `#`
+//! are comments.
 
 use planish_types::{
     Invalid, file_text, is_plausible_mm,
@@ -19,21 +20,23 @@ const NAME: &str = "fiducial";
 /// measures.
 const MOST_FIDUCIALS: usize = 100_000;
 
-/// A point in the map and on the machine.
+/// A point that was measured both in the map and on the machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fiducial {
     /// Name of the fiducial; its number, counted from 1, if the file gives none.
     #[serde(default)]
     pub name: String,
-    /// Place of the fiducial in the map [x, y], mm.
+    /// Measured position of the fiducial in the coordinates of the map [x, y], mm.
     pub map_mm: [f64; 2],
-    /// Place of the fiducial on the machine [x, y], mm.
+    /// Measured position of the fiducial in the coordinates of the machine [x, y], mm.
     pub machine_mm: [f64; 2],
-    /// Standard deviation of each coordinate on the machine, mm.
+    /// Standard deviation of each machine coordinate, mm. If no fiducial states one, the fit estimates it from the
+    /// residuals.
     #[serde(default)]
     pub uncertainty_mm: Option<f64>,
-    /// Standard deviation of each coordinate in the map, mm; 0 where it is absent.
+    /// Standard deviation of each map coordinate, mm; `None` counts as 0. The fit adds it in quadrature to that of the
+    /// machine.
     #[serde(default)]
     pub map_uncertainty_mm: Option<f64>,
 }
@@ -41,7 +44,8 @@ pub struct Fiducial {
 /// Reads fiducials from JSON, where the text begins with `[`, or CSV.
 ///
 /// # Errors
-/// Refuses text that is neither, columns that are unknown or twice, and coordinates or uncertainties that are none.
+/// Refuses text that is neither, unknown or repeated columns, coordinates that are not finite or above 1e7 mm, and
+/// standard deviations that are not positive.
 pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
     let text = file_text::text(NAME, bytes)?;
     let text = text.trim_start();
@@ -82,17 +86,18 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
     Ok(fiducials)
 }
 
-/// Names of the columns of a CSV file, but for the unit.
+/// Names of the columns of numbers in a CSV file, without the unit that follows each name.
 const COLUMNS: [&str; 6] =
     ["map_x", "map_y", "machine_x", "machine_y", "uncertainty", "map_uncertainty"];
 
-/// A column of a CSV file: its name, and mm in a unit of it.
+/// A column of a CSV file: its name without the unit, and the size of its unit in mm.
 struct Column {
     name: &'static str,
     mm: f64,
 }
 
-/// Reads the name of a column; `None` for that of the fiducials' names.
+/// Reads the heading of a column; returns `None` for the column `name`. Refuses an unknown column, and one without a
+/// unit of length.
 fn column(text: &str) -> Result<Option<Column>, Invalid> {
     let shown: String = text.chars().filter(|c| !c.is_control()).take(40).collect();
     let all: Vec<String> = COLUMNS.iter().map(|name| format!("{name}_mm")).collect();
@@ -122,7 +127,7 @@ fn column(text: &str) -> Result<Option<Column>, Invalid> {
     }
 }
 
-/// Reads fiducials from the lines of a CSV.
+/// Reads fiducials from the text of a CSV file. Lines that are empty or begin with `#` are skipped.
 fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
     // Lines with their numbers, from 1.
     let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
@@ -199,8 +204,8 @@ fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
     Ok(fiducials)
 }
 
-/// Returns the fields of a line, of which the header has `count`: a separator at the end is that of an empty field
-/// where one is absent.
+/// Splits a line into its fields, of which the header has `count`. If the line has one field less and ends with a
+/// separator, an empty field is added.
 fn fields_of(line: &str, count: usize) -> Vec<&str> {
     let mut fields: Vec<&str> = file_text::fields(line).collect();
     if fields.len() + 1 == count && file_text::is_closed(line) {

@@ -10,7 +10,7 @@ pub(crate) struct Field {
 }
 
 impl Field {
-    /// Returns the field of a map.
+    /// Wraps a map, so that it can be evaluated between its pixels.
     pub fn new(map: Surface) -> Self {
         Self { map }
     }
@@ -20,19 +20,19 @@ impl Field {
         self.map.grid()
     }
 
-    /// Returns the valid pixels [row, column] with their places [x, y] in mm and heights in nm.
+    /// Returns the valid pixels row by row: index [row, column], centre [x, y] in mm, and height in nm.
     pub fn valid_indexed(&self) -> impl Iterator<Item = ([usize; 2], [f64; 2], f64)> + '_ {
         let grid = self.grid();
         let valid = self.map.height_nm().indexed_iter().filter(|(_, z)| z.is_finite());
         valid.map(|((r, c), z)| ([r, c], [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)], *z))
     }
 
-    /// Returns the places [x, y] in mm and the heights in nm of the valid pixels.
+    /// Returns the centres [x, y] in mm and the heights in nm of the valid pixels, row by row.
     pub fn valid(&self) -> impl Iterator<Item = ([f64; 2], f64)> + '_ {
         self.valid_indexed().map(|(_, x, z)| (x, z))
     }
 
-    /// Returns `value` (place, height) of all pixels row by row; NaN where a pixel is invalid.
+    /// Returns `value(centre [x, y] in mm, height in nm)` of all pixels, row by row; NaN where a pixel is invalid.
     pub fn map_values(&self, mut value: impl FnMut([f64; 2], f64) -> f64) -> Vec<f64> {
         let mut values = vec![f64::NAN; self.map.height_nm().len()];
         for ([r, c], p, z) in self.valid_indexed() {
@@ -41,7 +41,8 @@ impl Field {
         values
     }
 
-    /// Returns height (nm) and gradient (nm/mm) at a point, or `None` where a pixel around it is absent or invalid.
+    /// Returns the height (nm) and its gradient [x, y] (nm/mm) at a point [x, y] in mm, by Keys' cubic convolution.
+    /// Returns `None` if one of the sixteen surrounding pixels is absent or invalid.
     pub fn height_and_gradient(&self, p: [f64; 2]) -> Option<(f64, [f64; 2])> {
         let grid = self.grid();
         let z = self.map.height_nm();
@@ -76,12 +77,13 @@ impl Field {
         Some((height, gradient))
     }
 
-    /// Returns the pixel [row, column] whose middle is nearest to a point, or `None` beyond the map.
+    /// Returns the pixel [row, column] whose centre is nearest to the point `p` [x, y] in mm, or `None` beyond the map.
     pub fn nearest(&self, p: [f64; 2]) -> Option<[usize; 2]> {
         Some([nearest_index(&self.grid().y, p[1])?, nearest_index(&self.grid().x, p[0])?])
     }
 
-    /// Returns the central differences at a pixel, nm/mm, or `None` where a neighbour is absent or invalid.
+    /// Returns the gradient [x, y] of the height by central differences at a pixel [row, column], nm/mm. Returns `None`
+    /// if one of its four neighbours is absent or invalid.
     pub fn gradient(&self, [r, c]: [usize; 2]) -> Option<[f64; 2]> {
         let grid = self.grid();
         let z = self.map.height_nm();
@@ -97,19 +99,21 @@ impl Field {
     }
 }
 
-/// Returns the cell of a coordinate, and the place in it, in steps.
+/// Returns the index of the last pixel at or below a coordinate, and the distance from it in pixels. Returns `None` for
+/// coordinates that are not finite or 1e9 pixels away.
 fn cell(axis: &Axis, mm: f64) -> Option<(isize, f64)> {
     let s = (mm - axis.start_mm()) / axis.step_mm();
     if s.is_finite() && s.abs() < 1e9 { Some(keys::split(s)) } else { None }
 }
 
-/// Returns the pixel whose middle is nearest to a coordinate, or `None` beyond the axis.
+/// Returns the index of the pixel whose centre is nearest to a coordinate, or `None` beyond the axis.
 fn nearest_index(axis: &Axis, mm: f64) -> Option<usize> {
     let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
     if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
 }
 
-/// Returns the derivatives of Keys' weights by the offset.
+/// Returns the derivatives of Keys' four interpolation weights with respect to `f`, the offset from the pixel below, in
+/// pixels.
 fn slopes(f: f64) -> [f64; 4] {
     [
         (-1.5 * f + 2.0) * f - 0.5,
@@ -119,9 +123,10 @@ fn slopes(f: f64) -> [f64; 4] {
     ]
 }
 
-/// Returns a map minus its Gaussian mean. The Gaussian filter passes one half of the amplitude at this wavelength
-/// (ISO 16610-21): `exp(-2 pi^2 s^2 / L^2) = 1/2`, s = 0.1874 L. Invalid pixels have no weight.
-/// Refuses a wavelength of less than some pixels, or of more than the map.
+/// Returns a map minus its Gaussian mean, so that features shorter than `wavelength_mm` remain. The Gaussian filter
+/// passes one half of the amplitude at this wavelength (ISO 16610-21): `exp(-2 pi^2 s^2 / L^2) = 1/2`, with the
+/// standard deviation s = 0.1874 L. Invalid pixels have no weight. Refuses a wavelength below about 2.7 pixels, and one
+/// above 5.3 times the size of the map.
 pub(crate) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface, Invalid> {
     let grid = map.grid();
     let sigma_mm = wavelength_mm * (0.5 * std::f64::consts::LN_2).sqrt() / std::f64::consts::PI;
@@ -145,7 +150,8 @@ pub(crate) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface,
     Surface::new(*grid, short)
 }
 
-/// Returns the convolution with a Gaussian of `sigma` pixels along an axis, cut at four of them.
+/// Returns the convolution with a Gaussian of `sigma` pixels along an axis (0: along y, 1: along x). The Gaussian is
+/// cut at 4 `sigma`; its weights are not normalised.
 fn blurred(map: &Array2<f64>, axis: usize, sigma: f64) -> Array2<f64> {
     let reach = (4.0 * sigma).ceil() as usize;
     let weights: Vec<f64> =

@@ -1,7 +1,8 @@
 //! The transform that takes fiducials of a map to those of a machine, by weighted least squares.
 //!
-//! With the weights w = 1/sigma^2 and the points about their weighted means, d = p - mean p and
-//! e = q - mean q, the image of the mean is the mean, and
+//! A fiducial lies at p in the map and at q on the machine, with the standard deviation sigma per coordinate. With the
+//! weights w = 1/sigma^2 and the points about their weighted means, d = p - mean p and e = q - mean q, the transform
+//! takes the mean of p to the mean of q (the image), and its matrix M is
 //!
 //! ```text
 //! rigid        theta = atan2(B, A),   A = sum w (d_x e_x + d_y e_y),   B = sum w (d_x e_y - d_y e_x)
@@ -9,14 +10,15 @@
 //! affine       M = (sum w e d') N^-1, N = sum w d d'
 //! ```
 //!
-//! in closed form. About the means the errors of image and matrix are uncorrelated:
+//! in closed form, with theta the angle of a rigid transform. About the means the errors of image and matrix are
+//! uncorrelated:
 //!
 //! ```text
 //! var image = 1 / sum w per axis,   var theta = var a = var b = 1 / sum w |d|^2,   cov (M_x.) = N^-1
 //! ```
 //!
-//! times one, where the uncertainties were given, or the mean square of the residuals per degree of freedom
-//! where they were not.
+//! M_x. is the first row of M; the second has the same covariance. If no uncertainties were given, sigma is 1, and
+//! these variances are multiplied by the mean square of the residuals per degree of freedom.
 
 use planish_types::{Invalid, Transform, text::significant};
 use serde::Serialize;
@@ -37,7 +39,7 @@ pub enum TransformModel {
 }
 
 impl TransformModel {
-    /// Returns the number of parameters.
+    /// Returns the number of free parameters: 3 (rigid), 4 (similarity) or 6 (affine).
     pub fn parameters(self) -> usize {
         match self {
             Self::Rigid => 3,
@@ -74,69 +76,71 @@ const LEAST_PROBABILITY: f64 = 1e-3;
 /// more warnings. Smaller: noise decides.
 const MIRRORED: f64 = 2.0;
 
-/// Residual of one fiducial.
+/// Residual of one fiducial after the fit.
 #[derive(Clone, Debug, Serialize)]
 pub struct Residual {
-    /// Name of the fiducial.
+    /// Name of the fiducial, or its number, counted from 1.
     pub name: String,
-    /// Measured place on the machine minus the place that the transform gives [x, y], mm.
+    /// Measured position on the machine minus the position that the transform gives [x, y], mm.
     pub residual_mm: [f64; 2],
     /// Standard deviation of each coordinate of the residual, mm, as given or as estimated from all
     /// residuals.
     pub uncertainty_mm: f64,
 }
 
-/// A number with its standard error.
+/// A fitted quantity with its standard error, both in the unit of the field that holds them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Value of the number.
+    /// Best estimate of the quantity.
     pub value: f64,
-    /// Standard error of the number.
+    /// Standard error of the quantity, one sigma.
     pub standard_error: f64,
 }
 
-/// Result of a fit: the transform and its quality.
+/// Fitted transform from map to machine, and the quality of the fit.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    /// Transform from the map to the machine.
+    /// Transform from the coordinates of the map to those of the machine.
     pub transform: Transform,
-    /// Quality of the fit.
+    /// Residuals, standard errors and warnings of the fit.
     pub report: FitReport,
 }
 
-/// Quality of a fitted transform.
+/// Quality of a fitted transform: residuals, standard errors and warnings.
 #[derive(Clone, Debug, Serialize)]
 pub struct FitReport {
-    /// Parameters that were fitted.
+    /// Kind of transform that was fitted.
     pub model: TransformModel,
-    /// Number of fiducials.
+    /// Number of fiducials that were fitted.
     pub fiducials: usize,
-    /// Measured numbers minus parameters.
+    /// Degrees of freedom: measured coordinates (two per fiducial) minus the parameters of the transform.
     pub degrees_of_freedom: usize,
     /// True if the uncertainties were given; otherwise they are estimated from the residuals.
     pub uncertainties_given: bool,
-    /// Angle by which the part is turned, x towards y, degree.
+    /// Angle by which the part is turned on the machine, degree; positive from x towards y.
     pub angle_deg: Estimate,
-    /// Scale from map to machine as a similarity finds it, also if the model keeps the scale at 1.
+    /// Scale from map to machine, dimensionless, as a similarity transform would fit it, even if the model is rigid.
     pub scale: Estimate,
-    /// Standard error of a point in the middle of the fiducials [x, y], mm.
+    /// Standard error of a transformed point at the weighted mean of the fiducials [x, y], mm.
     pub standard_error_mm: [f64; 2],
-    /// The largest standard error of a fiducial's place, mm.
+    /// Largest standard error of the transformed position of a fiducial, over all fiducials and both coordinates, mm.
     pub largest_standard_error_mm: f64,
-    /// RMS of the residuals per coordinate, mm.
+    /// RMS of the residuals over all fiducials and both coordinates, mm.
     pub rms_mm: f64,
-    /// Sum of the squares of the residuals, each over its uncertainty.
+    /// Sum of the squares of the residuals, each divided by its uncertainty; dimensionless.
     pub chi_square: f64,
-    /// Probability that the given uncertainties make at least these residuals; 1 where they were not given.
+    /// Probability that the given uncertainties lead to residuals at least as large as these. It is 1 if they were not
+    /// given, or without degrees of freedom.
     pub probability: f64,
-    /// Residual of every fiducial.
+    /// Residual of every fiducial, in the order of the file.
     pub residuals: Vec<Residual>,
     /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl FitReport {
-    /// Returns the reason not to use the transform, if the residuals are too large for their uncertainties.
+    /// Returns the reason not to use the transform, or `None`. A reason exists if the given uncertainties explain the
+    /// residuals with a probability below 0.001.
     pub fn drawback(&self) -> Option<String> {
         if self.probability >= LEAST_PROBABILITY || self.probability.is_nan() {
             return None;
@@ -155,18 +159,19 @@ impl FitReport {
     }
 }
 
-/// Weighted fiducials about their means.
+/// Fiducials relative to their weighted means, with their weights.
 struct Centred {
     mean: [[f64; 2]; 2],
-    /// (d, e, w)
+    /// Each fiducial relative to the means: in the map (d), mm; on the machine (e), mm; and its weight (w), 1/mm^2.
     each: Vec<([f64; 2], [f64; 2], f64)>,
     sum_w: f64,
-    /// sum w |d|^2
+    /// Weighted sum of the squared distances from the mean in the map, sum w |d|^2; dimensionless.
     spread: f64,
 }
 
 impl Centred {
-    /// Returns the fiducials with the weights that follow from their uncertainties.
+    /// Subtracts the weighted means from the fiducials. Each has the weight 1/sigma^2, from its standard deviation in
+    /// `sigma_mm`.
     fn new(fiducials: &[Fiducial], sigma_mm: &[f64]) -> Self {
         let weights: Vec<f64> = sigma_mm.iter().map(|s| 1.0 / (s * s)).collect();
         let sum_w: f64 = weights.iter().sum();
@@ -183,7 +188,8 @@ impl Centred {
         Self { mean, each, sum_w, spread }
     }
 
-    /// Returns A and B of the module; of the mirror image (y of the map turned over) where `mirrored`.
+    /// Returns the sums A and B of the formulas at the head of the module. With `mirrored`, the y coordinates of the
+    /// map change their signs.
     fn complex_sums(&self, mirrored: bool) -> [f64; 2] {
         let sign = if mirrored { -1.0 } else { 1.0 };
         self.each.iter().fold([0.0; 2], |s, (d, e, w)| {
@@ -192,7 +198,7 @@ impl Centred {
         })
     }
 
-    /// Returns N of the module.
+    /// Returns the normal matrix N = sum w d d' of the formulas at the head of the module.
     fn normal(&self) -> [[f64; 2]; 2] {
         let mut n = [[0.0; 2]; 2];
         for (d, _, w) in &self.each {
@@ -203,7 +209,8 @@ impl Centred {
         n
     }
 
-    /// Returns the sum of the weighted squares of the residuals of M; of the mirror image if `mirrored`.
+    /// Returns the weighted sum of squared residuals that the matrix `m` leaves. With `mirrored`, the y coordinates of
+    /// the map change their signs.
     fn left(&self, m: &[[f64; 2]; 2], mirrored: bool) -> f64 {
         let sign = if mirrored { -1.0 } else { 1.0 };
         let squares = self.each.iter().map(|(d, e, w)| {
@@ -214,14 +221,15 @@ impl Centred {
     }
 }
 
-/// Returns M of a rigid or a similar transform.
+/// Returns the matrix M of a rigid transform, or of a similarity if `scaled`. With `mirrored`, it fits the map with the
+/// sign of y changed.
 fn rotation(centred: &Centred, scaled: bool, mirrored: bool) -> [[f64; 2]; 2] {
     let [a, b] = centred.complex_sums(mirrored);
     let size = if scaled { centred.spread } else { a.hypot(b) };
     [[a / size, -b / size], [b / size, a / size]]
 }
 
-/// Returns the eigenvalues of a symmetric matrix, the larger first.
+/// Returns the two eigenvalues of a symmetric 2 x 2 matrix, the larger first.
 fn eigenvalues(n: &[[f64; 2]; 2]) -> [f64; 2] {
     let mean = 0.5 * (n[0][0] + n[1][1]);
     let half = 0.5 * (n[0][0] - n[1][1]);
@@ -229,7 +237,7 @@ fn eigenvalues(n: &[[f64; 2]; 2]) -> [f64; 2] {
     [mean + root, (mean - root).max(0.0)]
 }
 
-/// Fits `model` to fiducials.
+/// Fits a transform of the kind `model` from map to machine to fiducials, by weighted least squares.
 ///
 /// # Errors
 /// Refuses too few fiducials, and fiducials in the same place. Refuses fiducials on a line if the model is
@@ -309,8 +317,8 @@ pub fn fit(fiducials: &[Fiducial], model: TransformModel) -> Result<Registration
     Ok(Registration { transform, report })
 }
 
-/// Returns the standard deviation of the coordinates of each fiducial, mm, and true if the file states them; 1 where it
-/// does not. Refuses a file that states some of them.
+/// Returns the standard deviation of the coordinates of each fiducial, mm, and true if the file states them. Without
+/// any statement all are 1 mm. Refuses a file that states only some of them.
 fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
     let with = fiducials.iter().filter(|f| f.uncertainty_mm.is_some()).count();
     if with == 0 {
@@ -327,7 +335,8 @@ fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
     Ok((each.collect::<Result<_, _>>()?, true))
 }
 
-/// Refuses two fiducials in the same place, within their uncertainties.
+/// Refuses two fiducials that are closer, in the map or on the machine, than their joint standard deviation. Without
+/// stated uncertainties, only equal positions are refused.
 fn refuse_coincident(
     fiducials: &[Fiducial],
     sigma_mm: &[f64],
@@ -359,7 +368,7 @@ fn refuse_coincident(
     Ok(())
 }
 
-/// Returns M of an affine transform.
+/// Returns the matrix M of an affine transform, from the centred fiducials and their normal matrix N.
 fn affine(centred: &Centred, normal: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     let inverse = inverse(normal);
     let mut moment = [[0.0; 2]; 2];
@@ -371,7 +380,7 @@ fn affine(centred: &Centred, normal: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     [0, 1].map(|r| [0, 1].map(|s| moment[r][0] * inverse[0][s] + moment[r][1] * inverse[1][s]))
 }
 
-/// Returns the inverse of a matrix.
+/// Returns the inverse of a 2 x 2 matrix.
 fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     let determinant = n[0][0] * n[1][1] - n[0][1] * n[1][0];
     [
@@ -408,7 +417,8 @@ pub fn fit_mirrored(
     Ok(Registration { transform, report })
 }
 
-/// Refuses correspondences that mirror the part. Returns a warning if the fiducials cannot tell.
+/// Refuses fiducials whose positions on the machine mirror those in the map. `across` is their RMS extent across the
+/// line through them over that along it. Returns a warning if the fiducials cannot tell.
 fn refuse_mirrored(
     centred: &Centred,
     model: TransformModel,
@@ -445,7 +455,8 @@ fn refuse_mirrored(
     Ok(Vec::new())
 }
 
-/// Returns the covariance of image and matrix.
+/// Returns the covariance of the six parameters of the transform: image x, image y (mm), then the matrix row by row.
+/// `variance` multiplies it: 1, or the mean square residual if no uncertainties are given.
 fn covariance(
     centred: &Centred,
     model: TransformModel,
@@ -484,11 +495,11 @@ fn covariance(
     c
 }
 
-/// Inputs of the report, beside the transform.
+/// Numbers that `report` needs beside the transform.
 struct Numbers {
     model: TransformModel,
     degrees_of_freedom: usize,
-    /// True if the uncertainties of the fiducials are stated.
+    /// True if the file states uncertainties of the fiducials.
     is_stated: bool,
     chi_square: f64,
     variance: f64,
@@ -496,7 +507,7 @@ struct Numbers {
     warnings: Vec<String>,
 }
 
-/// Returns the quality of a fit.
+/// Compiles the report of a fit: residuals, RMS, chi-square and its probability.
 fn report(
     fiducials: &[Fiducial],
     sigma_mm: &[f64],
@@ -542,7 +553,7 @@ fn report(
     }
 }
 
-/// Returns the angle of a transform with its standard error, degree.
+/// Returns the rotation angle of a transform with its standard error, degree; positive from x towards y.
 pub fn angle(transform: &Transform) -> Estimate {
     // theta = atan2(c - m b, a + m d), with M = (a, b; c, d) and m = -1 where M mirrors
     let m = if transform.mirrors() { -1.0 } else { 1.0 };

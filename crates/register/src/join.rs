@@ -2,7 +2,8 @@
 //!
 //! Every map z_k has its own piston and tilt, because the part or the instrument moved between the measurements. The
 //! coordinates of the maps say where they lie. With c(x) the set of the maps that cover the pixel x, n(x) their number,
-//! and f = (1, u, v) the terms, the terms p_k of the maps minimise
+//! and f = (1, u, v) the piston and the tilts (u, v: coordinates from -1 to 1), the coefficients p_k of the maps
+//! minimise
 //!
 //! ```text
 //! sum over x with n(x) >= 2,  sum over k in c(x)   (z_k(x) - p_k f(x) - m(x))^2                     (1)
@@ -16,9 +17,9 @@
 //! ```
 //!
 //! m is the joined map. The misfit is the root of the mean of (1) over its degrees of freedom: the number of terms in
-//! (1) less the number of pixels and of free coefficients. It is the noise of one map if the maps are right, and
-//! larger by distortion, drift, or a wrong place. (1) is the joint fit of all overlaps of M. Otsubo, K. Okada, J.
-//! Tsujiuchi, Opt. Eng. 33 (1994) 608.
+//! (1) less the number of pixels and of free coefficients. It is the noise of one map if the maps are right.
+//! Distortion, drift, or a wrong position makes it larger. (1) is the joint fit of all overlaps of M. Otsubo, K. Okada,
+//! J. Tsujiuchi, Opt. Eng. 33 (1994) 608.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -47,12 +48,12 @@ pub enum Difference {
     Plane,
 }
 
-/// Settings of the joining.
+/// Settings for joining sub-aperture maps.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct JoinSettings {
-    /// Terms by which two maps may differ.
+    /// Low-order terms by which two maps may differ: the piston, or piston and tilt. They are fitted and subtracted.
     pub differ_by: Difference,
-    /// Smallest number of common pixels at which two maps overlap.
+    /// Smallest number of common pixels, dimensionless; two maps with fewer do not count as overlapping.
     pub least_overlap: usize,
 }
 
@@ -64,63 +65,63 @@ impl Default for JoinSettings {
     }
 }
 
-/// A joined map.
+/// The map joined from sub-apertures, with the quality of the fit.
 #[derive(Clone, Debug)]
 pub struct Joined {
-    /// The map, on a grid with the pitch of the first map that contains all maps.
+    /// The joined map, nm, on the smallest grid that contains all maps and continues the pixels of the first one.
     pub joined: Surface,
-    /// Numbers of the joining.
+    /// Quality of the fit: misfit, subtracted terms, and overlaps.
     pub report: JoinReport,
 }
 
-/// Numbers of a joining.
+/// Quality of a joined map: how well the sub-apertures agree.
 #[derive(Clone, Debug, Serialize)]
 pub struct JoinReport {
-    /// Root of the mean of the squares (1) over their degrees of freedom, nm.
+    /// Misfit of the maps where they overlap, nm: the root of the sum (1) of the module over its degrees of freedom.
     pub misfit_nm: f64,
-    /// Number of pixels that at least two maps cover.
+    /// Number of pixels of the joined map that at least two maps cover.
     pub overlap_pixels: usize,
     /// Number of valid pixels of the joined map.
     pub pixels: usize,
     /// True if all maps have their valid pixels in the same rectangle: they are averaged, not joined.
     pub same_place: bool,
-    /// Pistons and tilts that were subtracted, one per map.
+    /// Piston and tilts that were subtracted, one entry per map in the order given; zeros for the first map.
     pub terms: Vec<Terms>,
-    /// Every pair of maps that overlap.
+    /// Every pair of maps with common pixels, and their remaining difference.
     pub overlaps: Vec<Overlap>,
 }
 
-/// Piston and tilt that were subtracted from a map, on the joined map.
+/// Piston and tilt that were subtracted from one map. The first map keeps its own: its terms are zero.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Terms {
-    /// Height in the middle of the joined map, nm.
+    /// Subtracted height at the centre of the joined map, nm.
     pub piston_nm: f64,
-    /// Slope along [x, y], nm/mm.
+    /// Subtracted slope along [x, y], nm/mm.
     pub tilt_nm_per_mm: [f64; 2],
-    /// True if the map was interpolated.
+    /// True if the pixels of the map lie beside those of the joined map, so that heights were interpolated.
     pub interpolated: bool,
 }
 
-/// Common pixels of two maps.
+/// A pair of maps with common pixels, and their difference there.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Overlap {
-    /// Numbers of the maps, from 1.
+    /// Numbers of the two maps in the order given, counted from 1.
     pub maps: [usize; 2],
-    /// Number of common pixels.
+    /// Number of pixels that are valid in both maps.
     pub pixels: usize,
-    /// RMS of the difference of the maps after the subtraction, nm.
+    /// RMS of the difference of the two maps on these pixels, after subtraction of piston and tilt, nm.
     pub rms_nm: f64,
 }
 
-/// Largest number of maps. Larger: the normal equations of all terms take longer, with the cube. Smaller: large mosaics
-/// are refused.
+/// Largest number of maps. Larger: the normal equations take longer, with the cube of this number. Smaller: large
+/// mosaics are refused.
 pub const MOST_MAPS: usize = 400;
 
-/// Largest number of pixels of the joined map times the number of maps. Larger: more memory (8 bytes each). Smaller:
-/// refuses large mosaics. Chosen: 2 GB.
+/// Largest number of pixels of the joined map times the number of maps, because every map is kept on that grid. Larger:
+/// more memory (8 bytes each). Smaller: refuses large mosaics. Chosen: 2 GB.
 const MOST_STACKED_PIXELS: usize = 1 << 28;
 
-/// Joins maps whose coordinates are those of the part.
+/// Joins overlapping maps whose coordinates are those of the part: fits and subtracts piston and tilt, then averages.
 ///
 /// # Errors
 /// Refuses fewer than 2 maps or more than [`MOST_MAPS`], maps that no chain of overlaps connects with the first one,
@@ -183,7 +184,8 @@ pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, Refused
     Ok(Joined { joined, report })
 }
 
-/// Returns the smallest grid with the pixels of the first map that contains all maps. Refuses one that is too large.
+/// Returns the smallest grid that contains all maps and continues the pixel grid of the first one. Refuses a grid that
+/// is too large.
 fn whole(maps: &[Surface]) -> Result<Grid, RefusedMap> {
     let [x, y]: [Vec<&Axis>; 2] = [
         maps.iter().map(|map| &map.grid().x).collect(),
@@ -217,7 +219,7 @@ fn whole(maps: &[Surface]) -> Result<Grid, RefusedMap> {
     Ok(Grid { x: x?, y: y? })
 }
 
-/// Returns a map on the pixels of the joined map (ny, nx), nm; NaN where it is not valid.
+/// Returns a map resampled on the pixels of the joined map (ny, nx), nm; NaN where it has no valid height.
 fn resampled(map: &Surface, grid: &Grid) -> Array2<f64> {
     let source = Resampled::new(map, grid);
     Array2::from_shape_fn(grid.shape(), |(r, c)| {
@@ -227,7 +229,8 @@ fn resampled(map: &Surface, grid: &Grid) -> Array2<f64> {
     })
 }
 
-/// Returns the first and the last row, the first and the last column with a valid pixel.
+/// Returns the first and last row, then the first and last column, that contain a valid pixel. `piece` is one map on
+/// the grid of the joined map.
 fn extent(piece: &Array2<f64>) -> [usize; 4] {
     let valid = piece.indexed_iter().filter(|(_, z)| !z.is_nan());
     valid.fold([usize::MAX, 0, usize::MAX, 0], |[r0, r1, c0, c1], ((r, c), _)| {
@@ -235,7 +238,7 @@ fn extent(piece: &Array2<f64>) -> [usize; 4] {
     })
 }
 
-/// Returns the number of common pixels of every pair of maps.
+/// Returns the number of common valid pixels of every pair of maps: element `[k][l]` is that of the maps k and l.
 fn common_pixels(pieces: &[Array2<f64>]) -> Vec<Vec<usize>> {
     let mut counts = vec![vec![0; pieces.len()]; pieces.len()];
     let (ny, nx) = pieces[0].dim();
@@ -250,7 +253,8 @@ fn common_pixels(pieces: &[Array2<f64>]) -> Vec<Vec<usize>> {
     counts
 }
 
-/// Refuses maps that no chain of overlaps connects with the first one.
+/// Refuses maps that no chain of overlaps connects with the first one. `least` is the smallest number of common pixels
+/// of an overlap.
 fn refuse_islands(counts: &[Vec<usize>], least: usize) -> Result<(), RefusedMap> {
     let mut reached = vec![false; counts.len()];
     let mut next = vec![0];
@@ -270,8 +274,8 @@ fn refuse_islands(counts: &[Vec<usize>], least: usize) -> Result<(), RefusedMap>
     Err(RefusedMap { index, reason: Invalid::whole("mosaic", problem, remedy) })
 }
 
-/// Solves (2). Returns the coefficients of every map; those of the first one are 0. Refuses overlaps that do not
-/// determine them.
+/// Solves the normal equations (2) of the module. Returns the coefficients of piston and tilt of every map, nm; those
+/// of the first one are 0. Refuses overlaps that do not determine them.
 fn solve(pieces: &[Array2<f64>], low_order: &LowOrder) -> Result<Vec<Vec<f64>>, RefusedMap> {
     let terms = low_order.len();
     let maps = pieces.len();
@@ -330,7 +334,8 @@ fn solve(pieces: &[Array2<f64>], low_order: &LowOrder) -> Result<Vec<Vec<f64>>, 
     Ok(coefficients)
 }
 
-/// Every pair of maps with common pixels, and the difference that is left.
+/// Returns every pair of maps with common pixels, with the RMS of their difference after subtraction of the fitted
+/// terms.
 fn overlaps(levelled: &[Array2<f64>], counts: &[Vec<usize>]) -> Vec<Overlap> {
     let mut overlaps = Vec::new();
     for k in 0..levelled.len() {

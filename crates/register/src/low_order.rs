@@ -1,29 +1,31 @@
-//! Products of Legendre polynomials on the rectangle of a grid, and their fit to a map.
+//! Low-order terms of a map: products of Legendre polynomials on the rectangle of its grid, and their fit to a map.
 
 use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_numerics::orthogonal::legendre;
 use planish_types::{Grid, Invalid};
 
-/// Highest total order. Larger: the terms fit features of the part. Smaller: less of a drift is fitted.
+/// Highest total order i + j of the products P_i(u) P_j(v). Larger: the terms fit features of the part. Smaller: less
+/// of a drift is fitted.
 pub(crate) const MOST_ORDER: usize = 8;
 
 /// Smallest eigenvalue of the normal matrix over its trace, below which the pixels do not determine the terms. Larger:
 /// refuses narrow overlaps. Smaller: rounding decides a term.
 pub(crate) const LEAST_EIGENVALUE: f64 = 1e-9;
 
-/// Values of the terms on the pixels of a grid.
+/// Values of the low-order Legendre terms on the pixels of a grid. u and v run from -1 to 1 across the columns and the
+/// rows.
 pub(crate) struct LowOrder {
-    /// P_i(u) of every column (order + 1 each).
+    /// Legendre polynomials P_0 to P_order at the coordinate u of every column.
     along_x: Vec<Vec<f64>>,
-    /// P_j(v) of every row (order + 1 each).
+    /// Legendre polynomials P_0 to P_order at the coordinate v of every row.
     along_y: Vec<Vec<f64>>,
     order: usize,
 }
 
 impl LowOrder {
-    /// Returns the terms up to the total order `order` on the rectangle of `grid`. Refuses an order above
-    /// [`MOST_ORDER`].
+    /// Evaluates the Legendre polynomials of the total order 0 to `order` on the rectangle of `grid`. Refuses an order
+    /// above [`MOST_ORDER`].
     pub fn new(grid: &Grid, order: usize) -> Result<Self, Invalid> {
         if order > MOST_ORDER {
             let remedy = format!("give 0 to {MOST_ORDER}");
@@ -39,12 +41,12 @@ impl LowOrder {
         Ok(Self { along_x, along_y, order })
     }
 
-    /// Returns the number of terms.
+    /// Returns the number of terms: (order + 1)(order + 2)/2.
     pub fn len(&self) -> usize {
         (self.order + 1) * (self.order + 2) / 2
     }
 
-    /// Writes P_i(u) P_j(v) of total order i + j at a pixel to `out` (terms).
+    /// Writes the terms P_i(u) P_j(v), i + j <= order, at a pixel (row, column) to `out`. j varies fastest.
     pub fn write_terms(&self, (row, column): (usize, usize), out: &mut [f64]) {
         let x = &self.along_x[column];
         let y = &self.along_y[row];
@@ -57,7 +59,7 @@ impl LowOrder {
         }
     }
 
-    /// Returns the sum of the terms with these coefficients on every pixel (ny, nx).
+    /// Returns the sum of the terms with these coefficients on every pixel (ny, nx), in the unit of the coefficients.
     pub fn sum(&self, coefficients: &[f64]) -> Array2<f64> {
         let mut terms = vec![0.0; self.len()];
         Array2::from_shape_fn((self.along_y.len(), self.along_x.len()), |pixel| {
@@ -66,8 +68,8 @@ impl LowOrder {
         })
     }
 
-    /// Fits the terms to the valid pixels of a map by least squares. Returns their sum on every pixel (ny, nx). Refuses
-    /// pixels that do not determine the terms.
+    /// Fits the terms to the valid pixels (not NaN) of a map by least squares. Returns the fitted surface on every
+    /// pixel (ny, nx), in the unit of the map. Refuses pixels that do not determine the terms.
     pub fn fit(&self, map: &Array2<f64>) -> Result<Array2<f64>, Invalid> {
         let n = self.len();
         let mut normal = DMatrix::<f64>::zeros(n, n);

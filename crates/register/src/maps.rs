@@ -59,47 +59,48 @@ use crate::{
     fit::Estimate,
 };
 
-/// Settings of the registration of maps.
+/// Settings for registering a map on an earlier map of the same part.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct MapSettings {
-    /// Largest shift along an axis, mm.
+    /// Largest shift along x or y that the search allows, mm.
     pub most_shift_mm: f64,
-    /// Largest rotation, degree.
+    /// Largest rotation in either direction that the search allows, degree; at most 30.
     pub most_rotation_deg: f64,
-    /// Highest total order of the Legendre terms that are free: 0 is the piston, 1 the plane.
+    /// Highest total order of the Legendre terms that are fitted to the removal: 0 is the piston, 1 the plane.
     pub free_order: usize,
-    /// Wavelength, mm, above which features are filtered out of both maps; `None` keeps all.
+    /// Wavelength, mm, above which features are filtered out of both maps before the fit; `None` keeps all.
     pub shorter_than_mm: Option<f64>,
 }
 
-/// Result of the registration of maps.
+/// Shift and rotation of a later map, and their quality.
 #[derive(Clone, Debug)]
 pub struct MapRegistration {
     /// Transform from the coordinates of the map before to those of the map after.
     pub transform: Transform,
-    /// Quality of the registration.
+    /// Standard errors, residual and common features.
     pub report: MapReport,
 }
 
-/// Quality of a registration of maps.
+/// Position of the later map on the earlier one with its standard errors, and the quality of the fit.
 #[derive(Clone, Debug, Serialize)]
 pub struct MapReport {
-    /// Shift along x, mm.
+    /// Shift of the later map along x, mm.
     pub shift_x_mm: Estimate,
-    /// Shift along y, mm.
+    /// Shift of the later map along y, mm.
     pub shift_y_mm: Estimate,
-    /// Rotation of the later map, x towards y, degree.
+    /// Rotation of the later map about its middle, degree; positive from x towards y.
     pub rotation_deg: Estimate,
-    /// Correlation of the derivatives along x, y and around the middle at the place found, relative to its
-    /// RMS at wrong places; both after Fisher's transformation (atanh).
+    /// Measure of common features along x, along y and for rotation, dimensionless; below 3 the map is refused. It is
+    /// the correlation of the derivatives of both maps at the position found, divided by its RMS at wrong positions.
+    /// Both pass Fisher's transformation (atanh) first.
     pub features: [f64; 3],
-    /// Correlation of the maps at the place found, without the free terms.
+    /// Correlation coefficient of the two maps at the position found, after subtraction of the free low-order terms.
     pub correlation: f64,
-    /// RMS of the residual of the fit, nm.
+    /// RMS of the difference of the maps that shift, rotation and free terms leave, nm.
     pub rms_nm: f64,
-    /// Number of valid pixels in common.
+    /// Number of pixels of the later map where both maps are valid, with neighbours enough for gradients.
     pub pixels: usize,
-    /// Number of Gauss-Newton steps.
+    /// Number of Gauss-Newton steps until the position settled.
     pub steps: usize,
 }
 
@@ -107,20 +108,20 @@ pub struct MapReport {
 /// the features that the registration needs. Smaller: less of the removal can be fitted.
 const MOST_ORDER: usize = 8;
 
-/// Smallest ratio of the correlation of derivatives at the place found to its RMS at wrong places,
+/// Smallest ratio of the correlation of derivatives at the position found to its RMS at wrong positions,
 /// dimensionless; a smaller ratio is refused. Larger: refuses maps with weak features. Smaller: chance
-/// passes for features. Derived: within the limits of the search some hundred places are independent of
+/// passes for features. Derived: within the limits of the search some hundred positions are independent of
 /// each other, and the best of so many reaches 2.5 by chance.
 const LEAST_FEATURES: f64 = 3.0;
 
 /// Largest standard error of a shift, and of the rotation times half the diagonal of the map, pixels; a
-/// larger one is refused. Larger: accepts a place that is less certain. Smaller: refuses more maps. Chosen:
+/// larger one is refused. Larger: accepts an uncertain position. Smaller: refuses more maps. Chosen:
 /// an error of more than half a pixel is no better than a comparison by eye.
 const MOST_ERROR_PIXELS: f64 = 0.5;
 
-/// Number of wrong places on each side along each axis; they are displaced by multiples of a tenth of the
-/// map. 3 makes 48 wrong places. Larger: the RMS at wrong places is known better, for more time and less
-/// common area. Smaller: that RMS is less certain.
+/// Number of wrong positions on each side along each axis, at which the correlation shows what chance does. They are
+/// displaced by multiples of a tenth of the map; 3 makes 48 of them. Larger: the RMS at wrong positions is known
+/// better, for more time and less common area. Smaller: that RMS is less certain.
 const WRONG_PLACES: i64 = 3;
 
 /// Largest absolute correlation that enters Fisher's transformation; a larger one is counted as this one.
@@ -133,8 +134,9 @@ const CLOSEST_TO_ONE: f64 = 1.0 - 1e-9;
 /// come from fewer blocks and are uncertain themselves.
 const BLOCKS: usize = 6;
 
-/// Mean autocovariance of a ring of lags, in standard errors of the mean for white noise, at which the sum
-/// over lags ends. Larger: the sum ends earlier and misses correlation. Smaller: the sum includes noise.
+/// Threshold on the mean autocovariance of the residual over a ring of equal lags, at which the sum over lags ends. Its
+/// unit is the standard error of that mean for white noise. Larger: the sum ends earlier and misses correlation.
+/// Smaller: the sum includes noise.
 const SEEN: f64 = 2.0;
 
 /// Smallest number of blocks with common pixels, of `BLOCKS`^2 = 36; fewer are refused. Larger: refuses
@@ -148,18 +150,18 @@ const LEAST_PIXELS: usize = 200;
 /// maps that do not settle. Smaller: refuses maps that settle slowly.
 const MOST_STEPS: usize = 50;
 /// Gauss-Newton step, pixels, below which the registration has settled. Smaller: it may never settle,
-/// because pixels enter and leave at the border of the common area. Larger: the place is off by up to this
-/// step.
+/// because pixels enter and leave at the border of the common area. Larger: the position is off by up to
+/// this step.
 const SETTLED_PIXELS: f64 = 5e-3;
 
-/// Shift [x, y] in mm and rotation in rad.
+/// Position of the later map on the earlier one: shift [x, y] in mm and rotation in rad, positive from x towards y.
 pub(crate) type Pose = [f64; 3];
 
-/// Finds the place of `after` on `before`: shift and rotation with their standard errors.
+/// Finds the shift and the rotation of the map `after` relative to `before`, with their standard errors.
 ///
 /// # Errors
-/// Refuses settings that are not positive, maps with too few pixels or features in common, and a place beyond the
-/// limits of the search.
+/// Refuses settings that are not positive or too large, maps with too few pixels or features in common, and a position
+/// beyond the limits of the search.
 pub fn register(
     before: &Surface,
     after: &Surface,
@@ -183,7 +185,7 @@ pub fn register(
     }
 }
 
-/// Refuses settings that are not positive or too large.
+/// Refuses settings that are not positive, a rotation above 30 degrees, and an order above [`MOST_ORDER`].
 fn check(settings: &MapSettings) -> Result<(), Invalid> {
     let positive = [
         ("most_shift_mm", Some(settings.most_shift_mm)),
@@ -207,7 +209,8 @@ fn check(settings: &MapSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Inputs of the fit that do not depend on the place.
+/// Inputs of the fit that stay the same in every Gauss-Newton step: both maps, the order of the free terms, and
+/// lengths.
 struct Problem<'a> {
     before: &'a Field,
     after: &'a Field,
@@ -218,18 +221,19 @@ struct Problem<'a> {
     pixel_mm: f64,
 }
 
-/// The normal equations at a place: first the pose, then the free terms.
+/// The equations H'G step = H'r of the module at one position, with the sums for the standard errors. Unknowns: shift
+/// x, shift y, rotation times half the diagonal (mm), then the free terms.
 struct Equations {
-    /// H'G.
+    /// Matrix H'G of the module.
     normal: DMatrix<f64>,
-    /// Sums of the squares of the columns of H and of G.
+    /// Sums of the squares of the columns of H, and of those of G.
     sizes: [DVector<f64>; 2],
-    /// H'r.
+    /// Right side H'r of the module, from the residual r in nm.
     right: DVector<f64>,
-    /// H'r of every block that has pixels, after subtraction of the free terms.
+    /// Part of H'r in every block of the map that has pixels, from the residual without the free terms.
     scores: Vec<DVector<f64>>,
-    /// f of the module: variance with the correlation across the borders of blocks, relative to the
-    /// variance without it.
+    /// Factor f of the module: variance with the correlation across the borders of blocks, relative to the variance
+    /// without it.
     across_borders: f64,
     pixels: usize,
     squares: f64,
@@ -253,8 +257,8 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Takes Gauss-Newton steps from `pose`. Returns the last pose, the equations there, and the number of
-    /// steps.
+    /// Takes Gauss-Newton steps from `pose` until they are below [`SETTLED_PIXELS`]. Returns the last pose, the
+    /// equations there, and the number of steps. `limits` are the largest shift (mm) and rotation (rad).
     fn settled(
         &self,
         mut pose: Pose,
@@ -280,12 +284,13 @@ impl<'a> Problem<'a> {
         Err(Invalid::whole("after", what, remedy))
     }
 
-    /// Returns the number of free terms.
+    /// Returns the number of free low-order terms: (order + 1)(order + 2)/2.
     fn terms(&self) -> usize {
         (self.order + 1) * (self.order + 2) / 2
     }
 
-    /// Writes P_i(u) P_j(v) of total order i + j at a point of the later map to `out` (terms).
+    /// Writes the free terms P_i(u) P_j(v), i + j <= order, at a point `x` [x, y] in mm of the later map to `out`. u
+    /// and v are -1 to 1 across that map.
     fn low_order(&self, x: [f64; 2], out: &mut [f64]) {
         let n = self.order + 1;
         let [mut px, mut py] = [[0.0; MOST_ORDER + 1]; 2];
@@ -300,7 +305,8 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Returns both maps without the free terms, for the search.
+    /// Returns the heights of [later map, earlier map] without the fitted free terms, nm, row by row; NaN where
+    /// invalid. The search uses them.
     fn detrended(&self) -> [Vec<f64>; 2] {
         [self.after, self.before].map(|field| {
             let terms = self.terms();
@@ -328,7 +334,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Returns the normal equations at `pose`. Refuses too few pixels in common.
+    /// Returns the equations at `pose`. Refuses maps with too few valid pixels in common.
     fn equations(&self, pose: Pose) -> Result<Equations, Invalid> {
         let m = 3 + self.terms();
         let (sin, cos) = pose[2].sin_cos();
@@ -373,7 +379,8 @@ impl<'a> Problem<'a> {
         self.assembled(normal, sizes, right, &samples)
     }
 
-    /// Returns the equations with the residual at each sample: index, row of H, z - b, and z.
+    /// Completes the equations from the samples: each has its pixel [row, column], its row of H, the difference z - b
+    /// of the maps, and the height z, nm.
     fn assembled(
         &self,
         normal: DMatrix<f64>,
@@ -430,7 +437,8 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Returns f of the module, from the residual map `left` of the fit; NaN marks pixels without a residual.
+    /// Returns the factor f of the module, from the residuals `left` of the fit, nm (ny, nx); NaN marks pixels without
+    /// a residual.
     fn across_borders(&self, left: &Array2<f64>) -> f64 {
         let (ny, nx) = left.dim();
         let block = [ny, nx].map(|n| n as f64 / BLOCKS as f64);
@@ -458,14 +466,14 @@ impl<'a> Problem<'a> {
         if within > 0.0 { all / within } else { 1.0 }
     }
 
-    /// Returns the block of a pixel.
+    /// Returns the index, row by row, of the block of the map that contains a pixel [row, column].
     fn block(&self, [r, c]: [usize; 2]) -> usize {
         let (ny, nx) = self.after.grid().shape();
         (r * BLOCKS / ny) * BLOCKS + c * BLOCKS / nx
     }
 
-    /// Returns the correlation of the derivatives along x, y and around the middle at a place, with the map before
-    /// displaced by `by_mm`.
+    /// Returns the correlation coefficients of the derivatives of both maps along x, along y and around the middle at
+    /// `pose`. The earlier map is displaced by `by_mm` [x, y] beforehand.
     fn common(&self, pose: Pose, by_mm: [f64; 2]) -> [f64; 3] {
         let (sin, cos) = pose[2].sin_cos();
         let mut sums = [[0.0; 3]; 3];
@@ -490,7 +498,8 @@ impl<'a> Problem<'a> {
         sums.map(|[gh, gg, hh]| if gg * hh > 0.0 { gh / (gg * hh).sqrt() } else { 0.0 })
     }
 
-    /// Returns the correlations at `pose` relative to their RMS at wrong places, after Fisher's transformation.
+    /// Returns the correlations along x, along y and for rotation at `pose`, relative to their RMS at wrong positions.
+    /// Both pass Fisher's transformation first.
     fn features(&self, pose: Pose) -> [f64; 3] {
         let here = fisher(self.common(pose, [0.0; 2]));
         let range = -WRONG_PLACES..=WRONG_PLACES;
@@ -515,7 +524,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Refuses a place beyond the limits of the search.
+    /// Refuses a pose beyond the largest shift (mm) or the largest rotation (rad).
     fn refuse_beyond(&self, pose: Pose, [shift_mm, rotation]: [f64; 2]) -> Result<(), Invalid> {
         if pose[0].abs() <= shift_mm && pose[1].abs() <= shift_mm && pose[2].abs() <= rotation {
             return Ok(());
@@ -531,7 +540,8 @@ impl<'a> Problem<'a> {
         Err(Invalid::whole("after", problem, remedy))
     }
 
-    /// Returns the transform at a place, and its quality. Refuses a place that is uncertain.
+    /// Returns the transform at a pose, and the quality of the fit. Refuses a pose with too few common features or too
+    /// large standard errors.
     fn result(&self, pose: Pose, e: &Equations, steps: usize) -> Result<MapRegistration, Invalid> {
         let features = self.check_features(pose)?;
         let covariance = e.covariance(self)?;
@@ -568,7 +578,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Returns the ratios of [`Self::features`] at a place; refuses ratios below [`LEAST_FEATURES`].
+    /// Returns the ratios of [`Self::features`] at a pose. Refuses ratios below [`LEAST_FEATURES`].
     fn check_features(&self, pose: Pose) -> Result<[f64; 3], Invalid> {
         let features = self.features(pose);
         let names = ["along x", "along y", "around the middle"];
@@ -588,7 +598,8 @@ impl<'a> Problem<'a> {
         Ok(features)
     }
 
-    /// Returns q = R(theta) (p - c) + c + s.
+    /// Returns the transform q = R(theta) (p - c) + c + s of the module, with its covariance. `covariance` is that of s
+    /// (mm) and theta (rad).
     fn transform(&self, pose: Pose, covariance: &DMatrix<f64>) -> Result<Transform, Invalid> {
         let (sin, cos) = pose[2].sin_cos();
         let c = self.centre_mm;
@@ -617,13 +628,13 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Returns Fisher's transformation of correlations: near 1 they then scatter as much as small ones.
+/// Returns Fisher's transformation atanh of three correlations, which makes their scatter independent of their size.
 fn fisher(correlations: [f64; 3]) -> [f64; 3] {
     correlations.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh())
 }
 
-/// Returns the mean product of the pixels that lie `i` rows (not below 0) and `j` columns apart, and their number. NaN
-/// marks pixels that do not count.
+/// Returns the mean product of the pixels that lie `i` rows (0 or more) and `j` columns apart, and the number of these
+/// pairs. NaN marks pixels that do not count; without pairs the mean is 0.
 fn autocovariance(map: &Array2<f64>, i: isize, j: isize) -> (f64, f64) {
     let (ny, nx) = map.dim();
     let from = j.unsigned_abs();
@@ -643,13 +654,13 @@ fn autocovariance(map: &Array2<f64>, i: isize, j: isize) -> (f64, f64) {
 }
 
 impl Equations {
-    /// Returns the Gauss-Newton step: shift in mm, rotation in rad.
+    /// Returns the Gauss-Newton step of the pose: shift in mm, rotation in rad.
     fn step(&self, problem: &Problem) -> Result<Pose, Invalid> {
         let solved = self.inverse()? * &self.right;
         Ok([solved[0], solved[1], solved[2] / problem.half_diagonal_mm])
     }
 
-    /// Returns (H'G)^-1. Refuses equations that do not determine the place.
+    /// Returns the inverse of the matrix H'G of the module. Refuses equations that do not determine the position.
     fn inverse(&self) -> Result<DMatrix<f64>, Invalid> {
         // Smallest singular value of the scaled matrix H'G, dimensionless; a smaller one is refused.
         // Columns are scaled to length 1 first, so that the value does not depend on units. Larger: refuses
@@ -678,7 +689,8 @@ impl Equations {
         Ok(DMatrix::from_fn(m, m, |i, j| inverse[(i, j)] / (g[i] * h[j])))
     }
 
-    /// Returns the covariance of the pose: the sandwich by blocks. Refuses too few blocks.
+    /// Returns the covariance (3 x 3) of the pose, in mm and rad: C of the module, from the sums over blocks. Refuses
+    /// too few blocks with pixels.
     fn covariance(&self, problem: &Problem) -> Result<DMatrix<f64>, Invalid> {
         let blocks = self.scores.len();
         if blocks < LEAST_BLOCKS {

@@ -33,72 +33,74 @@ use crate::{
     resampled::Resampled,
 };
 
-/// Settings of the mean.
+/// Settings for the mean of repeated measurements.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct SeriesSettings {
-    /// Settings of the registration on the first map; `None` if the part lay still.
+    /// Settings of the registration of every map on the first one; `None` if the part did not move between the
+    /// measurements.
     pub registration: Option<MapSettings>,
-    /// Highest total order of the Legendre terms by which two measurements differ: 0 is the piston, 1 the plane.
+    /// Highest total order of the Legendre terms by which two measurements may differ: 0 is the piston, 1 the plane.
     pub free_order: usize,
 }
 
-/// Mean of a series.
+/// Mean of repeated measurements, with its statistics.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// Mean on the pixels of the first map, with the standard deviation of the mean of every pixel.
+    /// Mean height on the pixels of the first map, nm, with the standard deviation of that mean at every pixel.
     pub mean: Surface,
-    /// Numbers of the series.
+    /// Statistics of the measurements: scatter, and shift of each map.
     pub report: SeriesReport,
 }
 
-/// Numbers of a series.
+/// Statistics of repeated measurements of one part.
 #[derive(Clone, Debug, Serialize)]
 pub struct SeriesReport {
-    /// Number of maps.
+    /// Number of maps that were averaged.
     pub maps: usize,
-    /// Pooled standard deviation of one measurement, nm: the root of the mean of s^2 over the pixels, weighted by
-    /// n - 1.
+    /// Pooled standard deviation of one measurement, nm. It is the root of the mean of the variance s^2 over the
+    /// pixels, weighted by the number n of maps minus 1.
     pub single_deviation_nm: f64,
-    /// RMS of the standard deviation of the mean, nm.
+    /// RMS over the pixels of the standard deviation of the mean, nm.
     pub mean_deviation_nm: f64,
-    /// Number of valid pixels of the mean.
+    /// Number of pixels with a mean: at least two maps are valid there.
     pub pixels: usize,
-    /// Place of every map after the first one.
+    /// Shift, rotation and difference of every map after the first one, in the order given.
     pub members: Vec<Member>,
 }
 
-/// Place of a map on the first one, and its distance from the mean.
+/// Shift and rotation of one map relative to the first map, and its difference from it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Member {
-    /// Shift along x, mm; `None` if the part lay still.
+    /// Shift along x relative to the first map, mm; `None` if the maps were not registered.
     pub shift_x_mm: Option<Estimate>,
-    /// Shift along y, mm; `None` if the part lay still.
+    /// Shift along y relative to the first map, mm; `None` if the maps were not registered.
     pub shift_y_mm: Option<Estimate>,
-    /// Rotation, x towards y, degree; `None` if the part lay still.
+    /// Rotation relative to the first map, degree, positive from x towards y; `None` if the maps were not registered.
     pub rotation_deg: Option<Estimate>,
-    /// True if the map was interpolated.
+    /// True if heights were interpolated, because the pixels do not coincide with those of the first map.
     pub interpolated: bool,
-    /// RMS of the difference from the first map without its low-order terms, nm.
+    /// RMS of the difference from the first map after subtraction of the fitted low-order terms, nm.
     pub difference_rms_nm: f64,
-    /// Number of valid pixels in common with the first map.
+    /// Number of pixels that are valid in this map and in the first one.
     pub pixels: usize,
 }
 
-/// Largest number of maps. Larger: more memory, one map each. Smaller: long series are refused. Chosen: the standard
-/// deviation is then known to 2 %.
+/// Largest number of maps. Larger: more memory, one map each. Smaller: long series are refused. Chosen: from so many
+/// maps the standard deviation is known to 2 %.
 pub const MOST_MAPS: usize = 1000;
 
-/// Refusal of one map of several: its index, from 0, and the reason.
+/// Refusal of one map of several, with the reason.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("map {}: {reason}", index + 1)]
 pub struct RefusedMap {
-    /// Index of the map, from 0.
+    /// Index of the refused map, counted from 0.
     pub index: usize,
-    /// Reason.
+    /// Problem of the map, with a remedy.
     pub reason: Invalid,
 }
 
-/// Takes the mean of a series of maps.
+/// Averages repeated maps of one part on the pixels of the first one, after registration and subtraction of low-order
+/// differences.
 ///
 /// # Errors
 /// Refuses fewer than 2 maps or more than [`MOST_MAPS`], a map that does not register on the first one, and maps that
@@ -172,7 +174,7 @@ pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, Refus
     Ok(Series { mean, report })
 }
 
-/// Number, mean, and squares about the mean of the valid heights of a pixel.
+/// Number of valid heights of a pixel, their mean (nm), and the sum of their squared deviations from it (nm^2).
 struct Moments {
     count: f64,
     mean: f64,
@@ -180,7 +182,7 @@ struct Moments {
 }
 
 impl Moments {
-    /// Returns the moments of the maps at a pixel (row, column).
+    /// Returns the moments over the maps at a pixel (row, column); NaN marks invalid heights.
     fn new(maps: &[Array2<f64>], pixel: (usize, usize)) -> Self {
         let heights = maps.iter().map(|map| map[pixel]).filter(|z| !z.is_nan());
         let count = heights.clone().count() as f64;
@@ -189,7 +191,7 @@ impl Moments {
         Self { count, mean, squares }
     }
 
-    /// Returns u, nm.
+    /// Returns the standard deviation u of the mean, nm (module); it needs at least two maps.
     fn deviation(&self) -> f64 {
         (self.squares / (self.count - 1.0) / self.count).sqrt()
     }

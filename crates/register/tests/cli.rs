@@ -21,7 +21,8 @@ fn done(dir: &Path, arguments: &str) -> String {
     text(&output.stdout)
 }
 
-/// Runs, expects exit code 2, one line and nothing written; returns the line.
+/// Runs the program, and checks that the exit code is 2, the message has one line, and nothing is written. Returns that
+/// line.
 fn refused(dir: &Path, arguments: &str) -> String {
     let output = run(dir, &format!("{arguments} --out refused"));
     let said = text(&output.stderr);
@@ -32,7 +33,7 @@ fn refused(dir: &Path, arguments: &str) -> String {
     said
 }
 
-/// The corners of 100 x 60 mm, turned by a quarter turn and moved by (300, 40) mm.
+/// Fiducials at the corners of 100 x 60 mm. The machine sees them turned by 90 degrees and shifted by (300, 40) mm.
 const FIDUCIALS: &str = "name,map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm\n\
                          a,0,0,300.001,40,0.005\nb,100,0,300,139.999,0.005\n\
                          c,100,60,240,140,0.005\nd,0,60,239.999,40.001,0.005\n";

@@ -9,7 +9,7 @@ use planish_types::Transform;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// Corners of 100 x 60 mm.
+/// Map coordinates [x, y] of the corners of a part of 100 x 60 mm.
 const CORNERS: [[f64; 2]; 4] = [[0.0, 0.0], [100.0, 0.0], [100.0, 60.0], [0.0, 60.0]];
 
 fn gaussian(random: &mut ChaCha8Rng) -> f64 {
@@ -23,7 +23,8 @@ fn turned(angle_deg: f64, scale: f64) -> [[f64; 2]; 2] {
     [[scale * c, -scale * s], [scale * s, scale * c]]
 }
 
-/// Fiducials at `points`, taken by `matrix` and a shift to the machine, with noise of `sigma_mm`.
+/// Returns fiducials at `points` of the map. On the machine they are transformed by `matrix` and a shift, with noise of
+/// `sigma_mm`.
 fn measured(
     points: &[[f64; 2]],
     matrix: [[f64; 2]; 2],
@@ -75,8 +76,8 @@ fn without_noise_every_model_is_exact() {
     assert!((found.report.angle_deg.value - 31.0).abs() < 1e-12);
 }
 
-/// Square of the distance of the found transform from the true one in standard errors, along the parameters
-/// that the model has: by the images of points that determine them.
+/// Returns the squared distance of the found transform from the true one, in standard errors of the parameters that the
+/// model has.
 fn distance(found: &Transform, truth: [[f64; 2]; 2], model: TransformModel) -> f64 {
     let centre = found.centre_mm();
     let image =
@@ -110,9 +111,9 @@ fn angle_variance(found: &Transform) -> f64 {
     angle(found).standard_error.to_radians().powi(2)
 }
 
-/// Four fiducials with 5 um of noise: the part within 5 um and 0.01 degree, and the true transform within
-/// the 95 % region of the covariance in 95 % of the draws. With 1000 draws the standard error of that part is
-/// 0.7 %.
+/// Checks that four fiducials with 5 um of noise give the part to 5 um and 0.01 degree. The 95 % region of the
+/// covariance must contain the true transform in 95 % of the draws. With 1000 draws the standard error of this fraction
+/// is 0.7 %.
 #[test]
 fn the_covariance_covers_the_truth_in_95_percent_of_the_draws() {
     // 95 % of chi^2 with 3, 4, 6 degrees, and of p F(p, dof) where the uncertainties are from the residuals:
@@ -208,7 +209,7 @@ fn fiducials_that_do_not_belong_together_are_a_drawback() {
     assert!(found.report.drawback().is_none() && found.report.warnings.is_empty());
 }
 
-/// An exact fiducial counts more than one that is not: the weighted fit follows it.
+/// Checks that an exact fiducial counts more than an uncertain one: the weighted fit follows it.
 #[test]
 fn uncertainties_are_weights() {
     let mut fiducials = plain(&CORNERS, turned(0.0, 1.0));

@@ -1,4 +1,5 @@
-//! Maps of known features that were moved: the place, its sign, its standard errors, what is refused.
+//! Registration of maps with known features that were shifted and turned: the position found, its sign, its standard
+//! errors, and refusals.
 
 use ndarray::Array2;
 use planish_register::{
@@ -16,7 +17,8 @@ fn gaussian(random: &mut ChaCha8Rng) -> f64 {
     (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-/// Bumps and holes, wide enough to be known between the pixels of 0.2 mm.
+/// Features of a map: Gaussian bumps and holes, each with centre (mm), width (mm) and height (nm). They are wide enough
+/// to be interpolated between pixels of 0.2 mm.
 struct Features(Vec<([f64; 2], f64, f64)>);
 
 impl Features {
@@ -41,12 +43,13 @@ fn grid() -> Grid {
     Grid { x: axis(0.2, 101), y: axis(0.2, 61) }
 }
 
-/// Shift [x, y] in mm and rotation in rad.
+/// Shift [x, y] in mm and rotation in rad, positive from x towards y.
 type Pose = [f64; 3];
 
 const TRUTH: Pose = [0.237, -0.411, 0.3 * std::f64::consts::PI / 180.0];
 
-/// A map of `of`, with white noise of `sigma` nm or noise that is correlated over some pixels.
+/// Returns a map of the heights `of` a point (mm), nm, with noise of `sigma` nm: white, or correlated over 3 x 3
+/// pixels.
 fn map(
     of: impl Fn([f64; 2]) -> f64,
     sigma: f64,
@@ -67,7 +70,8 @@ fn map(
     Surface::new(g, z).unwrap()
 }
 
-/// The place in the map before of a point x of the map after, by the definition of the module.
+/// Returns the point of the map before that appears at the point `x` of the map after, mm, by the definition of the
+/// module.
 fn place(x: [f64; 2], pose: Pose) -> [f64; 2] {
     let c = [10.0, 6.0];
     let d = [x[0] - c[0] - pose[0], x[1] - c[1] - pose[1]];
@@ -108,10 +112,10 @@ fn a_moved_map_is_found_with_its_sign() {
     assert!((q[0] - x[0]).abs() < 2e-3 && (q[1] - x[1]).abs() < 2e-3, "{q:?}");
 }
 
-/// The truth is within two standard errors in some 94 % of the cases (36 blocks make the errors themselves uncertain),
-/// with white noise and with noise that is correlated over three pixels; of 3 x 80 numbers 2.5 standard deviations are
-/// 3.8 %. Errors scatter by 1.03 and 1.07 times the standard errors (`PLANISH_CASES=320`): an RMS of 240 numbers is known
-/// to 1 / sqrt(480) = 5 %, three of it about their mean.
+/// Checks that the truth is within two standard errors in some 94 % of the cases, with white noise and with noise that
+/// is correlated over three pixels. The 36 blocks make the errors themselves uncertain; of 3 x 80 numbers 2.5 standard
+/// deviations are 3.8 %. Errors scatter by 1.03 and 1.07 times the standard errors (`PLANISH_CASES=320`). An RMS of 240
+/// numbers is known to 1 / sqrt(480) = 5 %, three of it about their mean.
 #[test]
 fn standard_errors_cover_the_truth() {
     let cases = std::env::var("PLANISH_CASES").map_or(80, |n| n.parse::<u64>().unwrap());

@@ -30,7 +30,7 @@ fn map(g: Grid, mut of: impl FnMut([f64; 2]) -> f64) -> Surface {
     Surface::new(g, z).unwrap()
 }
 
-/// Smooth features of some pixels, different everywhere.
+/// Returns the height, nm, of smooth features at a point [x, y], mm; they extend over some pixels and never repeat.
 fn features(p: [f64; 2]) -> f64 {
     let wave = |k: f64, l: f64, phase: f64| (k * p[0] + l * p[1] + phase).sin();
     4.0 * wave(1.1, 0.7, 0.2) * wave(-0.6, 1.7, 1.0)
@@ -165,7 +165,8 @@ fn a_pixel_of_one_map_is_no_mean() {
     assert!(message.starts_with("map 2: map: has 0 valid pixel(s) in common"), "{message}");
 }
 
-/// Sub-apertures of one surface with pistons, tilts and noise, whose places are pixels of the whole.
+/// Returns sub-aperture maps of one surface with different pistons, tilts and noise. Their pixels are pixels of the
+/// whole.
 fn mosaic(noise_nm: f64, random: &mut ChaCha8Rng) -> Vec<Surface> {
     let places = [[0.0, 0.0], [4.0, 0.4], [8.0, -0.4], [0.2, 4.0], [4.2, 4.4], [8.2, 3.8]];
     (places.iter().zip(0..))
@@ -179,7 +180,7 @@ fn mosaic(noise_nm: f64, random: &mut ChaCha8Rng) -> Vec<Surface> {
         .collect()
 }
 
-/// The joined map less the truth and less the plane of the first map (nm).
+/// Returns the joined map minus the true surface and minus the plane of the first map, nm, at valid pixels.
 fn left(joined: &Surface) -> Vec<f64> {
     let g = joined.grid();
     let of = |((r, c), z): ((usize, usize), &f64)| {
@@ -213,7 +214,8 @@ fn sub_apertures_without_noise_join_exactly() {
     assert!(found.report.terms.iter().all(|t| !t.interpolated));
 }
 
-/// The misfit is the noise of one map. 5 000 degrees of freedom know it to 1 %, three of it.
+/// Checks that the misfit is the noise of one map. 5000 degrees of freedom give it to 1 %; the test allows three times
+/// that.
 #[test]
 fn the_misfit_is_the_noise_of_a_map() {
     let random = &mut case_generator(55, 4, 0);

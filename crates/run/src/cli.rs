@@ -1,4 +1,4 @@
-//! Subcommands, one file each, and what they share.
+//! The subcommands of `planish-run`, one file each.
 
 mod campaign;
 mod claim;

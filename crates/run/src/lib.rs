@@ -1,6 +1,6 @@
-//! A run of several stages: the owner of its directory.
+//! `planish-run`: runs of a pipeline, and the owner of the directory of a run.
 //!
-//! * [`owner`]: owner of a directory, that is one pipeline for one mirror.
+//! * [`owner`]: the pipeline and the mirror that a directory belongs to.
 //!
 //! The binary reads the pipelines (`planish-pipeline`), locks the directory while their stages run, and names at the end
 //! the stages that gave a negative verdict.

@@ -1,34 +1,35 @@
-//! Owner of the directory of a run: one pipeline for one mirror.
+//! Owner of the directory of a run: the pipeline and the mirror that the directory belongs to.
 
 use serde::{Deserialize, Serialize};
 
-/// Content of `run.json` in the directory of a run.
+/// Owner of a directory, as its file `run.json` states it. Another pipeline or mirror is refused there.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Owner {
-    /// Name of the pipeline.
+    /// Name of the pipeline, such as `raster`.
     pub pipeline: String,
-    /// The mirror.
+    /// Mirror that the run is for.
     pub mirror: Mirror,
 }
 
-/// The mirror of a run.
+/// Mirror that a run is for: a simulated one or a measured one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Mirror {
-    /// One of the fixtures, by its name.
+    /// Simulated mirror of the folder `fixtures/`, by the name of its recipe.
     Fixture(String),
-    /// A map and a tool, by their absolute paths: two mirrors may have the same file name.
+    /// Measured mirror: a surface error map and a tool influence function, by their absolute paths. Two mirrors may
+    /// have the same file name.
     Measured {
-        /// The surface error map.
+        /// Absolute path of the surface error map.
         surface: String,
-        /// The tool influence function.
+        /// Absolute path of the tool influence function.
         tif: String,
     },
 }
 
 impl Owner {
-    /// Description in words, for messages.
+    /// Returns the pipeline and the mirror as text for messages, such as `pipeline raster, fixture coupon`.
     pub fn describe(&self) -> String {
         let Self { pipeline, mirror } = self;
         match mirror {

@@ -1,4 +1,4 @@
-//! The binary from its flags to its files and exit codes.
+//! The program from its flags to its files and exit codes.
 #![cfg(unix)]
 
 use std::{
@@ -14,14 +14,14 @@ use serde_json::json;
 use tempfile::TempDir;
 
 const PROGRAM: &str = "planish-run";
-/// Number of races of two starts. Larger: a longer test. Smaller: a fault in the lock is found less often. Each
-/// race is two processes of a few milliseconds.
+/// Number of races between two starts in the same directory. Larger: a longer test. Smaller: a fault in the lock is
+/// found less often. Each race is two processes of a few milliseconds.
 const RACES: usize = 40;
 /// Longest time that a test waits for a command. Larger: a failed test ends later. Smaller: a loaded machine fails
 /// the test, because its commands take longer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A directory with a machine, a recipe of the fixture `coupon` and a measured mirror.
+/// Creates a directory with a machine file, a recipe of the fixture `coupon` and a measured mirror.
 fn bench() -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let axis = |name: &str| json!({"name": name, "max_velocity_mm_per_s": 10.0, "max_acceleration_mm_per_s2": 20.0});
@@ -41,7 +41,7 @@ fn bench() -> TempDir {
 const FIXTURE: [&str; 2] = ["--fixture", "fixtures/coupon.json"];
 const MEASURED: [&str; 4] = ["--surface", "mirror", "--tif", "tool"];
 
-/// `planish-run start` with this mirror, for `command`.
+/// Returns the command `planish-run start` for `command`, with the flags `mirror` and the output directory `out`.
 fn start(dir: &Path, out: &str, mirror: &[&str], command: &[&str]) -> Command {
     let mut start = planish_testkit::program::stage(PROGRAM);
     start
@@ -63,7 +63,7 @@ fn message(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Exit code 2, and one line that holds all of `parts`.
+/// Checks that the exit code is 2, and that the message is one line with all of `parts`.
 #[track_caller]
 fn refused(output: &Output, parts: &[&str]) {
     let text = message(output);
@@ -74,7 +74,7 @@ fn refused(output: &Output, parts: &[&str]) {
     }
 }
 
-/// Waits until `path` is there.
+/// Waits until the file or directory `path` exists.
 fn wait_for(path: &Path) {
     let since = Instant::now();
     while !path.exists() {
@@ -83,7 +83,7 @@ fn wait_for(path: &Path) {
     }
 }
 
-/// Starts again until the directory is free: the processes of a killed command end a moment later.
+/// Repeats a start until the directory is unlocked, because the processes of a killed command end a moment later.
 fn wait_until_free(dir: &Path) {
     let since = Instant::now();
     while !run(dir, "out", &FIXTURE, &["true"]).status.success() {
@@ -318,8 +318,8 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
 }
 
-/// A run with other settings that is killed leaves its own artifacts beside older ones. Before this test the
-/// verdict on the plan was then that of another plan, whichever stage the run had reached.
+/// Checks that a run with other settings that is killed, and leaves its own artifacts beside older ones, has no
+/// verdict. Otherwise the verdict would be that of another plan.
 #[test]
 fn a_run_that_was_ended_between_its_stages_has_no_verdict() {
     let dir = tempfile::tempdir().unwrap();
@@ -427,9 +427,9 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
 }
 
-/// Programs that write their arguments to the file `log`, a line each, and end with the code that `codes/PROGRAM` holds. In
-/// a rehearsal they write them to the file `rehearsed`, say which flags are settings, and end with the code that
-/// `codes/PROGRAM.rehearsed` holds.
+/// Creates programs that write their arguments to the file `log`, one line each, and end with the code in
+/// `codes/PROGRAM`. In a rehearsal they write them to the file `rehearsed`, say which flags are settings, and end with
+/// the code in `codes/PROGRAM.rehearsed`.
 fn recorders(dir: &Path) -> std::path::PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let programs = dir.join("programs");
@@ -452,7 +452,8 @@ fn recorders(dir: &Path) -> std::path::PathBuf {
     programs
 }
 
-/// `planish-run` with the pipelines of this repository and recording programs, and what these were called with.
+/// Runs `planish-run` with the pipelines of this repository and the programs of [`recorders`]. Returns its output, and
+/// the commands that it ran, one line each.
 fn recorded(dir: &Path, arguments: &[&str]) -> (Output, Vec<String>) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     let mut command = planish_testkit::program::stage(PROGRAM);
@@ -464,7 +465,7 @@ fn recorded(dir: &Path, arguments: &[&str]) -> (Output, Vec<String>) {
     (ended, log.lines().map(String::from).collect())
 }
 
-/// The quickest pipeline: no closed loop, no joint plan, no pictures.
+/// Settings of the quickest pipeline: no closed loop, no joint plan, no pictures.
 const QUICK: [&str; 6] =
     ["run", "raster", "machine=machine.json", "refine=no", "plan_joint=no", "frames=0"];
 
@@ -700,7 +701,7 @@ fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
     assert!(message(&ended).contains("planish-dwell bounded-least-squares"));
 }
 
-/// A pipe in the place of a file would be read for ever.
+/// Checks that a pipe in place of the report is refused; to read it would never end.
 #[cfg(unix)]
 #[test]
 fn a_pipe_in_the_place_of_the_report_is_refused() {
@@ -723,7 +724,7 @@ fn a_pipe_in_the_place_of_the_report_is_refused() {
     assert!(ends.is_some_and(|s| s.code() == Some(2)) && said.contains("is not a file"), "{said}");
 }
 
-/// Earlier, only the mirror and the machine were looked at, and compare-dwell deleted the tool path that it was given.
+/// Checks that no setting may name an input inside the output directory, where a stage could delete it.
 #[test]
 fn no_setting_names_an_input_inside_of_the_output() {
     let dir = bench();
@@ -776,7 +777,7 @@ fn no_setting_names_an_input_inside_of_the_output() {
     assert!(!log.is_empty(), "{}", message(&ended));
 }
 
-/// A tool path is read where it is, and a link to it in the directory of the run is left as it is.
+/// Checks that a tool path is read where it is, and that a link to it in the directory of the run remains.
 #[test]
 fn a_path_that_the_output_leads_to_is_not_touched() {
     let dir = bench();
@@ -832,7 +833,8 @@ fn a_link_or_a_pipe_is_not_written_in_the_directory_of_a_run() {
     assert_eq!(fs::read_to_string(dir.path().join("mine")).unwrap(), "mine");
 }
 
-/// A circle of stages once ran for ever. A word of earlier pipelines is refused with what replaces it.
+/// Checks that a stage that runs itself without end is refused, and that a word of earlier pipelines is refused with
+/// its replacement.
 #[test]
 fn a_pipeline_that_cannot_run_is_refused_before_it_begins() {
     let dir = bench();

@@ -39,23 +39,23 @@ pub struct ProgramArgs {
     output: OutputArgs,
 }
 
-/// Configuration of the controller, in the manifest.
+/// Configuration of the controller, as the manifest records it.
 #[derive(Serialize)]
 struct ConfigurationSetting<'a> {
     configuration: &'a Configuration,
 }
 
-/// Outcome in the manifest.
+/// Outcome of reading a program, as the manifest records it.
 #[derive(Serialize)]
 struct ProgramOutcome<'a> {
     segments: usize,
     total_time_s: f64,
-    /// True if the tool is on in every segment.
+    /// True if the tool removes in every segment.
     always_on: bool,
-    /// Names of the axes of a motion of all axes.
+    /// Names of the axes, if the program lists them.
     #[serde(skip_serializing_if = "Option::is_none")]
     axes: Option<Vec<&'a String>>,
-    /// Units of these axes.
+    /// Units of these axes, mm or deg.
     #[serde(skip_serializing_if = "Option::is_none")]
     units: Option<Vec<&'a String>>,
 }

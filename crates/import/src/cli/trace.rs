@@ -124,7 +124,7 @@ fn time_unit(text: &str) -> Result<Unit, String> {
     unit(text, &[Quantity::Time, Quantity::Samples], "a time, such as s, ms, ns, min, or samples")
 }
 
-/// The unit of a flag: one of the quantities `wanted`, which a message calls `kind`.
+/// Reads the unit of a flag. It must measure one of the quantities `wanted`, which a message calls `kind`.
 fn unit(text: &str, wanted: &[Quantity], kind: &str) -> Result<Unit, String> {
     let unit = Unit::read(text, wanted).filter(|unit| wanted.contains(&unit.quantity()));
     unit.ok_or_else(|| format!("is no unit of {kind}"))
@@ -268,7 +268,7 @@ impl TraceArgs {
         Ok(status)
     }
 
-    /// Returns the log beside the plan, whose tool becomes that of the log where this is asked for.
+    /// Compares the log with the plan. With `--tool-from-plan`, the log gets the tool state of the plan.
     fn beside_plan(
         &self,
         trace: &mut Trace,
@@ -305,12 +305,12 @@ impl TraceArgs {
     }
 }
 
-/// Outcome in the manifest.
+/// Outcome of reading a log, as the manifest records it.
 #[derive(Serialize)]
 struct TraceOutcome<'a> {
     segments: usize,
     total_time_s: f64,
-    /// True if the tool is on in every segment.
+    /// True if the tool removes in every segment.
     always_on: bool,
     reading: &'a TraceStatement,
     clock: &'a Clock,
@@ -324,7 +324,7 @@ struct TraceOutcome<'a> {
     beside_plan: Option<&'a Extent>,
 }
 
-/// Factor of the removal rate along the motion.
+/// Mean, smallest and largest factor of the removal rate along the motion, relative to the TIF.
 #[derive(Serialize)]
 struct RateFactorOutcome {
     mean: f64,
@@ -361,7 +361,7 @@ fn outcome<'a>(
     }
 }
 
-/// Prints the following error of both axes beside `reference`, in um and ms.
+/// Prints the following error of both axes against `reference` (setpoint or plan), in um and ms.
 fn say_following(reference: &str, following: &Following) {
     for (name, axis) in ["x", "y"].into_iter().zip(&following.axes) {
         let lag = match (axis.lag_ms, axis.lag_standard_error_ms, axis.rms_without_lag_mm) {

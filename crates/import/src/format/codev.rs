@@ -24,15 +24,16 @@ use crate::{
 
 const NAME: &str = "CODE V file";
 
-/// The line of the parameters.
+/// The line of a CODE V file that states kind, size and scale of the grid.
 struct Parameters<'a> {
-    /// Index of the line.
+    /// Index of the line in the file, from 0.
     line: usize,
     words: Vec<&'a str>,
 }
 
 impl<'a> Parameters<'a> {
-    /// Returns the line of the parameters, where this is such a file: after comments and a title.
+    /// Returns the line of the parameters, which stands among the first three lines without comments; `None` if the
+    /// text has none.
     fn find(text: &'a str) -> Option<Self> {
         let lines = text.lines().enumerate().filter(|(_, l)| !l.starts_with('!')).take(3);
         let mut lines =
@@ -43,12 +44,12 @@ impl<'a> Parameters<'a> {
         })
     }
 
-    /// Returns the place of a word.
+    /// Returns the index of a word in the line, in upper or lower case; `None` without it.
     fn position(&self, key: &str) -> Option<usize> {
         self.words.iter().position(|word| word.eq_ignore_ascii_case(key))
     }
 
-    /// Returns the number that word `k` is.
+    /// Returns the number in the word with index `k`. Refuses a word that is no finite number.
     fn number(&self, k: usize) -> Result<f64, Invalid> {
         let word = self.words.get(k).copied().unwrap_or_default();
         word.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
@@ -57,28 +58,28 @@ impl<'a> Parameters<'a> {
         })
     }
 
-    /// Returns the number after a word, if the word is there.
+    /// Returns the number after the word `key`; `None` if the word is absent.
     fn after(&self, key: &str) -> Result<Option<f64>, Invalid> {
         self.position(key).map(|k| self.number(k + 1)).transpose()
     }
 
-    /// Returns the number after a word that has to be there.
+    /// Returns the number after the word `key`, or refuses its absence.
     fn needed(&self, key: &str) -> Result<f64, Invalid> {
         let missing = format!("has no {key} in line {}", self.line + 1);
         self.after(key)?.ok_or_else(|| Invalid::whole(NAME, missing, AGAIN))
     }
 }
 
-/// Returns true for a text with a line of parameters of an interferogram.
+/// Returns true if the text has the line of parameters of a CODE V interferogram.
 pub(crate) fn is_codev(text: &str) -> bool {
     Parameters::find(text)
         .is_some_and(|p| p.position("SSZ").is_some() || p.position("WVL").is_some())
 }
 
-/// Remedy for a file without a grid of heights.
+/// Remedy in the messages about a file without a grid of heights.
 const AGAIN: &str = "write it again as a grid (GRD) of a surface (SUR)";
 
-/// Reads a grid. Refuses polynomials, filters, and another number of heights than pixels.
+/// Reads the map of a CODE V file. Refuses polynomials, filters, and another number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();

@@ -34,20 +34,22 @@ use crate::{
 
 const NAME: &str = "CSV file";
 
-/// Largest departure of a step of axes from their mean step, as a fraction: axes are written with few digits.
+/// Largest departure of a step of a coordinate axis from the mean step, as a fraction. Axes are written with few
+/// digits. Larger: heights pass as an axis. Smaller: rounded axes are missed.
 const UNIFORMITY: f64 = 0.01;
 
-/// Fewest numbers of a line that make it an axis: three may lie in equal steps by chance.
+/// Smallest number of values that can be an axis of coordinates: three may lie in equal steps by chance.
 const FEWEST: usize = 4;
 
-/// Fewest numbers in equal steps that are certainly no heights, where the next line has none. Larger: coordinates of small
-/// maps are read as heights. Smaller: heights in whole numbers are refused by chance.
+/// Smallest number of values in equal steps that are certainly coordinates, if the next row or column has no equal
+/// steps. Larger: coordinates of small maps are read as heights. Smaller: heights in whole numbers are refused by
+/// chance.
 const CERTAIN: usize = 8;
 
-/// Reads a matrix.
+/// Reads a map from a matrix of numbers.
 ///
 /// # Errors
-/// Refuses rows of several lengths, words among the numbers, and tables that are certainly no matrix of heights.
+/// Refuses rows of different lengths, words among the numbers, and tables that are certainly no matrix of heights.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let (header, first) = header(&text)?;
@@ -102,23 +104,24 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Text beside the numbers.
+/// Statements beside the numbers of the matrix.
 #[derive(Default)]
 struct Comments {
     beside: Beside,
-    /// Lines of text above the numbers.
+    /// Text lines above the numbers, for the manifest; at most [`MOST_LINES`].
     lines: Vec<String>,
     is_keyence: bool,
 }
 
-/// Most fields of a line that are looked at to tell text from numbers. Larger: more memory for a long line.
+/// Largest number of fields of a line that are looked at to tell text from numbers. Larger: more memory for a long
+/// line. Smaller: words at the end of a long line are missed.
 const MOST_FIELDS: usize = 1 << 16;
 
-/// Most lines of text above the numbers that the manifest keeps.
+/// Largest number of text lines above the numbers that the manifest keeps.
 const MOST_LINES: usize = 40;
 
-/// Returns the statements of the lines of text above the numbers, and how many lines these are. A line of text has a word
-/// in its first field. It belongs to the matrix if all other fields are numbers, and the next line has as many.
+/// Returns the statements of the text lines above the numbers, and the number of these lines. A text line has a word in
+/// its first field. It belongs to the matrix if its other fields are numbers, and the next line has as many.
 fn header(text: &str) -> Result<(Comments, usize), Invalid> {
     let mut header = Comments::default();
     let mut first = 0;
@@ -166,7 +169,7 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
     Ok((header, first))
 }
 
-/// Returns the text without its first `lines` lines.
+/// Returns the text after its first `lines` lines; empty if it has fewer.
 fn from_line(text: &str, lines: usize) -> &str {
     match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
         Some((end, _)) => &text[end + 1..],
@@ -175,31 +178,32 @@ fn from_line(text: &str, lines: usize) -> &str {
     }
 }
 
-/// Returns true for a field that is no number and no word for no data, and that has such a word in it.
+/// Returns true if the field contains a word: text that is neither a number nor a mark for no data.
 fn is_word(field: &str) -> bool {
     is_text(field) && field.split_whitespace().any(is_text)
 }
 
-/// Returns true for a text that is no number and no word for no data.
+/// Returns true if the text is neither a number nor a mark for no data, such as `nan`.
 fn is_text(word: &str) -> bool {
     !is_numeric(word) && !text::is_no_data(word)
 }
 
-/// Returns true for a number with a decimal point or a decimal comma.
+/// Returns true if the field is a number with a decimal point or a decimal comma.
 fn is_numeric(field: &str) -> bool {
     field.parse::<f64>().is_ok() || field.replacen(',', ".", 1).parse::<f64>().is_ok()
 }
 
-/// The numbers of a text, and what it says beside them.
+/// The numbers of a text, and the statements beside them.
 struct Table {
     values: Array2<f64>,
     comments: Comments,
-    /// Reason to refuse the first field if it is a word.
+    /// Reason to refuse the first field of the matrix, if that is a word.
     corner: Option<Invalid>,
     corner_is_empty: bool,
 }
 
-/// Reads the matrix of a text, which begins after `before` lines with the statements `comments`.
+/// Reads the numbers of a text. `before` is the number of lines above it, for messages, and `comments` are their
+/// statements.
 fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Invalid> {
     let mut values = Vec::new();
     let mut rows = 0;
@@ -271,22 +275,22 @@ fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Inv
     Ok(Table { values, comments, corner, corner_is_empty })
 }
 
-/// Places at which blank lines or comments stand between two rows.
+/// Blank lines or comments between rows of the matrix: their number, and where the first one is.
 #[derive(Default)]
 struct Gaps {
     is_open: bool,
     count: usize,
-    /// Rows before the first one, and the number of the line after it.
+    /// Number of rows before the first gap, and the number of the line after it.
     first: Option<(usize, usize)>,
 }
 
 impl Gaps {
-    /// Takes a line that is no row, after so many rows.
+    /// Records a line that is no row, after `rows` rows.
     fn open(&mut self, rows: usize) {
         self.is_open |= rows > 0;
     }
 
-    /// Takes a row, after so many rows.
+    /// Records a row in line `line`, after `rows` rows.
     fn close(&mut self, rows: usize, line: usize) {
         if std::mem::take(&mut self.is_open) {
             self.count += 1;
@@ -294,7 +298,7 @@ impl Gaps {
         }
     }
 
-    /// Refuses rows in several groups. A gap after every row separates nothing.
+    /// Refuses a matrix of `rows` rows in several groups. Gaps after every row are accepted.
     fn check(&self, rows: usize) -> Result<(), Invalid> {
         match self.first {
             Some((before, line)) if self.count + 1 < rows => Err(Invalid::whole(
@@ -309,12 +313,13 @@ impl Gaps {
     }
 }
 
-/// Returns true for many numbers in equal steps beside others that are not.
+/// Returns true if `own` has at least [`CERTAIN`] values in equal steps, and its neighbour `next` has no equal steps.
 fn is_axis(own: ArrayView1<f64>, next: ArrayView1<f64>) -> bool {
     own.len() >= CERTAIN && is_uniform(&own.to_vec()) && !is_uniform(&next.to_vec())
 }
 
-/// Refuses a table that is certainly no matrix of heights alone.
+/// Refuses a table that is certainly something else than heights: points x y z, profiles, or coordinates beside
+/// heights.
 fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     let (rows, columns) = values.dim();
     if columns == 3 && rows >= 3 * FEWEST {
@@ -343,7 +348,7 @@ fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     Err(Invalid::whole(NAME, problem, remedy))
 }
 
-/// Returns true where at least [`FEWEST`] numbers go in equal steps.
+/// Returns true if at least [`FEWEST`] values ascend or descend in equal steps.
 fn is_uniform(values: &[f64]) -> bool {
     let (Some(first), Some(last)) = (values.first(), values.last()) else { return false };
     let step = (last - first) / (values.len() as f64 - 1.0);

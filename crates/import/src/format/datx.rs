@@ -25,17 +25,17 @@ use crate::{
 const NAME: &str = "datx file";
 const SURFACES: &str = "/Data/Surface";
 
-/// Returns true for HDF5 with a group of surfaces.
+/// Returns true if the file is HDF5 and has the group of surfaces of a datx file.
 pub(crate) fn is_datx(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.group(SURFACES).is_ok())
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged datx file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
-/// Reads the map; `pick.dataset` names one where the file holds several.
+/// Reads the map; `pick.dataset` names one if the file holds several.
 ///
 /// # Errors
 /// Refuses a damaged file, several maps without a name, and heights in another unit than fringes, nm and um.
@@ -112,7 +112,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Root -Measurement-> M -Surface-> S -Path-> the dataset; without the table the only dataset.
+/// Returns the path of the map, by the links Root -Measurement-> M -Surface-> S -Path-> in `/MetaData`. Without that
+/// table it is the only dataset of surfaces.
 fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
     if let Some(links) = links(file)? {
         let mut path = Some("Root");
@@ -136,7 +137,7 @@ fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
     }
 }
 
-/// Returns the rows Source, Link, Destination of `/MetaData`.
+/// Returns the rows [Source, Link, Destination] of the table `/MetaData`; `None` without such a table.
 fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     let Ok(set) = file.dataset("/MetaData") else { return Ok(None) };
     let Datatype::Compound { size, fields } = set.dtype() else { return Ok(None) };
@@ -170,13 +171,13 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     Ok(Some(links))
 }
 
-/// Returns the text of an attribute.
+/// Returns the text of an attribute; `None` if it is absent.
 fn text(attributes: &Attributes, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }
 
-/// Returns the number of an attribute. Refuses one that is not finite.
+/// Returns the number of an attribute; `None` if it is absent. Refuses a number that is not finite.
 fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
     let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     let values = attribute.read_1d::<f64>().map_err(broken)?;
@@ -186,7 +187,7 @@ fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
     }
 }
 
-/// Returns the pitch along (x, y), mm, by the converters of the axes.
+/// Returns the pitch along [x, y], mm, from the converters of the axes; `None` if they state none.
 fn pitch_mm(
     set: &Dataset,
     attributes: &Attributes,
@@ -205,8 +206,8 @@ fn pitch_mm(
     Ok(<[f64; 2]>::try_from(pitches).ok())
 }
 
-/// Returns the first column, the first row, the width and the height of the map in the camera, by the compound
-/// `Coordinates`.
+/// Returns first column, first row, width and height of the map in the camera, in pixels, from the attribute
+/// `Coordinates`. Returns `None` without it.
 fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     let Some(attribute) = attributes.get("Coordinates")? else { return Ok(None) };
     let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
@@ -222,7 +223,7 @@ fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     Ok(Some(window))
 }
 
-/// Returns the rows of the camera, where a group of `/Attributes` states them.
+/// Returns the number of rows of the camera; `None` if no group of `/Attributes` states it.
 fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
     let Ok(group) = file.group("/Attributes") else { return Ok(None) };
     let (groups, _) = group.members().map_err(broken)?;
@@ -241,7 +242,8 @@ fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
     Ok(None)
 }
 
-/// Returns base unit and parameters of a compound {Category, BaseUnit, Parameters}.
+/// Returns the base unit and the parameters of the converter called `name`, an attribute {Category, BaseUnit,
+/// Parameters}; `None` without it.
 fn converter(
     set: &Dataset,
     attributes: &Attributes,

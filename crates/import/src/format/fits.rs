@@ -36,7 +36,8 @@ const CARD: usize = 80;
 /// equal steps by as much.
 const MOST_SLANT: f64 = 1e-4;
 
-/// Returns true if a number or an EXTNAME is that of an HDU.
+/// Returns true if `wanted` is the number or the EXTNAME of the header and data unit (HDU) `hdu`, which is called
+/// `name`.
 fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
     wanted.is_some_and(|wanted| match wanted.parse::<usize>() {
         Ok(number) => number == hdu,
@@ -44,8 +45,8 @@ fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
     })
 }
 
-/// Returns the images with two axes, the number of all HDUs, and true if an image is compressed. Refuses a `requested`
-/// HDU that is anything else.
+/// Returns the images with two axes, the number of all header and data units (HDUs), and true if an image is
+/// compressed. Refuses a `requested` HDU [map, mask] that is no image with two axes.
 fn images(
     b: &Bytes<'_>,
     requested: [Option<&str>; 2],
@@ -84,7 +85,8 @@ fn images(
     Ok((images, index, is_compressed))
 }
 
-/// Reads the image of the HDU whose number (0, the primary, first) or EXTNAME is `pick.dataset`, else the only one.
+/// Reads the image of the header and data unit (HDU) that `pick.dataset` names by number (0 is the primary one) or
+/// EXTNAME. Without a name it is the only image.
 ///
 /// # Errors
 /// Refuses damaged files, several images without a name, and axes that are turned or not linear.
@@ -147,20 +149,20 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// An image with two axes.
+/// An image with two axes in a FITS file.
 struct Image {
     hdu: usize,
     header: Header,
-    /// Byte at which its numbers begin.
+    /// Offset of its numbers in the file, bytes.
     at: usize,
-    /// Rows, columns.
+    /// Number of rows and columns.
     size: [usize; 2],
-    /// EXTNAME; empty where there is none.
+    /// Name of the extension (EXTNAME); empty without one.
     name: String,
 }
 
 impl Image {
-    /// Returns the number of the HDU and its name, for a message.
+    /// Returns the number of the header and data unit and its name, for a message.
     fn label(&self) -> String {
         match self.name.as_str() {
             "" => format!("HDU {}", self.hdu),
@@ -169,7 +171,7 @@ impl Image {
     }
 }
 
-/// Returns the numbers of an image as stored.
+/// Returns the numbers of an image as stored, without scale and offset (rows, columns).
 fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
     let [rows, columns] = image.size;
     let count = check_size("FITS image", rows, columns)?;
@@ -179,7 +181,7 @@ fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
     Ok(Array2::from_shape_vec((rows, columns), values).expect("one value per pixel"))
 }
 
-/// Reads the image that is the map.
+/// Reads the map from its image: numbers, unit, coordinates and invalid pixels.
 fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
     let header = &image.header;
     let number = header.number()?;
@@ -206,27 +208,27 @@ fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
 }
 
 impl Number {
-    /// Returns true for a type of whole numbers.
+    /// Returns true if the type is one of integers.
     fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
     }
 }
 
-/// The cards of a header; of those with one key the first; and the texts of COMMENT and HISTORY.
+/// The cards of a FITS header by their keys (of repeated keys the first), and the texts of COMMENT and HISTORY.
 struct Header(HashMap<String, String>, Vec<String>);
 
-/// Beginnings of keys that are read elsewhere or say nothing of the values.
+/// Beginnings of keys that the reader handles itself, or that say nothing about the values.
 const READ: [&str; 24] = [
     "SIMPLE", "BITPIX", "NAXIS", "EXTEND", "BSCALE", "BZERO", "BLANK", "BUNIT", "CDELT", "CRVAL",
     "CRPIX", "CUNIT", "CTYPE", "CD", "PC", "CROTA", "XTENSION", "PCOUNT", "GCOUNT", "EXTNAME",
     "EXTVER", "DATE", "DATAM", "CHECKSUM",
 ];
 
-/// Most cards and comments that are read as statements. Larger: more time on long headers. Smaller: a statement after a
-/// long history is not seen.
+/// Largest number of cards and comments that are read as statements. Larger: more time on long headers. Smaller: a
+/// statement after a long history is not seen.
 const MOST_STATEMENTS: usize = 1000;
 
-/// Reads the header at a place. Returns it, and the place of its data.
+/// Reads the header that begins at byte `start`. Returns it with the offset of its data.
 fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
     let mut cards = HashMap::new();
     let mut comments = Vec::new();
@@ -257,24 +259,24 @@ fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
     }
 }
 
-/// Returns the size of the blocks that hold so many bytes.
+/// Returns the number of bytes rounded up to whole blocks of 2880.
 fn blocks(bytes: usize) -> usize {
     bytes.div_ceil(BLOCK).saturating_mul(BLOCK)
 }
 
 impl Header {
-    /// Returns the value of a card as it is written.
+    /// Returns the value of a card as text, with its comment; `None` without the card.
     fn raw(&self, key: &str) -> Option<&str> {
         self.0.get(key).map(String::as_str)
     }
 
-    /// Returns a string in quotes.
+    /// Returns the string of a card, without its quotation marks; `None` if it has none.
     fn text(&self, key: &str) -> Option<String> {
         let value = self.raw(key)?.strip_prefix('\'')?;
         value.split('\'').next().map(|t| t.trim_end().to_string())
     }
 
-    /// Returns the number of a card. Refuses a card that has another value.
+    /// Returns the number of a card; `None` without the card. Refuses a value that is no number.
     fn float(&self, key: &str) -> Result<Option<f64>, Invalid> {
         let Some(raw) = self.raw(key) else { return Ok(None) };
         let value = raw.split('/').next().unwrap_or_default().trim();
@@ -285,7 +287,7 @@ impl Header {
         })
     }
 
-    /// Returns the statements in cards beside those of the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in
+    /// Returns the statements in cards outside the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in
     /// comments.
     fn statements(&self) -> Result<Beside, Invalid> {
         let mut beside = Beside::default();
@@ -315,7 +317,7 @@ impl Header {
         Ok(beside)
     }
 
-    /// Returns the count of a card that has to be there.
+    /// Returns the whole number of a card, 0 or more. Refuses a header without it.
     fn whole(&self, key: &str) -> Result<usize, Invalid> {
         let value = self.float(key)?.filter(|v| *v >= 0.0 && *v < 1e15 && v.fract() == 0.0);
         value.map(|v| v as usize).ok_or_else(|| {
@@ -324,7 +326,8 @@ impl Header {
         })
     }
 
-    /// Returns the rule of the coordinates of the pixels, or `None` if the header lacks the step of an axis.
+    /// Returns the rule of the coordinates of the pixels, or `None` if the header lacks the step of an axis. `len` is
+    /// the number of pixels along [x, y].
     fn rule(&self, len: [usize; 2], warnings: &mut Vec<String>) -> Result<Option<Rule>, Invalid> {
         let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
         let remedy = "write the map on axes of length, or delete these cards and give `pixel_mm`";
@@ -396,7 +399,7 @@ impl Header {
         Ok(Some(Rule { step: [x, y], unit, reference }))
     }
 
-    /// Returns NAXIS1, NAXIS2, ...
+    /// Returns the lengths of the axes, NAXIS1, NAXIS2, ...; NAXIS1 is the number of columns.
     fn sizes(&self) -> Result<Vec<usize>, Invalid> {
         let n = self.whole("NAXIS")?;
         if n > 999 {
@@ -405,7 +408,7 @@ impl Header {
         (1..=n).map(|i| self.whole(&format!("NAXIS{i}"))).collect()
     }
 
-    /// Returns the type of the numbers.
+    /// Returns the type of the numbers, from BITPIX.
     fn number(&self) -> Result<Number, Invalid> {
         match self.float("BITPIX")? {
             Some(8.0) => Ok(Number::U8),
@@ -418,7 +421,7 @@ impl Header {
         }
     }
 
-    /// Returns the size of the data: BITPIX / 8 x GCOUNT x (PCOUNT + NAXIS1 x ...).
+    /// Returns the size of the data, bytes: BITPIX / 8 x GCOUNT x (PCOUNT + NAXIS1 x ...).
     fn data_bytes(&self, sizes: &[usize]) -> Result<usize, Invalid> {
         let each = self.number()?.size();
         let groups = if self.raw("GCOUNT").is_some() { self.whole("GCOUNT")? } else { 1 };

@@ -24,15 +24,16 @@ use crate::{
 const NAME: &str = "4Sight file";
 const DATA: &str = "measurement0/genraw/data";
 
-/// Stored values from here on are invalid.
+/// Smallest stored value that marks an invalid pixel.
 const INVALID: f64 = 1e38;
 
-/// Returns true for HDF5 with a map where 4Sight has it.
+/// Returns true if the file is HDF5 and has a map at the path of 4Sight.
 pub(crate) fn is_four_sight(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.dataset(DATA).is_ok())
 }
 
-/// Returns the path of the map of the only measurement, or of the one that is asked for.
+/// Returns the path of the map that the user names, or that of the only measurement. Refuses several measurements
+/// without a name.
 fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
     let root = file.root_group().map_err(broken)?;
     let (groups, _) = root.member_names().map_err(broken)?;
@@ -50,7 +51,8 @@ fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
     }
 }
 
-/// Returns the positive length in an attribute such as "632.8 nm", and its unit.
+/// Returns the number and the unit in an attribute such as "632.8 nm"; `None` if it is absent. Refuses one that is no
+/// positive length.
 fn length(group: &Group, name: &str) -> Result<Option<(f64, Unit)>, Invalid> {
     let Some(text) = attribute_text(group, name)? else { return Ok(None) };
     if let Some((value, unit)) = text.trim().split_once(char::is_whitespace)
@@ -64,7 +66,7 @@ fn length(group: &Group, name: &str) -> Result<Option<(f64, Unit)>, Invalid> {
     Err(Invalid::whole(NAME, problem, "export it again from 4Sight"))
 }
 
-/// Returns the number of an attribute, if it is finite.
+/// Returns the number of an attribute; `None` if it is absent or not finite.
 fn number(group: &Group, name: &str) -> Result<Option<f64>, Invalid> {
     let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
     Ok(attribute_numbers(&attribute).and_then(|v| v.first().copied()).filter(|v| v.is_finite()))
@@ -129,7 +131,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns an attribute of a group. All of them are looked at together: one of many values may point to long texts.
+/// Returns an attribute of a group; `None` if it is absent. Refuses a group in which any attribute has too many values,
+/// because they may point to long texts.
 fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Invalid> {
     let raw = group.raw_attributes().map_err(broken)?;
     for attribute in &raw {
@@ -145,13 +148,13 @@ fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Inval
     group.attribute(name).map(Some).map_err(broken)
 }
 
-/// Returns the text of an attribute.
+/// Returns the text of an attribute; `None` if it is absent.
 fn attribute_text(group: &Group, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }
 
-/// Returns a text for a message or the manifest.
+/// Returns the first 40 characters of a text without control characters, for a message or the manifest.
 fn short(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(40).collect()
 }

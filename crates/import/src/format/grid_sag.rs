@@ -19,12 +19,12 @@ use crate::{
 
 const NAME: &str = "grid sag file";
 
-/// Returns true for a line that is empty or a comment.
+/// Returns true if the line is empty or a comment.
 fn is_comment(line: &str) -> bool {
     line.trim().is_empty() || line.trim_start().starts_with('!')
 }
 
-/// Returns true where a line of parameters and a line of a pixel come first.
+/// Returns true if the text begins with a line of parameters and a line of a pixel, as grid sag files do.
 pub(crate) fn is_grid_sag(text: &str) -> bool {
     let lines = text.lines().filter(|line| !is_comment(line)).take(2);
     let numbers: Option<Vec<Vec<f64>>> = lines
@@ -37,13 +37,13 @@ pub(crate) fn is_grid_sag(text: &str) -> bool {
         && (4..=5).contains(&second.len())
 }
 
-/// Returns the error of a file that is none.
+/// Returns the message about a text that is no grid sag file.
 fn bad(problem: String) -> Invalid {
     let remedy = "write nx ny delx dely unitflag xdec ydec, then a line per pixel";
     Invalid::whole(NAME, problem, remedy)
 }
 
-/// Reads the sag. Refuses another number of lines than pixels, and unknown units.
+/// Reads the map of heights (sag). Refuses another number of lines than pixels, and unknown units.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();

@@ -21,18 +21,18 @@ use crate::{
 const NAME: &str = "GSF file";
 pub(crate) const MAGIC: &[u8] = b"Gwyddion Simple Field 1.0\n";
 
-/// The lines `key = value` of a header.
+/// The header of a GSF file, lines `key = value`.
 struct Header<'a>(Cow<'a, str>);
 
 impl Header<'_> {
-    /// Returns the first value of a key, if it is not empty.
+    /// Returns the first value of a key; `None` if it is absent or empty.
     fn field(&self, key: &str) -> Option<String> {
         let mut pairs = self.0.lines().filter_map(|line| line.split_once('='));
         let (_, value) = pairs.find(|(k, _)| k.trim() == key)?;
         Some(value.trim().to_string()).filter(|v| !v.is_empty())
     }
 
-    /// Returns the number of a key.
+    /// Returns the number of a key; `None` if the key is absent. Refuses a value that is no finite number.
     fn number(&self, key: &str) -> Result<Option<f64>, Invalid> {
         let Some(text) = self.field(key) else { return Ok(None) };
         match text.parse::<f64>() {
@@ -41,7 +41,7 @@ impl Header<'_> {
         }
     }
 
-    /// Returns the number of pixels of a key.
+    /// Returns the number of pixels that a key states. Refuses an absent key.
     fn size(&self, key: &str) -> Result<usize, Invalid> {
         match self.number(key)? {
             Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
@@ -50,12 +50,12 @@ impl Header<'_> {
     }
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged GSF file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from Gwyddion")
 }
 
-/// Reads a field. Refuses a damaged file, and units that are no lengths.
+/// Reads the map. Refuses a damaged file, and units that are no lengths.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if !bytes.starts_with(MAGIC) {
         return Err(bad("does not start with \"Gwyddion Simple Field 1.0\"".into()));
@@ -96,7 +96,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns a text for a message or the manifest.
+/// Returns the first 80 characters of a text without control characters, for a message or the manifest.
 fn short(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(80).collect()
 }

@@ -28,7 +28,7 @@ use crate::{
 const NAME: &str = "GWY file";
 pub(crate) const MAGIC: &[u8] = b"GWYP";
 
-/// Refuses arrays beside the channel.
+/// Refuses names of coordinates or of a mask, because the channel has its own.
 fn refuse_arrays(pick: &Pick) -> Result<(), Invalid> {
     for (name, array) in [("x", &pick.x), ("y", &pick.y), ("mask", &pick.mask)] {
         if let Some(array) = array {
@@ -83,12 +83,12 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the value of a component.
+/// Returns the value of the component called `name`; `None` without it.
 fn find<'a, 'b>(components: &'b [Component<'a>], name: &str) -> Option<&'b Value<'a>> {
     components.iter().find(|c| c.name == name).map(|c| &c.value)
 }
 
-/// Returns the number of the requested channel, or of the only one.
+/// Returns the number of the requested channel, or that of the only one. Refuses several channels without a request.
 fn channel<'a>(all: &'a [Component<'_>], requested: Option<&str>) -> Result<&'a str, Invalid> {
     let mut channels = Vec::new();
     for component in all.iter().filter(|c| matches!(c.value, Value::Object(_))) {
@@ -119,7 +119,7 @@ fn channel<'a>(all: &'a [Component<'_>], requested: Option<&str>) -> Result<&'a 
     }
 }
 
-/// Returns the title of a channel; empty if it has none.
+/// Returns the title of channel `number`; empty if it has none.
 fn title(all: &[Component<'_>], number: &str) -> String {
     match find(all, &format!("/{number}/data/title")) {
         Some(Value::Text(text)) => short(text),
@@ -127,7 +127,7 @@ fn title(all: &[Component<'_>], number: &str) -> String {
     }
 }
 
-/// Reads the map of this name in the container, if there is one.
+/// Reads the map that is the component `name` of the container; `None` without it.
 fn field(all: &[Component<'_>], name: &str) -> Result<Option<GwyField>, Invalid> {
     match find(all, name) {
         Some(Value::Object(object)) => GwyField::new(object).map(Some),
@@ -135,19 +135,20 @@ fn field(all: &[Component<'_>], name: &str) -> Result<Option<GwyField>, Invalid>
     }
 }
 
-/// A GwyDataField.
+/// A map in a Gwyddion file (GwyDataField): heights, size, position and units.
 struct GwyField {
     values: Array2<f64>,
-    /// Size along x and y, in `unit_xy`.
+    /// Size of the map along [x, y], in `unit_xy`.
     real: Option<[f64; 2]>,
-    /// Upper left corner in the scanner, whose y goes down, in `unit_xy`.
+    /// Position [x, y] of the upper left corner in the scanner, in `unit_xy`; y points down.
     offset: Option<[f64; 2]>,
     unit_xy: Option<String>,
     unit_z: Option<String>,
 }
 
 impl GwyField {
-    /// Reads a map. Refuses another object, and one without as many heights as pixels.
+    /// Reads a map from its object. Refuses another kind of object, and a number of heights that is not that of the
+    /// pixels.
     fn new(object: &Object) -> Result<Self, Invalid> {
         if object.name != "GwyDataField" {
             return Err(broken(format!("has a \"{}\" as a channel", short(&object.name))));
@@ -175,7 +176,7 @@ impl GwyField {
     }
 }
 
-/// Returns a number of pixels.
+/// Returns the number of pixels that the component `name` states, or refuses its absence.
 fn size(components: &[Component<'_>], name: &str) -> Result<usize, Invalid> {
     match find(components, name) {
         Some(Value::Int(n)) => usize::try_from(*n).map_err(|_| broken(format!("has {name} = {n}"))),
@@ -183,7 +184,7 @@ fn size(components: &[Component<'_>], name: &str) -> Result<usize, Invalid> {
     }
 }
 
-/// Returns two numbers, if both are there. Refuses those that are not finite.
+/// Returns the two numbers of these components; `None` unless both exist. Refuses numbers that are not finite.
 fn pair(components: &[Component<'_>], names: [&str; 2]) -> Result<Option<[f64; 2]>, Invalid> {
     let mut numbers = [None; 2];
     for (number, name) in numbers.iter_mut().zip(names) {
@@ -198,7 +199,7 @@ fn pair(components: &[Component<'_>], names: [&str; 2]) -> Result<Option<[f64; 2
     Ok(x.zip(y).map(|(x, y)| [x, y]))
 }
 
-/// Returns the name of a unit; an empty one is none.
+/// Returns the symbol of the unit in the component `name`; `None` if it is absent or empty.
 fn unit(components: &[Component<'_>], name: &str) -> Result<Option<String>, Invalid> {
     let Some(Value::Object(object)) = find(components, name) else { return Ok(None) };
     match find(&object.components()?, "unitstr") {
@@ -207,7 +208,7 @@ fn unit(components: &[Component<'_>], name: &str) -> Result<Option<String>, Inva
     }
 }
 
-/// A serialised object: its name and the bytes of its components.
+/// A serialised object: its name, and the bytes of its components.
 struct Object<'a> {
     name: String,
     bytes: Bytes<'a>,
@@ -218,7 +219,7 @@ struct Component<'a> {
     value: Value<'a>,
 }
 
-/// A value that the reader uses; any other one is passed over.
+/// Value of a component, of the types that the reader uses; `Other` stands for all others.
 enum Value<'a> {
     Int(i32),
     Double(f64),
@@ -229,7 +230,7 @@ enum Value<'a> {
 }
 
 impl<'a> Object<'a> {
-    /// Reads the components of an object.
+    /// Reads the components of an object from its bytes. Refuses too many.
     fn components(&self) -> Result<Vec<Component<'a>>, Invalid> {
         let b = &self.bytes;
         let mut start = 0;
@@ -248,7 +249,7 @@ impl<'a> Object<'a> {
     }
 }
 
-/// Returns the object at a place, and the place after it.
+/// Reads the object that begins at byte `start`. Returns it with the offset of the next one.
 fn object<'a>(b: &Bytes<'a>, start: usize) -> Result<(Object<'a>, usize), Invalid> {
     let (name, after) = string(b, start)?;
     let size = b.u32(after)? as usize;
@@ -256,7 +257,7 @@ fn object<'a>(b: &Bytes<'a>, start: usize) -> Result<(Object<'a>, usize), Invali
     Ok((Object { name, bytes: Bytes { all, ..*b } }, after + 4 + size))
 }
 
-/// Returns the text up to its NUL, and the place after that.
+/// Reads the text from byte `start` up to a NUL. Returns it with the offset after the NUL.
 fn string(b: &Bytes, start: usize) -> Result<(String, usize), Invalid> {
     let rest = b.slice(start, b.all.len().saturating_sub(start))?;
     let end = rest.iter().take(MOST_TEXT_BYTES).position(|c| *c == 0);
@@ -264,7 +265,7 @@ fn string(b: &Bytes, start: usize) -> Result<(String, usize), Invalid> {
     Ok((String::from_utf8_lossy(&rest[..end]).into_owned(), start + end + 1))
 }
 
-/// Returns the bytes of a number of a type.
+/// Returns the size of a number of the type `kind` (its letter in the file), bytes; `None` for other types.
 fn bytes_each(kind: u8) -> Option<usize> {
     match kind {
         b'b' | b'c' => Some(1),
@@ -274,7 +275,7 @@ fn bytes_each(kind: u8) -> Option<usize> {
     }
 }
 
-/// Returns the value of a component of a type, and the place after it.
+/// Reads the value of the type `kind` (its letter in the file) at byte `start`. Returns it with the offset after it.
 fn value<'a>(b: &Bytes<'a>, kind: u8, start: usize) -> Result<(Value<'a>, usize), Invalid> {
     let unknown = || broken(format!("has a component of type {kind:02X} at byte {start}"));
     if kind.is_ascii_lowercase() {
@@ -321,12 +322,12 @@ fn value<'a>(b: &Bytes<'a>, kind: u8, start: usize) -> Result<(Value<'a>, usize)
     }
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged Gwyddion file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again in Gwyddion")
 }
 
-/// Returns a text for a message or the manifest.
+/// Returns the first 80 characters of a text without control characters, for a message or the manifest.
 fn short(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(80).collect()
 }

@@ -44,11 +44,12 @@ use crate::{
 const NAME: &str = "HDF5 file";
 const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-/// Depth of groups within groups to which datasets are listed. Larger: more time on a hostile file.
-/// Smaller: a dataset in a deeper group has to be named by its path.
+/// Largest depth of nested groups in which datasets are listed. Larger: more time on a hostile file. Smaller: a dataset
+/// in a deeper group has to be named by its path.
 const DEEPEST: usize = 6;
 
-/// Most values of an attribute.
+/// Largest number of values of an attribute that are read. Larger: more time on hostile files. Smaller: refuses
+/// attributes that are lists.
 pub(crate) const MOST_VALUES: u64 = 64;
 
 /// Largest number of symbols (entries of groups of the first layout) that are read from a file. Larger:
@@ -58,7 +59,7 @@ const MOST_SYMBOLS: u64 = 4096;
 /// Larger: more memory for a hostile file. Smaller: refuses groups with many long names.
 const LONGEST_NAMES: u64 = 1 << 16;
 
-/// Returns true if the signature is where HDF5 has it.
+/// Returns true if the signature of HDF5 stands at byte 0, 512, 1024 or 2048.
 pub(crate) fn is_hdf5(bytes: &[u8]) -> bool {
     // A user block of 512 bytes, or twice that again and again, may come first.
     [0, 512, 1024, 2048]
@@ -66,12 +67,12 @@ pub(crate) fn is_hdf5(bytes: &[u8]) -> bool {
         .any(|start| bytes.get(*start..).is_some_and(|b| b.starts_with(SIGNATURE)))
 }
 
-/// Returns the error of a file that the crate hdf5-reader does not read.
+/// Returns the message about a file that the crate hdf5-reader cannot read.
 pub(crate) fn broken(error: Error) -> Invalid {
     Invalid::whole(NAME, format!("cannot be read ({error})"), "write it again, or crop it")
 }
 
-/// Opens a file; nothing larger than a map is read from it, and no more often than [`MOST_READS`].
+/// Opens an HDF5 file. Reads from it are limited in size to that of a map, and in number to [`MOST_READS`].
 pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     if !is_hdf5(bytes) {
         let problem = "does not start with the signature of HDF5";
@@ -92,8 +93,8 @@ pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     Hdf5File::from_storage_with_options(Arc::new(metered), options).map_err(broken)
 }
 
-/// The bytes of a file, and how much may still be read of them: a file of a few kilobytes that points to
-/// itself can be read without end.
+/// The bytes of a file, with the reads, bytes and symbols that may still be read. A file of a few kilobytes that points
+/// to itself could be read without end.
 struct Metered {
     bytes: BytesStorage,
     reads: AtomicU64,
@@ -126,7 +127,7 @@ impl Storage for Metered {
     }
 }
 
-/// Takes `n` from what may still be read. Refuses more than is left.
+/// Subtracts `n` from the remaining budget `left`, or refuses if less is left. `what` names the budget in the message.
 fn spend(left: &AtomicU64, n: u64, what: &str) -> Result<(), Error> {
     match left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(n)) {
         Ok(_) => Ok(()),
@@ -134,7 +135,8 @@ fn spend(left: &AtomicU64, n: u64, what: &str) -> Result<(), Error> {
     }
 }
 
-/// Returns the coordinates of the columns and rows of a map.
+/// Returns the coordinates of the columns and rows of a map of `(rows, columns)`, from two datasets. Refuses different
+/// units.
 fn coordinates(
     x_set: &Dataset,
     y_set: &Dataset,
@@ -153,14 +155,15 @@ fn coordinates(
     })
 }
 
-/// Returns a dataset as a matrix with its scale and its offset.
+/// Returns a dataset as a matrix, with `scale_factor` and `add_offset` applied. `transposed` is true for files of
+/// MATLAB.
 fn scaled(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
     let Convention { scale, offset, .. } = Convention::read(set)?;
     let stored = matrix(set, transposed)?;
     Ok(if (scale, offset) == (1.0, 0.0) { stored } else { stored.mapv(|v| offset + scale * v) })
 }
 
-/// Reads the dataset that `pick` names; without a name a customary one, or the only map there is.
+/// Reads the dataset that `pick` names; without a name a customary one, or the only map of the file.
 ///
 /// # Errors
 /// Refuses a damaged file, a file of several maps without a name, and arrays that are no real numbers on two axes.
@@ -244,7 +247,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the array that is requested, and the coordinates beside it, with their shapes.
+/// Returns names and shapes of the requested array, and of the customary coordinates beside it, as far as they exist.
 fn named(file: &Hdf5File, name: &str) -> Arrays {
     let own = prefix(name);
     let beside = BESIDE.iter().chain([&["Xtif", "Ytif"]]).flatten();
@@ -260,11 +263,11 @@ fn named(file: &Hdf5File, name: &str) -> Arrays {
     arrays
 }
 
-/// Paths and shapes of all datasets of real numbers or truth values with at most two axes beside axes of one pixel, and
-/// the path of one of complex numbers.
+/// Paths and shapes of all datasets of real numbers or truth values with at most two axes, without counting leading
+/// axes of one pixel. The path is that of a dataset of complex numbers, if there is one.
 type Listed = (Arrays, Option<String>);
 
-/// Lists the arrays of a file.
+/// Lists the arrays in all groups of a file.
 fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
     let mut listed = Listed::default();
     let root = file.root_group().map_err(broken)?;
@@ -272,8 +275,8 @@ fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
     Ok(listed)
 }
 
-/// Adds what is in `group` and below it. A group may be linked to from several places, from within
-/// itself too: it is listed at the first.
+/// Appends the arrays in `group` and below it to `listed`. A group may be linked from several places, even from within
+/// itself; it is listed once.
 fn list(
     group: &Group,
     path: &str,
@@ -313,13 +316,13 @@ fn list(
     Ok(())
 }
 
-/// Returns a shape without axes of one pixel before the last two.
+/// Returns a shape without leading axes of length 1; the last two axes always remain.
 fn without_leading_ones(shape: &[u64]) -> Vec<u64> {
     let ones = shape.iter().take(shape.len().saturating_sub(2)).take_while(|n| **n == 1).count();
     shape[ones..].to_vec()
 }
 
-/// Returns true for truth values, as h5py and MATLAB write them.
+/// Returns true if the dataset holds truth values, as h5py or MATLAB write them.
 fn is_truth(set: &Dataset) -> Result<bool, Invalid> {
     match set.dtype() {
         Datatype::Enum { base, .. } => Ok(matches!(**base, Datatype::FixedPoint { size: 1, .. })),
@@ -332,20 +335,21 @@ fn is_truth(set: &Dataset) -> Result<bool, Invalid> {
     }
 }
 
-/// Returns true for complex numbers as h5py and MATLAB write them: pairs of real ones.
+/// Returns true if the type is that of complex numbers, as h5py and MATLAB write them: pairs of real numbers.
 fn is_complex(datatype: &Datatype) -> bool {
     let Datatype::Compound { fields, .. } = datatype else { return false };
     let names: Vec<String> = fields.iter().map(|f| f.name.to_ascii_lowercase()).collect();
     matches!(&names[..], [a, b] if [["r", "i"], ["real", "imag"], ["re", "im"]].contains(&[a, b]))
 }
 
-/// Returns the error of an array of complex numbers.
+/// Returns the message about an array of complex numbers.
 fn holds_complex(name: &str) -> Invalid {
     let problem = format!("\"{name}\" holds complex numbers");
     Invalid::whole("dataset", problem, "save their real part, or choose another with `dataset`")
 }
 
-/// Returns a dataset as a matrix; a vector becomes one row. Refuses more than two axes, and chunks that are too large.
+/// Returns a dataset as a matrix, as stored; a vector becomes one row. `transposed` swaps the axes. Refuses more than
+/// two axes, and chunks that are too large.
 pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
     check_elements("dataset", set.shape())?;
     if let Some(chunks) = set.chunks() {
@@ -379,7 +383,7 @@ pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Inv
     Ok(if transposed { matrix.reversed_axes().as_standard_layout().into_owned() } else { matrix })
 }
 
-/// Returns the numbers of a dataset. Refuses what is no real number, and integers that no float is equal to.
+/// Returns the numbers of a dataset as stored. Refuses other types, and integers that no 64-bit float equals.
 fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     fn widened<T: hdf5_reader::H5Type>(
         set: &Dataset,
@@ -421,7 +425,8 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     Ok(values)
 }
 
-/// Returns the type of a dataset that is decoded here: 16-bit floats, and truth values in one byte.
+/// Returns the number type of a dataset that this module decodes itself: 16-bit floats, and truth values of one byte.
+/// Returns `None` for the others.
 fn packed(set: &Dataset) -> Result<Option<Number>, Invalid> {
     match set.dtype() {
         // Byte 13 of the type: bits of the exponent. Other floats of 16 bits have 8.
@@ -437,7 +442,7 @@ fn packed(set: &Dataset) -> Result<Option<Number>, Invalid> {
     }
 }
 
-/// Returns true for numbers whose first byte is the highest.
+/// Returns true if the type stores numbers with the most significant byte first.
 fn is_big_endian(datatype: &Datatype) -> bool {
     match datatype {
         Datatype::FloatingPoint { byte_order, .. } | Datatype::FixedPoint { byte_order, .. } => {
@@ -447,18 +452,18 @@ fn is_big_endian(datatype: &Datatype) -> bool {
     }
 }
 
-/// Names of attributes for a stored value that marks an invalid pixel, beside those of netCDF.
+/// Names of attributes, beside those of netCDF, that state a stored value for invalid pixels.
 const NO_DATA: [&str; 6] =
     ["nodata", "no_data", "NoData", "NODATA", "nodata_value", "NODATA_value"];
 
-/// The attributes of an array, with how many values each has.
+/// Names of the attributes of an array, with the number of values of each.
 pub(crate) struct Attributes<'a> {
     set: &'a Dataset,
     counts: Vec<(String, u64)>,
 }
 
 impl<'a> Attributes<'a> {
-    /// Lists the attributes of an array.
+    /// Lists the attributes of an array, without reading their values.
     pub(crate) fn list(set: &'a Dataset) -> Result<Self, Invalid> {
         let mut counts = Vec::new();
         for a in set.raw_attributes().map_err(broken)? {
@@ -468,7 +473,8 @@ impl<'a> Attributes<'a> {
         Ok(Self { set, counts })
     }
 
-    /// Returns one of them, where there is one; only of a few values, because each may point to a long text.
+    /// Returns an attribute; `None` if it is absent. Refuses one of more than [`MOST_VALUES`] values, because each may
+    /// point to a long text.
     pub(crate) fn get(&self, name: &str) -> Result<Option<Attribute>, Invalid> {
         match self.counts.iter().find(|(n, _)| n == name) {
             None => Ok(None),
@@ -480,7 +486,7 @@ impl<'a> Attributes<'a> {
         }
     }
 
-    /// Returns the numbers of an attribute; none where it is absent. Refuses one that is no number.
+    /// Returns the numbers of an attribute; the list is empty if it is absent. Refuses one that holds no numbers.
     fn numbers(&self, name: &str) -> Result<Vec<f64>, Invalid> {
         let Some(attribute) = self.get(name)? else { return Ok(Vec::new()) };
         attribute_numbers(&attribute).ok_or_else(|| {
@@ -489,7 +495,7 @@ impl<'a> Attributes<'a> {
         })
     }
 
-    /// Returns the one number of an attribute. Refuses several.
+    /// Returns the number of an attribute; `None` if it is absent. Refuses several numbers.
     fn number(&self, name: &str) -> Result<Option<f64>, Invalid> {
         match self.numbers(name)?[..] {
             [] => Ok(None),
@@ -502,26 +508,26 @@ impl<'a> Attributes<'a> {
     }
 }
 
-/// Returns true if a dataset holds 32-bit floats.
+/// Returns true if the dataset holds 32-bit floats.
 pub(crate) fn is_single(set: &Dataset) -> bool {
     matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. })
 }
 
-/// Attributes of netCDF that change the numbers of a dataset.
+/// Attributes of netCDF that change the meaning of the stored numbers.
 struct Convention {
-    /// Factor from the stored to the meant number.
+    /// Factor from the stored number to the value (`scale_factor`).
     scale: f64,
-    /// Meant number of the stored 0.
+    /// Value of the stored number 0 (`add_offset`).
     offset: f64,
-    /// Stored values that mark an invalid pixel.
+    /// Stored numbers that mark invalid pixels.
     invalid: Vec<f64>,
-    /// Smallest and largest stored value of a valid pixel.
+    /// Smallest (`least`) and largest (`most`) stored number of a valid pixel.
     least: Option<f64>,
     most: Option<f64>,
 }
 
 impl Convention {
-    /// Reads the attributes of a dataset. Refuses those that contradict its type or are no numbers.
+    /// Reads the attributes of a dataset. Refuses attributes that contradict its type or are no numbers.
     fn read(set: &Dataset) -> Result<Self, Invalid> {
         let attributes = Attributes::list(set)?;
         if attributes.get("_Unsigned")?.is_some() {
@@ -548,7 +554,7 @@ impl Convention {
         Ok(Self { scale, offset, invalid, least, most })
     }
 
-    /// Makes the pixels invalid whose stored value the attributes mark so.
+    /// Makes the pixels invalid whose stored number is a marker or lies outside the valid range.
     fn mark(&self, reading: &mut Reading) {
         for marker in &self.invalid {
             reading.invalidate(*marker);
@@ -559,12 +565,12 @@ impl Convention {
     }
 }
 
-/// Returns the numbers of an attribute, of any type of real numbers, or `None` for what is none.
+/// Returns the numbers of an attribute of any real type; `None` for other types.
 pub(crate) fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
     numbers_of(&attribute.datatype, &attribute.raw_data)
 }
 
-/// Returns the numbers of a type in bytes, or `None` where it is no type of real numbers.
+/// Returns the numbers in `bytes` that have the type `datatype`; `None` if it is no type of real numbers.
 fn numbers_of(datatype: &Datatype, bytes: &[u8]) -> Option<Vec<f64>> {
     let number = match *datatype {
         Datatype::FloatingPoint { size: 4, .. } => Number::F32,
@@ -586,8 +592,8 @@ fn numbers_of(datatype: &Datatype, bytes: &[u8]) -> Option<Vec<f64>> {
     number.decode(bytes, count, is_big_endian(datatype)).ok()
 }
 
-/// Makes the pixels invalid that have the fill value of the dataset, which is that of pixels nobody wrote. 0, the fill
-/// value that a file has if its writer names none, marks nothing.
+/// Makes the pixels invalid that have the fill value of the dataset, because nobody wrote them. The fill value 0 marks
+/// nothing, because it is the default.
 fn mark_fill(set: &Dataset, reading: &mut Reading) {
     let stored = set.fill_value().and_then(|fill| fill.value.as_deref());
     let fill = stored.and_then(|bytes| numbers_of(set.dtype(), bytes)?.first().copied());
@@ -601,7 +607,7 @@ fn mark_fill(set: &Dataset, reading: &mut Reading) {
     }
 }
 
-/// Attributes that are read elsewhere, and those of HDF5, netCDF and MATLAB themselves.
+/// Names of attributes that the reader handles itself, and those that HDF5, netCDF and MATLAB use internally.
 const READ: [&str; 20] = [
     "unit",
     "units",
@@ -629,7 +635,8 @@ const READ: [&str; 20] = [
 /// file. Smaller: statements in files with many attributes are not seen.
 const MOST_STATEMENTS: usize = 200;
 
-/// Returns the numbers or the text of an attribute: `0.5`, `0.5 x 0.25`, `mm`; `None` of many numbers.
+/// Returns up to three numbers, or the text, of an attribute: `0.5`, `0.5 x 0.25`, `mm`. Returns `None` for more
+/// numbers.
 fn value_of(attribute: &Attribute) -> Option<String> {
     match attribute_numbers(attribute) {
         Some(numbers) if numbers.len() <= 3 && !numbers.is_empty() => {
@@ -640,17 +647,18 @@ fn value_of(attribute: &Attribute) -> Option<String> {
     }
 }
 
-/// Names of the attributes of a unit.
+/// Names of attributes that state a unit.
 const UNITS: [&str; 4] = ["unit", "units", "Unit", "Units"];
 
-/// Returns true for an attribute that may be a statement: it has few values, and is not read elsewhere.
+/// Returns true if an attribute may be a statement: it has at most three values, and the reader does not handle it
+/// itself.
 fn may_state(a: &RawAttribute) -> bool {
     let count = a.message().dataspace.num_elements();
     !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
 }
 
-/// Returns the statements beside a dataset: its attributes, those of its group and of the file, and arrays of one
-/// number or one text in its group.
+/// Returns the statements beside a dataset: attributes of the dataset, of its group and of the file, and arrays of one
+/// number or text in its group.
 fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Invalid> {
     let mut variables = Vec::new();
     let attributes = set.raw_attributes().map_err(broken)?;
@@ -704,8 +712,8 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
     Ok(beside)
 }
 
-/// Returns the paths of the dimension scales of the rows and the columns of a dataset, where both have one with
-/// coordinates.
+/// Returns the paths of the coordinates of the rows and of the columns that the dataset refers to (dimension scales).
+/// Returns `None` unless both exist.
 fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid> {
     let Some(list) = Attributes::list(set)?.get("DIMENSION_LIST")? else { return Ok(None) };
     let size = set.vlen_reference_size();
@@ -726,8 +734,8 @@ fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid
     Ok(rows.zip(columns).map(|(rows, columns)| [rows, columns]))
 }
 
-/// Returns the path of the first scale of an axis, by its reference, which is the address of one of the vectors. `None`
-/// for a dimension of netCDF that has no coordinates.
+/// Returns the path of the coordinates that `reference` points to, one of `vectors`. Returns `None` for a dimension of
+/// netCDF without coordinates.
 fn scale_of_axis(
     set: &Dataset,
     reference: &[u8],
@@ -750,7 +758,7 @@ fn scale_of_axis(
     Ok(Some(path.clone()))
 }
 
-/// Returns the unit of coordinates, from their attribute, or else from their name.
+/// Returns the unit of coordinates, from their attribute or from the end of their name; `None` without either.
 fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     match unit_text(set)? {
         Some(name) => Unit::stated("coordinate_unit", &name).map(Some),
@@ -758,7 +766,7 @@ fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     }
 }
 
-/// Returns the name of the unit of a dataset, from its attribute `unit` or `units`.
+/// Returns the unit of a dataset as text, from its attribute `unit` or `units`; `None` without it.
 pub(crate) fn unit_text(set: &Dataset) -> Result<Option<String>, Invalid> {
     let attributes = Attributes::list(set)?;
     for name in UNITS {

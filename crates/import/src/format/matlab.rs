@@ -26,9 +26,9 @@ const NAME: &str = "MAT file";
 /// Size of the header of a file, bytes (MAT-File Format, version 5).
 const HEADER: usize = 128;
 
-/// Type of a data element that holds a matrix.
+/// Type code of a data element that holds a matrix.
 const MATRIX: u32 = 14;
-/// Type of a data element that holds another one, compressed.
+/// Type code of a data element that holds another, compressed one.
 const COMPRESSED: u32 = 15;
 
 /// Number of bytes of a compressed variable that are inflated to read its flags, dimensions and name.
@@ -36,10 +36,10 @@ const COMPRESSED: u32 = 15;
 /// names of 63 characters.
 const LONGEST_HEADER: usize = 4096;
 
-/// Class of an array that is a structure (MAT-File Format, table 1-3).
+/// Class code of an array that is a structure (MAT-File Format, table 1-3).
 const STRUCTURE: u32 = 2;
 
-/// Class of an array that is text (MAT-File Format, table 1-3).
+/// Class code of an array that is text (MAT-File Format, table 1-3).
 const TEXT: u32 = 4;
 
 /// Longest text that is read, bytes. Larger: more time on files with long texts. Smaller: long statements are not seen.
@@ -49,27 +49,27 @@ const LONGEST_TEXT: usize = 200;
 /// structures are passed over.
 const MOST_LEVELS: usize = 8;
 
-/// A variable: the contents of its header, and the place of its numbers.
+/// A variable of a file: its name, shape and type, and where its numbers stand.
 struct Variable<'a> {
     name: String,
     rows: usize,
     columns: usize,
     is_complex: bool,
-    /// True for truth values.
+    /// True if the numbers are truth values.
     is_logical: bool,
-    /// Text, of an array of letters.
+    /// Text of an array of letters; `None` for numbers.
     text: Option<String>,
     number: Number,
-    /// The element that holds it, inflated or to be inflated.
+    /// Data element that holds the variable, compressed or not.
     element: Element<'a>,
-    /// Place of its numbers in the element as inflated, and their length, bytes.
+    /// Offset of the numbers in the element after inflation, and their length `len`, bytes.
     start: usize,
     len: usize,
-    /// True for a field of a structure, after which other ones may follow in the element.
+    /// True for a field of a structure; further fields may follow in the element.
     is_field: bool,
 }
 
-/// Reads the matrix that `pick` names; without a name a customary one, or the only one there is.
+/// Reads the matrix that `pick` names; without a name a customary one, or the only matrix of the file.
 ///
 /// # Errors
 /// Refuses damaged files, several matrices without a name, and complex numbers.
@@ -134,7 +134,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the numeric matrix of this name. Refuses a name that none has.
+/// Returns the numeric matrix called `name`, or refuses its absence.
 fn find<'a, 'b>(variables: &'b [Variable<'a>], name: &str) -> Result<&'b Variable<'a>, Invalid> {
     variables.iter().find(|v| v.name == name).ok_or_else(|| {
         let names: Vec<&str> = variables.iter().map(|v| v.name.as_str()).take(20).collect();
@@ -143,13 +143,13 @@ fn find<'a, 'b>(variables: &'b [Variable<'a>], name: &str) -> Result<&'b Variabl
     })
 }
 
-/// Returns the error of a matrix of complex numbers.
+/// Returns the message about a matrix of complex numbers.
 fn holds_complex(variable: &Variable) -> Invalid {
     let problem = format!("holds complex numbers in \"{}\"", variable.name);
     Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
 }
 
-/// Returns the statements of texts and of variables of one number.
+/// Returns the statements in texts and in variables of one number.
 fn statements<'a>(
     variables: impl Iterator<Item = &'a Variable<'a>>,
     big_endian: bool,
@@ -171,12 +171,12 @@ fn statements<'a>(
     Ok(beside)
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged MATLAB file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again with -v7")
 }
 
-/// Returns the headers of all real and complex numeric matrices; of compressed ones no more is inflated.
+/// Returns the headers of all numeric matrices, real and complex. Of compressed matrices only the header is inflated.
 fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
     let mut variables = Vec::new();
     let mut start = HEADER;
@@ -216,13 +216,13 @@ fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
     Ok(variables)
 }
 
-/// Returns the class of the matrix whose content begins here; 0 where the content has no flags.
+/// Returns the class code of the matrix whose content begins at the first byte.
 fn class_of(b: &Bytes) -> Result<u32, Invalid> {
     let flags = element(b, 0)?;
     Ok(Bytes { all: flags.data, ..*b }.u32(0)? & 0xff)
 }
 
-/// The top element in which matrices are looked for.
+/// A data element at the top level of the file, in which matrices are looked for.
 #[derive(Clone, Copy)]
 struct Content<'a> {
     element: Element<'a>,
@@ -230,8 +230,9 @@ struct Content<'a> {
 }
 
 impl<'a> Content<'a> {
-    /// Appends the numeric matrix whose content is `head`, of `size` bytes in all, `at` bytes from the content of the top
-    /// element; of a structure, its fields. `path` are the names of the structures around it, and of the field.
+    /// Appends a numeric matrix, or the fields of a structure, to `found`. `head` are the first bytes of its content of
+    /// `size` bytes, which begins at byte `start` of the top element. `path` are the names of the surrounding
+    /// structures, and its own.
     fn matrices(
         self,
         head: &[u8],
@@ -292,7 +293,7 @@ impl<'a> Content<'a> {
 }
 
 impl Variable<'_> {
-    /// Returns the numbers (rows, columns). Refuses complex ones.
+    /// Returns the numbers of the matrix (rows, columns). Refuses complex numbers.
     fn matrix(&self, big_endian: bool) -> Result<Array2<f64>, Invalid> {
         if self.is_complex {
             return Err(holds_complex(self));
@@ -304,12 +305,12 @@ impl Variable<'_> {
         Ok(matrix.as_standard_layout().into_owned())
     }
 
-    /// Returns the error of a variable whose numbers end too early.
+    /// Returns the message about a variable whose numbers end too early.
     fn truncated(&self) -> Invalid {
         broken(format!("is truncated in \"{}\"", self.name))
     }
 
-    /// Returns the bytes of the numbers.
+    /// Returns the bytes of the numbers, inflated if they are compressed.
     fn data(&self) -> Result<Cow<'_, [u8]>, Invalid> {
         if self.element.kind == MATRIX {
             let data = self.element.data.get(self.start..self.start + self.len);
@@ -332,7 +333,7 @@ impl Variable<'_> {
     }
 }
 
-/// A data element: its type, its bytes, and where the next one is.
+/// A data element: type code, content, and offset of the next element.
 #[derive(Clone, Copy)]
 struct Element<'a> {
     kind: u32,
@@ -340,7 +341,7 @@ struct Element<'a> {
     next: usize,
 }
 
-/// The head of a data element: its type, how many bytes it has and where they are.
+/// Head of a data element: type code, length of the content (bytes), its offset, and the offset of the next element.
 struct Tag {
     kind: u32,
     size: usize,
@@ -348,7 +349,7 @@ struct Tag {
     next: usize,
 }
 
-/// Reads the head of the data element at a place.
+/// Reads the head of the data element at byte `start`.
 fn tag(b: &Bytes, start: usize) -> Result<Tag, Invalid> {
     let word = b.u32(start)?;
     if word >> 16 != 0 {
@@ -365,13 +366,13 @@ fn tag(b: &Bytes, start: usize) -> Result<Tag, Invalid> {
     Ok(Tag { kind: word, size, start: start + 8, next: start + 8 + padded })
 }
 
-/// Reads the data element at a place.
+/// Reads the data element at byte `start`. Refuses one that ends after the file.
 fn element<'a>(b: &Bytes<'a>, start: usize) -> Result<Element<'a>, Invalid> {
     let Tag { kind, size, start, next } = tag(b, start)?;
     Ok(Element { kind, data: b.slice(start, size)?, next })
 }
 
-/// Reads the header of a numeric matrix from the first bytes of its element, which has `size` in all; `None` for
+/// Reads the header of a numeric matrix from `head`, the first bytes of its content of `size` bytes. Returns `None` for
 /// anything else.
 fn matrix<'a>(
     head: &[u8],
@@ -443,7 +444,7 @@ fn matrix<'a>(
     Ok(Some(variable))
 }
 
-/// Returns the text of an array of letters in one line; `None` where it is too long, or not in these bytes.
+/// Returns the text of an array of letters; `None` if it is longer than [`LONGEST_TEXT`], or cut off.
 fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     if values.size > LONGEST_TEXT {
         return None;
@@ -464,8 +465,7 @@ fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     }
 }
 
-/// Inflates `compressed`, up to the first `most` bytes. The checksum is checked only if the data ends
-/// before them.
+/// Inflates `compressed` up to its first `most` bytes. The checksum is verified only if the data ends before.
 fn inflate(compressed: &[u8], most: usize) -> Result<Vec<u8>, Invalid> {
     let mut out = Vec::new();
     let stream = ZlibDecoder::new(compressed).take(most as u64);

@@ -33,30 +33,30 @@ use crate::{
 
 const NAME: &str = "MetroPro file";
 
-/// Magic numbers with the sizes of their headers: formats 1, 2, 3.
+/// Magic number, format number and header size (bytes) of the three versions of the format.
 const HEADERS: [(u32, u16, u32); 3] =
     [(0x881B_036F, 1, 834), (0x881B_0370, 2, 834), (0x881B_0371, 3, 4096)];
 
-/// Smallest raw value that marks an invalid pixel (MetroPro reference guide).
+/// Smallest stored value that marks an invalid pixel (MetroPro reference guide).
 const INVALID: f64 = 2_147_483_640.0;
 
-/// Returns true for the first bytes of such a file.
+/// Returns true if the bytes begin as a MetroPro file does.
 pub(crate) fn is_magic(bytes: &[u8]) -> bool {
     bytes.first_chunk().is_some_and(|b| HEADERS.iter().any(|h| h.0 == u32::from_be_bytes(*b)))
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged MetroPro file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
-/// Returns the number at `place`. Refuses one that is not positive.
+/// Returns the 32-bit float at byte `place`, called `name` in messages. Refuses a number that is not positive.
 fn positive(b: &Bytes<'_>, name: &str, place: usize) -> Result<f64, Invalid> {
     let v = f64::from(b.f32(place)?);
     if v.is_finite() && v > 0.0 { Ok(v) } else { Err(bad(format!("has the {name} {v}"))) }
 }
 
-/// Returns R for a resolution word.
+/// Returns the divisor R of the module for the phase resolution word of the header.
 fn resolution(word: i16) -> Result<f64, Invalid> {
     match word {
         0 => Ok(4096.0),
@@ -66,7 +66,7 @@ fn resolution(word: i16) -> Result<f64, Invalid> {
     }
 }
 
-/// Reads the phase. Refuses damaged files, files of intensity alone, and factors that are not positive.
+/// Reads the phase as a map of heights. Refuses damaged files, files without phase, and factors that are not positive.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
 

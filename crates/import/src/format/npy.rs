@@ -26,24 +26,24 @@ const LONGEST_HEADER: usize = 4096;
 /// Longest text in a `.npz` that is read, bytes. Larger: more time on hostile files. Smaller: long statements are not seen.
 const LONGEST_TEXT: usize = 800;
 
-/// An array of a file: its shape without leading axes of one pixel, its numbers in the order of the file, and its type.
+/// An array of a file: its shape without leading axes of length 1, its numbers in the order of the file, and its type.
 struct Stored {
     shape: Vec<usize>,
     values: Vec<f64>,
     is_fortran: bool,
     number: Number,
     descriptor: String,
-    /// Text, of an array of one text.
+    /// Text of an array that holds one text; `None` for numbers.
     text: Option<String>,
 }
 
 impl Stored {
-    /// Returns true for an array of numbers on at most two axes.
+    /// Returns true if the array holds numbers on at most two axes.
     fn is_number(&self) -> bool {
         self.text.is_none() && self.shape.len() <= 2
     }
 
-    /// Returns the array as a matrix; a vector becomes one row.
+    /// Returns the array as a matrix (rows, columns); a vector becomes one row. Refuses more axes.
     fn matrix(&self) -> Result<Array2<f64>, Invalid> {
         let (rows, columns) = match self.shape[..] {
             [] => (1, 1),
@@ -60,7 +60,8 @@ impl Stored {
     }
 }
 
-/// Reads an array with two axes. Refuses damaged files, other axes, and numbers that are not real.
+/// Reads a map from an array with two axes. Refuses damaged files, other numbers of axes, and numbers that are not
+/// real.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let stored = stored(bytes)?;
     let [rows, columns] = stored.shape[..] else {
@@ -76,7 +77,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns true for an archive of arrays.
+/// Returns true if the bytes are a ZIP archive that contains a `.npy` file.
 pub(crate) fn is_npz(bytes: &[u8]) -> bool {
     Archive::open(bytes, NPZ)
         .is_ok_and(|archive| archive.names().any(|(name, _)| name.ends_with(".npy")))
@@ -84,7 +85,7 @@ pub(crate) fn is_npz(bytes: &[u8]) -> bool {
 
 const NPZ: &str = "npz file";
 
-/// Reads the array that `pick` names from an archive; without a name a customary one, or the only map.
+/// Reads the array that `pick` names from a `.npz` archive; without a name a customary one, or the only map.
 ///
 /// # Errors
 /// Refuses damaged archives, several maps without a name, and arrays that are no real numbers on two axes.
@@ -144,7 +145,7 @@ pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the array of numbers of this name. Refuses a name that none has.
+/// Returns the array of numbers called `name`, or refuses its absence.
 fn find<'a>(all: &'a [(String, Stored)], name: &str) -> Result<&'a Stored, Invalid> {
     let mut named = all.iter().filter(|(own, array)| own == name && array.is_number());
     named.next().map(|(_, array)| array).ok_or_else(|| {
@@ -154,7 +155,7 @@ fn find<'a>(all: &'a [(String, Stored)], name: &str) -> Result<&'a Stored, Inval
     })
 }
 
-/// Returns the statements of arrays of one to three numbers, and of texts.
+/// Returns the statements in arrays of one to three numbers, and in texts.
 fn statements(all: &[(String, Stored)]) -> Result<Beside, Invalid> {
     let mut variables = Vec::new();
     for (key, array) in all.iter().filter(|(_, a)| a.shape.iter().product::<usize>() <= 3) {
@@ -169,12 +170,12 @@ fn statements(all: &[(String, Stored)]) -> Result<Beside, Invalid> {
     Ok(beside)
 }
 
-/// Returns the error of a file that is no array of real numbers.
+/// Returns the message about a file that holds no array of real numbers.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save a 2-D array of real numbers with numpy.save")
 }
 
-/// Reads an array of any shape: real numbers, or one text.
+/// Reads the bytes of a `.npy` file as an array of any shape, which holds real numbers or one text.
 fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     if b.slice(0, 6)? != b"\x93NUMPY" {
@@ -235,7 +236,8 @@ fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     Ok(Stored { shape, values, is_fortran, number, descriptor, text: None })
 }
 
-/// Returns the text of an array of one text, `<U5` or `|S5`.
+/// Returns the text of an array of one text, whose type `descriptor` is such as `<U5` or `|S5`. Returns `None` if it is
+/// too long or of another type.
 fn text_of(descriptor: &str, data: &[u8]) -> Option<String> {
     if data.len() > LONGEST_TEXT {
         return None;
@@ -254,24 +256,24 @@ fn text_of(descriptor: &str, data: &[u8]) -> Option<String> {
     Some(letters.trim_end_matches('\0').to_string())
 }
 
-/// Returns what follows a key of the header.
+/// Returns the text after a key of the header; `None` without the key.
 fn after<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     header.find(key).map(|start| header[start + key.len()..].trim_start())
 }
 
-/// Returns the text in quotes after a key of the header.
+/// Returns the text in quotation marks after a key of the header; `None` without it.
 fn quoted<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     after(header, key)?.strip_prefix('\'')?.split('\'').next()
 }
 
-/// Returns the shape that a header states.
+/// Returns the shape that the header states; `None` if it states none.
 fn shape(header: &str) -> Option<Vec<usize>> {
     let inside = after(header, "'shape':")?.strip_prefix('(')?.split(')').next()?;
     let sizes = inside.split(',').map(str::trim).filter(|s| !s.is_empty());
     sizes.map(|s| s.parse().ok()).collect()
 }
 
-/// Returns the type of the numbers, and true where their first byte is the highest.
+/// Returns the type of the numbers, and true if the most significant byte comes first; `None` for other types.
 fn dtype(descriptor: &str) -> Option<(Number, bool)> {
     let (order, kind) = descriptor.split_at_checked(1)?;
     let number = match kind {

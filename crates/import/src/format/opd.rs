@@ -27,7 +27,7 @@ const NAME: &str = "OPD file";
 const ENTRY: usize = 24;
 pub(crate) const MAGIC: &[u8] = b"\x01\x00Directory";
 
-/// Names of blocks that hold heights.
+/// Names that a block of heights can have.
 const MAPS: [&str; 4] = ["RAW_DATA", "RAW DATA", "OPD", "SAMPLE_DATA"];
 
 struct Block {
@@ -37,7 +37,7 @@ struct Block {
     len: usize,
 }
 
-/// Reads the block of heights, or the one that `pick.dataset` names.
+/// Reads the map from the block of heights, or from the one that `pick.dataset` names.
 ///
 /// # Errors
 /// Refuses damaged files, several blocks of heights without a name, and numbers of other types.
@@ -103,7 +103,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the blocks of the directory, with their places.
+/// Returns the blocks that the directory of the file lists, with their offsets and lengths.
 fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
     let entries = b.u32(2 + 18)? as usize / ENTRY;
     if entries > MOST_ARRAYS {
@@ -120,12 +120,12 @@ fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
     Ok(blocks)
 }
 
-/// Returns the block of this name that is not empty.
+/// Returns the block called `name` that is not empty; `None` without it.
 fn find<'a>(blocks: &'a [Block], name: &str) -> Option<&'a Block> {
     blocks.iter().find(|block| block.name == name && block.len > 0)
 }
 
-/// Returns the number in the block of this name, if there is one. Refuses one that is not finite.
+/// Returns the number in the block called `name`; `None` without it. Refuses a number that is not finite.
 fn parameter(b: &Bytes<'_>, blocks: &[Block], name: &str) -> Result<Option<f64>, Invalid> {
     let Some(block) = find(blocks, name) else { return Ok(None) };
     let value = match block.kind {
@@ -141,7 +141,7 @@ fn parameter(b: &Bytes<'_>, blocks: &[Block], name: &str) -> Result<Option<f64>,
     Ok(Some(value))
 }
 
-/// Returns the block of heights, or the one that `pick.dataset` names.
+/// Returns the block that `pick.dataset` names, or the only block of heights.
 fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
     let maps: Vec<&Block> = blocks
         .iter()
@@ -165,7 +165,7 @@ fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
     }
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged OPD file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }

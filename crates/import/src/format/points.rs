@@ -37,7 +37,7 @@ use crate::{
 
 const NAME: &str = "XYZ file";
 
-/// Smallest raw phase that marks an invalid pixel, as in a MetroPro file.
+/// Smallest stored phase that marks an invalid pixel, as in a MetroPro file.
 const INVALID: f64 = 2_147_483_640.0;
 
 /// Largest distance of a coordinate from the uniform grid, relative to its step; a file with a larger one
@@ -50,11 +50,11 @@ const UNIFORMITY: f64 = 0.01;
 /// which is itself that of rounded numbers.
 const ROUNDING: f64 = 1.0;
 
-/// Largest unit of the last digit, relative to the step, of coordinates that are taken as rounded. Larger: whole numbers
-/// in any order lie on a grid. Smaller: refuses pitches of few digits.
+/// Largest unit of the last digit, relative to the pitch, of coordinates that may be rounded ones of a grid. Larger:
+/// whole numbers in any order lie on a grid. Smaller: refuses pitches of few digits.
 const MOST_ROUNDED: f64 = 0.4;
 
-/// Reads a Zygo file or lines of `x y z`.
+/// Reads a map from a Zygo text file, or from lines `x y z`.
 ///
 /// # Errors
 /// Refuses damaged files, pixels that are named twice, and points on no uniform grid unless `grid_mm` is given.
@@ -74,27 +74,27 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     }
 }
 
-/// Contents of a Zygo file after its header.
+/// Kind of the content of a Zygo text file after its header.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Body {
-    /// Lines `column row z`.
+    /// Lines `column row z`, one per pixel.
     Points,
-    /// Coded phase, row by row.
+    /// Coded phase of all pixels, row by row.
     Phase,
 }
 
-/// The lines of the header of a Zygo file.
+/// Header of a Zygo text file, as its lines.
 struct ZygoHeader<'a>(Vec<&'a str>);
 
 impl ZygoHeader<'_> {
-    /// Returns the number in a field of a line, both counted from 1.
+    /// Returns the number in a field of a line of the header, both counted from 1. Refuses an absent field.
     fn number(&self, line: usize, field: usize) -> Result<f64, Invalid> {
         let text = self.0.get(line - 1).and_then(|l| l.split_whitespace().nth(field - 1));
         let text = text.ok_or_else(|| broken(format!("has no field {field} in line {line}")))?;
         text::number(NAME, text, line, field)
     }
 
-    /// Returns the number of pixels in a field of line 4.
+    /// Returns the number of pixels in a field of line 4 of the header; `field` counts from 1.
     fn pixels(&self, field: usize) -> Result<usize, Invalid> {
         match self.number(4, field)? {
             v if (0.0..1e9).contains(&v) && v.fract() == 0.0 => Ok(v as usize),
@@ -103,7 +103,7 @@ impl ZygoHeader<'_> {
     }
 }
 
-/// Reads a Zygo file.
+/// Reads a Zygo text file, with the content that `body` names.
 fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
     let mut all = text.lines().enumerate();
     let mut header = ZygoHeader(Vec::new());
@@ -180,7 +180,7 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// The rectangle of the pixels within the camera.
+/// Rectangle of the map within the camera: its size, and its first column `x0` and row `y0`.
 struct Frame {
     rows: usize,
     columns: usize,
@@ -189,7 +189,7 @@ struct Frame {
 }
 
 impl Frame {
-    /// Reads lines `column row z` up to a line `#`. Returns the map (rows, columns).
+    /// Reads lines `column row z` up to a line `#`. Returns the heights (rows, columns), NaN at invalid pixels.
     fn points<'a>(
         &self,
         lines: impl Iterator<Item = (usize, &'a str)>,
@@ -255,13 +255,15 @@ impl Frame {
         Ok(values)
     }
 
-    /// Returns true if a place [column, row] lies in the rectangle of the map, when that begins at `origin`.
+    /// Returns true if the position [column, row] lies in the rectangle of the map when that begins at `origin`
+    /// [column, row].
     fn holds(&self, origin: [f64; 2], place: [f64; 2]) -> bool {
         let size = [self.columns as f64, self.rows as f64];
         (0..2).all(|k| (0.0..size[k]).contains(&(place[k] - origin[k])))
     }
 
-    /// Reads the numbers between the second and the third `#` (the first one closed the header).
+    /// Reads the coded phase between the second and the third `#`, after the header and the intensity. Returns it
+    /// (rows, columns).
     fn phase<'a>(
         &self,
         mut lines: impl Iterator<Item = (usize, &'a str)>,
@@ -284,38 +286,39 @@ impl Frame {
     }
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged Zygo file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
-/// Returns the first word, and the rest.
+/// Splits a line into its first word and the rest.
 fn next(line: &str) -> (&str, &str) {
     line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
 }
 
-/// Names and units of the columns of lines `x y z`.
+/// Columns of lines `x y z`: which they are, and their units.
 #[derive(Default)]
 struct Names {
-    /// Unit of x and y.
+    /// Unit of x and y; `None` if the names do not state it.
     coordinate_unit: Option<Unit>,
-    /// Unit of z.
+    /// Unit of z; `None` if the names do not state it.
     unit: Option<Unit>,
-    /// Places of x, y and z among the fields, where these are more than three or in another order.
+    /// Indices of x, y and z among the fields of a line; `None` if these are just x, y, z.
     columns: Option<[usize; 3]>,
     warnings: Vec<String>,
 }
 
-/// Most columns that are looked at. Larger: more memory for a long line.
+/// Largest number of columns that are looked at. Larger: more memory for a long line. Smaller: later columns are not
+/// found.
 const MOST_COLUMNS: usize = 1000;
 
-/// Names of columns that number the points.
+/// Names of columns that hold the number of the point.
 const NUMBERS: [&str; 16] = [
     "point", "points", "no", "no.", "nr", "nr.", "number", "#", "index", "idx", "id", "site",
     "die", "punkt", "i", "n",
 ];
 
-/// Returns the list of columns that a remedy quotes.
+/// Returns the names of the columns for a remedy, at most twelve.
 fn listed(names: &[&str]) -> String {
     let short: Vec<String> = names
         .iter()
@@ -326,7 +329,8 @@ fn listed(names: &[&str]) -> String {
 }
 
 impl Names {
-    /// Reads the names of the columns in a line above the points, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`.
+    /// Reads the names of the columns in line `number`, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`. `requested`
+    /// are the columns that the user names.
     fn read(line: &str, number: usize, requested: Option<&[String; 3]>) -> Result<Self, Invalid> {
         // Where blanks separate the names, a bracket belongs to the word before it.
         let joined = if line.contains([',', ';', '\t']) {
@@ -361,7 +365,8 @@ impl Names {
         Ok(Self { coordinate_unit: x.or(y), unit: z, columns, warnings })
     }
 
-    /// Takes a second line, of the units of the columns, and returns true if it is one.
+    /// Reads a second header line with the units of the columns. Returns false, and changes nothing, if it is no such
+    /// line.
     fn add_units(&mut self, line: &str) -> bool {
         let words = text::fields(line)
             .take(MOST_COLUMNS)
@@ -379,7 +384,8 @@ impl Names {
     }
 }
 
-/// Returns the places of the columns that the user names, by their names with or without the unit, or by numbers from 1.
+/// Returns the indices of the columns that the user requests, by their names with or without the unit, or by numbers
+/// from 1.
 fn columns_of(
     requested: &[String; 3],
     fields: &[&str],
@@ -404,7 +410,7 @@ fn columns_of(
     Ok(places)
 }
 
-/// Returns the places of x, y and z by the names of the columns.
+/// Returns the indices of x, y and z by the usual names of columns. Refuses names that leave a choice.
 fn usual_columns(
     fields: &[&str],
     names: &[(String, Option<Unit>)],
@@ -454,22 +460,22 @@ fn usual_columns(
     })
 }
 
-/// Returns the first word of a name, in lower case.
+/// Returns the first word of a column's name, in lower case.
 fn first_word(name: &str) -> String {
     let name = name.to_lowercase();
     let word = name.split([' ', '_', '-']).find(|word| !word.is_empty());
     word.unwrap_or_default().to_string()
 }
 
-/// Returns true if the first word of a name says that its column holds the coordinates of an axis: `x`, `xpos`,
-/// `x(mm)`.
+/// Returns true if `word` is the name of a coordinate of `axis` (`x` or `y`): `x`, `xpos` or `x(mm)`.
 fn is_axis(word: &str, axis: &str) -> bool {
     word.strip_prefix(axis).is_some_and(|rest| {
         rest.is_empty() || rest.starts_with("pos") || rest.starts_with(['(', '[', '/'])
     })
 }
 
-/// Returns the numbers of the columns that the user gives, where no line of names comes first.
+/// Returns the indices of the columns that the user requests by numbers from 1, in a file without names. `count` is the
+/// number of columns.
 fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3], Invalid> {
     let mut places = [0; 3];
     for (place, wanted) in places.iter_mut().zip(requested) {
@@ -483,7 +489,7 @@ fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3],
     Ok(places)
 }
 
-/// Returns a number of one line, and the unit of its last digit.
+/// Returns the number in a field, and the unit of its last digit: 0.01 for `1.25`. A zero has the unit 0.
 fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64), Invalid> {
     let value = text::number(NAME, field, line, column)?;
     let (mantissa, exponent) = field.split_once(['e', 'E']).unwrap_or((field, "0"));
@@ -494,14 +500,14 @@ fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64)
     Ok((value, digit))
 }
 
-/// A point, and the units of the last digits of its coordinates.
+/// A point of a text file, and the units of the last digits of its coordinates.
 struct TextPoint {
     place: [f64; 2],
     digits: [f64; 2],
     z: f64,
 }
 
-/// Reads lines `x y z`.
+/// Reads a map from lines `x y z`, on their own grid or on the one that `pick` requests.
 fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     let with_points = text::with_points(NAME, text)?;
     let text = with_points.as_deref().unwrap_or(text);
@@ -569,7 +575,7 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the three fields of a line.
+/// Returns the three fields of a line; `No Data` counts as one. Refuses another number of fields.
 fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
     let mut fields = text::fields(line);
     // "No Data" is two words.
@@ -594,7 +600,7 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
     }
 }
 
-/// Returns the fields of a line in these places.
+/// Returns the fields of a line at the indices of x, y and z. Refuses a line with too few fields.
 fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str; 3], Invalid> {
     let needed = columns.iter().max().map_or(0, |k| k + 1);
     let fields: Vec<&str> = text::fields(line).take(needed).collect();
@@ -607,7 +613,8 @@ fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str
     }
 }
 
-/// Returns the map of scattered points, interpolated to a grid of the pitch `pixel_mm`.
+/// Interpolates scattered points to a map on a grid with the pitch `pixel_mm` [x, y]. `stated` is the unit of the
+/// coordinates in the file.
 fn interpolated(
     points: &[TextPoint],
     pixel_mm: [f64; 2],
@@ -630,7 +637,8 @@ fn interpolated(
     Ok(reading)
 }
 
-/// Returns the map of points on their own grid, or on the one that is asked for.
+/// Returns the map of points on their own grid, or interpolated if `pick` requests a grid. `stated` is the unit of the
+/// coordinates in the file.
 fn on_grid(points: Vec<TextPoint>, pick: &Pick, stated: Option<Unit>) -> Result<Reading, Invalid> {
     if let Some(pixel_mm) = pick.grid_mm {
         return interpolated(&points, pixel_mm, pick, stated);
@@ -673,17 +681,17 @@ fn on_grid(points: Vec<TextPoint>, pick: &Pick, stated: Option<Unit>) -> Result<
     Ok(reading)
 }
 
-/// A uniform axis found among coordinates.
+/// A uniform axis on which the coordinates of points lie, in the unit of the file.
 struct UniformAxis {
     start: f64,
     step: f64,
     count: usize,
-    /// Smallest and largest step from one coordinate to the next pixel, where rounding makes them differ.
+    /// Smallest and largest possible step between pixels, if rounding makes the steps differ; otherwise `None`.
     rounded_steps: Option<[f64; 2]>,
 }
 
-/// Returns the axis whose step is the least distance of the coordinates; where that is none, the one on which they lie
-/// to the units of their last digits (value, unit); else the place where they jump.
+/// Returns the uniform axis of coordinates (value, unit of the last digit). The step is their smallest distance, or the
+/// pitch that fits rounded coordinates. Refuses coordinates on no uniform axis, at the first jump.
 fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<UniformAxis, Invalid> {
     coordinates.sort_by(|a, b| a.0.total_cmp(&b.0));
     let values: Vec<f64> = coordinates.iter().map(|c| c.0).collect();
@@ -712,8 +720,8 @@ fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<Unifo
     rounded(&coordinates).ok_or_else(|| jump(name, &values))
 }
 
-/// Returns the axis of ascending coordinates (value, unit of its last digit) that were rounded, or `None` where there
-/// is none.
+/// Returns the uniform axis of ascending rounded coordinates (value, unit of the last digit), or `None` if they lie on
+/// none.
 ///
 /// The least-squares line through value against number of the pixel has the pitch. A pixel may be absent: the numbers
 /// follow from the median step.
@@ -754,7 +762,7 @@ fn rounded(coordinates: &[(f64, f64)]) -> Option<UniformAxis> {
     Some(UniformAxis { start, step, count: count as usize + 1, rounded_steps })
 }
 
-/// Returns the error at the first of ascending coordinates whose distance is no multiple of the usual one.
+/// Returns the message about coordinates on no grid: the first distance that is no multiple of the usual one.
 fn jump(name: &'static str, values: &[f64]) -> Invalid {
     let mut steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
     let all = steps.clone();
@@ -772,13 +780,13 @@ fn jump(name: &'static str, values: &[f64]) -> Invalid {
 }
 
 impl UniformAxis {
-    /// Returns the index of the pixel of a coordinate.
+    /// Returns the index of the pixel nearest to a coordinate, limited to the axis.
     fn index(&self, v: f64) -> usize {
         // A float to an integer saturates: a rounded first coordinate may lie before the start.
         (((v - self.start) / self.step).round() as usize).min(self.count - 1)
     }
 
-    /// Returns the coordinates of all pixels.
+    /// Returns the coordinates of all pixels, in the unit of the file.
     fn all(&self) -> Vec<f64> {
         (0..self.count).map(|i| self.start + i as f64 * self.step).collect()
     }

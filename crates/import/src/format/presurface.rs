@@ -16,10 +16,11 @@ use crate::{
 
 const NAME: &str = "presurface file";
 
-/// Fewest coordinates by which a text of numbers is taken for this format: one with fewer could be a table.
+/// Smallest number of coordinates per axis at which a text of numbers counts as this format: a smaller one could be a
+/// table.
 const FEWEST: usize = 3;
 
-/// Returns true where a text has as many numbers as its first line says.
+/// Returns true if the text holds as many numbers as the sizes in its first line require.
 pub(crate) fn is_presurface(text: &str) -> bool {
     let mut lines = text.lines();
     let sizes = lines.next().unwrap_or_default().split_whitespace();
@@ -33,12 +34,12 @@ pub(crate) fn is_presurface(text: &str) -> bool {
         && count == Some(text.split_whitespace().count() - 2)
 }
 
-/// Returns the error of a file that is none.
+/// Returns the message about a text that is no presurface file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "write nx ny, the y, then x and its heights, line by line")
 }
 
-/// Reads the map. Refuses another number of heights than pixels.
+/// Reads the map of heights. Refuses another number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();

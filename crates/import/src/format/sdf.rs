@@ -20,27 +20,27 @@ use crate::{
 
 const NAME: &str = "SDF file";
 
-/// Bytes of a binary header whose sizes have 16 bits.
+/// Size of a binary header whose numbers of points and profiles have 16 bits, bytes.
 const HEADER: usize = 81;
 
-/// The first bytes of text and of bytes.
+/// First bytes of files in text, and (`BYTES`) of files in binary form.
 const TEXT: [&[u8]; 3] = [b"aISO-1.0", b"aISO-2.0", b"aBCR-1.0"];
 const BYTES: [&[u8]; 3] = [b"bISO-1.0", WIDE, b"bBCR-1.0"];
-/// The first bytes of a file whose sizes have 32 bits.
+/// First bytes of a binary file whose numbers of points and profiles have 32 bits.
 const WIDE: &[u8] = b"bISO-2.0";
 
-/// Returns true where the first bytes are those of such a file, in text perhaps after blanks.
+/// Returns true if the file begins as a surface data file does. In text, blanks may come first.
 pub(crate) fn is_sdf(bytes: &[u8]) -> bool {
     is_text(bytes) || BYTES.iter().any(|magic| bytes.starts_with(magic))
 }
 
-/// Returns true where the first bytes are those of such a file in text.
+/// Returns true if the file begins as a surface data file in text does.
 fn is_text(bytes: &[u8]) -> bool {
     let text = bytes.trim_ascii_start();
     TEXT.iter().any(|magic| text.starts_with(magic))
 }
 
-/// Reads a map. Refuses damaged and compressed files, and another number of heights than pixels.
+/// Reads the map. Refuses damaged and compressed files, and another number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if is_text(bytes) {
         ascii(bytes)
@@ -52,7 +52,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
 }
 
-/// Returns the type of numbers that a header names.
+/// Returns the number type for the code `kind` of the header.
 fn number(kind: u8) -> Result<Number, Invalid> {
     match kind {
         0 => Ok(Number::U8),
@@ -67,7 +67,7 @@ fn number(kind: u8) -> Result<Number, Invalid> {
     }
 }
 
-/// Returns the stored value that marks an invalid pixel.
+/// Returns the stored value that marks an invalid pixel, for numbers of this type.
 fn marker(number: Number) -> f64 {
     match number {
         Number::U8 => f64::from(u8::MAX),
@@ -81,7 +81,8 @@ fn marker(number: Number) -> f64 {
     }
 }
 
-/// Returns the reading of values with the numbers of a header: its sizes, scales, and [compression, type of the check].
+/// Returns the reading of stored values with the numbers of a header: [columns, rows], scales [x, y, z] in m, and
+/// [compression, check type].
 fn finish(
     values: Vec<f64>,
     [columns, rows]: [usize; 2],
@@ -108,7 +109,7 @@ fn finish(
     Ok(reading)
 }
 
-/// Reads a file in text.
+/// Reads a surface data file in text.
 fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
@@ -170,7 +171,7 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     finish(values, [columns, rows], scales, checks)
 }
 
-/// Reads a file in bytes.
+/// Reads a surface data file in binary form.
 fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     // 8 version, 10 manufacturer, 12 + 12 dates, sizes, scales, compression, types.

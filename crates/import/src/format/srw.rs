@@ -16,12 +16,12 @@ use crate::{
 
 const NAME: &str = "SRW file";
 
-/// Largest coordinate that is certainly in metres, and largest height relative to the coordinates. Larger: tables in mm
-/// are taken for SRW's. Smaller: long mirrors are not recognised.
+/// Largest coordinate that is certainly in metres, and largest ratio of a height to the coordinates. Larger: tables in
+/// mm are taken for those of SRW. Smaller: long mirrors are not recognised.
 const LARGEST_IN_METRES: [f64; 2] = [10.0, 1e-2];
 
-/// Returns true where the first numbers of a text are those of such a file: a 0 in the corner between coordinates that
-/// ascend, separated by tabs, and heights that are tiny beside them.
+/// Returns true if the text begins as such a file does: a 0 in the corner, ascending coordinates separated by tabs, and
+/// heights that are tiny beside them.
 pub(crate) fn is_srw(text: &str) -> bool {
     let mut lines = text.lines().filter(|line| !text::is_comment(line) && !line.trim().is_empty());
     let all: Option<Vec<Vec<f64>>> = lines.by_ref().take(3).map(numbers).collect();
@@ -36,7 +36,7 @@ pub(crate) fn is_srw(text: &str) -> bool {
         && size(&second[1..]) < LARGEST_IN_METRES[1] * (third[0] - second[0] + size(first))
 }
 
-/// Returns the numbers of a line that tabs separate.
+/// Returns the numbers of a line whose separators are tabs; `None` for another line.
 fn numbers(line: &str) -> Option<Vec<f64>> {
     if !line.contains('\t') || line.contains([',', ';']) {
         return None;
@@ -44,18 +44,18 @@ fn numbers(line: &str) -> Option<Vec<f64>> {
     line.split_whitespace().take(1 << 16).map(|word| word.parse().ok()).collect()
 }
 
-/// Returns the largest magnitude.
+/// Returns the largest magnitude of the values.
 fn size(values: &[f64]) -> f64 {
     values.iter().fold(0.0_f64, |most, v| most.max(v.abs()))
 }
 
-/// Returns the error of a file that is none.
+/// Returns the message about a text that is no such file.
 fn bad(problem: String) -> Invalid {
     let remedy = "write 0 and the y, then a line of x and its heights for every x";
     Invalid::whole(NAME, problem, remedy)
 }
 
-/// Reads the map. Refuses another corner than 0, and lines of other lengths than the first.
+/// Reads the map. Refuses another corner than 0, and lines of another length than the first.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let most = most_of(BYTES_PER_PIXEL);

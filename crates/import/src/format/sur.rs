@@ -39,7 +39,7 @@ const HEADER: usize = 512;
 pub(crate) const MAGIC: &[u8] = b"DIGITAL SURF";
 pub(crate) const COMPRESSED: &[u8] = b"DSCOMPRESSED";
 
-/// Returns the unit that the 16 bytes at `at` name.
+/// Returns the unit in the 16 bytes from byte `start`, as text.
 fn unit_word(b: &Bytes<'_>, start: usize) -> Result<String, Invalid> {
     let raw = b.slice(start, 16)?;
     // Older writers use one byte per letter.
@@ -50,13 +50,13 @@ fn unit_word(b: &Bytes<'_>, start: usize) -> Result<String, Invalid> {
     Ok(text.trim_matches(['\0', ' ']).to_string())
 }
 
-/// Returns the length at `at` in mm, whose unit is at `unit_at`.
+/// Returns the length at byte `start`, mm. Its unit is the text at byte `unit_at`.
 fn length_mm(b: &Bytes<'_>, start: usize, unit_at: usize) -> Result<f64, Invalid> {
     let length = f64::from(b.f32(start)?);
     Ok(length * Unit::stated("coordinate_unit", &unit_word(b, unit_at)?)?.mm()?)
 }
 
-/// Reads a surface.
+/// Reads the map of a Digital Surf file.
 ///
 /// # Errors
 /// Refuses compressed and damaged files, several surfaces, inversions, and units that are no lengths.

@@ -23,10 +23,10 @@ use crate::{
 
 const NAME: &str = "wft file";
 
-/// Surface height per wavefront.
+/// Surface height per wavefront height: 0.5 for one reflection.
 const SURFACE_PER_WAVEFRONT: f64 = 0.5;
 
-/// Returns true where two whole numbers and a value per line come first, and the words of this format last.
+/// Returns true if two whole numbers and a value per line come first, and the words of this format stand at the end.
 pub(crate) fn is_wft(text: &str) -> bool {
     let mut words = text.split_whitespace();
     let is_count =
@@ -40,7 +40,7 @@ pub(crate) fn is_wft(text: &str) -> bool {
             .any(|key| text[end..].contains(&format!("\n{key} ")))
 }
 
-/// An ellipse in pixels from the upper left.
+/// An ellipse in the picture: centre and radii [x, y] in pixels, counted from the upper left.
 #[derive(Clone, Copy)]
 struct Ellipse {
     centre: [f64; 2],
@@ -48,7 +48,7 @@ struct Ellipse {
 }
 
 impl Ellipse {
-    /// Returns true for a pixel in the ellipse or on its edge.
+    /// Returns true if the pixel lies in the ellipse or on its edge.
     fn holds(&self, column: f64, row: f64) -> bool {
         let [u, v] =
             [(column - self.centre[0]) / self.radii[0], (row - self.centre[1]) / self.radii[1]];
@@ -57,13 +57,14 @@ impl Ellipse {
     }
 }
 
-/// Contents of a file: its numbers, of which the first two are its columns and rows, and the words of the lines after them.
+/// Content of a file: its numbers, of which the first two are those of columns and rows, and the words of the lines
+/// after them with their line numbers.
 struct Contents<'a> {
     numbers: Vec<f64>,
     lines: Vec<(usize, Vec<&'a str>)>,
 }
 
-/// Returns the error of a damaged file.
+/// Returns the message about a damaged `.wft` file.
 fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again in DFTFringe")
 }
@@ -96,7 +97,7 @@ impl<'a> Contents<'a> {
         Ok(Self { numbers, lines })
     }
 
-    /// Returns the numbers in the line that begins with these words.
+    /// Returns the numbers in the line that begins with the words `key`; `None` without such a line.
     fn after(&self, key: &[&str]) -> Result<Option<Vec<f64>>, Invalid> {
         let Some((line, fields)) = self.lines.iter().find(|(_, f)| f.starts_with(key)) else {
             return Ok(None);
@@ -116,7 +117,7 @@ impl<'a> Contents<'a> {
         }
     }
 
-    /// Returns the positive number after a word.
+    /// Returns the positive number after a word; `None` without the word. Refuses another number.
     fn positive(&self, key: &str) -> Result<Option<f64>, Invalid> {
         match self.after(&[key])?.as_deref() {
             None => Ok(None),
@@ -126,7 +127,7 @@ impl<'a> Contents<'a> {
     }
 }
 
-/// Reads the surface. Refuses damaged files, and another number of values than pixels.
+/// Reads the map of surface heights. Refuses damaged files, and another number of values than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let mut contents = Contents::read(&text)?;

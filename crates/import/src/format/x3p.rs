@@ -32,22 +32,22 @@ use crate::{
 
 const NAME: &str = "x3p file";
 
-/// Largest `main.xml`, bytes: a list of heights in text is larger, and is refused.
+/// Largest size of `main.xml`, bytes. A file with heights as text within `main.xml` is larger, and is refused.
 const MOST_XML: usize = 4 * MOST_TEXT_BYTES;
 
-/// Returns true for a ZIP archive with a `main.xml`, or one that is too broken to tell.
+/// Returns true for a ZIP archive that contains `main.xml`, and for one that is too damaged to tell.
 pub(crate) fn is_x3p(bytes: &[u8]) -> bool {
     Archive::open(bytes, NAME).map_or(true, |archive| archive.has("main.xml"))
 }
 
-/// Returns the text of the element at a path.
+/// Returns the text of the element at a path such as `Record1/FeatureType`; `None` if it is absent or empty.
 fn text(root: Node<'_, '_>, path: &str) -> Option<String> {
     let element = path.split('/').try_fold(root, child)?;
     let text: String = element.text()?.trim().chars().take(200).collect();
     if text.is_empty() { None } else { Some(text) }
 }
 
-/// Returns the number of the element at a path.
+/// Returns the number of the element at a path; `None` if it is absent or empty. Refuses text that is no finite number.
 fn number(root: Node<'_, '_>, path: &str) -> Result<Option<f64>, Invalid> {
     let Some(text) = text(root, path) else { return Ok(None) };
     match text.parse::<f64>() {
@@ -59,7 +59,7 @@ fn number(root: Node<'_, '_>, path: &str) -> Result<Option<f64>, Invalid> {
     }
 }
 
-/// Returns the number of pixels that the matrix states.
+/// Returns the number of pixels that `MatrixDimension` states under `name`, or refuses its absence.
 fn size(root: Node<'_, '_>, name: &str) -> Result<usize, Invalid> {
     let path = format!("Record3/MatrixDimension/{name}");
     match number(root, &path)? {
@@ -72,7 +72,7 @@ fn size(root: Node<'_, '_>, name: &str) -> Result<usize, Invalid> {
     }
 }
 
-/// Reads a map.
+/// Reads the map of an X3P archive.
 ///
 /// # Errors
 /// Refuses damaged archives, axes that are turned or not uniform, several layers, and another number of heights than
@@ -138,19 +138,19 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the element `name` of the axes [x, y], which is in m, in mm.
+/// Returns the numbers in the element `name` of the axes [x, y], converted from m to mm; `None` unless both exist.
 fn pair_mm(root: Node<'_, '_>, name: &str) -> Result<Option<[f64; 2]>, Invalid> {
     let x = number(root, &format!("Record1/Axes/CX/{name}"))?;
     let y = number(root, &format!("Record1/Axes/CY/{name}"))?;
     Ok(x.zip(y).map(|(x, y)| [x * 1e3, y * 1e3]))
 }
 
-/// Returns the first child of this name, in any namespace.
+/// Returns the first child element called `name`, in any namespace.
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|child| child.tag_name().name() == name)
 }
 
-/// Refuses what is no map on a uniform grid along the axes of the part.
+/// Refuses a document that is no map on a uniform grid along the axes of the part.
 fn refuse_other(root: Node<'_, '_>) -> Result<(), Invalid> {
     let kind = text(root, "Record1/FeatureType").unwrap_or_default();
     if kind != "SUR" {
@@ -171,7 +171,7 @@ fn refuse_other(root: Node<'_, '_>) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Marks the pixels whose bit is 0.
+/// Makes the pixels invalid whose bit in `bits` is 0. Refuses another number of bits than pixels.
 fn mark_invalid(reading: &mut Reading, bits: &[u8]) -> Result<(), Invalid> {
     let count = reading.values.len();
     if bits.len() != count.div_ceil(8) {

@@ -11,14 +11,14 @@ use crate::{
 pub(crate) const MAGIC: &[u8] = b"PK\x03\x04";
 const END: &[u8] = b"PK\x05\x06";
 
-/// Bytes of the record at the end, and the longest comment after it.
+/// Size of the record at the end of an archive, and of the longest comment after it (`LONGEST_COMMENT`), bytes.
 const END_BYTES: usize = 22;
 const LONGEST_COMMENT: usize = 0xffff;
 
-/// Most bytes that a byte of deflated data becomes.
+/// Largest number of bytes that one byte of deflated data can become.
 const MOST_GROWTH: u64 = 1032;
 
-/// The members of an archive.
+/// A ZIP archive: its bytes, and the list of its members.
 pub(crate) struct Archive<'a> {
     b: Bytes<'a>,
     members: Vec<Member>,
@@ -34,7 +34,7 @@ struct Member {
 }
 
 impl<'a> Archive<'a> {
-    /// Reads the directory at the end of `bytes`; `name` is what an error is about. Refuses a damaged one.
+    /// Reads the directory at the end of `bytes`; `name` is the subject of messages. Refuses a damaged archive.
     pub fn open(bytes: &'a [u8], name: &'static str) -> Result<Self, Invalid> {
         let b = Bytes { all: bytes, name, big_endian: false };
         let from = bytes.len().saturating_sub(END_BYTES + LONGEST_COMMENT);
@@ -71,17 +71,17 @@ impl<'a> Archive<'a> {
         Ok(Self { b, members })
     }
 
-    /// Returns true if the archive has a member of this name.
+    /// Returns true if the archive has a member called `name`.
     pub fn has(&self, name: &str) -> bool {
         self.members.iter().any(|member| member.name == name)
     }
 
-    /// Returns the names of the members, and their sizes in bytes.
+    /// Returns the names of the members, each with the size of its content, bytes.
     pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
         self.members.iter().map(|member| (member.name.as_str(), member.size))
     }
 
-    /// Returns the content of a member of at most `most` bytes. Refuses an absent, a larger and a damaged one.
+    /// Returns the content of a member of at most `most` bytes. Refuses a member that is absent, larger or damaged.
     pub fn member(&self, name: &str, most: usize) -> Result<Vec<u8>, Invalid> {
         let refuse = |problem: String| Invalid::whole(self.b.name, problem, "export it again");
         let wanted = name.trim_start_matches(['/', '.']);

@@ -7,7 +7,7 @@ use planish_types::{AxesMotion, Invalid};
 use super::{Knot, Layout, finite, through, wrong};
 use crate::text::fields;
 
-/// Returns the motion of a table.
+/// Reads the motion from the table, with a cubic between two rows. Refuses a table without the columns of `layout`.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let columns = layout.names.iter().zip(&layout.units);
     let columns = columns.map(|(name, unit)| format!("{name}_{unit},v{name}_{unit}_per_s,"));

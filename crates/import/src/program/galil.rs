@@ -16,7 +16,7 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Configuration, Knot, Layout, finite, needed, positive, through, wrong};
 
-/// Letters of the axes.
+/// Letters of the axes of the controller, in their order.
 const LETTERS: &str = "ABCDEFGH";
 
 /// Largest time of a segment, samples (Galil DMC-40x0 command reference, PV).
@@ -26,25 +26,25 @@ const MOST_DISTANCE: i64 = 44_000_000;
 /// Largest velocity at the end of a segment, counts/s (Galil DMC-40x0 command reference, PV).
 const MOST_VELOCITY: i64 = 22_000_000;
 
-/// Commands that change no motion: end of a program, servo on, waits and messages of the host.
+/// Commands that change no motion: end of a program, servo on, waits, and messages to the host.
 const WITHOUT_MOTION: [&str; 6] = ["EN", "SH", "AM", "MC", "MG", "WT"];
 
-/// Units of TM in a second (DMC-40x0 command reference, TM).
+/// Time units of the command TM per second (DMC-40x0 command reference, TM).
 const TM_PER_S: f64 = 1.024e6;
 
-/// GalilCommand of a line.
+/// A command of the program that the reader acts on.
 enum GalilCommand {
-    /// A segment of an axis.
+    /// A segment of the axis with this index: distance (counts), velocity (counts/s) and time (samples).
     Segment(usize, [i64; 3]),
-    /// Clear the buffer of an axis.
+    /// Clears the buffer of the axis with this index.
     Clear(usize),
-    /// The end of the motion of an axis.
+    /// Ends the motion of the axis with this index.
     End(usize),
-    /// Begin the motion of all axes.
+    /// Begins the motion of all axes.
     Begin,
 }
 
-/// Returns the motion of a program.
+/// Reads the motion of a Galil program.
 pub(super) fn read(
     text: &str,
     configuration: &Configuration,
@@ -102,8 +102,8 @@ pub(super) fn read(
     through(&knots(&axes, layout, sample_s, letters)?)
 }
 
-/// Returns the states at the ends of the segments: distance, velocity and samples of every one, by axis. Refuses absent
-/// settings, and segments of which the axes have other times.
+/// Returns the states at the ends of the segments, in mm or deg. `axes` has distance, velocity and samples of every
+/// segment, by axis. Refuses missing settings, and axes whose segments differ in time.
 fn knots(
     axes: &[Vec<[i64; 3]>],
     layout: &Layout,
@@ -144,7 +144,7 @@ fn knots(
     Ok(knots)
 }
 
-/// Refuses axes with different numbers of segments, and a motion that does not begin or end.
+/// Refuses axes with different numbers of segments, and a motion without a beginning or an end.
 fn check_complete(
     axes: &[Vec<[i64; 3]>],
     ended: &[bool],
@@ -169,7 +169,7 @@ fn check_complete(
     Err(Invalid::whole("program", problem, "complete it if it was cut off"))
 }
 
-/// Returns the sample time that `TM` states, s; refuses another one than that of the settings.
+/// Returns the sample time, s, from the number `units` after `TM`. Refuses one that contradicts the settings.
 fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Invalid> {
     let stated_s = finite(line, units.trim_start_matches([' ', '=']))? / TM_PER_S;
     // A little less or more is the rounding of a number that was typed.
@@ -183,7 +183,7 @@ fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Inv
     }
 }
 
-/// Returns the command that a text is.
+/// Returns the command that a text stands for. Refuses an unknown one.
 fn parse(line: usize, command: &str, letters: &str) -> Result<GalilCommand, Invalid> {
     if command.strip_prefix("BT") == Some(letters) {
         return Ok(GalilCommand::Begin);

@@ -39,7 +39,7 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Layout, finite, wrong};
 
-/// Returns the motion of a program.
+/// Reads the motion of a G-code program.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let mut machine = Machine::new(layout);
     let [mut percent, mut begun, mut ended] = [false; 3];
@@ -76,31 +76,31 @@ struct Machine<'a> {
     position: Vec<Option<f64>>,
     inverse_time: bool,
     feed: Option<f64>,
-    /// 0 or 1 of G0, G1.
+    /// Motion mode: 0 for G0, 1 for G1.
     motion: u32,
     tool_on: bool,
-    /// Tool switch of M62 or M63 that waits for the next motion.
+    /// Tool state that an M62 or M63 has requested for the next motion.
     queued: Option<bool>,
-    /// True if the program switches the output.
+    /// True if the program contains M62 to M65, so that it switches the tool.
     switches: bool,
-    /// P of G64, mm; zero for lines that are not joined.
+    /// Path tolerance P of G64, mm; 0 if lines are not joined.
     tolerance_mm: f64,
     parts: Vec<Part>,
-    /// Dwells with the tool off before the start is set, s.
+    /// Sum of the dwells with the tool off before the program sets the start position, s.
     wait_s: f64,
 }
 
-/// A line of a program, or a stop of its motion.
+/// A straight line of the motion, or a stop within it.
 struct Part {
     seconds: f64,
-    /// Position at the start and velocity of every axis.
+    /// Position at the start (mm or deg) and velocity (per s) of every axis.
     states: Vec<[f64; 2]>,
     tool_on: bool,
-    /// True for a dwell, and where an output switches at once: the motion before it ends first.
+    /// True for a dwell, and for an output that switches at once: the motion before it ends first.
     is_stop: bool,
 }
 
-/// Cubics one after the other.
+/// Cubic polynomials of the motion in succession, with the times between them.
 struct Cubics {
     times: Vec<f64>,
     cubics: Vec<[f64; 4]>,
@@ -114,7 +114,7 @@ impl Default for Cubics {
 }
 
 impl Cubics {
-    /// Adds the cubics of all axes over some time; nothing for no time.
+    /// Appends one cubic per axis, which last `seconds`. Nothing is appended for 0 s.
     fn push(&mut self, seconds: f64, cubics: impl Iterator<Item = [f64; 4]>, tool_on: bool) {
         if seconds > 0.0 {
             self.times.push(self.times[self.times.len() - 1] + seconds);
@@ -124,13 +124,14 @@ impl Cubics {
     }
 }
 
-/// Returns the time of the parabola around node `k` of joined lines, s: that of the shorter line beside it.
+/// Returns the duration of the parabola around node `k` of joined lines, s: that of the shorter adjacent line.
 fn parabola_s(run: &[Part], k: usize) -> f64 {
     let beside = &run[k.saturating_sub(1)..(k + 1).min(run.len())];
     beside.iter().map(|line| line.seconds).fold(f64::INFINITY, f64::min)
 }
 
-/// Returns the velocities before and after node `k` of joined lines, which begin and end at rest.
+/// Returns the velocities of all axes before and after node `k` of joined lines; 0 before the first and after the last
+/// line.
 fn around(run: &[Part], k: usize) -> (Vec<f64>, Vec<f64>) {
     let velocities = |line: Option<&Part>| match line {
         Some(line) => line.states.iter().map(|[_, v]| *v).collect(),
@@ -157,7 +158,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// Runs a line; returns true if the program ends with it.
+    /// Executes a line of the program; returns true if the program ends with it.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
         check_words(number, &words, &self.letters)?;
@@ -234,7 +235,8 @@ impl<'a> Machine<'a> {
         Ok(end)
     }
 
-    /// Goes to a position by G0 or G1.
+    /// Moves to the position `target` by G0 or G1; `None` is an axis whose position is not yet known. `feed` is the
+    /// number of the F word of the line.
     fn go(
         &mut self,
         number: usize,
@@ -279,7 +281,7 @@ impl<'a> Machine<'a> {
         self.push(number, &here, &to, seconds)
     }
 
-    /// Returns the motion of all lines and dwells.
+    /// Returns the motion of all lines and dwells, joined if it stays within the path tolerance.
     fn motion(self) -> Result<AxesMotion, Invalid> {
         let mut pieces = Cubics::default();
         let is_joined = self.tolerance_mm > 0.0
@@ -302,12 +304,12 @@ impl<'a> Machine<'a> {
         AxesMotion::new(pieces.times, pieces.cubics, pieces.tool_on, vec![None; n])
     }
 
-    /// Returns the lines that follow each other without a stop.
+    /// Returns the groups of lines that follow each other without a stop.
     fn runs(&self) -> impl Iterator<Item = &[Part]> {
         self.parts.split(|part| part.is_stop).filter(|run| !run.is_empty())
     }
 
-    /// Returns the largest distance of joined lines from their corners along the linear axes, mm.
+    /// Returns the largest distance of the joined motion from the corners, along the linear axes, mm.
     fn farthest_mm(&self, run: &[Part]) -> f64 {
         let linear = || (0..self.layout.len()).filter(|a| self.layout.units[*a] == "mm");
         let from_corners = (0..=run.len()).map(|k| {
@@ -318,7 +320,7 @@ impl<'a> Machine<'a> {
         from_corners.fold(0.0, f64::max)
     }
 
-    /// Adds the joined motion of lines, from rest to rest: half a line before the first node begins it.
+    /// Appends the joined motion of a group of lines, from rest to rest. It begins half a line before the first node.
     fn join(&self, run: &[Part], pieces: &mut Cubics) {
         let axes = self.layout.len();
         for k in 0..=run.len() {
@@ -351,7 +353,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// Refuses a program that leaves the tool on.
+    /// Refuses a program that ends with the tool on, or with a switch that no motion follows.
     fn end(&self) -> Result<(), Invalid> {
         let problem = match (self.switches, self.queued, self.tool_on) {
             (true, Some(_), _) => {
@@ -363,7 +365,7 @@ impl<'a> Machine<'a> {
         Err(Invalid::whole("program", problem, "end it with M65 P0"))
     }
 
-    /// Returns the position. Refuses a program that has not set the start.
+    /// Returns the positions of all axes. Refuses a program that has not yet set the start position.
     fn here(&self, number: usize) -> Result<Vec<f64>, Invalid> {
         let here: Option<Vec<f64>> = self.position.iter().copied().collect();
         here.ok_or_else(|| {
@@ -372,7 +374,7 @@ impl<'a> Machine<'a> {
         })
     }
 
-    /// Adds a straight line that takes so many seconds.
+    /// Appends a straight line from `from` to `to` that takes `seconds`.
     fn push(
         &mut self,
         number: usize,
@@ -390,18 +392,18 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Stands for `seconds`, once the motion before has ended.
+    /// Appends a stop of `seconds`, after the motion before it has ended.
     fn stop(&mut self, here: Vec<f64>, seconds: f64) {
         let states = here.iter().map(|p| [*p, 0.0]).collect();
         self.parts.push(Part { seconds, states, tool_on: self.tool_on, is_stop: true });
     }
 }
 
-/// Least whole number of seconds of a G4 that is doubted as one of milliseconds. Larger: short dwells in ms pass. Smaller:
-/// dwells in s are doubted.
+/// Smallest whole number of seconds of a dwell (G4) that may be meant in milliseconds. Larger: short dwells in ms pass.
+/// Smaller: dwells in s are doubted.
 const LEAST_DOUBTED_S: f64 = 100.0;
 
-/// Returns a doubt about the unit of the longest dwell: other controllers count its P in ms.
+/// Returns a doubt about the unit of the longest dwell, because other controllers count it in ms; `None` without one.
 pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
     let dwells = text.lines().enumerate().filter_map(|(i, line)| {
         let words = words(i + 1, line).ok()?;
@@ -420,14 +422,14 @@ pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
     ))
 }
 
-/// Returns ten times a code, because codes have at most one decimal. LinuxCNC accepts a code within 0.0001 of a
-/// whole number.
+/// Returns ten times the number of a G or M code, because codes have at most one decimal. LinuxCNC accepts a code
+/// within 0.0001 of it; `None` otherwise.
 fn code(v: f64) -> Option<i64> {
     let tenfold = 10.0 * v;
     if (tenfold - tenfold.round()).abs() <= 1e-4 { Some(tenfold.round() as i64) } else { None }
 }
 
-/// Refuses words that are not understood, that contradict each other, or that nothing uses.
+/// Refuses words that are unknown, that contradict each other, or that nothing on the line uses.
 fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
     let mut groups = Vec::new();
     for (i, (letter, v)) in words.iter().enumerate() {
@@ -501,17 +503,17 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
     check_belonging(number, words, axes)
 }
 
-/// Returns whether a word of this letter has one of these codes.
+/// Returns true if a word with this letter has one of these codes (times ten).
 fn has(words: &[(char, f64)], letter: char, codes: &[i64]) -> bool {
     words.iter().any(|w| w.0 == letter && code(w.1).is_some_and(|c| codes.contains(&c)))
 }
 
-/// Returns whether there is a word of this letter.
+/// Returns true if a word has this letter.
 fn has_letter(words: &[(char, f64)], letter: char) -> bool {
     words.iter().any(|w| w.0 == letter)
 }
 
-/// Refuses words that belong to nothing else of the line, or to two things.
+/// Refuses words that belong to no command of the line, or to two of them.
 fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
     let dwell = has(words, 'G', &[40]);
     let output = has(words, 'M', &[620, 630, 640, 650]);
@@ -532,7 +534,7 @@ fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Resul
 /// long" at one more.
 const MOST_CHARACTERS: usize = 252;
 
-/// Returns the letters with their numbers, comments left out.
+/// Splits a line into words, a letter with its number each; comments are left out.
 fn words(number: usize, line: &str) -> Result<Vec<(char, f64)>, Invalid> {
     if line.len() > MOST_CHARACTERS {
         let problem =

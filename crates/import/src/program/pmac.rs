@@ -20,7 +20,7 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Configuration, Knot, Layout, finite, needed, positive, through, wrong};
 
-/// Returns the motion of a program.
+/// Reads the motion of a PMAC program.
 pub(super) fn read(
     text: &str,
     configuration: &Configuration,
@@ -36,7 +36,7 @@ pub(super) fn read(
     through(&program.knots)
 }
 
-/// A statement: a word of letters with its number, and what follows the number.
+/// A statement of the program: a word of letters, its number, and the text after it.
 struct Statement {
     word: String,
     number: Option<f64>,
@@ -45,19 +45,20 @@ struct Statement {
     raw: String,
 }
 
-/// Text after the number of a statement.
+/// Text that follows the number of a statement.
 enum Tail {
     None,
-    /// `:v`
+    /// Velocity `:v` at the end of a move.
     Velocity(f64),
-    /// `=v`, or `==v` with the start of the next move.
+    /// Assignment `=v`, or `==v`, which happens at the start of the next move.
     Value {
         value: f64,
         is_synchronous: bool,
     },
 }
 
-/// Returns a line without its comments: `;` and `//` up to its end, and `/* */`, which may go on in further lines.
+/// Returns a line without its comments. A comment `/* */` may extend over several lines; `is_comment` carries that
+/// over.
 fn without_comments(line: &str, is_comment: &mut bool) -> String {
     let mut plain = String::new();
     let mut rest = line;
@@ -81,7 +82,7 @@ fn without_comments(line: &str, is_comment: &mut bool) -> String {
     }
 }
 
-/// Splits a line into its statements.
+/// Splits the text of a line into its statements; `line` is its number, for messages.
 fn statements(line: usize, text: &str) -> Result<Vec<Statement>, Invalid> {
     let upper = text.to_ascii_uppercase();
     let mut rest = upper.trim_start();
@@ -126,7 +127,8 @@ fn statements(line: usize, text: &str) -> Result<Vec<Statement>, Invalid> {
     Ok(statements)
 }
 
-/// Takes a number, in brackets or without, from the beginning of `rest`.
+/// Removes a number, with or without parentheses, from the beginning of `rest`, and returns it; `None` if there is
+/// none.
 fn data(line: usize, rest: &mut &str) -> Result<Option<f64>, Invalid> {
     let text = *rest;
     let (number, end) = if let Some(inner) = text.strip_prefix('(') {
@@ -148,17 +150,17 @@ fn missing(line: usize, text: &str) -> Invalid {
     wrong(line, format!("has {:?} where a number should be", short(text)))
 }
 
-/// A program on its way.
+/// State of a program while it is read: knots so far, and modes of the controller.
 struct PmacProgram<'a> {
     layout: &'a Layout,
     letters: Vec<char>,
     last: Knot,
     knots: Vec<Knot>,
-    /// True if the place of the axes is known.
+    /// True if the position of the axes is known.
     is_placed: bool,
     unit_s: Option<f64>,
     segment_ms: Option<f64>,
-    /// True for moves to the start, by RAPID or LINEAR.
+    /// True if moves go to the start position, by RAPID or LINEAR.
     is_approach: bool,
     is_absolute: bool,
     total_ms: f64,
@@ -204,7 +206,7 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Returns true for a letter of an axis. Letters that the program does not move are refused as axes.
+    /// Returns true if the statement names an axis with a number, even an axis that the program may not move.
     fn is_axis(&self, statement: &Statement) -> bool {
         let is_letter = statement.word.len() == 1 && "XYZUVWABC".contains(&statement.word);
         is_letter && statement.number.is_some()
@@ -275,7 +277,8 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Sets an I-variable: Isx90 is the unit of time of the velocities, Isx87 to Isx89 are ramps and feed of other modes.
+    /// Sets an I-variable. Isx90 is the time unit of the velocities, ms; Isx87 to Isx89 belong to other modes and
+    /// change nothing.
     fn set(&mut self, line: usize, number: f64, value: f64, raw: &str) -> Result<(), Invalid> {
         match number as u32 % 100 {
             87..=89 => Ok(()),
@@ -310,7 +313,7 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Adds a knot `ms` after the last one.
+    /// Appends a knot, `ms` milliseconds after the last one.
     fn add(&mut self, ms: f64) {
         self.knots.last_mut().expect("one knot").tool_on = self.output.on;
         // Milliseconds add up; dividing every one of them would round every one.
@@ -319,7 +322,7 @@ impl<'a> PmacProgram<'a> {
         self.knots.push(self.last.clone());
     }
 
-    /// Takes the axes to the words of a move, with the velocities at its end.
+    /// Moves the axes as the words of a line say: position or distance, and velocity at the end.
     fn go(&mut self, line: usize, words: &[Statement]) -> Result<(), Invalid> {
         let Some(ms) = self.segment_ms else {
             return self.approach(line, words);
@@ -349,7 +352,7 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Takes the axes to the start: all of them, absolute, so that their place before it does not matter.
+    /// Moves the axes to the start position. The move must name all axes in absolute positions.
     fn approach(&mut self, line: usize, words: &[Statement]) -> Result<(), Invalid> {
         if !self.is_approach {
             return Err(wrong(line, "moves before PVT sets a time"));
@@ -371,7 +374,7 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Returns the axis of a word.
+    /// Returns the index of the axis that a word names, or refuses an unknown one.
     fn axis(&self, line: usize, word: &Statement) -> Result<usize, Invalid> {
         self.letters.iter().position(|l| word.word.starts_with(*l)).ok_or_else(|| {
             let known: Vec<String> = self.letters.iter().map(char::to_string).collect();
@@ -380,11 +383,11 @@ impl<'a> PmacProgram<'a> {
     }
 }
 
-/// The M-variable that switches the tool.
+/// State of the M-variable that switches the tool.
 struct Output {
     number: Option<u32>,
     on: bool,
-    /// Assigned with the start of the next move.
+    /// Value that is assigned at the start of the next move, if any.
     queued: Option<bool>,
 }
 
@@ -395,7 +398,7 @@ impl Default for Output {
 }
 
 impl Output {
-    /// `M<n>==<0|1>` or `M<n>=<0|1>`.
+    /// Executes `M<n>==<0|1>` or `M<n>=<0|1>`. `moved` is true if the program has moved already.
     fn assign(&mut self, line: usize, statement: &Statement, moved: bool) -> Result<(), Invalid> {
         let (number, value, synchronous) = match (statement.number, &statement.tail) {
             (Some(n), Tail::Value { value, is_synchronous }) if n >= 0.0 && n.fract() == 0.0 => {
@@ -431,7 +434,7 @@ impl Output {
         Ok(())
     }
 
-    /// A move or a dwell begins.
+    /// Applies an assignment that waits for the next move or dwell.
     fn execute(&mut self) {
         self.on = self.queued.take().unwrap_or(self.on);
     }

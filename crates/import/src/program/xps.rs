@@ -10,7 +10,7 @@ use planish_types::{AxesMotion, Invalid};
 use super::{Knot, Layout, finite, needed, through, wrong};
 use crate::text::fields;
 
-/// The motion of a program.
+/// Reads the motion of an XPS trajectory file, with a cubic per line.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let n = layout.len();
     let position = needed("start_mm", layout.start.clone())?;

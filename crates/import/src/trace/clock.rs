@@ -1,4 +1,4 @@
-//! Times of the samples: stamps in the log, or a rate.
+//! Times of the samples of a log: from time stamps in the log, or from a sampling rate.
 //!
 //! Time stamps are checked against equal steps of h, the inverse of the rate, or the usual step where no
 //! rate is given. With n_i = sum of round(dt/h), the number of steps up to sample i, and the least-squares
@@ -24,32 +24,33 @@ use serde::Serialize;
 
 use super::columns::Column;
 
-/// Step between two samples, in usual steps, above which there is a gap. Larger: a lost sample goes
-/// unnoticed. Smaller: the scatter of the stamps passes for gaps. Chosen: midway between one step and the
-/// two steps of a lost sample.
+/// Largest step between two samples without a gap, in usual steps. Larger: a lost sample goes unnoticed. Smaller: the
+/// scatter of the stamps passes for gaps. Chosen: midway between one step and the two steps of a lost sample.
 const GAP: f64 = 1.5;
 
 /// Largest number of gaps that the manifest lists. Larger: longer manifests of bad logs. Smaller: fewer
 /// gaps to look at.
 const MOST_NAMED: usize = 10;
 
-/// Largest drift of a clock without a warning, relative. Larger: a drift goes unnoticed that moves the removal of a run of an
-/// hour by 36 ms or more of the path. Smaller: warns of the usual difference of two clocks.
+/// Largest relative drift of a clock without a warning. Larger: in a run of an hour, a drift goes unnoticed that moves
+/// the removal by 36 ms or more of the path. Smaller: warns of the usual difference of two clocks.
 pub(super) const USUAL_DRIFT: f64 = 1e-5;
 
-/// Part of the last digit of the time stamps within which they count as rounded equal steps. Derived: rounding is within 0.5,
-/// and the numbers themselves are rounded to doubles.
+/// Largest distance of the time stamps from equal steps, in units of their last digit, at which they count as rounded
+/// equal steps. Derived: rounding is within 0.5, and the numbers themselves are rounded to doubles.
 const ROUNDING: f64 = 0.51;
 
-/// Least last digit of the time stamps, relative to their step, from which on equal steps take their place. Larger: rounded
-/// stamps make accelerations that the machine did not have. Smaller: no gain, the rounding is below that of positions.
+/// Smallest unit of the last digit of the time stamps, relative to their step, at which equal steps replace them.
+/// Larger: rounded stamps make accelerations that the machine did not have. Smaller: no gain, because the rounding is
+/// below that of positions.
 const COARSE: f64 = 1e-6;
 
-/// Latest time since 1970 that a log may state, s: the year 2200. A later one is in another unit.
+/// Latest time since 1970 that a log may state, s: the year 2200. A later time has another unit. Larger: wrong units
+/// pass.
 const LATEST_S: f64 = 7.3e9;
 
-/// Least number of nanoseconds since 1970 that are taken for such, without a unit: the year 2000. As microseconds or longer
-/// they would be ages.
+/// Smallest number without a unit that counts as nanoseconds since 1970: the year 2000. As microseconds or a longer
+/// unit it would be far in the future.
 const LEAST_UNIX_NS: f64 = 9.4e17;
 
 /// Largest RMS scatter of the stamps without a warning, relative to their step. Larger: does not notice
@@ -57,23 +58,23 @@ const LEAST_UNIX_NS: f64 = 9.4e17;
 /// makes the velocity between two samples wrong by 14 % RMS.
 const USUAL_SCATTER: f64 = 0.1;
 
-/// Inputs for the times of the samples.
+/// Time stamps and settings from which the times of the samples follow.
 pub struct Timing<'a> {
-    /// Time stamps, where the log has some.
+    /// Column of time stamps; `None` if the log has none.
     pub stamps: Option<&'a Column>,
     /// Number of samples.
     pub samples: usize,
-    /// Unit of the stamps, where it was given.
+    /// Unit of the stamps that the user states.
     pub unit: Option<Unit>,
-    /// Sample time of the controller, s.
+    /// Sample time of the controller, s, for stamps that count samples.
     pub sample_s: Option<f64>,
-    /// Samples per second, Hz.
+    /// Sampling rate that was set for the log, Hz.
     pub rate_hz: Option<f64>,
-    /// Longest gap that is bridged, s.
+    /// Longest gap that is bridged by a straight line, s.
     pub most_gap_s: f64,
 }
 
-/// A gap in the time stamps.
+/// A gap in the time stamps, where samples were lost.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Gap {
     /// Index of the last sample before the gap, counted from 0.
@@ -86,37 +87,37 @@ pub struct Gap {
     pub missing: usize,
 }
 
-/// Comparison of the time stamps with equal steps.
+/// Comparison of the time stamps with equal steps of the sampling rate.
 #[derive(Clone, Debug, Serialize)]
 pub struct Clock {
-    /// Samples per second, Hz.
+    /// Sampling rate, Hz.
     pub rate_hz: f64,
-    /// Source of the rate: "asked for" or "the usual step of the time stamps".
+    /// Source of the rate: "asked for" (the user stated it) or "the usual step of the time stamps".
     pub rate_from: &'static str,
-    /// True if the times are stamps of the log; false if they are from the rate.
+    /// True if the times are stamps of the log; false if they follow from the rate.
     pub stamps: bool,
     /// Number of gaps.
     pub gaps: usize,
-    /// Total time of the gaps, s.
+    /// Total duration of the gaps, s.
     pub gaps_last_s: f64,
-    /// The largest gap, then others; at most 10.
+    /// The largest gap first, then others; at most 10.
     pub named_gaps: Vec<Gap>,
     /// Drift of the stamps against the rate, relative; positive if the stamps run fast. Present if the log
     /// has stamps and the rate was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<f64>,
-    /// Drift at the end of the log, s.
+    /// Drift accumulated at the end of the log, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_at_the_end_s: Option<f64>,
-    /// RMS scatter of the stamps about equal steps, s.
+    /// RMS distance of the stamps from equal steps, s.
     pub scatter_s: f64,
-    /// Last digit of the stamps, s, where they are equal steps that were rounded to it.
+    /// Unit of the last digit of the stamps, s, if they are equal steps rounded to it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rounded_to_s: Option<f64>,
 }
 
 impl Timing<'_> {
-    /// Returns the times since the first sample (n), s, and their comparison with equal steps.
+    /// Returns the times since the first sample, s (n), and their comparison with equal steps.
     ///
     /// # Errors
     /// Refuses stamps that do not ascend, gaps that are too long, and stamps or a rate whose unit nobody states.
@@ -154,7 +155,7 @@ impl Timing<'_> {
         Ok((time_s, clock))
     }
 
-    /// Returns equal steps by the rate, for a log without time stamps.
+    /// Returns equal steps of the sampling rate, for a log without time stamps. Refuses an absent rate.
     fn by_rate(&self) -> Result<(Vec<f64>, Clock), Invalid> {
         let Some(rate_hz) = self.rate_hz else {
             let remedy = "give `rate_hz`, or `time` with the column of the time stamps";
@@ -176,7 +177,8 @@ impl Timing<'_> {
         Ok((time_s, clock))
     }
 
-    /// Returns the seconds in a unit of the stamps.
+    /// Returns the unit of the time stamps, s, from the settings or the log. Refuses a contradiction, and an absent
+    /// unit.
     pub(super) fn unit_s(&self, stamps: &Column) -> Result<f64, Invalid> {
         let unit = match (self.unit, stamps.unit) {
             (Some(requested), Some(stated)) if requested != stated => {
@@ -218,7 +220,8 @@ impl Timing<'_> {
         Ok(unit_s)
     }
 
-    /// Returns the comparison of the stamps with steps of `step_s`, and the number of steps n_i up to each sample.
+    /// Returns the comparison of the stamps with steps of `step_s`, and the number of steps (n_i of the module) up to
+    /// each sample. `rate_from` is the source of the step.
     fn compared(
         &self,
         time_s: &[f64],
@@ -276,12 +279,12 @@ impl Timing<'_> {
 }
 
 impl Clock {
-    /// Returns the longest step between two samples that is no gap, s.
+    /// Returns the longest step between two samples that is no gap, s; infinity without time stamps.
     pub fn longest_step_s(&self) -> f64 {
         if self.stamps { GAP / self.rate_hz } else { f64::INFINITY }
     }
 
-    /// Returns the warnings of gaps, drift and scatter.
+    /// Returns the warnings about gaps, drift and scatter.
     pub(super) fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if let Some(largest) = self.named_gaps.first() {
@@ -328,7 +331,8 @@ impl Clock {
     }
 }
 
-/// Returns the probable unit of a number that is a time since 1970 or a day of a spreadsheet, for a message.
+/// Returns a note on the probable unit of a time stamp that may be a time since 1970 or a day of a spreadsheet, for a
+/// message; empty if it is neither.
 fn epoch(first: f64) -> &'static str {
     // From the year 1990 to 2100.
     const SINCE_1970_S: std::ops::Range<f64> = 6.3e8..4.1e9;
@@ -349,8 +353,8 @@ fn epoch(first: f64) -> &'static str {
     ""
 }
 
-/// Returns the usual step between two stamps: the mean of those that are within half of the median of it. The median alone
-/// is one of the two lengths that rounded steps have.
+/// Returns the usual step between two stamps, s: the mean of the steps that are within half of the median of it. The
+/// median alone would be one of the two lengths that rounded steps have.
 fn usual_step(time_s: &[f64]) -> f64 {
     let mut steps: Vec<f64> = time_s.windows(2).map(|t| t[1] - t[0]).collect();
     let middle = steps.len() / 2;
@@ -359,8 +363,8 @@ fn usual_step(time_s: &[f64]) -> f64 {
     steps.iter().sum::<f64>() / steps.len() as f64
 }
 
-/// Returns the rate, Hz, of the fewest digits with which all stamps are within `within_s` of equal steps; `None` if they are
-/// not so for any rate.
+/// Returns the sampling rate, Hz, with the fewest digits at which all stamps are within `within_s` of equal steps.
+/// `count` is the number of steps up to each stamp. Returns `None` if no rate fits.
 fn even_rate_hz(count: &[f64], time_s: &[f64], within_s: f64) -> Option<f64> {
     let rate_hz = 1.0 / line(count, time_s).slope;
     if spread_s(count, time_s, rate_hz) > 2.0 * within_s {
@@ -375,21 +379,22 @@ fn even_rate_hz(count: &[f64], time_s: &[f64], within_s: f64) -> Option<f64> {
     Some(rate_hz)
 }
 
-/// Returns the largest less the smallest distance of stamps from equal steps of a rate, s.
+/// Returns the range of the distances between the stamps and equal steps of a rate, s. `count` is the number of steps
+/// up to each stamp.
 fn spread_s(count: &[f64], time_s: &[f64], rate_hz: f64) -> f64 {
     let away = count.iter().zip(time_s).map(|(n, t)| t - n / rate_hz);
     let low = away.clone().fold(f64::INFINITY, f64::min);
     away.fold(f64::NEG_INFINITY, f64::max) - low
 }
 
-/// A least-squares line of y over x.
+/// A least-squares line of y over x: slope and scatter.
 struct FittedLine {
     slope: f64,
-    /// RMS distance from it in y.
+    /// RMS distance of the points from the line, in y.
     scatter: f64,
 }
 
-/// Fits a line to y over x.
+/// Fits a least-squares line to y over x.
 fn line(x: &[f64], y: &[f64]) -> FittedLine {
     let n = x.len() as f64;
     let [mx, my] = [x, y].map(|v| v.iter().sum::<f64>() / n);

@@ -11,42 +11,42 @@ use serde::Serialize;
 
 use super::{LogFormat, NAME, moment::Moment};
 
-/// A quantity of a log.
+/// A quantity that a column of a log may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// Time stamp.
+    /// Time stamp of the sample.
     Time,
-    /// Time stamp of the positions of y, in a log whose channels have times of their own.
+    /// Time stamp of the positions of y, if x and y have separate time stamps.
     TimeY,
     /// Measured position of x.
     X,
     /// Measured position of y.
     Y,
-    /// Setpoint of x.
+    /// Setpoint (commanded position) of x.
     SetpointX,
-    /// Setpoint of y.
+    /// Setpoint (commanded position) of y.
     SetpointY,
-    /// Measured position of this axis of [`Columns::axes`].
+    /// Measured position of the axis with this index in [`Columns::axes`].
     Axis(usize),
-    /// Beam current.
+    /// Beam current, in the unit of the log.
     Current,
     /// Switch of the tool: 1 if it removes, 0 if not.
     ToolOn,
 }
 
 impl Role {
-    /// Returns true if the quantity is a position.
+    /// Returns true if the quantity is a measured or commanded position.
     pub fn is_position(self) -> bool {
         matches!(self, Self::X | Self::Y | Self::SetpointX | Self::SetpointY | Self::Axis(_))
     }
 
-    /// Returns true if the quantity is a time.
+    /// Returns true if the quantity is a time stamp.
     pub fn is_time(self) -> bool {
         matches!(self, Self::Time | Self::TimeY)
     }
 
-    /// Returns the name of the setting that gives the column of the quantity.
+    /// Returns the name of the setting that states the column of the quantity, such as `setpoint_x`.
     pub fn setting(self) -> &'static str {
         match self {
             Self::Time => "time",
@@ -61,7 +61,7 @@ impl Role {
         }
     }
 
-    /// Quantities that the unit of a column of this role may measure.
+    /// Returns the quantities that the unit of such a column may measure, such as lengths and counts.
     fn wanted(self, columns: &Columns) -> &'static [Quantity] {
         match self {
             Self::Time | Self::TimeY => &[Quantity::Time, Quantity::Samples],
@@ -71,43 +71,43 @@ impl Role {
     }
 }
 
-/// An axis of a machine in its log.
+/// An axis of a machine, and its column in the log.
 #[derive(Clone, Debug, Serialize)]
 pub struct AxisColumn {
     /// Name of the axis: x, y, z, r, a, b or c.
     pub name: String,
-    /// True if the axis turns: its positions are in degrees.
+    /// True if the axis is a rotation, with positions in degrees.
     pub is_rotary: bool,
-    /// Column of its positions; found by the name of the axis where it is absent.
+    /// Column of its positions; `None` if the name of the axis tells it.
     pub column: Option<String>,
 }
 
-/// The columns that the user names: by number, counted from 1, or by name; in HDF5 the path of a dataset, with
-/// `:K` for column K of a matrix.
+/// Columns that the user names, by number counted from 1, or by name. In HDF5 it is the path of a dataset, with `:K`
+/// for column K of a matrix. `None` leaves the choice to the names in the log.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Columns {
-    /// Time stamps.
+    /// Time stamps of the samples.
     pub time: Option<String>,
-    /// Time stamps of y, where they are not those of x.
+    /// Time stamps of y, if they are not those of x.
     pub time_y: Option<String>,
-    /// Measured position of x.
+    /// Measured positions of x.
     pub x: Option<String>,
-    /// Measured position of y.
+    /// Measured positions of y.
     pub y: Option<String>,
-    /// Setpoint of x.
+    /// Setpoint (commanded position) of x.
     pub setpoint_x: Option<String>,
-    /// Setpoint of y.
+    /// Setpoint (commanded position) of y.
     pub setpoint_y: Option<String>,
-    /// Beam current.
+    /// Beam current, which the removal rate follows.
     pub current: Option<String>,
-    /// Switch of the tool.
+    /// Switch of the tool, 0 or 1.
     pub tool_on: Option<String>,
-    /// All axes of a machine, in the place of x and y; empty for x and y.
+    /// All axes of a machine, which replace x and y; empty for a log of x and y.
     pub axes: Vec<AxisColumn>,
 }
 
 impl Columns {
-    /// Returns all quantities, in the order in which columns are assigned.
+    /// Returns all quantities that a log may have, in the order in which columns are assigned to them.
     pub fn roles(&self) -> Vec<Role> {
         let mut roles = vec![Role::Time, Role::TimeY];
         match self.axes.len() {
@@ -118,7 +118,7 @@ impl Columns {
         roles
     }
 
-    /// Returns the name or the number that the user gave for a quantity.
+    /// Returns the name or number of the column that the user gave for a quantity, or `None`.
     pub fn requested(&self, role: Role) -> Option<&str> {
         let named = match role {
             Role::Time => &self.time,
@@ -134,7 +134,7 @@ impl Columns {
         named.as_deref()
     }
 
-    /// Returns what a message calls the quantity: `x`, or the name of an axis.
+    /// Returns the name of a quantity in messages: `x`, or the name of an axis.
     pub fn name(&self, role: Role) -> String {
         match role {
             Role::Axis(k) => self.axes[k].name.clone(),
@@ -142,7 +142,7 @@ impl Columns {
         }
     }
 
-    /// Returns what to give for a quantity without a column.
+    /// Returns the remedy for a quantity whose column is not found.
     pub fn remedy(&self, role: Role) -> String {
         match role {
             Role::Axis(k) => format!("give `axis` {}=COLUMN", self.axes[k].name),
@@ -151,29 +151,29 @@ impl Columns {
     }
 }
 
-/// A column that was read.
+/// A column of a log, with the quantity that it holds.
 #[derive(Clone, Debug)]
 pub struct Column {
-    /// Quantity of the column.
+    /// Quantity that the column holds.
     pub role: Role,
-    /// Name of the column, or its number.
+    /// Name of the column, or its number as text.
     pub name: String,
-    /// Unit that the log states.
+    /// Unit that the log states for the column, or `None`.
     pub unit: Option<Unit>,
-    /// Values (n), finite; of time stamps the differences from the first one.
+    /// Values of the samples (n), finite. Time stamps are stored as differences from the first one.
     pub values: Vec<f64>,
-    /// The first time stamp, where it is a number.
+    /// First time stamp, if the stamps are numbers.
     pub first: f64,
-    /// The first time stamp, where it is a moment.
+    /// First time stamp, if the stamps are dates or times of day.
     pub first_moment: Option<Moment>,
-    /// Step of the last digit of the time stamps, in their unit; 0 for other quantities.
+    /// Unit of the last digit of the time stamps, in their unit; 0 for other quantities.
     pub resolution: f64,
-    /// Column of other time stamps that belong to this quantity, in the list of [`Log::times`].
+    /// Index in [`Log::times`] of the separate time stamps of this quantity; `None` if it has those of the log.
     pub own_time: Option<usize>,
 }
 
 impl Column {
-    /// Makes a column of numbers without a time of its own.
+    /// Creates a column of numbers that has the time stamps of the log.
     pub fn of_values(role: Role, name: String, unit: Option<Unit>, values: Vec<f64>) -> Self {
         Self {
             role,
@@ -188,18 +188,19 @@ impl Column {
     }
 }
 
-/// Columns of a log, as they are stored.
+/// Columns that were read from a log, before any conversion of units.
 #[derive(Clone, Debug)]
 pub struct Log {
-    /// Columns of the quantities.
+    /// Columns of the quantities, one each.
     pub columns: Vec<Column>,
-    /// Columns of time stamps that belong to a part of the quantities.
+    /// Columns of separate time stamps, which belong to some of the quantities.
     pub times: Vec<Column>,
     /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Returns the unit that `text`, the name of a column or the word of a unit beside it, states for a quantity.
+/// Returns the unit that `text` states for a quantity. `text` is the name of a column, or (`is_word`) the unit alone.
+/// Returns `None` without a unit.
 ///
 /// # Errors
 /// Refuses a word that claims to be a unit and is none, and a unit of another quantity.
@@ -234,19 +235,19 @@ pub fn stated_unit(
     }
 }
 
-/// Column of a quantity in a table.
+/// Index of the column that holds a quantity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnPlace {
-    /// Quantity of the column.
+    /// Quantity that the column holds.
     pub role: Role,
-    /// Column, counted from 0.
+    /// Index of the column, counted from 0.
     pub index: usize,
 }
 
-/// Returns the columns of the quantities in a table of `count` columns, with `names` if it has some.
+/// Assigns the `count` columns of a table, with their `names` if it has some, to the quantities.
 ///
 /// # Errors
-/// Refuses a table without a needed quantity, and one column for two quantities.
+/// Refuses a table without a column for a needed quantity, and one column for two quantities.
 pub fn places(
     format: LogFormat,
     names: Option<&[String]>,
@@ -290,7 +291,7 @@ pub fn places(
     Ok(places)
 }
 
-/// Returns the columns of a table, for a message.
+/// Returns the number and the names of the columns, for a message.
 fn listed(names: Option<&[String]>, count: usize) -> String {
     match names {
         Some(names) => {
@@ -301,13 +302,14 @@ fn listed(names: Option<&[String]>, count: usize) -> String {
     }
 }
 
-/// Returns a name for a message: quoted and cut.
+/// Returns the first 40 characters of a name in quotation marks, for a message.
 pub(super) fn short(name: &str) -> String {
     let shown: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
     format!("\"{shown}\"")
 }
 
-/// Returns the column that the user named. Refuses a name that no column or several columns have.
+/// Returns the index of the column that the user named by name or number. Refuses a name that no column or several
+/// columns have.
 fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Result<usize, Invalid> {
     let all = names.unwrap_or_default().iter().enumerate();
     let matching: Vec<usize> =
@@ -328,8 +330,8 @@ fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Resu
     }
 }
 
-/// Returns the column that is known by its name, or by the order that a controller has. Refuses a quantity that several
-/// columns may hold.
+/// Returns the index of the column that its name, or the usual order of the controller, assigns to a quantity; `None`
+/// without one. Refuses a quantity that several columns may hold.
 fn customary(
     format: LogFormat,
     role: Role,
@@ -365,7 +367,7 @@ fn customary(
 }
 
 impl Columns {
-    /// Returns the letter or the name of the axis whose position the quantity is; empty for other quantities.
+    /// Returns the name of the axis whose position the quantity is; empty for other quantities.
     fn axis(&self, role: Role) -> &str {
         match role {
             Role::X | Role::SetpointX => "x",
@@ -376,8 +378,8 @@ impl Columns {
     }
 }
 
-/// Returns the words of a name in lower case, without a unit: `X Position Feedback (mm)` is x, position, feedback, and
-/// `Group1.X.SetpointPosition` is group1, x, setpoint, position.
+/// Returns the words of a column's name in lower case, without its unit. `X Position Feedback (mm)` gives x, position,
+/// feedback; `Group1.X.SetpointPosition` gives group1, x, setpoint, position.
 fn words(name: &str) -> Vec<String> {
     let plain = Header::read(name, &[Quantity::Length, Quantity::Time, Quantity::Angle]);
     let plain = plain.map_or_else(|unknown| unknown.text, |header| header.name);
@@ -397,17 +399,17 @@ fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Words for a time, in English, German and French.
+/// Words that name a time, in English, German and French.
 const TIMES: [&str; 8] =
     ["t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "temps", "uhrzeit"];
 
-/// Returns true if a column of this name holds times, alone or those of a channel.
+/// Returns true if the name is that of a column of time stamps.
 pub fn is_time(name: &str) -> bool {
     let words = words(name);
     words.iter().any(|word| TIMES.contains(&word.as_str())) || words == ["sample", "time"]
 }
 
-/// Returns the axes other than x and y of whose positions a table has columns, by their names.
+/// Returns the names of axes other than x and y for which a table has columns of positions.
 pub fn further_axes(format: LogFormat, names: &[String]) -> Vec<String> {
     let mut axes = Vec::new();
     for axis in ["z", "a", "b", "c", "u", "v", "w", "r", "theta", "phi"] {
@@ -420,7 +422,7 @@ pub fn further_axes(format: LogFormat, names: &[String]) -> Vec<String> {
     axes
 }
 
-/// Returns true if a column of this name holds the quantity; `axis` is the axis of a position.
+/// Returns true if a column called `name` holds the quantity `role`; `axis` is the name of the axis of a position.
 fn is_known_as(format: LogFormat, role: Role, axis: &str, name: &str) -> bool {
     if format == LogFormat::Galil {
         let galil = match (role, axis) {
@@ -465,7 +467,7 @@ fn is_known_as(format: LogFormat, role: Role, axis: &str, name: &str) -> bool {
     }
 }
 
-/// Words of quantities that are no position.
+/// Words that name another quantity than a position.
 const NO_POSITIONS: [&str; 11] = [
     "velocity",
     "acceleration",
@@ -480,21 +482,21 @@ const NO_POSITIONS: [&str; 11] = [
     "force",
 ];
 
-/// Words of a setpoint.
+/// Words that name a setpoint.
 const SETPOINTS: [&str; 9] =
     ["setpoint", "command", "commanded", "cmd", "reference", "target", "set", "soll", "demand"];
 
-/// Words of a measured position.
+/// Words that name a measured position.
 const MEASURED: [&str; 8] =
     ["actual", "act", "feedback", "fbk", "encoder", "enc", "measured", "ist"];
 
-/// Returns true if one of `words` is in `list`.
+/// Returns true if at least one of `words` is in `list`.
 fn has_one(words: &[&str], list: &[&str]) -> bool {
     words.iter().any(|word| list.contains(word))
 }
 
-/// Returns the column of a quantity by the order of positioners with other names than x and y: the first is x, the
-/// second y.
+/// Returns the index of the column of a quantity by the order of the positioners, whose names are not x and y. The
+/// first positioner is x, the second y. Returns `None` for other quantities.
 fn in_order_of_positioners(role: Role, names: &[String]) -> Option<usize> {
     let (ending, which) = match role {
         Role::X => ("CurrentPosition", 0),

@@ -12,8 +12,8 @@ use super::{
 };
 use crate::{budget::too_many, format::hdf5};
 
-/// Reads the datasets that are asked for. Refuses a file without those of x and y or of all axes, datasets of several
-/// lengths, and numbers that are not finite.
+/// Reads the datasets that the user names. Refuses a file if those of x and y, or of all axes, are not named, datasets
+/// of different lengths, and numbers that are not finite.
 pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     let file = hdf5::open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
@@ -59,7 +59,8 @@ pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     Ok(Log { columns, times, warnings: Vec::new() })
 }
 
-/// Reads the column of a quantity: the dataset or the column of a matrix `name`.
+/// Reads the column of a quantity. `name` is the path of a dataset, or `PATH:K` for column K of a matrix. `transposed`
+/// is true for files of MATLAB.
 fn column(
     file: &hdf5_reader::Hdf5File,
     role: Role,

@@ -31,9 +31,9 @@ const LAG_SAMPLES: usize = 100_000;
 /// minimum is less certain.
 const SEARCH_SAMPLES: usize = 1000;
 
-/// Step of the search on a grid, s. Larger: the search can miss the minimum. Smaller: more time. Chosen:
-/// the sum of squares has one minimum within a quarter of the time of a line of a raster, which takes
-/// seconds.
+/// Step of the delay in the first search for the beginning of the plan, s. Larger: the search can miss the minimum.
+/// Smaller: more time. Chosen: the sum of squares has one minimum within a quarter of the time of a raster line, which
+/// takes seconds.
 const SEARCH_STEP_S: f64 = 0.02;
 
 /// Largest delay that can be searched for, s. Larger: the search takes longer than some seconds. Smaller:
@@ -43,11 +43,12 @@ const LONGEST_SEARCH_S: f64 = 300.0;
 /// Largest number of Gauss-Newton steps. Larger: more time. Smaller: no lag is reported where a delay settles
 /// slowly.
 const MOST_STEPS: usize = 30;
-/// Step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
+/// Gauss-Newton step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
 /// Smaller: more steps, without a visible gain.
 const SETTLED_S: f64 = 1e-10;
-/// Last step of the delay of an axis, over the standard error of the delay, up to which it has settled too. Larger: the
-/// lag is off by this part of its standard error. Smaller: no lag is reported where the samples decide the last steps.
+/// Largest last Gauss-Newton step of an axis' delay, in standard errors of the delay, at which the delay counts as
+/// settled too. Larger: the lag is off by this part of its standard error. Smaller: no lag is reported where the
+/// samples decide the last steps.
 const SETTLED_PART: f64 = 0.1;
 
 /// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which the log is
@@ -77,14 +78,14 @@ const USUAL_DIFFERENCE: f64 = 0.01;
 /// late switches.
 const MOST_DIFFERENCE: f64 = 0.1;
 
-/// The following error of one axis.
+/// The following error (measured minus reference position) of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AxisError {
-    /// RMS of the error, mm.
+    /// RMS of the following error, mm.
     pub rms_mm: f64,
-    /// Largest magnitude of the error, mm.
+    /// Largest magnitude of the following error, mm.
     pub largest_mm: f64,
-    /// Time of the largest error, s after the first sample.
+    /// Time of the error with the largest magnitude, s after the first sample.
     pub largest_at_s: f64,
     /// Lag of the axis, ms, positive if it is late; absent if the axis does not move or the delay has not
     /// settled.
@@ -93,27 +94,29 @@ pub struct AxisError {
     /// Standard error of the lag, ms, under the assumption that the residual is white noise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_standard_error_ms: Option<f64>,
-    /// RMS of the error after the lag is taken out, mm.
+    /// RMS of the following error that remains after the lag is subtracted, mm; absent without a lag.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms_without_lag_mm: Option<f64>,
 }
 
-/// Standard errors by which a drift must differ from 0. Larger: small drifts pass. Smaller: noise is named a drift.
+/// Smallest ratio of a drift to its standard error at which a warning names it. Larger: small drifts pass. Smaller:
+/// noise is named a drift.
 const DRIFT_SIGNIFICANT: f64 = 5.0;
 
-/// Drift of the clock of a log against the time of its plan.
+/// Drift of the clock of a log against the time of the plan that was run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Drift {
-    /// Relative drift; positive if the log takes longer than the plan.
+    /// Relative drift, dimensionless; positive if the log takes longer than the plan.
     pub drift: f64,
-    /// Standard error of the drift, under the assumption that the rest of the error is white noise.
+    /// Standard error of the drift, under the assumption that the residual is white noise.
     pub standard_error: f64,
-    /// Drift at the end of the plan, s.
+    /// Drift accumulated at the end of the plan, s.
     pub at_the_end_s: f64,
 }
 
 impl Drift {
-    /// Returns a sentence about a drift that is larger than its error and than that of usual clocks.
+    /// Returns a warning about a drift that exceeds both its error and the usual difference of clocks; `None`
+    /// otherwise.
     pub fn warning(&self) -> Option<String> {
         let size = self.drift.abs();
         if size <= USUAL_DRIFT || size <= DRIFT_SIGNIFICANT * self.standard_error {
@@ -130,22 +133,22 @@ impl Drift {
     }
 }
 
-/// The following error of x and y.
+/// The following error of x and y against a reference, the setpoint or a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Following {
-    /// Time of the plan's beginning, s after the first sample; 0 for a setpoint of the log itself.
+    /// Beginning of the plan, s after the first sample; 0 for a setpoint of the log itself.
     pub reference_begins_s: f64,
-    /// x, then y.
+    /// Following errors of x and y, in this order.
     pub axes: [AxisError; 2],
-    /// Drift of the log against its plan; absent for a setpoint, which has the clock of the log.
+    /// Drift of the log against its plan; absent for a setpoint, which shares the clock of the log.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<Drift>,
 }
 
-/// Positions and velocities of a motion at ascending times; at rest before it and after it.
+/// Evaluation of a motion at ascending times. Before and after the motion, the axes rest.
 struct Walk<'a> {
     motion: &'a Trajectory,
-    /// Index of the segment of the last call.
+    /// Index of the segment at the time of the last call.
     segment: usize,
 }
 
@@ -154,7 +157,8 @@ impl<'a> Walk<'a> {
         Self { motion, segment: 0 }
     }
 
-    /// Returns position and velocity at `t_s` after the first break; `t_s` is not smaller than in the last call.
+    /// Returns position (mm) and velocity (mm/s) at `t_s` after the beginning of the motion; `t_s` must not fall from
+    /// call to call.
     fn state(&mut self, t_s: f64) -> ([f64; 2], [f64; 2]) {
         let breaks = self.motion.break_time_s();
         let t = t_s + breaks[0];
@@ -174,24 +178,25 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// A motion beside the samples of a log.
+/// A reference motion, and the samples of a log that are compared with it.
 struct Pair<'a> {
     reference: &'a Trajectory,
     time_s: &'a [f64],
     actual_mm: &'a [[f64; 2]],
 }
 
-/// Sums of one axis over some samples.
+/// Sums over samples of one axis, for the least squares of its delay.
 #[derive(Clone, Copy, Default)]
 struct Sums {
-    /// e^2, e r', r'^2
+    /// Sums of e^2, of e r' (`mixed`) and of r'^2 (`speed`), with the error e and the velocity r' of the reference.
     square: f64,
     mixed: f64,
     speed: f64,
 }
 
 impl Pair<'_> {
-    /// Returns the sums of both axes over every `stride`-th sample, the reference later by `delay_s`, and their number.
+    /// Returns the sums of both axes over every `stride`-th sample, and the number of these samples. The reference is
+    /// delayed by `delay_s` per axis.
     fn sums(&self, delay_s: [f64; 2], stride: usize) -> ([Sums; 2], f64) {
         let mut sums = [Sums::default(); 2];
         let mut walks = [Walk::new(self.reference), Walk::new(self.reference)];
@@ -209,12 +214,12 @@ impl Pair<'_> {
         (sums, count)
     }
 
-    /// Returns the distance of the samples that are compared, so that there are at most `samples`.
+    /// Returns the distance (in samples) of the compared samples, so that there are at most `samples` of them.
     fn stride(&self, samples: usize) -> usize {
         self.time_s.len().div_ceil(samples).max(1)
     }
 
-    /// Returns the delay that both axes share, near `from_s`.
+    /// Returns the delay that both axes share, s, by Gauss-Newton steps from `from_s`.
     fn common_delay_s(&self, from_s: f64) -> f64 {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = from_s;
@@ -233,8 +238,8 @@ impl Pair<'_> {
         delay_s
     }
 
-    /// Returns the delay of each axis near `from_s`, s, with the sums there; `None` if an axis does not move or its
-    /// delay has not settled.
+    /// Returns for each axis the delay near `from_s`, s, the sums there, and the number of samples in them. It is
+    /// `None` if an axis does not move or its delay has not settled.
     fn delays(&self, from_s: f64) -> [Option<(f64, Sums, f64)>; 2] {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = [from_s; 2];
@@ -260,7 +265,7 @@ impl Pair<'_> {
         })
     }
 
-    /// Returns the following error when the reference begins at `begin_s`.
+    /// Returns the following error of both axes, if the reference begins at the time `begin_s` of the log.
     fn errors(&self, begin_s: f64) -> Following {
         let mut walk = Walk::new(self.reference);
         let mut squares = [0.0; 2];
@@ -291,8 +296,8 @@ impl Pair<'_> {
         Following { reference_begins_s: begin_s - self.time_s[0], axes, drift: None }
     }
 
-    /// Returns the drift of the log against the reference, which begins at `begin_s`; `None` if it does not move enough
-    /// to tell.
+    /// Returns the drift of the log against the reference, which begins at `begin_s`. Returns `None` if the reference
+    /// does not move enough.
     fn drift(&self, begin_s: f64) -> Option<Drift> {
         let stride = self.stride(LAG_SAMPLES);
         let total_s = self.reference.total_time_s();
@@ -326,13 +331,14 @@ impl Pair<'_> {
     }
 }
 
-/// Returns the following error of a log whose setpoint was recorded with it, at the same times.
+/// Returns the following error of a log against the setpoint that was recorded in the same log.
 pub fn beside_setpoint(time_s: &[f64], actual_mm: &[[f64; 2]], setpoint: &Trajectory) -> Following {
     let begin_s = time_s[0];
     Pair { reference: setpoint, time_s, actual_mm }.errors(begin_s)
 }
 
-/// Returns the following error of a log of `plan`, which begins at most `most_offset_s` before or after the log.
+/// Returns the following error of a log against the plan that was run. The plan begins at most `most_offset_s` before
+/// or after the log.
 ///
 /// # Errors
 /// Refuses a log of another motion, and an offset that is negative or too long to be searched for.
@@ -364,7 +370,7 @@ pub fn beside_plan(
     Ok(following)
 }
 
-/// Refuses a log that is farther from its plan than an axis lags.
+/// Refuses a log that is so far from the plan that it is one of another motion.
 fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Invalid> {
     let n = plan.len() as f64;
     let starts: Vec<[f64; 2]> = plan.segments().map(|s| s.position_mm(0.0)).collect();
@@ -385,38 +391,37 @@ fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Inv
     Ok(())
 }
 
-/// Extent of a plan that a log holds, and the tool of the log against that of the plan.
+/// Part of a plan that a log covers, and the difference between their tool states.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Extent {
-    /// Duration of the plan, s.
+    /// Total duration of the plan, s.
     pub plan_s: f64,
-    /// Time of the plan before the first sample of the log, s.
+    /// Duration of the plan before the first sample of the log, s.
     pub before_the_log_s: f64,
-    /// Time of the plan after the last sample of the log, s.
+    /// Duration of the plan after the last sample of the log, s.
     pub after_the_log_s: f64,
-    /// Time of the plan with the tool on, s.
+    /// Duration of the plan with the tool on, s.
     pub tool_on_s: f64,
-    /// Time of the plan with the tool on that is not in the log, s.
+    /// Duration of the plan with the tool on that the log does not cover, s.
     pub tool_on_absent_s: f64,
-    /// Time in which one of log and plan has the tool on and the other off, s; absent if the log has no
-    /// state of the tool.
+    /// Duration in which the tool is on in either the log or the plan, but not in both, s. It is absent if the log has
+    /// no tool state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool_differs_s: Option<f64>,
-    /// Time in the log, s.
+    /// Duration of the log from its first to its last sample, s.
     #[serde(skip)]
     log_s: f64,
-    /// Time in the log in which the plan has the tool off, s.
+    /// Duration that both log and plan cover, with the tool off in the plan, s.
     #[serde(skip)]
     planned_off_s: f64,
-    /// Time that the samples of the log do not resolve, s: one mean interval between samples per switch of
-    /// the plan.
+    /// Duration that the samples cannot resolve, s: one mean interval between samples per switch in the plan.
     #[serde(skip)]
     unresolved_s: f64,
 }
 
 impl Extent {
-    /// Returns the extent of a log beside `plan`, which begins at `begin_s`; `removes` (n-1) is the state of the tool,
-    /// if the log has it.
+    /// Compares a log with `plan`, which begins at `begin_s`. `removes` is the tool state of the log in the intervals
+    /// between its n samples (n-1); `None` if it has none.
     pub fn new(time_s: &[f64], removes: Option<&[bool]>, plan: &Trajectory, begin_s: f64) -> Self {
         let [first_s, last_s] = [time_s[0], time_s[time_s.len() - 1]];
         let to_log = begin_s - plan.break_time_s()[0];
@@ -462,8 +467,8 @@ impl Extent {
         }
     }
 
-    /// Returns the reason why the log is not one of the whole plan, if there is one. A log that was cut on
-    /// request may be shorter.
+    /// Returns the reason why the log is not one of the whole plan, or `None`. A log that the user has `cut` may be
+    /// shorter.
     pub fn drawback(&self, cut: bool) -> Option<String> {
         if !cut && self.tool_on_absent_s > MOST_ABSENCE * self.tool_on_s {
             return Some(format!(
@@ -483,7 +488,7 @@ impl Extent {
         Some(format!("the tool of the log is not that of the plan: {difference}{question}"))
     }
 
-    /// Returns the warnings for the user.
+    /// Returns the warnings about missing parts of the plan, and about differing tool states.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.tool_on_absent_s > USUAL_ABSENCE * self.tool_on_s {
@@ -503,7 +508,7 @@ impl Extent {
         warnings
     }
 
-    /// Returns a sentence about the part of the plan that is not in the log.
+    /// Returns a sentence about the part of the plan that the log does not cover.
     fn absence(&self) -> String {
         let [log, plan, before, after, absent, on] = [
             self.log_s,
@@ -520,7 +525,7 @@ impl Extent {
         )
     }
 
-    /// Returns a sentence about the time in which the tools differ.
+    /// Returns a sentence about the duration `differs_s` in which the tool states differ.
     fn difference(&self, differs_s: f64) -> String {
         let [differs, log] = [differs_s, self.log_s.min(self.plan_s)].map(|s| significant(s, 4));
         format!(
@@ -529,8 +534,8 @@ impl Extent {
     }
 }
 
-/// Returns the state of the plan's tool in the intervals of a log (n-1), true if it is on, when the plan begins at
-/// `begin_s`; false before and after the plan.
+/// Returns the tool state of the plan in the intervals between the n samples of a log (n-1), true if on. The plan
+/// begins at `begin_s`; before and after it the tool is off.
 pub fn tool_of_plan(time_s: &[f64], plan: &Trajectory, begin_s: f64) -> Vec<bool> {
     let breaks = plan.break_time_s();
     let middles_s = time_s.windows(2).map(|t| 0.5 * (t[0] + t[1]) - begin_s + breaks[0]);
@@ -546,7 +551,7 @@ mod tests {
     use super::*;
     use crate::trace::motion::{Between, through};
 
-    /// x swings, y goes on slowly.
+    /// Returns a position [x, y], mm, at the time `t`, s: x swings, and y advances slowly.
     fn at(t: f64) -> [f64; 2] {
         [40.0 * (0.8 * t).sin(), 0.2 * t]
     }
@@ -625,7 +630,7 @@ mod tests {
         assert!(found.axes[0].lag_ms.is_some() && found.axes[1].lag_ms.is_none());
     }
 
-    /// A log whose clock runs 40 parts per million fast, as two quartz oscillators may differ.
+    /// Checks a log whose clock runs 40 parts per million fast, as two quartz oscillators may differ.
     #[test]
     fn a_drift_against_the_plan_is_named() {
         let plan = plan();

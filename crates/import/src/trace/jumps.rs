@@ -1,4 +1,4 @@
-//! Jumps: steps from one sample to the next, or to one sample and back, that no axis makes.
+//! Jumps in a log: steps from one sample to the next, or to one sample and back, that no axis can make.
 //!
 //! An axis that moves fast does so for several samples: the steps before and after a large one are large. A lost revolution
 //! of an encoder, a damaged line or a change of the zero is a large step between small ones. It is named, and the motion
@@ -8,30 +8,31 @@ use std::borrow::Cow;
 
 use planish_types::text::significant;
 
-/// Least ratio of a jump to the steps beside it, and to the median of the steps with which the axis moves. Larger: smaller
+/// Smallest ratio of a jump to the steps beside it, and to the median of the steps of the moving axis. Larger: smaller
 /// jumps pass. Smaller: fast moves that last one sample are doubted.
 const OVER_THE_OTHERS: f64 = 10.0;
 
-/// Least jump relative to the way of the axis over the whole log. Larger: small jumps pass. Smaller: the noise of an encoder
-/// at rest is doubted.
+/// Smallest jump relative to the range of the positions in the whole log. Larger: small jumps pass. Smaller: the noise
+/// of an encoder at rest is doubted.
 const OF_THE_WAY: f64 = 1e-3;
 
-/// Largest part of the steps that may be jumps: more of them are how the axis moves, in a log that is slower than its moves.
+/// Largest fraction of the steps that may be jumps. If more are large, the log is slower than the moves of the axis,
+/// and none is reported. Larger: usual moves are reported. Smaller: logs with several jumps are not.
 const MOST_OF_THE_STEPS: f64 = 0.01;
 
-/// Measured positions of an axis.
+/// Measured positions of an axis, with their times.
 pub struct LoggedAxis<'a> {
-    /// Name of the axis.
+    /// Name of the axis, such as `x`.
     pub name: String,
-    /// Unit of its positions.
+    /// Unit of its positions, mm or deg.
     pub unit: &'static str,
     /// Times of the samples (n), s.
     pub time_s: &'a [f64],
-    /// Positions (n).
+    /// Positions of the samples (n), in that unit.
     pub positions: Cow<'a, [f64]>,
 }
 
-/// Returns a sentence about the jumps of an axis, with the first of them; `None` if it has none.
+/// Returns a warning about the jumps of an axis, with the largest of them; `None` if it has none.
 pub fn doubt(axis: &LoggedAxis<'_>) -> Option<String> {
     let jumps = jumps(&axis.positions);
     let largest = *jumps.iter().max_by(|a, b| a.size.abs().total_cmp(&b.size.abs()))?;
@@ -53,16 +54,16 @@ pub fn doubt(axis: &LoggedAxis<'_>) -> Option<String> {
     ))
 }
 
-/// A jump from a sample to the next.
+/// A jump from the sample with this index to the next, and its size in the unit of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Jump {
     index: usize,
     size: f64,
-    /// True if the position after the next sample is where it was.
+    /// True if the position returns at the sample after the jump.
     is_back: bool,
 }
 
-/// Returns the jumps among positions; none if so many steps are large that the axis moves so.
+/// Returns the jumps among the positions. The list is empty if so many steps are large that they are usual moves.
 fn jumps(positions: &[f64]) -> Vec<Jump> {
     let steps: Vec<f64> = positions.windows(2).map(|p| p[1] - p[0]).collect();
     let low = positions.iter().copied().fold(f64::INFINITY, f64::min);
@@ -91,7 +92,7 @@ fn jumps(positions: &[f64]) -> Vec<Jump> {
     jumps
 }
 
-/// Returns the median size of the steps that are not 0; 0 if there are none but one.
+/// Returns the median magnitude of the steps that are not 0; 0 if there are fewer than two.
 fn median_of_moves(steps: &[f64]) -> f64 {
     let mut moves: Vec<f64> = steps.iter().map(|step| step.abs()).filter(|s| *s > 0.0).collect();
     if moves.len() < 2 {
@@ -105,7 +106,7 @@ fn median_of_moves(steps: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// 2 s of a line of a raster at 1 kHz: 50 mm/s, turned at its ends.
+    /// Returns positions, mm, of a raster line at 50 mm/s that turns at its ends: 2 s at 1 kHz.
     fn line() -> Vec<f64> {
         (0..2000).map(|i| 20.0 * (f64::from(i) * 0.0025).sin()).collect()
     }

@@ -1,4 +1,5 @@
-//! Moments in a log: `2026-03-01T23:59:50.125Z`, `3/1/2026 12:00:00.000`, `01.03.2026 12:00:00,5`, `23:59:59.900`.
+//! Moments in a log (dates with times of day, times of day, elapsed times): `2026-03-01T23:59:50.125Z`, `3/1/2026
+//! 12:00:00.000`, `01.03.2026 12:00:00,5`, `23:59:59.900`.
 //!
 //! ```text
 //! [date] hh:mm:ss[.fraction] [AM | PM] [Z | +hh:mm | -hh:mm | +hhmm | -hhmm]
@@ -16,27 +17,27 @@
 //!
 //! Seconds are kept as a whole number and a fraction, so that times since any year keep the resolution of the text.
 
-/// A moment of a log, as written.
+/// A moment as a log writes it: date, time of day, and the resolution of the text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
     date: Option<Date>,
-    /// Seconds of the day, less those of the zone.
+    /// Whole seconds of the day, minus the offset of the time zone.
     seconds: i64,
     fraction: f64,
-    /// Digits of the fraction.
+    /// Number of digits of the fraction.
     digits: u8,
-    /// Seconds after which a time without a date begins again: those of a day or of an hour; 0 for an elapsed time.
+    /// Seconds after which a time without a date starts again: a day or an hour; 0 for an elapsed time.
     period: i64,
 }
 
-/// The three numbers of a date, and their order.
+/// The three numbers of a date as written, and their order; `None` if the month or the day may come first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Date {
     numbers: [i64; 3],
     order: Option<Order>,
 }
 
-/// Order of the numbers of a date; `None` in a [`Date`] is one of the last two.
+/// Order of the numbers of a date, by the one that comes first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Order {
     Year,
@@ -45,7 +46,7 @@ enum Order {
 }
 
 impl Moment {
-    /// Returns the moment that `text` is, or `None`.
+    /// Reads a moment from `text`; returns `None` for other text.
     pub fn read(text: &str) -> Option<Self> {
         let text = text.trim();
         if !text.is_ascii() || !text.contains(':') {
@@ -65,7 +66,7 @@ impl Moment {
         Some(moment)
     }
 
-    /// Reads a time of day, an elapsed time, or without a date `mm:ss.fraction` as spreadsheets shorten it.
+    /// Reads a time of day, an elapsed time, or (without a date) `mm:ss.fraction`, as spreadsheets shorten it.
     fn of_time(text: &str, has_date: bool) -> Option<Self> {
         let end = text.find(|c: char| !(c.is_ascii_digit() || ":.,".contains(c)));
         let (clock, rest) = text.split_at(end.unwrap_or(text.len()));
@@ -113,7 +114,7 @@ impl Moment {
     }
 }
 
-/// Returns the hour of the day, and the text after AM or PM.
+/// Returns the hour of the day (0 to 23), and the text after AM or PM; `None` for an hour that does not fit.
 fn half_of_day(hour: i64, text: &str) -> Option<(i64, &str)> {
     let Some(mark) = text.get(..2) else { return Some((hour, text)) };
     let added = match mark.to_ascii_uppercase().as_str() {
@@ -124,7 +125,7 @@ fn half_of_day(hour: i64, text: &str) -> Option<(i64, &str)> {
     if (1..=12).contains(&hour) { Some((hour % 12 + added, text[2..].trim())) } else { None }
 }
 
-/// Returns the minutes by which a zone such as `Z` or `+02:00` is ahead of UTC.
+/// Returns the minutes by which a time zone such as `Z` or `+02:00` is ahead of UTC; `None` for other text.
 fn zone_minutes(zone: &str) -> Option<i64> {
     if matches!(zone, "" | "Z" | "z" | "UTC" | "GMT") {
         return Some(0);
@@ -137,7 +138,7 @@ fn zone_minutes(zone: &str) -> Option<i64> {
     if hours > 23 || minutes > 59 { None } else { Some(sign * (60 * hours + minutes)) }
 }
 
-/// First letters of the months in English, German and French.
+/// Beginnings of the names of the months in English, German and French.
 const MONTHS: [&[&str]; 12] = [
     &["jan"],
     &["feb", "fev"],
@@ -179,7 +180,8 @@ impl Date {
         if is_day { Some(date) } else { None }
     }
 
-    /// Returns the number of the day, if the date is one with its own order, or in `order` where it leaves that open.
+    /// Returns the number of the day in the calendar. `order` counts if the date leaves its order open. Returns `None`
+    /// for a date that does not exist.
     fn day(&self, order: Order) -> Option<i64> {
         let [a, b, c] = self.numbers;
         let (year, month, day) = match self.order.unwrap_or(order) {
@@ -195,17 +197,17 @@ impl Date {
     }
 }
 
-/// Times of a column of moments.
+/// Times that a column of moments stands for.
 #[derive(Debug)]
 pub struct Times {
-    /// Seconds after the first moment (n).
+    /// Seconds after the first moment, per sample (n).
     pub seconds: Vec<f64>,
-    /// Step of the last digit that is written, s.
+    /// Unit of the last digit that is written, s.
     pub resolution_s: f64,
 }
 
-/// Returns the times of `moments` since the first one. The error is the index of the first that has no date where
-/// others have one, or whose date is none in the order of the others.
+/// Returns the times of `moments` since the first one. The error is the index of the first moment without a date among
+/// others with one, or with a date that does not exist.
 pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     let digits = moments.iter().map(|m| m.digits).max().unwrap_or(0);
     let resolution_s = 10f64.powi(-i32::from(digits));
@@ -224,7 +226,7 @@ pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     Ok(Times { seconds, resolution_s })
 }
 
-/// Returns the seconds after the first moment, with the dates in `order`.
+/// Returns the seconds after the first moment, with dates in `order`. The error is that of [`times`].
 fn in_order(moments: &[Moment], order: Order) -> Result<Vec<f64>, usize> {
     let mut seconds = Vec::with_capacity(moments.len());
     let mut first: Option<(i64, f64)> = None;
@@ -254,7 +256,7 @@ fn longest_step(seconds: &[f64]) -> f64 {
     seconds.windows(2).map(|t| (t[1] - t[0]).abs()).fold(0.0, f64::max)
 }
 
-/// Returns the number that `text` is, if it is as many digits.
+/// Returns the number in `text` if it consists of digits, as many as `lengths` allows; `None` otherwise.
 fn digits(text: &str, lengths: std::ops::RangeInclusive<usize>) -> Option<i64> {
     let are_digits = lengths.contains(&text.len()) && text.bytes().all(|b| b.is_ascii_digit());
     if are_digits { text.parse().ok() } else { None }
@@ -272,7 +274,7 @@ fn days_of(year: i64, month: i64) -> i64 {
     }
 }
 
-/// Days before the first of January of a year.
+/// Returns the number of days before the first of January of a year, in the proleptic Gregorian calendar.
 fn days_before(year: i64) -> i64 {
     let y = year - 1;
     365 * y + y.div_euclid(4) - y.div_euclid(100) + y.div_euclid(400)
@@ -282,7 +284,7 @@ fn days_before(year: i64) -> i64 {
 mod tests {
     use super::*;
 
-    /// Seconds of `text` after `start`.
+    /// Returns the seconds from the moment `start` to the moment `text`; `None` if one of them is no moment.
     fn after(start: &str, text: &str) -> Option<f64> {
         let both = [Moment::read(start)?, Moment::read(text)?];
         Some(times(&both).ok()?.seconds[1])

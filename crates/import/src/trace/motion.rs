@@ -1,4 +1,4 @@
-//! A motion through samples.
+//! A motion through the samples of a log, with a cubic or a straight piece between two samples.
 //!
 //! Between the samples at t_i and t_(i+1), h_i apart, the position is the cubic with the velocities v_i and
 //! v_(i+1) at its ends. Each velocity is that of the parabola through a sample and its two neighbours:
@@ -34,8 +34,8 @@ pub enum Between {
     Linear,
 }
 
-/// Returns the motion through samples at `time_s` (n, ascending), straight where two are more than
-/// `longest_step_s` apart. The tool is on, and no dwell point is served. Refuses numbers that are not finite.
+/// Returns the motion through samples at `time_s`, s (n, ascending), straight where two are more than `longest_step_s`
+/// apart. The tool is on everywhere, and no segment serves a dwell point. Refuses numbers that are not finite.
 pub fn through(
     time_s: &[f64],
     position_mm: &[[f64; 2]],
@@ -51,8 +51,8 @@ pub fn through(
     Trajectory::new(time_s.to_vec(), coefficient_mm, vec![true; k], vec![None; k])
 }
 
-/// Returns the cubics (n-1) of one axis between its samples at `time_s` (n, ascending), straight where two are more than
-/// `longest_step_s` apart.
+/// Returns the cubics (n-1) of one axis between its samples at `time_s`, s (n, ascending), each with coefficients of
+/// rising powers. Pieces longer than `longest_step_s` are straight.
 pub fn pieces(
     time_s: &[f64],
     position: &[f64],
@@ -76,7 +76,7 @@ pub fn pieces(
     pieces
 }
 
-/// Appends the pieces between samples without a gap.
+/// Appends the pieces between consecutive samples without a gap.
 fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) {
     let n = time_s.len();
     if n < 2 {
@@ -100,13 +100,14 @@ fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) 
     }
 }
 
-/// Returns h_i and s_i of the module.
+/// Returns the time between sample `i` and the next (h_i of the module), s, and the mean slope of `p` in it (s_i), in
+/// the unit of `p` per s.
 fn step(time_s: &[f64], p: &[f64], i: usize) -> (f64, f64) {
     let h = time_s[i + 1] - time_s[i];
     (h, (p[i + 1] - p[i]) / h)
 }
 
-/// Returns the velocity at sample `i`.
+/// Returns the velocity at sample `i`, in the unit of `p` per s: the slope of the parabola through three samples.
 fn velocity(time_s: &[f64], p: &[f64], i: usize) -> f64 {
     let last = time_s.len() - 1;
     if last == 1 {
@@ -125,7 +126,7 @@ fn velocity(time_s: &[f64], p: &[f64], i: usize) -> f64 {
     }
 }
 
-/// Returns v_i of the module.
+/// Returns the velocity v_i of the module, from the times (s) and the mean slopes before and after the sample.
 fn inner(h_before: f64, h_after: f64, s_before: f64, s_after: f64) -> f64 {
     (h_after * s_before + h_before * s_after) / (h_before + h_after)
 }
@@ -134,7 +135,7 @@ fn inner(h_before: f64, h_after: f64, s_before: f64, s_after: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Largest distance in x from x(t) = `of`(t) in the middles of the pieces.
+    /// Returns the largest distance of the pieces from x(t) = `of(t)` in their middles.
     fn error(of: fn(f64) -> f64, time_s: &[f64], between: Between) -> f64 {
         let p: Vec<[f64; 2]> = time_s.iter().map(|t| [of(*t), -of(*t)]).collect();
         let motion = through(time_s, &p, f64::INFINITY, between).unwrap();

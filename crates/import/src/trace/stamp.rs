@@ -1,4 +1,4 @@
-//! Time stamps that are numbers, as differences from the first one.
+//! Time stamps that are numbers, stored as differences from the first one.
 //!
 //! A stamp is kept as a whole number and a fraction. The difference of two stamps since 1970 then has the resolution of the
 //! text: as one double of 1.8e9 s it would have steps of 2.4e-7 s, and one of 1.8e18 ns steps of 256 ns.
@@ -6,20 +6,20 @@
 /// Largest number of digits of a whole number that fits into 64 bits.
 const MOST_DIGITS: usize = 18;
 
-/// Time stamps of a column.
+/// Numeric time stamps of a column, in its unit.
 #[derive(Clone, Debug, Default)]
 pub struct Stamps {
-    /// Differences from the first stamp (n).
+    /// Differences of the stamps from the first one (n).
     pub differences: Vec<f64>,
-    /// The first stamp.
+    /// The first stamp as written, in the unit of the column.
     pub first: f64,
     start: (i64, f64),
-    /// Most decimals of a stamp.
+    /// Largest number of decimals of a stamp.
     decimals: i32,
 }
 
 impl Stamps {
-    /// Appends the stamp of a field; returns false if it is no finite number.
+    /// Appends the stamp in a field; returns false, and appends nothing, if it is no finite number.
     pub fn push(&mut self, field: &str) -> bool {
         let Some((whole, fraction, decimals)) = parts(field) else { return false };
         if self.differences.is_empty() {
@@ -33,18 +33,19 @@ impl Stamps {
         true
     }
 
-    /// Takes the last stamp away.
+    /// Removes the last stamp.
     pub fn pop(&mut self) {
         self.differences.pop();
     }
 
-    /// Returns the step of the last digit that is written.
+    /// Returns the unit of the last digit that is written, such as 0.001.
     pub fn resolution(&self) -> f64 {
         10f64.powi(-self.decimals)
     }
 }
 
-/// Returns the whole number, the fraction and the number of decimals of a number in text.
+/// Splits a number in text into whole number, fraction and number of decimals; `None` for text that is no finite
+/// number.
 fn parts(field: &str) -> Option<(i64, f64, i32)> {
     let unsigned = field.strip_prefix(['-', '+']).unwrap_or(field);
     let (whole, fraction) = unsigned.split_once('.').unwrap_or((unsigned, ""));

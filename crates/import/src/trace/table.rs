@@ -38,14 +38,15 @@ use crate::{
 /// logs with long headers.
 const MOST_LINES_ABOVE: usize = 200;
 
-/// Lines that are looked at to find the samples: those above them, and as many samples, which are the longest run then.
+/// Number of lines that are looked at to find the samples: the largest number above them, and one more than that of
+/// samples.
 const LINES_LOOKED_AT: usize = 2 * MOST_LINES_ABOVE + 1;
 
 /// Largest number of columns that are counted in a table. Larger: more time and memory for a hostile file.
 /// Smaller: columns further to the right are not found.
 const MOST_COLUMNS: usize = 1000;
 
-/// Separator of the fields of a line.
+/// Separator between the fields of a line: a character, or blanks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Separator {
     Character(char),
@@ -53,13 +54,14 @@ enum Separator {
 }
 
 impl Separator {
-    /// Returns the separator of a line.
+    /// Returns the separator in a line: semicolon, tab or comma, in this priority, else blanks.
     fn in_line(line: &str) -> Self {
         let first = [';', '\t', ','].into_iter().find(|c| line.contains(*c));
         first.map_or(Self::Blank, Self::Character)
     }
 
-    /// Calls `each` with the fields of a line until it returns false; a separator at the end closes the line.
+    /// Calls `each` with the index and the text of every field, until it returns false. A separator at the end closes
+    /// the line.
     #[inline]
     fn fields<'a>(self, line: &'a str, mut each: impl FnMut(usize, &'a str) -> bool) {
         let line = line.trim_matches([' ', '\r']);
@@ -82,7 +84,7 @@ impl Separator {
         }
     }
 
-    /// Returns the number of fields of a line.
+    /// Returns the number of fields of a line, at most [`MOST_COLUMNS`].
     fn count(self, line: &str) -> usize {
         let mut count = 0;
         self.fields(line, |_, _| {
@@ -92,7 +94,7 @@ impl Separator {
         count
     }
 
-    /// Returns the cells of a line of names.
+    /// Returns the fields of a line that names the columns, without a comment sign before them.
     fn names(self, line: &str) -> Vec<String> {
         let line = line.trim().trim_start_matches(['#', '%', '!', '/']).trim();
         // A separator between quotes belongs to the name.
@@ -108,7 +110,7 @@ impl Separator {
     }
 }
 
-/// Contents of a field.
+/// Kind of content of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Class {
     Number,
@@ -118,7 +120,7 @@ enum Class {
 }
 
 impl Class {
-    /// Returns the class of a field.
+    /// Returns the kind of content of a field.
     fn new(field: &str) -> Self {
         if field.is_empty() {
             Self::Empty
@@ -136,7 +138,8 @@ impl Class {
     }
 }
 
-/// Returns the classes of the fields of a line, if two of them or more are numbers or moments: it may be a sample.
+/// Returns the kinds of the fields of a line that may be a sample: at least two are numbers or moments. Returns `None`
+/// for other lines.
 fn classes(line: &str) -> Option<Vec<Class>> {
     let mut classes = Vec::new();
     Separator::in_line(line).fields(line, |_, field| {
@@ -146,19 +149,19 @@ fn classes(line: &str) -> Option<Vec<Class>> {
     if classes.iter().filter(|class| class.is_value()).count() < 2 { None } else { Some(classes) }
 }
 
-/// Returns true if a line with the classes `next` may follow one with the classes `first`: it has no more fields, and numbers,
-/// moments and texts in the same columns, or nothing.
+/// Returns true if a line of the kinds `next` may follow one of the kinds `first`. It has no more fields, and each is
+/// of the same kind or empty.
 fn follows(first: &[Class], next: &[Class]) -> bool {
     next.len() <= first.len()
         && first.iter().zip(next).all(|(a, b)| a == b || [a, b].contains(&&Class::Empty))
 }
 
-/// Returns true for a line that is no sample and ends no run of them.
+/// Returns true if the line is empty or a comment, so that it neither is a sample nor interrupts the samples.
 fn is_skipped(line: &str) -> bool {
     line.trim().is_empty() || line.starts_with('#')
 }
 
-/// Returns the index of the first sample, and the classes of its fields.
+/// Returns the index of the line with the first sample, and the kinds of its fields; `None` without samples.
 fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
     let rows: Vec<Option<Vec<Class>>> = lines.iter().map(|line| classes(line)).collect();
     // The longest run of samples, and the last of equal ones.
@@ -201,7 +204,7 @@ fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
     Some((first, classes))
 }
 
-/// Returns true if a line of the classes `row` may be a sample of a log whose usual samples have the classes `pattern`.
+/// Returns true if a line of the kinds `row` may be a sample of a log whose usual samples have the kinds `pattern`.
 fn is_sample(row: &[Class], pattern: &[Class]) -> bool {
     row.len() == pattern.len()
         && row
@@ -210,30 +213,31 @@ fn is_sample(row: &[Class], pattern: &[Class]) -> bool {
             .all(|(a, b)| a == b || *a == Class::Empty || (a.is_value() && b.is_value()))
 }
 
-/// Returns true for a line of words without digits.
+/// Returns true if the line consists of words without digits.
 fn is_text(line: &str) -> bool {
     !is_skipped(line) && !line.chars().any(|c| c.is_ascii_digit())
 }
 
-/// Layout of a table.
+/// Layout of a table: where the samples begin, and the names and units of its columns.
 struct TableLayout {
-    /// Line of the first sample, counted from 0.
+    /// Index of the line with the first sample, from 0.
     first: usize,
     separator: Separator,
-    /// Classes of the fields of a sample.
+    /// Kinds of the fields of a sample.
     classes: Vec<Class>,
     names: Option<Vec<String>>,
-    /// Words of the units in a line of their own, by column.
+    /// Units that a line of units states, one word per column.
     units: Option<Vec<String>>,
-    /// Unit of the times in a line such as `SampleTime[ms]`, by column.
+    /// Units of the times in a line such as `SampleTime[ms]`, one per column.
     time_units: Vec<Option<Unit>>,
     warnings: Vec<String>,
 }
 
-/// First words of a line of units.
+/// Words that begin a line of units.
 const UNIT_LINES: [&str; 6] = ["unit", "units", "einheit", "einheiten", "unité", "unités"];
 
-/// Returns true if `cells` are the units of the columns: words of units, empty cells, and the word `Unit`.
+/// Returns true if `cells` are the units of the columns: words for units, empty cells, and perhaps `Unit` at the
+/// beginning.
 fn are_units(cells: &[String]) -> bool {
     let words = cells.iter().filter(|cell| !cell.is_empty() && !begins_units(cell));
     let units = words.clone().filter(|cell| Unit::read(cell, &[]).is_some()).count();
@@ -241,17 +245,17 @@ fn are_units(cells: &[String]) -> bool {
     units > 0 && (is_marked || (units == words.count() && units > 1))
 }
 
-/// Returns true for the first word of a line of units.
+/// Returns true if the cell is a word that begins a line of units.
 fn begins_units(cell: &str) -> bool {
     UNIT_LINES.contains(&cell.trim_end_matches(':').to_lowercase().as_str())
 }
 
-/// Words of a line above the samples that states something about the numbers.
+/// Words in a line above the samples that may state something about the numbers.
 const STATEMENTS: [&str; 9] =
     ["unit", "einheit", "scale", "factor", "faktor", "offset", "rate", "frequency", "interval"];
 
 impl TableLayout {
-    /// Reads the lines above the samples. Refuses a text without samples near its beginning.
+    /// Finds the samples, and reads the lines above them. Refuses a text without samples near its beginning.
     fn read(lines: &[Cow<'_, str>]) -> Result<Self, Invalid> {
         let looked_at = lines.len().min(MOST_LINES_ABOVE);
         let sample = first_sample(lines).filter(|(first, _)| *first <= MOST_LINES_ABOVE);
@@ -325,7 +329,7 @@ impl TableLayout {
         Ok(layout)
     }
 
-    /// Returns the name of a column, or its number.
+    /// Returns the name of a column, or its number as text.
     fn name_of(&self, index: usize) -> String {
         match &self.names {
             Some(names) => names[index].clone(),
@@ -333,7 +337,7 @@ impl TableLayout {
         }
     }
 
-    /// Returns the unit that the lines above the samples state for a column.
+    /// Returns the unit that the lines above the samples state for the column `index`; `None` without one.
     fn unit_of(
         &self,
         role: Role,
@@ -361,7 +365,8 @@ impl TableLayout {
     }
 }
 
-/// Returns true if a line above the samples states a number other than 0 and 1 that could change them.
+/// Returns true if a line above the samples states a number other than 0 and 1, such as a scale, that could change the
+/// samples.
 fn states_a_number(line: &str) -> bool {
     let line = line.to_lowercase();
     let mut words = line.split([' ', '\t', ';', ',', '=', ':']);
@@ -369,19 +374,19 @@ fn states_a_number(line: &str) -> bool {
         && words.any(|word| word.parse::<f64>().is_ok_and(|v| v != 0.0 && v != 1.0))
 }
 
-/// Returns true if a line of these cells may name columns: one of them at least is a word.
+/// Returns true if a line of these cells may name columns, because at least one cell is a word.
 fn has_word(cells: &[String]) -> bool {
     cells.iter().any(|cell| Class::new(cell) == Class::Text)
 }
 
-/// Returns true for the name of a time or of a position along x or y.
+/// Returns true if the name is that of a time, or of a position along x or y.
 fn is_known(name: &str) -> bool {
     let lower = name.to_lowercase();
     is_time(name)
         || lower.split(|c: char| !c.is_alphanumeric()).any(|word| word == "x" || word == "y")
 }
 
-/// Returns the head of a text, with points where its numbers have decimal commas, and whether they have.
+/// Returns the first lines of a text, with points for decimal commas, and true if it has decimal commas.
 fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
     let lines = text.lines().take(LINES_LOOKED_AT);
     let has_commas = lines.clone().any(|line| {
@@ -394,18 +399,18 @@ fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
     (head.collect(), has_commas)
 }
 
-/// Returns a line with points in the place of its decimal commas; `None` if it has none. Numbers beside marks of
-/// thousands are converted here, and refused where all lines are looked at.
+/// Returns a line with points for its decimal commas; `None` if it has none. Lines with separators of thousands are
+/// converted too; they are refused when all lines are read.
 fn with_points(line: &str) -> Option<String> {
     text::with_points(NAME, line).unwrap_or_else(|_| Some(line.replace(',', ".")))
 }
 
-/// Returns the number of values in a line that may be a sample; 0 for another line.
+/// Returns the number of numbers and moments in a line that may be a sample; 0 for another line.
 fn values_in(line: &str) -> usize {
     classes(line).map_or(0, |row| row.iter().filter(|class| class.is_value()).count())
 }
 
-/// Reads the columns that are requested, or known by their names.
+/// Reads the columns of a log that the user requests, or whose names are known.
 ///
 /// # Errors
 /// Refuses a text without samples or without the positions, damaged lines among the samples, and units that contradict
@@ -472,16 +477,16 @@ pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
 }
 
-/// Columns of times that belong to a part of the quantities.
+/// Columns of separate time stamps, which belong to some of the quantities.
 struct Channels {
-    /// Column of the times of each place; `None` for the times of the log.
+    /// Index of the column of time stamps of each quantity; `None` for the time stamps of the log.
     own: Vec<Option<usize>>,
-    /// Columns without names on the left of a position, which may be its times.
+    /// Columns without names to the left of a position, by quantity; they may be its time stamps.
     suspects: Vec<(Role, usize)>,
 }
 
 impl Channels {
-    /// Returns the columns of times beside the main one, by their names or by their places.
+    /// Finds the columns of separate time stamps, by their names or by their positions in the table.
     fn new(places: &[ColumnPlace], layout: &TableLayout) -> Self {
         let mut channels = Self { own: vec![None; places.len()], suspects: Vec::new() };
         let Some(main) = places.iter().find(|p| p.role == Role::Time) else { return channels };
@@ -526,7 +531,7 @@ impl Channels {
         channels
     }
 
-    /// Returns the columns to read beside those of the quantities, ascending.
+    /// Returns the indices of the columns to read beside those of the quantities, ascending.
     fn columns(&self) -> Vec<usize> {
         let suspects = self.suspects.iter().map(|suspect| suspect.1);
         let mut columns: Vec<usize> = self.own.iter().flatten().copied().chain(suspects).collect();
@@ -535,8 +540,8 @@ impl Channels {
         columns
     }
 
-    /// Gives the quantities their own times. Refuses a column without a name that goes like the times of the log, a while
-    /// before or after them.
+    /// Assigns separate time stamps to the quantities. Refuses a column without a name that looks like the time stamps
+    /// of the log, shifted in time.
     fn assign(
         &self,
         log: &mut Log,
@@ -580,7 +585,7 @@ impl Channels {
     }
 }
 
-/// Values of a column while it is read.
+/// Values of a column while it is read: numbers, numeric time stamps, or moments.
 enum ColumnValues {
     Numbers(Vec<f64>),
     Stamps(Stamps),
@@ -588,7 +593,7 @@ enum ColumnValues {
 }
 
 impl ColumnValues {
-    /// Returns the values of a column without any, whose first field has the class `class`.
+    /// Creates an empty list of values, for a column whose first field is of the kind `class`.
     fn new(class: Class, is_time: bool) -> Self {
         if !is_time {
             Self::Numbers(Vec::new())
@@ -599,7 +604,7 @@ impl ColumnValues {
         }
     }
 
-    /// Appends the value of a field; returns false if it has none.
+    /// Appends the value of a field; returns false, and appends nothing, if the field has none.
     fn push(&mut self, field: &str) -> bool {
         match self {
             Self::Numbers(values) => match field.parse::<f64>() {
@@ -615,7 +620,7 @@ impl ColumnValues {
         true
     }
 
-    /// Takes the last value away.
+    /// Removes the last value.
     fn pop(&mut self) {
         match self {
             Self::Numbers(values) => drop(values.pop()),
@@ -632,7 +637,7 @@ impl ColumnValues {
         }
     }
 
-    /// Returns the column with these values. Refuses moments of which no times are made.
+    /// Returns the column with these values. Refuses moments that stand for no times.
     fn column(&self, role: Role, name: String, unit: Option<Unit>) -> Result<Column, Invalid> {
         let column = match self {
             Self::Numbers(values) => Column::of_values(role, name, unit, values.clone()),
@@ -657,14 +662,15 @@ impl ColumnValues {
     }
 }
 
-/// A column that is read.
+/// A column to read, with its values so far.
 struct Wanted {
-    /// Column, counted from 0.
+    /// Index of the column, counted from 0.
     index: usize,
     values: ColumnValues,
 }
 
-/// Reads all samples into `wanted` (ascending). Returns a sentence about lines of text that follow them.
+/// Appends all samples to the columns `wanted`, in ascending order of their indices. Returns a warning if lines of text
+/// follow the samples.
 fn rows(
     body: &str,
     layout: &TableLayout,
@@ -713,15 +719,15 @@ fn rows(
     Ok(None)
 }
 
-/// Result of reading a line.
+/// State of a sample after its line was read.
 enum SampleEnd {
-    /// All wanted cells have values.
+    /// All wanted cells of the line have values.
     Whole,
-    /// A cell of a wanted column is empty: the log ends.
+    /// A cell of a wanted column is empty, so that the log ends before this line.
     Empty,
 }
 
-/// Appends the fields of a line, counted from 1, to the columns of `wanted` (ascending).
+/// Appends the fields of line `number`, counted from 1, to the columns `wanted`, in ascending order of their indices.
 fn row(
     line: &str,
     number: usize,
@@ -843,7 +849,7 @@ mod tests {
         assert_eq!(column(&read, Role::X).name, "column 3");
     }
 
-    /// Header of a TwinCAT Scope: the line above the samples is none of names.
+    /// Checks the header of a TwinCAT Scope, whose last line above the samples does not hold the names of the columns.
     #[test]
     fn names_and_units_may_have_lines_of_their_own() {
         let head = "Name\tScope\nStart\t132959733843760000\tMontag\n\nName\tActPos_X\tActPos_Y\n\

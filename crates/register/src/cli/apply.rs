@@ -61,7 +61,8 @@ impl ApplyArgs {
         }
     }
 
-    /// Reads the artifact to transform; refuses one that is in the frame of the machine already.
+    /// Reads the tool path or motion to transform. Without `--inverse`, refuses one that is in the coordinates of the
+    /// machine already.
     fn read<T: Artifact>(
         &self,
         role: &str,
@@ -79,7 +80,8 @@ impl ApplyArgs {
         Ok((artifact, manifest))
     }
 
-    /// Writes what `moved` makes with the transform, unless it is there already.
+    /// Writes the artifact that `moved` returns for the transform, unless the output directory holds the same result
+    /// already. `outcome` goes to its manifest.
     fn write<T: Artifact>(
         &self,
         inputs: &Inputs,

@@ -1,4 +1,4 @@
-//! Search for the best place by whole pixels; the Gauss-Newton steps start there.
+//! Search for the best position of the later map on a lattice of shifts and angles; the Gauss-Newton steps start there.
 
 use rayon::prelude::*;
 
@@ -9,8 +9,8 @@ use crate::field::Field;
 /// determine the place best. Larger: more time. Smaller: the correlation of a place is less certain.
 const COMPARED: usize = 3000;
 
-/// Largest number of places along x, along y and in rotation; the search takes their product. Larger: time
-/// grows with the cube. Smaller: steps larger than a pixel begin at smaller limits of the search.
+/// Largest number of values of the x shift, of the y shift and of the rotation; the search tries their product.
+/// Larger: time grows with the cube. Smaller: steps larger than a pixel begin at smaller limits of the search.
 const MOST_PLACES: usize = 61;
 
 /// Smallest number of compared pixels that must fall on valid ones; a place with fewer is skipped. Larger:
@@ -18,7 +18,7 @@ const MOST_PLACES: usize = 61;
 const LEAST_COMPARED: usize = COMPARED / 10;
 
 /// Returns the pose with the largest correlation within `limits` (shift in mm, rotation in rad). `values` are the
-/// heights of the later map and of the map before, without their free terms.
+/// heights of the later and of the earlier map without their free terms, nm, row by row.
 pub(super) fn best(
     values: &[Vec<f64>; 2],
     after: &Field,
@@ -78,15 +78,16 @@ pub(super) fn best(
     by_angle.into_iter().fold((f64::NEG_INFINITY, [0.0; 3]), |m, e| if e.0 > m.0 { e } else { m }).1
 }
 
-/// Returns the places from `-limit` to `limit` in steps of `step`, zero among them. The steps are larger if there would
-/// be more than [`MOST_PLACES`].
+/// Returns the values from `-limit` to `limit` in steps of `step`, zero among them, in the unit of `limit`. The steps
+/// are larger if there would be more than [`MOST_PLACES`].
 fn places(limit: f64, step: f64) -> Vec<f64> {
     let half = ((limit / step).floor() as usize).min(MOST_PLACES / 2);
     let step = if half == MOST_PLACES / 2 { limit / half as f64 } else { step };
     (0..=2 * half).map(|k| (k as f64 - half as f64) * step).collect()
 }
 
-/// Returns the correlation coefficient of pairs; minus infinity if there are fewer than [`LEAST_COMPARED`].
+/// Returns the correlation coefficient of pairs of heights; minus infinity if there are fewer than [`LEAST_COMPARED`],
+/// or without variance.
 fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let [mut n, mut a, mut b, mut aa, mut bb, mut ab] = [0.0; 6];
     for (p, q) in pairs {

@@ -1,13 +1,14 @@
-//! `planish-run campaign`: a campaign on the virtual machine, with learning, without it, and on a machine that is known.
+//! `planish-run campaign`: simulated runs on the virtual machine, each planned from the map after the one before. A
+//! chain is one such sequence; one learns from its runs, one does not, and one knows the machine.
 //!
 //! | directory | content |
 //! |---|---|
 //! | `measured` | map before the first run |
 //! | `first` | first plan, which all chains run |
-//! | `learning/K` | run K and what it taught: measured, truth, reconciliation, tif, transform, error_budget.json, the next plan, tolerance, decision; from the second run on the motion that is commanded |
+//! | `learning/K` | run K and the results of its evaluation: measured, truth, reconciliation, tif, transform, error_budget.json, the next plan, tolerance, decision; from the second run on the motion that is commanded |
 //! | `without/K` | run K without learning: measured, truth, the next plan |
-//! | `known/K` | the same on a machine whose tool and place are those of the plan |
-//! | `alike` | another mirror like the first, and its first run in each chain, after all that was learnt |
+//! | `known/K` | the same on a machine whose tool and part position are those of the plan |
+//! | `alike` | a second mirror like the first, and its first run in each chain, planned at the end |
 //! | `report` | table as a page |
 
 use std::{
@@ -38,24 +39,24 @@ pub struct Campaign {
     words: Vec<String>,
 }
 
-/// A campaign that runs.
+/// State of a campaign while it runs: its inputs, settings, and the number of plans so far.
 struct Course<'a> {
     silent: Silent<'a>,
     definition: &'a Definition,
-    /// Settings of every plan.
+    /// Settings that every plan of the campaign gets, as NAME=VALUE.
     settings: Vec<String>,
     out: String,
-    /// The true mirror and tool.
+    /// Artifact of the true surface error map; `tif` is that of the true tool influence function.
     surface: String,
     tif: String,
-    /// Errors of the virtual machine.
+    /// File with the errors of the virtual machine, an error budget.
     error_budget: String,
     seed: String,
     runs: u32,
     least_gain_percent: String,
     reconcile: Vec<String>,
     is_specified: bool,
-    /// Method of a plan that is executed, once there is one.
+    /// Name of the plan in each run that is executed, such as `pvt`; empty before the first plan.
     planned: String,
     begun: Instant,
     made: u32,
@@ -68,7 +69,7 @@ impl Campaign {
     }
 }
 
-/// Runs a campaign; its last table goes to `messages`. Returns the exit code.
+/// Runs a campaign. `words` are those of the command line; the last table goes to `messages`. Returns the exit code.
 ///
 /// # Errors
 /// Fails if a setting, an input or the directory is refused, or if a command cannot be run.
@@ -150,7 +151,8 @@ pub fn campaign(words: &[String], messages: Messages) -> Result<u8, Failure> {
     Ok(code)
 }
 
-/// Takes the map and the tool of a measured mirror from the settings. Refuses files: they are artifacts.
+/// Takes the settings `surface` and `tif` of a measured mirror out; `None` for one that is not given. Refuses files,
+/// because both must be artifacts.
 fn take_mirror(user: &mut UserSettings) -> Result<[Option<String>; 2], Failure> {
     let mirror = [user.take_path("surface"), user.take_path("tif")];
     if let Some(map) = mirror.iter().flatten().find(|map| Path::new(map).is_file()) {
@@ -161,7 +163,8 @@ fn take_mirror(user: &mut UserSettings) -> Result<[Option<String>; 2], Failure> 
     Ok(mirror)
 }
 
-/// Returns the words of the settings that may name a file, those of the plans and those of the campaign.
+/// Returns the words of the settings of the plans and of the campaign that may name an input file. The claim on the
+/// directory checks them.
 fn named_words(
     scope: &Scope,
     error_budget: &str,
@@ -176,7 +179,7 @@ fn named_words(
 }
 
 impl Course<'_> {
-    /// Runs all chains, and the mirror that is like the first one.
+    /// Runs all three chains (learning, without learning, machine known), then a second mirror like the first one.
     fn run(&mut self) -> Result<(), Failure> {
         let measured = format!("{}/measured", self.out);
         self.measure(&measured, None)?;
@@ -190,7 +193,8 @@ impl Course<'_> {
         self.alike(&learnt_tif)
     }
 
-    /// Runs a chain whose plans know nothing of the runs before.
+    /// Runs a chain whose plans use the original tool influence function and no result of earlier runs. `flags` go to
+    /// the virtual machine.
     fn without_learning(&mut self, chain: &str, flags: &[&str]) -> Result<(), Failure> {
         let mut map = format!("{}/measured", self.out);
         let mut run = format!("{}/first", self.out);
@@ -207,7 +211,8 @@ impl Course<'_> {
         Ok(())
     }
 
-    /// Runs the chain that learns. Returns the tool as it is known after the last run.
+    /// Runs the chain that learns: every run corrects tool, position and errors for the next. Returns the artifact of
+    /// the tool influence function after the last run.
     fn learning(&mut self) -> Result<String, Failure> {
         let mut map = format!("{}/measured", self.out);
         let mut run = format!("{}/first", self.out);
@@ -259,7 +264,8 @@ impl Course<'_> {
         Ok(tool)
     }
 
-    /// Computes what the next plan is expected to leave, and decides whether it is worth its time.
+    /// Computes the residual that the next plan is expected to leave, and decides whether the run is worth its time.
+    /// Both results go to the directory `at`. `knowledge` is the file with the errors of the process.
     fn decide(&mut self, at: &str, run: &str, tool: &str, knowledge: &str) -> Result<(), Failure> {
         let motion = self.motion(run);
         let map = format!("{run}/surface");
@@ -292,7 +298,8 @@ impl Course<'_> {
         self.quiet("planish-campaign", &flags)
     }
 
-    /// Plans and runs another mirror like the first one, in each chain.
+    /// Plans and runs a second mirror like the first one, as a further run of each chain. `tool` is the tool influence
+    /// function that was learnt.
     fn alike(&mut self, tool: &str) -> Result<(), Failure> {
         let runs = self.runs;
         let k = runs + 1;
@@ -316,12 +323,13 @@ impl Course<'_> {
         self.machine_runs(&format!("{at}/learning"), k, &measured, &commanded, &[])
     }
 
-    /// Returns the path of the motion of the plan in a run.
+    /// Returns the path of the trajectory of the executed plan in the directory `run`.
     fn motion(&self, run: &str) -> String {
         format!("{run}/methods/{}/trajectory", self.planned)
     }
 
-    /// Measures the map before the run of this number.
+    /// Simulates the measurement of the true map into the directory `to`. `run_number` selects the mirror and its
+    /// noise; `None` measures the first one.
     fn measure(&mut self, to: &str, run_number: Option<u32>) -> Result<(), Failure> {
         let seed = format!("--seed={}", self.seed);
         let number = run_number.map(|k| format!("--run-number={k}"));
@@ -338,14 +346,15 @@ impl Course<'_> {
         self.silent.command(&command("planish-campaign", &flags)).map(|_| ())
     }
 
-    /// Moves the motion of a plan to where the part lies.
+    /// Transforms the trajectory `motion` to where the part lies on the machine, and writes it to the directory `to`.
     fn command_motion(&mut self, transform: &str, motion: &str, to: &str) -> Result<(), Failure> {
         let flags =
             ["apply", "--transform", transform, "--trajectory", motion, "--out", to, "--force"];
         self.quiet("planish-register", &flags)
     }
 
-    /// Runs the virtual machine, which has the true tool, for the run of this number.
+    /// Runs the virtual machine with the true tool for run number `k`. The directory `at` gets the measured map and the
+    /// true one.
     fn machine_runs(
         &mut self,
         at: &str,
@@ -366,8 +375,8 @@ impl Course<'_> {
         self.silent.command(&command("planish-simulate", &flags.concat())).map(|_| ())
     }
 
-    /// Plans for a map and a tool. Nearly all the time of a campaign is spent here: a terminal is told how many plans are
-    /// made, and how long the others will take.
+    /// Plans a run for a map and a tool influence function, in the directory `at`. Plans take nearly all the time of a
+    /// campaign, so a terminal is told their number and the remaining time.
     fn plan(&mut self, at: &str, map: &str, tool: &str) -> Result<(), Failure> {
         let own = [format!("surface={map}"), format!("tif={tool}"), format!("out={at}")];
         let settings = [&self.settings[..], &own].concat();
@@ -386,12 +395,12 @@ impl Course<'_> {
         Ok(())
     }
 
-    /// Runs a command in silence.
+    /// Runs a command without printing its messages, unless it fails.
     fn quiet(&mut self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         self.silent.command(&command(program, flags)).map(|_| ())
     }
 
-    /// Returns the command that makes the page of the campaign.
+    /// Returns the command that writes the report page of the campaign. `name` is that of the mirror.
     fn report(
         &self,
         name: &str,
@@ -408,7 +417,8 @@ impl Course<'_> {
     }
 }
 
-/// Returns the flags for the verdicts of a specification: on the map before the next run, and on what its plan leaves.
+/// Returns the flags that name two verdicts on a specification: on the map before the next run, and on the residual
+/// that its plan predicts.
 pub fn specified(run: &str, planned: &str) -> Vec<String> {
     let [now, next] =
         ["before", planned].map(|part| format!("{run}/specified/{part}/specification"));

@@ -1,4 +1,4 @@
-//! Claim on the directory of a run: its inputs are checked, it is locked, and its owner is written.
+//! Claim on the directory of a run: it checks the inputs, locks the directory, and writes its owner.
 
 use std::{
     fs::{self, File, OpenOptions, TryLockError},
@@ -17,55 +17,56 @@ use planish_pipeline::{
 use planish_run::owner::{Mirror, Owner};
 use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
 
-/// Flag for the only output among the flags of a setting.
+/// Flag that names an output, the file for the time of a stage. All other flags of a setting name inputs.
 const WALL_TIME: &str = "--wall-time";
-/// Name of the file that says who owns the directory.
+/// Name of the file that states the owner of the directory.
 const OWNER: &str = "run.json";
-/// Directory of the machine that the stages of the run plan for: a copy of the machine file under its own name, with a
-/// limit on jerk where that states none.
+/// Name of the directory in a run that holds its copy of the machine file, under the name of the original. If the file
+/// states no jerk limit, the copy states an assumed one.
 const MACHINE: &str = "machine";
-/// Locked while a run has the directory; says which process that is. It stays when the run is over:
-/// to remove it would let two runs lock two files of the same name.
+/// Name of the file that a run locks while it uses the directory; it names the process. It stays after the run: to
+/// remove it would let two runs lock two files of the same name.
 const LOCK: &str = "run.lock";
 
 /// Number of times that a run reads the name of the process that has locked the directory: with [`BETWEEN_READS`] a
 /// second in all, for a slow disk. Larger: the message comes later. Smaller: it names no process if the disk is slow.
 const READS_OF_HOLDER: usize = 20;
-/// Time between two such reads. Larger: the message comes later. Smaller: more reads are needed for a slow disk.
+/// Time between two reads of that name. Larger: the message comes later. Smaller: more reads are needed for a slow
+/// disk.
 const BETWEEN_READS: Duration = Duration::from_millis(50);
 
-/// Directory that a run wants for itself, and its inputs.
+/// Directory that a run wants to use alone, and the inputs of the run.
 pub struct Claim {
-    /// Output directory of the run.
+    /// Output directory of the run, which the claim locks.
     pub out: PathBuf,
-    /// Name of the pipeline.
+    /// Name of the pipeline, such as `raster`.
     pub pipeline: String,
-    /// Recipe of the mirror, if it is a fixture.
+    /// Path of the recipe of a simulated mirror; `None` if the mirror is measured.
     pub fixture: Option<PathBuf>,
-    /// Map of the mirror as it was measured.
+    /// Path of the measured surface error map; `None` for a simulated mirror.
     pub surface: Option<PathBuf>,
-    /// Tool influence function.
+    /// Path of the tool influence function of a measured mirror.
     pub tif: Option<PathBuf>,
-    /// Machine file.
+    /// Path of the machine file.
     pub machine: PathBuf,
-    /// Further words of the settings that may name a file or a directory, each with its setting.
+    /// Further words of settings that may name a file or a directory, each with the name of its setting.
     pub named: Vec<Named>,
 }
 
-/// Word of a setting that may name a file or a directory.
+/// Word in the value of a setting that may name a file or a directory.
 pub struct Named {
-    /// Name of the setting.
+    /// Name of the setting whose value contains the word.
     pub setting: String,
-    /// Path.
+    /// Word, read as a path.
     pub path: PathBuf,
-    /// True if the setting is a path: the word names something even if nothing is there.
+    /// True if the setting is a path, so that the word is a path even if nothing exists there.
     pub is_path: bool,
 }
 
 impl Claim {
-    /// Checks the inputs, locks the directory and copies the machine file into it. The lock holds until the file is
-    /// closed, here and in all processes that have inherited it. `command` is shown to others that want the directory. The
-    /// text beside the lock, if there is one, warns of a limit on jerk that the machine file does not state.
+    /// Checks the inputs, locks the directory and copies the machine file into it. The lock holds until the returned
+    /// file is closed, here and in all processes that have inherited it. Other runs that want the directory are shown
+    /// `command`. The text beside the lock is a warning if the machine file states no jerk limit and one is assumed.
     ///
     /// # Errors
     /// Fails if an input is missing or overlaps the directory, or if the directory belongs to another run or is in use.
@@ -89,7 +90,8 @@ impl Claim {
         Ok((lock, assumed))
     }
 
-    /// Returns the mirror, which is there.
+    /// Returns the mirror of the claim. Refuses a mirror that does not exist, or a map without its tool influence
+    /// function.
     fn mirror(&self) -> Result<Mirror, Failure> {
         match (&self.fixture, &self.surface, &self.tif) {
             (Some(recipe), ..) => fixture(recipe).map(Mirror::Fixture),
@@ -106,8 +108,8 @@ impl Claim {
     }
 }
 
-/// Reads the machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time
-/// to full acceleration that is assumed, and a warning that says so.
+/// Reads the machine file as the stages of the run get it, in `copy`. A file that states no jerk limit gets an assumed
+/// time to full acceleration, and a warning is returned with it.
 fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
     let failed = |e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot be read: {e}", machine.display()))
@@ -131,7 +133,7 @@ fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<St
     Ok((text.into_bytes(), Some(warning)))
 }
 
-/// Returns the name of the recipe; refuses a recipe that does not exist.
+/// Returns the name of the recipe without its ending. Refuses a recipe that does not exist.
 fn fixture(recipe: &Path) -> Result<String, Failure> {
     let name = recipe.file_stem().map(|name| name.to_string_lossy().into_owned());
     if let Some(name) = name.clone().filter(|_| recipe.is_file()) {
@@ -152,7 +154,7 @@ fn fixture(recipe: &Path) -> Result<String, Failure> {
     Err(Failure::new(format!("no fixture '{name}' ({}); {there}", recipe.display())))
 }
 
-/// Returns the absolute path of an existing input, without links.
+/// Returns the absolute path of an existing input, with links resolved. `role` names the input in the message.
 fn existing(role: &str, path: &Path) -> Result<String, Failure> {
     let here = path.canonicalize().map_err(|e| {
         Failure::new(format!(
@@ -166,8 +168,8 @@ fn existing(role: &str, path: &Path) -> Result<String, Failure> {
 }
 
 impl Named {
-    /// Returns the words of the settings of a pipeline that may name an input: settings that are paths, and the words of
-    /// those that are flags.
+    /// Returns the words of the settings of a pipeline that may name an input: settings of the kind path, and the words
+    /// of those of the kind flags.
     ///
     /// # Errors
     /// Fails if a setting cannot be split into words.
@@ -184,7 +186,8 @@ impl Named {
         Ok(named)
     }
 
-    /// Returns the words of one setting. A flag names the path after its `=`, and the time of a stage is an output.
+    /// Returns the words of one setting that may name an input. Of `--flag=path` only the path counts. The file after
+    /// `--wall-time` is an output and is left out.
     pub fn words(setting: &str, words: &[String], is_path: bool) -> Vec<Self> {
         let mut named = Vec::new();
         let mut is_output = false;
@@ -204,8 +207,8 @@ impl Named {
         named
     }
 
-    /// Refuses a path inside of the output of the run, where a stage may replace it. A link there leads elsewhere, and
-    /// is replaced all the same.
+    /// Refuses a path inside the output directory, where a stage may replace it. A link in that directory is refused
+    /// too, even if it leads elsewhere.
     fn refuse_inside(&self, out: &Path) -> Result<(), Failure> {
         let Self { setting, path, is_path } = self;
         if *is_path {
@@ -228,7 +231,7 @@ impl Named {
     }
 }
 
-/// Returns the absolute path of a name: links above it are followed, and the name itself may be a link.
+/// Returns the absolute path of a file or link. Links in the folders above it are resolved, but the last name is not.
 fn place_of(path: &Path) -> PathBuf {
     match (path.parent(), path.file_name()) {
         (Some(parent), Some(name)) => resolved(parent).join(name),
@@ -236,7 +239,7 @@ fn place_of(path: &Path) -> PathBuf {
     }
 }
 
-/// Refuses an output that is, contains or lies inside an input.
+/// Refuses an output directory that is, contains or lies inside the input `role`.
 fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
     let [o, i] = [out, input].map(resolved);
     let how = if o == i {
@@ -255,7 +258,7 @@ fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
     )))
 }
 
-/// Returns the absolute path, without links as far as it exists.
+/// Returns the absolute path, with links resolved in the part that exists.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     for there in path.ancestors() {
@@ -266,7 +269,8 @@ fn resolved(path: &Path) -> PathBuf {
     path
 }
 
-/// Locks the directory and returns the lock. A directory without an owner becomes that of `owner`.
+/// Locks the directory and returns the lock file. A directory without an owner gets `owner`. Refuses that of another
+/// owner, and one in use.
 fn take(out: &Path, owner: &Owner, command: &str) -> Result<File, Failure> {
     let failed = |doing: &str, e: std::io::Error| {
         Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))
@@ -307,7 +311,7 @@ fn take(out: &Path, owner: &Owner, command: &str) -> Result<File, Failure> {
     Ok(lock)
 }
 
-/// Refuses a link, a pipe or a device in the place of a file that a run writes in its directory.
+/// Refuses a link, a pipe or a device at a path where a run writes a file.
 pub fn refuse_special(path: &Path) -> Result<(), Failure> {
     match fs::symlink_metadata(path) {
         Ok(metadata) if !metadata.is_file() => Err(Failure::new(format!(
@@ -318,7 +322,7 @@ pub fn refuse_special(path: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Description of the process that holds a lock. That process writes it a moment after it has taken the
+/// Returns the description of the process that holds a lock. That process writes it a moment after it has taken the
 /// lock, when `run.json` is on the disk.
 fn holder(lock: &mut File) -> String {
     for _ in 0..READS_OF_HOLDER {
@@ -333,8 +337,8 @@ fn holder(lock: &mut File) -> String {
     "another run".into()
 }
 
-/// Returns true if the directory belongs to `owner`, false if it has no owner, and an error if it belongs
-/// to another one.
+/// Returns true if the directory belongs to `owner`, and false if it has no owner yet. Refuses the directory of another
+/// owner, and one with other content.
 fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     let refused = |problem: String| Err(Failure::new(format!("{} {problem}", out.display())));
     let text = match read_regular(&out.join(OWNER)) {
@@ -364,7 +368,8 @@ fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     }
 }
 
-/// Returns the first file, by name, that is neither the lock nor a temporary file; `None` if there is no directory.
+/// Returns the first file of the directory, by name, that is neither the lock nor a temporary file. Returns `None`
+/// without such a file, or without the directory.
 fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     let entries = match fs::read_dir(out) {
         Ok(entries) => entries,
@@ -378,7 +383,7 @@ fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     Ok(names.into_iter().min())
 }
 
-/// Writes `run.json`. The lock is held, so no other run writes it.
+/// Writes the owner to `run.json`. The lock is held, so no other run writes it.
 fn write_owner(out: &Path, owner: &Owner) -> Result<(), Failure> {
     let text = format!("{}\n", serde_json::to_string_pretty(owner)?);
     let file = OutputFile::begin("out", &out.join(OWNER), false, &Inputs::new())?;

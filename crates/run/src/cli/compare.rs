@@ -1,4 +1,4 @@
-//! `planish-run compare`: every scheduler along three paths, on one mirror or on all of them.
+//! `planish-run compare`: every scheduler along three tool paths, on one mirror or on all of them.
 
 use std::path::Path;
 
@@ -13,13 +13,13 @@ use super::{
     several::{UserSettings, command, no_flag},
 };
 
-/// Returns the fixture of the first of these pipelines.
+/// Returns the fixture that the first pipeline of `PATHS` uses by default.
 fn default_fixture(place: &Installation) -> Result<String, Failure> {
     let definition = place.definition(PATHS[0])?;
     place.settings::<&str>(&definition, &[])?.text("fixture").map_err(Failure::new)
 }
 
-/// Pipelines whose paths are compared.
+/// Names of the pipelines whose tool paths are compared.
 const PATHS: [&str; 3] = ["raster", "maze", "random-adaptive"];
 
 #[derive(Args)]

@@ -1,4 +1,4 @@
-//! Execution of the steps of a stage: every command is printed before it runs, and one place decides on exit codes.
+//! Execution of the commands of a stage: each is printed before it runs, and one function decides on exit codes.
 
 use std::{
     collections::BTreeMap,
@@ -27,46 +27,46 @@ use super::{
     program::{plan_of, read_answer},
 };
 
-/// Artifacts without which a method or a dwell solver is left out of a comparison.
+/// Artifacts that are removed if a scheduler or a dwell solver refuses; the comparison then leaves it out.
 const LEFT_OUT: [&str; 2] = ["dwell", "trajectory"];
-/// File with what a command says that may refuse, in its directory.
+/// Name of the file for the messages of a command that may refuse, in the directory of its result.
 const MESSAGE: &str = "message.txt";
 
-/// Code of a process that a signal ended. No stage has it.
+/// Exit code that stands for a process ended by a signal. No stage uses it.
 const KILLED: u8 = 128;
 
-/// Programs that make mirror, tool and tool path. Those that come after them may take hours.
+/// Programs that make mirror, tool and tool path, in short time. The programs after them may take hours.
 const SHORT: [&str; 5] =
     ["planish-fixture", "planish-import", "planish-surface", "planish-tool", "planish-toolpath"];
 
-/// Programs that are not tried before the run: they read a whole run, or a large file that the first stage reads anyway.
+/// Programs without a trial before the run: they read a whole run, or a large file that the first stage reads anyway.
 const NOT_REHEARSED: [&str; 4] =
     ["planish-run", "planish-compare", "planish-fixture", "planish-import"];
 
-/// Destination of the messages of a run.
+/// Destination of the commands and messages that a run prints.
 pub enum Messages {
     /// The user's terminal.
     Shown,
-    /// This file, which is shown if a command fails.
+    /// A log file, which the caller shows if a command fails.
     Kept(File),
 }
 
-/// Exit code of a run, 0, 1 or 2, and what its names stand for at its end. The reason for a code above 0 was printed.
+/// End of a run: exit code 0, 1 or 2, and the final values of the settings. The reason for a code above 0 was printed.
 pub struct Ended<'a> {
-    /// Exit code.
+    /// Exit code: 0 done, 1 negative verdict, 2 refused or failed.
     pub code: u8,
-    /// Names.
+    /// Settings and facts of the pipeline at the end of the run, by name.
     pub scope: Scope<'a>,
 }
 
-/// Programs of Planish, and where they say what they do.
+/// Starter of the programs of Planish: their search path, and the destination of their messages.
 pub struct Programs {
     path: ffi::OsString,
     messages: Messages,
 }
 
 impl Programs {
-    /// Creates the programs of this installation.
+    /// Creates a starter for the programs of this installation.
     ///
     /// # Errors
     /// Fails if their folder cannot be in the PATH.
@@ -92,7 +92,7 @@ impl Programs {
         Ok(code(self.ended(command, ended(&mut process))?))
     }
 
-    /// Runs a command whose messages go to a file.
+    /// Prints and runs a command whose messages go to the file `message`. Returns its exit code, or [`KILLED`].
     fn attempt(&self, command: &StageCommand, message: &Path) -> Result<u8, Failure> {
         self.print(&format!("{} 2> {}", command.line(), words::quote(&message.to_string_lossy())));
         let mut process = self.process(command);
@@ -106,7 +106,7 @@ impl Programs {
         Ok(code(self.ended(command, ended(&mut process))?))
     }
 
-    /// Runs a command in silence. Returns its message if it failed.
+    /// Runs a command without showing its output. Returns its message if it failed, `None` if it succeeded.
     fn refusal(&self, command: &StageCommand) -> Result<Option<String>, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
@@ -118,8 +118,8 @@ impl Programs {
         Ok(Some(String::from_utf8_lossy(&message).trim().to_string()))
     }
 
-    /// Runs a command up to where its work begins. `run` is the directory of the run, and `made` the paths in it that are
-    /// there already. Returns what the command said if it refuses its flags or its inputs.
+    /// Runs a command up to the point where its work begins. `run` is the directory of the run, and `made` the paths in
+    /// it that exist already. Returns the message of a command that refuses its flags or inputs.
     fn rehearsal(
         &self,
         command: &StageCommand,
@@ -134,7 +134,8 @@ impl Programs {
         Ok(if code(status) == 2 { Some(message) } else { None })
     }
 
-    /// Returns the process of a command, which knows the settings that give its flags.
+    /// Prepares the process of a command. An environment variable tells it which settings its flags come from, for its
+    /// messages.
     fn process(&self, command: &StageCommand) -> Process {
         let mut process = stage_command(&command.program, env::split_paths(&self.path));
         process.args(&command.arguments).env("PATH", &self.path);
@@ -146,7 +147,7 @@ impl Programs {
         process
     }
 
-    /// Returns the end of a process, or the failure to run it.
+    /// Returns the result of a process, or a failure that names the program if it could not be started.
     fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
@@ -156,7 +157,7 @@ impl Programs {
         })
     }
 
-    /// Prints a line on standard error; a closed pipe is not an error.
+    /// Prints a line on standard error or to the log file; a closed pipe is not an error.
     fn print(&self, line: &str) {
         let _ = match &self.messages {
             Messages::Shown => writeln!(io::stderr(), "{line}"),
@@ -164,7 +165,7 @@ impl Programs {
         };
     }
 
-    /// Prints a line on standard output, or where all messages go.
+    /// Prints a line on standard output, or to the log file if the messages are kept there.
     fn say(&self, line: &str) {
         match &self.messages {
             Messages::Shown => say(line),
@@ -173,12 +174,12 @@ impl Programs {
     }
 }
 
-/// Runs a process to its end. It ends with this one.
+/// Runs a process to its end, and returns its status. The process is ended if this program ends.
 fn ended(process: &mut Process) -> io::Result<ExitStatus> {
     Running::start(process)?.wait()
 }
 
-/// Runs a process to its end, and returns what it said on standard error too. It ends with this one.
+/// Runs a process to its end, and returns its status and standard error. The process is ended if this program ends.
 fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
     let mut running = Running::start(process)?;
     let mut message = Vec::new();
@@ -188,12 +189,13 @@ fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
     Ok((running.wait()?, message))
 }
 
-/// Returns the exit code of a process; [`KILLED`] if a signal ended it, which is no refusal.
+/// Returns the exit code of a process, or [`KILLED`] if a signal ended it.
 fn code(status: ExitStatus) -> u8 {
     status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(KILLED)
 }
 
-/// Runs a stage of a pipeline as the only owner of its directory.
+/// Runs a stage of a pipeline while its directory is locked. All commands are tried first, so that mistakes in settings
+/// are found early.
 ///
 /// # Errors
 /// Fails if an input is missing, if the directory belongs to another run or is in use, or if a command cannot be run.
@@ -264,7 +266,7 @@ pub fn run<'a>(
     Ok(Ended { code: last, scope: walk.scope })
 }
 
-/// Returns true for the step that makes the report of the run.
+/// Returns true if the step is the command that makes the report of the run.
 fn is_report(step: &Step) -> bool {
     match step {
         Step::Run(command) => {
@@ -275,7 +277,7 @@ fn is_report(step: &Step) -> bool {
     }
 }
 
-/// Takes a step of a pipeline. Returns its exit code: 0, 1 or 2.
+/// Executes a step of a pipeline, a command or a line to print. Returns the exit code: 0, 1 or 2.
 fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Failure> {
     Ok(match step {
         Step::Run(command) => match &command.refusal_dir {
@@ -293,20 +295,21 @@ fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Fai
     })
 }
 
-/// Returns the command line of this process.
+/// Returns the command line of this process, quoted as for a shell.
 pub fn as_typed() -> String {
     words::join(env::args_os().map(|word| word.to_string_lossy().into_owned()))
 }
 
-/// Numbers of rounds after which `planish-refine` ends: the usual least one, and its limit. Larger and smaller: longer and
-/// shorter estimates. Measured on the fixtures; the limit is that of the program.
+/// Usual smallest and largest number of rounds after which `planish-refine` ends. Larger or smaller: longer or shorter
+/// estimates. Measured on the fixtures; the largest is the limit of that program.
 const ROUNDS: [f64; 2] = [10.0, 50.0];
 
-/// Least time of the closed loop that is told beforehand, s. Smaller: notes on runs that nobody waits for. Chosen.
+/// Smallest duration of `planish-refine`, s, that a run announces before it starts. Smaller: notes on runs that nobody
+/// waits for. Chosen.
 const TOLD_FROM_S: f64 = 60.0;
 
-/// Returns how long the closed loop will take, from the times of the programs that each of its rounds repeats, s; `None` for
-/// another program, and for a short loop.
+/// Returns a note on the duration of `planish-refine`, the closed loop of dwell, schedule and simulate. `took_s` holds
+/// the seconds that each program took once. Returns `None` for another program, and for a short loop.
 fn estimate_of_rounds(program: &str, took_s: &BTreeMap<String, f64>) -> Option<String> {
     if program != "planish-refine" {
         return None;
@@ -327,8 +330,8 @@ fn estimate_of_rounds(program: &str, took_s: &BTreeMap<String, f64>) -> Option<S
     ))
 }
 
-/// Returns the sentence on the machine of a pipeline that plans for a part or a tool of the user; `None` if the user named a
-/// machine.
+/// Returns the sentence that names the assumed machine, for a pipeline that plans for a part or a tool of the user.
+/// Returns `None` if the user named a machine.
 ///
 /// # Errors
 /// Fails if the pipeline does not define these names.
@@ -339,14 +342,14 @@ pub fn assumed_machine(scope: &Scope) -> Result<Option<String>, Failure> {
     Ok(if is_assumed { Some(planish_types::assumed_machine(&title)) } else { None })
 }
 
-/// Trial of the commands to come, so that a mistake in a setting is found before the stages that take long: once before the
-/// run, and once when mirror, tool and tool path are there.
+/// Trial of the commands to come, so that a mistake in a setting is found before the long stages. It takes place before
+/// the run, and again when mirror, tool and tool path exist.
 struct Rehearsal {
-    /// Directory of the run.
+    /// Output directory of the run.
     out: String,
-    /// Paths that the run has made.
+    /// Paths of the artifacts that the run has made so far.
     made: Vec<String>,
-    /// True when the second trial is over.
+    /// True after the second trial.
     is_over: bool,
 }
 
@@ -356,7 +359,7 @@ impl Rehearsal {
         Ok(Self { made: vec![format!("{out}/machine")], out, is_over: false })
     }
 
-    /// Tries all commands when nothing is made. Returns false, and prints what is wrong, if one refuses.
+    /// Tries all commands before anything is made. Returns false, and prints the reason, if one of them refuses.
     fn before_the_run(&self, programs: &Programs, walk: &Walk) -> Result<bool, Failure> {
         let mut ahead = walk.clone();
         // The copy in the directory of the run is made later.
@@ -365,8 +368,8 @@ impl Rehearsal {
         self.all(programs, ahead, &[])
     }
 
-    /// Remembers what a step makes. Before the first long one, tries the commands `ahead`, which begin with it. Returns
-    /// false, and prints what is wrong, if one refuses.
+    /// Records the output of a short step. Before the first long step, tries the commands `ahead`, which begin with it.
+    /// Returns false, and prints the reason, if one of them refuses.
     fn before(&mut self, step: &Step, programs: &Programs, ahead: Walk) -> Result<bool, Failure> {
         let Step::Run(command) = step else { return Ok(true) };
         if self.is_over {
@@ -385,7 +388,8 @@ impl Rehearsal {
         self.all(programs, ahead, &self.made)
     }
 
-    /// Tries the commands of a walk that take flags from settings. One that a comparison may leave out is not tried.
+    /// Tries the commands of a pipeline whose flags come from settings that the user gave. Commands that a comparison
+    /// may leave out are skipped.
     fn all(&self, programs: &Programs, mut ahead: Walk, made: &[String]) -> Result<bool, Failure> {
         while let Some(step) = ahead.step().map_err(Failure::new)? {
             let Step::Run(command) = step else { continue };
@@ -407,8 +411,8 @@ impl Rehearsal {
     }
 }
 
-/// Returns why the program of a run cannot follow its tool path: the path lifts the tool, and a program of this controller
-/// does not switch it. `None` if the run writes no program, or if it can.
+/// Returns the reason why the program of a run cannot follow its tool path: the path lifts the tool, and the controller
+/// cannot switch it. Returns `None` if the run writes no program, or if it can.
 fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     let text = |name: &str| walk.scope.text(name).map_err(Failure::new);
     let export = text("export")?;
@@ -438,8 +442,8 @@ fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     )))
 }
 
-/// Runs a command that may refuse. The message then stands in the place of what it makes, and the stage ends: the result of
-/// an earlier run in this directory is not that of this one.
+/// Runs a command that may refuse. In that case its message replaces its result in `dir`, and the stage ends. Results
+/// of an earlier run in `dir` are removed.
 fn attempt(
     programs: &Programs,
     walk: &mut Walk,
@@ -462,8 +466,8 @@ fn attempt(
     Ok(if code > 1 { 2 } else { 0 })
 }
 
-/// States the plan that the report of the run recommends, as the fact `recommended`, for a program of no named plan. The
-/// fact stays empty if a command of the stage `export` refuses that plan; a program of all axes is not tried.
+/// Sets the fact `recommended` of the pipeline to the plan that the report recommends, unless the user named a plan. It
+/// stays empty if a command of the stage `export` refuses that plan; a program of all axes is not tried.
 fn state_recommended(programs: &Programs, scope: &mut Scope) -> Result<(), Failure> {
     let text = |name: &str| scope.text(name).map_err(Failure::new);
     let export = text("export")?;
@@ -489,7 +493,7 @@ fn state_recommended(programs: &Programs, scope: &mut Scope) -> Result<(), Failu
     Ok(())
 }
 
-/// Removes an artifact of an earlier run: its manifest and its arrays, and the directory if nothing else is in it.
+/// Removes an artifact of an earlier run: its manifest and arrays, and the directory if it is then empty.
 fn forget(artifact: &Path) -> Result<(), Failure> {
     let Ok(entries) = fs::read_dir(artifact) else { return Ok(()) };
     for path in entries.flatten().map(|entry| entry.path()) {

@@ -1,12 +1,12 @@
-//! `planish-run next-run`: from the maps before and after a run to the next one.
+//! `planish-run next-run`: plans the next run from the maps before and after the last one.
 //!
 //! | directory | content |
 //! |---|---|
-//! | `reconciliation` | what the run taught |
-//! | `tif`, `transform`, `error_budget.json` | tool, place and errors of the next run |
+//! | `reconciliation` | estimates from the last run: tool, position of the part, errors |
+//! | `tif`, `transform`, `error_budget.json` | the tool, part position and errors that the next run assumes |
 //! | `plan` | next plan, in the coordinates of the part |
 //! | `commanded`, `verdict` | its motion in those of the machine, and the verdict on it |
-//! | `tolerance` | what the plan is expected to leave |
+//! | `tolerance` | residual that the plan is expected to leave |
 //! | `decision` | run again, or stop |
 
 use std::path::Path;
@@ -24,7 +24,7 @@ use super::{
     several::{Silent, UserSettings, command, is_directory, with_plain},
 };
 
-/// Remedy for a setting that is not given.
+/// End of the messages about a missing setting: the settings that must be given.
 const NEEDED: &str = "give before=DIR after=DIR trajectory=DIR tif=DIR";
 
 #[derive(Args)]
@@ -36,7 +36,8 @@ pub struct NextRun {
     settings: Vec<String>,
 }
 
-/// Inputs of the last run.
+/// Inputs from the last run: artifacts of the maps before and after it, of its motion and of its tool influence
+/// function.
 struct Last {
     before: String,
     after: String,
@@ -47,7 +48,8 @@ struct Last {
 }
 
 impl Last {
-    /// Takes the inputs from the settings. Refuses inputs that are not there.
+    /// Takes the inputs of the last run out of the settings. Refuses missing ones, and settings that do not fit this
+    /// command.
     fn take(user: &mut UserSettings) -> Result<Self, Failure> {
         if let Some(word) = user.words.first() {
             return Err(Failure::new(format!("'{word}' is no setting; {NEEDED}")));
@@ -85,7 +87,7 @@ impl Last {
         Ok(Self { before, after, trajectory, tif, transform, error_budget })
     }
 
-    /// Returns the paths of the inputs, with their settings.
+    /// Returns the paths of the inputs, each with the name of its setting, for the claim on the directory.
     fn named(&self) -> Vec<Named> {
         let Self { before, after, trajectory, tif, transform, error_budget } = self;
         let all = [
@@ -168,23 +170,24 @@ impl NextRun {
     }
 }
 
-/// The next run, as far as it is known.
+/// Directory and settings of the next run, for the commands that plan it.
 struct Next {
     programs: Programs,
     out: String,
-    /// Machine file of the stages.
+    /// Path of the machine file that the commands read, a copy in the directory of the run.
     limits: String,
     least_gain_percent: String,
     is_specified: bool,
 }
 
 impl Next {
-    /// Returns a path in the directory of the run.
+    /// Returns the path of `part` in the output directory.
     fn path(&self, part: &str) -> String {
         format!("{}/{part}", self.out)
     }
 
-    /// Runs a command. A negative verdict is a result; with any other exit code this process ends.
+    /// Runs a command. Exit codes 0 and 1 (a negative verdict) count as success; any other ends this process with code
+    /// 2.
     fn go_on(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         match self.programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
@@ -192,7 +195,8 @@ impl Next {
         }
     }
 
-    /// Estimates what the last run taught.
+    /// Estimates from both maps the tool, the position of the part and the errors of the last run. `more` are further
+    /// flags for the program.
     fn reconcile(&self, last: &Last, more: &[String]) -> Result<(), Failure> {
         let place = self.path("place");
         // Where the part lay, if nobody measured it: as the machine file says
@@ -216,7 +220,8 @@ impl Next {
         self.go_on("planish-reconcile", &flags)
     }
 
-    /// Makes the commanded motion of the plan and the verdict on it, and decides whether to run again.
+    /// Transforms the plan `planned` to the machine, checks its limits, estimates its residual, and decides whether to
+    /// run again.
     fn decide(&self, planned: &str) -> Result<(), Failure> {
         let [run, tif, transform, learnt, commanded] =
             ["plan", "tif", "transform", "error_budget.json", "commanded"].map(|p| self.path(p));

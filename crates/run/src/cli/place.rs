@@ -1,4 +1,4 @@
-//! Place of Planish: where its pipelines, fixtures and programs are, and where the user stands.
+//! Folders of Planish: where its pipelines, fixtures and programs are, and the working directory of the user.
 
 use std::{
     env, fs,
@@ -12,18 +12,18 @@ use planish_pipeline::{
 };
 use planish_types::Kinematics;
 
-/// Pipelines of which no plan is executed, so that no several runs are made of them.
+/// Pipelines that end without a plan to execute, so that the commands for several runs refuse them.
 const NO_PLANS: [&str; 1] = ["compare-dwell"];
 
-/// Folders of Planish.
+/// Folders of an installed Planish or of a clone.
 pub struct Installation {
     /// Folder with `pipelines/` and `fixtures/`.
     root: PathBuf,
-    /// Folder of the programs.
+    /// Folder that contains the programs.
     pub programs: PathBuf,
-    /// Folder in which the user stands.
+    /// Working directory of the user.
     here: PathBuf,
-    /// True if the programs are installed: a run then goes to where the user stands, not to the clone.
+    /// True if the programs are installed: outputs then go to the working directory, not to the clone.
     is_installed: bool,
 }
 
@@ -55,29 +55,31 @@ impl Installation {
         })
     }
 
-    /// Returns the path of the folder of the pipelines, as it stands before a path in it; empty if the user stands there.
+    /// Returns the prefix for paths in the folder of the pipelines, with a slash at its end. It is empty if that is the
+    /// working directory.
     pub fn repository(&self) -> String {
         if self.root == self.here { String::new() } else { format!("{}/", self.root.display()) }
     }
 
-    /// Returns the same before the path of an output.
+    /// Returns the prefix for paths of outputs: empty if Planish is installed, otherwise that of [`Self::repository`].
     pub fn home(&self) -> String {
         if self.is_installed { String::new() } else { self.repository() }
     }
 
-    /// Returns the names of the pipelines.
+    /// Returns the names of the pipelines, in alphabetical order.
     pub fn pipelines(&self) -> Vec<String> {
         let mut names = self.names("pipelines", "yaml");
         names.retain(|name| name != SHARED);
         names
     }
 
-    /// Returns the names of the fixtures.
+    /// Returns the names of the fixtures (simulated mirrors), in alphabetical order.
     pub fn fixtures(&self) -> Vec<String> {
         self.names("fixtures", "json")
     }
 
-    /// Returns the names of the files with this ending in a folder, in alphabetical order.
+    /// Returns the names of the files with this ending in a folder, without the ending, in alphabetical order. An
+    /// absent folder counts as empty.
     fn names(&self, folder: &str, ending: &str) -> Vec<String> {
         let entries = fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten();
         let files = entries
@@ -89,7 +91,7 @@ impl Installation {
         names
     }
 
-    /// Reads the definition of a pipeline.
+    /// Reads the definition of a pipeline from its file in `pipelines/`.
     ///
     /// # Errors
     /// Refuses an unknown name, and a file that cannot be read or is no definition.
@@ -109,7 +111,7 @@ impl Installation {
         Definition::read(name, &shared?, &own?).map_err(Failure::new)
     }
 
-    /// Reads the definition of a pipeline that plans a run.
+    /// Reads the definition of a pipeline that ends with a plan to execute.
     ///
     /// # Errors
     /// Refuses an unknown name and a pipeline without a plan.
@@ -122,7 +124,8 @@ impl Installation {
         self.definition(name)
     }
 
-    /// Returns the settings of a pipeline with the facts that need no file.
+    /// Returns the settings of a pipeline as the user gave them, with the facts that need no file. They are not checked
+    /// together.
     ///
     /// # Errors
     /// Refuses a setting that the pipeline does not have, and a value that it cannot have.
@@ -142,7 +145,7 @@ impl Installation {
         Ok(scope)
     }
 
-    /// Returns the settings of a pipeline, which go together, with all facts.
+    /// Checks the settings of a pipeline together, and returns them with all facts, such as those of the machine file.
     ///
     /// # Errors
     /// Refuses settings that the pipeline does not take, alone or together, and a machine file that cannot be read.
@@ -174,7 +177,8 @@ impl Installation {
         Ok(scope)
     }
 
-    /// Reads the words of the command that makes the tool of a fixture of its TIF, if there is one.
+    /// Reads the command, in words, that makes the tool of a fixture from its tool influence function. Without such a
+    /// file, the list is empty.
     fn fixture_tool(&self, fixture: &str) -> Result<Vec<String>, Failure> {
         let path = self.root.join("fixtures").join(format!("{fixture}.tool"));
         match fs::read_to_string(&path) {
@@ -185,7 +189,7 @@ impl Installation {
     }
 }
 
-/// Returns the kind of an input: the directory of an artifact, of arrays alone, or a file.
+/// Returns the kind of an input as a pipeline names it: none, file, artifact, or a directory of arrays alone.
 fn kind_of(path: &str) -> &'static str {
     let dir = Path::new(path);
     if path.is_empty() {
@@ -199,7 +203,7 @@ fn kind_of(path: &str) -> &'static str {
     }
 }
 
-/// Returns the last name of a path, without links and steps upwards.
+/// Returns the last name of a path after `..` is resolved, without following links.
 pub fn name_of(path: &Path) -> String {
     let mut parts = Vec::new();
     for part in path.components() {
@@ -212,7 +216,8 @@ pub fn name_of(path: &Path) -> String {
     parts.last().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Returns a name as that of a directory: every character that is neither a letter, a digit nor one of `._+-` becomes `_`.
+/// Returns a text as a name for a directory: every character that is neither a letter, a digit nor one of `._+-`
+/// becomes `_`.
 pub fn directory_name(name: &str) -> String {
     let characters = name.chars();
     let plain: String = characters

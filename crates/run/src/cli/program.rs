@@ -1,4 +1,5 @@
-//! `planish-run program`: the plan that the program of a run executes, and the reason for that plan.
+//! `planish-run program`: prints the plan from which the controller program of a run was written, and the
+//! recommendation of the report.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +23,7 @@ pub struct ProgramCommand {
     controller: ControllerKind,
 }
 
-/// Reads the recommendation of the report in `run`.
+/// Reads the recommendation of the report of the run in the directory `run`.
 ///
 /// # Errors
 /// Fails if there is no report, or if it cannot be read.
@@ -36,8 +37,8 @@ pub fn read_answer(run: &Path) -> Result<Answer, Failure> {
     Ok(summary.answer)
 }
 
-/// Returns the name of the plan from which the program `method` was written, such as `pvt+galil`; the name of a plan itself
-/// is unchanged.
+/// Returns the name of the plan without the controller that may follow it: `pvt` for `pvt+galil`. Other names are
+/// unchanged.
 pub fn plan_of(method: &str) -> &str {
     match method.rsplit_once('+') {
         Some((plan, controller)) if ControllerKind::named(controller).is_some() => plan,

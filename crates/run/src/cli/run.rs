@@ -57,7 +57,8 @@ fn stage(pipeline: &str, stage: &str, settings: &[String]) -> Result<Status, Fai
     end(ended.code)
 }
 
-/// Ends with the exit code of a run, whose last program has said why.
+/// Returns success for the exit code 0, and ends this process with any other. The program that failed has printed the
+/// reason.
 ///
 /// # Errors
 /// Never fails; it fits the end of a command.
@@ -68,9 +69,11 @@ pub fn end(code: u8) -> Result<Status, Failure> {
     }
 }
 
-/// Width of the table of settings, characters. Larger: lines break on a narrow terminal. Smaller: more lines.
+/// Width of the table of settings on the terminal, characters. Larger: lines break on a narrow terminal. Smaller: more
+/// lines.
 const WIDTH: usize = 110;
-/// Column at which the help of a setting begins. Larger: less room for it. Smaller: it collides with the default.
+/// Column at which the description of a setting begins, characters. Larger: less room for it. Smaller: it collides with
+/// the default.
 const INDENT: usize = 64;
 
 impl Show {
@@ -100,7 +103,7 @@ impl Show {
     }
 }
 
-/// A row of the table: the head, and the text in lines beside it.
+/// Returns a row of the table: the head, with the text wrapped to `WIDTH` in the column beside it.
 fn wrapped(head: String, text: &str) -> String {
     let mut lines = vec![head];
     for word in text.split_whitespace() {

@@ -1,5 +1,5 @@
-//! Parts that the commands for several runs share: settings of their own beside those of the pipelines, commands that are
-//! no stages of a pipeline, and runs in silence.
+//! Parts shared by the commands that make several runs: their own settings beside those of the pipelines, commands
+//! outside a pipeline, and runs without printed messages.
 
 use std::{
     collections::BTreeMap,
@@ -21,16 +21,16 @@ use super::{
     place::Installation,
 };
 
-/// Words of a command line: settings, and words without a value.
+/// Words of a command line, split into settings NAME=VALUE and single words.
 pub struct UserSettings {
-    /// Settings that are for the pipelines, in their order.
+    /// Settings NAME=VALUE that are left for the pipelines, in the order given.
     pub settings: Vec<String>,
-    /// Words without a value.
+    /// Words without `=`, such as the name of a fixture.
     pub words: Vec<String>,
 }
 
 impl UserSettings {
-    /// Parses the words of a command line. Refuses a setting that is given twice.
+    /// Splits the words of a command line into settings and single words. Refuses a setting that is given twice.
     pub fn new(words: &[String]) -> Result<Self, Failure> {
         let (settings, words): (Vec<String>, _) =
             words.iter().cloned().partition(|word: &String| word.contains('='));
@@ -42,7 +42,7 @@ impl UserSettings {
         Ok(Self { settings, words })
     }
 
-    /// Returns the fixture that is named by a word, or as `fixture=NAME`. Refuses two of them.
+    /// Takes out the fixture that a single word or `fixture=NAME` names; `None` without either. Refuses two names.
     pub fn take_fixture(&mut self) -> Result<Option<String>, Failure> {
         let named: Vec<String> = self.take("fixture").iter().chain(&self.words).cloned().collect();
         self.words.clear();
@@ -55,7 +55,8 @@ impl UserSettings {
         }
     }
 
-    /// Returns the name of the machine that is used for a part or a tool of the user; `None` if the user named the machine.
+    /// Returns the name in the machine file `machine`, which is assumed if the user named none. Returns `None` if the
+    /// user did.
     ///
     /// # Errors
     /// Fails if the machine file cannot be read.
@@ -66,36 +67,38 @@ impl UserSettings {
         Ok(Some(Inputs::new().read_machine(Path::new(machine))?.name().into()))
     }
 
-    /// Takes out the value of a setting that is not for the pipelines, if the user gave it.
+    /// Removes a setting that is not for the pipelines, and returns its value; `None` if the user did not give it.
     pub fn take(&mut self, name: &str) -> Option<String> {
         let value = self.get(name);
         self.settings.retain(|word| word.split_once('=').is_none_or(|(key, _)| key != name));
         value
     }
 
-    /// Takes out the value of a setting that is not for the pipelines; `default` if the user gave none.
+    /// Removes a setting that is not for the pipelines, and returns its value, or `default` if the user did not give
+    /// it.
     pub fn take_or(&mut self, name: &str, default: &str) -> String {
         self.take(name).unwrap_or(default.into())
     }
 
-    /// Returns the value of a setting.
+    /// Returns the value of a setting; `None` if the user did not give it.
     pub fn get(&self, name: &str) -> Option<String> {
         let values = self.settings.iter().filter_map(|word| word.split_once('='));
         values.filter(|(key, _)| *key == name).map(|(_, value)| value.to_string()).next()
     }
 
-    /// Takes out the path of a setting that is not for the pipelines, if the user gave one that is not empty.
+    /// Removes a setting that is not for the pipelines, and returns its path. An empty path counts as not given.
     pub fn take_path(&mut self, name: &str) -> Option<String> {
         self.take(name).filter(|path| !path.is_empty()).map(|path| no_flag(&path))
     }
 }
 
-/// Returns a path that is no flag: one that begins with a hyphen gets its directory.
+/// Returns a path that cannot be read as a flag: `./` is put before one that begins with a hyphen.
 pub fn no_flag(path: &str) -> String {
     if path.starts_with('-') { format!("./{path}") } else { path.into() }
 }
 
-/// Creates a command with arguments of which none is taken apart.
+/// Creates a command from a program and its arguments, which are passed on unchanged. A negative verdict does not count
+/// as a failure.
 pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> StageCommand {
     let arguments = arguments.iter().map(|word| word.as_ref().to_string()).collect();
     let origins = Origins::default();
@@ -108,14 +111,14 @@ pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> StageCommand {
     }
 }
 
-/// Runs whose plans are made in silence: what they say is shown if one of them fails.
+/// Starter of commands and pipelines without printed messages; they are printed only if one fails.
 pub struct Silent<'a> {
     place: &'a Installation,
     log: File,
 }
 
 impl<'a> Silent<'a> {
-    /// Creates runs of this installation.
+    /// Creates a starter for the programs of this installation, with a temporary log file.
     ///
     /// # Errors
     /// Fails if the folder for temporary files does not take one.
@@ -123,8 +126,8 @@ impl<'a> Silent<'a> {
         Ok(Self { place, log: log()? })
     }
 
-    /// Runs a command. Returns its exit code, 0, or 1 for a negative verdict. With another one, prints what it said and ends
-    /// this process.
+    /// Runs a command. Returns its exit code, 0, or 1 for a negative verdict. With any other code, prints its messages
+    /// and ends this process.
     ///
     /// # Errors
     /// Fails if it cannot be run.
@@ -135,7 +138,7 @@ impl<'a> Silent<'a> {
         self.checked(code)
     }
 
-    /// Runs a pipeline. If it fails, prints what it said and ends this process.
+    /// Runs a pipeline with these settings. If it fails, prints its messages and ends this process.
     ///
     /// # Errors
     /// Fails if a setting, an input or the directory is refused, or if a command cannot be run.
@@ -168,10 +171,10 @@ impl<'a> Silent<'a> {
     }
 }
 
-/// Number of files that were made, so that each has its own name.
+/// Number of log files that this process has created, so that each gets its own name.
 static COUNT: AtomicUsize = AtomicUsize::new(0);
 
-/// Creates a file without a name, which is gone when the program has ended.
+/// Creates a temporary file without a name; the system deletes it when the program ends.
 ///
 /// # Errors
 /// Fails if the folder for temporary files does not take it.
@@ -186,8 +189,8 @@ pub fn log() -> Result<File, Failure> {
     Ok(file)
 }
 
-/// Returns the settings of a plan among several: without others by the user no pictures, and no plan whose times allow for
-/// no errors.
+/// Returns the settings of a plan that is one of several. Unless the user says otherwise, they ask for no pictures and
+/// no joint plan.
 pub fn with_plain(definition: &Definition, user: &UserSettings) -> Vec<String> {
     let mut settings = user.settings.clone();
     for (name, value) in [("frames", "0"), ("plan_joint", "no")] {
@@ -199,14 +202,14 @@ pub fn with_plain(definition: &Definition, user: &UserSettings) -> Vec<String> {
     settings
 }
 
-/// Parses a whole number from 1 to `most`. Refuses zeros or a sign before it.
+/// Parses a whole number from 1 to `most`. Refuses leading zeros and signs. `name` is that of the setting.
 pub fn count(name: &str, text: &str, most: u32) -> Result<u32, Failure> {
     let number = text.parse().ok().filter(|n| (1..=most).contains(n));
     let number = number.filter(|_| !text.starts_with(['0', '+']));
     number.ok_or_else(|| Failure::new(format!("{name} is '{text}'; give 1 to {most}")))
 }
 
-/// Refuses an input that is a file, or not there.
+/// Refuses an input that is not an existing directory. `name` is that of the setting.
 pub fn is_directory(name: &str, path: &str) -> Result<(), Failure> {
     if Path::new(path).is_file() {
         return Err(Failure::new(format!(

@@ -1,4 +1,4 @@
-//! `planish-run campaign-spread`: campaigns with several seeds, and how their results scatter.
+//! `planish-run campaign-spread`: runs campaigns with several seeds, and shows how their results scatter.
 
 use clap::Args;
 use planish_handoff::{Failure, Status};

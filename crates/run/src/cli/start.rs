@@ -1,4 +1,4 @@
-//! `planish-run start`: a command as the only owner of the directory of a run.
+//! `planish-run start`: runs a command while the directory of a run is locked for it.
 
 use std::{path::PathBuf, process};
 

@@ -1,4 +1,4 @@
-//! `planish-run tolerance`: effect of the errors of a process on the plans of several pipelines.
+//! `planish-run tolerance`: effect of the errors of a process (its error budget) on the plans of several pipelines.
 
 use std::{
     env, fs,
@@ -17,7 +17,7 @@ use super::{
     several::{Silent, UserSettings, command},
 };
 
-/// Word for the mirror in the folder that PLANISH_REFERENCE names.
+/// Word of the command line that selects the reference mirror, in the folder that PLANISH_REFERENCE names.
 const REFERENCE: &str = "reference";
 
 #[derive(Args)]
@@ -94,7 +94,7 @@ impl Tolerance {
     }
 }
 
-/// Returns the name of the mirror as that of a directory.
+/// Returns the name of the mirror (reference, map or fixture) in a form that a directory can have.
 fn mirror(user: &UserSettings, is_reference: bool) -> String {
     let name = match (
         is_reference,
@@ -113,7 +113,8 @@ fn mirror(user: &UserSettings, is_reference: bool) -> String {
     }
 }
 
-/// Copies the reference mirror and its tool to `out` as arrays. Returns the settings that name them, and their paths.
+/// Copies the surface and the tool influence function of the reference mirror to `out`, as arrays. Returns the settings
+/// that name them, and their paths.
 fn reference(out: &Path) -> Result<[(&'static str, PathBuf); 2], Failure> {
     let folder =
         env::var_os("PLANISH_REFERENCE").filter(|folder| !folder.is_empty()).ok_or_else(|| {

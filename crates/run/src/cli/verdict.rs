@@ -1,4 +1,4 @@
-//! `planish-run verdict`: the stages of a run that gave a negative verdict, from their manifests.
+//! `planish-run verdict`: lists the stages of a run that gave a negative verdict, from their manifests.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -22,13 +22,13 @@ pub struct Verdict {
     plan: Vec<PathBuf>,
 }
 
-/// Names of the artifacts on which the verdict on a plan rests, if they exist.
+/// Names of the artifacts of a plan that carry a verdict, as far as they exist.
 const JUDGED: [&str; 4] = ["trajectory", "removal", "verdict", "specification"];
 
-/// Names of the artifacts that a directory with a trajectory needs to be a plan.
+/// Names of the artifacts that must stand beside a trajectory, so that the directory holds a complete plan.
 const NEEDED: [&str; 2] = ["removal", "verdict"];
 
-/// Roles of the files that all stages of a run share.
+/// Roles of the input files that are the same for all stages of a run.
 const SHARED: [&str; 3] = ["machine", "error-budget", "specification"];
 
 impl Verdict {
@@ -68,18 +68,18 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     Ok(Status::Negative(negative.join("; ")))
 }
 
-/// Check that the artifacts of a run were made from each other. A run with other settings that was ended early
-/// leaves some of its own artifacts beside older ones.
+/// Check that the artifacts of a run were made from each other. If a run with other settings ended early, some of its
+/// own artifacts stand beside older ones.
 struct Whole<'a> {
     run: &'a Path,
-    /// Artifacts that are checked already.
+    /// Artifacts that were checked already, by their paths in the run.
     seen: BTreeSet<PathBuf>,
-    /// For each role in [`SHARED`], the hash of the file, and an artifact that was made with it.
+    /// Hash of the input file for each role in [`SHARED`], and the first artifact that was made with it.
     shared: BTreeMap<String, (String, PathBuf)>,
 }
 
 impl Whole<'_> {
-    /// Refuses an artifact, at a place in the run, that was not made from the present artifacts of the run.
+    /// Refuses the artifact at the path `at` in the run if its inputs are not the present artifacts of the run.
     fn check(&mut self, at: &Path, manifest: &Manifest) -> Result<(), Failure> {
         if !self.seen.insert(at.into()) {
             return Ok(());
@@ -105,7 +105,8 @@ impl Whole<'_> {
         Ok(())
     }
 
-    /// Refuses an artifact that was made with another machine, error budget or specification than the others.
+    /// Refuses the artifact at the path `at` if its machine, error budget or specification is not that of the others.
+    /// `hash` is that of the file.
     fn check_shared(&mut self, at: &Path, role: &str, hash: &str) -> Result<(), Failure> {
         if !SHARED.contains(&role) {
             return Ok(());
@@ -122,7 +123,7 @@ impl Whole<'_> {
         Err(self.mixed(&problem))
     }
 
-    /// Returns the failure of a run whose artifacts do not belong together.
+    /// Returns the message that the artifacts of the run do not belong together, because of `problem`.
     fn mixed(&self, problem: &str) -> Failure {
         Failure::new(format!(
             "{}: {problem}: a run was ended before its last stage, or a part is left over from an older run; run the \
@@ -132,8 +133,8 @@ impl Whole<'_> {
     }
 }
 
-/// Returns the path of the run when the artifact at a place in it was made. It can differ from the present path, because a run
-/// may be moved, and checked from another directory.
+/// Returns the path of the run at the time when the artifact `at` was made, from the command in its manifest. It can
+/// differ from the present path, because a run may be moved.
 fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     let words = words::split(&manifest.command).ok()?;
     let mut values = words.iter().skip_while(|word| *word != "--out").skip(1);
@@ -147,8 +148,8 @@ fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     Some(run.into())
 }
 
-/// Returns the places in the run, and the manifests, of the directories in `plan` that have a manifest, in the order of
-/// their names.
+/// Returns the path in the run and the manifest of every directory directly in `plan` that has a manifest, in the order
+/// of their names.
 fn manifests(run: &Path, plan: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failure> {
     let dir = run.join(plan);
     let mut manifests = Vec::new();
@@ -162,7 +163,7 @@ fn manifests(run: &Path, plan: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failur
     Ok(manifests)
 }
 
-/// Reads the manifest in a directory; `None` if there is none.
+/// Reads the manifest of the artifact in a directory; `None` if there is none.
 fn manifest_in(dir: &Path) -> Result<Option<Manifest>, Failure> {
     let file = dir.join(MANIFEST);
     match read_regular(&file) {
@@ -172,7 +173,7 @@ fn manifest_in(dir: &Path) -> Result<Option<Manifest>, Failure> {
     }
 }
 
-/// Returns the failure to read a file.
+/// Returns the failure that a file or folder cannot be read.
 fn unreadable(path: &Path, problem: &dyn std::fmt::Display) -> Failure {
     Failure::new(format!("{}: cannot read: {problem}", path.display()))
 }
