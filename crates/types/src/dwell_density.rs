@@ -1,4 +1,5 @@
-//! Dwell-time density along a path: the content of an artifact of the kind `dwell_density`.
+//! Dwell-time density along a path, the inverse of the feedrate: the content of an artifact of the kind
+//! `dwell_density`.
 
 use crate::{Invalid, grid::is_plausible_mm};
 
@@ -37,8 +38,9 @@ pub struct DensityNodes {
 }
 
 impl DwellDensity {
-    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, arc lengths
-    /// that do not ascend or differ from the distances of the points, and corners that are none.
+    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, and arc
+    /// lengths that do not ascend or differ from the distances of the points. Refuses a corner that is not midway
+    /// between two nodes of its pass and density.
     pub fn new(nodes: DensityNodes) -> Result<Self, Invalid> {
         let DensityNodes { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner } =
             &nodes;
@@ -146,7 +148,7 @@ impl DensityNodes {
         Ok(())
     }
 
-    /// Refuses a node `i` that is a corner, and not midway between two nodes of its pass and density.
+    /// Refuses a node `i` that is marked as a corner but is not midway between two nodes of the same pass and density.
     fn check_corner(&self, i: usize) -> Result<(), Invalid> {
         if !self.corner[i] {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Uniform, ascending pixel centres.
+//! Pixel centres of maps: uniform and ascending along each axis.
 
 use crate::Invalid;
 
@@ -9,8 +9,8 @@ use crate::Invalid;
 /// 1e-4 of a pixel is below any registration error.
 const UNIFORMITY: f64 = 1e-4;
 
-/// Largest distance of a coordinate from the origin, mm: 10 km. Farther coordinates are in another
-/// unit. Much larger: products of coordinates overflow, far from the place of the mistake.
+/// Largest distance of a coordinate from the origin, mm: 10 km. Farther coordinates are in another unit. Much larger:
+/// products of coordinates overflow, far from the code that reads the wrong number.
 const LARGEST_MM: f64 = 1e7;
 /// Smallest distance between neighbouring coordinates, mm. A smaller step is a mistake in the unit,
 /// or rounding.

@@ -81,7 +81,7 @@ pub use variation::{
     AzimuthWeights, Component, PixelFactor, Pose, TimeFactor, TurnWeights, Variation,
 };
 
-/// A value that its type refuses.
+/// An input value that the constructor of a type refuses, with the place, the fault and the remedy.
 ///
 /// `array` is the name of the array or field, and `place` the index or its substitute. `problem`
 /// states the fault with the value, and `remedy` the correction.
@@ -98,7 +98,7 @@ pub struct Invalid {
     pub remedy: String,
 }
 
-/// A method that ended before it reached its tolerance.
+/// A numerical method that ended before its residual reached its tolerance.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "{method} has not converged: after {iterations} iterations {residual_of} is {residual:.3e}; {remedy}"
@@ -110,14 +110,14 @@ pub struct NotConverged {
     pub iterations: usize,
     /// Residual at the end, in the unit that `residual_of` states.
     pub residual: f64,
-    /// Quantity of the residual, with the value that would be enough.
+    /// Name of the quantity of `residual`, with the value that would be enough.
     pub residual_of: &'static str,
     /// The correction that the user can make.
     pub remedy: &'static str,
 }
 
 impl Invalid {
-    /// Returns an error about the whole array.
+    /// Returns an error about the array or field as a whole.
     pub fn whole(
         array: &'static str,
         problem: impl Into<String>,
