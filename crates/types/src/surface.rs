@@ -23,8 +23,8 @@ impl Surface {
         Ok(Self { grid, height_nm, deviation_nm: None })
     }
 
-    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that
-    /// of the stored height: of a mean, it is that of the mean.
+    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. For a height that is
+    /// the mean of several measurements, it is the standard deviation of the mean.
     ///
     /// # Errors
     /// Refuses another shape than that of the heights, and deviations below 0 or above 1e12 nm.
@@ -72,9 +72,9 @@ impl Surface {
         &self.height_nm
     }
 
-    /// Returns the map in the coordinates of the tool position: shifted by the offset `off_centre_mm` of
-    /// the centre of removal ([`crate::Tif::off_centre_mm`]). A pixel then lies where the tool
-    /// stands when it removes there.
+    /// Returns the map in the coordinates of the tool position: shifted by minus the offset `off_centre_mm` of the
+    /// centre of removal ([`crate::Tif::off_centre_mm`]). A pixel then lies where the tool stands when it removes
+    /// there.
     ///
     /// # Errors
     /// Refuses coordinates beyond 1e7 mm.
@@ -83,7 +83,7 @@ impl Surface {
         Ok(Self { grid, ..self.clone() })
     }
 
-    /// Returns RMS (mean removed), PV, ... of the valid pixels.
+    /// Returns the statistics of the heights of the valid pixels, nm, such as RMS (mean removed) and PV.
     pub fn statistics(&self) -> Statistics {
         statistics::statistics(self.height_nm.view()).expect("a Surface has a valid pixel")
     }
