@@ -79,8 +79,8 @@ impl ToolPath {
         USUAL_PART * line_mm.clamp(point_mm, LINES_PER_POINT * point_mm)
     }
 
-    /// Returns the lengths of the straight legs between two corners of the path, with the tool on, mm. The first and
-    /// last leg of a stretch may have an open end.
+    /// Returns the lengths of the straight legs between two corners of the path, with the tool on, mm. Legs that begin
+    /// or end where the tool is switched do not count.
     fn legs_mm(&self) -> Vec<f64> {
         let mut legs_mm = Vec::new();
         // Length since the last corner, if there is one, and direction of the segment before.

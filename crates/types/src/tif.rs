@@ -601,8 +601,8 @@ impl Tif {
             .sum()
     }
 
-    /// Returns the cell of samples that contains an offset along x (`axis` 0) or y (1), and the position in the cell, 0
-    /// to 1 or a little more. `None` where the TIF is zero. The four nodes around cell i are the nodes i to i+3 of
+    /// Returns the cell of samples that contains an offset along x (`axis` 0) or y (1), and the position in the cell,
+    /// 0 to 1 step. `None` where the TIF is zero. The four nodes around cell i are the nodes i to i+3 of
     /// [`Self::with_ghosts`].
     pub fn cell(&self, axis: usize, offset_mm: f64) -> Option<(usize, f64)> {
         let samples = [&self.grid.x, &self.grid.y][axis];
