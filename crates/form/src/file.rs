@@ -11,7 +11,7 @@ use crate::{ImagingConic, zernike::Numbering};
 /// digits.
 const LARGEST_RADIUS_MM: f64 = 1e12;
 
-/// Kind of a form.
+/// Kind of a form. It determines which keys of the file apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FormKind {
@@ -23,7 +23,7 @@ pub enum FormKind {
     Conic,
     /// A paraboloid of `radius_mm`: the conic with the constant -1.
     Paraboloid,
-    /// A conic with `even_terms`.
+    /// A conic of revolution with the additional `even_terms`.
     Asphere,
     /// A cylinder that is curved along its x, of `radius_mm`, with a conic constant and even terms on request.
     Cylinder,
@@ -53,7 +53,7 @@ pub enum Axis {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ParameterFit {
-    /// `"free"` or `"held"`.
+    /// Freedom as a word: `"free"` or `"held"`.
     Word(FitWord),
     /// Smallest and largest value, in the unit of the parameter.
     Between([f64; 2]),

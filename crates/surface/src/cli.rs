@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and arguments that several of them share.
+//! Subcommands of `planish-surface`, one file each, and arguments that several of them share.
 
 mod draw;
 mod line;

@@ -36,13 +36,13 @@ const BANDS: usize = 24;
 pub struct Panel {
     /// Title above the map.
     pub title: String,
-    /// Pixels of the map.
+    /// Grid of the pixels of the map.
     pub grid: Grid,
     /// Heights of the map (ny, nx); NaN = invalid.
     pub map: Array2<f64>,
 }
 
-/// Settings of a picture of maps.
+/// Settings of a drawing of maps.
 #[derive(Clone, Debug)]
 pub struct MapsSettings {
     /// Unit of the heights, for the scales.

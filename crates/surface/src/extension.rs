@@ -38,7 +38,7 @@ pub struct ExtensionSettings {
     /// Margin on every side, rounded up to whole pixels, mm; >= 0. At 0 only the invalid pixels of
     /// the map itself get a height.
     pub margin_mm: f64,
-    /// Method of the extension.
+    /// Method that gives the new pixels their heights.
     pub method: ExtensionMethod,
 }
 

@@ -32,7 +32,7 @@ const TOLERANCE: f64 = 1e-12;
 /// Smaller: notes on usual holes.
 const NOTEWORTHY_FRACTION: f64 = 0.05;
 
-/// Holes and pixels that were filled.
+/// Numbers of the holes and pixels that were filled.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FillReport {
     /// Number of holes. The pixels of a hole are connected by edges.

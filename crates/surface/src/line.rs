@@ -98,7 +98,7 @@ pub struct LineSettings {
 pub struct PreparedLine {
     /// Desired removal (3, nx), nm: three equal rows.
     pub surface: Surface,
-    /// Numbers for the manifest.
+    /// Numbers of the line for the manifest.
     pub report: LineReport,
 }
 
@@ -113,9 +113,9 @@ pub struct LineReport {
     pub integrated: bool,
     /// True if the positions of the profile are not the pixel centres, so that heights were interpolated.
     pub interpolated: bool,
-    /// Shape that was subtracted.
+    /// Shape that was subtracted from the profile.
     pub shape: ShapeReport,
-    /// Remarks for the user.
+    /// Notes for the user, in words.
     pub notes: Vec<String>,
 }
 

@@ -43,7 +43,7 @@ const NOTEWORTHY_CORRELATION: f64 = 0.1;
 /// Settings of the fit of low-order terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LowOrderSettings {
-    /// Family of the polynomials.
+    /// Family of the polynomials to fit.
     pub family: Family,
     /// Highest order: n of Zernike, i + j of the others; at most 20.
     pub order: u32,
@@ -78,7 +78,7 @@ pub struct Circle {
 pub struct LowOrder {
     /// The fitted terms on every pixel (ny, nx), nm; NaN where the map is invalid.
     pub shape_nm: Array2<f64>,
-    /// Numbers for the manifest.
+    /// Numbers of the fit for the manifest.
     pub report: LowOrderReport,
 }
 
@@ -127,7 +127,7 @@ pub enum Domain {
 pub struct Term {
     /// Order of the term: [n, m] of Zernike, [i, j] (along x, along y) of the others.
     pub order: [i32; 2],
-    /// Coefficient, nm.
+    /// Coefficient of the term, nm.
     pub coefficient_nm: f64,
 }
 

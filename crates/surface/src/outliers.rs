@@ -91,7 +91,7 @@ const MIN_NEIGHBOURS: usize = 60;
 /// wrong and not the mirror. Larger: masks good pixels. Smaller: refuses maps with much dust.
 const MAX_MASKED_FRACTION: f64 = 0.02;
 
-/// Settings that define an outlier.
+/// Settings that define which features are outliers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierSettings {
     /// Full width at half maximum of the tool's influence, mm; > 0. See

@@ -46,7 +46,7 @@ use crate::{
 /// noise decides the tilt. Derived: twice the number of its coefficients.
 const MIN_PIXELS_FOR_PLANE: usize = 6;
 
-/// Settings of the preparation.
+/// Settings of the preparation of a map.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PrepareSettings {
     /// Clear aperture, the region that counts; `None` keeps the whole map.
@@ -66,7 +66,7 @@ pub struct PrepareSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {
-    /// Nothing.
+    /// Nothing is subtracted.
     None,
     /// A constant, so that the smallest height is 0.
     #[default]
@@ -80,9 +80,9 @@ pub enum Level {
 /// The prepared map and what was done to it.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// The desired removal.
+    /// Prepared map: the desired removal, nm.
     pub surface: Surface,
-    /// Numbers for the manifest.
+    /// Numbers of the preparation for the manifest.
     pub report: PrepareReport,
 }
 
@@ -133,7 +133,7 @@ pub struct MapStatistics {
 pub struct RemovedPlane {
     /// Height at x = y = 0, nm.
     pub constant_nm: f64,
-    /// Slope along [x, y], nm/mm.
+    /// Slope of the plane along [x, y], nm/mm.
     pub slope_nm_per_mm: [f64; 2],
 }
 

@@ -27,7 +27,7 @@ use planish_numerics::{
 use planish_types::{Grid, Invalid, Surface};
 use serde::Serialize;
 
-/// Settings of the spectrum.
+/// Settings with which the spectra are computed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdSettings {
     /// Window that weights the pixels along both axes.
@@ -80,7 +80,7 @@ pub struct Psd {
     /// Radial PSD: the mean of the two-dimensional PSD over rings of equal |f|, nm^2 mm^2; NaN for a ring without a
     /// frequency.
     pub psd_radial_nm2_mm2: Vec<f64>,
-    /// Numbers for the manifest.
+    /// Numbers of the spectra for the manifest.
     pub report: PsdReport,
 }
 
@@ -91,7 +91,7 @@ pub struct PsdReport {
     pub x_mm: [f64; 2],
     /// Smallest and largest y of a pixel centre of the rectangle, mm.
     pub y_mm: [f64; 2],
-    /// Pixels of the rectangle (rows, columns).
+    /// Number of pixels of the rectangle (rows, columns).
     pub shape: (usize, usize),
     /// Ratio of the pixels of the rectangle to the valid pixels of the map.
     pub fraction_of_valid_pixels: f64,

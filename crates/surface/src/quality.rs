@@ -67,7 +67,7 @@ pub struct QualitySettings {
     pub after: Shape,
     /// Ellipse that the mirror is made for; `None` if it is not known.
     pub ellipse: Option<EllipseSettings>,
-    /// Base length of slopes, mm.
+    /// Base length over which slopes are differences of heights, mm.
     pub base_mm: f64,
     /// Bands [f_0, f_1) of spatial frequencies in which an RMS is computed, 1/mm.
     pub band_per_mm: Vec<[f64; 2]>,
@@ -122,7 +122,7 @@ pub struct HeightReport {
 /// Numbers of what remains after subtraction of a shape.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AfterShape {
-    /// The shape, as it was fitted.
+    /// Parameters of the shape as it was fitted.
     pub shape: ShapeReport,
     /// RMS of the remaining heights, mean removed, nm.
     pub height_rms_nm: f64,

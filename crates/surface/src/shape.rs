@@ -111,7 +111,7 @@ pub struct EllipseSettings {
 /// Parameters of a shape that was fitted and subtracted.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ShapeReport {
-    /// The fitted shape.
+    /// Shape that was fitted.
     pub shape: Shape,
     /// Slopes of the shape along x and y in the middle of the valid pixels, urad.
     pub tilt_urad: [f64; 2],
@@ -129,11 +129,11 @@ pub struct EllipseReport {
     pub p_mm: f64,
     /// Distance from pole to image, mm; `null` for infinity, a parabola.
     pub q_mm: f64,
-    /// Grazing angle, mrad.
+    /// Grazing angle at the pole, mrad.
     pub theta_mrad: f64,
     /// Position of the pole along x, mm.
     pub pole_mm: f64,
-    /// The parameters that were fitted.
+    /// Parameters of the ellipse that were fitted; the others are as given.
     pub fitted: Vec<EllipseParameter>,
     /// Relative standard errors of p, q and theta, under the assumption that the residual is white noise. 0 for given
     /// parameters, `null` for infinite errors.

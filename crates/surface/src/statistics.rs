@@ -59,7 +59,7 @@ pub struct RobustPv {
     pub rest_rms_nm: f64,
     /// Family of the fitted terms.
     pub family: Family,
-    /// Highest order of the fit.
+    /// Highest order of the fitted terms.
     pub order: u32,
     /// Definition of the robust PV, in words.
     pub definition: &'static str,

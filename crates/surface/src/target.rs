@@ -65,7 +65,7 @@ pub struct Target {
 pub struct TargetReport {
     /// Sentence that states the sign and the direction of the heights.
     pub convention: &'static str,
-    /// The form with its fitted numbers.
+    /// Form file with the fitted numbers in place of the given ones.
     pub form: FormFile,
     /// Height at x = y = 0 that was subtracted with the form, nm.
     pub piston_nm: f64,
@@ -84,9 +84,9 @@ pub struct TargetReport {
 pub struct ParameterReport {
     /// Name of the parameter, which ends with its unit.
     pub name: String,
-    /// Value in the form file.
+    /// Value in the form file, in the unit of the parameter.
     pub given: f64,
-    /// Fitted value.
+    /// Value after the fit, in the unit of the parameter.
     pub value: f64,
     /// Standard error of the value, under the assumption that the residual is white noise.
     pub standard_error: f64,

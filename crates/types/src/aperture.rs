@@ -21,7 +21,7 @@ pub enum ClearAperture {
         /// Radius, mm; > 0.
         radius_mm: f64,
     },
-    /// Pixels that are true, (ny, nx).
+    /// Mask (ny, nx) with true at the pixels in the aperture.
     Mask(Array2<bool>),
 }
 

@@ -1,4 +1,4 @@
-//! Motion of all axes of a machine.
+//! Motion of all axes of a machine as piecewise cubic polynomials.
 
 use planish_numerics::polynomial;
 
@@ -84,7 +84,7 @@ impl AxesMotion {
         self.coefficient.len() / self.len()
     }
 
-    /// Returns the break times (k+1), s.
+    /// Returns the break times (k+1), s: the start of each segment and the end of the last one.
     pub fn break_time_s(&self) -> &[f64] {
         &self.break_time_s
     }

@@ -35,7 +35,7 @@ pub enum ControllerKind {
     Xps,
     /// Delta Tau / Omron PMAC, PVT mode.
     Pmac,
-    /// G-code as LinuxCNC runs it.
+    /// G-code in the dialect of LinuxCNC.
     Gcode,
     /// Table of the motion in our own CSV format.
     Csv,
@@ -47,7 +47,7 @@ pub enum ControllerKind {
 pub enum Interpolation {
     /// The cubic through positions and velocities of both nodes.
     Hermite,
-    /// The straight line at constant speed.
+    /// The straight line at constant speed between the positions of both nodes.
     Linear,
 }
 
@@ -56,7 +56,7 @@ pub enum Interpolation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Controller")]
 pub struct ControllerFile {
-    /// Kind of controller.
+    /// Kind of controller, which determines the defaults.
     pub kind: ControllerKind,
     /// Clock period, s: the times of nodes are multiples of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -79,7 +79,7 @@ pub struct ControllerFile {
     /// Largest number of segments of a program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_segments: Option<usize>,
-    /// Motion between two nodes.
+    /// Motion between two nodes of a program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interpolation: Option<Interpolation>,
     /// True if the program switches the tool.
@@ -99,7 +99,7 @@ pub struct AxisGrid {
 /// A checked controller with the defaults filled in; every number is positive and finite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ControllerModel {
-    /// Kind of controller.
+    /// Kind of controller, which determines the format of the program.
     pub kind: ControllerKind,
     /// Clock period, s.
     pub tick_s: f64,
@@ -111,7 +111,7 @@ pub struct ControllerModel {
     pub min_segment_s: f64,
     /// Largest number of segments of a program; `None` if there is no limit.
     pub max_segments: Option<usize>,
-    /// Motion between two nodes.
+    /// Motion between two nodes of a program.
     pub interpolation: Interpolation,
     /// True if the program switches the tool.
     pub switches_tool: bool,

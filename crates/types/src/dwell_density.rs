@@ -29,9 +29,9 @@ pub struct DensityNodes {
     pub arc_length_mm: Vec<f64>,
     /// Dwell-time density (m), s/mm; > 0, the inverse of the feedrate.
     pub dwell_density_s_per_mm: Vec<f64>,
-    /// Position [x, y] (m), mm.
+    /// Position of the nodes [x, y] (m), mm.
     pub point_mm: Vec<[f64; 2]>,
-    /// Pass (m), counted from 0.
+    /// Number of the pass to which a node belongs (m).
     pub pass_idx: Vec<i64>,
     /// True if the node is the control point of a blend (m).
     pub corner: Vec<bool>,
@@ -102,7 +102,7 @@ impl DwellDensity {
         &self.nodes.arc_length_mm
     }
 
-    /// Returns the dwell-time densities (m), s/mm.
+    /// Returns the dwell-time densities at the nodes (m), s/mm.
     pub fn dwell_density_s_per_mm(&self) -> &[f64] {
         &self.nodes.dwell_density_s_per_mm
     }

@@ -18,7 +18,7 @@ pub enum End {
     Settled,
     /// The last round did not improve the result.
     NoImprovement,
-    /// The requested threshold is reached.
+    /// The quantity that the method watches has reached the requested threshold.
     Threshold,
     /// The next step would have made the result worse, so the method kept the one before.
     Stopped,
@@ -30,7 +30,7 @@ pub enum End {
     RoundsDone,
     /// All requested prices of time, the weights of the time in the objective, are done.
     AllPrices,
-    /// The method does not iterate.
+    /// The method computes its result directly, without iterations.
     Direct,
     /// The largest allowed number of iterations is reached.
     IterationLimit,

@@ -119,12 +119,12 @@ impl Axis {
         self.start_mm + i as f64 * self.step_mm
     }
 
-    /// Returns the first coordinate, mm.
+    /// Returns the first and smallest coordinate, mm.
     pub fn start_mm(&self) -> f64 {
         self.start_mm
     }
 
-    /// Returns the last coordinate, mm.
+    /// Returns the last and largest coordinate, mm.
     pub fn end_mm(&self) -> f64 {
         self.coordinate_mm(self.len - 1)
     }
@@ -135,7 +135,7 @@ impl Axis {
         [self.start_mm() - half, self.end_mm() + half]
     }
 
-    /// Returns the distance between neighbours, mm.
+    /// Returns the distance between neighbouring coordinates, mm; > 0.
     pub fn step_mm(&self) -> f64 {
         self.step_mm
     }
@@ -146,7 +146,7 @@ impl Axis {
         self.len
     }
 
-    /// Returns all coordinates, mm.
+    /// Returns all coordinates in ascending order, mm.
     pub fn coordinates(&self) -> Vec<f64> {
         (0..self.len).map(|i| self.coordinate_mm(i)).collect()
     }
@@ -160,9 +160,9 @@ impl Axis {
 /// Pixel centres of a map with shape (ny, nx); row 0 is the smallest y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
-    /// Pixel centres along a row.
+    /// Pixel centres along a row, the x of the columns.
     pub x: Axis,
-    /// Pixel centres along a column.
+    /// Pixel centres along a column, the y of the rows.
     pub y: Axis,
 }
 

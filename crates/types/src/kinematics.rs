@@ -86,7 +86,7 @@ pub struct MachineFileRotaryAxis {
 /// Kinematics of a machine, checked. The table of the module lists the axes of each kind.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kinematics {
-    /// Axes x and y.
+    /// Linear axes x and y.
     Xy,
     /// Axes x, y and z; the tool stays along z.
     Xyz,

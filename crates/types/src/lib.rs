@@ -92,7 +92,7 @@ pub struct Invalid {
     pub array: &'static str,
     /// Index in brackets, or empty for the whole array.
     pub place: String,
-    /// The fault, with the offending value.
+    /// The fault in words, with the offending value.
     pub problem: String,
     /// The correction that the user can make.
     pub remedy: String,
@@ -104,9 +104,9 @@ pub struct Invalid {
     "{method} has not converged: after {iterations} iterations {residual_of} is {residual:.3e}; {remedy}"
 )]
 pub struct NotConverged {
-    /// Name of the method.
+    /// Name of the numerical method.
     pub method: &'static str,
-    /// Number of iterations done.
+    /// Number of iterations that were done.
     pub iterations: usize,
     /// Residual at the end, in the unit that `residual_of` states.
     pub residual: f64,

@@ -62,12 +62,12 @@ impl Surface {
         if count > 0.0 { Some((sum / count).sqrt()) } else { None }
     }
 
-    /// Returns the pixel centres.
+    /// Returns the grid of the pixel centres.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    /// Returns the heights (ny, nx), nm.
+    /// Returns the heights (ny, nx), nm; NaN at invalid pixels.
     pub fn height_nm(&self) -> &Array2<f64> {
         &self.height_nm
     }
@@ -142,7 +142,7 @@ pub struct Removal {
 /// The maps of a [`Removal`] as stored, not checked yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RemovalMaps {
-    /// Predicted removal (ny, nx), nm.
+    /// Predicted removal (ny, nx), nm; known at every pixel.
     pub removal_nm: Array2<f64>,
     /// Desired removal minus predicted removal (ny, nx), nm; NaN where the desired map is invalid.
     pub residual_nm: Array2<f64>,
@@ -179,7 +179,7 @@ impl Removal {
         Ok(Self { removal_nm, residual })
     }
 
-    /// Returns the removal (ny, nx), nm.
+    /// Returns the predicted removal (ny, nx), nm; it is known at every pixel.
     pub fn removal_nm(&self) -> &Array2<f64> {
         &self.removal_nm
     }

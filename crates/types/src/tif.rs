@@ -431,7 +431,7 @@ impl Tif {
         &self.with_ghosts
     }
 
-    /// Returns the largest sample, nm/s.
+    /// Returns the largest sample of the removal rate, nm/s.
     pub fn peak_nm_per_s(&self) -> f64 {
         self.rate_nm_per_s.iter().copied().fold(0.0, f64::max)
     }
@@ -526,8 +526,8 @@ impl Tif {
     /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the place of the tool
     /// ```
     ///
-    /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the
-    /// same path. The tool then removes around its own place.
+    /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the same path. c is the
+    /// centroid of the removal; the shifted tool removes around its own position.
     ///
     /// # Errors
     /// Refuses an offset with which the coordinates would not be finite.

@@ -1,7 +1,8 @@
 //! A TIF on the lattice of a map: the one module that reconciles the pitch of the TIF with the pitch of the map.
 //!
 //! The offsets (pixel - tool) of a motion run through all fractions of a sample. A fast convolution needs samples whose
-//! distance divides the pixels h of the map. A TIF R of another pitch is therefore sampled anew, from its lower edge on:
+//! distance divides the pixel size h of the map. A TIF R of another pitch is therefore resampled from its lower edge
+//! (`low`) on:
 //!
 //! ```text
 //! R~(u) = Keys' interpolation of R(low + j h / m),   j = 0, 1, ...,   within the edges of R              (1)
@@ -14,7 +15,7 @@
 //! |removal with R~ - removal with R| <= error * peak of R * time that the tool is within its reach of x  (2)
 //! ```
 //!
-//! A TIF whose pitch is that of the map, or divides it, is on the lattice as it is.
+//! A TIF whose pitch is that of the map, or divides it, keeps its own samples.
 //!
 //! Source: R. Keys, IEEE Trans. Acoust. Speech Signal Process. 29 (1981) 1153. The error of (1) is O(d^3) with
 //! d = h / m, and O(d^2) times the jump of the second derivative at the knots of R.

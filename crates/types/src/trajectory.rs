@@ -24,11 +24,11 @@ pub struct Trajectory {
 pub struct Segment<'a> {
     /// Start time in the trajectory, s.
     pub start_s: f64,
-    /// Duration, s; > 0.
+    /// Duration of the segment, s; > 0.
     pub duration_s: f64,
     /// Ascending coefficients per axis [x, y]; order k has the unit mm/s^k.
     pub coefficient_mm: &'a [[f64; 4]; 2],
-    /// False if the tool removes nothing.
+    /// True if the tool removes material; false on a move with the tool off.
     pub tool_on: bool,
     /// Index of the dwell point that the segment serves; `None` if it serves none, such as a link between passes.
     pub dwell_index: Option<usize>,
@@ -165,7 +165,7 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Returns segment `i`.
+    /// Returns segment `i`, counted from 0.
     pub fn segment(&self, i: usize) -> Segment<'_> {
         Segment {
             start_s: self.break_time_s[i],
@@ -301,7 +301,7 @@ pub fn stored_dwell_index(dwell_index: Option<usize>) -> i64 {
     dwell_index.map_or(STORED_NONE, |i| i as i64)
 }
 
-/// Returns the dwell indices (k) from those stored in files: -1 is none. Refuses other negative numbers.
+/// Returns the dwell indices (k) from the numbers that files store; -1 becomes `None`. Refuses other negative numbers.
 pub fn dwell_index_from_stored(stored: &[i64]) -> Result<Vec<Option<usize>>, Invalid> {
     let mut dwell_index = Vec::with_capacity(stored.len());
     for (k, stored) in stored.iter().enumerate() {

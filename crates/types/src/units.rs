@@ -39,7 +39,7 @@ pub enum Quantity {
     Time,
     /// Sampling periods of a controller, as a measure of time.
     Samples,
-    /// Number without a unit.
+    /// Number without a unit, such as the numerator of 1/s.
     One,
     /// Length per time, SI unit m/s: a velocity or a removal rate.
     LengthPerTime,
@@ -47,7 +47,7 @@ pub enum Quantity {
     WavesPerTime,
     /// Angle per time, SI unit rad/s.
     AnglePerTime,
-    /// 1 per time, SI unit 1/s.
+    /// Inverse of a time, SI unit 1/s.
     PerTime,
     /// Length per squared time, SI unit m/s^2.
     Acceleration,
@@ -457,7 +457,7 @@ fn time_power(text: &str, is_inverse: bool) -> Option<(&'static Word, u8)> {
 pub struct UnknownUnit {
     /// Text that contains the word, such as the name of a column.
     pub text: String,
-    /// The unknown word.
+    /// Word that is no known unit.
     pub word: String,
 }
 
@@ -479,9 +479,9 @@ impl UnknownUnit {
 /// The name of a column or of a variable, with its unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Name without the unit.
+    /// Name of the column without its unit.
     pub name: String,
-    /// Unit, if the text names one.
+    /// Unit of the column; `None` if the text names none.
     pub unit: Option<Unit>,
 }
 

@@ -1,27 +1,28 @@
-//! Variation of a tool influence function over the part, and in the course of a run.
+//! Variation of a tool: how a tool influence function (TIF) differs over the part, and in the course of a run.
 //!
 //! ```text
 //! K(x; p, t) = c(t) g(x) sum_k a_k(p) h_k(heading) phi_k(x - p)                           (1)
 //! ```
 //!
-//! K is the removal rate at the pixel x of a tool at p, at the time t of the run. The kernels `phi_k` are samples on one
-//! grid of offsets, and their weights `a_k` are samples on a coarse grid of tool positions. `g` is a factor of every
-//! pixel, for causes that act at the place of the removal. `c` is a factor of the time, for wear and warm-up. `h_k` are
-//! periodic samples over the heading, which is the direction of the motion, for tools that turn with it. Without `g`, `c`
-//! and `h_k` these are 1. Everything that is linear in the dwell time stays linear.
+//! K is the removal rate at the pixel x of a tool at the position p, at the time t of the run. The kernels `phi_k` are
+//! samples on one grid of offsets, and their weights `a_k` are samples on a coarse grid of tool positions. `g` is a
+//! factor of every pixel, for causes that act where the material is removed. `c` is a factor of the time, for wear and
+//! warm-up. `h_k` are periodic samples over the heading, which is the direction of the motion, for tools that turn with
+//! it. Without `g`, `c` and `h_k` these are 1. Everything that is linear in the dwell time stays linear.
 //!
 //! Between their samples, kernels, weights and the factor of the pixels are Keys' cubic convolution
-//! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest place of
+//! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest point of
 //! its grid, and `c` that of the nearest time.
 //!
-//! A tool that turns with the azimuth of its place changes ever faster towards the axis, where no grid of places follows
-//! it. The weights of such a tool have a factor by azimuth:
+//! A tool that turns with the azimuth of its position changes ever faster towards the axis, and no grid of positions
+//! follows it there. The weights of such a tool have a factor by azimuth:
 //!
 //! ```text
 //! a_k(p) = b_k(p) z_k(azimuth of p - m)                                                   (2)
 //! ```
 //!
-//! with the samples `b_k` on the grid of places, and periodic samples `z_k` around the middle m. At m the azimuth is 0.
+//! with the samples `b_k` on the grid of positions, and periodic samples `z_k` around the middle m. At m the azimuth is
+//! 0.
 
 use std::borrow::Cow;
 
@@ -42,7 +43,7 @@ const LARGEST_FACTOR: f64 = 1e3;
 pub struct PixelFactor {
     /// Grid of the samples, in coordinates of the part.
     pub grid: Grid,
-    /// Samples (ny, nx), dimensionless.
+    /// Factors at the pixels of `grid` (ny, nx), dimensionless.
     pub factor: Array2<f64>,
 }
 
@@ -169,7 +170,7 @@ impl AzimuthWeights {
         self.middle_mm
     }
 
-    /// Returns the factors with their azimuths.
+    /// Returns the factors with the azimuths at which they are sampled.
     pub fn turn(&self) -> &TurnWeights {
         &self.turn
     }
@@ -195,7 +196,7 @@ impl AzimuthWeights {
 pub struct TimeFactor {
     /// Times (m) from the start of the run, s; ascending.
     pub time_s: Vec<f64>,
-    /// Factor at these times (m), dimensionless.
+    /// Factor of the removal rate at these times (m), dimensionless.
     pub factor: Vec<f64>,
 }
 
@@ -292,7 +293,7 @@ impl Variation {
         Ok(Self { components, positions, azimuth, heading, pixels, time })
     }
 
-    /// Returns the kernels with their weights.
+    /// Returns the kernels phi_k with their weights a_k; see (1) of the module.
     pub fn components(&self) -> &[Component] {
         &self.components
     }

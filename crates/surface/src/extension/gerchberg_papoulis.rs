@@ -36,7 +36,7 @@ const MOST_ITERATIONS: usize = 100_000;
 pub struct GerchbergPapoulisSettings {
     /// Cutoff frequency (f_c of the module), 1/mm; > 0, at most half the sampling frequency.
     pub cutoff_per_mm: f64,
-    /// Largest number of steps.
+    /// Largest number of steps; each takes two Fourier transforms.
     pub max_iterations: usize,
     /// Largest change of a height in a step, nm, at or below which the steps end; >= 0.
     pub tolerance_nm: f64,

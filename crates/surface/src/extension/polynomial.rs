@@ -33,7 +33,7 @@ use crate::{
 /// long and determine their terms badly. Smaller: a coarser continuation.
 const MAX_ORDER: u32 = 30;
 
-/// Settings of the polynomial.
+/// Settings of the polynomial that continues the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PolynomialSettings {
     /// Highest orders of the polynomials [I along x, J along y] in the module; at most 30.

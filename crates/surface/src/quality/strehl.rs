@@ -14,7 +14,7 @@ pub struct Light {
     pub grazing_mrad: f64,
 }
 
-/// The Strehl ratio after Marechal.
+/// Strehl ratio after Marechal, with the light and the phase error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StrehlReport {
     /// Light for which the ratio holds.
