@@ -51,7 +51,7 @@ pub(crate) enum Basis {
     Zernike { order: u32, x: Vec<f64>, y: Vec<f64> },
 }
 
-/// Family of the polynomials of one variable.
+/// Family of the polynomials of one variable in a product.
 #[derive(Clone, Copy)]
 pub(crate) enum Polynomial {
     Legendre,

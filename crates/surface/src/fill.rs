@@ -39,7 +39,7 @@ pub struct FillReport {
     pub holes: usize,
     /// Number of pixels that were filled.
     pub filled_pixels: usize,
-    /// Filled pixels over all pixels of the result.
+    /// Number of filled pixels over the number of all pixels of the map.
     pub filled_fraction: f64,
     /// Largest distance of a filled pixel from a measured one, mm.
     pub deepest_mm: f64,

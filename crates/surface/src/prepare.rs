@@ -52,13 +52,13 @@ pub struct PrepareSettings {
     /// Clear aperture, the region that counts; `None` keeps the whole map.
     #[serde(serialize_with = "describe_aperture")]
     pub aperture: Option<ClearAperture>,
-    /// Settings of the outlier mask; `None` masks none.
+    /// Settings of the outlier mask; `None` for no mask.
     pub outliers: Option<OutlierSettings>,
     /// Function that is subtracted from the map.
     pub level: Level,
     /// True to fill the invalid pixels in the clear aperture, or the enclosed ones if no aperture is given.
     pub fill: bool,
-    /// Settings of the extension; `None` does not extend the map.
+    /// Settings of the extension beyond the clear aperture; `None` for no extension.
     pub extension: Option<ExtensionSettings>,
 }
 

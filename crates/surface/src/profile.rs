@@ -25,8 +25,8 @@ pub const MIN_POSITIONS: usize = 8;
 /// rounded in the file are interpolated.
 const UNIFORMITY: f64 = 0.01;
 
-/// Largest plausible magnitude of a position, mm. A larger value is refused, because its unit is wrong. Chosen as for
-/// maps.
+/// Largest plausible magnitude of a position, mm. A larger value is refused, because its unit is wrong. Chosen:
+/// the same as for the coordinates of maps.
 const LARGEST_POSITION_MM: f64 = 1e7;
 
 /// Largest plausible magnitude of a height, nm. A larger value is refused, because its unit is wrong.
@@ -38,7 +38,7 @@ const LARGEST_SLOPE_NRAD: f64 = 1e9;
 /// Columns and units of a profile in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProfileSettings {
-    /// Column of the positions and column of the values, from 1.
+    /// Column of the positions and column of the values, counted from 1.
     pub columns: [usize; 2],
     /// Unit of the positions; `None` for the one that the file states, and mm where it states none.
     pub position_unit: Option<Unit>,

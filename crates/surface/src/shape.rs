@@ -102,7 +102,7 @@ pub enum EllipseParameter {
 pub struct EllipseSettings {
     /// Ellipse as designed: the first guess of the parameters that are fitted.
     pub design: ImagingConic,
-    /// The parameters that are fitted beside piston and tilt.
+    /// Parameters of the ellipse that are fitted in addition to piston and tilt.
     pub free: Vec<EllipseParameter>,
     /// Position of the pole along x, mm; `None` for the middle of the valid pixels.
     pub pole_mm: Option<f64>,

@@ -55,7 +55,7 @@ pub struct Specification {
     /// Zones that limits name; a limit without a zone is on all valid pixels.
     #[serde(default)]
     pub zones: Vec<Zone>,
-    /// The limits; at least one.
+    /// Limits on quantities of the mirror; at least one.
     pub limits: Vec<Limit>,
 }
 
@@ -72,7 +72,7 @@ pub struct EllipseFile {
     /// Position of the pole along x, mm; absent for the middle of the valid pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pole_mm: Option<f64>,
-    /// The parameters that are fitted beside piston and tilt.
+    /// Parameters of the ellipse that are fitted in addition to piston and tilt.
     #[serde(default)]
     pub free: Vec<EllipseParameter>,
 }

@@ -29,7 +29,7 @@ pub enum KinematicsFile {
         /// Distance from the contact point to the pivot of the tilts, along the tool, mm. Negative: the pivot is on the
         /// other side of the surface.
         pivot_mm: f64,
-        /// The tilts; the first one carries the second.
+        /// Order of the tilts: the first one carries the second.
         tilts: [Tilt; 2],
     },
     /// A rotary axis c that turns the part, and a linear axis r along its radius; z and the tilt b are optional.
@@ -95,7 +95,7 @@ pub enum Kinematics {
         /// Distance from the contact point to the pivot of the tilts, mm; negative if the pivot is on the other side of
         /// the surface.
         pivot_mm: f64,
-        /// The tilts; the first one carries the second.
+        /// Order of the tilts: the first one carries the second.
         tilts: [Tilt; 2],
     },
     /// Axes r and c, with z and b if the machine has them.

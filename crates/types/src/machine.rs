@@ -31,7 +31,7 @@ use crate::{
     Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
 };
 
-/// A machine: limits of its axes, their travel, and how a part lies on it.
+/// A machine: limits of its axes, their travel, and the position of the part on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Machine {
     limits: Limits,

@@ -39,7 +39,7 @@ pub struct PathDistance {
     pub tool_on_time_s: f64,
     /// Largest distance with the tool off, mm. No tolerance applies to it.
     pub tool_off_mm: f64,
-    /// Tolerance of the distance with the tool on, mm.
+    /// Largest allowed distance with the tool on, mm.
     pub tolerance_mm: f64,
     /// True if the distance with the tool on is within its tolerance.
     pub within: bool,

@@ -523,7 +523,7 @@ impl Tif {
     /// Returns the map and the TIF for a tool position at the centre of removal, or `None` if the offset is 0.
     ///
     /// ```text
-    /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the place of the tool
+    /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the tool position
     /// ```
     ///
     /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the same path. c is the

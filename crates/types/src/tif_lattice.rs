@@ -271,7 +271,7 @@ fn difference(tif: &Tif, grid: Grid) -> Difference {
     worst
 }
 
-/// Returns the difference of a resampled TIF that does not vary.
+/// Returns the difference between a TIF that does not vary, resampled at the offsets `grid`, and the TIF.
 fn difference_of(tif: &Tif, grid: Grid) -> Difference {
     let anew = tif.sampled_anew(grid);
     let peak = tif.peak_nm_per_s();

@@ -79,7 +79,7 @@ impl ToolPath {
         &self.point_mm
     }
 
-    /// Returns the dwell points [x, y] (n), mm.
+    /// Returns the dwell points [x, y] (n), mm: one per segment, to which its dwell time belongs.
     pub fn dwell_point_mm(&self) -> &[[f64; 2]] {
         &self.dwell_point_mm
     }

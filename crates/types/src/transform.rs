@@ -219,7 +219,7 @@ impl Transform {
 pub struct TransformNumbers {
     /// Matrix M of [`Transform`], dimensionless.
     pub matrix: [[f64; 2]; 2],
-    /// Reference point [x, y] of the part, mm.
+    /// Reference point (centre) [x, y] of the part, mm.
     pub centre_mm: [f64; 2],
     /// Image of the reference point on the machine [x, y], mm.
     pub image_mm: [f64; 2],

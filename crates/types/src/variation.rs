@@ -41,7 +41,7 @@ const LARGEST_FACTOR: f64 = 1e3;
 /// Factor of the removal rate at every pixel, sampled on a grid of the part: g in (1) of the module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PixelFactor {
-    /// Grid of the samples, in coordinates of the part.
+    /// Grid of the sampled pixels, in coordinates of the part.
     pub grid: Grid,
     /// Factors at the pixels of `grid` (ny, nx), dimensionless.
     pub factor: Array2<f64>,

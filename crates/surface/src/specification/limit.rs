@@ -14,30 +14,30 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
         /// Direction of the periods; absent for two dimensions of a map.
         #[serde(default)]
         along: Option<Direction>,
-        /// Shortest period that counts, mm.
+        /// Shortest spatial period that counts in the RMS, mm; absent for no lower bound.
         #[serde(default)]
         shortest_period_mm: Option<f64>,
-        /// Longest period that counts, mm.
+        /// Longest spatial period that counts in the RMS, mm; absent for no upper bound.
         #[serde(default)]
         longest_period_mm: Option<f64>,
-        /// Largest allowed value, nm.
+        /// Largest allowed value of the quantity, nm.
         at_most_nm: f64,
     },
-    /// Largest minus smallest height.
+    /// PV of the heights: largest minus smallest height.
     HeightPv {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Largest allowed value, nm.
+        /// Largest allowed value of the quantity, nm.
         at_most_nm: f64,
     },
     /// RMS slope over a base length, or within periods.
@@ -45,21 +45,21 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
         /// Direction of the slope.
         along: Direction,
-        /// Base length, mm; measured slopes have none, and do not use it.
+        /// Base length over which slopes are differences of heights, mm. Measured slopes do not use it.
         #[serde(default)]
         base_mm: Option<f64>,
-        /// Shortest period that counts, mm.
+        /// Shortest spatial period that counts in the RMS, mm; absent for no lower bound.
         #[serde(default)]
         shortest_period_mm: Option<f64>,
-        /// Longest period that counts, mm.
+        /// Longest spatial period that counts in the RMS, mm; absent for no upper bound.
         #[serde(default)]
         longest_period_mm: Option<f64>,
-        /// Largest allowed value, nrad.
+        /// Largest allowed value of the quantity, nrad.
         at_most_nrad: f64,
     },
     /// Largest deviation of a slope over a base length from the mean slope.
@@ -67,14 +67,14 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
         /// Direction of the slope.
         along: Direction,
-        /// Base length, mm; measured slopes have none, and do not use it.
+        /// Base length over which slopes are differences of heights, mm. Measured slopes do not use it.
         base_mm: f64,
-        /// Largest allowed value, nrad.
+        /// Largest allowed value of the quantity, nrad.
         at_most_nrad: f64,
     },
     /// Line A / f^B that the power spectral density of the heights must not exceed.
@@ -82,7 +82,7 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
         /// Direction of the spectrum; `radial` for the mean over rings.
@@ -94,20 +94,20 @@ pub enum Limit {
         /// Lowest and highest frequency at which the line holds, 1/mm.
         frequency_per_mm: [f64; 2],
     },
-    /// Strehl ratio after Marechal.
+    /// Strehl ratio after Marechal, from the RMS of the heights.
     Strehl {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Wavelength, nm.
+        /// Wavelength of the light, nm.
         wavelength_nm: f64,
         /// Grazing angle, mrad; absent for normal incidence.
         #[serde(default)]
         grazing_mrad: Option<f64>,
-        /// Smallest allowed value.
+        /// Smallest allowed Strehl ratio, 0 to 1.
         at_least: f64,
     },
     /// Magnitude of the radius of the best cylinder along a direction, or of the best sphere.
@@ -115,9 +115,9 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// Direction; `radial` for the sphere.
+        /// Direction along which the cylinder is curved; `radial` for the sphere.
         along: Direction,
-        /// Smallest allowed value, m.
+        /// Smallest allowed magnitude of the radius, m.
         at_least_m: f64,
     },
     /// Lag at which the autocorrelation of the heights falls to 1/e.
@@ -125,12 +125,12 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
         /// Direction of the lag.
         along: Direction,
-        /// Smallest allowed value, mm.
+        /// Smallest allowed lag, mm.
         at_least_mm: f64,
     },
 }
