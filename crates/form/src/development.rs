@@ -9,8 +9,8 @@
 //!
 //! (2) is exact: the cylinder is unrolled. A part with curvature in both directions cannot be unrolled. (3) keeps all
 //! lengths along the lines through o, and shortens or lengthens those around it; on a sphere by sin(b) / b at the angle
-//! b from o. [`Development::stretches`] returns this factor at a point. (2) and (3) are aligned with x and y of the part at
-//! o, where (u, v) = (x, y).
+//! b from o. [`Development::stretches`] returns this factor at a point. (2) and (3) are aligned with x and y of the
+//! part at o, where (u, v) = (x, y).
 
 use planish_types::Invalid;
 

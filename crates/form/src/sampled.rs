@@ -24,8 +24,8 @@ const ON_THE_EDGE: f64 = 1e-9;
 #[derive(Clone, Debug)]
 pub struct Sampled {
     map: Surface,
-    /// Height, derivatives along x and along y, and mixed derivative, in mm, per pixel; each (ny, nx). NaN where there is
-    /// none.
+    /// Height, mm, its derivatives along x and along y, mm per pixel, and its mixed derivative; each (ny, nx). NaN
+    /// where there is none.
     values: [Array2<f64>; 4],
 }
 

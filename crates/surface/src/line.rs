@@ -9,8 +9,8 @@
 //! int R1(x - p) D(p) dp = h(x)
 //! ```
 //!
-//! Both are written as artifacts of the usual kinds, so that every stage plans and judges them as it does maps. The map has
-//! three equal rows at y = -W/2, 0, W/2 (in (2) W = d). The TIF has R1 in its rows at these offsets, and zeros at
+//! Both are written as artifacts of the usual kinds, so that every stage plans and judges them as it does maps. The map
+//! has three equal rows at y = -W/2, 0, W/2 (in (2) W = d). The TIF has R1 in its rows at these offsets, and zeros at
 //! -W and W: at the rows of the map, a tool at y = 0 has R1 exactly, because the cubic interpolation passes through the
 //! samples.
 //!
@@ -250,7 +250,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// A Gaussian of 3 mm, cut at 15 mm: samples of 0.5 mm know its integrals to 1e-4.
+    /// Returns a Gaussian TIF of sigma 3 mm that ends at 15 mm; samples of 0.5 mm give its integrals to 1e-4.
     fn tool() -> Tif {
         let a = Axis::new(-15.0, 0.5, 61).unwrap();
         let g = Grid { x: a, y: a };

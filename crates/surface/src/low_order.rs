@@ -295,7 +295,7 @@ mod tests {
         Grid { x: axis(nx, 0.1), y: axis(ny, 0.1) }
     }
 
-    /// A map on the pixels between two radii about the origin.
+    /// Returns a map of `f(x, y)`, valid between the radii `inner` and `outer` about the origin, mm.
     fn between(g: Grid, inner: f64, outer: f64, f: impl Fn(f64, f64) -> f64) -> Surface {
         let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
             let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
@@ -318,7 +318,7 @@ mod tests {
         report.terms.iter().find(|t| t.order == order).unwrap().coefficient_nm
     }
 
-    /// 3 nm RMS of primary coma along x and -2 nm RMS of oblique astigmatism, radius 4.
+    /// Returns 3 nm RMS of primary coma along x plus -2 nm RMS of oblique astigmatism, on a disc of the radius 4 mm.
     fn coma(x: f64, y: f64) -> f64 {
         let mut z = vec![0.0; orthogonal::zernike_terms(4)];
         orthogonal::zernike(4, x / 4.0, y / 4.0, &mut z);

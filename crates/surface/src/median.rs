@@ -161,7 +161,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// The definition: gather, sort, take the middle.
+    /// Returns the median by its definition: it sorts the pixels of each window and takes the middle one.
     fn by_definition(map: &Array2<f64>, half: (usize, usize)) -> Array2<f64> {
         let (ny, nx) = map.dim();
         Array2::from_shape_fn((ny, nx), |(r, c)| {

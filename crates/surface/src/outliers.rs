@@ -435,7 +435,7 @@ mod tests {
         Grid { x: Axis::new(0.0, 0.1, SHAPE.1).unwrap(), y: Axis::new(0.0, 0.1, SHAPE.0).unwrap() }
     }
 
-    /// A smooth figure of 20 nm with 0.05 nm of noise.
+    /// Returns a smooth figure of 20 nm with noise of 0.05 nm RMS.
     fn smooth(seed: u64) -> Array2<f64> {
         let noise = Normal::new(0.0, 0.05).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -465,7 +465,7 @@ mod tests {
         assert_eq!(found.mask, square);
     }
 
-    /// The figure of [`smooth`], 1, 10 and 100 times: up to 0.3, 3 and 30 nm from pixel to pixel.
+    /// Returns the figure of [`smooth`] times 1, 10 and 100, with noise: up to 0.3, 3 and 30 nm from pixel to pixel.
     fn steeper(seed: u64) -> impl Iterator<Item = (f64, Array2<f64>)> {
         [1.0, 10.0, 100.0].into_iter().map(move |k| {
             let figure = Array2::from_shape_fn(SHAPE, |(r, c)| {

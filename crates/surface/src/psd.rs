@@ -229,7 +229,7 @@ fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
 mod tests {
     use super::*;
 
-    /// The frequency at which a density is largest.
+    /// Returns the frequency at which a density is largest, 1/mm; the first bin does not count.
     fn strongest_per_mm(frequency_per_mm: &[f64], density: &[f64]) -> f64 {
         let points = frequency_per_mm.iter().zip(density).skip(1);
         points.fold((0.0, 0.0), |best, (f, s)| if *s > best.1 { (*f, *s) } else { best }).0

@@ -7,9 +7,9 @@
 //! h_z = h_n / n_z                                         height along z from that along the normal       (3)
 //! ```
 //!
-//! (1) is solved by the Levenberg-Marquardt method (2), from the QR factors of the scaled J (D. W. Marquardt, J. SIAM 11
-//! (1963) 431). A radius and the distances p and q move along their inverses, along which f is nearly linear. A parameter
-//! at one of its bounds stays there while the step would take it beyond.
+//! (1) is solved by the Levenberg-Marquardt method (2), from the QR factors of the scaled J (D. W. Marquardt, J. SIAM
+//! 11 (1963) 431). A radius and the distances p and q move along their inverses, along which f is nearly linear. A
+//! parameter at one of its bounds stays there while the step would take it beyond.
 //!
 //! (3) holds to first order in the height: nanometres against radii of millimetres and more. A map whose lateral axes
 //! follow the surface is interpolated at the coordinates that [`planish_form::Development`] gives to every pixel.
@@ -35,8 +35,8 @@ const NM_PER_MM: f64 = 1e6;
 /// Number of rows of J in (2) of the module that are factorised at once. Larger: more memory. Smaller: more time.
 const ROWS: usize = 4096;
 
-/// Largest number of steps, accepted or not. Larger: more time on a fit that does not end. Smaller: a fit may stop before
-/// its minimum. Measured: a few steps where the start is good, 20 from a radius that is off by half.
+/// Largest number of steps, accepted or not. Larger: more time on a fit that does not end. Smaller: a fit may stop
+/// before its minimum. Measured: a few steps where the start is good, 20 from a radius that is off by half.
 const MAX_STEPS: usize = 200;
 
 /// Length of a step in the scaled Jacobian, relative to the heights, at or below which a fit ends. Larger: it stops
@@ -524,7 +524,7 @@ mod tests {
         Grid { x: Axis::new(-20.0, 0.8, 51).unwrap(), y: Axis::new(-15.0, 0.75, 41).unwrap() }
     }
 
-    /// The heights of a form, with a tilt, a piston and a hole, and `error` nm.
+    /// Returns the heights of the form in `json`, nm, with a tilt, a piston, a hole and the addition `error(x, y)`, nm.
     fn measured(json: &str, error: impl Fn(f64, f64) -> f64) -> Surface {
         let form = Form::new(&target(json).file, None).unwrap();
         let grid = grid();

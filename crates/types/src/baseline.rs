@@ -207,14 +207,14 @@ mod tests {
     use super::*;
     use crate::Axis;
 
-    /// Samples of 5 nm/s times a shape, out to `half` mm, and what is added to them.
+    /// Returns a TIF with n x n samples of `rate` (x and y in mm) out to `half_mm`.
     fn tif(half_mm: f64, n: usize, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let a = Axis::new(-half_mm, 2.0 * half_mm / (n - 1) as f64, n).unwrap();
         let of = |(r, c): (usize, usize)| rate(a.coordinate_mm(c), a.coordinate_mm(r));
         Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((n, n), of)).unwrap()
     }
 
-    /// A Gaussian of 2 and 1.2 mm, turned by 40 degrees.
+    /// Returns a Gaussian with the standard deviations 2 and 1.2 mm, turned by 40 degrees, at (x, y) in mm.
     fn ellipse(x: f64, y: f64) -> f64 {
         let (sine, cosine) = 40.0_f64.to_radians().sin_cos();
         let (u, v) = (cosine * x + sine * y, cosine * y - sine * x);

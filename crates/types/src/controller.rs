@@ -377,7 +377,7 @@ mod tests {
     use super::*;
     use crate::{MachineFile, MachineFileAxis};
 
-    /// The axes x and y.
+    /// Returns the axes x and y of a machine.
     fn x_y() -> Vec<MachineAxis> {
         let axis = |name: &str| MachineFileAxis {
             name: name.into(),
@@ -390,7 +390,7 @@ mod tests {
         crate::Machine::new(file).unwrap().axes().to_vec()
     }
 
-    /// The axes x, y, and a that turns.
+    /// Returns the axes x, y, and the rotary axis a.
     fn x_y_a() -> Vec<MachineAxis> {
         let mut axes = x_y();
         axes.push(MachineAxis { name: "a", is_rotary: true, ..axes[0].clone() });

@@ -144,8 +144,8 @@ const MOST_TILTED_VOLUME: f64 = 0.05;
 /// mistaken units pass. Smaller: pads on deep errors are doubted. Chosen: the pad of the fixture `edge-pad` takes 106
 /// s.
 const SURELY_SLOW_S: f64 = 300.0;
-/// Peak rate, nm/s, from which on a TIF is usual. Larger: slow tools are doubted. Smaller: mistaken units pass. Chosen: rates
-/// in um/min that are read as nm/s are 17 times too small.
+/// Peak rate, nm/s, from which on a TIF is usual. Larger: slow tools are doubted. Smaller: mistaken units pass. Chosen:
+/// rates in um/min that are read as nm/s are 17 times too small.
 const USUAL_PEAK_NM_PER_S: f64 = 3.0;
 
 /// Largest rate on the border, relative to the peak, above which the TIF is doubted as cropped.
@@ -824,7 +824,7 @@ mod tests {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
     }
 
-    /// A map of 40 x 24 mm with a PV of about 40 nm, whose heights are replaced by those of
+    /// Returns a map of 40 x 24 mm with a PV of about 40 nm, whose heights are replaced by those of
     /// `change`.
     fn map(change: impl Fn(f64, (usize, usize)) -> f64) -> Surface {
         let grid = Grid { x: axis(0.0, 40.0, 81), y: axis(0.0, 24.0, 49) };
@@ -835,7 +835,7 @@ mod tests {
         Surface::new(grid, z).unwrap()
     }
 
-    /// A Gaussian TIF of sigma 1.5 mm and 10 nm/s out to `half` mm, whose rates are replaced by
+    /// Returns a Gaussian TIF of sigma 1.5 mm and 10 nm/s out to `half` mm, whose rates are replaced by
     /// those of `change`.
     fn tool(half: f64, change: impl Fn(f64) -> f64) -> Tif {
         let a = axis(-half, half, 49);

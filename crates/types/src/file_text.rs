@@ -125,8 +125,8 @@ pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
 /// `name` names the text in the message.
 ///
 /// A comma is a decimal comma if no line has a decimal point, and every comma stands between two digits: in a line that
-/// semicolons, tabs or blanks separate, or within quotes. Where three digits follow every one of them, they could separate
-/// thousands, and the text is refused.
+/// semicolons, tabs or blanks separate, or within quotes. Where three digits follow every one of them, they could
+/// separate thousands, and the text is refused.
 pub fn with_points(name: &'static str, text: &str) -> Result<Option<String>, Invalid> {
     let mut commas = Commas::default();
     let mut converted = String::with_capacity(text.len());

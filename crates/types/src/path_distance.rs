@@ -283,7 +283,7 @@ mod tests {
         Trajectory::new(times, c, on.to_vec(), index).unwrap()
     }
 
-    /// From `from` to `to` in 1 s, with a bulge of `bulge` / 4 along y.
+    /// Returns the coefficients of a motion from `from` to `to` in 1 s, with a bulge of `bulge` / 4 mm along y.
     fn bulging(from: [f64; 2], to: [f64; 2], bulge: f64) -> [[f64; 4]; 2] {
         [[from[0], to[0] - from[0], 0.0, 0.0], [from[1], to[1] - from[1] + bulge, -bulge, 0.0]]
     }

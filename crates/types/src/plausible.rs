@@ -298,7 +298,7 @@ mod tests {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
     }
 
-    /// 40 x 24 mm, PV some 40 nm, in other units by the factors.
+    /// Returns a map of 40 x 24 mm with a PV of some 40 nm, times the factors `mm` and `nm` of mistaken units.
     fn map(mm: f64, nm: f64) -> Surface {
         let grid = Grid { x: axis(0.0, 40.0 * mm, 81), y: axis(0.0, 24.0 * mm, 49) };
         let z = Array2::from_shape_fn((49, 81), |(r, c)| {
@@ -307,7 +307,8 @@ mod tests {
         Surface::new(grid, z).unwrap()
     }
 
-    /// Gaussian of sigma 1.5 mm on -6 .. 6 mm, displaced by `shift`.
+    /// Returns a Gaussian TIF of sigma 1.5 mm on -6 .. 6 mm, displaced by `shift` mm, times the factors `mm` and
+    /// `rate`.
     fn tool(mm: f64, rate: f64, shift: f64) -> Tif {
         let a = axis((shift - 6.0) * mm, (shift + 6.0) * mm, 49);
         let g = |k: usize| (-0.5 * ((k as f64 - 24.0) / 6.0).powi(2)).exp();

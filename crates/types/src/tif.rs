@@ -468,7 +468,8 @@ impl Tif {
 
     /// Returns the diameter of the circle whose area is that of the samples at or above half the peak, mm.
     ///
-    /// It is the full width at half maximum of a round TIF, and the geometric mean of the two axes of an elliptical one.
+    /// It is the full width at half maximum of a round TIF, and the geometric mean of the two axes of an elliptical
+    /// one.
     pub fn half_maximum_width_mm(&self) -> f64 {
         let half = 0.5 * self.peak_nm_per_s();
         let count = self.rate_nm_per_s.iter().filter(|v| **v >= half).count();

@@ -313,7 +313,7 @@ mod tests {
         Grid { x: axis, y: axis }
     }
 
-    /// A bell of deviation 1 on samples up to `half` mm.
+    /// Returns a Gaussian TIF of sigma 1 mm with samples at distances of `step` up to `half`, mm.
     fn bell(step: f64, half: f64) -> Tif {
         let grid = square(step, 2 * (half / step).round() as usize + 1);
         let at = |(r, c)| {

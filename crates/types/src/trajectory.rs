@@ -369,7 +369,8 @@ mod tests {
         assert!(error(vec![0.0, 1.0], vec![bad]).contains("coefficient_mm[0, 1, 2]: is NaN"));
     }
 
-    /// 1 s for point 0, 2 s for point 2, 4 s for none, 8 s for point 2 with the tool off.
+    /// Returns a motion that serves point 0 for 1 s, point 2 for 2 s, none for 4 s, and point 2 with the tool off for 8
+    /// s.
     fn served() -> Trajectory {
         let mut builder = TrajectoryBuilder::default();
         let c = [[0.0; 4]; 2];

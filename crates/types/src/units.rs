@@ -4,13 +4,13 @@
 //! value in SI = mantissa 10^exponent x value in the unit
 //! ```
 //!
-//! The power of ten is apart from the mantissa: from nm to nm is then exactly 1, from um to mm the number that is written
-//! 1e-3.
+//! The power of ten is apart from the mantissa: from nm to nm is then exactly 1, from um to mm the number that is
+//! written 1e-3.
 //!
 //! [`Unit::read`] reads a word, [`Header::read`] the name of a column such as `x (mm)`, `z[um]`, `height_nm`,
 //! `Höhe / nm` or `rate_nm_per_min`. A word in brackets, after a slash or after "in" claims to be a unit: it is an
-//! [`UnknownUnit`] if the table does not have it, never "no unit". The last word after a blank or `_` may also belong to
-//! the name (`x_actual`): it is a unit only if the table has it.
+//! [`UnknownUnit`] if the table does not have it, never "no unit". The last word after a blank or `_` may also belong
+//! to the name (`x_actual`): it is a unit only if the table has it.
 //!
 //! Lower and upper case count where a prefix depends on them: `mm` and `MM` are millimetres, `Mm` is refused.
 
@@ -486,8 +486,8 @@ pub struct Header {
 }
 
 impl Header {
-    /// Splits `text` into name and unit. `wanted` are the quantities that the reader expects of this column; they decide
-    /// between two meanings (`x_min` is the least x, `time_min` a time in minutes).
+    /// Splits `text` into name and unit. `wanted` are the quantities that the reader expects of this column; they
+    /// decide between two meanings (`x_min` is the least x, `time_min` a time in minutes).
     ///
     /// # Errors
     /// A word in brackets, after a slash or after "in" that is no unit of the table.
