@@ -1,4 +1,4 @@
-//! Coordinates along the surface of a part, and lengths there.
+//! Coordinates along the surface of a part (its development into a plane), and lengths on the surface.
 //!
 //! ```text
 //! ds^2 = dx^2 + dy^2 + (f_x dx + f_y dy)^2                                                              (1)
@@ -9,8 +9,8 @@
 //!
 //! (2) is exact: the cylinder is unrolled. A part with curvature in both directions cannot be unrolled. (3) keeps all
 //! lengths along the lines through o, and shortens or lengthens those around it; on a sphere by sin(b) / b at the angle
-//! b from o. [`Development::stretches`] says by how much at a place. (2) and (3) are aligned with x and y of the part at
-//! o, where (u, v) = (x, y).
+//! b from o. [`Development::stretches`] returns this factor at a point. (2) and (3) are aligned with x and y of the
+//! part at o, where (u, v) = (x, y).
 
 use planish_types::Invalid;
 
@@ -25,28 +25,29 @@ const GAUSS: [(f64, f64); 5] = [
     (0.953_089_922_969_332, 0.118_463_442_528_094_5),
 ];
 
-/// Pieces of a quadrature over the size of a part. Larger: more time. Smaller: steep forms lose
+/// Number of pieces into which a quadrature divides the size of a part. Larger: more time. Smaller: steep forms lose
 /// digits. Measured: with five points each, arcs of 50 degrees of a cylinder keep 1e-10 mm.
 const PIECES: f64 = 16.0;
 
-/// Step of the differences by u and v that give the stretches, mm. Larger: curvature counts. Smaller: rounding does.
+/// Step of the difference quotients by u and v that give the stretches, mm. Larger: curvature counts. Smaller: rounding
+/// does.
 const DIFFERENCE_MM: f64 = 1e-3;
 
-/// Coordinates along a form.
+/// Coordinates (u, v) along the surface of a form, in mm.
 #[derive(Debug)]
 pub struct Development<'a> {
     form: &'a Form,
     origin_mm: [f64; 2],
-    /// Longest piece of a quadrature, mm.
+    /// Length of a piece of a quadrature, mm.
     piece_mm: f64,
-    /// Tangents at the origin, if the form is not unrolled.
+    /// Unit tangents of the form at the origin, t1 and t2 of (3) in the module.
     tangents: [[f64; 3]; 2],
     gradient: [f64; 2],
 }
 
 impl<'a> Development<'a> {
-    /// Makes the coordinates along a form about a place of the part, [x, y] mm, over a part of this size, mm. Refuses a
-    /// form that does not exist there.
+    /// Returns the coordinates along a form about the point `origin_mm` [x, y] of the part, mm; `size_mm` is the size
+    /// of the part. Refuses a form that does not exist at this point.
     pub fn new(form: &'a Form, origin_mm: [f64; 2], size_mm: f64) -> Result<Self, Invalid> {
         let Some(place) = form.point(origin_mm) else {
             let [x, y] = origin_mm;
@@ -66,7 +67,8 @@ impl<'a> Development<'a> {
         Ok(Self { form, origin_mm, piece_mm, tangents: [t1, t2], gradient: [p, q] })
     }
 
-    /// Returns the coordinates (u, v) of a place of the part, mm. Beyond the form it continues with its last slope.
+    /// Returns the coordinates (u, v) of the point `p` [x, y] of the part, mm. Beyond its edge the form continues with
+    /// its last slope.
     pub fn along(&self, p: [f64; 2]) -> [f64; 2] {
         let d = [0, 1].map(|k| p[k] - self.origin_mm[k]);
         if let Some(direction) = self.form.cylinder_direction() {
@@ -87,7 +89,7 @@ impl<'a> Development<'a> {
         [self.origin_mm[0] + arc * a / length, self.origin_mm[1] + arc * b / length]
     }
 
-    /// Returns the place [x, y] of the part with the coordinates (u, v), mm: the inverse of [`Self::along`].
+    /// Returns the point [x, y] of the part with the coordinates (u, v), mm: the inverse of [`Self::along`].
     pub fn projected(&self, uv: [f64; 2]) -> [f64; 2] {
         let d = [0, 1].map(|k| uv[k] - self.origin_mm[k]);
         if let Some(direction) = self.form.cylinder_direction() {
@@ -116,7 +118,9 @@ impl<'a> Development<'a> {
         ]
     }
 
-    /// sqrt(1 + f'^2) along a line at the distance rho from the origin; beyond the form that of its last place.
+    /// Returns the ratio of arc length to length in the plane, sqrt(1 + f'^2), at the distance `rho` (mm) from the
+    /// origin. The line runs along `sign` times `direction`. Beyond the form it is the ratio at the last point of the
+    /// form, which `last` keeps.
     fn factor(&self, direction: [f64; 2], rho: f64, sign: f64, last: &mut f64) -> f64 {
         let p = [0, 1].map(|k| self.origin_mm[k] + sign * rho * direction[k]);
         if let Some(place) = self.form.point(p) {
@@ -126,7 +130,8 @@ impl<'a> Development<'a> {
         *last
     }
 
-    /// Arc length over the straight line of this length from the origin, mm: whole pieces, and the rest.
+    /// Returns the arc length of the form over the straight line of the length `rho` from the origin, mm, along `sign`
+    /// times `direction`.
     fn arc_mm(&self, direction: [f64; 2], rho: f64, sign: f64) -> f64 {
         let mut last = 1.0;
         let mut sum = 0.0;
@@ -139,7 +144,7 @@ impl<'a> Development<'a> {
         sum + self.piece(direction, (start, rho - start), sign, &mut last)
     }
 
-    /// Arc length over the piece of a line from `start` on, mm.
+    /// Returns the arc length of the form over the piece of a line from the distance `start` to `start + h`, mm.
     fn piece(&self, direction: [f64; 2], (start, h): (f64, f64), sign: f64, last: &mut f64) -> f64 {
         let mut sum = 0.0;
         for (node, weight) in GAUSS {
@@ -148,7 +153,8 @@ impl<'a> Development<'a> {
         h * sum
     }
 
-    /// Length of the straight line over which the arc has this length, mm: the inverse of [`Self::arc_mm`].
+    /// Returns the length of the straight line from the origin over which the arc of the form has the length `arc`, mm:
+    /// the inverse of [`Self::arc_mm`].
     fn distance_mm(&self, direction: [f64; 2], arc: f64, sign: f64) -> f64 {
         let mut last = 1.0;
         let mut sum = 0.0;
@@ -187,8 +193,8 @@ impl<'a> Development<'a> {
         start + h
     }
 
-    /// Returns the smallest and largest ratio of a length along the surface to the same length in (u, v), at a place of
-    /// (u, v); `None` where the form does not exist. Both are 1 where the surface is unrolled exactly.
+    /// Returns the smallest and the largest ratio of a length on the surface to the same length in (u, v), at the
+    /// coordinates `uv`, mm. `None` where the form does not exist. Both are 1 where the surface is unrolled exactly.
     pub fn stretches(&self, uv: [f64; 2]) -> Option<[f64; 2]> {
         let [p, q] = self.form.point(self.projected(uv))?.gradient();
         // Vectors in space for a step along u and along v, and the eigenvalues of their products.
@@ -204,7 +210,7 @@ impl<'a> Development<'a> {
         Some([(mean - half).max(0.0).sqrt(), (mean + half).sqrt()])
     }
 
-    /// Derivative of the place [x, y] of (u, v) by the coordinate `k`, by a central difference.
+    /// Returns the derivative of the point [x, y] by the coordinate u (`k` = 0) or v (1), by a central difference.
     fn projected_by_coordinate(&self, uv: [f64; 2], k: usize) -> [f64; 2] {
         let h = DIFFERENCE_MM;
         let mut ends = [uv; 2];
@@ -219,14 +225,15 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| a[k] * b[k]).sum()
 }
 
-/// A vector along and across a direction.
+/// Returns the components of the vector [x, y] along and across a direction, which is given by its cosine and sine.
 fn turned([cosine, sine]: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
     [x * cosine + y * sine, y * cosine - x * sine]
 }
 
 impl Form {
-    /// Returns the point of the form over a place; where it does not exist, over the nearest place at which it does:
-    /// the nearest valid pixel of a map, or the last place on the straight line from `inside`, [x, y] mm.
+    /// Returns the point of the form over the point `p` [x, y] of the part, mm. Where the form does not exist there, it
+    /// takes the nearest valid pixel of a map. For other forms it takes the last point on the straight line from
+    /// `inside` to `p`.
     pub fn nearest(&self, p: [f64; 2], inside: [f64; 2]) -> Option<FormPoint> {
         if let Some(point) = self.point(p) {
             return Some(point);
@@ -251,8 +258,8 @@ impl Form {
         Some(best)
     }
 
-    /// Returns the length along the surface over the straight line from `a` to `b` [x, y], mm, by (1) and five points;
-    /// `None` where the form does not exist at one of them.
+    /// Returns the length on the surface over the straight line from `a` to `b` [x, y], mm, by (1) of the module and
+    /// five points. `None` if the form does not exist at one of them.
     pub fn length_mm(&self, a: [f64; 2], b: [f64; 2]) -> Option<f64> {
         let d = [b[0] - a[0], b[1] - a[1]];
         let mut sum = 0.0;

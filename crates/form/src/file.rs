@@ -1,4 +1,4 @@
-//! The form file: one JSON object. A key that its kind does not use is refused.
+//! The form file: one JSON object that describes the form of a part. A key that its kind does not use is refused.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::{ImagingConic, zernike::Numbering};
 
-/// Largest magnitude of a radius or a distance, mm: a plane in all but name. Larger: sums lose digits.
+/// Largest magnitude of a radius or a distance, mm; beyond it a form is a plane in all but name. Larger: sums lose
+/// digits.
 const LARGEST_RADIUS_MM: f64 = 1e12;
 
-/// Kind of a form.
+/// Kind of a form. It determines which keys of the file apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FormKind {
@@ -22,7 +23,7 @@ pub enum FormKind {
     Conic,
     /// A paraboloid of `radius_mm`: the conic with the constant -1.
     Paraboloid,
-    /// A conic with `even_terms`.
+    /// A conic of revolution with the additional `even_terms`.
     Asphere,
     /// A cylinder that is curved along its x, of `radius_mm`, with a conic constant and even terms on request.
     Cylinder,
@@ -34,41 +35,41 @@ pub enum FormKind {
     ParabolicCylinder,
     /// A cylinder one of whose points is virtual: one of `p_mm` and `q_mm` is negative.
     HyperbolicCylinder,
-    /// A map of heights.
+    /// A map of heights, a surface artifact.
     Map,
 }
 
-/// Axis along which the heights of an off-axis section count.
+/// Axis along which the heights of an off-axis section of a parent form count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Axis {
-    /// The axis of the parent.
+    /// Along the axis of the parent.
     Parent,
-    /// The normal of the parent in the middle of the section.
+    /// Along the normal of the parent in the middle of the section.
     Normal,
 }
 
-/// Freedom of a parameter in a fit.
+/// Rule by which a fit may change a parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ParameterFit {
-    /// `"free"` or `"held"`.
+    /// Freedom as a word: `"free"` or `"held"`.
     Word(FitWord),
     /// Smallest and largest value, in the unit of the parameter.
     Between([f64; 2]),
 }
 
-/// Freedom of a parameter without bounds.
+/// Rule for a parameter without bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FitWord {
-    /// Fitted.
+    /// Fitted without bounds.
     Free,
     /// Kept at its value in the file.
     Held,
 }
 
-/// Zernike terms of a form.
+/// Zernike terms that are added to a form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ZernikeFile {
@@ -78,18 +79,18 @@ pub struct ZernikeFile {
     pub centre_mm: [f64; 2],
     /// Radius of the unit circle, mm.
     pub radius_mm: f64,
-    /// Coefficients by index, nm.
+    /// Coefficients, nm, by the index of the term as text.
     pub terms_nm: BTreeMap<String, f64>,
 }
 
 impl ZernikeFile {
-    /// Returns the indices and coefficients, nm.
+    /// Returns the index and the coefficient, nm, of each term.
     pub(crate) fn indexed(&self) -> impl Iterator<Item = (u32, f64)> {
         self.terms_nm.iter().filter_map(|(index, nm)| Some((index.parse().ok()?, *nm)))
     }
 }
 
-/// Content of a form file, as it is written.
+/// Content of a form file as it is written, not checked yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FormFile {
@@ -104,10 +105,10 @@ pub struct FormFile {
     /// Radius of curvature of a toroid at its vertex along y, mm; positive where the part is concave.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_y_mm: Option<f64>,
-    /// Conic constant k; 0 is a sphere, -1 a parabola.
+    /// Conic constant k, dimensionless; 0 is a sphere, -1 a parabola.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub conic_constant: Option<f64>,
-    /// A4, A6, ... of ISO 10110-12, mm^-3, mm^-5, ...
+    /// Coefficients A4, A6, ... of ISO 10110-12, mm^-3, mm^-5, ...
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub even_terms: Option<Vec<f64>>,
     /// Distance from source to pole, mm; negative for a virtual source.
@@ -122,28 +123,29 @@ pub struct FormFile {
     /// Directory of the map (a surface artifact), relative to the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub surface: Option<String>,
-    /// Place of the vertex, or of the middle of an off-axis section, on the part [x, y], mm.
+    /// Position of the vertex, or of the middle of an off-axis section, on the part [x, y], mm; the origin if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vertex_mm: Option<[f64; 2]>,
-    /// Angle of the axes of the form, from x towards y of the part, degrees.
+    /// Angle by which the axes of the form are turned against the part, from x towards y, degrees; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_deg: Option<f64>,
-    /// Middle of the section, from the vertex of the parent along the axes of the form [x, y], mm.
+    /// Middle of the off-axis section [x, y], mm, from the vertex of the parent along the axes of the form. Absent for
+    /// a form about its vertex.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off_axis_mm: Option<[f64; 2]>,
-    /// Axis along which the heights of an off-axis section count.
+    /// Axis along which the heights of an off-axis section count; absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub height_along: Option<Axis>,
-    /// Zernike terms that are added.
+    /// Zernike terms that are added to the height.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zernike: Option<ZernikeFile>,
-    /// Parameters that a fit may change, by name; all others are held.
+    /// Parameters that a fit may change, by their names; all others keep their values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fit: Option<BTreeMap<String, ParameterFit>>,
 }
 
 impl FormFile {
-    /// Returns a plane.
+    /// Returns the file of a plane, with every optional key absent.
     pub fn plane() -> Self {
         Self {
             kind: FormKind::Plane,
@@ -165,7 +167,7 @@ impl FormFile {
         }
     }
 
-    /// Refuses keys that the kind does not use, missing ones, and numbers that cannot be what they claim to be.
+    /// Refuses keys that the kind does not use, missing keys, and numbers out of their range.
     pub fn check(&self) -> Result<(), Invalid> {
         use FormKind::{
             Asphere, Conic, Cylinder, EllipticCylinder, HyperbolicCylinder, Map, ParabolicCylinder,
@@ -232,7 +234,7 @@ impl FormFile {
         self.check_fit()
     }
 
-    /// Refuses numbers that cannot be what they claim to be.
+    /// Refuses numbers that are not finite, zero or beyond their range where the form needs others.
     fn check_numbers(&self) -> Result<(), Invalid> {
         let radii = [
             ("radius_mm", self.radius_mm),
@@ -338,7 +340,8 @@ impl FormFile {
         Ok(())
     }
 
-    /// Returns the imaging curve of an elliptic, parabolic or hyperbolic cylinder.
+    /// Returns the curve of an elliptic, parabolic or hyperbolic cylinder. Refuses distances and angles with which
+    /// there is no mirror.
     pub(crate) fn imaging(&self) -> Result<ImagingConic, Invalid> {
         let far = f64::INFINITY;
         let [p, q] = [self.p_mm, self.q_mm].map(|mm| mm.unwrap_or(far));
@@ -350,7 +353,7 @@ impl FormFile {
         }
     }
 
-    /// Names of the numbers that a fit may change. Those of places are there if the file states the place.
+    /// Returns the names of the numbers that a fit may change. Positions are among them only if the file states them.
     pub fn parameter_names(&self) -> Vec<String> {
         let words = [
             ("radius_mm", self.radius_mm.is_some()),
@@ -373,7 +376,7 @@ impl FormFile {
         words.chain(even).chain(zernike.map(|index| format!("zernike_{index}_nm"))).collect()
     }
 
-    /// Returns the number of this name, to read or change it.
+    /// Returns the number of the parameter `name`, to read or change it, or `None` if the file does not state it.
     pub fn parameter_mut(&mut self, name: &str) -> Option<&mut f64> {
         match name {
             "radius_mm" => self.radius_mm.as_mut(),
@@ -402,7 +405,7 @@ impl FormFile {
     }
 }
 
-/// Name of a kind in the file.
+/// Returns the name of a kind as the file states it.
 fn serde_name(kind: FormKind) -> &'static str {
     match kind {
         FormKind::Plane => "plane",

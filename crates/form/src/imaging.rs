@@ -29,7 +29,7 @@ use serde::Serialize;
 
 use crate::jet::Jet;
 
-/// Distances and angle of an imaging mirror.
+/// Distances and grazing angle of a mirror that images a source onto a point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ImagingConic {
     /// Source to pole, mm; infinite for a parabola, negative for a virtual source.
@@ -41,7 +41,8 @@ pub struct ImagingConic {
 }
 
 impl ImagingConic {
-    /// Makes an ellipse: source and image at finite distances before the mirror. Refuses what is no mirror.
+    /// Returns an ellipse: source and image at finite distances before the mirror. Refuses distances that are not
+    /// positive, and an angle out of its range.
     pub fn ellipse(p_mm: f64, q_mm: f64, theta_rad: f64) -> Result<Self, Invalid> {
         for (name, mm) in [("p", p_mm), ("q", q_mm)] {
             if !(mm.is_finite() && mm > 0.0) {
@@ -53,7 +54,8 @@ impl ImagingConic {
         Ok(Self { p_mm, q_mm, theta_rad })
     }
 
-    /// Makes a hyperbola: exactly one of both distances is negative. Refuses what is no mirror.
+    /// Returns a hyperbola: exactly one of both distances is negative. Refuses other distances, those of a plane, and
+    /// an angle out of its range.
     pub fn hyperbola(p_mm: f64, q_mm: f64, theta_rad: f64) -> Result<Self, Invalid> {
         let finite = p_mm.is_finite() && q_mm.is_finite();
         if !(finite && p_mm * q_mm < 0.0) {
@@ -69,7 +71,8 @@ impl ImagingConic {
         Ok(Self { p_mm, q_mm, theta_rad })
     }
 
-    /// Makes a parabola: one distance, of the source or of the image, is infinite. Refuses what is no mirror.
+    /// Returns a parabola: one distance, of the source or of the image, is infinite. Refuses other distances, and an
+    /// angle out of its range.
     pub fn parabola(p_mm: f64, q_mm: f64, theta_rad: f64) -> Result<Self, Invalid> {
         let near = if p_mm.is_infinite() { q_mm } else { p_mm };
         let one_is_infinite = p_mm.is_infinite() != q_mm.is_infinite();
@@ -82,7 +85,8 @@ impl ImagingConic {
         Ok(Self { p_mm, q_mm, theta_rad })
     }
 
-    /// Returns z above the tangent at the pole, mm, with its derivatives; NaN beyond the ends of the curve.
+    /// Returns the height z above the tangent at the pole, mm, with its derivatives, at x from the pole, mm; NaN beyond
+    /// the ends of the curve.
     pub(crate) fn jet(&self, x: Jet) -> Jet {
         let (s, c) = self.theta_rad.sin_cos();
         let [u, v] = [self.p_mm, self.q_mm].map(|mm| 1.0 / mm);
@@ -95,12 +99,13 @@ impl ImagingConic {
         square.times(t) / (b + (b * b - square.times(t * t - (s * w).powi(2))).sqrt())
     }
 
-    /// Returns z above the tangent at the pole, mm; NaN beyond the ends of the curve.
+    /// Returns the height z above the tangent at the pole, mm, at `x_mm` from the pole; NaN beyond the ends of the
+    /// curve.
     pub fn height_mm(&self, x_mm: f64) -> f64 {
         self.jet(Jet::coordinates([x_mm, 0.0])[0]).value
     }
 
-    /// Returns dz/dx, rad; NaN beyond the ends of the curve.
+    /// Returns the slope dz/dx at `x_mm` from the pole, rad; NaN beyond the ends of the curve.
     pub fn slope(&self, x_mm: f64) -> f64 {
         self.jet(Jet::coordinates([x_mm, 0.0])[0]).gradient[0]
     }

@@ -1,4 +1,4 @@
-//! Numbers with their first and second derivatives by x and y (forward differentiation).
+//! Jets: numbers with their first and second derivatives by x and y (forward differentiation).
 //!
 //! ```text
 //! (f g)_xy = f_xy g + f_x g_y + f_y g_x + f g_xy
@@ -7,24 +7,24 @@
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// A value and its derivatives by x and y.
+/// A value f(x, y) at a point, and its derivatives by x and y.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Jet {
-    /// The value; of a sag in mm.
+    /// Value at the point; for a height in mm.
     pub value: f64,
-    /// First derivatives by [x, y]; of a sag in mm/mm.
+    /// First derivatives by [x, y]; for a height in mm/mm.
     pub gradient: [f64; 2],
-    /// Second derivatives [xx, xy, yy]; of a sag in 1/mm.
+    /// Second derivatives [xx, xy, yy]; for a height in 1/mm.
     pub hessian: [f64; 3],
 }
 
 impl Jet {
-    /// Makes a number that does not depend on the place.
+    /// Returns a number that does not depend on x and y: all derivatives are 0.
     pub fn constant(value: f64) -> Self {
         Self { value, ..Self::default() }
     }
 
-    /// Returns the coordinates x and y of a place.
+    /// Returns the coordinates x and y of a point as functions of themselves.
     pub fn coordinates([x, y]: [f64; 2]) -> [Self; 2] {
         [
             Self { value: x, gradient: [1.0, 0.0], hessian: [0.0; 3] },
@@ -32,8 +32,9 @@ impl Jet {
         ]
     }
 
-    /// Returns h(f, g) with the derivatives [h, h_f, h_g, h_ff, h_fg, h_gg] of h at the values of f and g: `h_xy = h_f
-    /// f_xy + h_g g_xy + h_ff f_x f_y + h_fg (f_x g_y + f_y g_x) + h_gg g_x g_y`.
+    /// Returns h(f, g) of two functions f and g. The array contains h and its derivatives [h, h_f, h_g, h_ff, h_fg,
+    /// h_gg] at their values. The second derivatives follow from `h_xy = h_f f_xy + h_g g_xy + h_ff f_x f_y + h_fg (f_x
+    /// g_y + f_y g_x) + h_gg g_x g_y`.
     pub(crate) fn composed([h, hf, hg, hff, hfg, hgg]: [f64; 6], [f, g]: [Self; 2]) -> Self {
         Self {
             value: h,
@@ -50,7 +51,7 @@ impl Jet {
         }
     }
 
-    /// Returns h(f) with h, h' and h'' at the value of f.
+    /// Returns h(f) of this number f. The array contains h, h' and h'' at its value.
     fn chained(self, [h, first, second]: [f64; 3]) -> Self {
         let [x, y] = self.gradient;
         let products = [x * x, x * y, y * y];
@@ -61,18 +62,18 @@ impl Jet {
         }
     }
 
-    /// Returns the square root; NaN of a negative number.
+    /// Returns the square root; its value is NaN for a negative number.
     pub fn sqrt(self) -> Self {
         let root = self.value.sqrt();
         self.chained([root, 0.5 / root, -0.25 / (root * self.value)])
     }
 
-    /// Returns f times a number.
+    /// Returns this number times the constant `factor`.
     pub fn times(self, factor: f64) -> Self {
         self * Self::constant(factor)
     }
 
-    /// Returns f to a whole power.
+    /// Returns this number to the power `exponent`.
     pub fn power(self, exponent: u32) -> Self {
         (0..exponent).fold(Self::constant(1.0), |product, _| product * self)
     }

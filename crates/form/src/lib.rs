@@ -48,18 +48,18 @@ use planish_types::{Invalid, Surface};
 /// Number of nm in a mm.
 const NM_PER_MM: f64 = 1e6;
 
-/// Largest number of Newton steps to a point of a tilted parent; it converges quadratically from the tangent plane.
+/// Largest number of Newton steps to a point of a tilted parent, which converge quadratically from the tangent plane.
 /// Larger: no effect. Smaller: steep parts are refused.
 const NEWTON_STEPS: usize = 30;
 
-/// Step in the height, relative to 1 mm and the height, below which the height has converged. Larger: heights are less
-/// exact. Smaller: rounding of the coordinates keeps the steps going.
+/// Change of the height by a step, relative to 1 mm plus the height, below which the height has converged. Larger:
+/// heights are less exact. Smaller: rounding of the coordinates keeps the steps going.
 const CONVERGED: f64 = 1e-12;
 
-/// Steps after the value has converged: each makes one more order of the derivatives exact.
+/// Number of steps after the height has converged. Each of them makes one more order of the derivatives exact.
 const STEPS_FOR_DERIVATIVES: usize = 3;
 
-/// A form, checked.
+/// Form of a part, checked: the height along z as a function of x and y.
 #[derive(Clone, Debug)]
 pub struct Form {
     shape: Shape,
@@ -70,18 +70,18 @@ pub struct Form {
     terms: Option<Terms>,
 }
 
-/// Height of a form over its own axes.
+/// Height of a form over its own axes, from its vertex.
 #[derive(Clone, Debug)]
 enum Shape {
     Plane,
-    /// (1) and (2) of the radius, or of x alone.
+    /// Conic and asphere, (1) and (2) of the module: of the radius, or of x alone if `is_cylinder`.
     Even {
         curvature_per_mm: f64,
         conic_constant: f64,
         terms: Vec<f64>,
         is_cylinder: bool,
     },
-    /// (3).
+    /// Toroid, (3) of the module.
     Toroid {
         radius_x_mm: f64,
         radius_y_mm: f64,
@@ -121,39 +121,41 @@ impl Shape {
         }
     }
 
-    /// Returns true if the height depends on x alone.
+    /// Returns true if the height over the axes of the form depends on x alone.
     fn is_cylinder(&self) -> bool {
         matches!(self, Self::Imaging(_) | Self::Even { is_cylinder: true, .. })
     }
 }
 
-/// Section of a parent away from its vertex.
+/// Off-axis section: the part lies on its parent form away from the vertex.
 #[derive(Clone, Copy, Debug)]
 enum OffAxis {
-    /// Heights along the axis of the parent, from the height at this place.
+    /// Section with heights along the axis of the parent. They count from `height_mm`, the height at the point `at_mm`
+    /// [x, y] from the vertex.
     Parent { at_mm: [f64; 2], height_mm: f64 },
-    /// Heights along the normal of the parent at this point: origin and the directions of x, y and z.
+    /// Section with heights along the normal of the parent at the point `origin_mm`. `axes` are the unit vectors of x,
+    /// y and z of the section.
     Normal { origin_mm: [f64; 3], axes: [[f64; 3]; 3] },
 }
 
-/// Zernike terms.
+/// Zernike terms that are added to the height.
 #[derive(Clone, Debug)]
 struct Terms {
     numbering: Numbering,
     centre_mm: [f64; 2],
     radius_mm: f64,
-    /// Index and coefficient in mm.
+    /// Index and coefficient, mm, of each term.
     terms: Vec<(u32, f64)>,
 }
 
-/// A point of a form.
+/// A point of a form, with the slopes and the second derivatives there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FormPoint {
     jet: Jet,
 }
 
 impl FormPoint {
-    /// Returns the height along z above the vertex, mm.
+    /// Returns the height along z, mm, above the vertex or the middle of the section.
     pub fn sag_mm(&self) -> f64 {
         self.jet.value
     }
@@ -189,7 +191,8 @@ impl FormPoint {
 }
 
 impl Form {
-    /// Makes the form that a file states; `map` is the height of a file of the kind `map`.
+    /// Makes the form that a file states. `map` contains the heights of a form of the kind `map`; other kinds do not
+    /// use it.
     ///
     /// # Errors
     /// Refuses a file that [`FormFile::check`] refuses, a map without 2 x 2 valid pixels, and a section where the
@@ -239,7 +242,8 @@ impl Form {
         Ok(form)
     }
 
-    /// Makes a sphere of this radius of curvature, mm, with its vertex at [x, y], mm. Refuses a radius that is none.
+    /// Returns a sphere of this radius of curvature, mm, with its vertex at [x, y], mm. A positive radius is concave.
+    /// Refuses 0, NaN and a magnitude above 1e12 mm.
     pub fn sphere(radius_mm: f64, vertex_mm: [f64; 2]) -> Result<Self, Invalid> {
         let file = FormFile {
             kind: FormKind::Sphere,
@@ -250,13 +254,14 @@ impl Form {
         Self::new(&file, None)
     }
 
-    /// Makes a form that is a map of its height along z, nm. Refuses a map without 2 x 2 valid pixels.
+    /// Returns a form that is a map of its heights along z, nm. Refuses a map without 2 x 2 valid pixels.
     pub fn sampled(map: &Surface) -> Result<Self, Invalid> {
         let shape = Shape::Sampled(Box::new(Sampled::new(map)?));
         Ok(Self { shape, vertex_mm: [0.0; 2], turn: [1.0, 0.0], off_axis: None, terms: None })
     }
 
-    /// The section about a place of the parent.
+    /// Returns the off-axis section about the point `at_mm` [x, y] of the parent, from its vertex. Refuses a point at
+    /// which the parent does not exist.
     fn section(&self, at_mm: [f64; 2], along: Axis) -> Result<OffAxis, Invalid> {
         let jet = self.shape.jet(Jet::coordinates(at_mm));
         if !jet.is_finite() {
@@ -299,23 +304,24 @@ impl Form {
         Err(Invalid::at_index("form", (r, c), problem, remedy))
     }
 
-    /// Returns the point of the form over [x, y] of the part, mm; `None` where the form does not exist.
+    /// Returns the point of the form over the point `p` [x, y] of the part, mm; `None` where the form does not exist.
     pub fn point(&self, p: [f64; 2]) -> Option<FormPoint> {
         let jet = self.jet(p);
         if jet.is_finite() { Some(FormPoint { jet }) } else { None }
     }
 
-    /// Returns the height along z over [x, y], mm; `None` where the form does not exist.
+    /// Returns the height along z over the point `p` [x, y] of the part, mm; `None` where the form does not exist.
     pub fn sag_mm(&self, p: [f64; 2]) -> Option<f64> {
         self.point(p).map(|place| place.sag_mm())
     }
 
-    /// Returns the place of the vertex of the form on the part [x, y], mm; that of a map is its origin.
+    /// Returns the position of the vertex of the form on the part [x, y], mm; for a map it is the origin.
     pub fn vertex_mm(&self) -> [f64; 2] {
         self.vertex_mm
     }
 
-    /// The direction of the part along which the form is curved, if its height depends on one coordinate alone.
+    /// Returns the direction [cosine, sine] on the part along which the form is curved. `None` if its height does not
+    /// depend on one coordinate alone.
     fn cylinder_direction(&self) -> Option<[f64; 2]> {
         let tilted = matches!(self.off_axis, Some(OffAxis::Normal { .. }));
         if self.shape.is_cylinder() && !tilted && self.terms.is_none() {
@@ -325,7 +331,7 @@ impl Form {
         }
     }
 
-    /// The map of the form, if it is one.
+    /// Returns the map of a form of the kind `map`; `None` for other forms.
     fn map(&self) -> Option<&Sampled> {
         match &self.shape {
             Shape::Sampled(map) => Some(map),
@@ -358,7 +364,8 @@ impl Form {
         z
     }
 
-    /// Height z along the third axis at which `origin + x e1 + y e2 + z e3` lies on the parent, by Newton's method.
+    /// Returns the height z over a tilted section, with its derivatives: the z at which `origin + x e1 + y e2 + z e3`
+    /// lies on the parent. It is found by Newton's method, and NaN if the method does not converge.
     fn tilted(&self, [x, y]: [Jet; 2], origin: [f64; 3], [e1, e2, e3]: &[[f64; 3]; 3]) -> Jet {
         let mut z = Jet::constant(0.0);
         let mut exact = 0;

@@ -1,4 +1,5 @@
-//! A form that is a map: bicubic between the pixels, with slopes from splines along the runs of valid pixels.
+//! A form given by a map of heights: bicubic between the pixels, with slopes from splines along the runs of valid
+//! pixels.
 //!
 //! ```text
 //! m_(i-1) + 4 m_i + m_(i+1) = 3 (z_(i+1) - z_(i-1))        slopes along a run, per pixel               (1)
@@ -15,19 +16,21 @@ use planish_types::{Axis, Grid, Invalid, Surface};
 
 use crate::{NM_PER_MM, jet::Jet};
 
-/// Distance from the middle between two pixels at which rounding does not decide which is the nearest one, in pixels.
+/// Distance from the middle between two pixels, in pixels, up to which both count as the nearest one. It keeps rounding
+/// from deciding.
 const ON_THE_EDGE: f64 = 1e-9;
 
-/// A map with its slopes.
+/// A form given by a map, with the slopes at its pixels.
 #[derive(Clone, Debug)]
 pub struct Sampled {
     map: Surface,
-    /// Height, its derivatives along x and y, and the mixed one, (ny, nx), mm and per pixel; NaN where there is none.
+    /// Height, mm, its derivatives along x and along y, mm per pixel, and its mixed derivative; each (ny, nx). NaN
+    /// where there is none.
     values: [Array2<f64>; 4],
 }
 
 impl Sampled {
-    /// Makes the form of a map of heights along z, nm. Refuses a map without 2 x 2 valid pixels.
+    /// Returns the form of a map of heights along z, nm. Refuses a map without 2 x 2 valid pixels.
     pub fn new(map: &Surface) -> Result<Self, Invalid> {
         let mut z = map.height_nm().mapv(|nm| nm / NM_PER_MM);
         continue_by_one(&mut z);
@@ -47,24 +50,24 @@ impl Sampled {
         Ok(form)
     }
 
-    /// Returns the pixel centres.
+    /// Returns the pixel centres of the map.
     pub fn grid(&self) -> &Grid {
         self.map.grid()
     }
 
-    /// Returns the centre of the valid pixel that is nearest to a place [x, y], mm.
+    /// Returns the centre [x, y] of the valid pixel that is nearest to the point `p` [x, y], mm.
     pub fn nearest_mm(&self, p: [f64; 2]) -> [f64; 2] {
         let (r, c) = self.map.nearest_valid(p);
         [self.grid().x.coordinate_mm(c), self.grid().y.coordinate_mm(r)]
     }
 
-    /// Returns true if the four corners of a cell have heights and slopes.
+    /// Returns true if the four corners of the cell with the first row `r` and column `c` have heights and slopes.
     fn is_cell(&self, r: usize, c: usize) -> bool {
         let corner = |r, c| self.values.iter().all(|v| v[[r, c]].is_finite());
         corner(r, c) && corner(r, c + 1) && corner(r + 1, c) && corner(r + 1, c + 1)
     }
 
-    /// Returns the height at a place, mm; NaN where there is none.
+    /// Returns the height at (x, y), mm, with its derivatives; NaN where the form does not exist.
     pub(crate) fn jet(&self, [x, y]: [Jet; 2]) -> Jet {
         let grid = self.grid();
         let [s, t] = [(&grid.x, x), (&grid.y, y)].map(|(axis, v)| pixels(axis, v.value));
@@ -87,8 +90,8 @@ impl Sampled {
         Jet::composed(sums, [x, y])
     }
 
-    /// Row and column of the cell that holds the place (s, t), in pixels along x and y; `None` where the nearest pixel
-    /// is invalid or a corner lacks its slopes.
+    /// Returns the row and the column of the first pixel of the cell that contains the point (s, t), in pixels along x
+    /// and y. `None` where the nearest pixel is invalid or a corner lacks its slopes.
     fn cell_around(&self, s: f64, t: f64) -> Option<(usize, usize)> {
         let Grid { x, y } = self.grid();
         let mut nearest_pixels = pairs(nearest_pixels(t, y), nearest_pixels(s, x));
@@ -99,21 +102,23 @@ impl Sampled {
     }
 }
 
-/// Pixels that are nearest to a coordinate in pixels: two, if it lies between them.
+/// Returns the indices of the pixels nearest to a coordinate, which is in pixels: two if it lies midway between them.
+/// `None` in the place of an index beyond the axis.
 fn nearest_pixels(coordinate: f64, axis: &Axis) -> [Option<usize>; 2] {
     let low = (coordinate - 0.5 - ON_THE_EDGE).ceil();
     let high = (coordinate + 0.5 + ON_THE_EDGE).floor();
     [low, high].map(|i| if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None })
 }
 
-/// First pixels of the cells that hold a coordinate in pixels: on a node, the cell before it will do as well.
+/// Returns the first pixel of the cell that contains a coordinate, which is in pixels. On a pixel centre, the cell
+/// before it follows as the second choice.
 fn cells(coordinate: f64, axis: &Axis) -> [Option<usize>; 2] {
     let i = (coordinate.max(0.0) as usize).min(axis.len() - 2);
     let on_node = (coordinate - i as f64) < ON_THE_EDGE && i > 0;
     [Some(i), if on_node { Some(i - 1) } else { None }]
 }
 
-/// All pairs (row, column) of those that exist.
+/// Returns all pairs (row, column) of the indices that are not `None`.
 fn pairs(
     rows: [Option<usize>; 2],
     columns: [Option<usize>; 2],
@@ -121,13 +126,13 @@ fn pairs(
     rows.into_iter().flatten().flat_map(move |r| columns.into_iter().flatten().map(move |c| (r, c)))
 }
 
-/// Coordinate in pixels from the first one.
+/// Returns the coordinate `mm` in pixels from the first pixel of the axis.
 fn pixels(axis: &Axis, mm: f64) -> f64 {
     (mm - axis.start_mm()) / axis.step_mm()
 }
 
-/// Cubic Hermite basis at f in [0, 1], of the heights at both ends, then of the slopes per pixel; and its first and second
-/// derivatives by a coordinate in mm, for pixels of this size, mm.
+/// Returns the cubic Hermite basis at f in [0, 1], and its first and second derivatives by a coordinate in mm. The four
+/// functions belong to the heights at both ends, then to the slopes per pixel; `pixel_mm` is the size of a pixel.
 fn basis(f: f64, pixel_mm: f64) -> [[f64; 4]; 3] {
     let end = f * f * (3.0 - 2.0 * f);
     let start = f * f * (f - 1.0);
@@ -141,7 +146,7 @@ fn basis(f: f64, pixel_mm: f64) -> [[f64; 4]; 3] {
     ]
 }
 
-/// Gives invalid pixels beside valid ones the mean of the quadratic continuations along x and y that exist.
+/// Gives every invalid pixel beside valid ones the mean of the quadratic continuations along x and y that exist.
 fn continue_by_one(z: &mut Array2<f64>) {
     let map = z.clone();
     for (pixel, v) in z.indexed_iter_mut().filter(|(_, v)| v.is_nan()) {
@@ -153,7 +158,8 @@ fn continue_by_one(z: &mut Array2<f64>) {
     }
 }
 
-/// Value at a pixel of the quadratic through the three pixels on one side of it; NaN where one is missing.
+/// Returns the value at a pixel of the quadratic through the next three pixels in the direction [rows, columns]; NaN if
+/// one of them is missing.
 fn continuation(map: &Array2<f64>, (r, c): (usize, usize), [dr, dc]: [isize; 2]) -> f64 {
     let [a, b, d] = [1, 2, 3].map(|k| {
         let row = r.checked_add_signed(k * dr);
@@ -163,7 +169,8 @@ fn continuation(map: &Array2<f64>, (r, c): (usize, usize), [dr, dc]: [isize; 2])
     3.0 * a - 3.0 * b + d
 }
 
-/// Replaces heights along a line by their slopes, run by run; NaN where a run has one pixel.
+/// Replaces the heights along a row or column by their slopes per pixel, for each run of valid pixels. NaN if a run has
+/// one pixel.
 fn slopes(mut line: ArrayViewMut1<f64>) {
     let n = line.len();
     let mut start = 0;
@@ -179,7 +186,7 @@ fn slopes(mut line: ArrayViewMut1<f64>) {
     }
 }
 
-/// Slopes of a run of heights, per pixel.
+/// Returns the slopes, per pixel, of a run of heights at neighbouring pixels, by (1) and (2) of the module.
 fn slopes_of_run(z: &[f64]) -> Vec<f64> {
     let n = z.len();
     match n {

@@ -1,4 +1,4 @@
-//! Zernike terms on a circle, by the three numberings of the field.
+//! Zernike terms on a circle, by the three usual numberings of optics.
 //!
 //! ```text
 //! Z_n^m = N R_n^|m|(rho) cos(m phi)  (m >= 0)   or   sin(|m| phi)  (m < 0)
@@ -16,11 +16,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::jet::Jet;
 
-/// Largest order n. Larger: the sum of R loses digits. Smaller: fine terms are refused. Derived: at n = 20 the largest
-/// addend is 4e6, so that nine digits are left.
+/// Largest radial order n. Larger: the sum of R loses digits. Smaller: fine terms are refused. Derived: at n = 20 the
+/// largest addend is 4e6, so that nine digits are left.
 const LARGEST_ORDER: u32 = 20;
 
-/// Numbering of the terms, which says their normalisation as well.
+/// Numbering of Zernike terms, which determines their normalisation as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Numbering {
@@ -33,8 +33,8 @@ pub enum Numbering {
 }
 
 impl Numbering {
-    /// Order n and azimuthal order m of a term; m < 0 is the sine. Refuses an index that is none, or of an order above
-    /// 20.
+    /// Returns the radial order n and the azimuthal order m of the term with this index; m < 0 is the sine. Refuses an
+    /// index that does not exist, or whose order is above 20.
     pub fn order(self, index: u32) -> Result<(u32, i32), Invalid> {
         for n in 0..=LARGEST_ORDER as i32 {
             for m in (-n..=n).step_by(2) {
@@ -70,7 +70,7 @@ impl Numbering {
         j as u32
     }
 
-    /// Factor N of a term.
+    /// Returns the factor N of the module, which normalises a term.
     fn norm(self, n: u32, m: i32) -> f64 {
         match (self, m) {
             (Self::Fringe, _) => 1.0,
@@ -79,7 +79,8 @@ impl Numbering {
         }
     }
 
-    /// Returns the term `index` at the coordinates [x, y] over the radius of the circle.
+    /// Returns the term with this index, with its derivatives; x and y are from the centre of the circle, over its
+    /// radius.
     pub(crate) fn term(self, index: u32, [x, y]: [Jet; 2]) -> Result<Jet, Invalid> {
         let (n, m) = self.order(index)?;
         let a = m.unsigned_abs();

@@ -22,35 +22,36 @@ use planish_numerics::orthogonal;
 use planish_types::{Grid, Invalid};
 use rayon::prelude::*;
 
-/// Number of rows that are summed together, so that the order of the sums does not depend on the threads.
-/// Larger: fewer tasks for the threads. Smaller: more memory for partial sums. Another value changes the
-/// last digits of the result.
+/// Number of rows of the map that are summed together, so that the order of the sums does not depend on the threads.
+/// Larger: fewer tasks for the threads. Smaller: more memory for partial sums. Another value changes the last digits of
+/// the result.
 const BAND: usize = 16;
 
-/// Smallest ratio of the eigenvalues of the scaled G, dimensionless; a smaller one is refused. Larger:
-/// refuses apertures on which the terms are hard to tell apart. Smaller: accepts terms that depend on each
-/// other on the valid pixels, for which the refinement does not converge.
+/// Smallest ratio of the least to the largest eigenvalue of G, scaled to a unit diagonal; with a smaller ratio the fit
+/// is refused. Larger: refuses apertures on which the terms are hard to tell apart. Smaller: accepts terms that depend
+/// on each other on the valid pixels, for which the refinement does not converge.
 const LEAST_EIGENVALUE: f64 = 1e-10;
 
 /// Number of steps of iterative refinement. Larger: more time, no more digits. Smaller: the coefficients
 /// lose the digits that the normal equations lose.
 const REFINEMENTS: usize = 2;
 
-/// Functions on the pixels of a grid.
+/// Terms phi_k of the fit, as functions on the pixels of a grid.
 pub(crate) enum Basis {
-    /// `f_i(u) f_j(v)` for every [i, j] in `terms`.
+    /// Products `f_i(u) f_j(v)` of polynomials of one variable, one for every [i, j] in `terms`.
     Tensor {
         terms: Vec<[u32; 2]>,
-        /// f_i at the columns, (nx, orders).
+        /// Polynomials f_i at the columns (nx, orders).
         along_x: Array2<f64>,
-        /// f_j at the rows, (ny, orders).
+        /// Polynomials f_j at the rows (ny, orders).
         along_y: Array2<f64>,
     },
-    /// All Zernike terms up to `order`, of unit RMS on the unit disc.
+    /// All Zernike terms up to `order`, of unit RMS on the unit disc; `x` and `y` are the pixel centres over its
+    /// radius.
     Zernike { order: u32, x: Vec<f64>, y: Vec<f64> },
 }
 
-/// Family of the polynomials of one variable.
+/// Family of the polynomials of one variable in a product.
 #[derive(Clone, Copy)]
 pub(crate) enum Polynomial {
     Legendre,
@@ -58,7 +59,7 @@ pub(crate) enum Polynomial {
 }
 
 impl Basis {
-    /// Returns the products of polynomials in u and v, which run from -1 to 1 over `x_mm` and `y_mm`.
+    /// Returns the products of polynomials in u and v, which run from -1 to 1 over the ranges `x_mm` and `y_mm`.
     pub(crate) fn tensor(
         grid: &Grid,
         [x_mm, y_mm]: [[f64; 2]; 2],
@@ -97,7 +98,7 @@ impl Basis {
         }
     }
 
-    /// Returns the terms as [order along x, order along y], or [n, m].
+    /// Returns the orders of all terms: [order along x, order along y], or [n, m] of Zernike terms.
     pub(crate) fn terms(&self) -> Vec<[i32; 2]> {
         match self {
             Self::Tensor { terms, .. } => terms.iter().map(|t| t.map(|k| k as i32)).collect(),
@@ -107,7 +108,7 @@ impl Basis {
         }
     }
 
-    /// phi_k on row `r`, (nx, k).
+    /// Returns the values of all terms phi_k on row `r` of the map, (nx, k).
     fn row(&self, r: usize) -> Array2<f64> {
         match self {
             Self::Tensor { terms, along_x, along_y } => {
@@ -135,7 +136,7 @@ impl Basis {
         }
     }
 
-    /// Returns `sum_k c_k phi_k` on every pixel of `shape`.
+    /// Returns the sum of the terms times their `coefficients` (k), on every pixel of a map of this shape (ny, nx).
     pub(crate) fn sum(&self, shape: (usize, usize), coefficients: &[f64]) -> Array2<f64> {
         let c = Array1::from(coefficients.to_vec());
         let mut out = Array2::zeros(shape);
@@ -145,19 +146,21 @@ impl Basis {
     }
 }
 
-/// The fitted terms.
+/// Result of a least-squares fit of the terms.
 pub(crate) struct BasisFit {
-    /// Coefficients, one per term.
+    /// Coefficients c of the module, one per term, in the unit of the map.
     pub coefficients: Vec<f64>,
     /// Sum of the fitted terms on every pixel, (ny, nx).
     pub map: Array2<f64>,
-    /// Condition number of the terms on the valid pixels, each scaled to the same RMS.
+    /// Condition number of G, the matrix of the normal equations, with each term scaled to the same RMS on the valid
+    /// pixels.
     pub condition: f64,
     /// Largest correlation of two terms on the valid pixels; 0 if they are orthogonal.
     pub largest_correlation: f64,
 }
 
-/// Fits the basis to the valid pixels of `map`.
+/// Fits the basis to the valid pixels of `map` (ny, nx). Refuses fewer than two pixels per term, and pixels that do not
+/// determine the terms.
 pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<BasisFit, Invalid> {
     let terms = basis.len();
     let valid = map.iter().filter(|v| !v.is_nan()).count();
@@ -214,7 +217,7 @@ pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<BasisFit, Inval
     })
 }
 
-/// G (zeros unless asked for) and b.
+/// Returns the matrix G and the right-hand side b of the module. Without `with_gram`, G is zero.
 fn sums(basis: &Basis, map: ArrayView2<f64>, with_gram: bool) -> (DMatrix<f64>, DVector<f64>) {
     let terms = basis.len();
     let bands: Vec<_> = map

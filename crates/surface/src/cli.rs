@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and arguments that several of them share.
+//! Subcommands of `planish-surface`, one file each, and arguments that several of them share.
 
 mod draw;
 mod line;
@@ -15,7 +15,7 @@ use planish_handoff::{Failure, Inputs, Status, Subcommands};
 use planish_surface::low_order::Circle;
 use planish_types::{Removal, Surface};
 
-/// The numbers of a circle on the command line.
+/// Names of the numbers of a circle on the command line: centre x, centre y and radius, mm.
 const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
 
 #[derive(Debug, Subcommand)]
@@ -76,7 +76,7 @@ impl MapArgs {
     }
 }
 
-/// The circle of the three numbers [`CIRCLE`].
+/// Returns the circle of three numbers in the order of [`CIRCLE`], mm.
 fn circle(numbers: &[f64]) -> Circle {
     Circle { centre_mm: [numbers[0], numbers[1]], radius_mm: numbers[2] }
 }

@@ -21,7 +21,8 @@ struct SurfaceCli<Others: Subcommands> {
     method: crate::cli::SurfaceCommand<Others>,
 }
 
-/// Returns the command `planish surface`, with further subcommands of another stage, which have a second name here.
+/// Returns the command `planish surface`. `Others` are the subcommands of another stage, which can be called under this
+/// name as well.
 pub const fn command<Others: Subcommands>() -> Stage {
     Stage {
         name: env!("CARGO_PKG_NAME"),

@@ -23,11 +23,11 @@ use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut1};
 use planish_types::Grid;
 use rayon::prelude::*;
 
-/// Distance to the nearest valid pixel, and the place of that pixel.
+/// Distance of every pixel to its nearest valid pixel, and the index of that pixel.
 pub(crate) struct Nearest {
     /// Distance to the nearest valid pixel (ny, nx), mm; 0 on a valid pixel.
     pub distance_mm: Array2<f64>,
-    /// Place (row, column) of the nearest valid pixel (ny, nx).
+    /// Index (row, column) of the nearest valid pixel, for every pixel (ny, nx).
     pub place: Array2<(usize, usize)>,
 }
 
@@ -70,7 +70,8 @@ pub(crate) fn nearest(map: ArrayView2<f64>, grid: &Grid) -> Nearest {
     }
 }
 
-/// Smallest `(c - c')^2 dx^2 + g^2` over the sites (c', row, g^2), for every column c.
+/// Returns, for every column c of a row, the smallest `(c - c')^2 dx^2 + g^2` and the (row, column) of the site that
+/// has it. A site (c', row, g^2) is the nearest valid pixel of column c'; `dx` is the pixel step, mm.
 fn envelope(sites: &[(usize, usize, f64)], nx: usize, dx: f64) -> Vec<(f64, (usize, usize))> {
     // Sites on the envelope, and from which column on each is the lowest.
     let mut lowest: Vec<(usize, f64)> = Vec::with_capacity(sites.len());
@@ -101,8 +102,8 @@ fn envelope(sites: &[(usize, usize, f64)], nx: usize, dx: f64) -> Vec<(f64, (usi
         .collect()
 }
 
-/// Returns the distance (ny, nx), mm, of the centre of every pixel from the nearest point of a `marked` one; 0 in
-/// these. At least one is marked.
+/// Returns the distance (ny, nx), mm, of the centre of every pixel from the nearest point of a `marked` pixel; 0 in a
+/// marked one. At least one pixel has to be marked.
 pub(crate) fn to_marked(marked: &Array2<bool>, grid: &Grid) -> Array2<f64> {
     let (ny, nx) = marked.dim();
     let [dx, dy] = [grid.x, grid.y].map(|axis| axis.step_mm());
@@ -134,7 +135,8 @@ pub(crate) fn to_marked(marked: &Array2<bool>, grid: &Grid) -> Array2<f64> {
     distance
 }
 
-/// Lowers the squared distances of a column to those from the last marked pixel before each, in the order of `rows`.
+/// Lowers the squared distances of a column, mm^2, to those from the last marked pixel that precedes each of them in
+/// the order of `rows`.
 fn lower_behind_marked(
     column: &mut ArrayViewMut1<f64>,
     marked: ArrayView1<bool>,

@@ -31,32 +31,32 @@ const MAX_CELLS: usize = 110;
 /// visible steps.
 const BANDS: usize = 24;
 
-/// A map to draw.
+/// A map to draw, one picture in a drawing of several.
 #[derive(Clone, Debug)]
 pub struct Panel {
     /// Title above the map.
     pub title: String,
-    /// Pixels of the map.
+    /// Grid of the pixels of the map.
     pub grid: Grid,
     /// Heights of the map (ny, nx); NaN = invalid.
     pub map: Array2<f64>,
 }
 
-/// Settings of a picture of maps.
+/// Settings of a drawing of maps.
 #[derive(Clone, Debug)]
 pub struct MapsSettings {
     /// Unit of the heights, for the scales.
     pub unit: &'static str,
     /// y of the section, mm; `None` takes the middle of the first map.
     pub section_y_mm: Option<f64>,
-    /// One colour scale for all maps.
+    /// True to draw all maps in one colour scale.
     pub common_scale: bool,
-    /// A map whose valid pixels are outlined in all.
+    /// Map whose valid pixels are outlined in all pictures; `None` for no outline.
     pub outline: Option<Panel>,
 }
 
-/// Draws the maps one after the other, and below them one section through all. A section that meets none of the maps is
-/// refused.
+/// Draws the maps one below the other, and below them one section through all of them, as SVG text. Refuses a section
+/// that meets none of the maps.
 pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Invalid> {
     let Some(first) = panels.first() else { return Ok(String::new()) };
     if let Some(y) = settings.section_y_mm
@@ -100,7 +100,7 @@ pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Inv
     Ok(svg.finish([cell[0] * columns as f64, top + HEIGHT + MARGIN[1] + MARGIN[3]]))
 }
 
-/// Draws the spectra along x and y, and the radial one, on logarithmic axes.
+/// Draws the spectra along x and y, and the radial one, on logarithmic axes, as SVG text.
 pub fn psd_svg(psd: &Psd) -> String {
     let mut svg = Svg::new(FONT_PX);
     let lines = [
@@ -131,20 +131,22 @@ pub fn psd_svg(psd: &Psd) -> String {
     svg.finish([2.0 * total, size[1] + MARGIN[1] + MARGIN[3]])
 }
 
-/// Points that a logarithmic picture can show: without the first bin, which holds the mean, and positive.
+/// Returns the points [frequency, density] that a logarithmic picture can show. It omits the first bin, which contains
+/// the mean, and densities that are not positive.
 fn positive_points(frequency: &[f64], density: &[f64]) -> Vec<[f64; 2]> {
     let points = frequency.iter().zip(density).skip(1);
     points.filter(|(_, s)| **s > 0.0).map(|(f, s)| [*f, *s]).collect()
 }
 
-/// Range of a plot: that of the data, wider by 4 % at both ends; about a single value, 1 to each side.
+/// Returns the range of a plot: the range of the data, wider by 4 % at both ends. About a single value it is wider by 1
+/// on each side.
 fn with_rim([low, high]: [f64; 2]) -> [f64; 2] {
     let rim = if high > low { 0.04 * (high - low) } else { 1.0 };
     [low - rim, high + rim]
 }
 
-/// Ratio of height to width of a drawing: that of the map, but limited, because the drawing of a narrow
-/// strip would have no height, or more than a page of it.
+/// Returns the ratio of height to width of a drawing: that of the map, limited to 0.08 to 2. Without the limits, a
+/// narrow strip would have no height, or more than a page of it.
 fn ratio(grid: &Grid) -> f64 {
     let [width, height] = [&grid.x, &grid.y].map(|axis| axis.len() as f64 * axis.step_mm());
     (height / width).clamp(0.08, 2.0)
@@ -175,8 +177,8 @@ fn map(
     frame.title(svg, &panel.title);
 }
 
-/// The row of the map nearest to `y_mm`: x and height, NaN where it is invalid; `None` beyond the
-/// map.
+/// Returns the points [x in mm, height] of the map row nearest to `y_mm`; the height is NaN where it is invalid. `None`
+/// if `y_mm` is beyond the map.
 fn section(panel: &Panel, y_mm: f64) -> Option<Vec<[f64; 2]>> {
     let [low, high] = panel.grid.y.edges_mm();
     if !(low..=high).contains(&y_mm) {
@@ -188,7 +190,7 @@ fn section(panel: &Panel, y_mm: f64) -> Option<Vec<[f64; 2]>> {
     Some(row.iter().enumerate().map(|(c, z)| [panel.grid.x.coordinate_mm(c), *z]).collect())
 }
 
-/// Curves in their colours, with their names where there are several.
+/// Draws curves, each in a colour of its own, and their names if there are several.
 fn curves(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
     for (k, (_, points)) in curves.iter().enumerate() {
         frame.curve(svg, points.iter().copied(), colour::of_line(k));
@@ -199,7 +201,7 @@ fn curves(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
     }
 }
 
-/// The edges between valid and invalid pixels of a map.
+/// Draws the edges between valid and invalid pixels of a map.
 fn outline(svg: &mut Svg, frame: &Frame, panel: &Panel) {
     let (ny, nx) = panel.map.dim();
     let Grid { x, y } = &panel.grid;

@@ -38,41 +38,41 @@ pub struct ExtensionSettings {
     /// Margin on every side, rounded up to whole pixels, mm; >= 0. At 0 only the invalid pixels of
     /// the map itself get a height.
     pub margin_mm: f64,
-    /// Method of the extension.
+    /// Method that gives the new pixels their heights.
     pub method: ExtensionMethod,
 }
 
-/// Source of the heights of new pixels.
+/// Method that gives the new pixels their heights.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExtensionMethod {
-    /// The nearest valid pixel.
+    /// Height of the nearest valid pixel.
     Nearest,
-    /// The nearest valid pixel, decaying.
+    /// Height of the nearest valid pixel, decaying to zero with the distance.
     GaussianDecay(gaussian_decay::GaussianDecaySettings),
-    /// No high spatial frequencies.
+    /// Continuation without high spatial frequencies.
     GerchbergPapoulis(gerchberg_papoulis::GerchbergPapoulisSettings),
-    /// A polynomial.
+    /// Continuation of a polynomial fit.
     Polynomial(polynomial::PolynomialSettings),
 }
 
-/// Extent and heights of the extension.
+/// Extent of the extension, and numbers of its heights.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExtensionReport {
     /// Pixels added on every side (rows, columns).
     pub margin_px: (usize, usize),
-    /// Pixels that got a height.
+    /// Number of pixels that got a height.
     pub extended_pixels: usize,
     /// Smallest and largest of the new heights, nm; those of the map if there are no new heights.
     pub range_nm: [f64; 2],
-    /// Population RMS of the steps between neighbours (a valid and an extended pixel), nm.
+    /// Population RMS of the height steps at the edge, between neighbours of which one is valid and the other new, nm.
     pub step_rms_nm: f64,
-    /// Numbers that only this method reports.
+    /// Further numbers of the method, such as its number of steps; `null` if it has none.
     #[serde(flatten)]
     pub own: Value,
 }
 
-/// Extends `surface` by the margin; the result has no invalid pixel.
+/// Extends `surface` by the margin on every side. The result has no invalid pixel.
 ///
 /// # Errors
 /// Refuses a margin that makes too many pixels, settings of the method out of their range, and a map that does not
@@ -111,7 +111,7 @@ pub fn extend(
     Ok((Surface::new(grid, extended)?, report))
 }
 
-/// The grid with a margin of whole pixels on every side.
+/// Returns the grid with a margin of whole pixels on every side, and the margin (rows, columns) in pixels.
 fn enlarged(grid: &Grid, margin_mm: f64) -> Result<(Grid, (usize, usize)), Invalid> {
     if !(margin_mm.is_finite() && margin_mm >= 0.0) {
         return Err(Invalid::whole(
@@ -149,7 +149,7 @@ fn enlarged(grid: &Grid, margin_mm: f64) -> Result<(Grid, (usize, usize)), Inval
     Ok((Grid { x: longer(&grid.x)?, y: longer(&grid.y)? }, grid_px))
 }
 
-/// RMS of the differences between neighbours of which one is valid in `map`.
+/// Returns the RMS of the differences in `extended` between neighbours of which exactly one is valid in `map`, nm.
 fn step_rms(map: &Array2<f64>, extended: &Array2<f64>) -> f64 {
     let mut sum = 0.0;
     let mut count = 0;

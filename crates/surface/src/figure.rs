@@ -1,4 +1,4 @@
-//! The figure of a map, without the pits in it.
+//! The figure of a map: its smooth part, without the pits in it.
 //!
 //! ```text
 //! q(u, v) = sum_ij c_ij P_i(u) P_j(v),   u, v from -1 to 1 over a window,   c = argmin sum rho(z - q)
@@ -38,12 +38,12 @@ use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::orthogonal::legendre;
 use rayon::prelude::*;
 
-/// Number of orders along an axis, p + 1. Larger: follows shorter waves, and pits too, in more time.
-/// Smaller: leaves waves of the figure, which then look like pits. Derived: order 10 follows one wave over
-/// the window to 4e-5 of its height.
+/// Number of orders along an axis, p + 1 in the module. Larger: follows shorter waves, and pits too, in more time.
+/// Smaller: leaves waves of the figure, which then look like pits. Derived: order 10 follows one wave over the window
+/// to 4e-5 of its height.
 const ORDERS: usize = 11;
 
-/// Number of products of two polynomials of an axis.
+/// Number of different products P_i P_k of two polynomials along an axis.
 const PAIRS: usize = ORDERS * (ORDERS + 1) / 2;
 
 /// Smallest number of samples per term; with fewer samples the order is lower. Larger: lower orders in
@@ -57,18 +57,16 @@ const MAX_SAMPLES: usize = 100;
 /// Number of weighted fits after the first one. Larger: more time. Smaller: pits still pull the fit.
 const ROUNDS: usize = 8;
 
-/// Term that is added to the diagonal of the normal equations, relative to its mean. Larger: moves heights.
-/// Smaller: pixels on a line cannot be fitted. Chosen: far above rounding, and far below what moves a
-/// height.
+/// Number that is added to the diagonal of the normal equations, relative to the mean of the diagonal. Larger: moves
+/// heights. Smaller: pixels on a line cannot be fitted. Chosen: far above rounding, and far below what moves a height.
 const RIDGE: f64 = 1e-10;
 
-/// Weight of a window with samples for a lower order only, relative to a window with all orders. Larger:
-/// such a window changes pixels that have a better one. Smaller: rounding. It counts only at pixels without
-/// another window.
+/// Weight of a window whose samples suffice for a lower order only, relative to a window with all orders. Larger: such
+/// a window changes pixels that have a better one. Smaller: rounding. It counts only at pixels without another window.
 const LAST_RESORT: f64 = 1e-6;
 
-/// Computes the figure at every pixel, from windows of the given numbers of pixels along y and x, or of the whole map
-/// if that is smaller.
+/// Computes the figure at every pixel (ny, nx). `window` is the size of the windows along y and x in pixels, limited to
+/// the size of the map.
 pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
     let rows = windows(map.nrows(), window.0);
     let columns = windows(map.ncols(), window.1);
@@ -98,7 +96,7 @@ pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
     sum
 }
 
-/// Ranges of `window` of `n` pixels that overlap by half of it or more.
+/// Returns the ranges of windows of `window` pixels that cover `n` pixels. Neighbours overlap by half a window or more.
 fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
     let window = window.min(n);
     let rest = n - window;
@@ -106,8 +104,8 @@ fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
     (0..=steps).map(|k| rest * k / steps.max(1)).map(|start| start..start + window).collect()
 }
 
-/// Distance of the pixels of a window to its border, in windows, at most 1; the border of the map counts as
-/// infinitely far.
+/// Returns the weights of the pixels of a window along one axis: the distance to the border of the window, over its
+/// size, at most 1. The border of the map, which has `n` pixels, counts as infinitely far.
 fn tent(window: &Range<usize>, n: usize) -> Vec<f64> {
     let pixels = window.clone().map(|i| {
         let low = (i - window.start) as f64 + 0.5;
@@ -119,32 +117,32 @@ fn tent(window: &Range<usize>, n: usize) -> Vec<f64> {
     pixels.collect()
 }
 
-/// Polynomial q of a window.
+/// Polynomial q of the module, fitted to one window.
 struct WindowFit {
     terms: Terms,
     order: usize,
-    /// Coefficients of the terms, in their order, nm.
+    /// Coefficients of the terms, in the order of [`Terms::up_to`], nm.
     c: DVector<f64>,
 }
 
-/// Rule for the terms of an order.
+/// Rule that selects the terms P_i P_j of an order p.
 #[derive(Clone, Copy, PartialEq)]
 enum Terms {
-    /// i + j <= p
+    /// Terms with i + j <= p.
     Sum,
-    /// i <= p, j <= p
+    /// Terms with i <= p and j <= p.
     Each,
 }
 
 impl Terms {
-    /// (i, j) of the terms of an order.
+    /// Returns (i, j) of all terms up to an order.
     fn up_to(self, order: usize) -> impl Iterator<Item = (usize, usize)> {
         let last = move |i: usize| if self == Self::Sum { order - i } else { order };
         (0..=order).flat_map(move |i| (0..=last(i)).map(move |j| (i, j)))
     }
 }
 
-/// Number of the product of P_i and P_k.
+/// Returns the index of the product P_i P_k among all products of an axis.
 fn pair(i: usize, k: usize) -> usize {
     let low = i.min(k);
     let high = i.max(k);
@@ -152,8 +150,8 @@ fn pair(i: usize, k: usize) -> usize {
 }
 
 impl WindowFit {
-    /// Returns argmin sum rho(z - q) with the terms of the highest order for which there are samples enough; `None`
-    /// without a sample.
+    /// Fits the polynomial to a window by the rule rho of the module, with the highest order for which there are enough
+    /// samples. `None` if the window has no valid sample.
     fn new(map: ArrayView2<f64>, terms: Terms) -> Option<Self> {
         let at_y = samples(map.nrows());
         let at_x = samples(map.ncols());
@@ -215,7 +213,7 @@ impl WindowFit {
         }
         last_fit
     }
-    /// q on the pixels of a window of this shape.
+    /// Returns the fitted polynomial q on the pixels of a window (ny, nx), nm.
     fn heights(&self, ny: usize, nx: usize) -> Array2<f64> {
         self.on(polynomials(ny).iter(), polynomials(nx).iter())
     }
@@ -241,7 +239,7 @@ impl WindowFit {
     }
 }
 
-/// P_0 ... P_p at `n` pixels from -1 to 1.
+/// Returns the Legendre polynomials P_0 to P_p at `n` pixels, which run from -1 to 1.
 fn polynomials(n: usize) -> Vec<[f64; ORDERS]> {
     let half = 0.5 * (n - 1) as f64;
     let mut all = vec![[0.0; ORDERS]; n];
@@ -251,7 +249,7 @@ fn polynomials(n: usize) -> Vec<[f64; ORDERS]> {
     all
 }
 
-/// The polynomials at the pixels `samples`, each with its [`products`].
+/// Returns the values of the polynomials at the pixels with the indices `samples`, each with its [`products`].
 fn with_products(
     polynomials: &[[f64; ORDERS]],
     samples: &[usize],
@@ -259,7 +257,7 @@ fn with_products(
     samples.iter().map(|k| (polynomials[*k], products(&polynomials[*k]))).collect()
 }
 
-/// P_i P_k, in the order of [`pair`].
+/// Returns the products P_i P_k of the polynomials `p` at a pixel, in the order of [`pair`].
 fn products(p: &[f64; ORDERS]) -> [f64; PAIRS] {
     let mut out = [0.0; PAIRS];
     for high in 0..ORDERS {
@@ -270,7 +268,7 @@ fn products(p: &[f64; ORDERS]) -> [f64; PAIRS] {
     out
 }
 
-/// Equally spaced pixels of an axis.
+/// Returns the indices of equally spaced pixels of an axis of `n` pixels, at most [`MAX_SAMPLES`] of them.
 fn samples(n: usize) -> Vec<usize> {
     let step = n.div_ceil(MAX_SAMPLES).max(1);
     ((step - 1) / 2..n).step_by(step).collect()

@@ -23,23 +23,23 @@ use serde::Serialize;
 
 use crate::distance::nearest;
 
-/// Residual at which the conjugate gradients end, relative to the residual of the mean of the rim. Larger:
-/// less accurate heights. Smaller: it may never be reached in double precision. Derived: the condition
-/// number of a hole of 1000 px is 1e6, so the heights are accurate to about 1e-6 of the range of the rim.
+/// Residual at which the conjugate gradients end, relative to the residual of a hole filled with the mean of its rim.
+/// Larger: less accurate heights. Smaller: it may never be reached in double precision. Derived: the condition number
+/// of a hole of 1000 px is 1e6, so the heights are accurate to about 1e-6 of the range of the rim.
 const TOLERANCE: f64 = 1e-12;
 
-/// Fraction of filled pixels above which the report has a note. Larger: does not notice maps that are
-/// mostly guessed. Smaller: notes for usual holes.
+/// Fraction of filled pixels above which the report has a note. Larger: no note on maps that are mostly guessed.
+/// Smaller: notes on usual holes.
 const NOTEWORTHY_FRACTION: f64 = 0.05;
 
-/// Holes and pixels that were filled.
+/// Numbers of the holes and pixels that were filled.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FillReport {
-    /// Number of holes; pixels of a hole are connected by edges.
+    /// Number of holes. The pixels of a hole are connected by edges.
     pub holes: usize,
-    /// Pixels filled.
+    /// Number of pixels that were filled.
     pub filled_pixels: usize,
-    /// Filled pixels over all pixels of the result.
+    /// Number of filled pixels over the number of all pixels of the map.
     pub filled_fraction: f64,
     /// Largest distance of a filled pixel from a measured one, mm.
     pub deepest_mm: f64,
@@ -48,8 +48,8 @@ pub struct FillReport {
     pub note: Option<String>,
 }
 
-/// Returns true for the pixels of holes: invalid pixels that no path of invalid pixels connects to the border of the
-/// map.
+/// Returns a mask (ny, nx) of the pixels in holes: invalid pixels that no chain of invalid neighbours connects to the
+/// border of the map.
 pub fn enclosed(surface: &Surface) -> Array2<bool> {
     let map = surface.height_nm();
     let (ny, nx) = map.dim();
@@ -62,7 +62,7 @@ pub fn enclosed(surface: &Surface) -> Array2<bool> {
     hole
 }
 
-/// Fills the invalid pixels where `inside` (ny, nx) is true; the others stay as they are. Refuses a hole without a
+/// Fills the invalid pixels at which `inside` (ny, nx) is true; the others stay as they are. Refuses a hole without a
 /// valid neighbour.
 pub fn fill(surface: &Surface, inside: &Array2<bool>) -> Result<(Surface, FillReport), Invalid> {
     let map = surface.height_nm();
@@ -95,7 +95,7 @@ pub fn fill(surface: &Surface, inside: &Array2<bool>) -> Result<(Surface, FillRe
     Ok((Surface::new(*surface.grid(), filled)?, report))
 }
 
-/// The 4-connected regions of true.
+/// Returns the regions of pixels (row, column) that are true; the pixels of a region are connected by edges.
 fn regions(flags: &Array2<bool>) -> Vec<Vec<(usize, usize)>> {
     let mut open = flags.clone();
     let mut regions = Vec::new();
@@ -118,7 +118,8 @@ fn regions(flags: &Array2<bool>) -> Vec<Vec<(usize, usize)>> {
     regions
 }
 
-/// The neighbours left (side 0), right (1), below (2) and above (3), where they are in the map, each with its side.
+/// Returns the neighbours of a pixel at left (side 0), right (1), below (2) and above (3) that are within the map, each
+/// with the number of its side.
 fn neighbours(
     (r, c): (usize, usize),
     (ny, nx): (usize, usize),
@@ -128,7 +129,8 @@ fn neighbours(
     all.into_iter().enumerate().filter(move |(_, (r, c))| *r < ny && *c < nx)
 }
 
-/// `sum over neighbours of w (z_i - z_n) = 0` for every pixel i of the region.
+/// Fills one region of `map` by solving `sum over neighbours n of w (z_i - z_n) = 0` for every pixel i. The weight w is
+/// 1 over the squared step.
 fn fill_one(
     map: &mut Array2<f64>,
     region: &[(usize, usize)],
@@ -180,17 +182,17 @@ fn fill_one(
     Ok(())
 }
 
-/// The five-point formula on the pixels of a region, A = diagonal - links.
+/// Matrix A of the five-point formula on the pixels of a region: the diagonal minus the links between neighbours.
 struct Laplace {
     diagonal: Vec<f64>,
-    /// Indices of the neighbours in the region, by side; `usize::MAX` where there is none.
+    /// Index within the region of the neighbour at each side; `usize::MAX` if there is none.
     links: Vec<[usize; 4]>,
-    /// Weights of the neighbours, by side.
+    /// Weight of the neighbour at each side: 1 over the squared step, 1/mm^2.
     weight: [f64; 4],
 }
 
 impl Laplace {
-    /// Returns A z.
+    /// Returns A z, the five-point formula applied to the heights `z` of the region.
     fn apply(&self, z: &[f64]) -> Vec<f64> {
         let rows = self.links.iter().zip(&self.diagonal).zip(z).map(|((links, diagonal), own)| {
             let linked = links.iter().zip(self.weight).filter(|(n, _)| **n != usize::MAX);
@@ -199,13 +201,13 @@ impl Laplace {
         rows.collect()
     }
 
-    /// Returns r over the diagonal.
+    /// Returns the residual `r` divided by the diagonal of A.
     fn precondition(&self, r: &[f64]) -> Vec<f64> {
         r.iter().zip(&self.diagonal).map(|(r, d)| r / d).collect()
     }
 }
 
-/// Solves A z = b with the diagonal as the preconditioner.
+/// Solves A z = b by conjugate gradients, with the diagonal of A as the preconditioner.
 fn conjugate_gradients(matrix: &Laplace, b: &[f64]) -> Vec<f64> {
     let mut z = vec![0.0; b.len()];
     let mut r = b.to_vec();

@@ -43,21 +43,21 @@ pub use prepare::{Level, PrepareReport, PrepareSettings, Prepared, prepare, prep
 
 use planish_types::Invalid;
 
-/// Reason why a map cannot be prepared.
+/// Reason why the preparation refuses a map.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PrepareError {
-    /// A value that cannot be what it claims to be.
+    /// A value that is not valid, such as a setting out of its range.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// A clear aperture in one row or one column.
+    /// A clear aperture that covers a single row or column of pixels.
     #[error(
         "clear aperture: holds {rows} row(s) and {columns} column(s) of pixels; \
          a map needs at least 2 x 2, check its size and units"
     )]
     TooSmall {
-        /// Rows of the bounding box.
+        /// Number of rows of the bounding box of the aperture.
         rows: usize,
-        /// Columns of the bounding box.
+        /// Number of columns of the bounding box of the aperture.
         columns: usize,
     },
     /// The outlier mask would take more than the allowed fraction of the pixels.
@@ -66,9 +66,9 @@ pub enum PrepareError {
          raise the thresholds, give the right feature size, or a smaller margin (`outlier_dilate_px`)"
     )]
     TooManyMasked {
-        /// Pixels that the mask would take.
+        /// Number of pixels that the mask would take.
         masked: usize,
-        /// Valid pixels.
+        /// Number of valid pixels.
         valid: usize,
         /// Ratio of masked to valid pixels, %.
         percent: f64,
@@ -81,7 +81,7 @@ pub enum PrepareError {
          use the level piston"
     )]
     NoPlane {
-        /// Valid pixels.
+        /// Number of valid pixels.
         valid: usize,
     },
 }

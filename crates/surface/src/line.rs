@@ -9,8 +9,8 @@
 //! int R1(x - p) D(p) dp = h(x)
 //! ```
 //!
-//! Both are written as artifacts of the usual kinds, so that every stage plans and judges them as it does maps. The map has
-//! three equal rows at y = -W/2, 0, W/2 (in (2) W = d). The TIF has R1 in its rows at these offsets, and zeros at
+//! Both are written as artifacts of the usual kinds, so that every stage plans and judges them as it does maps. The map
+//! has three equal rows at y = -W/2, 0, W/2 (in (2) W = d). The TIF has R1 in its rows at these offsets, and zeros at
 //! -W and W: at the rows of the map, a tool at y = 0 has R1 exactly, because the cubic interpolation passes through the
 //! samples.
 //!
@@ -36,7 +36,7 @@ use crate::{
     shape::{Shape, ShapeReport},
 };
 
-/// The part across the line.
+/// Extent of the part across the line, and the passes of the tool over it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Across {
@@ -47,13 +47,13 @@ pub enum Across {
 }
 
 impl Across {
-    /// W or d, mm.
+    /// Returns the width W or the distance of lines d of the module, mm.
     fn width_mm(self) -> f64 {
         let (Self::StripWidthMm(width) | Self::PitchMm(width)) = self;
         width
     }
 
-    /// Name of the setting.
+    /// Returns the name of the setting, for messages.
     fn name(self) -> &'static str {
         match self {
             Self::StripWidthMm(_) => "strip_width_mm",
@@ -80,42 +80,42 @@ pub enum Positive {
     Hole,
 }
 
-/// Settings of a line.
+/// Settings with which a profile becomes the desired removal of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LineSettings {
-    /// The part across the line.
+    /// Extent of the part across the line.
     pub across: Across,
     /// Meaning of the sign of the profile.
     pub positive: Positive,
-    /// Best shape that is subtracted.
+    /// Best shape that is subtracted from the profile.
     pub subtract: Shape,
     /// Distance of the pixels of the line, mm; `None` for the mean step of the profile.
     pub pixel_mm: Option<f64>,
 }
 
-/// A line as the stages take it.
+/// A mirror line in the form in which the stages take a map.
 #[derive(Clone, Debug)]
 pub struct PreparedLine {
-    /// Desired removal, three equal rows.
+    /// Desired removal (3, nx), nm: three equal rows.
     pub surface: Surface,
-    /// Numbers for the manifest.
+    /// Numbers of the line for the manifest.
     pub report: LineReport,
 }
 
-/// Numbers of a line.
+/// Numbers of a prepared line, for the manifest.
 #[derive(Clone, Debug, Serialize)]
 pub struct LineReport {
     /// RMS of the heights (mean removed), nm.
     pub rms_nm: f64,
-    /// RMS of the slopes between neighbouring pixels (mean removed), nrad.
+    /// RMS of the slopes between neighbouring pixels after subtraction of the shape (mean removed), nrad.
     pub slope_rms_nrad: f64,
     /// True if the profile has slopes, which were integrated.
     pub integrated: bool,
-    /// True if the positions of the profile were not those of the pixels.
+    /// True if the positions of the profile are not the pixel centres, so that heights were interpolated.
     pub interpolated: bool,
-    /// Shape that was subtracted.
+    /// Shape that was subtracted from the profile.
     pub shape: ShapeReport,
-    /// Remarks for the user.
+    /// Notes for the user, in words.
     pub notes: Vec<String>,
 }
 
@@ -123,11 +123,13 @@ pub struct LineReport {
 /// long profiles at fine pitches.
 const MOST_PIXELS: f64 = 1e5;
 
-/// Change of the step, relative, below which the positions of a profile are taken as the pixels. Larger: heights are
-/// displaced. Smaller: rounding of the file makes the line an interpolated one.
+/// Largest relative difference between the distance of pixels and the mean step of a profile, up to which its positions
+/// serve as pixel centres. Larger: heights are displaced. Smaller: rounding in the file makes the line an interpolated
+/// one.
 const SAME_STEP: f64 = 1e-6;
 
-/// Computes the mean of every column of a map, as a profile of heights. Refuses a map whose columns make no [`Profile`].
+/// Returns the mean of every column of a map as a profile of heights along x. Refuses a map whose columns do not make a
+/// valid [`Profile`].
 pub fn mean_profile(surface: &Surface) -> Result<Profile, Invalid> {
     let means = surface.height_nm().columns().into_iter().map(|column| {
         let valid: Vec<f64> = column.iter().copied().filter(|z| !z.is_nan()).collect();
@@ -137,7 +139,7 @@ pub fn mean_profile(surface: &Surface) -> Result<Profile, Invalid> {
     Profile::new(surface.grid().x.coordinates(), Values::HeightNm(height))
 }
 
-/// Makes the desired removal of a line from its profile.
+/// Makes the desired removal of a mirror line from its profile.
 ///
 /// # Errors
 /// Refuses a width across the line that is not positive, pixels that are more than the line holds or too many, and a
@@ -200,7 +202,7 @@ pub fn line(profile: &Profile, settings: &LineSettings) -> Result<PreparedLine, 
     Ok(PreparedLine { surface, report })
 }
 
-/// Makes the tool of a line: (1) or (2) in the rows at -W/2, 0 and W/2, and zeros at -W and W.
+/// Makes the tool of a line: the rate (1) or (2) of the module in the rows at -W/2, 0 and W/2, and zeros at -W and W.
 ///
 /// # Errors
 /// Refuses a width across the line that is not positive, a TIF that varies over the part, and a strip that does not
@@ -248,7 +250,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// A Gaussian of 3 mm, cut at 15 mm: samples of 0.5 mm know its integrals to 1e-4.
+    /// Returns a Gaussian TIF of sigma 3 mm that ends at 15 mm; samples of 0.5 mm give its integrals to 1e-4.
     fn tool() -> Tif {
         let a = Axis::new(-15.0, 0.5, 61).unwrap();
         let g = Grid { x: a, y: a };

@@ -36,19 +36,19 @@ use crate::basis::{Basis, BasisFit, Polynomial, fit};
 /// time. Smaller: less of the figure can be described.
 const MAX_ORDER: u32 = 20;
 
-/// Correlation of two terms on the valid pixels above which the report has a note. Larger: does not notice
-/// coefficients that depend on the order. Smaller: notes for usual apertures.
+/// Correlation of two terms on the valid pixels above which the report has a note. Larger: no note on coefficients that
+/// depend on the order. Smaller: notes on usual apertures.
 const NOTEWORTHY_CORRELATION: f64 = 0.1;
 
 /// Settings of the fit of low-order terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LowOrderSettings {
-    /// Family of the polynomials.
+    /// Family of the polynomials to fit.
     pub family: Family,
     /// Highest order: n of Zernike, i + j of the others; at most 20.
     pub order: u32,
-    /// The unit circle of Zernike terms; `None` takes the circle about the middle of the valid
-    /// pixels' bounding box that holds them all. Not used by the others.
+    /// Unit circle of Zernike terms. `None` takes the circle about the middle of the bounding box of the valid pixels
+    /// that contains them all. The other families do not use it.
     pub circle: Option<Circle>,
 }
 
@@ -73,29 +73,29 @@ pub struct Circle {
     pub radius_mm: f64,
 }
 
-/// The low-order part.
+/// Result of the fit: the low-order part of a map, with its numbers.
 #[derive(Clone, Debug)]
 pub struct LowOrder {
     /// The fitted terms on every pixel (ny, nx), nm; NaN where the map is invalid.
     pub shape_nm: Array2<f64>,
-    /// Numbers for the manifest.
+    /// Numbers of the fit for the manifest.
     pub report: LowOrderReport,
 }
 
-/// The low-order part, in numbers.
+/// Numbers of the fitted low-order part, for the manifest: the coefficients, RMS, PV and quality of the fit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LowOrderReport {
     /// Definition, normalisation and order of the terms.
     pub convention: &'static str,
     /// Domain of the terms: u and v, or rho, are 1 at its border.
     pub domain: Domain,
-    /// The terms.
+    /// The fitted terms with their coefficients.
     pub terms: Vec<Term>,
     /// Population RMS of the fitted terms over the valid pixels, mean removed, nm.
     pub rms_nm: f64,
     /// Largest minus smallest of the fitted terms over the valid pixels, nm.
     pub pv_nm: f64,
-    /// Condition number of the terms on the valid pixels.
+    /// Condition number of the normal equations of the terms on the valid pixels, each term scaled to the same RMS.
     pub condition: f64,
     /// Largest correlation of two terms on the valid pixels; 0 if all are orthogonal.
     pub largest_correlation: f64,
@@ -107,13 +107,13 @@ pub struct LowOrderReport {
     pub note: Option<String>,
 }
 
-/// Domain of the terms: u and v, or rho, are 1 at its border.
+/// Domain on which the terms are defined: u and v, or rho, are 1 at its border.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Domain {
-    /// The unit disc.
+    /// Unit disc of Zernike terms.
     Circle(Circle),
-    /// u, v = -1 and 1.
+    /// Rectangle of Legendre or Chebyshev terms; u and v are -1 and 1 at its edges.
     Rectangle {
         /// Smallest and largest x of a valid pixel, mm.
         x_mm: [f64; 2],
@@ -122,12 +122,12 @@ pub enum Domain {
     },
 }
 
-/// One term.
+/// One fitted term.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Term {
-    /// [n, m] of Zernike, [i, j] (along x, along y) of the others.
+    /// Order of the term: [n, m] of Zernike, [i, j] (along x, along y) of the others.
     pub order: [i32; 2],
-    /// Coefficient, nm.
+    /// Coefficient of the term, nm.
     pub coefficient_nm: f64,
 }
 
@@ -207,7 +207,7 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
     Ok(LowOrder { shape_nm: fitted.height_nm().clone(), report })
 }
 
-/// Definition of the terms that `coefficient_nm` multiplies.
+/// Returns the sentence that defines the terms of a family, their normalisation and their order.
 fn convention(family: Family) -> &'static str {
     match family {
         Family::Zernike => {
@@ -241,7 +241,8 @@ pub(crate) fn bounding_box_mm(map: &Array2<f64>, grid: &Grid) -> [[f64; 2]; 2] {
     bounds
 }
 
-/// The given circle, which must hold every valid pixel, or the one about their bounding box.
+/// Returns the given circle, which must contain every valid pixel. Without one, it returns the circle about the middle
+/// of their bounding box that contains all of them.
 fn unit_circle(surface: &Surface, circle: Option<Circle>) -> Result<Circle, Invalid> {
     let Some(circle) = circle else {
         let centre_mm = bounding_box_mm(surface.height_nm(), surface.grid())
@@ -261,7 +262,7 @@ fn unit_circle(surface: &Surface, circle: Option<Circle>) -> Result<Circle, Inva
     Ok(circle)
 }
 
-/// Distance of the valid pixel that is farthest from `centre`, mm.
+/// Returns the distance from `centre` [x, y] to the farthest valid pixel, mm.
 fn farthest_mm(surface: &Surface, centre: [f64; 2]) -> f64 {
     let grid = surface.grid();
     let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
@@ -294,7 +295,7 @@ mod tests {
         Grid { x: axis(nx, 0.1), y: axis(ny, 0.1) }
     }
 
-    /// A map on the pixels between two radii about the origin.
+    /// Returns a map of `f(x, y)`, valid between the radii `inner` and `outer` about the origin, mm.
     fn between(g: Grid, inner: f64, outer: f64, f: impl Fn(f64, f64) -> f64) -> Surface {
         let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
             let (x, y) = (g.x.coordinate_mm(c), g.y.coordinate_mm(r));
@@ -317,7 +318,7 @@ mod tests {
         report.terms.iter().find(|t| t.order == order).unwrap().coefficient_nm
     }
 
-    /// 3 nm RMS of primary coma along x and -2 nm RMS of oblique astigmatism, radius 4.
+    /// Returns 3 nm RMS of primary coma along x plus -2 nm RMS of oblique astigmatism, on a disc of the radius 4 mm.
     fn coma(x: f64, y: f64) -> f64 {
         let mut z = vec![0.0; orthogonal::zernike_terms(4)];
         orthogonal::zernike(4, x / 4.0, y / 4.0, &mut z);

@@ -21,14 +21,14 @@ use ndarray::{Array2, ArrayView2, Axis};
 use planish_types::progress;
 use rayon::prelude::*;
 
-/// Rank of an invalid pixel.
+/// Mark of an invalid pixel in the place of its rank.
 const INVALID: u32 = u32::MAX;
 
 /// Number of rows that one task filters with one histogram. Larger: fewer tasks for the threads. Smaller:
 /// more histograms to set up. The result does not depend on it.
 const BAND: usize = 64;
 
-/// Returns the median over windows of `2 half + 1` (rows, columns); NaN where `map` is NaN.
+/// Returns the median (ny, nx) over windows of `2 half + 1` pixels along (rows, columns); NaN where `map` is NaN.
 pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let (sorted, rank) = ranks(map);
@@ -62,7 +62,7 @@ pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> 
     out
 }
 
-/// The valid values in ascending order, and the place of every pixel among them.
+/// Returns the valid values in ascending order, and for every pixel the index of its value among them.
 fn ranks(map: ArrayView2<f64>) -> (Vec<f64>, Array2<u32>) {
     let mut valid: Vec<_> = map.indexed_iter().filter(|(_, v)| !v.is_nan()).collect();
     valid.par_sort_unstable_by(|a, b| a.1.total_cmp(b.1).then_with(|| a.0.cmp(&b.0)));
@@ -73,26 +73,26 @@ fn ranks(map: ArrayView2<f64>) -> (Vec<f64>, Array2<u32>) {
     (valid.into_iter().map(|(_, v)| *v).collect(), rank)
 }
 
-/// Indices `centre - half ..= centre + half`, mirrored at the borders of 0..n.
+/// Returns the indices `centre - half` to `centre + half`, mirrored at the borders into 0..n.
 fn mirrored(centre: usize, half: usize, n: usize) -> Vec<usize> {
     let centre = centre as isize;
     let half = half as isize;
     (centre - half..=centre + half).map(|i| mirror(i, n)).collect()
 }
 
-/// The index in 0..n that stands at `i`: ... 1 0 | 0 1 .. n-1 | n-1 n-2 ...
+/// Returns the index in 0..n to which the index `i` is mirrored: ... 1 0 | 0 1 .. n-1 | n-1 n-2 ...
 fn mirror(i: isize, n: usize) -> usize {
     let i = i.rem_euclid(2 * n as isize) as usize;
     if i < n { i } else { 2 * n - 1 - i }
 }
 
-/// Count of every rank in the window, with two levels of sums above.
+/// Number of pixels of each rank in the window, with sums over blocks of 64 and of 4096 ranks.
 struct Histogram {
     count: Vec<u16>,
     of_64: Vec<u32>,
     of_4096: Vec<u32>,
     total: u32,
-    /// A block of 4096 ranks, and the number of members in the blocks before it.
+    /// Index of a block of 4096 ranks; `before` is the number of pixels of the window in the blocks before it.
     block: usize,
     before: u32,
 }
@@ -128,7 +128,8 @@ impl Histogram {
         self.before -= u32::from(k >> 12 < self.block);
     }
 
-    /// The rank with `(total - 1) / 2` members before it; the window has at least one member.
+    /// Returns the rank of the median: the rank with `(total - 1) / 2` pixels of the window before it. The window must
+    /// not be empty.
     fn median(&mut self) -> u32 {
         let middle = (self.total - 1) / 2;
         while self.before > middle {
@@ -160,7 +161,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// The definition: gather, sort, take the middle.
+    /// Returns the median by its definition: it sorts the pixels of each window and takes the middle one.
     fn by_definition(map: &Array2<f64>, half: (usize, usize)) -> Array2<f64> {
         let (ny, nx) = map.dim();
         Array2::from_shape_fn((ny, nx), |(r, c)| {

@@ -57,20 +57,19 @@ use serde::Serialize;
 
 use crate::{PrepareError, figure::figure, median::median_filter};
 
-/// Smallest threshold of the growth, relative to `floor_nm`. Larger: the flanks of pits stay unmasked.
-/// Smaller: components grow into the noise, and become too long to be kept.
+/// Least threshold of the growth, as a fraction of `floor_nm`. Larger: the flanks of pits stay unmasked. Smaller:
+/// components grow into the noise, and become too long to be kept.
 const GROW_FLOOR: f64 = 0.3;
 
-/// Smallest window of the median filter, px. Larger: the median is less local on coarse maps. Smaller: a
-/// pit becomes its own median. Derived: a window of 9 x 9 still has a majority of other pixels around a pit
-/// of 6 x 6.
+/// Smallest window of the median filter, px along each axis. Larger: the median is less local on coarse maps. Smaller:
+/// a pit becomes its own median. Derived: a window of 9 x 9 still has a majority of other pixels around a pit of 6 x 6.
 const MIN_WINDOW_PX: usize = 9;
 
 /// Ratio of the standard deviation to the median absolute deviation of normal noise: 1 / (the 0.75 quantile
 /// of the standard normal distribution).
 const SIGMA_PER_MAD: f64 = 1.4826;
 
-/// Smallest window of the figure, in windows of the median. Larger: leaves short waves of the figure.
+/// Smallest window of the figure, in multiples of the window of the median. Larger: leaves short waves of the figure.
 /// Smaller: the figure follows pits.
 const LEAST_FIGURE: usize = 5;
 
@@ -83,16 +82,16 @@ const FALLS: f64 = 0.5;
 /// ones are used. Larger: windows shrink for a fall that is roughness. Smaller: waves of the figure stay.
 const FALLS_ON: f64 = 0.95;
 
-/// Smallest number of neighbours for the quadratic through them; with fewer, a component counts as an
-/// outlier. Larger: crests of waves near holes are masked. Smaller: an uncertain quadratic decides.
-/// Derived: ten for each of the six terms.
+/// Smallest number of pixels around a component for the quadratic through them; with fewer, the component counts as an
+/// outlier. Larger: crests of waves near holes are masked. Smaller: an uncertain quadratic decides. Derived: ten for
+/// each of the six terms.
 const MIN_NEIGHBOURS: usize = 60;
 
 /// Largest fraction of valid pixels that may be masked; more are refused, because then the parameters are
 /// wrong and not the mirror. Larger: masks good pixels. Smaller: refuses maps with much dust.
 const MAX_MASKED_FRACTION: f64 = 0.02;
 
-/// Settings that define an outlier.
+/// Settings that define which features are outliers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierSettings {
     /// Full width at half maximum of the tool's influence, mm; > 0. See
@@ -103,14 +102,14 @@ pub struct OutlierSettings {
     pub seed_sigmas: f64,
     /// Multiple of the noise above which a neighbour of a seed joins it; > 0, at most `seed_sigmas`.
     pub grow_sigmas: f64,
-    /// Smallest deviation of a seed, nm; >= 0. About 5 times the metrology's noise.
+    /// Smallest deviation of a seed, nm; >= 0. About 5 times the noise of the measurement is usual.
     pub floor_nm: f64,
-    /// Width of the margin around a component, px: the blurred rim of the pit.
+    /// Width of the margin that is masked around a component, px: the blurred rim of the pit.
     pub dilate_px: usize,
 }
 
 impl OutlierSettings {
-    /// Returns the defaults for a tool of this full width at half maximum, mm.
+    /// Returns the default settings for a tool of this full width at half maximum, mm.
     pub fn for_feature_mm(feature_mm: f64) -> Self {
         Self { feature_mm, seed_sigmas: 15.0, grow_sigmas: 6.0, floor_nm: 1.0, dilate_px: 3 }
     }
@@ -143,33 +142,33 @@ impl OutlierSettings {
 pub struct Outliers {
     /// True at the pixels to mask (ny, nx); only valid pixels.
     pub mask: Array2<bool>,
-    /// Numbers for the manifest.
+    /// Numbers of the search for the manifest.
     pub report: OutlierReport,
 }
 
 /// Numbers of the outliers and of the thresholds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierReport {
-    /// Components, before the dilation.
+    /// Number of components (connected outliers), before the dilation.
     pub components: usize,
-    /// Pixels in the components, before the dilation.
+    /// Number of pixels in the components, before the dilation.
     pub core_pixels: usize,
-    /// Valid pixels masked, after the dilation.
+    /// Number of valid pixels that are masked, after the dilation.
     pub masked_pixels: usize,
-    /// Masked over valid pixels.
+    /// Number of masked pixels over that of valid pixels.
     pub masked_fraction: f64,
-    /// Robust standard deviation of the noise, nm.
+    /// Robust standard deviation of the noise of the map, nm (s of the module).
     pub noise_nm: f64,
-    /// Threshold of a seed, nm.
+    /// Deviation above which a pixel is a seed, nm.
     pub seed_nm: f64,
-    /// Threshold of the growth, nm.
+    /// Deviation above which a pixel joins a seed next to it, nm.
     pub grow_nm: f64,
     /// Window of the median filter (rows, columns), px.
     pub window_px: (usize, usize),
 }
 
 impl OutlierReport {
-    /// Counts the pixels that are masked, of so many valid ones; refuses too many.
+    /// Counts the pixels of the mask, of `valid` valid ones; refuses a mask of more than 2 % of them.
     fn masked(&mut self, mask: &Array2<bool>, valid: usize) -> Result<(), PrepareError> {
         self.masked_pixels = mask.iter().filter(|m| **m).count();
         self.masked_fraction = self.masked_pixels as f64 / valid as f64;
@@ -231,7 +230,8 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
     Ok(Outliers { mask, report })
 }
 
-/// The odd number of pixels nearest to `extent_mm`, at least 9, at most the map (or 9).
+/// Returns the size of a window along an axis, px: the odd number nearest to `extent_mm`, at least 9 and at most the
+/// map (or 9).
 fn window(axis: &Axis, extent_mm: f64) -> usize {
     let largest = axis.len().max(MIN_WINDOW_PX);
     let half = (0.5 * (extent_mm / axis.step_mm() - 1.0)).round().clamp(0.0, largest as f64);
@@ -239,7 +239,8 @@ fn window(axis: &Axis, extent_mm: f64) -> usize {
     2 * half + 1
 }
 
-/// d and its noise s, nm, without the figure in the whole map, or in the windows that lower the noise.
+/// Returns the deviation d of the module and its noise s, nm. The figure is fitted to the whole map, or to smaller
+/// windows where these lower the noise enough.
 fn least_noisy_deviation(level: &Array2<f64>, window_px: (usize, usize)) -> (Array2<f64>, f64) {
     let mut window = level.dim();
     let (mut deviation, mut noise_nm) = deviation_and_noise(level, window, window_px);
@@ -264,12 +265,13 @@ fn least_noisy_deviation(level: &Array2<f64>, window_px: (usize, usize)) -> (Arr
     }
 }
 
-/// Half a window of the figure, but at least some windows of the median.
+/// Returns half the size of a window of the figure, px, but at least [`LEAST_FIGURE`] windows of the median.
 fn halved(figure_px: usize, median_px: usize) -> usize {
     (figure_px / 2).max(LEAST_FIGURE * median_px).min(figure_px)
 }
 
-/// d and its noise s, nm, without the figure in windows of the shape `window`.
+/// Returns the deviation d of the module and its noise s, nm, with the figure fitted in windows of `window` (rows,
+/// columns) pixels. `window_px` is the window of the median.
 fn deviation_and_noise(
     level: &Array2<f64>,
     window: (usize, usize),
@@ -285,8 +287,8 @@ fn deviation_and_noise(
     (deviation, noise_nm)
 }
 
-/// Returns true if a component deviates from the quadratic through its neighbours, half a window around its
-/// bounding box. The remainder of a wave does not deviate.
+/// Returns true if a component deviates from the quadratic through the pixels around it, up to half a window of the
+/// median from its bounding box. The crest of a wave does not deviate.
 fn stands_out(
     level: &Array2<f64>,
     deviation: &Array2<f64>,
@@ -323,7 +325,7 @@ fn stands_out(
     stands.iter().any(|d| *d > seed_nm) && middle(&mut stands) > grow_nm
 }
 
-/// Coordinate of the centre of pixel `i`, from -1 to 1 over a range of pixels.
+/// Returns the coordinate of the centre of pixel `i`, which runs from -1 to 1 over the range of pixels.
 fn unit_coordinate(i: usize, range: &Range<usize>) -> f64 {
     let reach = 0.5 * range.len() as f64;
     (i as f64 - range.start as f64 + 0.5) / reach - 1.0
@@ -335,9 +337,9 @@ fn without_plane(surface: &Surface) -> Array2<f64> {
     fit_plane(map, &x, &y).map_or_else(|| map.to_owned(), |p| subtract_plane(map, &x, &y, p))
 }
 
-/// Noise, nm, from the n-th differences along one axis of the n-th differences along the other; n = 2 gives
-/// L. Their weights are the signed binomial coefficients, whose squares have the sum binomial(2 n, n) along
-/// each axis. They multiply white noise by this number: 6 for n = 2, and 20 for n = 3.
+/// Returns the noise, nm, from the n-th differences along both axes; n = 2 gives L of the module. The weights along an
+/// axis are the signed binomial coefficients, whose squares have the sum binomial(2 n, n). The differences multiply
+/// white noise by this number: 6 for n = 2, and 20 for n = 3.
 fn noise_of_differences(map: &Array2<f64>, n: usize) -> f64 {
     let mut differences = map.clone();
     for axis in [NdAxis(0), NdAxis(1)] {
@@ -355,7 +357,7 @@ fn noise_of_differences(map: &Array2<f64>, n: usize) -> f64 {
     SIGMA_PER_MAD * median_absolute_deviation(&differences) / gain
 }
 
-/// Median absolute deviation from the median; 0 without a valid pixel.
+/// Returns the median absolute deviation from the median, nm; 0 without a valid pixel.
 fn median_absolute_deviation(map: &Array2<f64>) -> f64 {
     let mut values: Vec<f64> = map.iter().copied().filter(|v| !v.is_nan()).collect();
     if values.is_empty() {
@@ -366,13 +368,14 @@ fn median_absolute_deviation(map: &Array2<f64>) -> f64 {
     middle(&mut values)
 }
 
-/// The (smaller) middle value; `values` is not empty.
+/// Returns the median of `values`, the smaller middle value of an even number; `values` must not be empty.
 fn middle(values: &mut [f64]) -> f64 {
     let k = (values.len() - 1) / 2;
     *values.select_nth_unstable_by(k, f64::total_cmp).1
 }
 
-/// The 8-connected components of |map| > threshold, each a list of pixels.
+/// Returns the components of the pixels with |map| > threshold, each a list of (row, column). Pixels are connected by
+/// edges or corners.
 fn components(map: &Array2<f64>, threshold: f64) -> Vec<Vec<(usize, usize)>> {
     let (ny, nx) = map.dim();
     let mut open = map.mapv(|v| v.abs() > threshold); // false for NaN
@@ -398,7 +401,7 @@ fn components(map: &Array2<f64>, threshold: f64) -> Vec<Vec<(usize, usize)>> {
     }
     components
 }
-/// Rows and columns of the bounding box of at least one pixel.
+/// Returns the rows and columns of the bounding box of `pixels`, which must not be empty.
 fn bounding_box(pixels: &[(usize, usize)]) -> [Range<usize>; 2] {
     let [mut rows, mut columns] = [pixels[0].0, pixels[0].1].map(|k| k..k + 1);
     for (r, c) in pixels {
@@ -408,7 +411,7 @@ fn bounding_box(pixels: &[(usize, usize)]) -> [Range<usize>; 2] {
     [rows, columns]
 }
 
-/// Sets the square of half-width `reach` about a pixel.
+/// Sets the square of half-width `reach` pixels about a pixel of the mask to true.
 fn dilate(mask: &mut Array2<bool>, (r, c): (usize, usize), reach: usize) {
     let (ny, nx) = mask.dim();
     for i in r.saturating_sub(reach)..=r.saturating_add(reach).min(ny - 1) {
@@ -432,7 +435,7 @@ mod tests {
         Grid { x: Axis::new(0.0, 0.1, SHAPE.1).unwrap(), y: Axis::new(0.0, 0.1, SHAPE.0).unwrap() }
     }
 
-    /// A smooth figure of 20 nm with 0.05 nm of noise.
+    /// Returns a smooth figure of 20 nm with noise of 0.05 nm RMS.
     fn smooth(seed: u64) -> Array2<f64> {
         let noise = Normal::new(0.0, 0.05).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -462,7 +465,7 @@ mod tests {
         assert_eq!(found.mask, square);
     }
 
-    /// The figure of [`smooth`], 1, 10 and 100 times: up to 0.3, 3 and 30 nm from pixel to pixel.
+    /// Returns the figure of [`smooth`] times 1, 10 and 100, with noise: up to 0.3, 3 and 30 nm from pixel to pixel.
     fn steeper(seed: u64) -> impl Iterator<Item = (f64, Array2<f64>)> {
         [1.0, 10.0, 100.0].into_iter().map(move |k| {
             let figure = Array2::from_shape_fn(SHAPE, |(r, c)| {

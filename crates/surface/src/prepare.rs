@@ -46,19 +46,19 @@ use crate::{
 /// noise decides the tilt. Derived: twice the number of its coefficients.
 const MIN_PIXELS_FOR_PLANE: usize = 6;
 
-/// Settings of the preparation.
+/// Settings of the preparation of a map.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PrepareSettings {
-    /// The region that counts; `None` keeps the whole map.
+    /// Clear aperture, the region that counts; `None` keeps the whole map.
     #[serde(serialize_with = "describe_aperture")]
     pub aperture: Option<ClearAperture>,
-    /// Settings of the outlier mask; `None` masks none.
+    /// Settings of the outlier mask; `None` for no mask.
     pub outliers: Option<OutlierSettings>,
-    /// Function to subtract.
+    /// Function that is subtracted from the map.
     pub level: Level,
     /// True to fill the invalid pixels in the clear aperture, or the enclosed ones if no aperture is given.
     pub fill: bool,
-    /// Settings of the extension; `None` does not extend the map.
+    /// Settings of the extension beyond the clear aperture; `None` for no extension.
     pub extension: Option<ExtensionSettings>,
 }
 
@@ -66,7 +66,7 @@ pub struct PrepareSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {
-    /// Nothing.
+    /// Nothing is subtracted.
     None,
     /// A constant, so that the smallest height is 0.
     #[default]
@@ -80,33 +80,33 @@ pub enum Level {
 /// The prepared map and what was done to it.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// The desired removal.
+    /// Prepared map: the desired removal, nm.
     pub surface: Surface,
-    /// Numbers for the manifest.
+    /// Numbers of the preparation for the manifest.
     pub report: PrepareReport,
 }
 
-/// Numbers of the preparation, step by step.
+/// Numbers of the preparation, step by step, for the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PrepareReport {
-    /// Statistics of the map as given.
+    /// Statistics of the measured map as given.
     pub before: MapStatistics,
-    /// Statistics within the clear aperture, before masking and levelling.
+    /// Statistics within the clear aperture, before outliers are masked and the map is levelled.
     pub in_aperture: MapStatistics,
-    /// Statistics of the result.
+    /// Statistics of the prepared map.
     pub after: MapStatistics,
-    /// Numbers of the outlier mask.
+    /// Numbers of the outlier mask; `None` without one.
     pub outliers: Option<OutlierReport>,
-    /// The form that was subtracted.
+    /// The form that was subtracted; `None` without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// The plane that was subtracted; with low-order terms only a constant.
     pub removed_plane: RemovedPlane,
-    /// The terms of low order that were subtracted.
+    /// The terms of low order that were subtracted; `None` without them.
     pub removed_low_order: Option<LowOrderReport>,
-    /// The holes that were filled.
+    /// The holes that were filled; `None` if filling was not asked for.
     pub filled: Option<FillReport>,
-    /// Numbers of the extension beyond the clear aperture.
+    /// Numbers of the extension beyond the clear aperture; `None` without one.
     pub extended: Option<ExtensionReport>,
     /// Probable mistakes in the map, with their remedies.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -128,21 +128,22 @@ pub struct MapStatistics {
     pub shape: (usize, usize),
 }
 
-/// `constant_nm + slope_nm_per_mm . (x, y)`, in part coordinates.
+/// Plane `constant_nm + slope_nm_per_mm . (x, y)` that was subtracted, in part coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RemovedPlane {
     /// Height at x = y = 0, nm.
     pub constant_nm: f64,
-    /// Slope along [x, y], nm/mm.
+    /// Slope of the plane along [x, y], nm/mm.
     pub slope_nm_per_mm: [f64; 2],
 }
 
-/// Prepares `measured`: crops, masks, levels, fills and extends it. Refuses what [`prepare_to`] refuses.
+/// Prepares `measured`: crops, masks, levels, fills and extends it, without a target form. Refuses what [`prepare_to`]
+/// refuses.
 pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepared, PrepareError> {
     prepare_to(measured, settings, None)
 }
 
-/// Prepares `measured` less the form `target`: crops, masks, levels, fills and extends it.
+/// Prepares `measured` minus the form `target`: crops, masks, levels, fills and extends it.
 ///
 /// # Errors
 /// Refuses settings of a step out of their range, an aperture of less than 2 x 2 pixels, too many outliers, valid
@@ -222,7 +223,8 @@ pub fn prepare_to(
     Ok(Prepared { surface, report })
 }
 
-/// Returns the standard deviations of a map where it is valid after masking; `None` if it has none.
+/// Returns the standard deviations of `cropped` (ny, nx), nm, with NaN at the pixels that are masked. `None` if the map
+/// has no deviations.
 fn known_deviation(cropped: &Surface, masked: &Surface) -> Option<Array2<f64>> {
     let mut known = cropped.deviation_nm()?.clone();
     known.zip_mut_with(masked.height_nm(), |s, z| {
@@ -233,7 +235,8 @@ fn known_deviation(cropped: &Surface, masked: &Surface) -> Option<Array2<f64>> {
     Some(known)
 }
 
-/// NaN outside the aperture, cropped to its bounding box, and the aperture on the new pixels.
+/// Returns the map cropped to the bounding box of the aperture, with NaN outside the aperture, and the mask of the
+/// aperture on the cropped pixels.
 fn crop(
     measured: &Surface,
     aperture: &ClearAperture,
@@ -262,8 +265,8 @@ fn crop(
     Ok((with_deviation(cropped, deviation, (0, 0))?, inside))
 }
 
-/// The map with these standard deviations, which begin at the row and column `start` of it; beyond them they are
-/// unknown.
+/// Returns the map with the standard deviations `deviation_nm`, whose first element belongs to its pixel `start` (row,
+/// column). At all other pixels they are unknown (NaN).
 fn with_deviation(
     map: Surface,
     deviation_nm: Option<Array2<f64>>,
@@ -276,7 +279,7 @@ fn with_deviation(
     Ok(map.with_deviation(all)?)
 }
 
-/// First and last true; an aperture has one.
+/// Returns the indices of the first and the last true flag; an aperture has at least one.
 fn extent(flags: impl Iterator<Item = bool>) -> (usize, usize) {
     let set = flags.enumerate().filter(|(_, f)| *f).map(|(i, _)| i);
     set.fold((usize::MAX, 0), |(first, last), i| (first.min(i), last.max(i)))
@@ -296,7 +299,7 @@ fn mask_outliers(
     Ok((Surface::new(*surface.grid(), map)?, Some(report)))
 }
 
-/// The levelled map, the plane and the terms that were subtracted.
+/// Returns the levelled map, the plane that was subtracted, and the report on low-order terms if these were subtracted.
 fn level(
     surface: &Surface,
     level: Level,
@@ -345,7 +348,8 @@ fn map_statistics(surface: &Surface) -> MapStatistics {
     }
 }
 
-/// A mask is an input of its own; the settings only say that there is one.
+/// Writes the aperture into the settings of the manifest. A mask is an input of its own; the settings only state that
+/// there is one.
 fn describe_aperture<S: Serializer>(
     aperture: &Option<ClearAperture>,
     serializer: S,

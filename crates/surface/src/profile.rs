@@ -20,35 +20,35 @@ use serde::Serialize;
 /// spectrum of so few positions is meaningless.
 pub const MIN_POSITIONS: usize = 8;
 
-/// Largest departure of a step between positions from the mean step, relative to it, at which steps count
-/// as equal. Larger: uneven positions are taken for even ones, and frequencies are wrong by as much.
-/// Smaller: positions that are rounded in the file are interpolated.
+/// Largest deviation of a step between positions from the mean step, relative to it, up to which steps count as equal.
+/// Larger: uneven positions are taken for even ones, and frequencies are wrong by as much. Smaller: positions that are
+/// rounded in the file are interpolated.
 const UNIFORMITY: f64 = 0.01;
 
-/// Largest plausible magnitude of a position, mm. A larger value is refused, because its unit is wrong. Chosen as for
-/// maps.
+/// Largest plausible magnitude of a position, mm. A larger value is refused, because its unit is wrong. Chosen:
+/// the same as for the coordinates of maps.
 const LARGEST_POSITION_MM: f64 = 1e7;
 
-/// Largest plausible magnitude of a height, nm; as [`LARGEST_POSITION_MM`].
+/// Largest plausible magnitude of a height, nm. A larger value is refused, because its unit is wrong.
 const LARGEST_HEIGHT_NM: f64 = 1e12;
 
-/// Largest plausible magnitude of a slope, nrad: 1 rad; as [`LARGEST_POSITION_MM`].
+/// Largest plausible magnitude of a slope, nrad: 1 rad. A larger value is refused, because its unit is wrong.
 const LARGEST_SLOPE_NRAD: f64 = 1e9;
 
 /// Columns and units of a profile in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProfileSettings {
-    /// Column of the positions and column of the values, from 1.
+    /// Column of the positions and column of the values, counted from 1.
     pub columns: [usize; 2],
     /// Unit of the positions; `None` for the one that the file states, and mm where it states none.
     pub position_unit: Option<Unit>,
-    /// Unit of the values: of a length, which are heights, or of an angle, which are slopes.
+    /// Unit of the values. A unit of length makes them heights, a unit of angle slopes.
     pub value_unit: Unit,
-    /// Lines before the numbers; `None` for all that have none in both columns.
+    /// Number of lines before the numbers; `None` for all lines up to the first one that has a number in both columns.
     pub header_lines: Option<usize>,
 }
 
-/// Measured values of a profile.
+/// Measured values of a profile (n); NaN marks an invalid one.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
     /// Heights, nm.
@@ -57,7 +57,7 @@ pub enum Values {
     SlopeNrad(Vec<f64>),
 }
 
-/// A measured line; see the module.
+/// A measured line: heights or slopes at ascending positions; see the module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
     position_mm: Vec<f64>,
@@ -65,7 +65,7 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Makes a profile of values at positions, which ascend, or descend and are reversed.
+    /// Makes a profile of values at positions, mm. Positions that descend are reversed together with the values.
     ///
     /// # Errors
     /// Refuses another number of values than of positions, less than [`MIN_POSITIONS`] valid values, numbers that are
@@ -108,8 +108,8 @@ impl Profile {
         Ok(Self { position_mm, values })
     }
 
-    /// Makes a profile from the rows [position, value] of a file, in its units. Refuses units of other quantities, and
-    /// what [`Self::new`] refuses.
+    /// Makes a profile from the rows [position, value] of a file, which are in the units of the file. Refuses units of
+    /// other quantities, and what [`Self::new`] refuses.
     pub fn from_rows(rows: &ProfileRows, settings: &ProfileSettings) -> Result<Self, Invalid> {
         let unit = settings.position_unit.or(rows.position_unit);
         let to_mm = match unit {
@@ -141,18 +141,18 @@ impl Profile {
         &self.position_mm
     }
 
-    /// Returns the heights or slopes (n).
+    /// Returns the heights, nm, or slopes, nrad (n).
     pub fn values(&self) -> &Values {
         &self.values
     }
 
-    /// Returns the mean step, mm.
+    /// Returns the mean step between neighbouring positions, mm.
     pub fn step_mm(&self) -> f64 {
         let x = &self.position_mm;
         (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64
     }
 
-    /// Returns the smallest and largest step, mm, if they differ by more than the rounding of a file.
+    /// Returns the smallest and the largest step, mm, or `None` if all steps are equal up to the rounding in a file.
     pub fn uneven_steps_mm(&self) -> Option<[f64; 2]> {
         let steps = self.position_mm.windows(2).map(|w| w[1] - w[0]);
         let [low, high] = steps.fold([f64::INFINITY, 0.0_f64], |[l, h], s| [l.min(s), h.max(s)]);
@@ -162,18 +162,18 @@ impl Profile {
     }
 }
 
-/// Rows of a profile's file, in the units of the file.
+/// Rows of the file of a profile, in the units of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProfileRows {
-    /// [position, value] of every line.
+    /// Position and value of every line of numbers; the value is NaN where it is invalid.
     pub rows: Vec<[f64; 2]>,
-    /// Unit of the positions, if the file states it.
+    /// Unit of the positions; `None` if the file states none.
     pub position_unit: Option<Unit>,
-    /// Warnings for the user.
+    /// Warnings for the user, such as on decimal commas.
     pub warnings: Vec<String>,
 }
 
-/// Reads [position, value] of every line of a text.
+/// Reads the position and the value in every line of a text.
 ///
 /// # Errors
 /// Refuses a text without a line of numbers in both columns, a unit above the numbers that is not that of the settings,
@@ -237,7 +237,7 @@ pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<ProfileR
     Ok(profile)
 }
 
-/// Returns true if a line has numbers in both columns, perhaps with decimal commas.
+/// Returns true if a line has numbers in both columns (counted from 1), perhaps with decimal commas.
 fn begins_numbers(line: &str, columns: [usize; 2]) -> bool {
     // Where all lines are looked at, marks of thousands are refused.
     let with_points =
@@ -246,8 +246,8 @@ fn begins_numbers(line: &str, columns: [usize; 2]) -> bool {
         || with_points.is_some_and(|line| row_of_line(&line, columns).is_ok())
 }
 
-/// Refuses a header whose units are not those of the settings: names of columns in the last line of text above the numbers,
-/// with as many words as the numbers have columns. Returns the unit of the positions that it states.
+/// Refuses a header whose units are not those of the settings, and returns the unit of the positions that it states.
+/// The header is the last line of text above the numbers, if it has as many words as there are columns.
 fn check_header(
     above: &[&str],
     columns: usize,
@@ -301,7 +301,7 @@ fn check_header(
     Ok(position_unit)
 }
 
-/// The two numbers of a line, or what is wrong with it.
+/// Returns the position and the value of a line, or the words for the mistake in it. `columns` count from 1.
 fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
     let fields: Vec<&str> = file_text::fields(line.trim()).collect();
     let position = number_of_column(&fields, columns[0])?;
@@ -312,7 +312,8 @@ fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
     Ok([position, value])
 }
 
-/// The number in a column, from 1, NaN for a mark of no data; or what is wrong with it.
+/// Returns the number in a column, counted from 1, or NaN for a mark of no data. The error is the words for the
+/// mistake.
 fn number_of_column(fields: &[&str], column: usize) -> Result<f64, String> {
     let field = fields
         .get(column - 1)

@@ -27,12 +27,12 @@ use planish_numerics::{
 use planish_types::{Grid, Invalid, Surface};
 use serde::Serialize;
 
-/// Settings of the spectrum.
+/// Settings with which the spectra are computed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdSettings {
-    /// The window, along both axes.
+    /// Window that weights the pixels along both axes.
     pub window: Window,
-    /// Function that is subtracted from the rectangle first.
+    /// Function that is subtracted from the rectangle before the transform.
     pub detrend: Detrend,
     /// Bands [f_0, f_1) whose RMS is wanted, 1/mm.
     pub band_per_mm: Vec<[f64; 2]>,
@@ -58,60 +58,61 @@ pub enum Detrend {
     Plane,
 }
 
-/// The spectra.
+/// Spectra of the largest rectangle of valid pixels of a map.
 #[derive(Clone, Debug)]
 pub struct Psd {
-    /// Frequencies along x of `psd_2d_nm2_mm2`, ascending, (nx), 1/mm.
+    /// Frequencies along x of `psd_2d_nm2_mm2` (nx), 1/mm; ascending, from negative to positive.
     pub frequency_2d_x_per_mm: Vec<f64>,
-    /// Frequencies along y of `psd_2d_nm2_mm2`, ascending, (ny), 1/mm.
+    /// Frequencies along y of `psd_2d_nm2_mm2` (ny), 1/mm; ascending, from negative to positive.
     pub frequency_2d_y_per_mm: Vec<f64>,
-    /// Two-dimensional, both signs, (ny, nx), nm^2 mm^2.
+    /// Two-dimensional PSD for both signs of the frequencies (ny, nx), nm^2 mm^2.
     pub psd_2d_nm2_mm2: Array2<f64>,
-    /// Frequencies along x, (nx / 2 + 1), 1/mm.
+    /// Frequencies of `psd_x_nm2_mm` (nx / 2 + 1), from 0, 1/mm.
     pub frequency_x_per_mm: Vec<f64>,
-    /// One-sided along x, mean of the rows, nm^2 mm.
+    /// One-sided PSD along x, the mean over the rows, nm^2 mm.
     pub psd_x_nm2_mm: Vec<f64>,
-    /// Frequencies along y, (ny / 2 + 1), 1/mm.
+    /// Frequencies of `psd_y_nm2_mm` (ny / 2 + 1), from 0, 1/mm.
     pub frequency_y_per_mm: Vec<f64>,
-    /// One-sided along y, mean of the columns, nm^2 mm.
+    /// One-sided PSD along y, the mean over the columns, nm^2 mm.
     pub psd_y_nm2_mm: Vec<f64>,
-    /// Middles of the rings, 1/mm.
+    /// Middles of the rings of the radial PSD, 1/mm.
     pub frequency_radial_per_mm: Vec<f64>,
-    /// Mean of the two-dimensional one over the rings, nm^2 mm^2.
+    /// Radial PSD: the mean of the two-dimensional PSD over rings of equal |f|, nm^2 mm^2; NaN for a ring without a
+    /// frequency.
     pub psd_radial_nm2_mm2: Vec<f64>,
-    /// Numbers for the manifest.
+    /// Numbers of the spectra for the manifest.
     pub report: PsdReport,
 }
 
-/// Numbers of the spectrum.
+/// Numbers of the spectra, for the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdReport {
-    /// The rectangle: smallest and largest x, mm.
+    /// Smallest and largest x of a pixel centre of the rectangle, mm.
     pub x_mm: [f64; 2],
-    /// The rectangle: smallest and largest y, mm.
+    /// Smallest and largest y of a pixel centre of the rectangle, mm.
     pub y_mm: [f64; 2],
-    /// Pixels of the rectangle (rows, columns).
+    /// Number of pixels of the rectangle (rows, columns).
     pub shape: (usize, usize),
     /// Ratio of the pixels of the rectangle to the valid pixels of the map.
     pub fraction_of_valid_pixels: f64,
     /// RMS of the detrended rectangle without a window, nm.
     pub rms_nm: f64,
-    /// Root of the integral of the two-dimensional PSD: the RMS weighted by the window, nm.
+    /// Root of the integral of the two-dimensional PSD, nm: the RMS of the rectangle, weighted by the window.
     pub spectral_rms_nm: f64,
-    /// The bands.
+    /// RMS in each band, in the order of the settings.
     pub bands: Vec<BandRms>,
 }
 
 /// RMS within a band of spatial frequencies.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BandRms {
-    /// [f_0, f_1), 1/mm.
+    /// Band [f_0, f_1) of spatial frequencies, 1/mm.
     pub band_per_mm: [f64; 2],
-    /// RMS from the two-dimensional PSD, |f| in the band, nm.
+    /// RMS from the two-dimensional PSD, over all frequencies with |f| in the band, nm.
     pub rms_nm: f64,
-    /// RMS from the PSD along x, nm.
+    /// RMS from the PSD along x, over the frequencies along x in the band, nm.
     pub rms_x_nm: f64,
-    /// RMS from the PSD along y, nm.
+    /// RMS from the PSD along y, over the frequencies along y in the band, nm.
     pub rms_y_nm: f64,
 }
 
@@ -177,7 +178,8 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     })
 }
 
-/// Returns the mean square in the band [f_0, f_1) of a one-sided density at frequencies from 0: the sum of S df.
+/// Returns the mean square in the band [f_0, f_1) of a one-sided `density` S at equally spaced frequencies from 0: the
+/// sum of S df.
 pub(crate) fn mean_square(frequency_per_mm: &[f64], density: &[f64], [low, high]: [f64; 2]) -> f64 {
     let all = frequency_per_mm.iter().zip(density);
     let inside = all.filter(|(f, _)| **f >= low && **f < high);
@@ -209,8 +211,9 @@ fn weights(window: Window, n: usize) -> Vec<f64> {
     }
 }
 
-/// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist frequency.
-/// The ring about 0 holds frequencies nearer to 0 than half a step.
+/// Returns the middles of rings in the frequency plane, 1/mm, and the mean density over each. Rings are as wide as the
+/// coarser of the two frequency steps, up to the lower Nyquist frequency. The ring about 0 contains frequencies nearer
+/// to 0 than half a step.
 fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
     let Density { frequency_x: fx, frequency_y: fy, .. } = density;
     let df = (fx[1] - fx[0]).max(fy[1] - fy[0]);
@@ -226,7 +229,7 @@ fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
 mod tests {
     use super::*;
 
-    /// The frequency at which a density is largest.
+    /// Returns the frequency at which a density is largest, 1/mm; the first bin does not count.
     fn strongest_per_mm(frequency_per_mm: &[f64], density: &[f64]) -> f64 {
         let points = frequency_per_mm.iter().zip(density).skip(1);
         points.fold((0.0, 0.0), |best, (f, s)| if *s > best.1 { (*f, *s) } else { best }).0

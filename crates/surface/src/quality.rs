@@ -47,59 +47,59 @@ pub use strehl::{Light, StrehlReport};
 use spectrum::Spectra;
 pub(crate) use spectrum::at_even_steps;
 
-/// Difference of the base length from the one asked for, relative, above which the report has a note.
-/// Larger: does not notice slopes over another base. Smaller: notes for usual maps.
+/// Relative difference of the base length that was used from the requested one, above which the report has a note.
+/// Larger: no note on slopes over another base. Smaller: notes on usual maps.
 const NOTEWORTHY_BASE: f64 = 0.02;
 
-/// Ratio of the RMS after a fitted ellipse to that after the circle above which the report has a note.
-/// Larger: does not notice a wrong ellipse. Smaller: notes for differences that come from what is fitted,
-/// heights or slopes.
+/// Ratio of the RMS after a fitted ellipse to that after the best circle, above which the report has a note. Larger: no
+/// note on a wrong ellipse. Smaller: notes on differences that come from what is fitted, heights or slopes.
 const NOTEWORTHY_CIRCLE: f64 = 1.02;
 
-/// RMS phase error, rad, above which the report has a note, because Marechal's formula is for small phase
-/// errors. Larger: does not notice a meaningless Strehl ratio. Smaller: notes for usual mirrors. At this
-/// value the Strehl ratio is 0.37.
+/// RMS phase error, rad, above which the report has a note, because Marechal's formula is for small phase errors.
+/// Larger: no note on a meaningless Strehl ratio. Smaller: notes on usual mirrors. At this value the Strehl ratio is
+/// 0.37.
 const LARGEST_PHASE_RAD: f64 = 1.0;
 
-/// Settings of the measurement of a map or a profile.
+/// Settings with which the quality of a map or a profile is measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct QualitySettings {
-    /// The shape that is subtracted before anything is measured.
+    /// Shape that is fitted and subtracted before anything is measured.
     pub after: Shape,
-    /// The ellipse, if one is known.
+    /// Ellipse that the mirror is made for; `None` if it is not known.
     pub ellipse: Option<EllipseSettings>,
-    /// Base length of slopes, mm.
+    /// Base length over which slopes are differences of heights, mm.
     pub base_mm: f64,
-    /// Bands [f_0, f_1) of spatial frequencies, 1/mm.
+    /// Bands [f_0, f_1) of spatial frequencies in which an RMS is computed, 1/mm.
     pub band_per_mm: Vec<[f64; 2]>,
     /// Width of the strip about the middle of y whose mean is the centre line, mm; 0 for one row.
     pub centre_line_width_mm: f64,
-    /// Light for the Strehl ratio; `None` for no ratio.
+    /// Light for the Strehl ratio; `None` if no ratio is wanted.
     pub light: Option<Light>,
 }
 
-/// Result of the measurement.
+/// Measured quality of a map or a profile.
 #[derive(Clone, Debug, Serialize)]
 pub struct Quality {
     /// The shape that was subtracted.
     pub shape: ShapeReport,
-    /// Height after that shape.
+    /// Statistics of the heights after that shape.
     pub height: HeightReport,
-    /// Slopes along x after that shape.
+    /// Statistics of the slopes along x after that shape.
     pub slope_x: SlopeReport,
-    /// Slopes along y after that shape; `null` of a profile, and if the base does not fit.
+    /// Statistics of the slopes along y after that shape; `null` for a profile, and if the base does not fit into the
+    /// map.
     pub slope_y: Option<SlopeReport>,
-    /// Heights and slopes after each shape that the points determine.
+    /// Heights and slopes after each shape that the valid points determine.
     pub after: Vec<AfterShape>,
     /// RMS within each band, in the order of the settings.
     pub bands: Vec<BandReport>,
-    /// The line along x through the middle; `null` of a profile, which is one.
+    /// Numbers of the line along x through the middle of the map; `null` for a profile, which is a line itself.
     pub centre_line: Option<LineReport>,
-    /// Autocorrelation length along x, mm; `null` if it is longer than the map.
+    /// Autocorrelation length of the heights along x, mm; `null` if it is longer than the map.
     pub autocorrelation_length_x_mm: Option<f64>,
-    /// Autocorrelation length along y, mm; `null` of a profile, and if it is longer than the map.
+    /// Autocorrelation length of the heights along y, mm; `null` for a profile, and if it is longer than the map.
     pub autocorrelation_length_y_mm: Option<f64>,
-    /// The Strehl ratio, if light was given.
+    /// Strehl ratio; `null` if no light was given.
     pub strehl: Option<StrehlReport>,
     /// Remarks on the measurement, such as a base length other than the one asked for, in words.
     pub notes: Vec<String>,
@@ -108,66 +108,67 @@ pub struct Quality {
     pub arrays: QualityArrays,
 }
 
-/// Statistics of heights.
+/// Statistics of the heights after a shape.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct HeightReport {
     /// RMS without the mean, nm.
     pub rms_nm: f64,
-    /// Largest minus smallest, nm.
+    /// Largest minus smallest height, nm.
     pub pv_nm: f64,
-    /// Valid pixels or positions.
+    /// Number of valid pixels or positions.
     pub valid_count: usize,
 }
 
-/// Residual after a shape.
+/// Numbers of what remains after subtraction of a shape.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AfterShape {
-    /// The shape, as it was fitted.
+    /// Parameters of the shape as it was fitted.
     pub shape: ShapeReport,
-    /// RMS height, nm.
+    /// RMS of the remaining heights, mean removed, nm.
     pub height_rms_nm: f64,
-    /// PV, nm.
+    /// Largest minus smallest remaining height, nm.
     pub height_pv_nm: f64,
-    /// RMS slope along x, nrad.
+    /// RMS of the remaining slopes along x, mean removed, nrad; `null` if there are none over the base.
     pub slope_x_rms_nrad: Option<f64>,
-    /// RMS slope along y, nrad.
+    /// RMS of the remaining slopes along y, mean removed, nrad; `null` for a profile, or if there are none over the
+    /// base.
     pub slope_y_rms_nrad: Option<f64>,
 }
 
-/// RMS within a band.
+/// RMS of heights and slopes within a band of spatial frequencies.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BandReport {
-    /// [f_0, f_1), 1/mm.
+    /// Band [f_0, f_1), 1/mm.
     pub band_per_mm: [f64; 2],
-    /// RMS of the heights, nm: of a map over |f| in two dimensions.
+    /// RMS of the heights, nm; for a map over all frequencies in two dimensions with |f| in the band.
     pub height_rms_nm: f64,
-    /// RMS of the slopes along x, nrad, over the frequency along x.
+    /// RMS of the slopes along x, nrad, over the frequencies along x in the band.
     pub slope_x_rms_nrad: f64,
-    /// RMS of the slopes along y, nrad; `null` of a profile.
+    /// RMS of the slopes along y, nrad, over the frequencies along y in the band; `null` for a profile.
     pub slope_y_rms_nrad: Option<f64>,
 }
 
-/// The mean of the rows about the middle of y.
+/// Numbers of the centre line of a map: the mean of its rows about the middle of y.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LineReport {
-    /// Smallest and largest y of its rows, mm.
+    /// Smallest and largest y of these rows, mm.
     pub y_mm: [f64; 2],
-    /// RMS height, nm.
+    /// RMS of the heights of the line, mean removed, nm.
     pub height_rms_nm: f64,
-    /// PV, nm.
+    /// Largest minus smallest height of the line, nm.
     pub height_pv_nm: f64,
-    /// RMS slope, nrad.
+    /// RMS of the slopes of the line, mean removed, nrad; `null` if there are none over the base.
     pub slope_rms_nrad: Option<f64>,
 }
 
-/// Arrays that are stored beside the numbers; empty if there are none.
+/// Arrays that are stored beside the numbers of the quality; empty if there are none.
 #[derive(Clone, Debug, Default)]
 pub struct QualityArrays {
     /// Positions of the centre line, or of the profile (n), mm.
     pub position_mm: Vec<f64>,
     /// Heights of that line (n), nm; NaN where invalid.
     pub height_nm: Vec<f64>,
-    /// Positions of the slopes of that line (m), mm.
+    /// Positions of the slopes of that line, the middles of the bases (m), mm.
     pub slope_position_mm: Vec<f64>,
     /// Slopes of that line (m), nrad; NaN where invalid.
     pub slope_nrad: Vec<f64>,
@@ -175,7 +176,7 @@ pub struct QualityArrays {
     pub lines: [SpectrumLine; 3],
 }
 
-/// Measures `subject`.
+/// Measures the quality of a map or a profile.
 ///
 /// # Errors
 /// Refuses a map or a profile that does not define the shape to subtract or the slopes, and settings out of their
@@ -249,7 +250,7 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
     })
 }
 
-/// Remarks on bases that are far from the one asked for, and on slopes along y that a map does not have.
+/// Returns notes on base lengths that differ from the requested one, and on slopes along y that a map does not have.
 fn notes_on_slopes(
     base_mm: f64,
     slope_x: &SlopeReport,
@@ -271,8 +272,8 @@ fn notes_on_slopes(
     notes
 }
 
-/// Remark on an ellipse that leaves more than a plane, which values of the opposite sign do, or more than a
-/// circle.
+/// Returns a note on an ellipse that leaves more than a plane, as values of the opposite sign do, or more than a
+/// circle. `None` if it leaves less.
 fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
     let [plane, circle, ellipse] = [Shape::Plane, Shape::CylinderX, Shape::Ellipse]
         .map(|shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm));
@@ -303,7 +304,7 @@ fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
     ))
 }
 
-/// Residuals after each shape; shapes that the points do not determine are left out.
+/// Returns the numbers after each shape; shapes that the points do not determine are left out.
 fn after_shapes(subject: &Subject, settings: &QualitySettings) -> Vec<AfterShape> {
     let mut shapes = vec![Shape::Plane, Shape::CylinderX];
     if matches!(subject, Subject::Map(_)) {
@@ -347,7 +348,7 @@ fn band_report(spectra: &Spectra, band: [f64; 2]) -> Result<BandReport, Invalid>
     })
 }
 
-/// The centre line of a map, and that line after the best shape.
+/// Returns the numbers of the centre line of a map, and that line after the best shape.
 fn centre_line_report(
     surface: &Surface,
     settings: &QualitySettings,
@@ -370,7 +371,8 @@ fn centre_line_report(
     Ok((report, line))
 }
 
-/// The mean of the rows within `width_mm` about the middle of y, one row at least, and their y.
+/// Returns the smallest and largest y, mm, and the mean of the rows within `width_mm` about the middle of y. There is
+/// at least one row.
 fn centre_line(surface: &Surface, width_mm: f64) -> Result<([f64; 2], Profile), Invalid> {
     if !(width_mm.is_finite() && width_mm >= 0.0) {
         let problem = format!("`centre_line_width_mm` is {width_mm}");

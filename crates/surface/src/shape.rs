@@ -44,13 +44,13 @@ use sphere::Sphere;
 /// Number of nm in a mm.
 const NM_PER_MM: f64 = 1e6;
 
-/// Largest number of steps of a fit, accepted or not; the last one is used. Larger: more time on a fit that
-/// does not end. Smaller: a fit may stop before its minimum. Measured: an ellipse takes twenty steps, a bad
-/// guess with noise up to a hundred.
+/// Largest number of steps of a fit, accepted or not; after the last one the fit stays where it is. Larger: more time
+/// on a fit that does not end. Smaller: a fit may stop before its minimum. Measured: an ellipse takes twenty steps, a
+/// bad guess with noise up to a hundred.
 const MAX_STEPS: usize = 400;
 
-/// Effect of a step, relative to the fitted values, below which a fit ends. Larger: the fit stops before
-/// its minimum. Smaller: rounding keeps it going.
+/// Change of the fitted values by a step, relative to the fitted values, below which a fit ends. Larger: the fit stops
+/// before its minimum. Smaller: rounding keeps it going.
 const LAST_STEP: f64 = 1e-13;
 
 /// Shape that is fitted and subtracted.
@@ -72,7 +72,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Name of the shape in flags and files.
+    /// Returns the name of the shape in flags and files, such as `cylinder-x`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Piston => "piston",
@@ -97,60 +97,61 @@ pub enum EllipseParameter {
     Theta,
 }
 
-/// The ellipse that a mirror is made for.
+/// Ellipse that a mirror is made for, and the parameters of it that are fitted.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EllipseSettings {
     /// Ellipse as designed: the first guess of the parameters that are fitted.
     pub design: ImagingConic,
-    /// The parameters that are fitted beside piston and tilt.
+    /// Parameters of the ellipse that are fitted in addition to piston and tilt.
     pub free: Vec<EllipseParameter>,
-    /// Place of the pole, mm; `None` for the middle of the valid pixels.
+    /// Position of the pole along x, mm; `None` for the middle of the valid pixels.
     pub pole_mm: Option<f64>,
 }
 
-/// Result of a fit.
+/// Parameters of a shape that was fitted and subtracted.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ShapeReport {
-    /// The fitted shape.
+    /// Shape that was fitted.
     pub shape: Shape,
-    /// Slope of the shape at the middle along x and y, urad.
+    /// Slopes of the shape along x and y in the middle of the valid pixels, urad.
     pub tilt_urad: [f64; 2],
-    /// Radius of curvature, m; positive is concave; `null` of a plane, and of other shapes without one
+    /// Radius of curvature, m; positive for a concave mirror. `null` for a plane, and for other shapes without a single
     /// radius.
     pub radius_m: Option<f64>,
-    /// The ellipse, with the parameters that were fitted.
+    /// Ellipse with its fitted parameters; `null` for other shapes.
     pub ellipse: Option<EllipseReport>,
 }
 
-/// An ellipse as the field states it.
+/// Ellipse by the distances and the grazing angle with which mirrors are specified.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EllipseReport {
     /// Distance from source to pole, mm; `null` for infinity, a parabola.
     pub p_mm: f64,
     /// Distance from pole to image, mm; `null` for infinity, a parabola.
     pub q_mm: f64,
-    /// Grazing angle, mrad.
+    /// Grazing angle at the pole, mrad.
     pub theta_mrad: f64,
-    /// Place of the pole, mm.
+    /// Position of the pole along x, mm.
     pub pole_mm: f64,
-    /// The parameters that were fitted.
+    /// Parameters of the ellipse that were fitted; the others are as given.
     pub fitted: Vec<EllipseParameter>,
-    /// Standard errors of p, q and theta, relative, under the assumption that the residual is white; 0 for
-    /// given parameters, `null` for infinite errors.
+    /// Relative standard errors of p, q and theta, under the assumption that the residual is white noise. 0 for given
+    /// parameters, `null` for infinite errors.
     pub standard_error: [f64; 3],
 }
 
-/// Heights at points; NaN marks an invalid one.
+/// Heights at the points of a lattice; NaN marks an invalid one.
 pub(crate) struct Heights<'a> {
-    /// (nx), mm, ascending.
+    /// Positions along x (nx), mm, ascending.
     pub x_mm: &'a [f64],
-    /// (ny), mm, ascending.
+    /// Positions along y (ny), mm, ascending; one for a profile.
     pub y_mm: &'a [f64],
-    /// (ny, nx), nm.
+    /// Heights (ny, nx), nm.
     pub height_nm: &'a Array2<f64>,
 }
 
-/// Returns `heights` minus the best `shape`.
+/// Returns the heights minus the best `shape` (ny, nx), nm, and the parameters of the shape. Refuses heights that do
+/// not determine the shape, and an ellipse without its settings.
 pub(crate) fn without_shape(
     heights: &Heights,
     shape: Shape,
@@ -197,7 +198,8 @@ pub(crate) fn without_shape(
 }
 
 impl Heights<'_> {
-    /// Returns the heights, nm, minus those of a shape, mm, at x and y.
+    /// Returns the heights minus those of a shape, nm; `shape_mm` returns the height of the shape at x and y, all in
+    /// mm.
     fn minus(&self, shape_mm: impl Fn(f64, f64) -> f64) -> Array2<f64> {
         let mut left = self.height_nm.clone();
         for ((r, c), v) in left.indexed_iter_mut() {
@@ -212,7 +214,8 @@ fn plane_report(shape: Shape, plane: Plane) -> ShapeReport {
     ShapeReport { shape, tilt_urad: [plane.b, plane.c], radius_m: None, ellipse: None }
 }
 
-/// Returns `slope_nrad` at `x_mm` minus the slope of the best `shape`; NaN marks an invalid element.
+/// Returns the slopes `slope_nrad` at `x_mm` minus those of the best `shape`, nrad, and the parameters of the shape.
+/// NaN marks an invalid element.
 pub(crate) fn without_shape_of_slopes(
     x_mm: &[f64],
     slope_nrad: &[f64],

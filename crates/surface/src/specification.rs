@@ -49,36 +49,36 @@ pub struct Specification {
     /// Origin and purpose of the specification.
     #[serde(default)]
     pub description: String,
-    /// The ellipse of the limits after `ellipse`.
+    /// Ellipse of the limits whose `after` is `ellipse`; absent if there are none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ellipse: Option<EllipseFile>,
-    /// The zones that limits name; a limit without one is on all valid pixels.
+    /// Zones that limits name; a limit without a zone is on all valid pixels.
     #[serde(default)]
     pub zones: Vec<Zone>,
-    /// The limits; at least one.
+    /// Limits on quantities of the mirror; at least one.
     pub limits: Vec<Limit>,
 }
 
-/// An ellipse as a file states it.
+/// Ellipse that the mirror is made for, as the file of a specification states it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "ellipse")]
 pub struct EllipseFile {
-    /// Source to pole, mm.
+    /// Distance from source to pole, mm.
     pub p_mm: f64,
-    /// Pole to image, mm.
+    /// Distance from pole to image, mm.
     pub q_mm: f64,
     /// Grazing angle at the pole, mrad.
     pub theta_mrad: f64,
-    /// Place of the pole, mm; absent for the middle of the valid pixels.
+    /// Position of the pole along x, mm; absent for the middle of the valid pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pole_mm: Option<f64>,
-    /// The parameters that are fitted beside piston and tilt.
+    /// Parameters of the ellipse that are fitted in addition to piston and tilt.
     #[serde(default)]
     pub free: Vec<EllipseParameter>,
 }
 
 impl Specification {
-    /// Checks what the JSON types do not check.
+    /// Checks what the types of the JSON file do not check.
     ///
     /// # Errors
     /// Refuses no limits, a name that two zones have or no zone has, and numbers out of their range.
@@ -97,7 +97,7 @@ impl Specification {
         self.limits.iter().enumerate().try_for_each(|(i, limit)| self.check_limit(i, limit))
     }
 
-    /// Checks that the zone and the ellipse of limit `i` exist, and its own numbers.
+    /// Checks the numbers of limit `i`, and that its zone and its ellipse exist.
     fn check_limit(&self, i: usize, limit: &Limit) -> Result<(), Invalid> {
         if let Some(name) = limit.zone().filter(|n| !self.zones.iter().any(|z| z.name == *n)) {
             let problem = format!("zone is \"{name}\"");
@@ -111,17 +111,20 @@ impl Specification {
         limit.check(i)
     }
 
-    /// Returns the ellipse of the limits after `ellipse`, if the specification has one. Refuses one that is no mirror.
+    /// Returns the ellipse of the limits whose `after` is `ellipse`, or `None` if the specification states none.
+    /// Refuses one that is no mirror.
     pub fn ellipse(&self) -> Result<Option<EllipseSettings>, Invalid> {
         self.ellipse.as_ref().map(EllipseFile::settings).transpose()
     }
 
-    /// Judges `subject`, limit by limit. Refuses what [`Self::check`] refuses, and a limit that cannot be judged.
+    /// Judges a map or a profile, limit by limit. Refuses what [`Self::check`] refuses, and a limit that cannot be
+    /// judged.
     pub fn judge(&self, subject: &Subject) -> Result<SpecificationReport, Invalid> {
         self.judge_beside_noise(subject, 0.0)
     }
 
-    /// Judges `subject`, whose heights have white noise of `noise_nm` RMS, limit by limit.
+    /// Judges a map or a profile limit by limit, with white noise of `noise_nm` RMS (s below) in its heights. The noise
+    /// alone would have these values:
     ///
     /// ```text
     /// RMS height    s, in a band s (fraction that the band has of all frequencies)^1/2

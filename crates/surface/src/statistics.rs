@@ -24,16 +24,16 @@ const PVR_ORDER: u32 = 7;
 /// holes get Zernike terms. Smaller: discs get Legendre terms. Derived: a disc fills pi / 4 = 0.785.
 const RECTANGLE_FILLS: f64 = 0.9;
 
-/// Numbers that describe a map.
+/// Statistics of the valid pixels of a map.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceStatistics {
-    /// Shape (rows, columns).
+    /// Shape of the map (rows, columns).
     pub shape: (usize, usize),
     /// Number of valid pixels.
     pub valid_pixels: usize,
     /// Area of the valid pixels, mm^2.
     pub valid_area_mm2: f64,
-    /// Arithmetic mean, nm.
+    /// Mean height, nm.
     pub mean_nm: f64,
     /// Population RMS, mean removed, nm.
     pub rms_nm: f64,
@@ -41,27 +41,27 @@ pub struct SurfaceStatistics {
     pub rms_detilted_nm: f64,
     /// Largest minus smallest height, nm.
     pub pv_nm: f64,
-    /// The robust PV; absent if its terms cannot be fitted.
+    /// Robust PV (PVr); absent if its terms cannot be fitted.
     pub pvr: Option<RobustPv>,
-    /// Reason why the robust PV is absent.
+    /// Reason why the robust PV is absent; absent if the robust PV is there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pvr_note: Option<String>,
 }
 
-/// PVr and its parts.
+/// Robust PV (PVr of the module) and its parts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobustPv {
-    /// PVr, nm.
+    /// Robust PV: `fit_pv_nm` plus three times `rest_rms_nm`, nm.
     pub pvr_nm: f64,
-    /// PV of the fit over the valid pixels, nm.
+    /// PV of the low-order fit over the valid pixels, nm.
     pub fit_pv_nm: f64,
-    /// RMS of the rest, nm.
+    /// RMS of the map minus the low-order fit, nm.
     pub rest_rms_nm: f64,
     /// Family of the fitted terms.
     pub family: Family,
-    /// Highest order of the fit.
+    /// Highest order of the fitted terms.
     pub order: u32,
-    /// Definition of PVr, in words.
+    /// Definition of the robust PV, in words.
     pub definition: &'static str,
 }
 
@@ -97,8 +97,8 @@ pub fn surface_statistics(
     })
 }
 
-/// Computes PVr with the given terms. Refuses valid pixels that do not determine them, and a circle that does not hold
-/// all of them.
+/// Returns the robust PV with the terms of a family. Refuses valid pixels that do not determine the terms, and a circle
+/// that does not contain all of them.
 fn robust_pv(
     surface: &Surface,
     family: Family,
@@ -119,7 +119,8 @@ fn robust_pv(
     })
 }
 
-/// The terms that suit the outline of the valid pixels.
+/// Returns the family of terms that suits the outline of the valid pixels: Zernike terms if they fill less than
+/// [`RECTANGLE_FILLS`] of their bounding box.
 fn suited(surface: &Surface) -> Family {
     let map = surface.height_nm();
     let [rows, columns] = [map.rows(), map.columns()].map(|lines| {

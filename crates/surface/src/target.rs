@@ -7,9 +7,9 @@
 //! h_z = h_n / n_z                                         height along z from that along the normal       (3)
 //! ```
 //!
-//! (1) is solved by the Levenberg-Marquardt method (2), from the QR factors of the scaled J (D. W. Marquardt, J. SIAM 11
-//! (1963) 431). A radius and the distances p and q move along their inverses, along which f is nearly linear. A parameter
-//! at one of its bounds stays there while the step would take it beyond.
+//! (1) is solved by the Levenberg-Marquardt method (2), from the QR factors of the scaled J (D. W. Marquardt, J. SIAM
+//! 11 (1963) 431). A radius and the distances p and q move along their inverses, along which f is nearly linear. A
+//! parameter at one of its bounds stays there while the step would take it beyond.
 //!
 //! (3) holds to first order in the height: nanometres against radii of millimetres and more. A map whose lateral axes
 //! follow the surface is interpolated at the coordinates that [`planish_form::Development`] gives to every pixel.
@@ -32,78 +32,79 @@ use crate::{low_order::bounding_box_mm, shape::fit::damped_step};
 /// Number of nm in a mm.
 const NM_PER_MM: f64 = 1e6;
 
-/// Rows of J that are factorised at once. Larger: more memory. Smaller: more time.
+/// Number of rows of J in (2) of the module that are factorised at once. Larger: more memory. Smaller: more time.
 const ROWS: usize = 4096;
 
-/// Largest number of steps, accepted or not. Larger: more time on a fit that does not end. Smaller: a fit may stop before
-/// its minimum. Measured: a few steps where the start is good, 20 from a radius that is off by half.
+/// Largest number of steps, accepted or not. Larger: more time on a fit that does not end. Smaller: a fit may stop
+/// before its minimum. Measured: a few steps where the start is good, 20 from a radius that is off by half.
 const MAX_STEPS: usize = 200;
 
-/// Length of a step by the scaled Jacobian, relative to the heights, below which a fit ends. Larger: it stops before its
-/// minimum. Smaller: rounding keeps it going.
+/// Length of a step in the scaled Jacobian, relative to the heights, at or below which a fit ends. Larger: it stops
+/// before its minimum. Smaller: rounding keeps it going.
 const LAST_STEP: f64 = 1e-13;
 
-/// First damping l of (2), and the factor by which it changes. Larger: shorter first steps. Smaller: more refusals.
+/// First damping (l in (2) of the module) after a step that failed, and the factor by which it changes. Larger: shorter
+/// first steps. Smaller: more steps that fail.
 const DAMPING: (f64, f64) = (1e-4, 10.0);
 
-/// Smallest diagonal of R of the scaled Jacobian at which its columns count as independent. Larger: refuses what is
-/// determined. Smaller: accepts parameters that rounding decides.
+/// Smallest diagonal element of R of the scaled Jacobian at which its columns count as independent. Larger: refuses
+/// parameters that the map determines. Smaller: accepts parameters that rounding decides.
 const INDEPENDENT: f64 = 1e-9;
 
-/// Form that a part is to have, as a form file states it.
+/// Target: the form that a part is to have, as a form file states it.
 #[derive(Clone, Debug)]
 pub struct Target {
-    /// The file, with the freedom of its parameters.
+    /// Content of the form file, with the parameters that a fit may change.
     pub file: FormFile,
-    /// The map of a form of the kind `map`.
+    /// Heights of a form of the kind `map`; `None` for other kinds.
     pub map: Option<Surface>,
 }
 
-/// The form that was subtracted.
+/// Form that was subtracted from a map, with the result of its fit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TargetReport {
-    /// Convention of the heights.
+    /// Sentence that states the sign and the direction of the heights.
     pub convention: &'static str,
-    /// The form with its fitted numbers.
+    /// Form file with the fitted numbers in place of the given ones.
     pub form: FormFile,
-    /// Height at x = y = 0 that was subtracted with it, nm.
+    /// Height at x = y = 0 that was subtracted with the form, nm.
     pub piston_nm: f64,
-    /// Slopes along [x, y] that were subtracted with it, urad.
+    /// Slopes along [x, y] that were subtracted with the form, urad.
     pub tilt_urad: [f64; 2],
     /// The parameters that were fitted.
     pub parameters: Vec<ParameterReport>,
-    /// Population RMS of the map less the form, mean removed, nm.
+    /// Population RMS of the map minus the form, mean removed, nm.
     pub rms_nm: f64,
-    /// Steps of the fit.
+    /// Number of steps of the fit.
     pub steps: usize,
 }
 
-/// A fitted parameter.
+/// A fitted parameter of a form.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterReport {
-    /// Name, with its unit.
+    /// Name of the parameter, which ends with its unit.
     pub name: String,
-    /// Value in the file.
+    /// Value in the form file, in the unit of the parameter.
     pub given: f64,
-    /// Fitted value.
+    /// Value after the fit, in the unit of the parameter.
     pub value: f64,
-    /// Standard error under the assumption that the rest is white noise.
+    /// Standard error of the value, under the assumption that the residual is white noise.
     pub standard_error: f64,
-    /// Smallest and largest value, if it is bounded.
+    /// Smallest and largest allowed value; `null` if the parameter has no bounds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bounds: Option<[f64; 2]>,
     /// True if the fit ended at a bound.
     pub at_bound: bool,
 }
 
-/// A parameter on its way.
+/// A parameter during the fit. It moves along a coordinate: its value, or the inverse of the value.
 #[derive(Clone, Debug)]
 struct Parameter {
     name: String,
     bounds: Option<[f64; 2]>,
-    /// True if it moves along its inverse.
+    /// True if the coordinate is the inverse of the value.
     inverse: bool,
-    /// Step of its differences, in the coordinate along which it moves.
+    /// Step of the difference quotient by the coordinate, in its unit.
     step: f64,
 }
 
@@ -112,7 +113,7 @@ impl Parameter {
         if self.inverse { 1.0 / value } else { value }
     }
 
-    /// Bounds of the coordinate.
+    /// Returns the smallest and the largest value of the coordinate; infinite without bounds.
     fn ends(&self) -> [f64; 2] {
         let Some(bounds) = self.bounds else { return [f64::NEG_INFINITY, f64::INFINITY] };
         let [a, b] = bounds.map(|v| self.coordinate(v));
@@ -120,7 +121,7 @@ impl Parameter {
     }
 }
 
-/// The valid pixels of a map.
+/// Valid pixels of a map: positions, heights and indices, with the middle and the half diagonal of their bounding box.
 struct Points {
     place_mm: Vec<[f64; 2]>,
     height_nm: Vec<f64>,
@@ -147,7 +148,7 @@ impl Points {
     }
 }
 
-/// The model (1) at the parameters of its file.
+/// Model (1) of the module at the parameters in `file`.
 struct TargetModel<'a> {
     target: &'a Target,
     file: FormFile,
@@ -156,12 +157,12 @@ struct TargetModel<'a> {
 }
 
 impl TargetModel<'_> {
-    /// Number of unknowns: piston, tilts, parameters.
+    /// Returns the number of unknowns: the piston, two tilts if they are fitted, and the parameters.
     fn unknowns(&self) -> usize {
         1 + 2 * usize::from(self.tilted) + self.parameters.len()
     }
 
-    /// Coordinates of the parameters.
+    /// Returns the coordinates of the parameters at the values of the file.
     fn coordinates(&self) -> Vec<f64> {
         let mut file = self.file.clone();
         let values = self.parameters.iter();
@@ -176,7 +177,7 @@ impl TargetModel<'_> {
         file
     }
 
-    /// Height of the form at the points, nm; `None` where it does not exist at all of them.
+    /// Returns the heights of the form at the points, nm; `None` if the form does not exist at every point.
     fn heights(&self, coordinates: &[f64], points: &Points) -> Option<Vec<f64>> {
         let file = FormFile { fit: None, ..self.file_at(coordinates) };
         let form = Form::new(&file, self.target.map.as_ref()).ok()?;
@@ -184,7 +185,8 @@ impl TargetModel<'_> {
         sags.map(|sags| sags.into_iter().map(|mm| NM_PER_MM * mm).collect())
     }
 
-    /// Columns of J that do not depend on the form: 1, and x and y over the half size.
+    /// Returns the columns of J at the point `p` [x, y] for the piston and the tilts: 1, and x and y from the middle
+    /// over the half diagonal.
     fn rigid(&self, p: [f64; 2], points: &Points) -> Vec<f64> {
         if !self.tilted {
             return vec![1.0];
@@ -192,7 +194,8 @@ impl TargetModel<'_> {
         let [x, y] = [0, 1].map(|k| (p[k] - points.middle_mm[k]) / points.half_mm);
         vec![1.0, x, y]
     }
-    /// Heights of the points less the form and the rigid terms, nm.
+    /// Returns the heights of the points minus the form and minus the piston and the tilts with the coefficients
+    /// `rigid`, nm.
     fn left(&self, form: &[f64], rigid: &[f64], points: &Points) -> Vec<f64> {
         let places = points.place_mm.iter().zip(&points.height_nm).zip(form);
         let left = places.map(|((place, height), form)| {
@@ -202,7 +205,7 @@ impl TargetModel<'_> {
         });
         left.collect()
     }
-    /// Column of J of the parameter `k`; `None` if the form does not exist on either side.
+    /// Returns the column of J of the parameter `k`, a difference quotient; `None` if the form exists on neither side.
     fn column(&self, k: usize, coordinates: &[f64], points: &Points) -> Option<Vec<f64>> {
         let step = self.parameters[k].step;
         let [above, below] = [step, -step].map(|by| {
@@ -219,7 +222,7 @@ impl TargetModel<'_> {
         };
         Some(above.iter().zip(&below).map(|(a, b)| (a - b) / width).collect())
     }
-    /// Refusal of parameters that the pixels do not tell apart.
+    /// Returns the error about parameters that the pixels do not tell apart.
     fn undetermined(&self) -> Invalid {
         let names: Vec<&str> = self.parameters.iter().map(|p| p.name.as_str()).collect();
         let problem =
@@ -227,7 +230,8 @@ impl TargetModel<'_> {
         Invalid::whole("target", problem, "hold one of them in `fit` of the form file")
     }
 
-    /// R of the QR factors of [J, r], J with columns of length 1, and the lengths; `None` if the form does not exist.
+    /// Returns R of the QR factors of [J, r] with the columns of J scaled to length 1, and their lengths before. `None`
+    /// if the form does not exist.
     fn factors(
         &self,
         coordinates: &[f64],
@@ -268,9 +272,8 @@ impl TargetModel<'_> {
     }
 }
 
-/// Subtracts the target from `surface`, fitted where its file says so, and always less a piston; less a tilt unless the
-/// file holds it. Refuses a form that does not exist at a valid pixel, and parameters that the pixels do not tell
-/// apart.
+/// Returns `surface` minus the target, a piston and, unless the file holds it, a tilt, with the report of the fit.
+/// Refuses a form that does not exist at a valid pixel, and parameters that the pixels do not tell apart.
 pub fn without_target(
     surface: &Surface,
     target: &Target,
@@ -339,7 +342,7 @@ fn norm(values: &[f64]) -> f64 {
     values.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// The model of a target, at the values of its file.
+/// Returns the model of a target at the values of its form file.
 fn model<'a>(target: &'a Target, points: &Points) -> Result<TargetModel<'a>, Invalid> {
     target.file.check()?;
     let mut file = target.file.clone();
@@ -373,7 +376,7 @@ fn model<'a>(target: &'a Target, points: &Points) -> Result<TargetModel<'a>, Inv
     Ok(TargetModel { target, file, parameters, tilted })
 }
 
-/// A form that does not exist on all of the part.
+/// Returns the error about a form that does not exist at every valid pixel.
 fn absent(target: &Target, surface: &Surface, points: &Points) -> Invalid {
     let file = FormFile { fit: None, ..target.file.clone() };
     let form = match Form::new(&file, target.map.as_ref()) {
@@ -392,7 +395,7 @@ fn absent(target: &Target, surface: &Surface, points: &Points) -> Invalid {
     Invalid::at_index("target", (r, c), problem, remedy)
 }
 
-/// The map less the model, and its report.
+/// Returns the map minus the model, and the report of the fit.
 fn report(
     surface: &Surface,
     model: &TargetModel<'_>,
@@ -469,8 +472,8 @@ pub enum Lateral {
     Surface,
 }
 
-/// Converts to a map with heights along z and projected lateral axes, from one that counts them along a form. Refuses a
-/// form that does not exist at a pixel of the result.
+/// Converts `map` to heights along z and projected lateral axes. `heights` and `lateral` state how the given map counts
+/// them along the form. Refuses a form that does not exist at a pixel of the result.
 pub fn converted(
     map: &Surface,
     form: &Form,
@@ -521,7 +524,7 @@ mod tests {
         Grid { x: Axis::new(-20.0, 0.8, 51).unwrap(), y: Axis::new(-15.0, 0.75, 41).unwrap() }
     }
 
-    /// The heights of a form, with a tilt, a piston and a hole, and `error` nm.
+    /// Returns the heights of the form in `json`, nm, with a tilt, a piston, a hole and the addition `error(x, y)`, nm.
     fn measured(json: &str, error: impl Fn(f64, f64) -> f64) -> Surface {
         let form = Form::new(&target(json).file, None).unwrap();
         let grid = grid();

@@ -10,7 +10,7 @@ use planish_handoff::{
 use planish_testkit::program::save;
 use planish_types::Surface;
 
-/// A bare directory of arrays: 80 x 60 pixels of 0.1 mm, tilted, with one pit.
+/// Writes a bare directory of arrays: a map of 80 x 60 pixels of 0.1 mm, tilted, with one pit.
 fn write_surface(dir: &Path) {
     let mut map = Array2::from_shape_fn((60, 80), |(r, c)| 10.0 + 0.2 * c as f64 + 0.1 * r as f64);
     map.slice_mut(ndarray::s![20..26, 30..36]).mapv_inplace(|v| v - 20.0);
@@ -132,7 +132,7 @@ fn bad_input_ends_with_2_a_message_and_no_output() {
     }
 }
 
-/// Runs any subcommand.
+/// Runs `planish-surface` with these arguments in `dir`, and returns its output.
 fn surface_command(dir: &Path, arguments: &[&str]) -> Output {
     planish_testkit::program::stage("planish-surface")
         .current_dir(dir)
@@ -153,7 +153,7 @@ pub fn manifest(dir: &Path) -> serde_json::Value {
     serde_json::from_slice(&fs::read(dir.join("manifest.json")).unwrap()).unwrap()
 }
 
-/// An even, off-centre Gaussian: 40 x 30 samples of 0.25 mm about (0.4, -0.3), 5 nm/s, sigma 0.7.
+/// Writes a TIF, an even, off-centre Gaussian: 40 x 30 samples of 0.25 mm about (0.4, -0.3), 5 nm/s, sigma 0.7.
 pub fn write_tif(dir: &Path) {
     let axis = |n: usize| (0..n).map(move |i| -0.125 * (n as f64 - 1.0) + 0.25 * i as f64);
     let rate = Array2::from_shape_fn((30, 40), |(r, c)| {

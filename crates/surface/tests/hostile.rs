@@ -12,7 +12,7 @@ use serde_json::Value;
 /// machine. Chosen: a run on 12 x 9 pixels takes milliseconds.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Numbers in the place of `?` of a command, which runs with a usual number first.
+/// Absurd numbers that replace the `?` of a command, which runs with a usual number first.
 const NUMBERS: [&str; 14] = [
     "0",
     "-0",
@@ -41,7 +41,7 @@ pub fn put(dir: &Path, name: &str, map: Array2<f64>, step: f64) {
     save(dir, "y_mm", axis(ny, step));
 }
 
-/// The smooth map that flags are tried on, with a hole.
+/// Returns the smooth map with a hole on which the flags are tried.
 pub fn usual() -> Array2<f64> {
     let mut map =
         Array2::from_shape_fn((9, 12), |(r, c)| (0.7 * r as f64).sin() + 0.1 * (c * c) as f64);
@@ -49,7 +49,7 @@ pub fn usual() -> Array2<f64> {
     map
 }
 
-/// Runs to its end, or to [`LIMIT`].
+/// Runs a command until it ends, or until [`LIMIT`].
 fn run(stage: &str, dir: &Path, arguments: &[String]) -> Output {
     let mut command = planish_testkit::program::stage(stage);
     run_within(command.current_dir(dir).args(arguments), LIMIT)
@@ -253,8 +253,8 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
     assert!(ends.iter().all(|count| *count > 100), "done, refused: {ends:?}");
 }
 
-/// Runs every call on maps that are hardly maps, which are the array and the input `[array, flag]`. Returns how many calls
-/// ended with a result, and with a message.
+/// Runs every call on maps that are hardly maps, which are the array and the input `[array, flag]`. Returns how many
+/// calls ended with a result, and with a message.
 pub fn try_maps(
     stage: &str,
     dir: &Path,

@@ -21,12 +21,13 @@ pub enum ClearAperture {
         /// Radius, mm; > 0.
         radius_mm: f64,
     },
-    /// Pixels that are true, (ny, nx).
+    /// Mask (ny, nx) with true at the pixels in the aperture.
     Mask(Array2<bool>),
 }
 
 impl ClearAperture {
-    /// Returns the aperture as a mask (ny, nx) on `grid`. Refuses an aperture that contains no pixel, or that is none.
+    /// Returns the aperture as a mask (ny, nx) on `grid`, true inside. Refuses an aperture that contains no pixel, ends
+    /// that do not ascend, and a radius that is not positive.
     pub fn mask(&self, grid: &Grid) -> Result<Array2<bool>, Invalid> {
         // A pixel centre that rounding moves outside by up to 1e-9 of a step is inside.
         let slack = 1e-9 * grid.x.step_mm().max(grid.y.step_mm());

@@ -1,4 +1,4 @@
-//! Motion of all axes of a machine.
+//! Motion of all axes of a machine as piecewise cubic polynomials.
 
 use planish_numerics::polynomial;
 
@@ -8,11 +8,12 @@ use crate::Invalid;
 /// than five.
 const MOST_AXES: usize = 16;
 
-/// k cubic polynomials for each of n axes in segment-local time, in mm or degrees; checked.
+/// Motion of all n axes of a machine in k segments: a cubic polynomial per axis and segment, in mm or degrees. The time
+/// of a polynomial begins at 0 in its segment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxesMotion {
     break_time_s: Vec<f64>,
-    /// Coefficients (k, axis, order), the axes of a segment one after the other.
+    /// Coefficients, element i n + a for axis a of segment i; order 0 to 3 ascending, mm or deg per s^order.
     coefficient: Vec<[f64; 4]>,
     tool_on: Vec<bool>,
     dwell_index: Vec<Option<usize>>,
@@ -83,7 +84,7 @@ impl AxesMotion {
         self.coefficient.len() / self.len()
     }
 
-    /// Returns the break times (k+1), s.
+    /// Returns the break times (k+1), s: the start of each segment and the end of the last one.
     pub fn break_time_s(&self) -> &[f64] {
         &self.break_time_s
     }
@@ -93,7 +94,8 @@ impl AxesMotion {
         self.break_time_s[i + 1] - self.break_time_s[i]
     }
 
-    /// Returns the ascending coefficients of the axes (n) in segment `i`, mm or deg per s^order.
+    /// Returns the cubic polynomials of the axes (n) in segment `i`: coefficients of ascending order, mm or deg per
+    /// s^order.
     pub fn segment(&self, i: usize) -> &[[f64; 4]] {
         let n = self.axes();
         &self.coefficient[i * n..(i + 1) * n]
@@ -104,17 +106,18 @@ impl AxesMotion {
         &self.tool_on
     }
 
-    /// Returns the dwell point that each segment serves, if any (k).
+    /// Returns for each segment (k) the index of the dwell point that it serves, or `None` if it serves none, such as a
+    /// link.
     pub fn dwell_index(&self) -> &[Option<usize>] {
         &self.dwell_index
     }
 
-    /// Returns the positions of the axes (n) at the local time `u_s` of segment `i`, mm or deg.
+    /// Returns the positions of the axes (n), mm or deg, at the time `u_s` after the start of segment `i`.
     pub fn position(&self, i: usize, u_s: f64) -> Vec<f64> {
         self.segment(i).iter().map(|c| polynomial::evaluate(c, u_s)).collect()
     }
 
-    /// Returns the time from the first to the last break, s.
+    /// Returns the duration of the whole motion, s.
     pub fn total_time_s(&self) -> f64 {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }

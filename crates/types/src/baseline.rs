@@ -17,36 +17,36 @@ use crate::{
     regression::{Regression, regression},
 };
 
-/// Part of the shorter side of the field, on every side of it, that is outer. Larger: more of a cropped spot is among
-/// the outer samples. Smaller: fewer samples, and larger standard errors.
+/// Width of the border whose samples count as outer, over the shorter side of the field. Larger: more of a cropped spot
+/// is among the outer samples. Smaller: fewer samples, and larger standard errors.
 const OUTER: f64 = 0.1;
 
-/// Largest part of the samples that may lie above half of the peak. A spot that fills more has no outer samples without
-/// a tail, whose shape would be a guess. Derived: 4.36 sigma^2 for a Gaussian in a square field of 2.1 sigma on either
-/// side.
+/// Largest fraction of the samples that may lie above half of the peak. A spot that fills more has no outer samples
+/// without a tail, whose shape would be a guess. Derived: 4.36 sigma^2 for a Gaussian in a square field of 2.1 sigma on
+/// either side.
 const MOST_ABOVE_HALF: f64 = 0.25;
 
-/// Part of the samples of the border above which zeros are no measurement. Larger: a round field counts as a square
-/// one. Smaller: a floor of rectified noise, of which half is 0, counts as a field with holes.
+/// Fraction of zeros among the samples of the border, above which zeros count as not measured. Larger: a round field
+/// counts as a square one. Smaller: a floor of rectified noise, of which half is 0, counts as a field with holes.
 const MOST_ZEROS: f64 = 0.8;
 
-/// Size of the largest tail among the outer samples, over the peak, below which (1) has no third term. Larger: tails
-/// count as a baseline. Smaller: a term that rounding determines.
+/// Largest tail among the outer samples, over the peak, up to which the fit (1) of the module omits its third term.
+/// Larger: tails count as a baseline. Smaller: a term that rounding determines.
 const LEAST_TAIL: f64 = 1e-6;
 
-/// Smallest ratio of a part of the baseline to its standard error. Larger: baselines in much noise pass. Smaller: noise
-/// is called a baseline.
+/// Smallest ratio of a parameter of the baseline to its standard error, below which the parameter counts as noise.
+/// Larger: baselines in much noise pass. Smaller: noise is called a baseline.
 const LEAST_SIGNIFICANCE: f64 = 4.0;
 
-/// Baseline of a TIF.
+/// Baseline of a TIF: the plane that the measurement adds below the spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Baseline {
     /// Mean rate of the baseline over the samples, nm/s; 0 if it does not differ from noise.
     pub level_nm_per_s: f64,
-    /// Volume of this level over that of the TIF; negative if the baseline is.
+    /// Volume of this level over the volume of the TIF; negative if the level is.
     pub part_of_volume: f64,
-    /// Volume that a tilt of the baseline moves from one side to the other, over that of the TIF; 0 if it does not
-    /// differ from noise.
+    /// Volume that the tilt of the baseline moves from one side of the field to the other, over the volume of the TIF.
+    /// It is 0 if the tilt does not differ from noise.
     pub tilted_part_of_volume: f64,
 }
 
@@ -97,18 +97,18 @@ impl Baseline {
     }
 }
 
-/// A sample near the end of what was measured.
+/// A sample of the TIF near the border of the measured field.
 struct OuterSample {
-    /// Factors of b and g in (1).
+    /// Factors of the level b and of the two slopes g in (1) of the module, with g over half the field.
     plane: [f64; 3],
-    /// Factor of T in (1).
+    /// Factor of the tail amplitude T in (1) of the module: exp(-d^2 / 2) at the sample.
     tail: f64,
-    /// Rate over the peak.
+    /// Measured rate over the peak of the TIF.
     rate: f64,
 }
 
-/// Returns b and g of (1) over the peak, g over half the field, and their standard errors; `None` if the samples do not
-/// determine them.
+/// Returns the level b and the two slopes g of (1) of the module, over the peak, then their standard errors. The slopes
+/// are per half field. `None` if the samples do not determine them.
 fn fitted_plane(samples: &[OuterSample]) -> Option<([f64; 3], [f64; 3])> {
     let largest_tail = samples.iter().map(|s| s.tail).fold(0.0, f64::max);
     if largest_tail <= LEAST_TAIL {
@@ -122,8 +122,8 @@ fn fitted_plane(samples: &[OuterSample]) -> Option<([f64; 3], [f64; 3])> {
     Some(([b, gx, gy], [of_b, of_gx, of_gy]))
 }
 
-/// Returns the samples that were measured: all of them, or those that are not 0 if nearly all of the border is 0, as
-/// around a round field.
+/// Returns a mask of the samples that were measured. It is true everywhere, or where the rate is not 0 if nearly all of
+/// the border is 0, as around a round field.
 fn measured(rate: &Array2<f64>) -> Array2<bool> {
     let (ny, nx) = rate.dim();
     let border = rate.indexed_iter().filter(|((r, c), _)| is_edge(*r, ny) || is_edge(*c, nx));
@@ -137,7 +137,7 @@ fn is_edge(index: usize, n: usize) -> bool {
     index == 0 || index + 1 == n
 }
 
-/// Returns the measured samples that lie near the end of what was measured; `None` if nothing else is left.
+/// Returns a mask of the measured samples near the border of the measured field, or `None` if no other sample is left.
 fn outer(measured: &Array2<bool>) -> Option<Array2<bool>> {
     let (ny, nx) = measured.dim();
     let [rows, columns] = [measured.rows(), measured.columns()].map(|lines| {
@@ -164,7 +164,7 @@ fn outer(measured: &Array2<bool>) -> Option<Array2<bool>> {
     Some(Array2::from_shape_fn((ny, nx), |place| measured[place] && !inner[place]))
 }
 
-/// Place and widths of the spot of a TIF.
+/// Centre and covariance of the spot of a TIF.
 struct Spot {
     centre_mm: [f64; 2],
     /// Covariance of a Gaussian, [xx, xy, yy], mm^2.
@@ -172,8 +172,8 @@ struct Spot {
 }
 
 impl Spot {
-    /// Returns the Gaussian with these samples above half of its peak. The ellipse in which it exceeds half of its peak
-    /// has the second moments `ln 2 / 2` times the covariance.
+    /// Returns the Gaussian that has the same centroid and second moments of the samples above half of its peak. The
+    /// ellipse above half of its peak has the second moments `ln 2 / 2` times the covariance.
     fn above_half(grid: &Grid, rate: &Array2<f64>, peak: f64) -> Self {
         let above = rate.indexed_iter().filter(|(_, v)| **v >= 0.5 * peak);
         let places: Vec<[f64; 2]> =
@@ -194,7 +194,7 @@ impl Spot {
         Self { centre_mm: [cx, cy], covariance_mm2: moments.map(|m| factor * m) }
     }
 
-    /// Returns d^2 of (1).
+    /// Returns the squared offset d^2 of (1) of the module, in widths of the spot, at the offset `point_mm` [x, y].
     fn squared_offset(&self, point_mm: [f64; 2]) -> f64 {
         let [x, y] = [0, 1].map(|k| point_mm[k] - self.centre_mm[k]);
         let [xx, xy, yy] = self.covariance_mm2;
@@ -207,14 +207,14 @@ mod tests {
     use super::*;
     use crate::Axis;
 
-    /// Samples of 5 nm/s times a shape, out to `half` mm, and what is added to them.
+    /// Returns a TIF with n x n samples of `rate` (x and y in mm) out to `half_mm`.
     fn tif(half_mm: f64, n: usize, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let a = Axis::new(-half_mm, 2.0 * half_mm / (n - 1) as f64, n).unwrap();
         let of = |(r, c): (usize, usize)| rate(a.coordinate_mm(c), a.coordinate_mm(r));
         Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((n, n), of)).unwrap()
     }
 
-    /// A Gaussian of 2 and 1.2 mm, turned by 40 degrees.
+    /// Returns a Gaussian with the standard deviations 2 and 1.2 mm, turned by 40 degrees, at (x, y) in mm.
     fn ellipse(x: f64, y: f64) -> f64 {
         let (sine, cosine) = 40.0_f64.to_radians().sin_cos();
         let (u, v) = (cosine * x + sine * y, cosine * y - sine * x);

@@ -35,8 +35,8 @@ pub fn memory_bytes() -> u64 {
     MEMORY_BYTES.load(Ordering::Relaxed)
 }
 
-/// Returns `count` as a number of elements of `bytes_each`, if all of them together fit into the
-/// budget. Otherwise the error states their number, their memory and `remedy`.
+/// Returns `count` as a whole number of elements if all of them together, at `bytes_each`, fit into the budget.
+/// Otherwise the error states their number, their memory and `remedy`.
 ///
 /// `count` is a float because it comes from lengths that a user gave; infinite and NaN are refused.
 /// `array` names the array that would be too large.

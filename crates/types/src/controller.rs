@@ -1,5 +1,5 @@
-//! Motion controllers: grids of their positions, velocities and times, and their motion between two
-//! nodes.
+//! Motion controllers: rounding of their positions, velocities and times, and their motion between two nodes. A node is
+//! an end of a segment in the program of the controller.
 //!
 //! [`ControllerFile`] is the object `controller` of a machine file, unchecked. [`ControllerModel`]
 //! is its checked form, which the stages use. Fields that the file omits have the default of the
@@ -21,11 +21,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Invalid, MachineAxis};
 
-/// Largest numbers of linear and of rotary axes that kinematics have.
+/// Largest numbers of linear and of rotary axes of a machine; every controller has a grid for each of them.
 const MOST_LINEAR: usize = 3;
 const MOST_ROTARY: usize = 2;
 
-/// Kind of controller; it decides the format of the program.
+/// Kind of controller. It determines the format of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {
@@ -35,50 +35,51 @@ pub enum ControllerKind {
     Xps,
     /// Delta Tau / Omron PMAC, PVT mode.
     Pmac,
-    /// G-code as LinuxCNC runs it.
+    /// G-code in the dialect of LinuxCNC.
     Gcode,
-    /// Table of the motion.
+    /// Table of the motion in our own CSV format.
     Csv,
 }
 
-/// Motion of an axis between two nodes.
+/// Motion of an axis between two nodes, the ends of a segment of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Interpolation {
     /// The cubic through positions and velocities of both nodes.
     Hermite,
-    /// The straight line at constant speed.
+    /// The straight line at constant speed between the positions of both nodes.
     Linear,
 }
 
-/// The controller as a machine file states it, not checked yet.
+/// The controller as a machine file states it, not checked yet. An absent field has the default of the kind, see the
+/// table of the module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Controller")]
 pub struct ControllerFile {
-    /// Kind of controller.
+    /// Kind of controller, which determines the defaults.
     pub kind: ControllerKind,
-    /// Clock: node times are multiples of it, s.
+    /// Clock period, s: the times of nodes are multiples of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tick_s: Option<f64>,
-    /// Counts of the linear axes, in their order: node positions are multiples of them, mm.
+    /// Counts of the linear axes, in the order of the axes, mm: the positions of nodes are multiples of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count_mm: Option<Vec<f64>>,
-    /// Counts of the rotary axes, in their order, degrees.
+    /// Counts of the rotary axes, in the order of the axes, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count_deg: Option<Vec<f64>>,
-    /// Resolution of a velocity of the linear axes, mm/s.
+    /// Resolution of the velocities of the linear axes in a program, mm/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub velocity_mm_per_s: Option<f64>,
-    /// Resolution of a velocity of the rotary axes, deg/s.
+    /// Resolution of the velocities of the rotary axes in a program, deg/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub velocity_deg_per_s: Option<f64>,
-    /// Shortest segment, s.
+    /// Shortest duration of a segment, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_segment_s: Option<f64>,
     /// Largest number of segments of a program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_segments: Option<usize>,
-    /// Motion between two nodes.
+    /// Motion between two nodes of a program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interpolation: Option<Interpolation>,
     /// True if the program switches the tool.
@@ -86,31 +87,31 @@ pub struct ControllerFile {
     pub switches_tool: Option<bool>,
 }
 
-/// Grid of one axis of a controller.
+/// Rounding of one axis in the program of a controller.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AxisGrid {
     /// Count: node positions are multiples of it, mm or deg.
     pub count: f64,
-    /// Resolution of a velocity, mm/s or deg/s.
+    /// Resolution of a velocity in the program, mm/s or deg/s.
     pub velocity: f64,
 }
 
-/// A controller: every number positive and finite.
+/// A checked controller with the defaults filled in; every number is positive and finite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ControllerModel {
-    /// Kind of controller.
+    /// Kind of controller, which determines the format of the program.
     pub kind: ControllerKind,
-    /// Clock, s.
+    /// Clock period, s.
     pub tick_s: f64,
-    /// Grids of the linear axes, in their order.
+    /// Rounding of the linear axes, in the order of the axes.
     pub linear: [AxisGrid; MOST_LINEAR],
-    /// Grids of the rotary axes, in their order.
+    /// Rounding of the rotary axes, in the order of the axes.
     pub rotary: [AxisGrid; MOST_ROTARY],
-    /// Shortest segment, s.
+    /// Shortest duration of a segment, s.
     pub min_segment_s: f64,
     /// Largest number of segments of a program; `None` if there is no limit.
     pub max_segments: Option<usize>,
-    /// Motion between two nodes.
+    /// Motion between two nodes of a program.
     pub interpolation: Interpolation,
     /// True if the program switches the tool.
     pub switches_tool: bool,
@@ -125,9 +126,9 @@ const COUNT_MM: f64 = 1e-4;
 /// is 0.14 um.
 const COUNT_DEG: f64 = 1e-4;
 
-/// Default count of a program whose positions no encoder rounds, mm or degrees: 1 nm. Larger: lines at the limit of the
-/// acceleration take longer, by the fraction c / (10 D) of their time for the path deviation D. Smaller: more digits.
-/// Chosen: this fraction is 2e-5 at 5 um.
+/// Default count of a program whose positions no encoder rounds, mm or degrees: 1 nm. Larger: path lines at the limit
+/// of the acceleration take longer, by the fraction count / (10 D) of their time for the path deviation D. Smaller:
+/// more digits. Chosen: this fraction is 2e-5 at 5 um.
 const FINE_COUNT: f64 = 1e-6;
 
 /// Default resolution of a velocity in a program that writes decimals, mm/s or deg/s: the last of nine
@@ -143,12 +144,12 @@ impl ControllerKind {
     /// Every kind, in the order of help and messages. Command lines, pipelines and messages take their names from here.
     pub const ALL: [Self; 5] = [Self::Galil, Self::Xps, Self::Pmac, Self::Gcode, Self::Csv];
 
-    /// Returns the name in files and on command lines.
+    /// Returns the name in files and on command lines, such as `galil`.
     pub fn name(self) -> &'static str {
         self.words().0
     }
 
-    /// Returns the sentence of help: the program, and its units.
+    /// Returns the sentence about this kind in help texts: its program, and the units in it.
     pub fn about(self) -> &'static str {
         self.words().1
     }
@@ -172,7 +173,7 @@ impl ControllerKind {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// Returns the controller with every default of the table.
+    /// Returns the controller with every default of the table in the module.
     pub fn model(self) -> ControllerModel {
         // Clock, shortest segment, law, tool.
         let (tick_s, min_segment_s, interpolation, switches_tool) = match self {
@@ -195,14 +196,15 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the grid with this count and the default resolution of the velocity.
+    /// Returns the rounding of an axis with this count, mm or degrees, and the default resolution of the velocity of
+    /// the kind.
     fn grid(self, count: f64) -> AxisGrid {
         let velocity = if self == Self::Galil { count } else { LAST_DECIMAL_PER_S };
         AxisGrid { count, velocity }
     }
 }
 
-/// Counts as a user gives them: one for all axes of a list, or one for each.
+/// Counts as a user gives them: one number for all linear or all rotary axes, or one for each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Counts {
     /// Counts of the linear axes, mm; `None` for those of the controller.
@@ -212,15 +214,15 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Returns the same count for all linear axes, mm.
+    /// Returns counts with the same value for all linear axes, mm, and those of the controller for the rotary ones.
     pub fn linear(count_mm: f64) -> Self {
         Self { mm: Some(vec![count_mm]), deg: None }
     }
 }
 
 impl ControllerModel {
-    /// Returns the controller with another clock or other counts, if they are given, for a machine with these axes.
-    /// Refuses numbers that are not positive, and counts of other axes.
+    /// Returns the controller with the clock period `tick_s` and `counts` where they are given, for a machine with
+    /// these axes. Refuses numbers that are not positive, and counts for axes that the machine does not have.
     pub fn with(
         self,
         tick_s: Option<f64>,
@@ -257,7 +259,7 @@ impl ControllerModel {
         Ok(model)
     }
 
-    /// Returns the grids of these axes of a machine, in their order.
+    /// Returns the rounding of each of these axes of a machine, in their order.
     pub fn grids(&self, axes: &[MachineAxis]) -> Vec<AxisGrid> {
         let mut linear = self.linear.iter();
         let mut rotary = self.rotary.iter();
@@ -268,12 +270,12 @@ impl ControllerModel {
     }
 }
 
-/// Returns the names of the linear or of the rotary axes.
+/// Returns the names of the rotary axes if `rotary` is true, else of the linear ones.
 fn names(axes: &[MachineAxis], rotary: bool) -> Vec<&'static str> {
     axes.iter().filter(|a| a.is_rotary == rotary).map(|a| a.name).collect()
 }
 
-/// Returns a stated number, or the default. Refuses a number that is not positive and finite.
+/// Returns the number that the file states, or the default. Refuses a number that is not positive and finite.
 fn positive_or(name: &'static str, stated: Option<f64>, default: f64) -> Result<f64, Invalid> {
     match stated {
         Some(v) if !(v.is_finite() && v > 0.0) => {
@@ -284,7 +286,7 @@ fn positive_or(name: &'static str, stated: Option<f64>, default: f64) -> Result<
     }
 }
 
-/// Refuses counts that are not positive, and another number of counts than there are axes.
+/// Refuses counts that are not positive, and a number of counts that differs from the number of axes.
 fn check_counts(name: &'static str, counts: &[f64], axes: &[&str]) -> Result<(), Invalid> {
     if counts.len() != axes.len() {
         let problem = format!("has {} numbers", counts.len());
@@ -375,7 +377,7 @@ mod tests {
     use super::*;
     use crate::{MachineFile, MachineFileAxis};
 
-    /// The axes x and y.
+    /// Returns the axes x and y of a machine.
     fn x_y() -> Vec<MachineAxis> {
         let axis = |name: &str| MachineFileAxis {
             name: name.into(),
@@ -388,7 +390,7 @@ mod tests {
         crate::Machine::new(file).unwrap().axes().to_vec()
     }
 
-    /// The axes x, y, and a that turns.
+    /// Returns the axes x, y, and the rotary axis a.
     fn x_y_a() -> Vec<MachineAxis> {
         let mut axes = x_y();
         axes.push(MachineAxis { name: "a", is_rotary: true, ..axes[0].clone() });

@@ -1,6 +1,8 @@
-//! Doubts: probable mistakes in inputs of which each one is possible. A doubt is a sentence with a
-//! remedy, and never refuses an input. It comes before anything is planned, because a plan for a
-//! tilt that nobody wants, or for a pixel that is no height, takes hours of machine time.
+//! Doubts: warnings about probable mistakes in inputs that are possible as they are. A doubt is a sentence with a
+//! remedy, and never refuses an input. It comes before anything is planned, because a plan for a tilt that nobody
+//! wants, or for a pixel that is no height, takes hours of machine time.
+//!
+//! A function `of_...` returns its doubt, or `None` if its input causes none.
 //!
 //! [`crate::plausible`] refuses what is certainly a mistake. Each bound here is beyond the values
 //! of the fixtures and of measured mirrors, and below the values that the mistake causes.
@@ -13,9 +15,9 @@ use crate::{
     text::significant,
 };
 
-/// Fraction of the mean square of a map that is a plane, above which the plane is doubted as a tilt
-/// of the measurement. Larger: a tilt that triples the time causes no doubt. Smaller: more parts
-/// whose desired removal is a wedge are doubted; above 0.9 they are rare.
+/// Fraction of the mean square of a map that its best plane explains, above which the plane is doubted as a tilt of the
+/// measurement. Larger: a tilt that triples the time causes no doubt. Smaller: more parts whose desired removal is a
+/// wedge are doubted; above 0.9 they are rare.
 const MOST_PLANE: f64 = 0.9;
 
 /// Smallest PV of a map in nm without a doubt, nm. Larger: flat parts are doubted. Smaller: maps in
@@ -23,23 +25,23 @@ const MOST_PLANE: f64 = 0.9;
 /// about 0.1 nm RMS.
 const LEAST_PV_NM: f64 = 0.5;
 
-/// Largest RMS of a map without its best plane, nm, without a doubt. Larger: heights that are a thousand times too large
-/// pass. Smaller: parts that are still rough are doubted. Chosen: a mirror that is worth a dwell-time run has less than some
-/// hundred nm, and 2 um take the tools of the fixtures days.
+/// Largest RMS of a map without its best plane, nm, that causes no doubt. Larger: heights that are a thousand times too
+/// large pass. Smaller: parts that are still rough are doubted. Chosen: a mirror that is worth a dwell-time run has
+/// less than some hundred nm, and 2 um take the tools of the fixtures days.
 const MOST_DETILTED_NM: f64 = 2000.0;
 
-/// Largest number of pixels that are searched for repeated heights and quantiles. Larger: more
-/// time. Smaller: less certain quantiles. Chosen: 0.2 % of the pixels, the threshold of
-/// [`LEAST_REPEATED`] and [`EXTREMES`], are 200 samples.
+/// Largest number of pixels in which repeated heights and quantiles are searched for. Larger: more time. Smaller: less
+/// certain quantiles. Chosen: 0.2 % of the pixels, the threshold of [`LEAST_REPEATED`] and [`EXTREMES`], are 200
+/// samples.
 const MOST_SAMPLES: usize = 100_000;
 
 /// Smallest fraction of the pixels with exactly one height, above which that height is doubted as a
 /// mark of missing data. Larger: small areas without data pass. Smaller: heights that repeat by
 /// chance are doubted.
 const LEAST_REPEATED: f64 = 2e-3;
-/// Smallest ratio of the number of pixels with that height to the number with the next most
-/// frequent height. Larger: fewer doubts. Smaller: maps of integer counts are doubted, in which
-/// neighbouring heights are about as frequent.
+/// Smallest ratio of the number of pixels with that repeated height to the number with the next most frequent height.
+/// Larger: fewer doubts. Smaller: maps of integer counts are doubted, in which neighbouring heights are about as
+/// frequent.
 const LEAST_REPEATED_RATIO: usize = 10;
 
 /// Fraction of the pixels at each end, the lowest and the highest ones, that do not decide the
@@ -58,56 +60,59 @@ const MOST_RANGES: f64 = 3.0;
 /// um/min 17 times too slow. Heights in angstrom, 10 times too high, stay within the interval on a
 /// shallow part.
 const MEAN_DEPTH_S: [f64; 2] = [0.1, 20.0];
-/// Time in which a resting tool usually removes the mean depth, s: the one to which a mistake has to lead back. Chosen: the
-/// middle of the fixtures.
+/// Usual time in which a resting tool removes the mean depth, s. Among the possible mistakes, the one whose correction
+/// leads nearest to this time is named. Chosen: the middle of the fixtures.
 const USUAL_MEAN_DEPTH_S: f64 = 4.0;
 
-/// Largest ratio of all least dwell times to the time of the removal without a doubt. Larger: floors in ms pass. Smaller: slow
-/// machines, whose floor is their largest velocity, are doubted. Chosen: four times [`MOST_TRAVEL`].
+/// Largest ratio of the sum of all least dwell times to the time of the removal that causes no doubt. Larger: least
+/// dwell times in ms pass. Smaller: slow machines, whose largest velocity sets these times, are doubted. Chosen: four
+/// times [`MOST_TRAVEL`].
 const MOST_FLOOR: f64 = 20.0;
 
-/// Longest removal without a doubt, s: a day. Larger: mistaken units pass. Smaller: large parts are doubted.
+/// Longest removal that causes no doubt, s: a day. Larger: mistaken units pass. Smaller: large parts are doubted.
 const LONGEST_S: f64 = 86_400.0;
-/// Usual time of a run, s, to which a mistake has to lead back.
+/// Usual time of a run, s. Among the possible mistakes, the one whose correction leads nearest to this time is named.
 const USUAL_S: f64 = 3600.0;
 
-/// Largest distance of a number from a multiple of 15 degrees in radians, relative to it, at which it is doubted as one: four
-/// digits of it. Larger: other small angles are doubted. Smaller: rounded radians pass.
+/// Largest relative difference between a number and a multiple of 15 degrees in radians, up to which the number is
+/// doubted as radians. It compares four digits. Larger: other small angles are doubted. Smaller: rounded radians pass.
 const OF_A_RADIAN: f64 = 3e-4;
 
-/// Smallest ratio of an aperture's circle to the circle about the valid pixels, and largest, without a doubt. Outside, a
-/// radius was given for a diameter, or the reverse. Narrower: apertures within their part are doubted.
+/// Smallest and largest ratio of the radius of an aperture to that of the circle about the valid pixels, without a
+/// doubt. Outside, a radius was given for a diameter, or the reverse. Narrower: apertures within their part are
+/// doubted.
 const CIRCLE: [f64; 2] = [0.55, 1.7];
 
-/// Smallest part of the rectangle of a map that is a hole within valid corners, from which on the mask is doubted. Smaller:
-/// square parts with a hole are doubted. Larger: inverted masks pass.
+/// Smallest fraction of the rectangle of a map that a hole may take before the mask is doubted as inverted, if all
+/// corners are valid. Smaller: square parts with a hole are doubted. Larger: inverted masks pass.
 const HOLE: f64 = 0.3;
 
-/// Distance of a pivot from the contact point, mm, below which it is doubted as one in metres. Larger: tools whose pivot
-/// is close to the part are doubted. Smaller: pivots in metres pass. Chosen: 30 to 80 mm for the fixtures; a tool that
-/// turns about its contact point has exactly 0.
+/// Distance of the pivot of the tilts from the contact point, mm, below which it is doubted as a length in metres.
+/// Larger: tools whose pivot is close to the part are doubted. Smaller: pivots in metres pass. Chosen: 30 to 80 mm for
+/// the fixtures; a tool that turns about its contact point has exactly 0.
 const LEAST_PIVOT_MM: f64 = 1.0;
 
-/// Smallest ratio of the radius of a pad to the half size of its removal, and largest, without a doubt. Narrower: pads that
-/// orbit, whose removal is wider than they are, are doubted. Wider: diameters that were given for radii pass.
+/// Smallest and largest ratio of the radius of a pad to the half size of its removal, without a doubt. Narrower: pads
+/// that orbit, whose removal is wider than they are, are doubted. Wider: diameters that were given for radii pass.
 const PAD: [f64; 2] = [0.3, 1.5];
 
-/// Rate over the peak of a TIF, above which a sample belongs to the spot. Larger: thin rims do not count. Smaller: noise does.
+/// Smallest rate over the peak of a TIF at which a sample belongs to the spot. Larger: thin rims do not count. Smaller:
+/// noise does.
 const OF_SPOT: f64 = 1e-2;
 
-/// RMS of the residual over that before the run, below which a mistake explains a residual above the start. Larger: chance
-/// counts as a mistake. Smaller: mistakes beside other errors pass.
+/// Largest ratio of the residual RMS with a mistake corrected to the RMS before the run, at which that mistake explains
+/// a residual above the start. Larger: chance counts as a mistake. Smaller: mistakes beside other errors pass.
 const EXPLAINED: f64 = 0.5;
 
-/// RMS over that of a simpler mistake, below which another mistake explains more. Larger: shifts hide a wrong rate. Smaller:
-/// a wrong rate hides shifts.
+/// Largest ratio of the RMS that one corrected mistake leaves to the RMS of a simpler one, at which it is preferred.
+/// Larger: shifts hide a wrong rate. Smaller: a wrong rate hides shifts.
 const CLEARLY_LESS: f64 = 0.8;
 
-/// Largest distance at which the removal is looked for, pixels along x and y. Larger: more time. Smaller: parts that are
-/// further off are not recognised.
+/// Largest shift of the removal against the desired removal that is tried, pixels along x and y. Larger: more time.
+/// Smaller: parts that are further off are not recognised.
 const MOST_PIXELS_OFF: isize = 12;
 
-/// Largest number of pixels among which it is looked for. Larger: more time. Smaller: a less certain place.
+/// Largest number of pixels that are compared for each shift. Larger: more time. Smaller: a less certain shift.
 const MOST_COMPARED: usize = 4000;
 
 /// Ratio of the time for the path at the largest velocity to the time of the removal, above which
@@ -116,30 +121,31 @@ const MOST_COMPARED: usize = 4000;
 /// times too small.
 const MOST_TRAVEL: f64 = 5.0;
 
-/// Least way, m, in which an axis reaches its largest velocity and stops, above which the limits are
-/// doubted. Larger: mistaken units pass. Smaller: fast, weak machines are doubted. Chosen: 0.002 to
-/// 0.03 m for the fixtures; velocities in mm/min or accelerations in g make it 3600 or 9800 times as
-/// long.
+/// Smallest distance, m, for reaching the largest velocity and stopping, v^2 / a, from which on the limits are doubted.
+/// Larger: mistaken units pass. Smaller: fast, weak machines are doubted. Chosen: 0.002 to 0.03 m for the fixtures;
+/// velocities in mm/min or accelerations in g make it 3600 or 9800 times as long.
 const LEAST_WAY_M: f64 = 5.0;
 
-/// Velocity, mm/s, above which such a way is due to the velocity. Chosen: figuring machines stay
-/// below it.
+/// Velocity, mm/s, above which the doubt blames the velocity and not the acceleration for such a distance. Chosen:
+/// figuring machines stay below it.
 const LEAST_FAST_MM_PER_S: f64 = 600.0;
 
 /// Acceleration of 1 g, mm/s^2.
 const STANDARD_GRAVITY_MM_PER_S2: f64 = 9806.65;
 
-/// Smallest part of the volume of a TIF that a baseline, or its tilt, may hold without a doubt. Larger: a run removes
-/// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at
-/// 2.4 standard deviations has 0.5 %.
+/// Largest fraction of the volume of a TIF that the level of its baseline may have without a doubt. Larger: a run
+/// removes so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field
+/// cuts at 2.4 standard deviations has 0.5 %.
 const MOST_BASELINE_VOLUME: f64 = 0.02;
-/// The same for its tilt. Chosen: the measured TIF of the reference mirror has 3 %.
+/// Largest fraction of the volume of a TIF that the tilt of its baseline may move without a doubt. Chosen: the measured
+/// TIF of the reference mirror has 3 %.
 const MOST_TILTED_VOLUME: f64 = 0.05;
-/// Time in which a tool of a usual peak rate may remove the mean depth at one place, s, without a doubt. Larger: mistaken
-/// units pass. Smaller: pads on deep errors are doubted. Chosen: the pad of the fixture `edge-pad` takes 106 s.
+/// Time in which a tool of a usual peak rate may remove the mean depth at one point, s, without a doubt. Larger:
+/// mistaken units pass. Smaller: pads on deep errors are doubted. Chosen: the pad of the fixture `edge-pad` takes 106
+/// s.
 const SURELY_SLOW_S: f64 = 300.0;
-/// Peak rate, nm/s, from which on a TIF is usual. Larger: slow tools are doubted. Smaller: mistaken units pass. Chosen: rates
-/// in um/min that are read as nm/s are 17 times too small.
+/// Peak rate, nm/s, from which on a TIF is usual. Larger: slow tools are doubted. Smaller: mistaken units pass. Chosen:
+/// rates in um/min that are read as nm/s are 17 times too small.
 const USUAL_PEAK_NM_PER_S: f64 = 3.0;
 
 /// Largest rate on the border, relative to the peak, above which the TIF is doubted as cropped.
@@ -147,7 +153,8 @@ const USUAL_PEAK_NM_PER_S: f64 = 3.0;
 /// standard deviations has this value, and noise of 1 % of the peak stays below it.
 const MOST_BORDER: f64 = 0.06;
 
-/// Doubt about the heights of a map in the clear aperture, before the map is levelled.
+/// Returns a doubt about the heights of a map in the clear aperture, before the map is levelled: marks of missing data,
+/// or spikes. `None` if there is none, as in all functions of the module.
 pub fn of_heights(measured: &Surface) -> Option<String> {
     let map = measured.height_nm();
     let mut some = sampled(map);
@@ -155,7 +162,8 @@ pub fn of_heights(measured: &Surface) -> Option<String> {
     no_height(map, &some).or_else(|| spikes(map, &some))
 }
 
-/// Doubt about the desired removal, from its PV and its RMS with and without the best plane, nm.
+/// Returns a doubt about the desired removal, from its PV and its RMS with (`rms_nm`) and without (`detilted_nm`) the
+/// best plane.
 pub fn of_removal(pv_nm: f64, rms_nm: f64, detilted_nm: f64) -> Option<String> {
     if pv_nm > 0.0 && pv_nm < LEAST_PV_NM {
         return Some(format!(
@@ -186,7 +194,7 @@ pub fn of_removal(pv_nm: f64, rms_nm: f64, detilted_nm: f64) -> Option<String> {
     ))
 }
 
-/// Doubt about the samples of a TIF.
+/// Returns a doubt about the samples of a TIF: a spot that the field crops, or a baseline.
 pub fn of_tif(tif: &Tif) -> Option<String> {
     let largest = tif.border_to_peak();
     let baseline = Baseline::under(tif);
@@ -225,8 +233,8 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
     ))
 }
 
-/// Doubt about the units of the map and the TIF, from the time in which the resting tool removes
-/// the mean depth.
+/// Returns a doubt about the units of the map and the TIF, from the time in which the resting tool removes the mean
+/// depth.
 pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
     let depth_nm = mean_depth_nm(desired);
     let at_one_place_s = depth_nm / tif.peak_nm_per_s();
@@ -265,27 +273,27 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
     ))
 }
 
-/// A mistake that would explain a time that is unusual.
+/// A mistake in the units that would explain an unusual time.
 struct Mistake {
     what: &'static str,
-    /// Factor that the time has without the mistake.
+    /// Factor by which the time changes once the mistake is corrected.
     factor: f64,
 }
 
-/// Mistakes that make a removal too slow.
+/// Mistakes that make a removal seem too slow.
 const TOO_SLOW: [Mistake; 3] = [
     Mistake { what: "rates in um/s", factor: 1e-3 },
     Mistake { what: "rates in um/min", factor: 0.06 },
     Mistake { what: "heights in angstrom", factor: 0.1 },
 ];
-/// Mistakes that make a removal too fast.
+/// Mistakes that make a removal seem too fast.
 const TOO_FAST: [Mistake; 2] = [
     Mistake { what: "rates in nm/min, or a depth for a rate", factor: 60.0 },
     Mistake { what: "heights in um", factor: 1e3 },
 ];
 
 impl Mistake {
-    /// Returns the mistake without which `time_s` is nearest to `usual_s`, as a ratio.
+    /// Returns the mistake whose correction brings `time_s` nearest to `usual_s`, as a ratio.
     fn most_probable(mistakes: &[Self], time_s: f64, usual_s: f64) -> &Self {
         let ratios = mistakes.iter().map(|mistake| (time_s * mistake.factor / usual_s).ln().abs());
         let nearest = mistakes.iter().zip(ratios).min_by(|a, b| a.1.total_cmp(&b.1));
@@ -293,7 +301,7 @@ impl Mistake {
     }
 }
 
-/// Doubt about a removal that takes more than a day, which no path or motion can shorten.
+/// Returns a doubt about a removal that takes more than a day, which no path or motion can shorten.
 pub fn of_time(desired: &Surface, tif: &Tif) -> Option<String> {
     let removal_s = removal_s(desired, tif);
     if removal_s <= LONGEST_S {
@@ -313,7 +321,7 @@ pub fn of_time(desired: &Surface, tif: &Tif) -> Option<String> {
     ))
 }
 
-/// Doubt about least dwell times that take `floor_s` together, far longer than the removal.
+/// Returns a doubt about least dwell times whose sum `floor_s` is far longer than the removal.
 pub fn of_floor(desired: &Surface, tif: &Tif, floor_s: f64) -> Option<String> {
     let removal_s = removal_s(desired, tif);
     if removal_s <= 0.0 || floor_s <= MOST_FLOOR * removal_s {
@@ -328,8 +336,8 @@ pub fn of_floor(desired: &Surface, tif: &Tif, floor_s: f64) -> Option<String> {
     ))
 }
 
-/// Doubt about the coordinates of the map or the TIF, which look like indices of pixels: steps of exactly 1 from 0 or 1 on, or
-/// of exactly 1 about 0, where the other has other steps.
+/// Returns a doubt about coordinates of the map or the TIF that look like pixel indices. They are steps of exactly 1
+/// from 0 or 1 on, or about 0, while the other array has other steps.
 pub fn of_pixels(desired: &Surface, tif: &Tif) -> Option<String> {
     let [map, tool] = [desired.grid(), tif.grid()];
     let [map_pitch, tool_pitch] = [map, tool].map(|grid| [grid.x.step_mm(), grid.y.step_mm()]);
@@ -355,7 +363,7 @@ pub fn of_pixels(desired: &Surface, tif: &Tif) -> Option<String> {
     ))
 }
 
-/// Doubt about a TIF that is larger than the map along both axes.
+/// Returns a doubt about a TIF that is larger than the map along both axes.
 pub fn of_sizes(desired: &Surface, tif: &Tif) -> Option<String> {
     let [map, tool] = [desired.grid().size_mm(), tif.grid().size_mm()];
     if tool[0] <= map[0] || tool[1] <= map[1] {
@@ -373,7 +381,7 @@ pub fn of_sizes(desired: &Surface, tif: &Tif) -> Option<String> {
     ))
 }
 
-/// Doubt about the vertex of a curved form, at (x, y) in mm on the part, that lies at a corner of the map.
+/// Returns a doubt about the vertex of a curved form, at (x, y) in mm on the part, if it lies at a corner of the map.
 pub fn of_vertex(desired: &Surface, vertex_mm: [f64; 2]) -> Option<String> {
     let grid = desired.grid();
     for (axis, v) in [grid.x, grid.y].into_iter().zip(vertex_mm) {
@@ -392,7 +400,7 @@ pub fn of_vertex(desired: &Surface, vertex_mm: [f64; 2]) -> Option<String> {
     ))
 }
 
-/// Doubt about an angle in degrees that is a multiple of 15 degrees in radians; `name` is the setting.
+/// Returns a doubt about an angle in degrees that is a multiple of 15 degrees in radians; `name` is the setting.
 pub fn of_angle(name: &str, angle_deg: f64) -> Option<String> {
     let in_degrees = angle_deg.to_degrees();
     let nearest = 15.0 * (in_degrees / 15.0).round();
@@ -406,7 +414,7 @@ pub fn of_angle(name: &str, angle_deg: f64) -> Option<String> {
     Some(format!("{name} is {stated} degrees: radians? it would be {nearest} degrees"))
 }
 
-/// Doubt about the rotary axes of a machine, whose travel looks like one in radians.
+/// Returns a doubt about the rotary axes of a machine, if their travel looks like one in radians.
 pub fn of_rotary_axes(machine: &Machine) -> Option<String> {
     machine.axes().iter().filter(|axis| axis.is_rotary).find_map(|axis| {
         let name = format!("the travel of the axis {}", axis.name);
@@ -414,7 +422,7 @@ pub fn of_rotary_axes(machine: &Machine) -> Option<String> {
     })
 }
 
-/// Doubt about the pivot of the tilts of a machine, which looks like one in metres.
+/// Returns a doubt about the pivot of the tilts of a machine, if its distance looks like one in metres.
 pub fn of_pivot(machine: &Machine) -> Option<String> {
     let pivot_mm = match machine.kinematics() {
         Kinematics::Xy | Kinematics::Xyz => None,
@@ -432,8 +440,8 @@ pub fn of_pivot(machine: &Machine) -> Option<String> {
     ))
 }
 
-/// Doubt about the radius of a pad, mm, beside the place in which it removes material: a diameter for a radius, or a radius
-/// for a diameter.
+/// Returns a doubt about the radius of a pad, mm, against the region in which it removes material: a diameter for a
+/// radius, or a radius for a diameter.
 pub fn of_pad(tif: &Tif, radius_mm: f64) -> Option<String> {
     let least = OF_SPOT * tif.peak_nm_per_s();
     let grid = tif.grid();
@@ -455,8 +463,8 @@ pub fn of_pad(tif: &Tif, radius_mm: f64) -> Option<String> {
     ))
 }
 
-/// Doubt about a plan whose residual is larger than the desired removal was: the mistake that explains most of it, with its
-/// value. `None` where the residual is smaller.
+/// Returns a doubt about a plan whose residual is larger than the desired removal was: the mistake that explains most
+/// of it, with its value. `None` if the residual is smaller.
 pub fn of_residual(desired: &Surface, removal: &Removal) -> Option<String> {
     let [before, after] = [desired, removal.residual()].map(|map| map.statistics().rms);
     if after <= before || before == 0.0 {
@@ -478,12 +486,12 @@ pub fn of_residual(desired: &Surface, removal: &Removal) -> Option<String> {
     ))
 }
 
-/// Desired and simulated removal, nm, of which some pixels are compared.
+/// Desired and simulated removal (ny, nx), nm, with the pixels at which they are compared.
 struct Compared<'a> {
     grid: &'a Grid,
     desired_nm: &'a Array2<f64>,
     removal_nm: &'a Array2<f64>,
-    /// Rows and columns of the compared pixels.
+    /// Rows and columns [row, column] of the compared pixels.
     pixels: Vec<[usize; 2]>,
 }
 
@@ -496,8 +504,8 @@ impl<'a> Compared<'a> {
         Self { grid: desired.grid(), desired_nm, removal_nm: removal.removal_nm(), pixels }
     }
 
-    /// Returns the factor of the removal that leaves least, and what it leaves, nm RMS, where the removal at the pixel
-    /// `place` of a pixel [row, column] counts in the place of its own. `None` where too few pixels have one.
+    /// Returns the factor of the removal that leaves the smallest residual, and that residual, nm RMS. `place` maps a
+    /// pixel [row, column] to the pixel whose removal it gets. `None` if too few pixels have one.
     fn factor(&self, place: impl Fn([isize; 2]) -> [isize; 2]) -> Option<(f64, f64)> {
         let mut pairs = Vec::with_capacity(self.pixels.len());
         for &[r, c] in &self.pixels {
@@ -525,8 +533,8 @@ impl<'a> Compared<'a> {
         Some((both / removed, ((wanted - both * both / removed).max(0.0) / count).sqrt()))
     }
 
-    /// Returns what the mistake that explains most would leave, nm RMS, and the sentence that names it. A factor goes before
-    /// turns, and turns before shifts, where they explain about as much.
+    /// Returns the residual without the mistake that explains most, nm RMS, and the sentence that names the mistake. If
+    /// several explain about as much, a factor precedes turns, and turns precede shifts.
     fn best(&self) -> Option<(f64, String)> {
         let (factor, left) = self.factor(|pixel| pixel)?;
         let mut best = (left, scaled(factor));
@@ -559,13 +567,14 @@ impl<'a> Compared<'a> {
     }
 }
 
-/// Returns what a factor above 0 leaves, nm RMS, where it is clearly less than what the best mistake so far leaves.
+/// Returns the residual, nm RMS, of a factor above 0 if it is clearly smaller than `best_nm`, that of the best mistake
+/// so far; else `None`.
 fn explained(factor: Option<(f64, f64)>, best_nm: f64) -> Option<f64> {
     let (factor, left) = factor?;
     if factor > 0.0 && left < CLEARLY_LESS * best_nm { Some(left) } else { None }
 }
 
-/// Returns the words for the mistake that this factor of the removal would correct.
+/// Returns the words for the mistake that the factor `factor` of the removal would correct.
 fn scaled(factor: f64) -> String {
     let stated = significant(factor.abs(), 3);
     if factor < 0.0 {
@@ -576,8 +585,8 @@ fn scaled(factor: f64) -> String {
     )
 }
 
-/// Doubt about angles of incidence in degrees that end at less than a right angle in radians; `largest_deg` is the largest of
-/// `count`.
+/// Returns a doubt about angles of incidence, stated in degrees, whose largest one is at most a right angle in radians.
+/// `largest_deg` is the largest of `count` angles.
 pub fn of_incidences(largest_deg: f64, count: usize) -> Option<String> {
     let is_small =
         largest_deg > 0.0 && largest_deg <= std::f64::consts::FRAC_PI_2 * (1.0 + OF_A_RADIAN);
@@ -591,7 +600,7 @@ pub fn of_incidences(largest_deg: f64, count: usize) -> Option<String> {
     ))
 }
 
-/// Doubt about the circle of a clear aperture: a diameter for a radius, or a radius for a diameter.
+/// Returns a doubt about the circle of a clear aperture: a diameter for a radius, or a radius for a diameter.
 pub fn of_circle(measured: &Surface, aperture: &ClearAperture) -> Option<String> {
     let ClearAperture::Circle { radius_mm, .. } = aperture else { return None };
     let grid = measured.grid();
@@ -622,7 +631,7 @@ pub fn of_circle(measured: &Surface, aperture: &ClearAperture) -> Option<String>
     ))
 }
 
-/// Doubt about the valid pixels: they have all corners and a large hole, as an inverted mask leaves them.
+/// Returns a doubt about the valid pixels if they include all corners and leave a large hole, as an inverted mask does.
 pub fn of_mask(measured: &Surface) -> Option<String> {
     let map = measured.height_nm();
     let (rows, columns) = map.dim();
@@ -642,14 +651,14 @@ pub fn of_mask(measured: &Surface) -> Option<String> {
     ))
 }
 
-/// Doubt about the limits of the machine for lines of this pitch, mm. The path is about area /
-/// pitch long.
+/// Returns a doubt about the limits of the machine for path lines of this pitch, mm. The path is about area / pitch
+/// long.
 pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
     of_units_of_limits(limits).or_else(|| of_slow_limits(desired, tif, limits, pitch_mm))
 }
 
-/// Doubt about the units of the limits, from the way in which an axis reaches its largest velocity
-/// and stops, v^2 / a.
+/// Returns a doubt about the units of the limits, from the distance v^2 / a in which an axis reaches its largest
+/// velocity and stops.
 fn of_units_of_limits(limits: &Limits) -> Option<String> {
     let velocities = limits.max_velocity_mm_per_s().into_iter();
     let axes = velocities.zip(limits.max_acceleration_mm_per_s2());
@@ -680,7 +689,7 @@ fn of_units_of_limits(limits: &Limits) -> Option<String> {
     ))
 }
 
-/// Doubt about limits that make the machine slower than the removal.
+/// Returns a doubt about limits with which the motion along the path takes much longer than the removal.
 fn of_slow_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
     let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
     let removal_s = removal_s(desired, tif);
@@ -698,7 +707,7 @@ fn of_slow_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) 
     ))
 }
 
-/// Doubt about the pitch of the map, from a part that is larger than the travel of the machine.
+/// Returns a doubt about the pitch of the map, if the part is larger than the travel of the machine.
 pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
     let grid = desired.grid();
     let [Some(x), Some(y)] = machine.travel_mm() else { return None };
@@ -733,28 +742,28 @@ pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
     ))
 }
 
-/// Time in which the tool removes the mean depth all over the map, s.
+/// Returns the time in which the tool removes the mean depth all over the map, s.
 fn removal_s(desired: &Surface, tif: &Tif) -> f64 {
     let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
     mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s()
 }
 
-/// Mean depth of the desired removal, nm: the mean height above the lowest height but for
-/// [`EXTREMES`]. A downward spike is not the depth of the part.
+/// Returns the mean depth of the desired removal, nm: the mean height above the lowest height. The lowest [`EXTREMES`]
+/// of the pixels do not count, so that a downward spike is not the depth of the part.
 fn mean_depth_nm(desired: &Surface) -> f64 {
     let s = desired.statistics();
     let low = statistics::lowest(desired.height_nm().view(), None, EXTREMES).unwrap_or(s.min);
     s.mean - low
 }
 
-/// Valid heights, at most [`MOST_SAMPLES`] of them, at equal distances in the array.
+/// Returns valid heights, at most [`MOST_SAMPLES`] of them, at equal distances in the array.
 fn sampled(map: &Array2<f64>) -> Vec<f64> {
     let valid = statistics::valid_count(map.view());
     map.iter().filter(|z| !z.is_nan()).step_by(valid.div_ceil(MOST_SAMPLES)).copied().collect()
 }
 
-/// Doubt about a height that far more pixels have, exactly, than any other height; `some` are
-/// sorted.
+/// Returns a doubt about a height that far more pixels have, exactly, than any other height. `some` are sorted heights
+/// of the map.
 fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     let runs = some.chunk_by(|a, b| a == b);
     let mut repeated = 0;
@@ -781,7 +790,7 @@ fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     ))
 }
 
-/// Doubt about pixels far outside the range of all others; `some` are sorted.
+/// Returns a doubt about pixels far outside the range of all others. `some` are sorted heights of the map.
 fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     // At least the two outermost samples on each side.
     let out = ((EXTREMES * some.len() as f64) as usize).max(2);
@@ -815,7 +824,7 @@ mod tests {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
     }
 
-    /// A map of 40 x 24 mm with a PV of about 40 nm, whose heights are replaced by those of
+    /// Returns a map of 40 x 24 mm with a PV of about 40 nm, whose heights are replaced by those of
     /// `change`.
     fn map(change: impl Fn(f64, (usize, usize)) -> f64) -> Surface {
         let grid = Grid { x: axis(0.0, 40.0, 81), y: axis(0.0, 24.0, 49) };
@@ -826,7 +835,7 @@ mod tests {
         Surface::new(grid, z).unwrap()
     }
 
-    /// A Gaussian TIF of sigma 1.5 mm and 10 nm/s out to `half` mm, whose rates are replaced by
+    /// Returns a Gaussian TIF of sigma 1.5 mm and 10 nm/s out to `half` mm, whose rates are replaced by
     /// those of `change`.
     fn tool(half: f64, change: impl Fn(f64) -> f64) -> Tif {
         let a = axis(-half, half, 49);

@@ -1,4 +1,5 @@
-//! Dwell-time density along a path: the content of an artifact of the kind `dwell_density`.
+//! Dwell-time density along a path, the inverse of the feedrate: the content of an artifact of the kind
+//! `dwell_density`.
 
 use crate::{Invalid, grid::is_plausible_mm};
 
@@ -28,17 +29,18 @@ pub struct DensityNodes {
     pub arc_length_mm: Vec<f64>,
     /// Dwell-time density (m), s/mm; > 0, the inverse of the feedrate.
     pub dwell_density_s_per_mm: Vec<f64>,
-    /// Position [x, y] (m), mm.
+    /// Position of the nodes [x, y] (m), mm.
     pub point_mm: Vec<[f64; 2]>,
-    /// Pass (m), counted from 0.
+    /// Number of the pass to which a node belongs (m).
     pub pass_idx: Vec<i64>,
     /// True if the node is the control point of a blend (m).
     pub corner: Vec<bool>,
 }
 
 impl DwellDensity {
-    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, arc lengths
-    /// that do not ascend or differ from the distances of the points, and corners that are none.
+    /// Returns the density at m nodes. Refuses arrays of other lengths, densities that are not positive, and arc
+    /// lengths that do not ascend or differ from the distances of the points. Refuses a corner that is not midway
+    /// between two nodes of its pass and density.
     pub fn new(nodes: DensityNodes) -> Result<Self, Invalid> {
         let DensityNodes { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner } =
             &nodes;
@@ -100,7 +102,7 @@ impl DwellDensity {
         &self.nodes.arc_length_mm
     }
 
-    /// Returns the dwell-time densities (m), s/mm.
+    /// Returns the dwell-time densities at the nodes (m), s/mm.
     pub fn dwell_density_s_per_mm(&self) -> &[f64] {
         &self.nodes.dwell_density_s_per_mm
     }
@@ -146,7 +148,7 @@ impl DensityNodes {
         Ok(())
     }
 
-    /// Refuses a node `i` that is a corner, and not midway between two nodes of its pass and density.
+    /// Refuses a node `i` that is marked as a corner but is not midway between two nodes of the same pass and density.
     fn check_corner(&self, i: usize) -> Result<(), Invalid> {
         if !self.corner[i] {
             return Ok(());

@@ -31,7 +31,7 @@ impl DwellTime {
         Ok(Self { dwell_s })
     }
 
-    /// Returns the dwell times (n), s.
+    /// Returns the dwell time of each dwell point (n), s.
     pub fn dwell_s(&self) -> &[f64] {
         &self.dwell_s
     }

@@ -18,9 +18,9 @@ pub enum End {
     Settled,
     /// The last round did not improve the result.
     NoImprovement,
-    /// The requested threshold is reached.
+    /// The quantity that the method watches has reached the requested threshold.
     Threshold,
-    /// The next step would have made the result worse.
+    /// The next step would have made the result worse, so the method kept the one before.
     Stopped,
     /// The objective no longer changes, but there is no proof that it is the smallest.
     Stagnated,
@@ -28,9 +28,9 @@ pub enum End {
     StepsDone,
     /// The requested number of rounds is done.
     RoundsDone,
-    /// All requested prices are done.
+    /// All requested prices of time, the weights of the time in the objective, are done.
     AllPrices,
-    /// The method does not iterate.
+    /// The method computes its result directly, without iterations.
     Direct,
     /// The largest allowed number of iterations is reached.
     IterationLimit,
@@ -40,10 +40,10 @@ pub enum End {
     StepLimit,
     /// The largest allowed number of sweeps is reached.
     SweepLimit,
-    /// The largest allowed number of lifts of the map is reached.
+    /// The largest allowed number of lifts is reached. A lift adds a constant height to the map.
     LiftLimit,
-    /// The removal of the links between the passes still changed after the largest allowed number
-    /// of rounds.
+    /// The removal on the links, the moves between two passes, still changed after the largest allowed number of
+    /// rounds.
     LinkLimit,
 }
 

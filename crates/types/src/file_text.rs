@@ -40,7 +40,7 @@ const NO_DATA: [&str; 30] = [
     "#num!",
 ];
 
-/// Words of a spreadsheet for a cell without a value that begin with the sign of a comment.
+/// Words of a spreadsheet for a cell without a value that begin with `#`, which otherwise starts a comment.
 const CELLS: [&str; 8] =
     ["#n/a", "#na", "#num!", "#div/0!", "#value!", "#ref!", "#null!", "#name?"];
 
@@ -48,7 +48,8 @@ const CELLS: [&str; 8] =
 /// Smaller: takes bytes for text.
 const LEAST_ASCII: f64 = 0.7;
 
-/// Returns the text of a file; refuses what is not text.
+/// Returns the text of a file, decoded from one of the encodings of the module. Refuses bytes that are not text; `name`
+/// names them in the message.
 pub fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Invalid> {
     let refused =
         || Invalid::whole(name, "is not text", "give the right `format`, or export as text");
@@ -90,14 +91,14 @@ fn separator(line: &str) -> Option<char> {
     [';', '\t', ','].into_iter().find(|c| line.contains(*c))
 }
 
-/// Returns true if a separator that is no white space ends the line: nothing follows it.
+/// Returns true if a comma, semicolon or tab ends the line, and not white space or a value.
 pub fn is_closed(line: &str) -> bool {
     let line = line.trim_matches([' ', '\r']);
     separator(line).is_some_and(|c| line.ends_with(c))
 }
 
-/// Returns the fields of a line: by comma, semicolon or tab where there is one, else by white space. A separator at the
-/// end of the line closes it. Quotes around a field are no part of it.
+/// Splits a line into its fields: by semicolon, tab or comma, the first of these that it contains, else by white space.
+/// A separator at the end of the line adds no empty field. Quotes around a field are removed.
 pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     fn plain(field: &str) -> &str {
         let field = field.trim();
@@ -120,11 +121,12 @@ pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     }
 }
 
-/// Returns a text of numbers with decimal points in the place of decimal commas, or `None` where it has none.
+/// Returns a text of numbers with decimal points in the place of decimal commas, or `None` if it has no decimal commas.
+/// `name` names the text in the message.
 ///
 /// A comma is a decimal comma if no line has a decimal point, and every comma stands between two digits: in a line that
-/// semicolons, tabs or blanks separate, or within quotes. Where three digits follow every one of them, they could separate
-/// thousands, and the text is refused.
+/// semicolons, tabs or blanks separate, or within quotes. Where three digits follow every one of them, they could
+/// separate thousands, and the text is refused.
 pub fn with_points(name: &'static str, text: &str) -> Result<Option<String>, Invalid> {
     let mut commas = Commas::default();
     let mut converted = String::with_capacity(text.len());
@@ -147,10 +149,10 @@ pub fn with_points(name: &'static str, text: &str) -> Result<Option<String>, Inv
     Ok(Some(converted))
 }
 
-/// Decimal commas of a text.
+/// Decimal commas found in a text so far.
 struct Commas {
     count: usize,
-    /// True if every one of them could separate thousands.
+    /// True if every decimal comma so far could separate thousands.
     are_thousands: bool,
 }
 
@@ -161,8 +163,8 @@ impl Default for Commas {
 }
 
 impl Commas {
-    /// Appends `line` with points in the place of its decimal commas. Returns false if a comma or a point of the line
-    /// excludes that commas are decimal.
+    /// Appends `line` to `converted`, with points in the place of decimal commas. Returns false if a comma or a point
+    /// shows that the commas of the text are not decimal.
     fn convert(&mut self, line: &str, converted: &mut String) -> bool {
         let b = line.as_bytes();
         let is_digit = |i: usize| b.get(i).is_some_and(u8::is_ascii_digit);
@@ -199,7 +201,7 @@ impl Commas {
     }
 }
 
-/// Returns true if the point at `i` is one of two in a date such as `1.3.2026`.
+/// Returns true if the point at byte `i` is one of two in a date such as `1.3.2026`.
 fn is_in_date(b: &[u8], i: usize) -> bool {
     let start = b[..i].iter().rposition(|c| !is_of_date(*c)).map_or(0, |k| k + 1);
     let date = b[start..].iter().take_while(|c| is_of_date(**c));
@@ -211,19 +213,19 @@ fn is_of_date(c: u8) -> bool {
     c.is_ascii_digit() || c == b'.'
 }
 
-/// Returns true if the comma at `i` could separate thousands: three digits follow it, and one to three that do not begin
-/// with 0 stand before it.
+/// Returns true if the comma at byte `i` could separate thousands: three digits follow it, and one to three that do not
+/// begin with 0 stand before it.
 fn separates_thousands(b: &[u8], i: usize) -> bool {
     let after = b[i + 1..].iter().take_while(|c| c.is_ascii_digit()).count();
     let before = b[..i].iter().rev().take_while(|c| c.is_ascii_digit()).count();
     after == 3 && (1..=3).contains(&before) && b[i - before] != b'0'
 }
 
-/// The warning where [`with_points`] changed a text.
+/// Warning that a reader adds if [`with_points`] changed a text.
 pub const DECIMAL_COMMAS: &str = "the numbers have a decimal comma";
 
-/// Returns the number that `field` is, NaN for one of the words for no data. Refuses another text; `line` and `column`,
-/// which count from 1, are for the message.
+/// Returns the number that `field` states, or NaN for one of the words for no data. Refuses other text; `line` and
+/// `column`, which count from 1, are for the message.
 pub fn number(name: &'static str, field: &str, line: usize, column: usize) -> Result<f64, Invalid> {
     if let Ok(v) = field.parse::<f64>() {
         return Ok(v);
@@ -251,7 +253,7 @@ pub fn is_no_data(field: &str) -> bool {
         || field.bytes().all(|c| c == b'*')
 }
 
-/// Returns true for a line of names: it has no number, and not only words that mean no value.
+/// Returns true for a line of column names: no field is a number, and at least one is not a word for no data.
 pub fn is_names(line: &str) -> bool {
     fields(line).all(|field| field.parse::<f64>().is_err()) && !fields(line).all(is_no_data)
 }

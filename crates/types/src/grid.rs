@@ -1,4 +1,4 @@
-//! Uniform, ascending pixel centres.
+//! Pixel centres of maps: uniform and ascending along each axis.
 
 use crate::Invalid;
 
@@ -9,8 +9,8 @@ use crate::Invalid;
 /// 1e-4 of a pixel is below any registration error.
 const UNIFORMITY: f64 = 1e-4;
 
-/// Largest distance of a coordinate from the origin, mm: 10 km. Farther coordinates are in another
-/// unit. Much larger: products of coordinates overflow, far from the place of the mistake.
+/// Largest distance of a coordinate from the origin, mm: 10 km. Farther coordinates are in another unit. Much larger:
+/// products of coordinates overflow, far from the code that reads the wrong number.
 const LARGEST_MM: f64 = 1e7;
 /// Smallest distance between neighbouring coordinates, mm. A smaller step is a mistake in the unit,
 /// or rounding.
@@ -119,12 +119,12 @@ impl Axis {
         self.start_mm + i as f64 * self.step_mm
     }
 
-    /// Returns the first coordinate, mm.
+    /// Returns the first and smallest coordinate, mm.
     pub fn start_mm(&self) -> f64 {
         self.start_mm
     }
 
-    /// Returns the last coordinate, mm.
+    /// Returns the last and largest coordinate, mm.
     pub fn end_mm(&self) -> f64 {
         self.coordinate_mm(self.len - 1)
     }
@@ -135,7 +135,7 @@ impl Axis {
         [self.start_mm() - half, self.end_mm() + half]
     }
 
-    /// Returns the distance between neighbours, mm.
+    /// Returns the distance between neighbouring coordinates, mm; > 0.
     pub fn step_mm(&self) -> f64 {
         self.step_mm
     }
@@ -146,7 +146,7 @@ impl Axis {
         self.len
     }
 
-    /// Returns all coordinates, mm.
+    /// Returns all coordinates in ascending order, mm.
     pub fn coordinates(&self) -> Vec<f64> {
         (0..self.len).map(|i| self.coordinate_mm(i)).collect()
     }
@@ -160,9 +160,9 @@ impl Axis {
 /// Pixel centres of a map with shape (ny, nx); row 0 is the smallest y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
-    /// Pixel centres along a row.
+    /// Pixel centres along a row, the x of the columns.
     pub x: Axis,
-    /// Pixel centres along a column.
+    /// Pixel centres along a column, the y of the rows.
     pub y: Axis,
 }
 

@@ -1,29 +1,29 @@
-//! Directions of a motion, for tools that turn with it.
+//! Headings: directions of the motion, for tools that turn with it.
 //!
-//! A tool at rest keeps the direction in which it came, and before the first motion it has that in which it will go. A jump
-//! between two segments counts as a motion.
+//! A tool at rest keeps the direction in which it came. Before the first motion it has the direction of that motion. A
+//! jump between two segments counts as a motion.
 
 use planish_numerics::polynomial;
 
 use crate::{Pose, Segment, ToolPath, Trajectory};
 
-/// Way up to which a tool counts as at rest, mm. Larger: short motions lose their direction. Smaller: rounding of the
-/// coordinates makes directions.
+/// Distance up to which a tool counts as at rest, mm. Larger: short motions lose their direction. Smaller: rounding of
+/// the coordinates makes directions.
 const AT_REST_MM: f64 = 1e-6;
 
-/// Part of the duration of a segment before its end, or after its start, at which it has the direction of that end; at
-/// the end itself the tool may stand. Larger: a direction further back along bent motions. Smaller: rounding decides.
+/// Distance in time from either end of a segment at which the direction of that end is taken, over the duration. At the
+/// end itself the tool may stand still. Larger: a direction further back along bent motions. Smaller: rounding decides.
 const NEAR_END: f64 = 1e-3;
 
-/// Directions of a motion, rad from positive x towards positive y.
+/// Directions of a trajectory at any time, rad; 0 is along positive x, and angles count towards positive y.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Headings {
-    /// Direction at the end of every segment, or of a tool that rests during it.
+    /// For each segment, the direction at its end; for a segment at rest, the direction that the tool keeps.
     at_rest_rad: Vec<f64>,
 }
 
 impl Headings {
-    /// Returns the directions of a trajectory.
+    /// Returns the directions of the motion along a trajectory.
     pub fn new(trajectory: &Trajectory) -> Self {
         let mut end_mm: Option<[f64; 2]> = None;
         let mut first_rad = None;
@@ -40,8 +40,8 @@ impl Headings {
         Self { at_rest_rad: held(first_rad, last_rad) }
     }
 
-    /// Returns the place and the direction of the tool at the local time `u_s` of `segment`, which has the index
-    /// `index`.
+    /// Returns the position and the direction of the tool at the time `u_s` after the start of `segment`; `index` is
+    /// the index of the segment.
     pub fn pose(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> Pose {
         Pose {
             position_mm: segment.position_mm(u_s),
@@ -50,20 +50,21 @@ impl Headings {
     }
 }
 
-/// Returns the directions (n) of the segments of a path, rad.
+/// Returns the direction of each segment of a path (n), rad from positive x towards positive y. A segment without
+/// length has the direction of the one before it.
 pub fn headings_of_path_rad(path: &ToolPath) -> Vec<f64> {
     let all: Vec<Option<f64>> =
         (0..path.len()).map(|j| along_rad(path.displacement_mm(j))).collect();
     held(all.iter().copied().flatten().next(), all)
 }
 
-/// Returns the direction of a way, rad, or `None` if the way is rounding.
+/// Returns the direction of the displacement [x, y] in mm, rad, or `None` if it is too short to have one.
 fn along_rad([x, y]: [f64; 2]) -> Option<f64> {
     if x.hypot(y) > AT_REST_MM { Some(y.atan2(x)) } else { None }
 }
 
-/// Returns the directions, in the place of one that is `None` the one before it, and before them that of the first
-/// motion, or 0.
+/// Replaces each `None` by the direction before it, rad. Before the first direction it inserts `first`, the direction
+/// of the first motion, or 0.
 fn held(first: Option<f64>, directions: Vec<Option<f64>>) -> Vec<f64> {
     let mut last_rad = first.unwrap_or(0.0);
     let mut held_rad = Vec::with_capacity(directions.len());
@@ -74,19 +75,20 @@ fn held(first: Option<f64>, directions: Vec<Option<f64>>) -> Vec<f64> {
     held_rad
 }
 
-/// Returns the direction at the local time `u_s` of a segment, rad, or `None` if the tool rests.
+/// Returns the direction at the time `u_s` after the start of a segment, rad, or `None` if the tool rests.
 fn moving_rad(segment: &Segment<'_>, u_s: f64) -> Option<f64> {
     if moves(segment) { direction_rad(segment, u_s) } else { None }
 }
 
-/// Returns true if the tool goes further than rounding during a segment.
+/// Returns true if the tool may move further than [`AT_REST_MM`] during a segment.
 fn moves(segment: &Segment<'_>) -> bool {
     let h = segment.duration_s;
     let most = |c: &[f64; 4]| h * (c[1].abs() + h * (c[2].abs() + h * c[3].abs()));
     segment.coefficient_mm.iter().any(|c| most(c) > AT_REST_MM)
 }
 
-/// Returns the direction of the velocity at a local time, rad, or `None` where it is 0.
+/// Returns the direction of the velocity at the time `u_s` after the start of a segment, rad, or `None` if the velocity
+/// is 0.
 fn direction_rad(segment: &Segment<'_>, u_s: f64) -> Option<f64> {
     let [vx, vy] = [0, 1].map(|axis| {
         polynomial::evaluate(&polynomial::derivative(&segment.coefficient_mm[axis]), u_s)

@@ -1,4 +1,4 @@
-//! Axes of a machine beyond x and y: which there are, what limits them, and how they carry each other.
+//! Kinematics of a machine: its axes, also beyond x and y, their limits, and which axis carries which.
 //!
 //! | kinematics | linear axes | rotary axes |
 //! |---|---|---|
@@ -16,11 +16,11 @@ use crate::{
     limits::{AXES, StatedLimits},
 };
 
-/// Kinematics as the machine file states them, not checked yet.
+/// Kinematics as the machine file states them, not checked yet. The table of the module lists the axes of each kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum KinematicsFile {
-    /// Two linear axes x and y, as without kinematics.
+    /// Two linear axes x and y, as without `kinematics`.
     Xy {},
     /// Three linear axes; the tool stays along z.
     Xyz {},
@@ -29,10 +29,10 @@ pub enum KinematicsFile {
         /// Distance from the contact point to the pivot of the tilts, along the tool, mm. Negative: the pivot is on the
         /// other side of the surface.
         pivot_mm: f64,
-        /// The tilts; the first one carries the second.
+        /// Order of the tilts: the first one carries the second.
         tilts: [Tilt; 2],
     },
-    /// A rotary axis that turns the part, and a radius.
+    /// A rotary axis c that turns the part, and a linear axis r along its radius; z and the tilt b are optional.
     Spindle {
         /// Distance from the contact point to the pivot of the tilt b, mm. Needed with the axis b, refused without it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -42,13 +42,13 @@ pub enum KinematicsFile {
     },
 }
 
-/// A tilt of the tool.
+/// Rotary axis that tilts the tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Tilt {
-    /// About x.
+    /// Rotation about x.
     A,
-    /// About y.
+    /// Rotation about y.
     B,
 }
 
@@ -69,7 +69,7 @@ pub struct ContactLimits {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MachineFileRotaryAxis {
-    /// "a", "b" or "c".
+    /// Name of the axis: "a", "b" or "c".
     pub name: String,
     /// Largest velocity, deg/s.
     pub max_velocity_deg_per_s: f64,
@@ -83,18 +83,19 @@ pub struct MachineFileRotaryAxis {
     pub travel_deg: Option<[f64; 2]>,
 }
 
-/// Kinematics, checked.
+/// Kinematics of a machine, checked. The table of the module lists the axes of each kind.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kinematics {
-    /// Axes x and y.
+    /// Linear axes x and y.
     Xy,
     /// Axes x, y and z; the tool stays along z.
     Xyz,
     /// Axes x, y, z, a and b.
     Tilts {
-        /// Distance from the contact point to the pivot, mm.
+        /// Distance from the contact point to the pivot of the tilts, mm; negative if the pivot is on the other side of
+        /// the surface.
         pivot_mm: f64,
-        /// The tilts; the first one carries the second.
+        /// Order of the tilts: the first one carries the second.
         tilts: [Tilt; 2],
     },
     /// Axes r and c, with z and b if the machine has them.
@@ -106,20 +107,20 @@ pub enum Kinematics {
     },
 }
 
-/// An axis of a machine, checked. Numbers have the unit of the axis.
+/// An axis of a machine, checked. The unit of its numbers is mm, or degrees if the axis is rotary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MachineAxis {
     /// Name of the axis: x, y, z, r, a, b or c.
     pub name: &'static str,
     /// True if the axis turns: its unit is degrees. The unit of the others is mm.
     pub is_rotary: bool,
-    /// Largest velocity, unit/s.
+    /// Largest velocity, mm/s or deg/s.
     pub max_velocity: f64,
-    /// Largest acceleration, unit/s^2.
+    /// Largest acceleration, mm/s^2 or deg/s^2.
     pub max_acceleration: f64,
-    /// Largest jerk, unit/s^3; `None` if the machine does not limit it.
+    /// Largest jerk, mm/s^3 or deg/s^3; `None` if the machine does not limit it.
     pub max_jerk: Option<f64>,
-    /// Smallest and largest position; `None` if the travel has no limit.
+    /// Smallest and largest position, mm or degrees; `None` if the travel has no limit.
     pub travel: Option<[f64; 2]>,
 }
 
@@ -136,7 +137,7 @@ impl MachineAxis {
         }
     }
 
-    /// Returns the unit of its positions.
+    /// Returns the unit of the positions: "mm", or "deg" for a rotary axis.
     pub fn unit(&self) -> &'static str {
         if self.is_rotary { "deg" } else { "mm" }
     }
@@ -168,11 +169,11 @@ impl MachineFileRotaryAxis {
     }
 }
 
-/// Lists of names of linear and of rotary axes that kinematics accept, with what to give instead of others.
+/// Accepted lists of names of the linear axes, accepted lists for the rotary axes, and the remedy for other names.
 type Accepted =
     (&'static [&'static [&'static str]], &'static [&'static [&'static str]], &'static str);
 
-/// Returns the lists of axes that these kinematics accept.
+/// Returns the lists of axis names that these kinematics accept, and the remedy for others.
 fn accepted(kinematics: Option<&KinematicsFile>) -> Accepted {
     match kinematics {
         None | Some(KinematicsFile::Xy {}) => {
@@ -197,7 +198,7 @@ fn accepted(kinematics: Option<&KinematicsFile>) -> Accepted {
 }
 
 impl MachineFile {
-    /// Refuses axes that the kinematics do not have, and others that they lack.
+    /// Refuses axes whose names and order the kinematics do not accept.
     pub(crate) fn check_names(&self) -> Result<(), Invalid> {
         let (linear, rotary, remedy) = accepted(self.kinematics.as_ref());
         let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
@@ -212,7 +213,8 @@ impl MachineFile {
     }
 }
 
-/// All axes of a file whose names and limits along x and y were checked.
+/// Returns all axes of a file, the linear ones first, with their limits and travel. The names of the axes were checked
+/// before.
 pub(crate) fn checked_axes(file: &MachineFile) -> Result<Vec<MachineAxis>, Invalid> {
     let (linear, rotary, _) = accepted(file.kinematics.as_ref());
     // The last list is the longest one.
@@ -236,7 +238,8 @@ pub(crate) fn checked_axes(file: &MachineFile) -> Result<Vec<MachineAxis>, Inval
     Ok(axes)
 }
 
-/// Returns an axis with the limits that the file states.
+/// Returns the axis `name` with the limits that the file states. `time_s` is the time to full acceleration, from which
+/// a missing jerk limit follows.
 fn checked_axis(
     name: &'static str,
     stated: StatedLimits,
@@ -248,7 +251,8 @@ fn checked_axis(
     Ok(MachineAxis { name, is_rotary, max_velocity, max_acceleration, max_jerk, travel })
 }
 
-/// Returns the travel of an axis; refuses one whose ends are not finite and ascending.
+/// Returns the travel of an axis as stated; refuses one whose ends are not finite and ascending. The list and the index
+/// of the axis are for the message.
 fn checked_travel(
     (list, index): (&'static str, usize),
     unit: &str,
@@ -265,7 +269,8 @@ fn checked_travel(
 }
 
 impl Kinematics {
-    /// Returns the kinematics of a file whose names of axes were checked.
+    /// Returns the kinematics of a file whose axis names were checked before. Refuses a distance to a pivot that is
+    /// missing, not wanted or not plausible.
     pub(crate) fn from_file(file: &MachineFile) -> Result<Self, Invalid> {
         let refused =
             |problem: String, remedy: &str| Err(Invalid::whole("kinematics", problem, remedy));

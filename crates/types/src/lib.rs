@@ -81,7 +81,7 @@ pub use variation::{
     AzimuthWeights, Component, PixelFactor, Pose, TimeFactor, TurnWeights, Variation,
 };
 
-/// A value that its type refuses.
+/// An input value that the constructor of a type refuses, with the place, the fault and the remedy.
 ///
 /// `array` is the name of the array or field, and `place` the index or its substitute. `problem`
 /// states the fault with the value, and `remedy` the correction.
@@ -92,32 +92,32 @@ pub struct Invalid {
     pub array: &'static str,
     /// Index in brackets, or empty for the whole array.
     pub place: String,
-    /// The fault, with the offending value.
+    /// The fault in words, with the offending value.
     pub problem: String,
     /// The correction that the user can make.
     pub remedy: String,
 }
 
-/// A method that ended before it reached its tolerance.
+/// A numerical method that ended before its residual reached its tolerance.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "{method} has not converged: after {iterations} iterations {residual_of} is {residual:.3e}; {remedy}"
 )]
 pub struct NotConverged {
-    /// Name of the method.
+    /// Name of the numerical method.
     pub method: &'static str,
-    /// Number of iterations done.
+    /// Number of iterations that were done.
     pub iterations: usize,
     /// Residual at the end, in the unit that `residual_of` states.
     pub residual: f64,
-    /// Quantity of the residual, with the value that would be enough.
+    /// Name of the quantity of `residual`, with the value that would be enough.
     pub residual_of: &'static str,
     /// The correction that the user can make.
     pub remedy: &'static str,
 }
 
 impl Invalid {
-    /// Returns an error about the whole array.
+    /// Returns an error about the array or field as a whole.
     pub fn whole(
         array: &'static str,
         problem: impl Into<String>,

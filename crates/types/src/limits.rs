@@ -30,10 +30,10 @@ pub const DEFAULT_TIME_TO_FULL_ACCELERATION_S: f64 = 0.1;
 /// 0.1 ms, and no axis takes minutes.
 const TIMES_TO_FULL_ACCELERATION_S: [f64; 2] = [1e-6, 100.0];
 
-/// Longest plausible `min_segment_s`, s, as of any time. Controllers ask for milliseconds.
+/// Longest plausible `min_segment_s`, s: as long as any time in Planish may be. Controllers ask for milliseconds.
 const LARGEST_MIN_SEGMENT_S: f64 = 1e9;
 
-/// The limits of a machine: two axes, every limit positive and finite.
+/// Limits of the axes x and y of a machine: every limit is positive and finite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
     name: String,
@@ -56,12 +56,12 @@ pub struct AxisLimits {
 pub struct MachineFile {
     /// Name of the machine.
     pub name: String,
-    /// The linear axes: x, then y; what `kinematics` asks for if it is stated.
+    /// The linear axes: x, then y; with `kinematics`, those of its kind in their order.
     pub axes: Vec<MachineFileAxis>,
-    /// The rotary axes that `kinematics` asks for.
+    /// The rotary axes of the kind of `kinematics`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rotary_axes: Vec<MachineFileRotaryAxis>,
-    /// Kinematics of a machine with other axes than x and y.
+    /// Kinematics of a machine; absent for one with the axes x and y only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub kinematics: Option<KinematicsFile>,
     /// Time from rest to the full acceleration, s: the jerk limit of an axis that states none is its acceleration limit
@@ -69,7 +69,7 @@ pub struct MachineFile {
     /// [`DEFAULT_TIME_TO_FULL_ACCELERATION_S`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_to_full_acceleration_s: Option<f64>,
-    /// Shortest segment that the controller accepts, s; 0 when it does not matter.
+    /// Shortest segment that the controller accepts, s; 0 if it accepts any.
     #[serde(default)]
     pub min_segment_s: f64,
     /// Readings of the axes at the origin of the part, mm; [0, 0] if absent.
@@ -78,10 +78,10 @@ pub struct MachineFile {
     /// Reading of the axis z where the tool, without tilt, touches the height 0 of the part, mm; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_origin_z_mm: Option<f64>,
-    /// Angle of the part on the machine, from x towards y, degrees; 0 if absent.
+    /// Angle by which the part is turned on the machine, from x towards y, degrees; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_rotation_deg: Option<f64>,
-    /// The controller; its usual grids when absent.
+    /// The controller; if absent, programs have the default grids of their kind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controller: Option<ControllerFile>,
 }
@@ -90,7 +90,7 @@ pub struct MachineFile {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "AxisLimits")]
 pub struct MachineFileAxis {
-    /// "x" or "y"; "z" or "r" where `kinematics` has them.
+    /// Name of the axis: "x" or "y"; "z" or "r" for `kinematics` that have such an axis.
     pub name: String,
     /// Largest velocity, mm/s.
     pub max_velocity_mm_per_s: f64,
@@ -109,7 +109,7 @@ pub struct MachineFileAxis {
 }
 
 impl MachineFile {
-    /// Returns the names of the axes of which the file states neither a jerk limit nor that there is none.
+    /// Returns the names of the axes for which the file states neither a jerk limit nor that there is none.
     pub fn axes_without_word_on_jerk(&self) -> Vec<&str> {
         if self.time_to_full_acceleration_s.is_some() {
             return Vec::new();
@@ -119,7 +119,8 @@ impl MachineFile {
         linear.map(|a| a.name.as_str()).chain(rotary.map(|a| a.name.as_str())).collect()
     }
 
-    /// Returns the time from rest to the full acceleration, s; 0 for no limit on jerk. Refuses implausible times.
+    /// Returns the time from rest to the full acceleration, s; 0 if it is absent, which means no limit on jerk. Refuses
+    /// implausible times.
     pub(crate) fn checked_time_to_full_acceleration_s(&self) -> Result<f64, Invalid> {
         let [shortest, longest] = TIMES_TO_FULL_ACCELERATION_S;
         let time_s = self.time_to_full_acceleration_s.unwrap_or_default();
@@ -152,7 +153,8 @@ impl MachineFile {
         Ok(Limits { name: self.name, axes, min_segment_s: self.min_segment_s })
     }
 
-    /// Returns the limits along x (0) or y (1). A machine without the axes x and y states those of the contact point.
+    /// Returns the limits along x (`i` = 0) or y (1), with the time to full acceleration `time_s`. For a spindle
+    /// machine they are the stated limits of the contact point.
     fn checked_axis(&self, i: usize, time_s: f64) -> Result<AxisLimits, Invalid> {
         let stated = match &self.kinematics {
             Some(KinematicsFile::Spindle { contact, .. }) => contact.stated(),
@@ -170,7 +172,7 @@ impl MachineFile {
 }
 
 impl MachineFileAxis {
-    /// Returns the limits of the axis `index` of the list `axes`, as stated.
+    /// Returns the limits of this axis, which has the index `index` in the list `axes` of the file, as stated.
     pub(crate) fn stated(&self, index: usize) -> StatedLimits {
         StatedLimits {
             list: "axes",
@@ -183,13 +185,13 @@ impl MachineFileAxis {
     }
 }
 
-/// Limits of an axis, not checked yet.
+/// Limits of an axis with the place in the file that states them, not checked yet.
 pub(crate) struct StatedLimits {
-    /// Key of the machine file that holds them.
+    /// Key of the machine file under which the limits stand.
     pub(crate) list: &'static str,
-    /// Index in that list, if it is a list.
+    /// Index of the axis in that list; `None` if the key is no list.
     pub(crate) index: Option<usize>,
-    /// "mm" or "deg".
+    /// Unit of the positions: "mm" or "deg".
     pub(crate) unit: &'static str,
     pub(crate) velocity: f64,
     pub(crate) acceleration: f64,
@@ -197,8 +199,9 @@ pub(crate) struct StatedLimits {
 }
 
 impl StatedLimits {
-    /// Returns velocity and acceleration, and the jerk limit, which follows from the time to full acceleration where
-    /// none is stated. Refuses limits that are not positive and of a plausible size.
+    /// Returns the limits of velocity and acceleration, and the jerk limit. If none is stated, the jerk limit is the
+    /// acceleration over `time_s`, or `None` if that is 0. Refuses limits that are not positive and of a plausible
+    /// size.
     pub(crate) fn checked(&self, time_s: f64) -> Result<([f64; 2], Option<f64>), Invalid> {
         let largest = LARGEST_VELOCITY_MM_PER_S;
         let unit = self.unit;
@@ -232,7 +235,7 @@ impl StatedLimits {
     }
 }
 
-/// The file that states these limits, to change one of them and check it again.
+/// Returns the machine file that states these limits, so that one of them can be changed and checked again.
 impl From<&Limits> for MachineFile {
     fn from(limits: &Limits) -> Self {
         let axes = limits.axes.map(|a| MachineFileAxis {
@@ -262,7 +265,7 @@ impl Limits {
         &self.axes
     }
 
-    /// Returns the shortest segment that the controller accepts, s; 0 when it does not matter.
+    /// Returns the shortest segment that the controller accepts, s; 0 if it accepts any.
     pub fn min_segment_s(&self) -> f64 {
         self.min_segment_s
     }

@@ -1,4 +1,4 @@
-//! A machine in its place: limits of its axes, their travel, and the position of a part on them.
+//! A machine with a part on it: limits of its axes, their travel, and the position of the part.
 //!
 //! A plan is made in the coordinates of the part. The axes read
 //!
@@ -31,7 +31,7 @@ use crate::{
     Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
 };
 
-/// A machine: limits of its axes, their travel, and how a part lies on it.
+/// A machine: limits of its axes, their travel, and the position of the part on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Machine {
     limits: Limits,
@@ -43,7 +43,7 @@ pub struct Machine {
     controller: Option<ControllerModel>,
 }
 
-/// A machine whose axes read the coordinates of the part and have no limit of travel.
+/// Returns a machine whose axes x and y read the coordinates of the part and have no limit of travel.
 impl From<Limits> for Machine {
     fn from(limits: Limits) -> Self {
         Self {
@@ -60,7 +60,7 @@ impl From<Limits> for Machine {
 
 impl Machine {
     /// Returns the machine of a file. Refuses limits, travels, kinematics, controllers and positions of the part that
-    /// are none, see [`MachineFile`].
+    /// are not valid, see [`MachineFile`].
     pub fn new(file: MachineFile) -> Result<Self, Invalid> {
         let limits = file.clone().checked()?;
         let axes = checked_axes(&file)?;
@@ -83,13 +83,13 @@ impl Machine {
         Ok(Self { limits, travel_mm, axes, kinematics, part_origin_z_mm, part_to_axes, controller })
     }
 
-    /// Returns the controller as the machine file states it, if it states one.
+    /// Returns the controller that the machine file states, or `None` if it states none.
     pub fn controller(&self) -> Option<&ControllerModel> {
         self.controller.as_ref()
     }
 
-    /// Returns the grids of a program for `kind`: those of the machine's own controller if it is of this kind, else the
-    /// defaults of the kind.
+    /// Returns the rounding of positions, velocities and times in a program for `kind`: that of the machine's own
+    /// controller if it is of this kind, else the defaults of the kind.
     pub fn controller_for(&self, kind: ControllerKind) -> ControllerModel {
         self.controller.filter(|c| c.kind == kind).unwrap_or_else(|| kind.model())
     }
@@ -99,13 +99,13 @@ impl Machine {
         self.limits.name()
     }
 
-    /// Returns the limits of the axes x and y. A spindle machine has no such axes: limits of the contact point, as
-    /// stated.
+    /// Returns the limits of the axes x and y. For a spindle machine, which has no such axes, they are the stated
+    /// limits of the contact point.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Returns all axes in their order, the linear ones first.
+    /// Returns all axes in the order of the machine file, the linear ones first.
     pub fn axes(&self) -> &[MachineAxis] {
         &self.axes
     }
@@ -115,12 +115,13 @@ impl Machine {
         &self.kinematics
     }
 
-    /// Returns the reading of the axis z where the tool, without tilt, touches the height 0 of the part, mm.
+    /// Returns the reading of the axis z at which the tool, without tilt, touches the height 0 of the part, mm.
     pub fn part_origin_z_mm(&self) -> f64 {
         self.part_origin_z_mm
     }
 
-    /// Returns the smallest and largest position of the axes x and y, mm; `None` if the travel has no limit.
+    /// Returns the smallest and the largest position of the axes x and y, mm; `None` for an axis whose travel has no
+    /// limit.
     pub fn travel_mm(&self) -> &[Option<[f64; 2]>; 2] {
         &self.travel_mm
     }
@@ -131,7 +132,8 @@ impl Machine {
         self.part_to_axes.as_ref()
     }
 
-    /// Returns the limits along x and y of the part that the axes can follow in every direction at once.
+    /// Returns the limits along x and y of the part that the axes can follow in every direction at once: the largest
+    /// box w of the module. For a spindle machine they are the stated ones.
     pub fn limits_on_part(&self) -> Limits {
         // Those of a spindle machine are along x and y of the part as stated.
         let is_spindle = matches!(self.kinematics, Kinematics::Spindle { .. });
@@ -151,7 +153,8 @@ impl Machine {
     }
 }
 
-/// Transform q(p) of the module; `None` if it is the identity.
+/// Returns the transform q(p) of the module from a point of the part to the readings of the axes; `None` if it is the
+/// identity.
 fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
     let origin_mm = file.part_origin_mm.unwrap_or_default();
     if let Some(i) = origin_mm.iter().position(|v| !is_plausible_mm(*v)) {
@@ -178,8 +181,8 @@ fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
     Transform::new(matrix, [0.0; 2], origin_mm, [[0.0; 6]; 6]).map(Some)
 }
 
-/// Returns the direction j and the sign s of the axis `i`. Axes other than x and y go along no direction of the part's
-/// plane.
+/// Returns the direction j (0 for x, 1 for y) and the sign s of the axis `i` as the module defines them. An axis that
+/// states no direction, or that is not x or y, has the direction `i` and the sign 1.
 fn direction(file: &MachineFile, i: usize) -> Result<(usize, f64), Invalid> {
     let axis = file.axes.get(i).filter(|axis| axis.name == AXES[i]);
     match axis.and_then(|axis| axis.along.as_deref()) {
@@ -196,12 +199,12 @@ fn direction(file: &MachineFile, i: usize) -> Result<(usize, f64), Invalid> {
     }
 }
 
-/// Returns a direction as a machine file states it.
+/// Returns a direction and its sign as a machine file states it, such as "-x".
 fn written((j, sign): (usize, f64)) -> String {
     format!("{}{}", if sign < 0.0 { "-" } else { "+" }, AXES[j])
 }
 
-/// Sine and cosine of an angle in degrees, exact at quarter turns.
+/// Returns sine and cosine of an angle in degrees, exact at quarter turns.
 fn sine_cosine(angle_deg: f64) -> (f64, f64) {
     match angle_deg.rem_euclid(360.0) {
         0.0 => (0.0, 1.0),
@@ -212,13 +215,13 @@ fn sine_cosine(angle_deg: f64) -> (f64, f64) {
     }
 }
 
-/// Smallest magnitude of an element of M that counts, dimensionless; smaller elements are zero.
-/// Much smaller: a limit divided by the element overflows. Larger: a part of a limit is lost.
-/// Chosen: at 1e-100 it vanishes at every plausible ratio of two limits.
+/// Smallest magnitude of an element of the matrix M of the module, dimensionless; smaller elements count as zero. Much
+/// smaller: a limit divided by the element overflows. Larger: a part of a limit is lost. Chosen: at 1e-100 it vanishes
+/// at every plausible ratio of two limits.
 const LEAST_PART: f64 = 1e-100;
 
-/// The box w of the largest w_x w_y with |M| w <= `limits`, for M of orthogonal rows; `None` where
-/// no limit applies.
+/// Returns the box w with the largest product w_x w_y that keeps |M| w <= `limits`, for a matrix M of orthogonal rows.
+/// `None` along an axis to which no limit applies.
 fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] {
     // a w_x + b w_y <= c
     let mut rows: Vec<[f64; 3]> = Vec::new();
@@ -255,7 +258,8 @@ fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] 
     best.map_or([None; 2], |w| w.map(Some))
 }
 
-/// Returns the sentence for a plan on the machine `name`, which is that of a pipeline and not one that the user named.
+/// Returns the sentence of a report for a plan on the machine `name`, which a pipeline chose because the user named
+/// none.
 pub fn assumed_machine(name: &str) -> String {
     format!(
         "no machine was named, so this is planned for {name}, a machine of the fixtures, with its limits; give machine=FILE \

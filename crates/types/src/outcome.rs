@@ -54,12 +54,12 @@ pub struct WallTime {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NoMore {}
 
-/// Reads a number. JSON has `null` for one that is not finite.
+/// Reads a number, NaN for `null`. JSON has `null` for a number that is not finite.
 fn null_is_nan<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
-/// Reads a number. JSON has `null` for infinity.
+/// Reads a number, infinity for `null`.
 fn null_is_infinity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }

@@ -1,8 +1,9 @@
 //! Largest distance of a motion from its tool path.
 //!
-//! A segment of the motion that serves dwell point i is compared with segment i of the path. A segment that serves none,
-//! such as a link, is compared with the nearest of the segments between those that its neighbours serve. A motion that
-//! names no dwell points, such as a program of a controller, is compared with the nearest segment of the whole path.
+//! A segment of the motion that serves dwell point i is compared with segment i of the path. A segment that serves
+//! none, such as a link between two passes, is compared with the nearest of the segments between those that its
+//! neighbours serve. A motion that names no dwell points, such as a program of a controller, is compared with the
+//! nearest segment of the whole path.
 
 use std::cell::Cell;
 
@@ -11,21 +12,21 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Invalid, ToolPath, Trajectory};
 
-/// Usual tolerance of a motion, relative to the distance of the lines of its path. Larger: a motion may swing out into
-/// the neighbouring lines. Smaller: it has to stop at corners. Chosen: the middle between two lines.
+/// Usual tolerance of a motion, as a fraction of the distance between the lines of its path. Larger: a motion may swing
+/// out into the neighbouring lines. Smaller: it has to stop at corners. Chosen: the middle between two lines.
 const USUAL_PART: f64 = 0.5;
 
-/// Least turn of a path that ends a straight leg, rad (30 degrees). Larger: slow bends count as straight. Smaller: the
-/// segments of a curve count as legs.
+/// Smallest turn of a path that ends a straight leg, rad (30 degrees). Larger: slow bends count as straight. Smaller:
+/// the segments of a curve count as legs.
 const CORNER_RAD: f64 = std::f64::consts::FRAC_PI_6;
 
-/// Largest distance of lines, relative to the median distance of points, that the usual tolerance allows for. Larger: a
-/// path with long legs has a wide tolerance. Smaller: a motion along lines with close points has to follow more closely
-/// than its lines need.
+/// Largest distance between lines for which the usual tolerance allows, relative to the median distance of points.
+/// Larger: a path with long legs has a wide tolerance. Smaller: a motion along lines with close points has to follow
+/// more closely than its lines need.
 const LINES_PER_POINT: f64 = 4.0;
 
-/// Distance that counts as rounding beside the tolerance, relative to it and in mm. Larger: real excesses pass.
-/// Smaller: the rounding of a coordinate of 1 m, 1e-13 mm, and the gap of the search, 1e-7, count.
+/// Excess over the tolerance that counts as rounding, relative to the tolerance and, below, in mm. Larger: real
+/// excesses pass. Smaller: the rounding of a coordinate of 1 m, 1e-13 mm, and the gap of the search, 1e-7, count.
 const ROUNDING: f64 = 1e-6;
 const ROUNDING_MM: f64 = 1e-9;
 
@@ -34,11 +35,11 @@ const ROUNDING_MM: f64 = 1e-9;
 pub struct PathDistance {
     /// Largest distance with the tool on, mm.
     pub tool_on_mm: f64,
-    /// Start of the segment of the motion that has it, s.
+    /// Start time of the segment of the motion that has this distance, s.
     pub tool_on_time_s: f64,
     /// Largest distance with the tool off, mm. No tolerance applies to it.
     pub tool_off_mm: f64,
-    /// Tolerance of the distance with the tool on, mm.
+    /// Largest allowed distance with the tool on, mm.
     pub tolerance_mm: f64,
     /// True if the distance with the tool on is within its tolerance.
     pub within: bool,
@@ -48,9 +49,9 @@ pub struct PathDistance {
 }
 
 impl ToolPath {
-    /// Returns the tolerance of a motion along the path, mm: the `requested` one, or half the distance of the lines of
-    /// the path. As the distance of lines counts the lower quartile of the straight legs between two corners, from the
-    /// median distance of neighbouring points to four times this distance. It is 0 for a path without length.
+    /// Returns the tolerance of a motion along the path, mm: the `requested` one, or half the distance between the
+    /// lines of the path. That distance is the lower quartile of the lengths of straight legs, limited to between one
+    /// and four median distances of neighbouring points. It is 0 for a path without length.
     ///
     /// # Errors
     ///
@@ -67,7 +68,7 @@ impl ToolPath {
         }
     }
 
-    /// Returns half the distance of the lines of the path, mm.
+    /// Returns half the distance between the lines of the path, mm; 0 for a path without length.
     fn usual_tolerance_mm(&self) -> f64 {
         let [on_mm, off_mm] = [true, false].map(|on| {
             let segments = (0..self.len()).filter(|i| self.tool_on()[*i] == on);
@@ -78,7 +79,8 @@ impl ToolPath {
         USUAL_PART * line_mm.clamp(point_mm, LINES_PER_POINT * point_mm)
     }
 
-    /// Returns the lengths of the straight legs between two corners of the path, with the tool on, mm.
+    /// Returns the lengths of the straight legs between two corners of the path, with the tool on, mm. Legs that begin
+    /// or end where the tool is switched do not count.
     fn legs_mm(&self) -> Vec<f64> {
         let mut legs_mm = Vec::new();
         // Length since the last corner, if there is one, and direction of the segment before.
@@ -107,14 +109,15 @@ impl ToolPath {
     }
 }
 
-/// Returns the value at 1 / `part` of the sorted values.
+/// Returns the sorted value at the fraction 1 / `part`: 2 for the median, 4 for the lower quartile. `None` without
+/// values.
 fn quantile(mut values: Vec<f64>, part: usize) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / part).copied()
 }
 
 impl PathDistance {
-    /// Measures the distance of `motion` from `path`. Without a tolerance, the usual one of the path counts.
+    /// Measures the distance of `motion` from `path`. Without `tolerance_mm`, the usual tolerance of the path applies.
     ///
     /// # Errors
     ///
@@ -152,14 +155,14 @@ impl PathDistance {
         Ok(distance.judged_by(tolerance_mm))
     }
 
-    /// Returns the same distances with another tolerance, mm.
+    /// Returns the same distances, judged by another tolerance, mm.
     pub fn judged_by(self, tolerance_mm: f64) -> Self {
         let within = self.tool_on_mm <= tolerance_mm * (1.0 + ROUNDING) + ROUNDING_MM;
         Self { tolerance_mm, within, ..self }
     }
 
-    /// Returns the same distances of a motion that is transformed with its path, by a transform that stretches lengths by
-    /// up to `factor`; with the tolerance in the same proportion.
+    /// Returns the distances after a transform of both the motion and its path that stretches lengths by up to
+    /// `factor`. The tolerance grows in the same proportion.
     pub fn stretched_by(self, factor: f64) -> Self {
         Self {
             tool_on_mm: factor * self.tool_on_mm,
@@ -169,7 +172,7 @@ impl PathDistance {
         }
     }
 
-    /// Returns a sentence if the motion exceeds its tolerance.
+    /// Returns the sentence that states the excess, or `None` if the motion is within its tolerance.
     pub fn excess(&self) -> Option<String> {
         if self.within {
             return None;
@@ -194,12 +197,12 @@ impl std::fmt::Display for PathDistance {
     }
 }
 
-/// Returns a length in words, in um below 0.1 mm.
+/// Returns a length as text, in um below 0.1 mm, else in mm.
 fn lengths(mm: f64) -> String {
     if mm < 0.1 { format!("{:.3} um", 1e3 * mm) } else { format!("{mm:.4} mm") }
 }
 
-/// Returns the first and the last segment of the path with which every segment of the motion is compared.
+/// Returns, for every segment of the motion, the first and the last segment of the path with which it is compared.
 fn served_segments(motion: &Trajectory, path: &ToolPath) -> Result<Vec<[usize; 2]>, Invalid> {
     let index = motion.dwell_index();
     let last = path.len() - 1;
@@ -229,16 +232,16 @@ fn served_segments(motion: &Trajectory, path: &ToolPath) -> Result<Vec<[usize; 2
     Ok(ranges)
 }
 
-/// Search for the nearest segment of a path.
+/// Search for the nearest segment of a path, which begins where the search before ended.
 struct Nearest<'a> {
     path: &'a ToolPath,
-    /// Segment that was the nearest one the last time.
+    /// Index of the segment that was the nearest one in the search before.
     last: Cell<usize>,
 }
 
 impl Nearest<'_> {
-    /// Returns the largest distance of `points` from the nearest segment of the range: the smallest over the segments of
-    /// the largest over the points. The search begins at the segment of the last time and ends where the distance is
+    /// Returns the distance of `points` from the nearest segment of the range, mm. The distance of a segment is the
+    /// largest over the points. The search begins at the segment of the search before, and ends early at a distance of
     /// `enough`.
     fn farthest(&self, points: &[Point], [first, last]: &[usize; 2], enough: f64) -> f64 {
         let start = self.last.get().clamp(*first, *last);
@@ -260,7 +263,7 @@ impl Nearest<'_> {
         least
     }
 
-    /// Returns the largest distance of `points` from segment `i`.
+    /// Returns the largest distance of `points` from segment `i`, mm.
     fn distance_to_segment(&self, points: &[Point], i: usize) -> f64 {
         let chord: Chord = [self.path.point_mm()[i], self.path.point_mm()[i + 1]];
         points.iter().map(|p| from_chord(*p, &chord)).fold(0.0, f64::max)
@@ -280,7 +283,7 @@ mod tests {
         Trajectory::new(times, c, on.to_vec(), index).unwrap()
     }
 
-    /// From `from` to `to` in 1 s, with a bulge of `bulge` / 4 along y.
+    /// Returns the coefficients of a motion from `from` to `to` in 1 s, with a bulge of `bulge` / 4 mm along y.
     fn bulging(from: [f64; 2], to: [f64; 2], bulge: f64) -> [[f64; 4]; 2] {
         [[from[0], to[0] - from[0], 0.0, 0.0], [from[1], to[1] - from[1] + bulge, -bulge, 0.0]]
     }

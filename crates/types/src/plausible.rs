@@ -34,8 +34,8 @@ const LEAST_TIF_PER_PIXEL: f64 = 0.25;
 /// parts are refused.
 const LONGEST_VOLUME_S: f64 = 1e8;
 
-/// Fraction of the pixels, the lowest ones, that do not decide the volume. Larger: more of the real
-/// volume is left out. Smaller: a pit counts as a layer of its depth all over the part.
+/// Fraction of the pixels, the lowest ones, that do not count in the lowest height of the volume. Larger: more of the
+/// real volume is left out. Smaller: a pit counts as a layer of its depth all over the part.
 const PITS: f64 = 1e-3;
 
 /// Smallest PV of a map in nm, nm: a thousandth of the radius of an atom. Larger: exact test maps
@@ -50,8 +50,8 @@ const ROUNDING: f64 = 1e-9;
 /// height does not repeat. Larger: markers pass as heights. Smaller: real plateaus are refused.
 const MARKER_DISTANCE: f64 = 10.0;
 
-/// The [`MARKER_DISTANCE`] of numbers that are known as markers, such as -9999 and 32767. Larger:
-/// markers pass as heights. Smaller: such a number within the heights is refused.
+/// [`MARKER_DISTANCE`] for numbers that are known as markers, such as -9999 and 32767. Larger: markers pass as heights.
+/// Smaller: such a number within the heights is refused.
 const KNOWN_MARKER_DISTANCE: f64 = 1.0;
 
 /// Largest ratio of the extent of the path with the tool on to that of the map and the TIF
@@ -109,7 +109,7 @@ pub fn check_path(surface: &Surface, tif: &Tif, path: &ToolPath) -> Result<(), I
     Ok(())
 }
 
-/// Refuses lines that are too far apart for the tool.
+/// Refuses a pitch, the distance between path lines in mm, that is too large for the tool.
 pub fn check_pitch(tif: &Tif, pitch_mm: f64) -> Result<(), Invalid> {
     let [x, y] = tif.grid().size_mm();
     let size = x.max(y);
@@ -123,7 +123,7 @@ pub fn check_pitch(tif: &Tif, pitch_mm: f64) -> Result<(), Invalid> {
     ))
 }
 
-/// RMS of a map, nm.
+/// RMS of a map with and without its best plane, nm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rms {
     /// RMS after removing the mean, nm.
@@ -139,9 +139,9 @@ impl Rms {
     }
 }
 
-/// Returns the reason why a plan that reduces `before` to `after` in `total_time_s` is of no use, or `None` if it
-/// is of use. Either the surface is worse than before, with and without its best plane, or the run
-/// is longer than 30 days.
+/// Returns the reason why a plan is of no use, or `None` if it is of use. The plan reduces the RMS `before` to `after`
+/// in `total_time_s`. Either the surface is worse than before, with and without its best plane, or the run is longer
+/// than 30 days.
 pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
     // Any plan makes a flat map worse, so that nothing is expected of it.
     let flat = before.rms_nm <= 0.0;
@@ -168,8 +168,8 @@ pub fn too_long(total_time_s: f64) -> Option<String> {
     ))
 }
 
-/// Refuses a TIF whose removal is farther from the offset 0, the place of the tool, than its own
-/// width. Such axes begin or end at 0, and are coordinates of an array rather than offsets.
+/// Refuses a TIF whose removal is farther from the offset 0, the position of the tool, than its own width. Such axes
+/// begin or end at 0, and are coordinates of an array rather than offsets.
 fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
     let grid = tif.grid();
     for (name, axis, is_y) in [("x_mm", grid.x, false), ("y_mm", grid.y, true)] {
@@ -232,7 +232,7 @@ fn check_sizes(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Refuses heights within an atom, and a number that marks pixels without data.
+/// Refuses heights whose PV is less than the size of an atom, and a number that marks pixels without data.
 fn check_heights(surface: &Surface) -> Result<(), Invalid> {
     let map = surface.height_nm();
     let (low, high) = statistics::range(map.view());
@@ -298,7 +298,7 @@ mod tests {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
     }
 
-    /// 40 x 24 mm, PV some 40 nm, in other units by the factors.
+    /// Returns a map of 40 x 24 mm with a PV of some 40 nm, times the factors `mm` and `nm` of mistaken units.
     fn map(mm: f64, nm: f64) -> Surface {
         let grid = Grid { x: axis(0.0, 40.0 * mm, 81), y: axis(0.0, 24.0 * mm, 49) };
         let z = Array2::from_shape_fn((49, 81), |(r, c)| {
@@ -307,7 +307,8 @@ mod tests {
         Surface::new(grid, z).unwrap()
     }
 
-    /// Gaussian of sigma 1.5 mm on -6 .. 6 mm, displaced by `shift`.
+    /// Returns a Gaussian TIF of sigma 1.5 mm on -6 .. 6 mm, displaced by `shift` mm, times the factors `mm` and
+    /// `rate`.
     fn tool(mm: f64, rate: f64, shift: f64) -> Tif {
         let a = axis((shift - 6.0) * mm, (shift + 6.0) * mm, 49);
         let g = |k: usize| (-0.5 * ((k as f64 - 24.0) / 6.0).powi(2)).exp();

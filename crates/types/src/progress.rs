@@ -1,8 +1,8 @@
 //! Progress of a computation, reported to one watcher of the process.
 //!
-//! A library knows neither clock nor terminal. It reports the fraction of its work that is done,
-//! and a program that shows it has called [`watch`] before. Work that consists of several parts
-//! assigns each part an interval of the whole:
+//! A library knows neither clock nor terminal. It reports the fraction of its work that is done. A program that shows
+//! this fraction has called [`watch`] before. Work that consists of several parts assigns each part an interval of the
+//! whole:
 //!
 //! ```text
 //! reported = first + (last - first) fraction    of the part [first, last] that is under way
@@ -37,20 +37,20 @@ pub fn watch(watcher: impl Fn(f64) + Send + Sync + 'static) {
     let _ = WATCHER.set(Box::new(watcher));
 }
 
-/// Registers `watcher`, which is called at the end of every round. Only the first watcher of a
+/// Registers `watcher`, which is called at the end of every round of an iterative method. Only the first watcher of a
 /// process is registered.
 pub fn watch_rounds(watcher: impl Fn() + Send + Sync + 'static) {
     let _ = ROUND_WATCHER.set(Box::new(watcher));
 }
 
-/// Reports the end of a round, so that a watcher can measure its time.
+/// Reports the end of a round to the watcher of rounds, so that it can measure the time of a round.
 pub fn round_ended() {
     if let Some(watcher) = ROUND_WATCHER.get() {
         watcher();
     }
 }
 
-/// Reports the fraction of the part under way that is done, 0 to 1.
+/// Reports the fraction of the current part that is done, 0 to 1. It does nothing without a watcher.
 pub fn done(fraction: f64) {
     let Some(watcher) = WATCHER.get() else { return };
     let reported = {
@@ -61,7 +61,7 @@ pub fn done(fraction: f64) {
     watcher(reported);
 }
 
-/// Runs `work`, which is part number `k` of `n` equal parts.
+/// Runs `work`, which is part number `k` (from 0) of `n` equal parts of the current part, and reports its end.
 pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     let whole = under_way().0;
     under_way().0 = [k, k + 1].map(|k| within(whole, k as f64 / n as f64));
@@ -71,7 +71,7 @@ pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     result
 }
 
-/// Counter of equal pieces of work, which threads end in any order.
+/// Counter of equal pieces of work, which threads finish in any order.
 pub struct PieceCounter {
     count: usize,
     ended: AtomicUsize,
@@ -83,20 +83,20 @@ impl PieceCounter {
         Self { count, ended: AtomicUsize::new(0) }
     }
 
-    /// Counts one more piece as ended; returns the fraction of the ended ones.
+    /// Counts one more piece as ended; returns the fraction of all pieces that has ended.
     pub fn one_more(&self) -> f64 {
         (self.ended.fetch_add(1, Ordering::Relaxed) + 1) as f64 / self.count as f64
     }
 }
 
-/// Returns a function that reports the progress of an iteration from its excess after every step.
-/// The iteration ends when the excess is 1 or less.
+/// Returns a function that takes the excess of an iteration after every step and reports the progress. The excess is
+/// relative to the tolerance: the iteration ends when it is 1 or less.
 pub fn of_excess() -> impl FnMut(f64) {
     let mut first = None;
     move |excess| done(of_convergence(*first.get_or_insert(excess), excess, 1.0))
 }
 
-/// Returns the fraction of the whole at a fraction of a part.
+/// Returns the fraction of the whole at the fraction `fraction` of the part from `first` to `last`.
 fn within([first, last]: [f64; 2], fraction: f64) -> f64 {
     first + (last - first) * fraction.clamp(0.0, 1.0)
 }

@@ -4,20 +4,20 @@
 //! z_i = sum_k p_k a_ik + noise of one variance,   p = (A'A)^-1 A'z,   covariance s^2 (A'A)^-1
 //! ```
 
-/// Smallest pivot of the normal matrix with a diagonal of ones. Larger: columns that differ little are refused.
-/// Smaller: rounding decides the parameters.
+/// Smallest pivot in the elimination of the normal matrix A'A, scaled to a diagonal of ones. Larger: columns that
+/// differ little are refused. Smaller: rounding decides the parameters.
 const LEAST_PIVOT: f64 = 1e-10;
 
-/// Parameters that fit samples best.
+/// Result of a least-squares fit with N parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Regression<const N: usize> {
-    /// p.
+    /// Parameters p of the module.
     pub parameters: [f64; N],
-    /// Standard error of every parameter.
+    /// Standard error of every parameter, in the unit of the parameter.
     pub standard_errors: [f64; N],
 }
 
-/// Fits samples, each a row of A and its z. Returns `None` if they do not determine the parameters.
+/// Fits samples, each a row of the matrix A and its value z. Returns `None` if they do not determine the parameters.
 pub(crate) fn regression<const N: usize>(samples: &[([f64; N], f64)]) -> Option<Regression<N>> {
     let mut squares = [0.0; N];
     for (row, _) in samples {
@@ -50,8 +50,8 @@ pub(crate) fn regression<const N: usize>(samples: &[([f64; N], f64)]) -> Option<
     Some(Regression { parameters, standard_errors })
 }
 
-/// Returns the inverse of a positive definite matrix with a diagonal of ones, by Gauss and Jordan's elimination; `None`
-/// if a pivot is too small.
+/// Returns the inverse of a positive definite matrix with a diagonal of ones, by Gauss-Jordan elimination; `None` if a
+/// pivot is too small.
 fn inverse<const N: usize>(mut a: [[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut inverse = [[0.0; N]; N];
     (0..N).for_each(|k| inverse[k][k] = 1.0);

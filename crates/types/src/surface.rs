@@ -23,8 +23,8 @@ impl Surface {
         Ok(Self { grid, height_nm, deviation_nm: None })
     }
 
-    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that
-    /// of the stored height: of a mean, it is that of the mean.
+    /// Returns the map with the standard deviation of every height (ny, nx), nm; NaN = unknown. For a height that is
+    /// the mean of several measurements, it is the standard deviation of the mean.
     ///
     /// # Errors
     /// Refuses another shape than that of the heights, and deviations below 0 or above 1e12 nm.
@@ -62,19 +62,19 @@ impl Surface {
         if count > 0.0 { Some((sum / count).sqrt()) } else { None }
     }
 
-    /// Returns the pixel centres.
+    /// Returns the grid of the pixel centres.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    /// Returns the heights (ny, nx), nm.
+    /// Returns the heights (ny, nx), nm; NaN at invalid pixels.
     pub fn height_nm(&self) -> &Array2<f64> {
         &self.height_nm
     }
 
-    /// Returns the map in the coordinates of the tool position: shifted by the offset `off_centre_mm` of
-    /// the centre of removal ([`crate::Tif::off_centre_mm`]). A pixel then lies where the tool
-    /// stands when it removes there.
+    /// Returns the map in the coordinates of the tool position: shifted by minus the offset `off_centre_mm` of the
+    /// centre of removal ([`crate::Tif::off_centre_mm`]). A pixel then lies where the tool stands when it removes
+    /// there.
     ///
     /// # Errors
     /// Refuses coordinates beyond 1e7 mm.
@@ -83,7 +83,7 @@ impl Surface {
         Ok(Self { grid, ..self.clone() })
     }
 
-    /// Returns RMS (mean removed), PV, ... of the valid pixels.
+    /// Returns the statistics of the heights of the valid pixels, nm, such as RMS (mean removed) and PV.
     pub fn statistics(&self) -> Statistics {
         statistics::statistics(self.height_nm.view()).expect("a Surface has a valid pixel")
     }
@@ -142,7 +142,7 @@ pub struct Removal {
 /// The maps of a [`Removal`] as stored, not checked yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RemovalMaps {
-    /// Predicted removal (ny, nx), nm.
+    /// Predicted removal (ny, nx), nm; known at every pixel.
     pub removal_nm: Array2<f64>,
     /// Desired removal minus predicted removal (ny, nx), nm; NaN where the desired map is invalid.
     pub residual_nm: Array2<f64>,
@@ -179,7 +179,7 @@ impl Removal {
         Ok(Self { removal_nm, residual })
     }
 
-    /// Returns the removal (ny, nx), nm.
+    /// Returns the predicted removal (ny, nx), nm; it is known at every pixel.
     pub fn removal_nm(&self) -> &Array2<f64> {
         &self.removal_nm
     }

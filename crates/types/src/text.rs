@@ -3,8 +3,8 @@
 
 use std::borrow::Cow;
 
-/// Returns `text` for a line of a terminal or a cell of a table. Characters that could command the
-/// terminal, end the line or turn the reading direction are escaped (`\u{1b}`, `\n`).
+/// Returns `text` in a form that is safe in a line of a terminal or a cell of a table. Characters that could command
+/// the terminal, end the line or turn the reading direction are escaped (`\u{1b}`, `\n`).
 pub fn visible(text: &str) -> Cow<'_, str> {
     if !text.chars().any(is_invisible) {
         return Cow::Borrowed(text);
@@ -44,7 +44,7 @@ pub fn escaped(text: &str) -> String {
     out
 }
 
-/// Returns `value` with `decimals` decimals. Zero has no sign; a value that is not finite is a dash.
+/// Returns `value` as text with `decimals` decimals. Zero has no sign; a value that is not finite is a dash.
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "-".into();
@@ -56,8 +56,8 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// Returns `value` with `digits` significant digits and without trailing zeros. Values from 1e-4 to 1e6
-/// have no exponent; a value that is not finite is a dash.
+/// Returns `value` as text with `digits` significant digits and without trailing zeros. Values from 1e-4 to 1e6 have no
+/// exponent; a value that is not finite is a dash.
 pub fn significant(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "-".into();
@@ -75,7 +75,7 @@ pub fn significant(value: f64, digits: usize) -> String {
     without_trailing_zeros(&format!("{value:.decimals$}")).into()
 }
 
-/// Returns the decimals of a number without the zeros at their end.
+/// Returns the text of a number without the zeros at the end of its decimals.
 fn without_trailing_zeros(number: &str) -> &str {
     if !number.contains('.') {
         return number;

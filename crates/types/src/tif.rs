@@ -30,9 +30,9 @@ const REFUSED_BY_NOISE: f64 = 1e-3;
 /// more noisy spots are refused.
 const LARGEST_NEGATIVE: f64 = 0.25;
 
-/// Magnitude of the lowest rate of a tool that varies, at a place, relative to its peak there. It covers what too few
-/// kernels leave beside the tool. Larger: more of a mistake in the weights passes. Smaller: tools of few kernels are
-/// refused.
+/// Magnitude of the lowest accepted rate of a tool that varies, relative to its peak at the same position. It covers
+/// the error of a tool that too few kernels represent. Larger: more of a mistake in the weights passes. Smaller: tools
+/// of few kernels are refused.
 const NEGATIVE_OF_PLACE: f64 = 0.1;
 
 /// Smallest number of differences for an estimate of the noise; with fewer, the noise counts as 0.
@@ -44,13 +44,13 @@ const LEAST_DIFFERENCES: usize = 32;
 /// (derived).
 const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
 
-/// Distances of the samples in the differences along the border, samples. Smaller: correlated noise
-/// cancels in the differences. Larger: the slope of the spot enters the estimate. Chosen: noise of
-/// instruments is correlated over less than eight samples.
+/// Distances between the three samples of a second difference along the border, in samples. Smaller: correlated noise
+/// cancels in the differences. Larger: the slope of the spot enters the estimate. Chosen: noise of instruments is
+/// correlated over less than eight samples.
 const BORDER_LAGS: [usize; 3] = [2, 4, 8];
 
-/// Number of zero samples that a margin keeps. Smaller: the interpolation at its edge changes,
-/// because a ghost node is made of three samples. Larger: more memory and time, no change.
+/// Number of zero samples that stay in each margin of a TIF when the others are cut off. Smaller: the interpolation at
+/// its edge changes, because a ghost node is made of three samples. Larger: more memory and time, no change.
 const MARGIN: usize = 3;
 
 /// Removal rate `R(dx, dy)` in nm/s, sampled at the offsets (pixel - tool) of `grid`.
@@ -60,39 +60,41 @@ const MARGIN: usize = 3;
 /// removal(pixel) = integral over time of R(pixel - tool), a convolution.
 ///
 /// A tool that is not the same everywhere has a [`Variation`] beside its samples. The samples are then those of the
-/// mean tool, which decides about widths, pitches and reach. Only what asks for the variation sees how the tool
-/// differs from it; what cannot use it refuses such a tool by [`Tif::same_everywhere`].
+/// mean tool, which determines widths, pitches and reach. Only code that asks for the variation uses the difference; a
+/// method that cannot use it refuses such a tool by [`Tif::same_everywhere`].
 #[derive(Clone, Debug)]
 pub struct Tif {
     grid: Grid,
     rate_nm_per_s: Array2<f64>,
-    /// Samples with one ghost node on every side, (my+2, mx+2); one more where the edge is beyond the last sample.
+    /// Samples with one extrapolated (ghost) node on every side for Keys' interpolation, (my+2, mx+2). There is one
+    /// node more along an axis whose edge is beyond the last sample.
     with_ghosts: Array2<f64>,
-    /// Upper edge [x, y], mm: the offset of the last sample, or up to a step more for samples on the lattice of a map.
+    /// Upper edge [x, y], mm: the offset of the last sample, or up to one step more for samples on the lattice of a
+    /// map.
     edge_mm: [f64; 2],
-    /// Lattice of the map on which it was sampled anew.
+    /// Lattice of the map on which the TIF was resampled; `None` for a TIF as it was measured.
     lattice: Option<TifLattice>,
     variation: Option<Arc<Variation>>,
 }
 
-/// Numbers of a tool that varies, before they are checked.
+/// Arrays of a tool that varies over the part, not checked yet; see [`Variation`] for the formula.
 #[derive(Clone, Debug)]
 pub struct VaryingTif {
-    /// Offsets of the samples of the kernels from the tool.
+    /// Offsets (pixel - tool) of the samples of the kernels.
     pub offsets: Grid,
-    /// Kernels (k), each (my, mx), nm/s.
+    /// Kernels (k), each (my, mx), nm/s: removal rates whose weighted sum is the rate of the tool.
     pub kernels: Vec<Array2<f64>>,
-    /// Tool positions of the samples of the weights.
+    /// Tool positions at which the weights are sampled.
     pub positions: Grid,
     /// Weights of the kernels (k), each (ny, nx), dimensionless.
     pub weights: Vec<Array2<f64>>,
-    /// Factors of the weights by the azimuth of the tool, if there are any.
+    /// Factors of the weights that depend on the azimuth of the tool position; `None` if there are none.
     pub azimuth: Option<AzimuthWeights>,
-    /// Factors of the weights by the heading of the tool, if there are any.
+    /// Factors of the weights that depend on the heading, the direction of the motion; `None` if there are none.
     pub heading: Option<TurnWeights>,
-    /// Factor of every pixel of the map, if there is one.
+    /// Factor of the rate at every pixel of the map; `None` if it is 1.
     pub pixels: Option<PixelFactor>,
-    /// Factor of the time since the start of the run, if there is one.
+    /// Factor of the rate over the time since the start of the run; `None` if it is 1.
     pub time: Option<TimeFactor>,
 }
 
@@ -140,8 +142,8 @@ impl Tif {
         Ok(tif)
     }
 
-    /// Returns a tool that varies, see [`Variation`]. One kernel with the weight 1 everywhere and no factor makes a TIF
-    /// like any other.
+    /// Returns a tool that varies, see [`Variation`]. One kernel with the weight 1 everywhere and no factor gives an
+    /// ordinary TIF.
     ///
     /// # Errors
     /// Refuses arrays of wrong shape, numbers that are not finite, and a tool that removes no material, or adds some,
@@ -224,17 +226,17 @@ impl Tif {
         self.variation.as_deref()
     }
 
-    /// Returns the lattice of the map on which the TIF was sampled anew; none of a TIF as it was measured.
+    /// Returns the lattice of the map on which the TIF was resampled, or `None` for a TIF as it was measured.
     pub(crate) fn lattice(&self) -> Option<&TifLattice> {
         self.lattice.as_ref()
     }
 
-    /// Returns this TIF as one that was sampled anew.
+    /// Returns this TIF, marked as resampled on `lattice`.
     pub(crate) fn with_lattice(self, lattice: TifLattice) -> Self {
         Self { lattice: Some(lattice), ..self }
     }
 
-    /// Returns this TIF as the mean tool of a variation, if there is one.
+    /// Returns this TIF as the mean tool of `variation`; with `None`, as a tool that is the same everywhere.
     pub(crate) fn with_variation(self, variation: Option<Variation>) -> Self {
         Self { variation: variation.map(Arc::new), ..self }
     }
@@ -273,7 +275,8 @@ impl Tif {
         }
     }
 
-    /// Refuses a tool that varies; `method` is what needs one that is the same everywhere, for the message.
+    /// Refuses a tool that varies. `method` names the method that needs a tool that is the same everywhere, for the
+    /// message.
     pub fn same_everywhere(&self, method: &str) -> Result<(), Invalid> {
         match self.variation {
             None => Ok(()),
@@ -288,8 +291,8 @@ impl Tif {
         }
     }
 
-    /// Refuses a tool whose rate depends on the time of the run; `method` is what needs a constant one, for the
-    /// message.
+    /// Refuses a tool whose rate depends on the time of the run. `method` names the method that needs a constant rate,
+    /// for the message.
     pub fn same_at_all_times(&self, method: &str) -> Result<(), Invalid> {
         match self.variation().and_then(Variation::time_factor) {
             None => Ok(()),
@@ -304,7 +307,8 @@ impl Tif {
         }
     }
 
-    /// Refuses a tool that turns with the direction of the motion; `method` is what does not know it, for the message.
+    /// Refuses a tool that turns with the direction of the motion. `method` names the method that takes no such tool,
+    /// for the message.
     pub fn same_in_all_directions(&self, method: &str) -> Result<(), Invalid> {
         match self.variation().and_then(Variation::heading_weights) {
             None => Ok(()),
@@ -317,12 +321,12 @@ impl Tif {
         }
     }
 
-    /// Returns the mean tool, which is the same everywhere.
+    /// Returns the mean tool without its variation: a TIF that is the same everywhere.
     pub fn mean_tool(&self) -> Self {
         Self { variation: None, ..self.clone() }
     }
 
-    /// Returns the tool as it is while its factor of the time is 1.
+    /// Returns the tool without its factor of the time, as it is while that factor is 1.
     pub fn without_time(&self) -> Cow<'_, Self> {
         match &self.variation {
             Some(v) if v.time_factor().is_some() => {
@@ -333,16 +337,16 @@ impl Tif {
         }
     }
 
-    /// Returns the rate (1) of [`Variation`] without the factors of pixels and time, nm/s, at the offset (pixel - tool)
-    /// in mm of a tool in a pose.
+    /// Returns the removal rate (1) of the module of [`Variation`], without the factors of pixels and time, nm/s. The
+    /// offset (pixel - tool) is in mm; `tool` is the position and the heading.
     pub fn rate_of_tool_at(&self, tool: Pose, [dx_mm, dy_mm]: [f64; 2]) -> f64 {
         let Some(variation) = &self.variation else { return self.rate_at(dx_mm, dy_mm) };
         let components = variation.components().iter().enumerate();
         components.map(|(k, c)| variation.weight(k, tool) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
     }
 
-    /// Returns the tool with other samples. `resample` returns the grid and the samples, nm/s, that replace those of
-    /// the mean tool and of every kernel; those of a kernel may be negative.
+    /// Returns the tool with resampled arrays. `resample` gets the mean tool or a kernel, and returns the grid and the
+    /// samples, nm/s, that replace its own; those of a kernel may be negative.
     ///
     /// # Errors
     /// Refuses what `resample` refuses, and samples of which [`Self::new`] makes no TIF.
@@ -365,7 +369,8 @@ impl Tif {
         Ok(Self { variation: Some(Arc::new(variation.with_kernels(kernels))), ..mean })
     }
 
-    /// Returns the upper edge of samples on `grid` [x, y], mm: that of this TIF if they are on its own offsets.
+    /// Returns the upper edge [x, y] of samples on `grid`, mm: the edge of this TIF if `grid` is its own, else the last
+    /// sample.
     fn edge_on(&self, grid: &Grid) -> [f64; 2] {
         if *grid == self.grid { self.edge_mm } else { ends_mm(grid) }
     }
@@ -394,8 +399,8 @@ impl Tif {
         Cow::Owned(cropped(self).with_variation(variation))
     }
 
-    /// Returns the rows (axis 0) or columns (axis 1) that hold a sample other than 0 of the mean tool or of a kernel,
-    /// with the margin.
+    /// Returns the range of rows (axis 0) or columns (axis 1) that contain a sample other than 0, with the kept margin.
+    /// The samples are those of the mean tool and of all kernels.
     fn used(&self, axis: NdAxis) -> Range<usize> {
         let kernels = self.variation().map_or(&[][..], Variation::components);
         let n = self.rate_nm_per_s.len_of(axis);
@@ -415,19 +420,18 @@ impl Tif {
         &self.grid
     }
 
-    /// Returns the samples (my, mx), nm/s.
+    /// Returns the removal rates at the samples (my, mx), nm/s; those of the mean tool if it varies.
     pub fn rate_nm_per_s(&self) -> &Array2<f64> {
         &self.rate_nm_per_s
     }
 
-    /// Returns the samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1]. Along an axis
-    /// whose upper
-    /// edge is beyond the last sample there is one ghost node more.
+    /// Returns the samples with the extrapolated (ghost) nodes of Keys' interpolation, (my+2, mx+2), nm/s; node (r, c)
+    /// is element [r+1, c+1]. There is one ghost node more along an axis whose upper edge is beyond the last sample.
     pub fn with_ghosts(&self) -> &Array2<f64> {
         &self.with_ghosts
     }
 
-    /// Returns the largest sample, nm/s.
+    /// Returns the largest sample of the removal rate, nm/s.
     pub fn peak_nm_per_s(&self) -> f64 {
         self.rate_nm_per_s.iter().copied().fold(0.0, f64::max)
     }
@@ -437,7 +441,7 @@ impl Tif {
         self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
     }
 
-    /// Returns the centroid of the removal [x, y], mm, relative to the place of the tool.
+    /// Returns the centroid of the removal [x, y], mm, relative to the position of the tool.
     pub fn centroid_mm(&self) -> [f64; 2] {
         let Grid { x, y } = &self.grid;
         let mut sums = [0.0; 2];
@@ -448,14 +452,15 @@ impl Tif {
         sums.map(|sum| sum / self.rate_nm_per_s.sum())
     }
 
-    /// Returns the effective area `(integral of R)^2 / integral of R^2`, mm^2. It is the area of a flat tool,
-    /// and `4 pi sigma^2` for a Gaussian.
+    /// Returns the effective area `(integral of R)^2 / integral of R^2`, mm^2. For a flat tool it is the area of the
+    /// tool, for a Gaussian `4 pi sigma^2`.
     pub fn effective_area_mm2(&self) -> f64 {
         let squares: f64 = self.rate_nm_per_s.iter().map(|r| r * r).sum();
         self.rate_nm_per_s.sum().powi(2) / squares * self.grid.pixel_mm2()
     }
 
-    /// Returns the width `(<R^2> / <|grad R|^2>)^1/2`, mm. It is the standard deviation of a Gaussian.
+    /// Returns the width `(<R^2> / <|grad R|^2>)^1/2`, mm, with < > for the mean over the samples. For a Gaussian it is
+    /// the standard deviation.
     pub fn width_mm(&self) -> f64 {
         let [along_x, along_y] = self.slope_energy_per_mm2();
         (along_x + along_y).sqrt().recip()
@@ -463,7 +468,8 @@ impl Tif {
 
     /// Returns the diameter of the circle whose area is that of the samples at or above half the peak, mm.
     ///
-    /// It is the full width at half maximum of a round TIF, and the geometric mean of the two axes of an elliptical one.
+    /// It is the full width at half maximum of a round TIF, and the geometric mean of the two axes of an elliptical
+    /// one.
     pub fn half_maximum_width_mm(&self) -> f64 {
         let half = 0.5 * self.peak_nm_per_s();
         let count = self.rate_nm_per_s.iter().filter(|v| **v >= half).count();
@@ -471,8 +477,8 @@ impl Tif {
         2.0 * (count as f64 * self.grid.pixel_mm2() / std::f64::consts::PI).sqrt()
     }
 
-    /// Returns the spread `(<R^2 r^2> / <R^2>)^1/2`, mm, with the distance r from the centre of R^2. It is the standard
-    /// deviation of a Gaussian, as [`Self::width_mm`] is, and larger than that for a spot with steep flanks.
+    /// Returns the spread `(<R^2 r^2> / <R^2>)^1/2`, mm, with the distance r from the centroid of R^2. For a Gaussian
+    /// it is the standard deviation, as [`Self::width_mm`] is; for a spot with steep flanks it is larger.
     pub fn spread_mm(&self) -> f64 {
         let Grid { x, y } = &self.grid;
         let mut energy = 0.0;
@@ -490,9 +496,9 @@ impl Tif {
         (second / energy - centre[0].powi(2) - centre[1].powi(2)).max(0.0).sqrt()
     }
 
-    /// Returns `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Beyond its
-    /// samples the TIF falls to zero within a step, as with a margin of zeros. For a flat pad this
-    /// step is the only contribution.
+    /// Returns the mean squared slopes `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2.
+    /// Beyond its samples the TIF falls to zero within a step, as with a margin of zeros. For a flat pad this step is
+    /// the only contribution.
     pub fn slope_energy_per_mm2(&self) -> [f64; 2] {
         let rate = &self.rate_nm_per_s;
         let [step_x_mm, step_y_mm] = [self.grid.x.step_mm(), self.grid.y.step_mm()];
@@ -502,9 +508,9 @@ impl Tif {
         [along_x, along_y].map(|slope| slope / energy)
     }
 
-    /// Returns the offset of the centre of removal from the place of the tool, [x, y], mm: the centroid c of
-    /// the removal. It is 0 along an axis where it is less than half a pixel of `map`, because an
-    /// aperture of pixels has no finer resolution.
+    /// Returns the offset of the centre of removal from the position of the tool, [x, y], mm: the centroid of the
+    /// removal. It is 0 along an axis where it is less than half a pixel of `map`, because an aperture of pixels has no
+    /// finer resolution.
     pub fn off_centre_mm(&self, map: &Grid) -> [f64; 2] {
         let mut centroid_mm = self.centroid_mm();
         for (mm, axis) in centroid_mm.iter_mut().zip([&map.x, &map.y]) {
@@ -518,11 +524,11 @@ impl Tif {
     /// Returns the map and the TIF for a tool position at the centre of removal, or `None` if the offset is 0.
     ///
     /// ```text
-    /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the place of the tool
+    /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the tool position
     /// ```
     ///
-    /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the
-    /// same path. The tool then removes around its own place.
+    /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the same path. c is the
+    /// centroid of the removal; the shifted tool removes around its own position.
     ///
     /// # Errors
     /// Refuses an offset with which the coordinates would not be finite.
@@ -542,13 +548,13 @@ impl Tif {
         Ok(Some((map, tif)))
     }
 
-    /// Returns the mean tool with all offsets [x, y] larger by `by_mm`.
+    /// Returns the mean tool with `by_mm` [x, y] added to all offsets.
     fn moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
         let edge_mm = [0, 1].map(|axis| self.edge_mm[axis] + by_mm[axis]);
         Ok(Self { grid: self.grid.moved(by_mm)?, edge_mm, variation: None, ..self.clone() })
     }
 
-    /// Returns the largest distance of the samples from the tool centre along [x, y], mm.
+    /// Returns the largest distance of a sample from the position of the tool along x and along y, mm.
     pub fn half_size_mm(&self) -> [f64; 2] {
         [&self.grid.x, &self.grid.y].map(|a| a.start_mm().abs().max(a.end_mm().abs()))
     }
@@ -575,13 +581,14 @@ impl Tif {
         Array2::from_shape_fn(shape, |(r, c)| plane.map_or(mean, |p| p.a + p.b * x[c] + p.c * y[r]))
     }
 
-    /// Returns true if a sample (row, column) is on the border.
+    /// Returns true if the sample (row, column) is in the first or last row or column.
     fn is_border(&self, (r, c): (usize, usize)) -> bool {
         let (ny, nx) = self.grid.shape();
         r == 0 || c == 0 || r == ny - 1 || c == nx - 1
     }
 
-    /// Returns `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.
+    /// Returns the removal rate R(dx, dy), nm/s, at the offset (pixel - tool) in mm, by Keys' interpolation; 0 beyond
+    /// the edges.
     pub fn rate_at(&self, dx_mm: f64, dy_mm: f64) -> f64 {
         let (Some((ix, fx)), Some((iy, fy))) = (self.cell(0, dx_mm), self.cell(1, dy_mm)) else {
             return 0.0;
@@ -595,8 +602,9 @@ impl Tif {
             .sum()
     }
 
-    /// Returns the cell of samples that holds an offset along x (0) or y (1), and the place in it, in steps; none where
-    /// the TIF is zero. The four nodes around the cell i are those from i on of [`Self::with_ghosts`].
+    /// Returns the cell of samples that contains an offset along x (`axis` 0) or y (1), and the position in the cell,
+    /// 0 to 1 step. `None` where the TIF is zero. The four nodes around cell i are the nodes i to i+3 of
+    /// [`Self::with_ghosts`].
     pub fn cell(&self, axis: usize, offset_mm: f64) -> Option<(usize, f64)> {
         let samples = [&self.grid.x, &self.grid.y][axis];
         let last = samples.len() as isize - 1;
@@ -611,19 +619,20 @@ impl Tif {
         }
     }
 
-    /// Returns the upper edge [x, y], mm: the TIF is zero at larger offsets. It is the offset of the last sample, or up
-    /// to a step beyond it.
+    /// Returns the upper edge [x, y], mm, beyond which the TIF is zero. It is the offset of the last sample, or up to a
+    /// step more.
     pub fn edge_mm(&self) -> [f64; 2] {
         self.edge_mm
     }
 
-    /// Returns the distance of the upper edge from the last sample along x (0) or y (1), steps; 0 up to less than 1.
+    /// Returns the distance from the last sample to the upper edge along x (`axis` 0) or y (1), in steps; from 0 to
+    /// less than 1.
     fn beyond_steps(&self, axis: usize) -> f64 {
         let samples = [&self.grid.x, &self.grid.y][axis];
         (self.edge_mm[axis] - samples.end_mm()) / samples.step_mm()
     }
 
-    /// Returns a TIF or a kernel of these samples, which ends at these offsets.
+    /// Returns a TIF or a kernel of these samples without checks. `edge_mm` is the upper edge [x, y], mm.
     pub(crate) fn unchecked(grid: Grid, rate_nm_per_s: Array2<f64>, edge_mm: [f64; 2]) -> Self {
         let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
         Self {
@@ -637,7 +646,7 @@ impl Tif {
         .with_edge(edge_mm)
     }
 
-    /// Returns the same samples with an upper edge up to a step beyond the last one.
+    /// Returns the same samples with the upper edge `edge_mm` [x, y], mm, which is up to a step beyond the last one.
     fn with_edge(mut self, edge_mm: [f64; 2]) -> Self {
         self.edge_mm = edge_mm;
         for axis in [0, 1] {
@@ -660,7 +669,7 @@ fn is_number(value: f64) -> bool {
     value.abs() <= LARGEST_RATE
 }
 
-/// Returns the sum of (difference / step)^2 along a line of samples between two zeros.
+/// Returns the sum of (difference / step)^2 along a row or column of samples, with a zero before and after it.
 fn squared_slopes(line: ArrayView1<f64>, step_mm: f64) -> f64 {
     let mut before = 0.0;
     let mut squares = 0.0;
@@ -671,12 +680,12 @@ fn squared_slopes(line: ArrayView1<f64>, step_mm: f64) -> f64 {
     squares
 }
 
-/// Returns the offset of the last sample [x, y], mm.
+/// Returns the offset [x, y] of the last sample, mm.
 fn ends_mm(grid: &Grid) -> [f64; 2] {
     [grid.x.end_mm(), grid.y.end_mm()]
 }
 
-/// Refuses rates below those that noise explains.
+/// Refuses rates that are further below zero than systematic errors and noise explain.
 ///
 /// ```text
 /// R >= -min(0.02 peak + z s, 0.25 peak),   z = (2 ln(N / 1e-3))^1/2
@@ -741,8 +750,8 @@ fn noise_nm_per_s(rate: &Array2<f64>) -> f64 {
     deviation_of_differences(differences, 36.0).max(largest)
 }
 
-/// Returns the standard deviation of the samples whose differences have these magnitudes, or 0 if there are too few.
-/// `squares` is the sum of the squared coefficients of a difference.
+/// Returns the standard deviation of the noise from the magnitudes of differences of samples, or 0 if there are too
+/// few. `squares` is the sum of the squared coefficients of a difference.
 fn deviation_of_differences(mut differences: Vec<f64>, squares: f64) -> f64 {
     let n = differences.len();
     if n < LEAST_DIFFERENCES {

@@ -1,20 +1,21 @@
-//! A TIF on the lattice of a map, the one place at which its pitch meets that of the map.
+//! A TIF on the lattice of a map: the one module that reconciles the pitch of the TIF with the pitch of the map.
 //!
 //! The offsets (pixel - tool) of a motion run through all fractions of a sample. A fast convolution needs samples whose
-//! distance divides the pixels h of the map. A TIF R of another pitch is therefore sampled anew, from its lower edge on:
+//! distance divides the pixel size h of the map. A TIF R of another pitch is therefore resampled from its lower edge
+//! (`low`) on:
 //!
 //! ```text
 //! R~(u) = Keys' interpolation of R(low + j h / m),   j = 0, 1, ...,   within the edges of R              (1)
 //! ```
 //!
-//! m is the least number of parts of a pixel at which R~ is within a tolerance of R. R~ takes the place of R in every
-//! stage, so that dwell times, simulation and certificates are of one tool. At a pixel x
+//! m is the least number of parts of a pixel at which R~ is within a tolerance of R. Every stage uses R~ in place of R,
+//! so that dwell times, simulation and certificates assume the same tool. At a pixel x
 //!
 //! ```text
 //! |removal with R~ - removal with R| <= error * peak of R * time that the tool is within its reach of x  (2)
 //! ```
 //!
-//! A TIF whose pitch is that of the map, or divides it, is on the lattice as it is.
+//! A TIF whose pitch is that of the map, or divides it, keeps its own samples.
 //!
 //! Source: R. Keys, IEEE Trans. Acoust. Speech Signal Process. 29 (1981) 1153. The error of (1) is O(d^3) with
 //! d = h / m, and O(d^2) times the jump of the second derivative at the knots of R.
@@ -28,62 +29,62 @@ use serde::Serialize;
 use crate::{Axis, Grid, Invalid, Tif, budget, text::significant};
 
 /// Largest wanted error of a TIF on the lattice of a map, over its peak. Larger: less exact removals. Smaller: more
-/// parts of a pixel, whose number squared is the work of a transform.
+/// parts of a pixel, and work of a transform in proportion to their squared number.
 pub const PARTS_TOLERANCE: f64 = 1e-4;
 
-/// Number of parts of a pixel up to which the tolerance is looked for. It is more where two parts of a sample are
-/// smaller. Larger: more work for tools with sharp rims. Smaller: a larger error of these.
+/// Largest number of parts of a pixel that is tried to reach the tolerance. [`most_parts`] allows more if the TIF has
+/// finer samples. Larger: more work for tools with sharp rims. Smaller: a larger error of these.
 const MOST_PARTS: usize = 4;
 
-/// Largest accumulated difference between a TIF sample and its lattice point, in steps, at which the two lattices are
-/// the same. A shift of 1e-4 of a pixel moves the removal by 1e-4 of its change over a pixel. Larger: a larger error.
-/// Smaller: rounded pitches cost samples anew.
+/// Largest accumulated difference between a TIF sample and its lattice point, in steps, up to which the TIF keeps its
+/// own samples. A shift of 1e-4 of a pixel moves the removal by 1e-4 of its change over a pixel. Larger: a larger
+/// error. Smaller: TIFs with rounded pitches are resampled.
 const SAME_LATTICE: f64 = 1e-4;
 
-/// Number of offsets along each axis of a cell at which the error is measured.
+/// Number of offsets along each axis of a lattice cell at which the error is measured.
 const OFFSETS_PER_CELL: usize = 3;
 
-/// Largest number of poses of a tool that varies at which the error is measured.
+/// Largest number of poses (position and heading) of a tool that varies at which the error is measured.
 const POSES: usize = 8;
 
-/// Memory of a sample, bytes: its rate, with and without ghost nodes, and copies of both.
+/// Memory per sample, bytes: the rate, with and without ghost nodes, and copies of both.
 const BYTES_PER_SAMPLE: usize = 4 * size_of::<f64>();
 
-/// Lattice of a TIF on a map.
+/// Lattice of a TIF on a map, and the error of the TIF there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TifLattice {
-    /// Samples of the TIF for each pixel along x and y.
+    /// Number of samples of the TIF per pixel along x and y (m of the module).
     pub parts: [usize; 2],
-    /// Largest difference from the TIF at thirds of the lattice, over its peak; between them it may be a fifth larger. 0
-    /// where the samples are its own.
+    /// Largest difference from the TIF at thirds of the lattice, over the peak. Between these offsets it may be a fifth
+    /// larger. It is 0 if the TIF keeps its own samples.
     pub error: f64,
-    /// Change of the volume of the TIF, over its volume.
+    /// Change of the volume of the TIF by the resampling, over its volume.
     pub volume_change: f64,
-    /// Largest wanted `error`.
+    /// Wanted largest value of `error`.
     pub tolerance: f64,
 }
 
-/// A TIF on the lattice of a map.
+/// A TIF on the lattice of a map, and that lattice.
 #[derive(Clone, Debug)]
 pub struct OnLattice<'a> {
-    /// The TIF.
+    /// The TIF, resampled or as it was.
     pub tif: Cow<'a, Tif>,
-    /// Its lattice.
+    /// Lattice of its samples, with their error.
     pub lattice: TifLattice,
 }
 
 impl TifLattice {
-    /// Returns true if the TIF was sampled anew.
+    /// Returns true if the TIF was resampled.
     fn is_anew(&self) -> bool {
         self.error > 0.0
     }
 
-    /// Returns the lattice if the TIF was sampled anew, for a report that is silent otherwise.
+    /// Returns the lattice if the TIF was resampled, else `None`, for a report that mentions only a change.
     pub fn if_anew(self) -> Option<Self> {
         if self.is_anew() { Some(self) } else { None }
     }
 
-    /// Returns the warning that the wanted accuracy was not reached, or `None`.
+    /// Returns the warning that the error exceeds the tolerance, or `None` if it does not.
     pub fn warning(&self) -> Option<String> {
         if self.error <= self.tolerance {
             return None;
@@ -98,8 +99,8 @@ impl TifLattice {
 }
 
 impl Tif {
-    /// Returns the TIF without its zero margins on the lattice of a map, by (1), to a `tolerance` of its peak where
-    /// its limit of parts allows it.
+    /// Returns the TIF on the lattice of a map, by (1) of the module, without its zero margins. Its error is at most
+    /// `tolerance` of its peak, unless that needs more parts of a pixel than are tried.
     ///
     /// # Errors
     /// Refuses a TIF whose samples on the lattice do not fit into the memory.
@@ -151,7 +152,8 @@ impl Tif {
         }
     }
 
-    /// Returns the TIF, and every kernel of a tool that varies, sampled on other offsets. Its edges stay where they are.
+    /// Returns the TIF, and every kernel of a tool that varies, resampled at the offsets `grid`. Its edges stay where
+    /// they are.
     fn sampled_anew(&self, grid: Grid) -> Self {
         let edge_mm = self.edge_mm();
         let ends = [grid.x.end_mm(), grid.y.end_mm()];
@@ -174,12 +176,14 @@ impl Tif {
         anew(self).with_variation(variation)
     }
 
-    /// Returns the cell of an offset and Keys' weights there.
+    /// Returns the first node around the offset `offset_mm` along an axis, and the four weights of Keys' interpolation
+    /// there.
     fn tap(&self, axis: usize, offset_mm: f64) -> Tap {
         self.cell(axis, offset_mm).map(|(cell, f)| (cell, keys::weights(f)))
     }
 
-    /// Writes the rates on a line of offsets.
+    /// Writes the rates on one line of constant y to `out`. `y` and the entries of `x` are the nodes and weights;
+    /// `work` is scratch memory.
     fn line(&self, y: &Tap, x: &[Tap], work: &mut Vec<f64>, out: &mut [f64]) {
         let Some((row, wy)) = y else { return out.fill(0.0) };
         let nodes = self.with_ghosts();
@@ -197,10 +201,10 @@ impl Tif {
     }
 }
 
-/// First of the four nodes around an offset, and their weights; none beyond the TIF.
+/// First of the four nodes around an offset, and their weights; `None` beyond the TIF.
 type Tap = Option<(usize, [f64; 4])>;
 
-/// Returns the whole number of samples in a pixel, if there is one.
+/// Returns the number of samples per pixel if it is whole, so that the TIF keeps its own samples; else `None`.
 fn own_parts(map: &Axis, samples: &Axis) -> Option<usize> {
     let ratio = map.step_mm() / samples.step_mm();
     let whole = ratio.round().max(1.0);
@@ -208,13 +212,15 @@ fn own_parts(map: &Axis, samples: &Axis) -> Option<usize> {
     if drift <= SAME_LATTICE { Some(whole as usize) } else { None }
 }
 
-/// Returns the largest number of parts of a pixel: of [`MOST_PARTS`], and the one that halves the samples, the larger.
+/// Returns the largest number of parts of a pixel to try: [`MOST_PARTS`], or the number that halves the pitch of the
+/// samples if that is larger.
 fn most_parts(map: &Axis, samples: &Axis) -> usize {
     let halves = (2.0 * map.step_mm() / samples.step_mm()).ceil();
     MOST_PARTS.max(halves as usize)
 }
 
-/// Returns the offsets of (1); none where the TIF has fewer than two.
+/// Returns the offsets of (1) of the module for `parts` samples per pixel; `None` if the TIF has fewer than two of them
+/// along an axis.
 fn lattice(tif: &Tif, map: &Grid, parts: [usize; 2]) -> Result<Option<Grid>, Invalid> {
     let axes = [(0, &map.x, &tif.grid().x), (1, &map.y, &tif.grid().y)];
     let counts = axes.map(|(axis, map, samples)| {
@@ -234,7 +240,7 @@ fn lattice(tif: &Tif, map: &Grid, parts: [usize; 2]) -> Result<Option<Grid>, Inv
     Ok(Some(Grid { x: x?, y: y? }))
 }
 
-/// Returns true if the last samples along an axis are zero, those of all kernels too.
+/// Returns true if the last samples along x (`axis` 0) or y (1) are zero, for the mean tool and all kernels.
 fn ends_in_zeros(tif: &Tif, axis: usize) -> bool {
     let components = tif.variation().map_or(&[][..], |v| v.components());
     components.iter().map(|c| c.kernel()).chain([tif]).all(|tif| {
@@ -244,16 +250,16 @@ fn ends_in_zeros(tif: &Tif, axis: usize) -> bool {
     })
 }
 
-/// Difference of a TIF on a lattice from the TIF.
+/// Difference between a resampled TIF and the TIF.
 struct Difference {
-    /// Largest, over the peak.
+    /// Largest difference of the rate, over the peak.
     error: f64,
-    /// Change of the volume of the mean tool, as a part of that volume.
+    /// Change of the volume of the mean tool, over that volume.
     volume_change: f64,
 }
 
-/// Returns the difference of the TIF sampled on these offsets from the TIF, and for a tool that varies the largest of the
-/// mean tool and of some of the poses at which its weights are samples.
+/// Returns the difference between the TIF resampled at the offsets `grid` and the TIF. For a tool that varies, it also
+/// takes some poses at which the weights are sampled, and returns the largest error.
 fn difference(tif: &Tif, grid: Grid) -> Difference {
     let mut worst = difference_of(&tif.mean_tool(), grid);
     let Some(variation) = tif.variation() else { return worst };
@@ -265,7 +271,7 @@ fn difference(tif: &Tif, grid: Grid) -> Difference {
     worst
 }
 
-/// Returns the difference of a TIF that does not vary.
+/// Returns the difference between a TIF that does not vary, resampled at the offsets `grid`, and the TIF.
 fn difference_of(tif: &Tif, grid: Grid) -> Difference {
     let anew = tif.sampled_anew(grid);
     let peak = tif.peak_nm_per_s();
@@ -293,7 +299,7 @@ fn difference_of(tif: &Tif, grid: Grid) -> Difference {
     Difference { error, volume_change: change / volume }
 }
 
-/// Returns the cells and weights of offsets along an axis.
+/// Returns the nodes and weights of several offsets along x (`axis` 0) or y (1).
 fn taps(tif: &Tif, axis: usize, offsets_mm: &[f64]) -> Vec<Tap> {
     offsets_mm.iter().map(|mm| tif.tap(axis, *mm)).collect()
 }
@@ -307,7 +313,7 @@ mod tests {
         Grid { x: axis, y: axis }
     }
 
-    /// A bell of deviation 1 on samples up to `half` mm.
+    /// Returns a Gaussian TIF of sigma 1 mm with samples at distances of `step` up to `half`, mm.
     fn bell(step: f64, half: f64) -> Tif {
         let grid = square(step, 2 * (half / step).round() as usize + 1);
         let at = |(r, c)| {

@@ -14,8 +14,9 @@ pub struct ToolPath {
 impl ToolPath {
     /// Returns the path of n segments.
     ///
-    /// `point_mm` (n+1): velocity control points [x, y]. `dwell_point_mm` (n): one per segment.
-    /// `tool_on` (n): false if the tool is lifted. `pass_idx` (n): contiguous pass or region.
+    /// `point_mm` (n+1): velocity control points [x, y], the ends of the segments. `dwell_point_mm` (n): the point of
+    /// each segment to which its dwell time belongs. `tool_on` (n): false if the tool is lifted. `pass_idx` (n): number
+    /// of the contiguous pass or region to which a segment belongs.
     ///
     /// # Errors
     /// Refuses arrays of other lengths, and points that are not finite or beyond 1e7 mm.
@@ -78,7 +79,7 @@ impl ToolPath {
         &self.point_mm
     }
 
-    /// Returns the dwell points [x, y] (n), mm.
+    /// Returns the dwell points [x, y] (n), mm: one per segment, to which its dwell time belongs.
     pub fn dwell_point_mm(&self) -> &[[f64; 2]] {
         &self.dwell_point_mm
     }
@@ -88,7 +89,7 @@ impl ToolPath {
         &self.tool_on
     }
 
-    /// Returns the contiguous pass or region of each segment (n).
+    /// Returns the number of the contiguous pass or region of each segment (n).
     pub fn pass_idx(&self) -> &[i64] {
         &self.pass_idx
     }

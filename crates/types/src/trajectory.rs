@@ -1,10 +1,11 @@
-//! The motion: piecewise cubic polynomials per axis in segment-local time.
+//! The motion of the tool: piecewise cubic polynomials per axis in segment-local time.
 
 use planish_numerics::polynomial;
 
 use crate::Invalid;
 
-/// `p(u) = c0 + c1 u + c2 u^2 + c3 u^3` per axis, `u = t - break_time_s[i]`.
+/// Motion in k segments: `p(u) = c0 + c1 u + c2 u^2 + c3 u^3` in mm per axis, with `u = t - break_time_s[i]` in segment
+/// i.
 ///
 /// Segment-local time keeps the digits that t^3 would lose at 500 s. A trajectory may have a jump
 /// between two segments; `verify` reports it.
@@ -14,29 +15,29 @@ pub struct Trajectory {
     coefficient_mm: Vec<[[f64; 4]; 2]>,
     tool_on: Vec<bool>,
     dwell_index: Vec<Option<usize>>,
-    /// `None` if all factors are 1, as in every plan.
+    /// Removal rate of each segment relative to that of the TIF; `None` if all factors are 1, as in every plan.
     rate_factor: Option<Vec<f64>>,
 }
 
-/// One polynomial piece of a trajectory.
+/// One segment of a trajectory, a cubic polynomial per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment<'a> {
-    /// Start time, s.
+    /// Start time in the trajectory, s.
     pub start_s: f64,
-    /// Duration, s; > 0.
+    /// Duration of the segment, s; > 0.
     pub duration_s: f64,
     /// Ascending coefficients per axis [x, y]; order k has the unit mm/s^k.
     pub coefficient_mm: &'a [[f64; 4]; 2],
-    /// False if the tool removes nothing.
+    /// True if the tool removes material; false on a move with the tool off.
     pub tool_on: bool,
-    /// Dwell point that the segment serves, if any.
+    /// Index of the dwell point that the segment serves; `None` if it serves none, such as a link between passes.
     pub dwell_index: Option<usize>,
     /// Removal rate of the tool relative to that of its TIF; >= 0.
     pub rate_factor: f64,
 }
 
 impl Segment<'_> {
-    /// Returns the position [x, y] in mm at the local time `u_s`.
+    /// Returns the position [x, y], mm, at the time `u_s` after the start of the segment.
     pub fn position_mm(&self, u_s: f64) -> [f64; 2] {
         [0, 1].map(|axis| polynomial::evaluate(&self.coefficient_mm[axis], u_s))
     }
@@ -45,8 +46,9 @@ impl Segment<'_> {
 impl Trajectory {
     /// Returns the motion of k segments.
     ///
-    /// `break_time_s` (k+1), `coefficient_mm` (k, axis, order), `tool_on` (k),
-    /// `dwell_index` (k): the dwell point that a segment serves, if any.
+    /// `break_time_s` (k+1): start of each segment and end of the last one, s. `coefficient_mm` (k, axis, order):
+    /// ascending coefficients, order j in mm/s^j. `tool_on` (k): true if the tool removes. `dwell_index` (k): the dwell
+    /// point that a segment serves, if any.
     ///
     /// # Errors
     /// Refuses arrays of other lengths, numbers that are not finite, and break times that do not ascend strictly.
@@ -100,8 +102,8 @@ impl Trajectory {
         Ok(Self { break_time_s, coefficient_mm, tool_on, dwell_index, rate_factor: None })
     }
 
-    /// Returns the motion with a removal rate in segment i that is `rate_factor[i]` (k) times that of the
-    /// TIF, such as from a measured beam current. Refuses factors that are negative or not finite.
+    /// Returns the motion with a removal rate in segment i that is `rate_factor[i]` (k) times that of the TIF, such as
+    /// one from a measured beam current. Refuses factors that are negative or not finite.
     pub fn with_rate_factor(self, rate_factor: Vec<f64>) -> Result<Self, Invalid> {
         let k = self.len();
         if rate_factor.len() != k {
@@ -127,12 +129,12 @@ impl Trajectory {
         self.coefficient_mm.len()
     }
 
-    /// Returns the break times (k+1), s.
+    /// Returns the break times (k+1), s: the start of each segment and the end of the last one.
     pub fn break_time_s(&self) -> &[f64] {
         &self.break_time_s
     }
 
-    /// Returns the ascending coefficients (k, axis, order).
+    /// Returns the ascending coefficients (k, axis, order), order j in mm/s^j of segment-local time.
     pub fn coefficient_mm(&self) -> &[[[f64; 4]; 2]] {
         &self.coefficient_mm
     }
@@ -142,7 +144,7 @@ impl Trajectory {
         &self.tool_on
     }
 
-    /// Returns the dwell point that each segment serves, if any (k).
+    /// Returns for each segment (k) the index of the dwell point that it serves, or `None` if it serves none.
     pub fn dwell_index(&self) -> &[Option<usize>] {
         &self.dwell_index
     }
@@ -152,8 +154,7 @@ impl Trajectory {
         self.rate_factor.as_deref()
     }
 
-    /// Refuses a motion whose removal rate differs from that of the TIF, for stages that plan with
-    /// the TIF alone.
+    /// Refuses a motion whose removal rate differs from that of the TIF. Stages that plan with the TIF alone call this.
     pub fn check_rate_is_constant(&self) -> Result<(), Invalid> {
         let factors = self.rate_factor().unwrap_or_default();
         if let Some(i) = factors.iter().position(|f| *f != 1.0) {
@@ -164,7 +165,7 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Returns segment `i`.
+    /// Returns segment `i`, counted from 0.
     pub fn segment(&self, i: usize) -> Segment<'_> {
         Segment {
             start_s: self.break_time_s[i],
@@ -181,13 +182,13 @@ impl Trajectory {
         (0..self.len()).map(|i| self.segment(i))
     }
 
-    /// Returns the time from the first to the last break, s.
+    /// Returns the duration of the whole motion, s.
     pub fn total_time_s(&self) -> f64 {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }
 
-    /// Returns the total time of the segments that serve each dwell point and that are `counted`,
-    /// (`dwell_points`), s.
+    /// Returns, for each of `dwell_points` dwell points, the total time of the segments that serve it and for which
+    /// `counted` returns true, s.
     ///
     /// The time of a point without such a segment is 0. A segment that serves no point does not
     /// count. Refuses a dwell index beyond the points.
@@ -225,7 +226,7 @@ pub fn break_times(duration_s: &[f64]) -> Vec<f64> {
     breaks
 }
 
-/// A trajectory that is made segment by segment, in order, from the time 0.
+/// Builder of a trajectory: segments are appended in order, from the time 0.
 #[derive(Clone, Debug, Default)]
 pub struct TrajectoryBuilder {
     end_s: f64,
@@ -236,7 +237,8 @@ pub struct TrajectoryBuilder {
 }
 
 impl TrajectoryBuilder {
-    /// Appends a segment with ascending coefficients per axis [x, y], order k in mm/s^k.
+    /// Appends a segment with ascending coefficients per axis [x, y], order j in mm/s^j, which serves the dwell point
+    /// `dwell_index`, if any.
     pub fn push(
         &mut self,
         duration_s: f64,
@@ -251,7 +253,7 @@ impl TrajectoryBuilder {
         self.dwell_index.push(dwell_index);
     }
 
-    /// Returns the number of segments so far.
+    /// Returns the number of segments appended so far.
     pub fn len(&self) -> usize {
         self.duration_s.len()
     }
@@ -266,18 +268,18 @@ impl TrajectoryBuilder {
         self.end_s
     }
 
-    /// Returns the durations so far (k), s.
+    /// Returns the durations of the segments so far (k), s.
     pub fn duration_s(&self) -> &[f64] {
         &self.duration_s
     }
 
-    /// Returns the ascending coefficients so far (k, axis, order).
+    /// Returns the ascending coefficients of the segments so far (k, axis, order), order j in mm/s^j.
     pub fn coefficient_mm(&self) -> &[[[f64; 4]; 2]] {
         &self.coefficient_mm
     }
 
     /// Returns the duration and the start time, s, of the first segment that is too short to change the time of the
-    /// motion, or `None` if there is none. [`Self::build`] would refuse it.
+    /// motion in floating-point numbers. `None` if there is none; [`Self::build`] would refuse such a segment.
     pub fn vanishing_duration_s(&self) -> Option<(f64, f64)> {
         let time_s = break_times(&self.duration_s);
         let first = (0..self.len()).find(|k| time_s[k + 1] <= time_s[*k])?;
@@ -291,15 +293,15 @@ impl TrajectoryBuilder {
     }
 }
 
-/// Dwell index in files of a segment that serves no dwell point.
+/// Number that files store as the dwell index of a segment that serves no dwell point.
 const STORED_NONE: i64 = -1;
 
-/// Returns the dwell index as stored in files: -1 for none.
+/// Returns the dwell index as files store it: -1 for a segment that serves no dwell point.
 pub fn stored_dwell_index(dwell_index: Option<usize>) -> i64 {
     dwell_index.map_or(STORED_NONE, |i| i as i64)
 }
 
-/// Returns the dwell indices (k) from those stored in files: -1 is none. Refuses other negative numbers.
+/// Returns the dwell indices (k) from the numbers that files store; -1 becomes `None`. Refuses other negative numbers.
 pub fn dwell_index_from_stored(stored: &[i64]) -> Result<Vec<Option<usize>>, Invalid> {
     let mut dwell_index = Vec::with_capacity(stored.len());
     for (k, stored) in stored.iter().enumerate() {
@@ -367,7 +369,8 @@ mod tests {
         assert!(error(vec![0.0, 1.0], vec![bad]).contains("coefficient_mm[0, 1, 2]: is NaN"));
     }
 
-    /// 1 s for point 0, 2 s for point 2, 4 s for none, 8 s for point 2 with the tool off.
+    /// Returns a motion that serves point 0 for 1 s, point 2 for 2 s, none for 4 s, and point 2 with the tool off for 8
+    /// s.
     fn served() -> Trajectory {
         let mut builder = TrajectoryBuilder::default();
         let c = [[0.0; 4]; 2];

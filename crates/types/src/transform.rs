@@ -5,12 +5,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Invalid, ToolPath, Trajectory, is_plausible_mm};
 
-/// Largest magnitude of an element of M and largest scale, dimensionless; the smallest scale is its
-/// inverse. Larger: mistaken units pass. Smaller: real scales are refused. Chosen: part and machine
-/// have the same unit, so that a factor of ten is a mistake.
+/// Largest magnitude of an element of the matrix M and largest scale, dimensionless; the smallest scale is its inverse.
+/// Larger: mistaken units pass. Smaller: real scales are refused. Chosen: part and machine have the same unit, so that
+/// a factor of ten is a mistake.
 const LARGEST_SCALE: f64 = 10.0;
 
-/// `q = M (p - centre) + image`, for a point p of the part and q of the machine.
+/// Affine transform `q = M (p - centre) + image` from a point p of the part to a point q of the machine, mm.
 ///
 /// M mirrors if the axes of the machine are left-handed, seen from above the part.
 ///
@@ -68,7 +68,7 @@ impl Transform {
         Ok(Self { matrix, centre_mm, image_mm, covariance })
     }
 
-    /// Returns M, dimensionless.
+    /// Returns the matrix M, dimensionless.
     pub fn matrix(&self) -> &[[f64; 2]; 2] {
         &self.matrix
     }
@@ -88,44 +88,44 @@ impl Transform {
         &self.covariance
     }
 
-    /// Returns true if M turns the part over (negative determinant).
+    /// Returns true if the matrix M turns the part over (negative determinant).
     pub fn mirrors(&self) -> bool {
         let [[a, b], [c, d]] = self.matrix;
         a * d < b * c
     }
 
-    /// Returns the angle by which M turns x towards y, rad. For an affine matrix it is the angle of the nearest
-    /// rotation. For a mirroring M it is the angle after y of the part was turned over.
+    /// Returns the angle by which the matrix M turns x towards y, rad. If M is no rotation, it is the angle of the
+    /// nearest one. If M mirrors, it is the angle after y of the part was turned over.
     pub fn angle_rad(&self) -> f64 {
         let sign = if self.mirrors() { -1.0 } else { 1.0 };
         let [[a, b], [c, d]] = self.matrix;
         (c - sign * b).atan2(a + sign * d)
     }
 
-    /// Returns the scale of a similarity: the square root of the magnitude of the determinant.
+    /// Returns the scale of the matrix M, dimensionless: the square root of the magnitude of its determinant.
     pub fn scale(&self) -> f64 {
         let [[a, b], [c, d]] = self.matrix;
         (a * d - b * c).abs().sqrt()
     }
 
-    /// Returns the largest factor by which M stretches a length: its larger singular value.
+    /// Returns the largest factor by which the matrix M stretches a length: its larger singular value.
     pub fn largest_stretch(&self) -> f64 {
         let [[a, b], [c, d]] = self.matrix;
         0.5 * ((a + d).hypot(c - b) + (a - d).hypot(c + b))
     }
 
-    /// Returns the image M v of a direction.
+    /// Returns the image M v of a direction [x, y] of the part, in the unit of v.
     pub fn direction(&self, v: [f64; 2]) -> [f64; 2] {
         self.matrix.map(|row| row[0] * v[0] + row[1] * v[1])
     }
 
-    /// Returns the image q = M (p - centre) + image of a point, mm.
+    /// Returns the image q = M (p - centre) + image of a point p [x, y] of the part, mm.
     pub fn point(&self, p: [f64; 2]) -> [f64; 2] {
         let v = self.direction([p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]]);
         [v[0] + self.image_mm[0], v[1] + self.image_mm[1]]
     }
 
-    /// Returns the standard errors of the image of p along x and y, mm.
+    /// Returns the standard errors of the image of the point p [x, y], along x and y of the machine, mm.
     pub fn standard_error_mm(&self, p: [f64; 2]) -> [f64; 2] {
         let d = [p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]];
         // q_x = image_x + M_xx d_x + M_xy d_y
@@ -133,7 +133,8 @@ impl Transform {
         rows.map(|row| self.variance(&row).sqrt())
     }
 
-    /// Returns the variance j' C j of a quantity whose gradient by the six parameters is j, not below zero.
+    /// Returns the variance of a quantity, at least 0. `gradient` contains its derivatives by the six numbers of
+    /// [`Self::covariance`].
     pub fn variance(&self, gradient: &[f64; 6]) -> f64 {
         let mut sum = 0.0;
         for i in 0..6 {
@@ -144,8 +145,8 @@ impl Transform {
         sum.max(0.0)
     }
 
-    /// Returns the transform from the machine to the part, with its covariance to first order. Refuses a centre or an
-    /// image beyond 1e7 mm.
+    /// Returns the transform from the machine to the part, with its covariance to first order. Refuses a reference
+    /// point or an image beyond 1e7 mm.
     pub fn inverse(&self) -> Result<Self, Invalid> {
         // p = N (q - image) + centre with N = M^-1:  dN = -N dM N,  d centre = -N d image
         let [[a, b], [c, d]] = self.matrix;
@@ -177,8 +178,8 @@ impl Transform {
         Self::new(n, self.image_mm, self.centre_mm, covariance)
     }
 
-    /// Returns the tool path in machine coordinates. Its points move; tool flags and passes stay. Refuses points beyond
-    /// 1e7 mm.
+    /// Returns the tool path in machine coordinates. Its points are transformed; tool flags and passes stay. Refuses
+    /// points beyond 1e7 mm.
     pub fn tool_path(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
         let [points, dwell_points] = [path.point_mm(), path.dwell_point_mm()]
             .map(|points| points.iter().map(|p| self.point(*p)).collect());
@@ -200,7 +201,7 @@ impl Transform {
         }
     }
 
-    /// Returns the coefficients (axis, order) of a cubic in machine coordinates.
+    /// Returns the coefficients (axis, order) in machine coordinates of a cubic in coordinates of the part.
     fn polynomial(&self, c: &[[f64; 4]; 2]) -> [[f64; 4]; 2] {
         let mut image = [[0.0; 4]; 2];
         for order in 0..4 {
@@ -213,14 +214,14 @@ impl Transform {
     }
 }
 
-/// A transform without its covariance, for manifests and the files beside programs.
+/// A transform without its covariance, as manifests and the files beside controller programs store it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TransformNumbers {
-    /// M, dimensionless.
+    /// Matrix M of [`Transform`], dimensionless.
     pub matrix: [[f64; 2]; 2],
-    /// Reference point [x, y] of the part, mm.
+    /// Reference point (centre) [x, y] of the part, mm.
     pub centre_mm: [f64; 2],
-    /// Image of the reference point, mm.
+    /// Image of the reference point on the machine [x, y], mm.
     pub image_mm: [f64; 2],
 }
 
@@ -231,7 +232,7 @@ impl From<&Transform> for TransformNumbers {
 }
 
 impl TransformNumbers {
-    /// Returns the transform, without uncertainty. Refuses what [`Transform::new`] refuses.
+    /// Returns the transform with a covariance of 0. Refuses what [`Transform::new`] refuses.
     pub fn checked(&self) -> Result<Transform, Invalid> {
         Transform::new(self.matrix, self.centre_mm, self.image_mm, [[0.0; 6]; 6])
     }

@@ -1,16 +1,16 @@
-//! Words for units in files of other programs: the one table of all readers.
+//! Units in the text of files of other programs: the one table for all readers.
 //!
 //! ```text
 //! value in SI = mantissa 10^exponent x value in the unit
 //! ```
 //!
-//! The power of ten is apart from the mantissa: from nm to nm is then exactly 1, from um to mm the number that is written
-//! 1e-3.
+//! The power of ten is apart from the mantissa: from nm to nm is then exactly 1, from um to mm the number that is
+//! written 1e-3.
 //!
 //! [`Unit::read`] reads a word, [`Header::read`] the name of a column such as `x (mm)`, `z[um]`, `height_nm`,
 //! `Höhe / nm` or `rate_nm_per_min`. A word in brackets, after a slash or after "in" claims to be a unit: it is an
-//! [`UnknownUnit`] if the table does not have it, never "no unit". The last word after a blank or `_` may also belong to
-//! the name (`x_actual`): it is a unit only if the table has it.
+//! [`UnknownUnit`] if the table does not have it, never "no unit". The last word after a blank or `_` may also belong
+//! to the name (`x_actual`): it is a unit only if the table has it.
 //!
 //! Lower and upper case count where a prefix depends on them: `mm` and `MM` are millimetres, `Mm` is refused.
 
@@ -27,7 +27,7 @@ pub enum Quantity {
     Length,
     /// Wavelengths of light. Their length is the wavelength of the instrument.
     Waves,
-    /// Fringes. Their height depends on the wavelength and on the interferometer.
+    /// Interference fringes. The height of one depends on the wavelength and on the interferometer.
     Fringes,
     /// Pixels of a camera, or indices of samples along an axis.
     Pixels,
@@ -37,17 +37,17 @@ pub enum Quantity {
     Angle,
     /// Time, SI unit s.
     Time,
-    /// Samples of a controller.
+    /// Sampling periods of a controller, as a measure of time.
     Samples,
-    /// Number without a unit.
+    /// Number without a unit, such as the numerator of 1/s.
     One,
     /// Length per time, SI unit m/s: a velocity or a removal rate.
     LengthPerTime,
-    /// Waves per time.
+    /// Wavelengths of light per time.
     WavesPerTime,
     /// Angle per time, SI unit rad/s.
     AnglePerTime,
-    /// 1 per time, SI unit 1/s.
+    /// Inverse of a time, SI unit 1/s.
     PerTime,
     /// Length per squared time, SI unit m/s^2.
     Acceleration,
@@ -55,14 +55,15 @@ pub enum Quantity {
     AngularAcceleration,
 }
 
-/// A unit without a denominator.
+/// A unit without a denominator: its symbol, its size and its spellings. The size in SI units is `mantissa`
+/// 10^`exponent`.
 #[derive(Debug)]
 struct Word {
     quantity: Quantity,
     symbol: &'static str,
     mantissa: f64,
     exponent: i32,
-    /// Spellings beside the symbol, separated by `|`. Lower case, unless case decides.
+    /// Spellings in addition to the symbol, separated by `|`. They are in lower case, unless the case decides.
     spellings: &'static str,
 }
 
@@ -78,10 +79,11 @@ const fn word(
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Numerator of "per minute".
+/// Numerator of units such as "per minute".
 static ONE: Word = word(Quantity::One, "1", 1.0, 0, "");
 
-/// All words. A word with two meanings (`"`, `min`) has the first of them that its reader wants, else the first.
+/// All units without a denominator. For a spelling with two meanings (`"`, `min`), the first one that the reader wants
+/// applies, else the first.
 static WORDS: [Word; 36] = {
     use Quantity::{Acceleration, Angle, Counts, Fringes, Length, Pixels, Samples, Time, Waves};
     [
@@ -209,19 +211,20 @@ static WORDS: [Word; 36] = {
     ]
 };
 
-/// Marks of a quotient in words.
+/// Words that separate numerator and denominator of a unit.
 const PER: [&str; 3] = [" per ", " pro ", " par "];
 
-/// Words in brackets that are no units, separated by `|`.
+/// Words in brackets that are remarks and no units, separated by `|`.
 const NO_UNITS: &str = "|-|--|x|y|z|actual|act|feedback|fbk|encoder|measured|command|commanded|cmd|setpoint|\
  set|target|reference|ref|raw|ist|soll|abs|absolute|rel|relative|position|pos|height|time|zeit|filtered|\
  corrected|optional|utc|local";
 
-/// Names of heights, separated by `|`. After one of these a lone `A` at the end of a name is the angstrom, and no axis.
+/// Names of columns of heights, separated by `|`. After one of these a lone `A` at the end of a name is the angstrom,
+/// and no axis.
 const HEIGHTS: &str = "z|h|w|height|heights|thickness|depth|sag|film|error|figure|surface|removal|profile|\
  data|map|opd|rate|roughness|höhe|hoehe|dicke|hauteur|épaisseur";
 
-/// A unit: a word, over a time or a squared time.
+/// A unit: a unit without a denominator, or one over a time or a squared time.
 #[derive(Clone, Copy, Debug)]
 pub struct Unit {
     numerator: &'static Word,
@@ -254,8 +257,8 @@ impl Serialize for Unit {
 }
 
 impl Unit {
-    /// Returns the unit that `text` names, without brackets around it, or `None` if the table does not have it. A word with
-    /// two meanings gets the first meaning that is in `wanted`: `"` is an inch, but an arc second where an angle is wanted.
+    /// Returns the unit that `text` names, also in brackets, or `None` if the table does not have it. A word with two
+    /// meanings gets the first meaning that is in `wanted`: `"` is an inch, but an arc second where an angle is wanted.
     pub fn read(text: &str, wanted: &[Quantity]) -> Option<Self> {
         let plain = normalised(text);
         let plain = unbracketed(&plain);
@@ -265,7 +268,8 @@ impl Unit {
         quotient(plain, wanted)
     }
 
-    /// Returns the symbols of numerator and denominator, and the power of the latter.
+    /// Returns the symbol of the numerator, and the symbol and the power of the denominator, or `None` if there is no
+    /// denominator.
     fn symbols(&self) -> (&str, Option<(&str, u8)>) {
         (self.numerator.symbol, self.per.map(|(time, power)| (time.symbol, power)))
     }
@@ -288,18 +292,18 @@ impl Unit {
         }
     }
 
-    /// Returns the numerator of a quotient, and the unit itself if it is none.
+    /// Returns the numerator of a quotient such as nm of `nm/min`, or the unit itself if it is no quotient.
     pub fn numerator(&self) -> Self {
         Self { numerator: self.numerator, per: None }
     }
 
-    /// Returns the seconds of the time in the denominator: 60 for `nm/min`, 1 for `nm/s`, `None` for `nm`.
+    /// Returns the number of seconds in the time of the denominator: 60 for `nm/min`, 1 for `nm/s`, `None` for `nm`.
     pub fn per_s(&self) -> Option<f64> {
         self.per.map(|(time, _)| scaled(time.mantissa, time.exponent))
     }
 
-    /// Returns the size of the unit in 10^`exponent` SI units: with -9 in nm, with -3 in mm, mm/s or mm/s^2. A rate in
-    /// `um/h` has 1/3.6 with -9: nm/s.
+    /// Returns the size of the unit in 10^`exponent` SI units. With -9 it is in nm, with -3 in mm, mm/s or mm/s^2. A
+    /// rate in `um/h` has the size 1/3.6 nm/s with -9.
     pub fn size(&self, exponent: i32) -> f64 {
         let own = scaled(self.numerator.mantissa, self.numerator.exponent - exponent);
         match self.per {
@@ -311,14 +315,14 @@ impl Unit {
     }
 }
 
-/// Returns `mantissa` 10^`exponent`, rounded once: both factors are exact.
+/// Returns `mantissa` 10^`exponent` with a single rounding, because both factors are exact.
 fn scaled(mantissa: f64, exponent: i32) -> f64 {
     // 10^22 is the largest power of ten that a double holds exactly; the table needs less.
     let power = 10f64.powi(exponent.abs());
     if exponent < 0 { mantissa / power } else { mantissa * power }
 }
 
-/// Replaces the signs that look alike, and the separators of words by one blank.
+/// Returns `text` with one sign in place of several that look alike, and one blank in place of separators of words.
 fn normalised(text: &str) -> String {
     let text =
         text.trim().replace("A\u{30a}", "å").replace("a\u{30a}", "å").replace("e\u{300}", "è");
@@ -339,25 +343,26 @@ fn normalised(text: &str) -> String {
     plain.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Brackets around a unit.
+/// Pairs of brackets that may stand around a unit.
 const BRACKETS: [[char; 2]; 4] = [['(', ')'], ['[', ']'], ['{', '}'], ['<', '>']];
 
-/// Returns the inside of brackets that enclose all of `text`.
+/// Returns the text inside brackets that enclose all of `text`, or `text` if there are none.
 fn unbracketed(text: &str) -> &str {
     let mut insides =
         BRACKETS.iter().filter_map(|[open, close]| text.strip_prefix(*open)?.strip_suffix(*close));
     insides.next().map_or(text, str::trim)
 }
 
-/// Returns the word of the table that is spelled `text`, which is normalised.
+/// Returns the unit of the table that is spelled `text`, which is normalised; with several, the first whose quantity is
+/// in `wanted`. `None` if there is none.
 fn find(text: &str, wanted: &[Quantity]) -> Option<&'static Word> {
     let mut words = WORDS.iter().filter(|word| is_spelled(word, text));
     let first = words.clone().next();
     words.find(|word| wanted.contains(&word.quantity)).or(first)
 }
 
-/// Returns true if `text` is the symbol or a spelling of `word`. Case is free in whole words and in symbols that are
-/// written in capitals throughout. A capital M before small letters would be the prefix mega.
+/// Returns true if `text` is the symbol or a spelling of `word`. Case does not matter in whole words and in symbols
+/// that are in capitals throughout. A capital M before small letters would be the prefix mega.
 fn is_spelled(word: &Word, text: &str) -> bool {
     let is_exact = text == word.symbol || is_among(text, word.spellings);
     if is_exact {
@@ -373,12 +378,13 @@ fn is_spelled(word: &Word, text: &str) -> bool {
     !is_mega && !needs_case && (lower == word.symbol || is_among(&lower, word.spellings))
 }
 
-/// Returns true if `text` is one of the words in `list`, which `|` separates.
+/// Returns true if `text` is one of the words in `list`, which are separated by `|`.
 fn is_among(text: &str, list: &str) -> bool {
     list.split('|').any(|word| word == text)
 }
 
-/// Returns a unit over a time: `nm/min`, `mm s^-1`, `mm/s2`, `m/s/s`, `nm per minute`, `per minute`, `1/s`.
+/// Reads a unit over a time: `nm/min`, `mm s^-1`, `mm/s2`, `m/s/s`, `nm per minute`, `per minute`, `1/s`. `None` if the
+/// text is none.
 fn quotient(text: &str, wanted: &[Quantity]) -> Option<Unit> {
     let spaced = format!(" {text} ");
     let lower = spaced.to_lowercase();
@@ -415,7 +421,8 @@ fn quotient(text: &str, wanted: &[Quantity]) -> Option<Unit> {
     if is_quotient { Some(Unit { numerator, per: Some((time, power)) }) } else { None }
 }
 
-/// Returns the time and its power in a denominator: `s`, `min`, `s2`, `s^2`, `s/s`; with `is_inverse` in `s-1`, `s^-2`.
+/// Reads the time and its power in a denominator: `s`, `min`, `s2`, `s^2`, `s/s`. With `is_inverse`, the power has a
+/// minus sign: `s-1`, `s^-2`.
 fn time_power(text: &str, is_inverse: bool) -> Option<(&'static Word, u8)> {
     let plain = text
         .replace('\u{b2}', "2")
@@ -445,17 +452,18 @@ fn time_power(text: &str, is_inverse: bool) -> Option<(&'static Word, u8)> {
     if time.quantity == Quantity::Time { Some((time, power)) } else { None }
 }
 
-/// A word in the place of a unit that the table does not have.
+/// A word where a unit should be that the table of units does not have.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownUnit {
-    /// The text around it, such as the name of a column.
+    /// Text that contains the word, such as the name of a column.
     pub text: String,
-    /// The word.
+    /// Word that is no known unit.
     pub word: String,
 }
 
 impl UnknownUnit {
-    /// Returns the refusal of `subject`, with `remedy` for the setting that states the unit in the place of the file.
+    /// Returns the error about `subject`. `remedy` names the setting with which the user can state the unit instead of
+    /// the file.
     pub fn refused(&self, subject: &'static str, remedy: impl Into<String>) -> Invalid {
         let [text, word] =
             [&self.text, &self.word].map(|text| text.chars().take(40).collect::<String>());
@@ -471,15 +479,15 @@ impl UnknownUnit {
 /// The name of a column or of a variable, with its unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Name without the unit.
+    /// Name of the column without its unit.
     pub name: String,
-    /// Unit, if the text names one.
+    /// Unit of the column; `None` if the text names none.
     pub unit: Option<Unit>,
 }
 
 impl Header {
-    /// Splits `text` into name and unit. `wanted` are the quantities that the reader expects of this column; they decide
-    /// between two meanings (`x_min` is the least x, `time_min` a time in minutes).
+    /// Splits `text` into name and unit. `wanted` are the quantities that the reader expects of this column; they
+    /// decide between two meanings (`x_min` is the least x, `time_min` a time in minutes).
     ///
     /// # Errors
     /// A word in brackets, after a slash or after "in" that is no unit of the table.
@@ -511,13 +519,14 @@ fn split_at_in(text: &str) -> Option<(&str, &str)> {
     Some((text.get(..start)?, text.get(start + 4..)?))
 }
 
-/// Returns true if a word in the place of a unit says something else: a number, or a remark such as `actual`.
+/// Returns true if a word where a unit could be is none: a number, or a remark such as `actual`.
 fn is_no_unit(word: &str) -> bool {
     let lower = word.trim().to_lowercase();
     is_among(&lower, NO_UNITS) || lower.parse::<f64>().is_ok()
 }
 
-/// Reads a unit in brackets, anywhere in `text`: the last one that the table has.
+/// Reads the last unit in brackets, anywhere in `text`, that the table has. `None` if the text has no brackets with a
+/// unit.
 fn bracketed(text: &str, wanted: &[Quantity]) -> Result<Option<Header>, UnknownUnit> {
     let mut unknown = None;
     let mut end = text.len();
@@ -543,11 +552,11 @@ fn bracketed(text: &str, wanted: &[Quantity]) -> Result<Option<Header>, UnknownU
     unknown.map_or(Ok(None), Err)
 }
 
-/// Longest unit in words: "millimetres per second per second".
+/// Largest number of words of a unit: "millimetres per second per second".
 const MOST_WORDS: usize = 5;
 
-/// Reads a unit from the last words of `text`, after a blank or `_`: the longest that the table has and that can be no part of
-/// the name.
+/// Reads a unit from the last words of `text`, after a blank or `_`. It takes the longest one that the table has and
+/// that cannot belong to the name; `None` if there is none.
 fn last_words(text: &str, wanted: &[Quantity]) -> Option<Header> {
     let starts: Vec<usize> = text.match_indices(['_', ' ', '\t']).map(|(i, _)| i + 1).collect();
     for start in starts.iter().skip(starts.len().saturating_sub(MOST_WORDS)) {
@@ -566,8 +575,8 @@ fn last_words(text: &str, wanted: &[Quantity]) -> Option<Header> {
     None
 }
 
-/// Returns true if the last word of a name is a unit, and no part of the name: `height_A` is in angstrom, `pos_A` is an axis;
-/// `time_min` is in minutes, `x_min` a minimum.
+/// Returns true if the last word of a column name is a unit, and no part of the name: `height_A` is in angstrom,
+/// `pos_A` is an axis; `time_min` is in minutes, `x_min` a minimum.
 fn is_unit_of(name: &str, word: &str, unit: Unit, wanted: &[Quantity]) -> bool {
     let quantity = unit.quantity();
     match word.trim() {

@@ -1,27 +1,28 @@
-//! Variation of a tool influence function over the part, and in the course of a run.
+//! Variation of a tool: how a tool influence function (TIF) differs over the part, and in the course of a run.
 //!
 //! ```text
 //! K(x; p, t) = c(t) g(x) sum_k a_k(p) h_k(heading) phi_k(x - p)                           (1)
 //! ```
 //!
-//! K is the removal rate at the pixel x of a tool at p, at the time t of the run. The kernels `phi_k` are samples on one
-//! grid of offsets, and their weights `a_k` are samples on a coarse grid of tool positions. `g` is a factor of every
-//! pixel, for causes that act at the place of the removal. `c` is a factor of the time, for wear and warm-up. `h_k` are
-//! periodic samples over the heading, which is the direction of the motion, for tools that turn with it. Without `g`, `c`
-//! and `h_k` these are 1. Everything that is linear in the dwell time stays linear.
+//! K is the removal rate at the pixel x of a tool at the position p, at the time t of the run. The kernels `phi_k` are
+//! samples on one grid of offsets, and their weights `a_k` are samples on a coarse grid of tool positions. `g` is a
+//! factor of every pixel, for causes that act where the material is removed. `c` is a factor of the time, for wear and
+//! warm-up. `h_k` are periodic samples over the heading, which is the direction of the motion, for tools that turn with
+//! it. Without `g`, `c` and `h_k` these are 1. Everything that is linear in the dwell time stays linear.
 //!
 //! Between their samples, kernels, weights and the factor of the pixels are Keys' cubic convolution
-//! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest place of
+//! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest point of
 //! its grid, and `c` that of the nearest time.
 //!
-//! A tool that turns with the azimuth of its place changes ever faster towards the axis, where no grid of places follows
-//! it. The weights of such a tool have a factor by azimuth:
+//! A tool that turns with the azimuth of its position changes ever faster towards the axis, and no grid of positions
+//! follows it there. The weights of such a tool have a factor by azimuth:
 //!
 //! ```text
 //! a_k(p) = b_k(p) z_k(azimuth of p - m)                                                   (2)
 //! ```
 //!
-//! with the samples `b_k` on the grid of places, and periodic samples `z_k` around the middle m. At m the azimuth is 0.
+//! with the samples `b_k` on the grid of positions, and periodic samples `z_k` around the middle m. At m the azimuth is
+//! 0.
 
 use std::borrow::Cow;
 
@@ -30,27 +31,27 @@ use planish_numerics::keys;
 
 use crate::{Axis, Grid, Invalid, Tif};
 
-/// Smallest factor of a pixel or of a time. A tool that removes nothing at a place makes the place unreachable, and a
+/// Smallest factor of a pixel or of a time. A tool that removes nothing at a position makes it unreachable, and a
 /// negative factor adds material. Larger: strong causes are refused. Smaller: mistakes in the units pass.
 const LEAST_FACTOR: f64 = 1e-3;
 
 /// Largest factor of a pixel or of a time. Larger: mistakes in the units pass. Smaller: strong causes are refused.
 const LARGEST_FACTOR: f64 = 1e3;
 
-/// Numbers of the map under a factor: a product of samples and a grid.
+/// Factor of the removal rate at every pixel, sampled on a grid of the part: g in (1) of the module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PixelFactor {
-    /// Grid of the samples, in coordinates of the part.
+    /// Grid of the sampled pixels, in coordinates of the part.
     pub grid: Grid,
-    /// Samples (ny, nx), dimensionless.
+    /// Factors at the pixels of `grid` (ny, nx), dimensionless.
     pub factor: Array2<f64>,
 }
 
-/// Largest distance of an angle from its place in a uniform turn, over the step. Larger: angles that are not uniform
+/// Largest distance of an angle from its value in a uniform turn, over the step. Larger: angles that are not uniform
 /// pass. Smaller: rounded ones do not.
 const OFF_TURN: f64 = 1e-6;
 
-/// Factors of the weights by an angle: periodic samples of one turn.
+/// Factors of the kernel weights that depend on an angle, a heading or an azimuth: periodic samples over one turn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TurnWeights {
     angle_deg: Vec<f64>,
@@ -58,8 +59,8 @@ pub struct TurnWeights {
 }
 
 impl TurnWeights {
-    /// Returns the factors (k, n), dimensionless, of the k kernels at n headings: directions of the motion, in degrees
-    /// from positive x towards positive y, uniform over one turn without its end.
+    /// Returns the factors (k, n), dimensionless, of the k kernels at n headings, h of (1) in the module. Headings are
+    /// directions of the motion, in degrees from positive x towards positive y, uniform over one turn without its end.
     ///
     /// # Errors
     /// Refuses headings that are not uniform over a turn, and rows that are not n finite factors.
@@ -67,7 +68,8 @@ impl TurnWeights {
         Self::new(["heading_deg", "heading_weight"], heading_deg, weights)
     }
 
-    /// Checks the angles (n) and factors (k, n), which the messages call by these names.
+    /// Returns the checked factors (k, n) at the angles (n), degrees. The two names are those of the arrays of angles
+    /// and factors in messages.
     fn new(
         [angles, factors]: [&'static str; 2],
         angle_deg: Vec<f64>,
@@ -99,17 +101,18 @@ impl TurnWeights {
         Ok(Self { angle_deg, weights })
     }
 
-    /// Returns the angles of the factors (n), degrees.
+    /// Returns the angles at which the factors are sampled (n), degrees.
     pub fn angle_deg(&self) -> &[f64] {
         &self.angle_deg
     }
 
-    /// Returns the factors (k, n), dimensionless.
+    /// Returns the factors (k, n), dimensionless: one row per kernel, one column per angle.
     pub fn weights(&self) -> &[Vec<f64>] {
         &self.weights
     }
 
-    /// Returns the factor of a kernel at an angle, by Keys' interpolation of its periodic samples.
+    /// Returns the factor of the kernel with the index `kernel` at an angle, by Keys' interpolation of its periodic
+    /// samples.
     fn factor_of(&self, kernel: usize, angle_rad: f64) -> f64 {
         let row = &self.weights[kernel];
         let n = row.len() as isize;
@@ -119,7 +122,7 @@ impl TurnWeights {
         keys::weights(f).iter().zip(nodes).map(|(w, sample)| w * sample).sum()
     }
 
-    /// Refuses factors that are not those of so many kernels.
+    /// Refuses factors that do not have one row for each of `kernels` kernels. `name` names them in the message.
     fn check_kernels(&self, name: &'static str, kernels: usize) -> Result<(), Invalid> {
         let rows = self.weights.len();
         if rows == kernels {
@@ -130,7 +133,7 @@ impl TurnWeights {
     }
 }
 
-/// Factors of the weights by the azimuth of the tool: z of (2).
+/// Factors of the kernel weights that depend on the azimuth of the tool position: z in (2) of the module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AzimuthWeights {
     middle_mm: [f64; 2],
@@ -162,23 +165,24 @@ impl AzimuthWeights {
         Ok(Self { middle_mm, turn })
     }
 
-    /// Returns the point about which the tool turns [x, y], mm.
+    /// Returns the point [x, y] of the part about which the azimuth is measured, mm.
     pub fn middle_mm(&self) -> [f64; 2] {
         self.middle_mm
     }
 
-    /// Returns the factors by the azimuth.
+    /// Returns the factors with the azimuths at which they are sampled.
     pub fn turn(&self) -> &TurnWeights {
         &self.turn
     }
 
-    /// Returns `z_k` of a kernel for a tool at a place of the part.
+    /// Returns the factor z_k in (2) of the module for the kernel with the index `kernel` and a tool at `tool_mm` [x,
+    /// y].
     fn factor_of(&self, kernel: usize, tool_mm: [f64; 2]) -> f64 {
         let [dx, dy] = [0, 1].map(|i| tool_mm[i] - self.middle_mm[i]);
         self.turn.factor_of(kernel, dy.atan2(dx))
     }
 
-    /// Returns the places at a distance from the middle, one for each azimuth.
+    /// Returns the positions [x, y] at the distance `radius_mm` from the middle, one for each azimuth, mm.
     fn places(&self, radius_mm: f64) -> impl Iterator<Item = [f64; 2]> {
         self.turn.angle_deg.iter().map(move |degrees| {
             let (sine, cosine) = degrees.to_radians().sin_cos();
@@ -187,21 +191,21 @@ impl AzimuthWeights {
     }
 }
 
-/// Factor of the removal rate in the course of a run.
+/// Factor of the removal rate in the course of a run: c in (1) of the module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimeFactor {
     /// Times (m) from the start of the run, s; ascending.
     pub time_s: Vec<f64>,
-    /// Factor at these times (m), dimensionless.
+    /// Factor of the removal rate at these times (m), dimensionless.
     pub factor: Vec<f64>,
 }
 
-/// A kernel and its weights.
+/// A kernel and its weight over the positions of the tool.
 #[derive(Clone, Debug)]
 pub struct Component {
-    /// The kernel `phi_k`; unlike a TIF it may be negative.
+    /// Kernel phi_k of the module, nm/s; unlike a TIF it may be negative.
     kernel: Tif,
-    /// Samples of the weight with Keys' ghost nodes, (ny+2, nx+2).
+    /// Samples of the weight with the extrapolated (ghost) nodes of Keys' interpolation, (ny+2, nx+2).
     weight: Array2<f64>,
 }
 
@@ -212,7 +216,7 @@ impl Component {
     }
 }
 
-/// (1) without the kernel of a constant tool.
+/// Variation of a tool over the part and in time: the kernels, weights and factors in (1) of the module.
 #[derive(Clone, Debug)]
 pub struct Variation {
     components: Vec<Component>,
@@ -223,26 +227,26 @@ pub struct Variation {
     time: Option<TimeFactor>,
 }
 
-/// Where the tool is, and the direction in which it goes.
+/// Position of the tool and direction of its motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// Place of the tool [x, y], mm.
+    /// Position of the tool [x, y], mm.
     pub position_mm: [f64; 2],
     /// Direction of the motion, rad from positive x towards positive y.
     pub heading_rad: f64,
 }
 
 impl Pose {
-    /// Returns the pose of a tool at a place, in a motion along positive x: for tools that do not turn with their
-    /// motion.
+    /// Returns the pose of a tool at a position [x, y] that moves along positive x, for tools that do not turn with
+    /// their motion.
     pub fn along_x(position_mm: [f64; 2]) -> Self {
         Self { position_mm, heading_rad: 0.0 }
     }
 }
 
 impl Variation {
-    /// Returns the variation with kernels and weights that [`Tif::varying`] has checked. Refuses factors that are not
-    /// of their shape, or not between 0.001 and 1000.
+    /// Returns the variation with kernels and weights that [`Tif::varying`] has checked. Refuses factors of wrong
+    /// shape, and factors of pixels or time that are not between 0.001 and 1000.
     pub(crate) fn new(
         kernels: Vec<Tif>,
         weights: &[Array2<f64>],
@@ -289,34 +293,34 @@ impl Variation {
         Ok(Self { components, positions, azimuth, heading, pixels, time })
     }
 
-    /// Returns the kernels with their weights.
+    /// Returns the kernels phi_k with their weights a_k; see (1) of the module.
     pub fn components(&self) -> &[Component] {
         &self.components
     }
 
-    /// Returns the tool positions of the samples of the weights.
+    /// Returns the grid of tool positions at which the weights are sampled.
     pub fn positions(&self) -> &Grid {
         &self.positions
     }
 
-    /// Returns the samples of the weight of a component (ny, nx).
+    /// Returns the samples of the weight (ny, nx) of the component with this index, dimensionless.
     pub(crate) fn weight_samples(&self, component: usize) -> Array2<f64> {
         let (ny, nx) = self.positions.shape();
         self.components[component].weight.slice(ndarray::s![1..=ny, 1..=nx]).to_owned()
     }
 
-    /// Returns the factors by azimuth as they were given.
+    /// Returns the factors by azimuth as they were given, or `None` if there are none.
     pub fn azimuth_weights(&self) -> Option<&AzimuthWeights> {
         self.azimuth.as_ref()
     }
 
-    /// Returns the factors by heading as they were given.
+    /// Returns the factors by heading as they were given, or `None` if there are none.
     pub fn heading_weights(&self) -> Option<&TurnWeights> {
         self.heading.as_ref()
     }
 
-    /// Returns the poses of the tool at which samples decide the weights: the places of the grid, one place for each
-    /// azimuth, and the middle of the grid at each heading. The places of the grid take the headings in turn.
+    /// Returns the poses of the tool at which the weights are sampled: the positions of the grid, one position for each
+    /// azimuth, and the middle of the grid at each heading. The positions of the grid take the headings in turn.
     pub(crate) fn sampled(&self) -> Vec<Pose> {
         let Grid { x, y } = &self.positions;
         let mut headings: Vec<f64> = match &self.heading {
@@ -344,17 +348,18 @@ impl Variation {
         poses
     }
 
-    /// Returns the factor of the pixels as it was given.
+    /// Returns the factor of the pixels as it was given, or `None` if it is 1.
     pub fn pixel_factor(&self) -> Option<&PixelFactor> {
         self.pixels.as_ref()
     }
 
-    /// Returns the factor of the time as it was given.
+    /// Returns the factor of the time as it was given, or `None` if it is 1.
     pub fn time_factor(&self) -> Option<&TimeFactor> {
         self.time.as_ref()
     }
 
-    /// Returns `a_k h_k` of a component for a tool in a pose.
+    /// Returns the weight a_k h_k in (1) of the module for the component with this index and a tool in a pose,
+    /// dimensionless.
     pub fn weight(&self, component: usize, tool: Pose) -> f64 {
         let Pose { position_mm, heading_rad } = tool;
         let mut weight = keys_at(&self.positions, &self.components[component].weight, position_mm);
@@ -367,8 +372,8 @@ impl Variation {
         weight
     }
 
-    /// Returns `sum_k a_k h_k phi_k` for a tool in a pose: its samples on the offsets of the kernels, nm/s, without the
-    /// factors of pixels and time.
+    /// Returns the removal rate of a tool in a pose at the offsets of the kernels (my, mx), nm/s: the sum in (1) of the
+    /// module, without the factors of pixels and time.
     pub fn rate_at(&self, tool: Pose) -> Array2<f64> {
         let mut rate = Array2::zeros(self.components[0].kernel.rate_nm_per_s().dim());
         for (k, component) in self.components.iter().enumerate() {
@@ -377,8 +382,8 @@ impl Variation {
         rate
     }
 
-    /// Returns `g` on the pixels of a map, (ny, nx), or `None` if it is 1. Pixels beyond the samples have the factor of
-    /// the nearest one.
+    /// Returns the factor of the pixels, g in (1) of the module, on the pixels of a map (ny, nx), or `None` if it is 1.
+    /// Pixels beyond the samples have the factor of the nearest one.
     pub fn factor_on(&self, map: &Grid) -> Option<Cow<'_, Array2<f64>>> {
         let PixelFactor { grid, factor } = self.pixels.as_ref()?;
         if grid == map {
@@ -391,12 +396,12 @@ impl Variation {
         Some(Cow::Owned(factor))
     }
 
-    /// Returns the variation without the factor of the time: the tool as it is while that is 1.
+    /// Returns the variation without its factor of the time, as the tool is while that factor is 1.
     pub(crate) fn without_time(&self) -> Self {
         Self { time: None, ..self.clone() }
     }
 
-    /// Returns the variation with the factor of the pixels moved by a distance [x, y].
+    /// Returns the variation with the factor of the pixels shifted by `by_mm` [x, y].
     pub(crate) fn with_pixels_moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
         let mut moved = self.clone();
         if let Some(pixels) = &mut moved.pixels {
@@ -415,7 +420,7 @@ impl Variation {
     }
 }
 
-/// Remedy for a factor that is not between its bounds.
+/// Remedy in the message for a factor that is not between 0.001 and 1000.
 const FACTOR_REMEDY: &str =
     "give a factor of the rate between 0.001 and 1000, 1 where the rate is that of the kernels";
 
@@ -424,7 +429,7 @@ fn is_factor(v: f64) -> bool {
 }
 
 impl TimeFactor {
-    /// Returns `c` at a time of the run, s.
+    /// Returns the factor c in (1) of the module at the time `time_s` since the start of the run.
     pub fn factor_at(&self, time_s: f64) -> f64 {
         let Self { time_s: times, factor } = self;
         let after = times.partition_point(|t| *t <= time_s);
@@ -437,7 +442,8 @@ impl TimeFactor {
         (1.0 - f) * factor[after - 1] + f * factor[after]
     }
 
-    /// Returns the mean of `c` between two times of the run, s: exact, as `c` is linear between its samples.
+    /// Returns the mean of the factor c between two times of the run, s: exact, as it is linear between its samples.
+    /// For an empty interval it is the factor at `from_s`.
     pub fn mean(&self, from_s: f64, to_s: f64) -> f64 {
         if to_s <= from_s {
             return self.factor_at(from_s);
@@ -452,8 +458,8 @@ impl TimeFactor {
         sum / (to_s - from_s)
     }
 
-    /// Returns the time from `from_s` on, s, in which a tool removes as much as in `effective_s` at the factor 1: exact, as
-    /// `c` is linear between its samples.
+    /// Returns the time after `from_s`, s, in which the tool removes as much as in `effective_s` at the factor 1. It is
+    /// exact, as the factor is linear between its samples.
     pub fn duration_s(&self, from_s: f64, effective_s: f64) -> f64 {
         let mut before = from_s;
         let mut left = effective_s;
@@ -475,15 +481,16 @@ impl TimeFactor {
     }
 }
 
-/// Returns Keys' interpolation of samples with ghost nodes at a place [x, y], mm. A place beyond the grid counts as on
-/// its border.
+/// Returns Keys' interpolation of samples with ghost nodes at a position [x, y], mm. A position beyond the grid counts
+/// as on its border.
 fn keys_at(grid: &Grid, with_ghosts: &Array2<f64>, [x, y]: [f64; 2]) -> f64 {
     let (ix, wx) = clamped_tap(&grid.x, x);
     let (iy, wy) = clamped_tap(&grid.y, y);
     (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * with_ghosts[[iy + b, ix + a]]).sum::<f64>()).sum()
 }
 
-/// Returns the first of the four nodes around a coordinate, and Keys' weights there.
+/// Returns the first of the four nodes around a coordinate, and Keys' weights there. A coordinate beyond the axis
+/// counts as its end.
 fn clamped_tap(axis: &Axis, mm: f64) -> (usize, [f64; 4]) {
     let last = axis.len() - 1;
     let s = ((mm - axis.start_mm()) / axis.step_mm()).clamp(0.0, last as f64);

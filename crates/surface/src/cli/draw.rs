@@ -63,7 +63,7 @@ fn panel(dir: &Path, surface: &Surface) -> Panel {
     Panel { title: title(dir), grid: *surface.grid(), map: surface.height_nm().clone() }
 }
 
-/// The name of the directory.
+/// Returns the name of the directory, as the title of its map.
 fn title(dir: &Path) -> String {
     dir.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned())
 }

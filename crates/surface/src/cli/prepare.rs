@@ -23,18 +23,18 @@ use super::{CIRCLE, circle};
 
 const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
 
-/// Settings in the manifest.
+/// Settings of the preparation as the manifest states them.
 #[derive(Serialize)]
 struct StatedSettings<'a> {
     #[serde(flatten)]
     settings: &'a PrepareSettings,
-    /// Direction of the heights, if the form of the part is given.
+    /// Direction of the heights of the map; `None` if the form of the part is not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     heights: Option<&'a Heights>,
-    /// Direction of the coordinates, if the form of the part is given.
+    /// Direction of the coordinates of the map; `None` if the form of the part is not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     lateral: Option<&'a Lateral>,
-    /// Form to subtract.
+    /// Form to subtract; `None` for none.
     #[serde(skip_serializing_if = "Option::is_none")]
     target: Option<&'a FormFile>,
 }
@@ -111,7 +111,8 @@ struct FormArgs {
 }
 
 impl FormArgs {
-    /// The map with heights along z and projected axes, and the form file that this took.
+    /// Returns the map with heights along z and projected axes, and the form file that the conversion used. Without
+    /// `--form`, the map stays as it is.
     fn converted(
         &self,
         surface: Surface,
@@ -384,7 +385,7 @@ impl ExtensionArgs {
         Ok(Some(ExtensionSettings { margin_mm, method }))
     }
 
-    /// Refuses a flag of another method, which would be ignored in silence.
+    /// Refuses a flag that belongs to another method of extension, because it would be ignored in silence.
     fn refuse_flags_of_another(&self, method: ExtendArg) -> Result<(), Failure> {
         let flags = [
             ("--extend-sigma-mm", self.extend_sigma_mm.is_some(), ExtendArg::GaussianDecay),
@@ -412,7 +413,7 @@ impl ExtensionArgs {
     }
 }
 
-/// Prints what was done to the map.
+/// Prints the steps of the preparation, the RMS and PV of the result, notes and doubts.
 fn print_report(report: &PrepareReport) {
     let (rows, columns) = report.after.shape;
     let masked = report.outliers.as_ref().map_or(String::new(), |o| {

@@ -68,7 +68,7 @@ impl PsdArgs {
     }
 }
 
-/// Arrays of the artifact, in the order of its kind.
+/// Returns the arrays of the artifact `psd`, in the order of its kind.
 fn psd_arrays(psd: &Psd) -> Vec<ArrayData<'_>> {
     let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into());
     vec![

@@ -175,7 +175,7 @@ impl SpecArgs {
     }
 }
 
-/// Prints the numbers.
+/// Prints the measured quantities of a mirror.
 fn report(quality: &Quality) {
     let base_mm = quality.slope_x.base_mm;
     let over = if base_mm > 0.0 {
@@ -236,12 +236,12 @@ fn report(quality: &Quality) {
     quality.notes.iter().for_each(|note| say(format!("note: {note}")));
 }
 
-/// A number as it is printed; a dash where there is none.
+/// Returns a number as it is printed; a dash for `None`.
 fn or_dash(value: Option<f64>) -> String {
     value.map_or("-".into(), |v| significant(v, 4))
 }
 
-/// Arrays of the artifact, in the order of its kind.
+/// Returns the arrays of the artifact, in the order of its kind.
 fn arrays(arrays: &QualityArrays) -> Vec<ArrayData<'_>> {
     let QualityArrays { position_mm, height_nm, slope_position_mm, slope_nrad, lines } = arrays;
     let spectra = lines.iter().flat_map(|s| [&s.frequency_per_mm, &s.height, &s.slope]);

@@ -1,4 +1,4 @@
-//! Every new pixel has the height of the nearest valid one, decaying to zero.
+//! Extension in which every new pixel has the height of the nearest valid one, decaying to zero.
 //!
 //! ```text
 //! z(p) = z(q) exp(-|p - q|^2 / 2 sigma^2),  q the valid pixel with the least |p - q|
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::distance;
 
-/// Length of the decay.
+/// Settings of the decay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GaussianDecaySettings {
     /// Distance at which the height has fallen to exp(-1/2) = 0.61, mm; > 0.
@@ -22,13 +22,14 @@ pub struct GaussianDecaySettings {
 }
 
 impl GaussianDecaySettings {
-    /// Returns the usual decay for this margin: to 1 % at its outer edge.
+    /// Returns the usual decay for a margin: a third of it as `sigma_mm`, so that the height falls to 1 % at the outer
+    /// edge.
     pub fn for_margin_mm(margin_mm: f64) -> Self {
         Self { sigma_mm: margin_mm / 3.0 }
     }
 }
 
-/// Returns `map` (ny, nx) with a height on every pixel.
+/// Returns `map` (ny, nx) with a height on every pixel. Refuses a `sigma_mm` that is not positive.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,

@@ -1,4 +1,4 @@
-//! The continuation without spatial frequencies above a cutoff.
+//! Extension by the continuation without spatial frequencies above a cutoff.
 //!
 //! ```text
 //! z_0     = nearest extension
@@ -31,25 +31,26 @@ use super::nearest;
 /// measurement resolves.
 const MOST_ITERATIONS: usize = 100_000;
 
-/// Cutoff and stopping rule.
+/// Cutoff of the spatial frequencies, and the rule that ends the steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GerchbergPapoulisSettings {
-    /// f_c, 1/mm; > 0, at most half the sampling frequency.
+    /// Cutoff frequency (f_c of the module), 1/mm; > 0, at most half the sampling frequency.
     pub cutoff_per_mm: f64,
-    /// Largest number of steps.
+    /// Largest number of steps; each takes two Fourier transforms.
     pub max_iterations: usize,
-    /// Largest change of a height in a step, nm, at which the steps end; >= 0.
+    /// Largest change of a height in a step, nm, at or below which the steps end; >= 0.
     pub tolerance_nm: f64,
 }
 
 impl GerchbergPapoulisSettings {
-    /// Returns the defaults for this cutoff, 1/mm.
+    /// Returns the settings with this cutoff, 1/mm, and the default rule that ends the steps.
     pub fn for_cutoff_per_mm(cutoff_per_mm: f64) -> Self {
         Self { cutoff_per_mm, max_iterations: 300, tolerance_nm: 1e-3 }
     }
 }
 
-/// Returns `map` (ny, nx) with a height on every pixel.
+/// Returns `map` (ny, nx) with a height on every pixel, and numbers for the report. Refuses settings out of their
+/// range.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,

@@ -1,4 +1,4 @@
-//! Every new pixel has the height of the nearest valid one.
+//! Extension in which every new pixel has the height of the nearest valid one.
 //!
 //! ```text
 //! z(p) = z(q),  q the valid pixel with the least |p - q|

@@ -1,4 +1,4 @@
-//! The continuation of a polynomial fit.
+//! Extension by the continuation of a polynomial fit.
 //!
 //! ```text
 //! z(p) = sum_(i <= I, j <= J) c_ij T_i(u) T_j(v),   u, v = -1 .. 1 over all pixels of the fit
@@ -33,10 +33,10 @@ use crate::{
 /// long and determine their terms badly. Smaller: a coarser continuation.
 const MAX_ORDER: u32 = 30;
 
-/// Settings of the polynomial.
+/// Settings of the polynomial that continues the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PolynomialSettings {
-    /// Highest orders [I along x, J along y]; at most 30.
+    /// Highest orders of the polynomials [I along x, J along y] in the module; at most 30.
     pub order: [u32; 2],
     /// True to fit the ring too, with the heights of the nearest extension. False is for maps that are
     /// polynomials only.
@@ -49,7 +49,8 @@ impl Default for PolynomialSettings {
     }
 }
 
-/// Returns `map` (ny, nx), enlarged by `margin_mm`, with a height on every pixel.
+/// Returns `map` (ny, nx), which is enlarged by `margin_mm` already, with a height on every pixel, and numbers for the
+/// report.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,

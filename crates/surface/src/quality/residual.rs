@@ -17,21 +17,20 @@ use crate::{
     shape::{EllipseSettings, Heights, Shape, ShapeReport, without_shape, without_shape_of_slopes},
 };
 
-/// Standard error of a parameter of the ellipse, relative, above which the report has a note, because the
-/// data hardly determine the parameter. Larger: does not notice meaningless parameters. Smaller: notes for
-/// usual fits.
+/// Relative standard error of a parameter of the ellipse above which the report has a note, because the data hardly
+/// determine the parameter. Larger: no note on meaningless parameters. Smaller: notes on usual fits.
 const NOTEWORTHY_ERROR: f64 = 0.1;
 
-/// Measured object.
+/// Measured object whose quality is computed.
 #[derive(Clone, Debug)]
 pub enum Subject {
-    /// A map.
+    /// A map of heights.
     Map(Surface),
-    /// A profile.
+    /// A profile of heights or slopes along a line.
     Profile(Profile),
 }
 
-/// The direction of a slope, a spectrum or a radius.
+/// Direction of a slope, a spectrum or a radius.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
@@ -39,34 +38,34 @@ pub enum Direction {
     X,
     /// Along y.
     Y,
-    /// Both dimensions, averaged over the directions.
+    /// All directions of a map: means over rings of equal frequency, or the radius of a sphere.
     Radial,
 }
 
-/// Slopes along one axis.
+/// Statistics of the slopes along one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SlopeReport {
-    /// Base length, mm; 0 if slopes were measured.
+    /// Base length over which slopes are differences of heights, mm; 0 if slopes were measured.
     pub base_mm: f64,
-    /// RMS without the mean, nrad.
+    /// RMS of the slopes without their mean, nrad.
     pub rms_nrad: f64,
-    /// Largest distance from the mean, nrad.
+    /// Largest deviation of a slope from the mean, nrad.
     pub peak_nrad: f64,
-    /// Middle of the base of the largest slope, [x, y], mm.
+    /// Position [x, y] of that slope, the middle of its base, mm.
     pub peak_at_mm: [f64; 2],
 }
 
 /// A map or a profile, or a zone of it, after subtraction of the best shape.
 pub(crate) struct ShapeResidual {
-    /// (nx), mm.
+    /// Positions along x (nx), mm.
     pub(super) x_mm: Vec<f64>,
-    /// (ny), mm; of a profile 0.
+    /// Positions along y (ny), mm; for a profile one, 0.
     y_mm: Vec<f64>,
-    /// (ny, nx), nm.
+    /// Heights after the shape (ny, nx), nm; NaN where invalid.
     pub(crate) height_nm: Array2<f64>,
-    /// Measured slopes of a profile after the shape (nx), nrad.
+    /// Measured slopes of a profile after the shape (nx), nrad; `None` if heights were measured.
     measured_slope_nrad: Option<Vec<f64>>,
-    /// The map, for its spectra.
+    /// The map after the shape, for its spectra; `None` for a profile.
     surface: Option<Surface>,
     pub(crate) shape: ShapeReport,
     pub(crate) notes: Vec<String>,
@@ -74,8 +73,8 @@ pub(crate) struct ShapeResidual {
 }
 
 impl ShapeResidual {
-    /// Makes a residual of `subject` from the pixels at which `inside` is true (from all of them without it),
-    /// and subtracts its best `shape`.
+    /// Subtracts the best `shape` from the pixels of `subject` at which `inside` is true; without `inside`, from all
+    /// pixels.
     pub(crate) fn new(
         subject: &Subject,
         inside: Option<&Array2<bool>>,
@@ -126,7 +125,7 @@ impl ShapeResidual {
         }
     }
 
-    /// Adds a note for each parameter of the ellipse that the data hardly determine.
+    /// Makes the residual with a note for each parameter of the ellipse that the data hardly determine.
     fn with_notes(
         x_mm: Vec<f64>,
         y_mm: Vec<f64>,
@@ -171,15 +170,16 @@ impl ShapeResidual {
             .ok_or_else(|| Invalid::whole("map", "has no valid pixel here", "give another zone"))
     }
 
-    /// Returns the place [x, y], mm, of the height that is farthest from the mean, and its distance from the mean, nm.
+    /// Returns the position [x, y], mm, of the height that is farthest from the mean, and its distance from the mean,
+    /// nm.
     pub(crate) fn farthest_height(&self) -> Result<([f64; 2], f64), Invalid> {
         let mean = self.height()?.mean;
         let ((r, c), distance) = farthest(self.height_nm.view(), mean);
         Ok(([self.x_mm[c], self.y_mm[r]], distance))
     }
 
-    /// Returns the slopes along an axis over the whole number of steps nearest to the base; measured slopes are used as
-    /// they are.
+    /// Returns the statistics of the slopes along an axis. The base is the whole number of steps nearest to `base_mm`;
+    /// measured slopes are used as they are.
     pub(crate) fn slope(&self, along: Direction, base_mm: f64) -> Result<SlopeReport, Invalid> {
         let (positions, values, base_mm) = self.slopes(along, base_mm)?;
         let slopes = statistics(values.view()).ok_or_else(|| {
@@ -194,7 +194,8 @@ impl ShapeResidual {
         Ok(SlopeReport { base_mm, rms_nrad: slopes.rms, peak_nrad, peak_at_mm })
     }
 
-    /// Returns the middles of the bases, mm, the slopes there, nrad, and the base that was used, mm.
+    /// Returns the positions of the slopes along an axis (the middles of the bases), mm, the slopes, nrad, and the base
+    /// that was used, mm.
     pub(super) fn slopes(
         &self,
         along: Direction,
@@ -248,7 +249,8 @@ impl ShapeResidual {
         spectra.as_ref().map_err(Clone::clone)
     }
 
-    /// Returns the lag along the axis at which the autocorrelation falls to 1/e, mm.
+    /// Returns the lag along the axis at which the autocorrelation of the heights falls to 1/e, mm. `None` if it does
+    /// not, or if there are too few positions.
     pub(crate) fn autocorrelation_length_mm(&self, along: Direction) -> Option<f64> {
         let (position_mm, turned) = match along {
             Direction::Y => (&self.y_mm, self.height_nm.t().to_owned()),
@@ -268,7 +270,7 @@ impl ShapeResidual {
     }
 }
 
-/// A map with NaN outside of a zone.
+/// Returns `map` with NaN where `inside` is false.
 fn masked(mut map: Array2<f64>, inside: Option<&Array2<bool>>) -> Array2<f64> {
     if let Some(inside) = inside {
         map.zip_mut_with(inside, |z, inside| {
@@ -280,12 +282,12 @@ fn masked(mut map: Array2<f64>, inside: Option<&Array2<bool>>) -> Array2<f64> {
     map
 }
 
-/// A map of one row.
+/// Returns values as a map of one row.
 fn as_row(values: &[f64]) -> Array2<f64> {
     Array2::from_shape_fn((1, values.len()), |(_, c)| values[c])
 }
 
-/// Shape to subtract from the integral of measured slopes after the best `shape`. Least squares of slopes
+/// Returns the shape to subtract from the integral of measured slopes after the best `shape`. Least squares of slopes
 /// are not those of heights, and leave a line or a circle.
 fn rest_of(shape: Shape) -> Shape {
     match shape {
@@ -295,8 +297,8 @@ fn rest_of(shape: Shape) -> Shape {
     }
 }
 
-/// The trapezoidal integral of slopes (nrad) over x (mm), nm; an invalid slope has no height, and its
-/// neighbours are joined over it.
+/// Returns the trapezoidal integral of slopes (nrad) over x (mm) as heights of one row, nm, from 0. An invalid slope
+/// has the height NaN, and its neighbours are joined over it.
 fn integrated(x_mm: &[f64], slope_nrad: &[f64]) -> Array2<f64> {
     let mut height = Array2::from_elem((1, x_mm.len()), f64::NAN);
     let mut last: Option<(usize, f64)> = None;
@@ -312,7 +314,7 @@ fn integrated(x_mm: &[f64], slope_nrad: &[f64]) -> Array2<f64> {
     height
 }
 
-/// The valid element that is farthest from `mean`, and its distance.
+/// Returns the index of the valid element that is farthest from `mean`, and its distance from `mean`.
 fn farthest(map: ArrayView2<f64>, mean: f64) -> ((usize, usize), f64) {
     let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
     valid.fold(((0, 0), 0.0), |best, (pixel, v)| {

@@ -15,28 +15,28 @@ use crate::{
     shape::{Heights, Shape, without_shape},
 };
 
-/// The power spectral density of the heights and that of the slopes, at the same frequencies.
+/// Power spectral densities of the heights and of the slopes, at the same frequencies.
 #[derive(Clone, Debug, Default)]
 pub struct SpectrumLine {
     /// Frequencies, ascending from 0, 1/mm.
     pub frequency_per_mm: Vec<f64>,
-    /// Density of heights: nm^2 mm; over rings nm^2 mm^2.
+    /// Density of the heights: one-sided along an axis, nm^2 mm; as means over rings, nm^2 mm^2.
     pub height: Vec<f64>,
-    /// Density of slopes: nrad^2 mm; over rings nrad^2 mm^2.
+    /// Density of the slopes: one-sided along an axis, nrad^2 mm; as means over rings, nrad^2 mm^2.
     pub slope: Vec<f64>,
 }
 
 impl SpectrumLine {
-    /// Makes both densities from the density S of heights: that of slopes is (2 pi f)^2 S, in nrad^2 from
-    /// nm^2 (1 nm/mm is 1 urad).
+    /// Makes both densities from the density S of the heights. The density of the slopes is (2 pi f)^2 S, in nrad^2
+    /// from nm^2 (1 nm/mm is 1 urad).
     fn of_heights(frequency_per_mm: Vec<f64>, height: Vec<f64>) -> Self {
         let slope = frequency_per_mm.iter().zip(&height);
         let slope = slope.map(|(f, s)| (2.0 * PI * f * 1e3).powi(2) * s).collect();
         Self { frequency_per_mm, height, slope }
     }
 
-    /// Makes both densities, averaged over the rows of a map. The mean of a row has no slope along it, and the window
-    /// would spread it over the lowest frequencies.
+    /// Makes both densities along the rows of a map of heights `z`, nm, as means over the rows. The mean of each row is
+    /// subtracted first, because the window would spread it over the lowest frequencies.
     fn of_rows(z: ArrayView2<f64>, step_mm: f64) -> Self {
         let mut z = z.to_owned();
         for mut line in z.outer_iter_mut() {
@@ -46,8 +46,8 @@ impl SpectrumLine {
         let (f, density) = along_rows(z.view(), step_mm, &hann(z.ncols()));
         Self::of_heights(f, density)
     }
-    /// Makes both densities from the density of slopes: that of heights is it over (2 pi f)^2, and 0 at f =
-    /// 0, where it is not defined.
+    /// Makes both densities from the density of the slopes. The density of the heights is that over (2 pi f)^2, and 0
+    /// at f = 0, where it is not defined.
     fn of_slopes(frequency_per_mm: Vec<f64>, slope: Vec<f64>) -> Self {
         let height = frequency_per_mm.iter().zip(&slope);
         let height = height
@@ -56,46 +56,47 @@ impl SpectrumLine {
         Self { frequency_per_mm, height, slope }
     }
 
-    /// Makes both densities at the same frequencies from a constant density of heights.
+    /// Makes both densities at the same frequencies from a constant density of the heights.
     fn flat(&self, density: f64) -> Self {
         let f = self.frequency_per_mm.clone();
         let density = vec![density; f.len()];
         Self::of_heights(f, density)
     }
-    /// Makes both densities of white noise of `noise_nm` RMS along a line: one-sided up to the Nyquist frequency, the
-    /// last one or half a bin below it.
+    /// Returns both densities of white noise of `noise_nm` RMS along a line, at the same frequencies. The noise is
+    /// spread from 0 to the last frequency.
     fn white(&self, noise_nm: f64) -> Self {
         let highest = self.frequency_per_mm.last().copied().unwrap_or(1.0);
         self.flat(noise_nm * noise_nm / highest)
     }
 
-    /// Returns the RMS of heights in the band, nm.
+    /// Returns the RMS of the heights in the band [f_0, f_1), 1/mm, in nm.
     pub(crate) fn height_rms(&self, band: [f64; 2]) -> f64 {
         mean_square(&self.frequency_per_mm, &self.height, band).sqrt()
     }
 
-    /// Returns the RMS of slopes in the band, nrad.
+    /// Returns the RMS of the slopes in the band [f_0, f_1), 1/mm, in nrad.
     pub(crate) fn slope_rms(&self, band: [f64; 2]) -> f64 {
         mean_square(&self.frequency_per_mm, &self.slope, band).sqrt()
     }
 
-    /// Returns true if a frequency of the spectrum is in the band.
+    /// Returns true if a frequency of the spectrum above 0 is in the band [f_0, f_1), 1/mm.
     pub(crate) fn holds(&self, [low, high]: [f64; 2]) -> bool {
         self.frequency_per_mm.iter().any(|f| *f > 0.0 && *f >= low && *f < high)
     }
 }
 
-/// The spectra of a profile (along x), or of a map (along x, along y and in two dimensions).
+/// Spectra of a profile (along x), or of a map (along x, along y and in two dimensions).
 pub(crate) struct Spectra {
     pub(crate) x: SpectrumLine,
     pub(crate) y: Option<SpectrumLine>,
-    /// The spectrum in two dimensions, averaged over rings of equal frequency.
+    /// Two-dimensional spectrum, averaged over rings of equal |f|; `None` for a profile.
     pub(crate) radial: Option<SpectrumLine>,
     two_dimensional: Option<Psd>,
 }
 
 impl Spectra {
-    /// Returns the RMS of heights in a band, nm: of a map in two dimensions.
+    /// Returns the RMS of the heights in the band [f_0, f_1), 1/mm, in nm; for a map over all frequencies in two
+    /// dimensions.
     pub(crate) fn height_rms_nm(&self, [low, high]: [f64; 2]) -> f64 {
         let Some(psd) = &self.two_dimensional else { return self.x.height_rms([low, high]) };
         let (fx, fy) = (&psd.frequency_2d_x_per_mm, &psd.frequency_2d_y_per_mm);
@@ -107,8 +108,8 @@ impl Spectra {
         (inside.map(|(_, s)| s).sum::<f64>() * bin).sqrt()
     }
 
-    /// Returns the white noise of `noise_nm` RMS at the same frequencies: the same density at all of them, whose
-    /// integral is the mean square.
+    /// Returns the spectra of white noise of `noise_nm` RMS at the same frequencies. Its density is constant, and the
+    /// integral of the density is the mean square.
     pub(crate) fn white(&self, noise_nm: f64) -> Self {
         let two_dimensional = self.two_dimensional.as_ref().map(|psd| {
             let (fx, fy) = (&psd.frequency_2d_x_per_mm, &psd.frequency_2d_y_per_mm);
@@ -126,7 +127,7 @@ impl Spectra {
         }
     }
 
-    /// Returns the spectra of a map after subtraction of the shape.
+    /// Returns the spectra of a map from which the shape has been subtracted.
     pub(super) fn of_map(surface: &Surface) -> Result<Self, Invalid> {
         let settings =
             PsdSettings { window: Window::Hann, detrend: Detrend::Plane, band_per_mm: vec![] };
@@ -149,13 +150,14 @@ impl Spectra {
         })
     }
 
-    /// Returns the spectra of the heights of a profile after subtraction of the shape, nm.
+    /// Returns the spectra of the heights of a profile, nm, from which the shape has been subtracted.
     pub(super) fn of_heights(x_mm: &[f64], height_nm: &[f64]) -> Result<Self, Invalid> {
         let (f, density) = density_of_profile(x_mm, height_nm, Shape::Plane)?;
         Ok(Self::of_line(SpectrumLine::of_heights(f, density)))
     }
 
-    /// Returns the spectra of the measured slopes of a profile after subtraction of those of the shape, nrad.
+    /// Returns the spectra of the measured slopes of a profile, nrad, from which those of the shape have been
+    /// subtracted.
     pub(super) fn of_slopes(x_mm: &[f64], slope_nrad: &[f64]) -> Result<Self, Invalid> {
         let (f, density) = density_of_profile(x_mm, slope_nrad, Shape::Piston)?;
         Ok(Self::of_line(SpectrumLine::of_slopes(f, density)))
@@ -166,8 +168,8 @@ impl Spectra {
     }
 }
 
-/// Frequencies, 1/mm, and density of the longest run of valid values of a profile at even steps, after
-/// subtraction of `rest` (the mean of the run, or its line).
+/// Returns the frequencies, 1/mm, and the density of the longest run of valid values of a profile at even steps. `rest`
+/// is subtracted from the run first: its mean or its line.
 fn density_of_profile(
     x_mm: &[f64],
     values: &[f64],
@@ -189,7 +191,8 @@ fn density_of_profile(
     Ok(along_rows(run.view(), step_mm, &hann(length)))
 }
 
-/// Returns `values` at `x` as one row of `count` even steps from the first, linear between valid neighbours.
+/// Returns `values` at positions `x`, interpolated linearly, as one row of `count` positions at distances of `step`
+/// from the first. NaN next to an invalid value.
 pub(crate) fn at_even_steps(x: &[f64], values: &[f64], step: f64, count: usize) -> Array2<f64> {
     let n = x.len();
     Array2::from_shape_fn((1, count), |(_, c)| {
@@ -206,7 +209,8 @@ pub(crate) fn at_even_steps(x: &[f64], values: &[f64], step: f64, count: usize) 
     })
 }
 
-/// Returns the lag in samples at which the autocorrelation of the rows falls to 1/e; `None` if it does not.
+/// Returns the lag, in samples, at which the autocorrelation C of the rows falls to 1/e of C(0), between two samples if
+/// need be. `None` if it does not.
 ///
 /// C(k) = sum of z_i z_(i+k) over the pairs of valid samples, over their number: both sums are correlations,
 /// whose transforms are squares.
@@ -235,7 +239,8 @@ pub(super) fn autocorrelation_length(rows: ArrayView2<f64>) -> Option<f64> {
     None
 }
 
-/// The sums over the rows of f(z_i) f(z_(i+k)), where both samples are valid, for every lag k.
+/// Returns, for every lag k, the sum over the rows of f(z_i) f(z_(i+k)) over the pairs of valid samples, with f =
+/// `value`.
 fn correlations(rows: ArrayView2<f64>, value: impl Fn(f64) -> f64) -> Array2<f64> {
     let (count, n) = rows.dim();
     // Rows with zeros beyond their end: no lag below n wraps round.

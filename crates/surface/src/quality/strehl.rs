@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use planish_types::Invalid;
 use serde::Serialize;
 
-/// The light that a mirror reflects.
+/// Light that a mirror reflects.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Light {
     /// Wavelength, nm.
@@ -14,18 +14,19 @@ pub struct Light {
     pub grazing_mrad: f64,
 }
 
-/// The Strehl ratio after Marechal.
+/// Strehl ratio after Marechal, with the light and the phase error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StrehlReport {
-    /// The light.
+    /// Light for which the ratio holds.
     pub light: Light,
-    /// RMS of the phase, rad.
+    /// RMS of the phase error of the reflected light, rad.
     pub phase_rms_rad: f64,
-    /// The ratio.
+    /// Strehl ratio, 0 to 1.
     pub strehl: f64,
 }
 
-/// Returns the Strehl ratio of heights of this RMS, nm.
+/// Returns the Strehl ratio of a mirror whose heights have the RMS `rms_nm`. Refuses a wavelength or an angle out of
+/// its range.
 pub(crate) fn strehl(light: Light, rms_nm: f64) -> Result<StrehlReport, Invalid> {
     let Light { wavelength_nm, grazing_mrad } = light;
     if !(wavelength_nm.is_finite() && wavelength_nm > 0.0) {

@@ -6,25 +6,26 @@
 
 use super::{Heights, NM_PER_MM};
 
-/// The columns of a map, or the points of a profile.
+/// Means over the columns of a map, or the measured slopes of a profile.
 #[derive(Default)]
 pub(super) struct Columns {
-    /// Position, mm.
+    /// Positions of the columns along x, mm.
     pub x_mm: Vec<f64>,
-    /// Mean height, mm; or slope, rad.
+    /// Mean height of each column, mm, or measured slope, rad.
     pub mean_mm: Vec<f64>,
-    /// Square roots of the numbers of valid pixels; empty for slopes, which have weight 1.
+    /// Square root of the number of valid pixels of each column; empty for slopes, which have the weight 1.
     pub weight: Vec<f64>,
-    /// Mean y from the middle, mm; empty for slopes.
+    /// Mean y of the valid pixels of each column, from the middle of y, mm; empty for slopes.
     pub y_mm: Vec<f64>,
-    /// Middle of y, mm.
+    /// Middle of the y of the map, mm.
     pub y_middle_mm: f64,
-    /// Square root of the sum of (y - mean y)^2 within the columns, mm, and the sum of (y - mean y)(z - mean z) over it.
+    /// Square root S of the sum of (y - mean y)^2 within the columns, mm, and the sum of (y - mean y)(z - mean z) over
+    /// S. `None` if the pixels do not determine a tilt along y.
     pub within: Option<[f64; 2]>,
 }
 
 impl Columns {
-    /// Collects the columns that have valid pixels.
+    /// Returns the means over the columns that have valid pixels.
     pub fn of_map(heights: &Heights) -> Self {
         let y = heights.y_mm;
         let mut columns = Self { y_middle_mm: 0.5 * (y[0] + y[y.len() - 1]), ..Self::default() };
@@ -61,7 +62,8 @@ impl Columns {
         columns
     }
 
-    /// Returns every n-th column, so that at most twice `count` remain; for comparisons of fits.
+    /// Returns every n-th column, so that at most twice `count` remain, or all if they are few. Fits are compared on
+    /// them.
     pub fn thinned(&self, count: usize) -> Self {
         let step = (self.x_mm.len() / count).max(1);
         let [x_mm, mean_mm, weight, y_mm] = [&self.x_mm, &self.mean_mm, &self.weight, &self.y_mm]
@@ -69,7 +71,7 @@ impl Columns {
         Self { x_mm, mean_mm, weight, y_mm, ..*self }
     }
 
-    /// Returns true if the columns are heights, false for slopes.
+    /// Returns true if the columns contain heights, false if they contain slopes.
     pub fn are_heights(&self) -> bool {
         !self.weight.is_empty()
     }

@@ -8,20 +8,20 @@ use super::{
     moved_ellipse::MovedEllipse, too_few,
 };
 
-/// A curve of x, with a tilt along y.
+/// A curve of x, with a tilt along y; a fit changes its parameters.
 #[derive(Clone, Debug)]
 pub(super) struct Curve {
-    /// c0, mm.
+    /// Height of the curve at the middle (c0 of the shapes), mm.
     piston_mm: f64,
-    /// bx and by, rad.
+    /// Tilts along x and y (bx and by of the shapes), rad.
     tilt: [f64; 2],
-    /// A, 1/mm; of an ellipse 0.
+    /// Half the curvature of a circle without tilt (A of the shapes), 1/mm; 0 for an ellipse.
     curvature_per_mm: f64,
-    /// The ellipse, of the shape of that name.
+    /// Ellipse with its fitted parameters; `None` for other shapes.
     pub ellipse: Option<MovedEllipse>,
-    /// True if A is fitted.
+    /// True if the curvature A is fitted.
     curved: bool,
-    /// Point from which x and y count, mm.
+    /// Point [x, y] from which x and y count, mm.
     pub middle_mm: [f64; 2],
     /// Relative standard errors of p, q and theta; see [`EllipseReport`].
     pub standard_error: [f64; 3],
@@ -59,7 +59,8 @@ impl Curve {
         })
     }
 
-    /// w at `u` from the middle, and its derivatives by bx and A.
+    /// Returns the height w of the circle at the distance `u` from the middle, mm, and its derivatives by the tilt bx
+    /// and the curvature A.
     fn circle(&self, u: f64) -> [f64; 3] {
         let a = self.curvature_per_mm;
         let g = self.tilt[0] * u + self.curvature_per_mm * u * u;
@@ -68,7 +69,7 @@ impl Curve {
         [w, u / steep, (u * u + w * w) / steep]
     }
 
-    /// Returns the height, mm.
+    /// Returns the height of the curve at (x, y), mm.
     pub fn height_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
         let u = x_mm - self.middle_mm[0];
         let curve = match &self.ellipse {
@@ -78,7 +79,7 @@ impl Curve {
         self.piston_mm + self.tilt[1] * (y_mm - self.middle_mm[1]) + curve
     }
 
-    /// Returns the slope along x, rad.
+    /// Returns the slope of the curve along x at `x_mm`, rad.
     pub fn slope(&self, x_mm: f64) -> f64 {
         let u = x_mm - self.middle_mm[0];
         match &self.ellipse {
@@ -92,7 +93,8 @@ impl Curve {
         }
     }
 
-    /// Derivatives by the parameters that are fitted, in the order of [`Self::moved`].
+    /// Returns the derivatives of a fitted value by the fitted parameters, in the order of [`Self::moved`]. The value
+    /// is the height at (x, y), or the slope if the columns contain slopes.
     fn derivatives(&self, x_mm: f64, y_mm: f64, columns: &Columns) -> Vec<f64> {
         let u = x_mm - self.middle_mm[0];
         let mut row = Vec::with_capacity(6);
@@ -127,7 +129,8 @@ impl Curve {
         row
     }
 
-    /// Returns the curve with its parameters moved by `step`.
+    /// Returns the curve with `step` added to its fitted parameters: piston, tilt along y, tilt along x, then curvature
+    /// or ellipse. Parameters that the columns do not determine are left out.
     pub fn moved(&self, step: &[f64], columns: &Columns) -> Self {
         let mut curve = self.clone();
         let mut step = step.iter();
@@ -148,19 +151,20 @@ impl Curve {
         curve
     }
 
-    /// Returns other ellipses from which a fit begins; none of another shape.
+    /// Returns curves with other ellipses, from which further fits begin; empty for other shapes.
     pub fn starts(&self) -> Vec<Self> {
         let moved = self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::starts);
         moved.into_iter().map(|e| Self { ellipse: Some(e), ..self.clone() }).collect()
     }
 
-    /// Returns the room of the last parameters, those of the ellipse, to move down and up to their bounds.
+    /// Returns the room of the last parameters, those of the ellipse, to move down and up to their bounds; empty for
+    /// other shapes.
     pub fn room(&self) -> Vec<[f64; 2]> {
         self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::room)
     }
 
-    /// Returns the weighted differences of the means of the columns from the curve. If there are deviations from these
-    /// means, their difference follows.
+    /// Returns the weighted differences of the column means from the curve. If the columns determine a tilt along y,
+    /// one more element follows, for the deviations from these means.
     pub fn left(&self, columns: &Columns) -> DVector<f64> {
         let n = columns.x_mm.len();
         let mut left = DVector::zeros(n + usize::from(columns.has_y()));
@@ -179,7 +183,7 @@ impl Curve {
         left
     }
 
-    /// Returns the derivatives of the fitted values by the parameters, with the weights and in the order of
+    /// Returns the derivatives of the fitted values by the parameters, with the weights and in the row order of
     /// [`Self::left`].
     pub fn jacobian(&self, columns: &Columns) -> DMatrix<f64> {
         let n = columns.x_mm.len();
@@ -199,7 +203,7 @@ impl Curve {
         })
     }
 
-    /// Returns the curve as the fit of `shape` states it.
+    /// Returns the parameters of the curve as the report on a fit of `shape`.
     pub fn report(&self, shape: Shape) -> ShapeReport {
         let [bx, by] = self.tilt;
         // A / sqrt(1 + bx^2 + ...) is half the curvature; a profile has no by.

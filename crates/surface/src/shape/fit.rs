@@ -1,4 +1,4 @@
-//! The curve of least squares: the Levenberg-Marquardt method within the bounds of the ellipse.
+//! Least-squares fit of a curve: the Levenberg-Marquardt method within the bounds of the ellipse.
 //!
 //! ```text
 //! [J; sqrt(damping) I] step = [left; 0]
@@ -12,10 +12,9 @@ use planish_types::Invalid;
 
 use super::{LAST_STEP, MAX_STEPS, Shape, columns::Columns, curve::Curve, too_few};
 
-/// Damping of the first step, for Jacobian columns of length 1. It is divided by 10 after a step that
-/// lowers the sum of squares. After another step it is multiplied by 10, from [`LEAST_DAMPING`] at least.
-/// Larger: shorter first steps. Smaller: the first steps may leave the range of the linear model. Both only
-/// cost steps.
+/// Damping of the first step, for Jacobian columns of length 1. It is divided by 10 after a step that lowers the sum of
+/// squares, and multiplied by 10 after any other step, from [`LEAST_DAMPING`] at least. Larger: shorter first steps.
+/// Smaller: the first steps may leave the range of the linear model. Both only cost steps.
 const FIRST_DAMPING: f64 = 1e-3;
 /// Smallest damping from which a failed step raises it, dimensionless. Larger: slower steps near the
 /// minimum. Smaller: more failed steps until the damping acts.
@@ -29,13 +28,13 @@ const LAST_DAMPING: f64 = 1e8;
 /// farther from its minimum. Smaller: more steps that rounding decides.
 const LAST_GAIN: f64 = 1e-12;
 
-/// Smallest part of a Jacobian column, relative to its length, that is independent of the other columns;
-/// below it the fit is refused as not determined. Larger: refuses ellipses that the data determine.
-/// Smaller: with heights in double precision, rounding would decide the parameters.
+/// Smallest part of a Jacobian column that is independent of the other columns, relative to its length. Below it the
+/// fit is refused as not determined. Larger: refuses ellipses that the data determine. Smaller: with heights in double
+/// precision, rounding would decide the parameters.
 const INDEPENDENT: f64 = 1e-11;
 
-/// Number of steps after which the starts of an ellipse are compared. Larger: more time for every start.
-/// Smaller: a good start may be dropped. Chosen: most of the decrease comes in the first ten steps.
+/// Number of steps from each start of an ellipse after which the starts are compared. Larger: more time for every
+/// start. Smaller: a good start may be dropped. Chosen: most of the decrease comes in the first ten steps.
 const FIRST_STEPS: usize = 10;
 
 /// Number of columns, or positions, on which the starts take their first steps (up to twice as many are
@@ -43,12 +42,12 @@ const FIRST_STEPS: usize = 10;
 /// parameters need no more.
 const COMPARED_COLUMNS: usize = 40;
 
-/// Number of starts of an ellipse that are followed to their ends. Larger: more time. Smaller: the deepest
-/// minimum may be missed.
+/// Number of the best starts of an ellipse whose fits are continued to their ends. Larger: more time. Smaller: the
+/// deepest minimum may be missed.
 const FOLLOWED: usize = 5;
 
-/// Relative decrease of the norm above which another start replaces the design. Larger: keeps the design
-/// although another minimum is deeper. Smaller: rounding decides.
+/// Relative decrease of the norm above which the fit from another start replaces the fit from the design. Larger: keeps
+/// the design although another minimum is deeper. Smaller: rounding decides.
 const NOTEWORTHY_GAIN: f64 = 1e-9;
 
 /// Fits `curve` to `columns` from the design. An ellipse is also fitted from starts all over its bounds,
@@ -86,7 +85,7 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
     with_errors(best?, columns, shape)
 }
 
-/// Returns `curve` after at most `steps` steps that lower the sum of squares.
+/// Returns `curve` after at most `steps` steps, of which it keeps those that lower the sum of squares.
 fn descended(
     mut curve: Curve,
     columns: &Columns,
@@ -133,7 +132,8 @@ fn descended(
     Ok(curve)
 }
 
-/// Returns `curve`, a minimum, with its standard errors; refuses it if the points do not determine it.
+/// Returns `curve`, which is at a minimum, with its standard errors. Refuses it if the points do not determine its
+/// parameters.
 fn with_errors(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
     let left = curve.left(columns);
     let (matrix, scale) = scaled_jacobian(&curve, columns, shape)?;
@@ -151,9 +151,10 @@ fn with_errors(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curv
     Ok(curve)
 }
 
-/// Computes a step of the parameters, in their own units, and its length by the scaled Jacobian: `matrix` is this
-/// Jacobian, or R of its QR factors, `scale` the lengths of its columns, and `left` the differences, or Q' of them. The
-/// last parameters have `room` to move down and up; one that the step would take beyond its end rests.
+/// Returns a damped step of the parameters, in their own units, and its length in the scaled Jacobian. `matrix` is this
+/// Jacobian (or R of its QR factors) and `left` the differences (or Q' of them). `scale` contains the lengths of the
+/// columns before the scaling. `room` limits the last parameters, down and up; one that the step would take beyond its
+/// bound stays.
 pub(crate) fn damped_step(
     matrix: &DMatrix<f64>,
     scale: &[f64],
@@ -189,7 +190,7 @@ pub(crate) fn damped_step(
     (step, solved.norm())
 }
 
-/// The Jacobian with columns of length 1, and their lengths.
+/// Returns the Jacobian with columns of length 1, and their lengths before. Refuses a column of length 0 or not finite.
 fn scaled_jacobian(
     curve: &Curve,
     columns: &Columns,
@@ -205,16 +206,16 @@ fn scaled_jacobian(
     Ok((jacobian, scale))
 }
 
-/// Norm of the heights, or slopes, that are fitted.
+/// Returns the weighted norm of the heights or slopes that are fitted.
 fn size(columns: &Columns) -> f64 {
     let weighted = columns.mean_mm.iter().enumerate();
     let squares = weighted.map(|(i, v)| (v * columns.weight.get(i).unwrap_or(&1.0)).powi(2));
     squares.sum::<f64>().sqrt()
 }
 
-/// Relative standard errors of p, q, theta: the roots of the diagonal of G C G'. C = s^2 (J' J)^-1 is the
-/// covariance of the fitted coordinates, with s^2 = |left|^2 / (rows - unknowns). G has the derivatives of
-/// ln p, ln q and ln theta by these coordinates.
+/// Returns the relative standard errors of p, q, theta: the roots of the diagonal of G C G'. C = s^2 (J' J)^-1 is the
+/// covariance of the fitted coordinates, with s^2 = |left|^2 / (rows - unknowns). G has the derivatives of ln p, ln q
+/// and ln theta by these coordinates.
 fn errors(curve: &Curve, r: &DMatrix<f64>, scale: &[f64], left: &DVector<f64>) -> [f64; 3] {
     let Some(moved) = &curve.ellipse else { return [0.0; 3] };
     let unknowns = r.ncols();

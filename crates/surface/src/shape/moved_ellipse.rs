@@ -1,4 +1,4 @@
-//! An ellipse some of whose parameters are fitted, and the distance of the fit from the given ellipse.
+//! An ellipse some of whose parameters are fitted, described by how far the fit has moved them from the design.
 //!
 //! One or two free parameters move along their logarithms. All three move along
 //!
@@ -12,13 +12,12 @@
 use super::{EllipseParameter, EllipseSettings};
 use planish_form::ImagingConic;
 
-/// Largest change of a coordinate that is a logarithm; the factor is e^3 = 20. Larger: a longer search, and
+/// Largest change of a coordinate of the fit that is a logarithm; the factor is e^3 = 20. Larger: a longer search, and
 /// ellipses that are far from the design. Smaller: the best ellipse may lie outside.
 const LARGEST_LOGARITHM: f64 = 3.0;
 
-/// Places between the bounds of a coordinate, relative to their distance, at which fits begin. More of them
-/// find narrower minima and cost time in proportion. Five along each of three coordinates are 125 starts of
-/// ten steps.
+/// Starting points of fits between the bounds of a coordinate, as fractions of their distance. More of them find
+/// narrower minima and cost time in proportion. Five along each of three coordinates are 125 starts of ten steps.
 const STARTS: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
 
 /// Step of the central differences by the coordinates of an ellipse, dimensionless. Larger: a larger error
@@ -26,7 +25,7 @@ const STARTS: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
 /// rounding, which is 1e-13 here.
 const DIFFERENCE: f64 = 1e-3;
 
-/// The given ellipse, and the change of each coordinate of the fit.
+/// The ellipse as designed, and the change `by` of each coordinate of the fit.
 #[derive(Clone, Debug)]
 pub(super) struct MovedEllipse {
     pub settings: EllipseSettings,
@@ -34,7 +33,7 @@ pub(super) struct MovedEllipse {
 }
 
 impl MovedEllipse {
-    /// Returns the given ellipse itself.
+    /// Returns the ellipse as designed, with all changes 0.
     pub fn new(settings: &EllipseSettings) -> Self {
         let mut settings = settings.clone();
         settings.free.sort_by_key(|parameter| *parameter as usize);
@@ -48,13 +47,13 @@ impl MovedEllipse {
         self.by.len()
     }
 
-    /// Adds a step to every coordinate.
+    /// Adds to every coordinate the number that `step` returns, called once per coordinate.
     pub fn add(&mut self, mut step: impl FnMut() -> f64) {
         self.by.iter_mut().for_each(|v| *v += step());
     }
 
-    /// Returns the given ellipse moved to a lattice of places within its bounds, [`STARTS`] along each coordinate;
-    /// itself is not among them.
+    /// Returns the design moved to a lattice of starting points within its bounds, [`STARTS`] along each coordinate.
+    /// The design itself is not among them.
     pub fn starts(&self) -> Vec<Self> {
         let room = Self { by: vec![0.0; self.by.len()], ..self.clone() }.room();
         let count = STARTS.len().pow(room.len() as u32);
@@ -71,11 +70,11 @@ impl MovedEllipse {
         starts.collect()
     }
 
-    /// Returns the ellipse at the current coordinates.
+    /// Returns the ellipse at the current coordinates of the fit.
     pub fn ellipse(&self) -> ImagingConic {
         self.moved(&self.by)
     }
-    /// Returns the given ellipse with each coordinate moved.
+    /// Returns the design with the changes `by` added to its coordinates.
     fn moved(&self, by: &[f64]) -> ImagingConic {
         let mut ellipse = self.settings.design;
         if let [curvature, asymmetric, rest] = by {
@@ -101,7 +100,7 @@ impl MovedEllipse {
         ellipse
     }
 
-    /// Returns the derivative of a value of the ellipse by coordinate `k`.
+    /// Returns the derivative of a value of the ellipse by the coordinate `k` of the fit.
     pub fn derivative(&self, k: usize, value: impl Fn(ImagingConic) -> f64) -> f64 {
         let [short, long] = [DIFFERENCE, 2.0 * DIFFERENCE].map(|step| {
             let [above, below] = [step, -step].map(|step| {
@@ -114,7 +113,7 @@ impl MovedEllipse {
         (4.0 * short - long) / 3.0
     }
 
-    /// Returns the distance of every coordinate to its lower and upper bound.
+    /// Returns the distances of every coordinate to its lower and upper bound; the first is at most 0.
     pub fn room(&self) -> Vec<[f64; 2]> {
         let k = asymmetry(&self.settings.design);
         let mut room = vec![[-LARGEST_LOGARITHM, LARGEST_LOGARITHM]; self.by.len()];
@@ -125,7 +124,7 @@ impl MovedEllipse {
     }
 }
 
-/// k = (1/q - 1/p) / (1/p + 1/q)
+/// Returns the asymmetry k = (1/q - 1/p) / (1/p + 1/q) of an ellipse, from -1 to 1.
 fn asymmetry(ellipse: &ImagingConic) -> f64 {
     let [u, v] = [ellipse.p_mm, ellipse.q_mm].map(|mm| 1.0 / mm);
     (v - u) / (u + v)

@@ -1,4 +1,4 @@
-//! The sphere of least squares of a map.
+//! Least-squares fit of a sphere to a map.
 
 use nalgebra::{Matrix4, Vector4};
 use planish_types::Invalid;
@@ -7,9 +7,9 @@ use super::{Heights, LAST_STEP, MAX_STEPS, NM_PER_MM, Shape, ShapeReport, too_fe
 
 /// A sphere, and the point from which its coordinates count.
 pub(super) struct Sphere {
-    /// c0 mm, bx, by rad, A 1/mm.
+    /// Parameters of the module `shape`: piston c0, mm; tilts bx and by, rad; A, 1/mm.
     parameter: [f64; 4],
-    /// Point from which x and y count, mm.
+    /// Point [x, y] from which x and y count, mm.
     middle_mm: [f64; 2],
 }
 
@@ -64,7 +64,7 @@ impl Sphere {
         Ok(sphere)
     }
 
-    /// z, and its derivatives by c0, bx, by and A.
+    /// Returns the height z at (x, y), mm, and its derivatives by c0, bx, by and A.
     fn with_derivatives(&self, x_mm: f64, y_mm: f64) -> [f64; 5] {
         let [c0, bx, by, a] = self.parameter;
         let (u, v) = (x_mm - self.middle_mm[0], y_mm - self.middle_mm[1]);
@@ -74,12 +74,12 @@ impl Sphere {
         [c0 + w, 1.0, u / steep, v / steep, (u * u + v * v + w * w) / steep]
     }
 
-    /// Returns the height, mm.
+    /// Returns the height of the sphere at (x, y), mm.
     pub fn height_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
         self.with_derivatives(x_mm, y_mm)[0]
     }
 
-    /// Returns the sphere as its fit states it.
+    /// Returns the parameters of the sphere as the report on its fit.
     pub fn report(&self) -> ShapeReport {
         let [_, bx, by, a] = self.parameter;
         let radius_m = 1e-3 * (1.0 + bx * bx + by * by).sqrt() / (2.0 * a);

@@ -15,19 +15,19 @@ use crate::{
 /// Grazing angle of normal incidence, mrad (a right angle).
 const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
 
-/// Zones of the mirror after shapes, each made once.
+/// Mirror in its zones after subtraction of shapes; each pair of zone and shape is computed once.
 pub(super) struct ZoneResiduals<'a> {
     zones: Zones<'a>,
     ellipse: Option<EllipseSettings>,
     known: Vec<(Option<String>, Shape, ShapeResidual)>,
 }
 impl<'a> ZoneResiduals<'a> {
-    /// Makes a judge without zones; no zone is measured before a limit asks for it.
+    /// Returns the zones, of which none is measured before a limit asks for it.
     pub fn new(zones: Zones<'a>, ellipse: Option<EllipseSettings>) -> Self {
         Self { zones, ellipse, known: Vec::new() }
     }
 
-    /// The zone (all valid pixels without one) after `shape`.
+    /// Returns the mirror in a zone after `shape`; `None` as the zone stands for all valid pixels.
     fn get(&mut self, zone: Option<&str>, shape: Shape) -> Result<&ShapeResidual, Invalid> {
         let known = self.known.iter().position(|(z, s, _)| z.as_deref() == zone && *s == shape);
         let k = match known {
@@ -48,7 +48,7 @@ impl<'a> ZoneResiduals<'a> {
     }
 }
 
-/// Returns the verdict on one limit, of heights with white noise of `noise_nm` RMS (0 where it is not known).
+/// Returns the verdict on one limit, for heights with white noise of `noise_nm` RMS (0 if it is not known).
 pub(super) fn judge(
     limit: &Limit,
     residuals: &mut ZoneResiduals,
@@ -59,18 +59,18 @@ pub(super) fn judge(
     LimitMeasurement { limit, residual, is_profile, noise_nm }.report()
 }
 
-/// A limit, and the zone after the shape that it is on.
+/// A limit, and the mirror in its zone after its shape.
 struct LimitMeasurement<'a> {
     limit: &'a Limit,
     residual: &'a ShapeResidual,
     is_profile: bool,
-    /// RMS of the white noise of the heights, nm; 0 where it is not known.
+    /// RMS of the white noise of the heights, nm; 0 if it is not known.
     noise_nm: f64,
 }
 
 impl LimitMeasurement<'_> {
-    /// The verdict beside the value that noise alone would have. The fit of the shape takes a few of the squares of the
-    /// noise; that is neglected.
+    /// Returns the verdict with the value that noise alone would have. The fit of the shape takes up a few of the
+    /// squares of the noise, which is neglected.
     fn report(&self) -> Result<LimitReport, Invalid> {
         let report = self.measured()?;
         let noise_nm = self.noise_nm;
@@ -131,13 +131,13 @@ impl LimitMeasurement<'_> {
         })
     }
 
-    /// RMS slope of the noise over a base, (n_2 - n_1) / base, nrad.
+    /// Returns the RMS of the slope of the noise over a base, nrad: the difference of two noisy heights over the base.
     fn noise_slope_nrad(&self, direction: Direction, base_mm: f64) -> Result<f64, Invalid> {
         let used_mm = self.residual.slope(direction, base_mm)?.base_mm;
         // nm/mm is urad.
         Ok(1e3 * 2.0_f64.sqrt() * self.noise_nm / used_mm)
     }
-    /// The direction of a spectrum where a limit may leave it out.
+    /// Returns the direction of a spectrum; where a limit leaves it out, x for a profile and radial for a map.
     fn direction_of(&self, direction: Option<Direction>) -> Direction {
         match direction {
             Some(direction) => direction,
@@ -243,7 +243,8 @@ impl LimitMeasurement<'_> {
         Ok(LimitReport::new(text, "nrad", line.slope_rms(band), Bound::AtMost, at_most_nrad))
     }
 
-    /// The density at the frequency at which it exceeds A / f^B most, against A / f^B there.
+    /// Returns the verdict on a PSD line: the density at the frequency at which its ratio to A / f^B is largest,
+    /// against A / f^B there.
     fn psd(
         &self,
         direction: Direction,
@@ -269,7 +270,7 @@ impl LimitMeasurement<'_> {
             .worst_at(format!("at {} /mm", significant(f, 4))))
     }
 
-    /// The frequencies of the periods that count, 1/mm.
+    /// Returns the band of frequencies of the periods of the limit, 1/mm; `None` if it limits no periods.
     fn band(&self) -> Option<[f64; 2]> {
         self.limit.periods().map(|[shortest, longest]| [1.0 / longest, 1.0 / shortest])
     }
@@ -287,7 +288,7 @@ impl LimitMeasurement<'_> {
         self.limit.zone().map_or(String::new(), |z| format!(", zone \"{z}\""))
     }
 
-    /// The quantity in words, with the shape and the zone.
+    /// Returns the words for the quantity, with the shape that is subtracted and the zone.
     fn after(&self, quantity: String) -> String {
         format!("{quantity} after {}{}", self.limit.after().name(), self.in_zone())
     }

@@ -9,35 +9,35 @@ use crate::{quality::Direction, shape::Shape};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "quantity", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Limit {
-    /// RMS height; within periods of a map over two dimensions, or along a direction.
+    /// RMS of the heights. Within periods of a map it is over two dimensions, or along a direction.
     HeightRms {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Direction of the periods.
+        /// Direction of the periods; absent for two dimensions of a map.
         #[serde(default)]
         along: Option<Direction>,
-        /// Shortest period that counts, mm.
+        /// Shortest spatial period that counts in the RMS, mm; absent for no lower bound.
         #[serde(default)]
         shortest_period_mm: Option<f64>,
-        /// Longest period that counts, mm.
+        /// Longest spatial period that counts in the RMS, mm; absent for no upper bound.
         #[serde(default)]
         longest_period_mm: Option<f64>,
-        /// Largest allowed value, nm.
+        /// Largest allowed value of the quantity, nm.
         at_most_nm: f64,
     },
-    /// Largest minus smallest height.
+    /// PV of the heights: largest minus smallest height.
     HeightPv {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Largest allowed value, nm.
+        /// Largest allowed value of the quantity, nm.
         at_most_nm: f64,
     },
     /// RMS slope over a base length, or within periods.
@@ -45,47 +45,47 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Direction of the quantity.
+        /// Direction of the slope.
         along: Direction,
-        /// Base length, mm; measured slopes have none, and do not use it.
+        /// Base length over which slopes are differences of heights, mm. Measured slopes do not use it.
         #[serde(default)]
         base_mm: Option<f64>,
-        /// Shortest period that counts, mm.
+        /// Shortest spatial period that counts in the RMS, mm; absent for no lower bound.
         #[serde(default)]
         shortest_period_mm: Option<f64>,
-        /// Longest period that counts, mm.
+        /// Longest spatial period that counts in the RMS, mm; absent for no upper bound.
         #[serde(default)]
         longest_period_mm: Option<f64>,
-        /// Largest allowed value, nrad.
+        /// Largest allowed value of the quantity, nrad.
         at_most_nrad: f64,
     },
-    /// Largest slope from the mean over a base length.
+    /// Largest deviation of a slope over a base length from the mean slope.
     SlopePeak {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Direction of the quantity.
+        /// Direction of the slope.
         along: Direction,
-        /// Base length, mm; measured slopes have none, and do not use it.
+        /// Base length over which slopes are differences of heights, mm. Measured slopes do not use it.
         base_mm: f64,
-        /// Largest allowed value, nrad.
+        /// Largest allowed value of the quantity, nrad.
         at_most_nrad: f64,
     },
-    /// A line that the power spectral density of heights does not exceed.
+    /// Line A / f^B that the power spectral density of the heights must not exceed.
     Psd {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Direction of the quantity.
+        /// Direction of the spectrum; `radial` for the mean over rings.
         along: Direction,
         /// A of the line A / f^B, nm^2 mm^(1-B) along a direction, nm^2 mm^(2-B) over rings.
         a: f64,
@@ -94,20 +94,20 @@ pub enum Limit {
         /// Lowest and highest frequency at which the line holds, 1/mm.
         frequency_per_mm: [f64; 2],
     },
-    /// Strehl ratio after Marechal.
+    /// Strehl ratio after Marechal, from the RMS of the heights.
     Strehl {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Wavelength, nm.
+        /// Wavelength of the light, nm.
         wavelength_nm: f64,
         /// Grazing angle, mrad; absent for normal incidence.
         #[serde(default)]
         grazing_mrad: Option<f64>,
-        /// Smallest allowed value.
+        /// Smallest allowed Strehl ratio, 0 to 1.
         at_least: f64,
     },
     /// Magnitude of the radius of the best cylinder along a direction, or of the best sphere.
@@ -115,22 +115,22 @@ pub enum Limit {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// Direction; `radial` for the sphere.
+        /// Direction along which the cylinder is curved; `radial` for the sphere.
         along: Direction,
-        /// Smallest allowed value, m.
+        /// Smallest allowed magnitude of the radius, m.
         at_least_m: f64,
     },
-    /// Lag at which the autocorrelation falls to 1/e.
+    /// Lag at which the autocorrelation of the heights falls to 1/e.
     AutocorrelationLength {
         /// Name of the zone; absent for all valid pixels.
         #[serde(default)]
         zone: Option<String>,
-        /// The shape that is taken off first.
+        /// Shape that is fitted and subtracted before the quantity is measured.
         #[serde(default = "plane")]
         after: Shape,
-        /// Direction of the quantity.
+        /// Direction of the lag.
         along: Direction,
-        /// Smallest allowed value, mm.
+        /// Smallest allowed lag, mm.
         at_least_mm: f64,
     },
 }
@@ -140,7 +140,7 @@ fn plane() -> Shape {
 }
 
 impl Limit {
-    /// Checks the numbers and the combination of keys of limit `i` of the specification.
+    /// Checks the numbers and the combination of keys of this limit, which is limit `i` of the specification.
     pub(super) fn check(&self, i: usize) -> Result<(), Invalid> {
         let refuse =
             |problem: String, remedy: &str| Err(Invalid::at_index("limits", i, problem, remedy));
@@ -179,7 +179,7 @@ impl Limit {
         self.check_periods(i)
     }
 
-    /// Checks the order of the periods of limit `i`, and the directions.
+    /// Checks the order of the periods, and the directions, of this limit, which is limit `i` of the specification.
     fn check_periods(&self, i: usize) -> Result<(), Invalid> {
         let refuse =
             |problem: String, remedy: &str| Err(Invalid::at_index("limits", i, problem, remedy));
@@ -196,7 +196,7 @@ impl Limit {
         Ok(())
     }
 
-    /// Name of its zone; `None` for all valid pixels.
+    /// Returns the name of the zone; `None` for all valid pixels.
     pub(super) fn zone(&self) -> Option<&str> {
         match self {
             Self::HeightRms { zone, .. }
@@ -210,7 +210,8 @@ impl Limit {
         }
     }
 
-    /// Returns the shape that is taken off before the quantity is measured; of a radius the shape that has it.
+    /// Returns the shape that is subtracted before the quantity is measured. For a limit on a radius it is the shape
+    /// that has the radius.
     pub(super) fn after(&self) -> Shape {
         match self {
             Self::HeightRms { after, .. }
@@ -226,7 +227,7 @@ impl Limit {
         }
     }
 
-    /// Returns the direction of its quantity, where it has one.
+    /// Returns the direction of the quantity, or `None` if it has none.
     pub(super) fn direction(&self) -> Option<Direction> {
         match self {
             Self::HeightRms { along, .. } => *along,
@@ -239,7 +240,8 @@ impl Limit {
         }
     }
 
-    /// Returns the shortest and longest period, 0 and infinity where not given; `None` without both.
+    /// Returns the shortest and the longest period that count, mm; 0 and infinity if not given. `None` if neither is
+    /// given.
     pub(super) fn periods(&self) -> Option<[f64; 2]> {
         match self {
             Self::HeightRms { shortest_period_mm, longest_period_mm, .. }
@@ -255,7 +257,7 @@ impl Limit {
         }
     }
 
-    /// Keys and values that must be above 0.
+    /// Returns the keys and values of the limit that must be above 0.
     fn positive(&self) -> Vec<(&'static str, f64)> {
         let mut all = match self {
             Self::HeightRms { at_most_nm, .. } | Self::HeightPv { at_most_nm, .. } => {

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{distance::to_marked, quality::Subject};
 
-/// Part of a mirror; exactly one of the keys beside the name, or `x_mm` and `y_mm` together.
+/// Part of a mirror. It has exactly one of the keys other than the name, or `x_mm` and `y_mm` together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "zone")]
 pub struct Zone {
@@ -29,10 +29,10 @@ pub struct Zone {
     /// Centre x, centre y and radius of a circle, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub circle_mm: Option<[f64; 3]>,
-    /// Smallest distance from the outline, mm.
+    /// Smallest distance of a pixel from the outline, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside_mm: Option<f64>,
-    /// Distance from the outline below which pixels are in the zone, mm.
+    /// Distance of a pixel from the outline below which it is in the zone, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edge_mm: Option<f64>,
 }
@@ -73,25 +73,25 @@ impl Zone {
     }
 }
 
-/// The zones of a mirror as masks, each made once.
+/// Zones of a mirror as masks, each of which is computed once.
 pub(super) struct Zones<'a> {
-    /// The mirror.
+    /// Map or profile of the mirror.
     pub subject: &'a Subject,
     zones: &'a [Zone],
-    /// Distance of every pixel from the outline, mm.
+    /// Distance of every pixel from the outline (ny, nx), mm; `None` until a zone needs it.
     outline: Option<Array2<f64>>,
-    /// The masks that were made, by the names of their zones.
+    /// Masks that were computed so far, with the names of their zones.
     masks: Vec<(String, Array2<bool>)>,
 }
 
 impl<'a> Zones<'a> {
-    /// Makes zones without their masks; a mask is made when it is asked for.
+    /// Returns the zones, of which no mask is computed before it is asked for.
     pub fn new(subject: &'a Subject, zones: &'a [Zone]) -> Self {
         Self { subject, zones, outline: None, masks: Vec::new() }
     }
 
-    /// Returns true at the pixels that are in the zone `name`, one of the given zones. Refuses a circle on a profile,
-    /// and a zone without a valid pixel.
+    /// Returns the mask of the zone `name`, one of the given zones, true at valid pixels in it. Refuses a circle on a
+    /// profile, and a zone without a valid pixel.
     pub fn mask(&mut self, name: &str) -> Result<Array2<bool>, Invalid> {
         if let Some((_, mask)) = self.masks.iter().find(|(n, _)| n == name) {
             return Ok(mask.clone());
@@ -144,7 +144,7 @@ fn is_within(coordinate_mm: f64, range: Option<[f64; 2]>) -> bool {
     range.is_none_or(|[low, high]| coordinate_mm >= low && coordinate_mm <= high)
 }
 
-/// Distance of every pixel from the outline of the valid pixels, mm.
+/// Returns the distance of every pixel from the outline of the valid pixels (ny, nx), mm.
 fn from_outline(surface: &Surface) -> Result<Array2<f64>, Invalid> {
     let (ny, nx) = surface.height_nm().dim();
     let Grid { x, y } = surface.grid();
@@ -168,7 +168,7 @@ fn from_outline(surface: &Surface) -> Result<Array2<f64>, Invalid> {
     Ok(to_marked(&outside, &grid).slice_move(s![1..=ny, 1..=nx]))
 }
 
-/// Distance of every position of a profile from its nearer end, mm, as a map of one row.
+/// Returns the distance of every position of a profile from its nearer end, mm, as a map of one row.
 fn from_ends(x_mm: &[f64]) -> Array2<f64> {
     let ends = [x_mm[0], x_mm[x_mm.len() - 1]];
     Array2::from_shape_fn((1, x_mm.len()), |(_, c)| (x_mm[c] - ends[0]).min(ends[1] - x_mm[c]))

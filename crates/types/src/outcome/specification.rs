@@ -94,7 +94,7 @@ pub enum Bound {
 }
 
 impl LimitReport {
-    /// Returns the verdict on `value`.
+    /// Returns the verdict on a measured quantity: `value` against `limit`, both in `unit`.
     pub fn new(quantity: String, unit: &str, value: f64, bound: Bound, limit: f64) -> Self {
         let passed = match bound {
             Bound::AtMost => value <= limit,
@@ -103,13 +103,13 @@ impl LimitReport {
         Self { quantity, unit: unit.into(), value, limit, bound, passed, worst: None, noise: None }
     }
 
-    /// Returns this report with the place where the mirror is worst.
+    /// Returns this report with `worst`, the position or frequency at which the mirror is worst, in words.
     pub fn worst_at(self, worst: String) -> Self {
         Self { worst: Some(worst), ..self }
     }
 
-    /// Returns this report with the value that noise alone would have, and the value without the noise by the rule
-    /// `how`.
+    /// Returns this report with `of_noise`, the value that noise alone would have, and the value without the noise.
+    /// `how` states whether squares or the values themselves are subtracted.
     pub fn beside_noise(self, of_noise: f64, how: Subtraction) -> Self {
         let without_noise = match how {
             Subtraction::OfSquares => (self.value.powi(2) - of_noise.powi(2)).max(0.0).sqrt(),
@@ -118,7 +118,8 @@ impl LimitReport {
         self.with_and_without_noise(of_noise, without_noise)
     }
 
-    /// Returns this report with the value that noise alone would have, and the value without the noise.
+    /// Returns this report with the value that noise alone would have, the value without the noise, and whether the
+    /// noise decides.
     pub fn with_and_without_noise(mut self, of_noise: f64, without_noise: f64) -> Self {
         let would_pass = match self.bound {
             Bound::AtMost => without_noise <= self.limit,
@@ -129,7 +130,7 @@ impl LimitReport {
         self
     }
 
-    /// Returns kept, broken, or open because of the noise.
+    /// Returns the verdict: kept, broken, or broken only because of the noise.
     pub fn verdict(&self) -> Verdict {
         match self.noise {
             _ if self.passed => Verdict::Kept,
@@ -138,7 +139,7 @@ impl LimitReport {
         }
     }
 
-    /// Returns the verdict as a sentence without a full stop.
+    /// Returns the quantity, its value, the limit and the verdict in words, without a full stop.
     pub fn text(&self) -> String {
         let Self { quantity, unit, bound, worst, .. } = self;
         let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
@@ -164,7 +165,7 @@ impl LimitReport {
 }
 
 impl SpecificationReport {
-    /// Returns the limits that are not shown to be kept, by how much and where; `None` where everything is kept.
+    /// Returns the limits that are not kept, by how much and where, in words; `None` if all of them are kept.
     pub fn failures(&self) -> Option<String> {
         let mut sentences = Vec::new();
         for (verdict, how) in [

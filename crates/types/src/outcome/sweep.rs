@@ -34,7 +34,7 @@ pub struct Constraints {
     pub keep_specification: bool,
 }
 
-/// Returns the default of [`Constraints::keep_specification`].
+/// Returns the default of [`Constraints::keep_specification`], true.
 fn keep_specification() -> bool {
     true
 }
@@ -120,18 +120,18 @@ pub struct PlanNumbers {
 }
 
 impl PlanNumbers {
-    /// Returns time against residual, [s, nm]: what 95 % of the runs are below where there is a process, else without
-    /// errors.
+    /// Returns the point [time of the run in s, residual RMS in nm] of a plan. The residual is the one that 95 % of the
+    /// runs are below if the errors of a process are known, else the one without errors.
     pub fn point(&self) -> [f64; 2] {
         [self.total_time_s, self.below_95_percent_nm.unwrap_or(self.rms_nm)]
     }
 
-    /// Returns true if the plan keeps its specification, or has none.
+    /// Returns true if the plan keeps its specification, or if there is no specification.
     pub fn keeps_specification(&self) -> bool {
         self.specification.as_ref().is_none_or(|specification| specification.passed)
     }
 
-    /// Returns true if the plan keeps the constraints.
+    /// Returns true if the plan keeps those limits, specification and longest time that the constraints require.
     pub fn keeps(&self, constraints: &Constraints) -> bool {
         (self.limits_kept || !constraints.keep_limits)
             && (self.keeps_specification() || !constraints.keep_specification)

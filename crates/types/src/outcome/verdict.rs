@@ -54,7 +54,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// Returns the largest magnitude.
+    /// Returns the largest magnitude of the quantity, in its unit.
     pub fn magnitude(&self) -> f64 {
         self.min.value.abs().max(self.max.value.abs())
     }
@@ -105,7 +105,7 @@ pub struct AxisVerdict {
 }
 
 impl AxisVerdict {
-    /// Returns the ranges of velocity, acceleration and jerk.
+    /// Returns the checks of velocity, acceleration and jerk, in this order.
     pub fn derivatives(&self) -> [&Check; 3] {
         [&self.velocity_mm_per_s, &self.acceleration_mm_per_s2, &self.jerk_mm_per_s3]
     }
@@ -162,8 +162,8 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Returns the verdict with that on the distance from the path. Beyond its tolerance, the motion does not keep its
-    /// limits.
+    /// Returns the verdict with the distance from the path added. If that distance exceeds its tolerance, the motion
+    /// counts as not keeping its limits.
     pub fn with_path_distance(mut self, distance: PathDistance) -> Self {
         self.violations.extend(distance.excess());
         self.limits_respected = self.violations.is_empty();
@@ -171,8 +171,8 @@ impl Verdict {
         self
     }
 
-    /// Returns the gravest violation in a sentence, with the number of further ones; `None` if the motion
-    /// keeps every limit.
+    /// Returns the gravest violation as a sentence, with the number of further ones; `None` if the motion keeps every
+    /// limit.
     pub fn reason(&self) -> Option<String> {
         reason(&self.violations)
     }
@@ -206,7 +206,7 @@ pub struct MachineAxisVerdict {
 }
 
 impl MachineAxisVerdict {
-    /// Returns the ranges of velocity, acceleration and jerk.
+    /// Returns the checks of velocity, acceleration and jerk, in this order.
     pub fn derivatives(&self) -> [&Check; 3] {
         [&self.velocity, &self.acceleration, &self.jerk]
     }
@@ -236,8 +236,8 @@ pub struct AxesVerdict {
 }
 
 impl AxesVerdict {
-    /// Returns the gravest violation in a sentence, with the number of further ones; `None` if the motion
-    /// keeps every limit.
+    /// Returns the gravest violation as a sentence, with the number of further ones; `None` if the motion keeps every
+    /// limit.
     pub fn reason(&self) -> Option<String> {
         reason(&self.violations)
     }
