@@ -31,7 +31,7 @@ pub struct AverageVelocityReport {
     pub added_s: f64,
     /// Largest step in velocity of [x, y], start and end included, mm/s.
     pub largest_velocity_step_mm_per_s: [f64; 2],
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
 }
 

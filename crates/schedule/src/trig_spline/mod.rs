@@ -109,19 +109,19 @@ impl TrigSplineSettings {
     }
 }
 
-/// Motion, its dwell-time density, and the report.
+/// Motion, its dwell-time density, and the report of the changes.
 #[derive(Clone, Debug)]
 pub struct TrigSplineSchedule {
-    /// Motion.
+    /// Motion of the tool.
     pub trajectory: Trajectory,
-    /// Nodes of the spline; `None` if no pass has a length.
+    /// Nodes of the spline of the dwell-time density; `None` if no pass has a length.
     pub density: Option<DwellDensity>,
     /// Changes of the densities, and errors of the motion.
     pub report: TrigSplineReport,
 }
 
 impl TrigSplineSettings {
-    /// Returns the settings with corners that stay within the usual tolerance of the path.
+    /// Returns the settings with a corner deviation of at most the usual tolerance of the path.
     fn near(&self, path: &ToolPath) -> Result<Self, Invalid> {
         let tolerance_mm = path.tolerance_mm(None)?;
         let corner_deviation_mm = if tolerance_mm > 0.0 {

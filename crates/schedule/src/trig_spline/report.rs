@@ -5,9 +5,9 @@ use serde::Serialize;
 /// Changes of the densities, and errors of the motion.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TrigSplineReport {
-    /// Passes: maximal runs of segments with the tool on.
+    /// Number of passes: maximal runs of segments with the tool on.
     pub passes: usize,
-    /// Smallest density before the repair, s/mm.
+    /// Smallest dwell-time density of a dwell point before the repair, s/mm.
     pub smallest_density_s_per_mm: f64,
     /// Offset that the velocity limit demands, s/mm.
     pub feed_offset_s_per_mm: f64,
@@ -15,31 +15,31 @@ pub struct TrigSplineReport {
     pub acceleration_offset_s_per_mm: f64,
     /// Time that the offset added, s.
     pub offset_added_s: f64,
-    /// Nodes that a local repair raised.
+    /// Number of nodes that a local repair raised.
     pub raised_nodes: usize,
-    /// Dwell points whose density was held at half the mean density of the segment, because the neighbours differ too
-    /// much.
+    /// Number of dwell points whose density was held at half the mean density of the segment, because the neighbours
+    /// differ too much.
     pub held_densities: usize,
     /// Time that holding them added, s.
     pub held_added_s: f64,
-    /// Changes of direction with the tool on, each rounded by a parabola.
+    /// Number of changes of direction with the tool on; a parabola rounds each of them.
     pub corners: usize,
-    /// Corners at which the tool moves slower than the dwell times demand.
+    /// Number of corners at which the tool moves slower than the dwell times demand.
     pub slowed_corners: usize,
     /// Time that slowing at corners added, braking and accelerating included, s.
     pub corner_added_s: f64,
     /// Largest distance of the motion from a corner, mm.
     pub largest_corner_deviation_mm: f64,
-    /// Links with the tool off: lifts, run-ups and the last brake.
+    /// Number of links with the tool off: lifts, run-ups and the last brake.
     pub links: usize,
     /// Time of the links, s.
     pub link_s: f64,
-    /// Zero-length segments whose time went to their neighbours, in order.
+    /// Indices of the zero-length segments whose time went to their neighbours, in order.
     pub moved_dwell: Vec<usize>,
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
-    /// Pieces whose densities were evened out, because their motion could not be proven at first; see step 6 of
-    /// [`super`].
+    /// Number of times that the densities of a piece were evened out, because its motion could not be proven; see step
+    /// 6 of [`super`].
     pub evened_pieces: usize,
     /// Offset of all densities that the proof demanded in the end, s/mm.
     pub proof_offset_s_per_mm: f64,
