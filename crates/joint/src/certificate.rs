@@ -1,8 +1,8 @@
 //! Proven upper bound on the excess of an objective over its least value (duality gap), nm^2.
 //!
-//! The convex program is `min f(D)` over the densities D = D + d, with the rows (constraints) `c + J d >= 0` and the
-//! bounds `D + d >= lo`; f is quadratic. For all dual variables z >= 0 and y >= 0, with the curvature F of f, at least
-//! alpha,
+//! The convex program is `min f(D + d)` over the changes d of the densities D. It has the rows (linearised constraints)
+//! `c + J d >= 0` and the bounds `D + d >= lo`; f is quadratic. For all dual variables z >= 0 and y >= 0, with the
+//! curvature F of f, at least alpha,
 //!
 //! ```text
 //! f - min <= z' c + y' (D - lo) + 1/2 r' F^-1 r,   r = f' - J' z - y                            (1)

@@ -308,8 +308,8 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
 /// min sum |P_(i-1) - 2 P_i + P_(i+1)|^2   subject to   |P_i - P_i of the path| <= bound
 /// ```
 ///
-/// by sweeps over the points, each put where the sum is least. The ends stay, and with them every point at which the
-/// machine rests, the tool is switched, or a line longer than `longest_mm` begins or ends.
+/// It sweeps over the points and puts each where the sum is least. The ends stay, and with them every point at which
+/// the machine rests, the tool is switched, or a line longer than `longest_mm` begins or ends.
 fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, f64) {
     let mut point_mm = path.point_mm().to_vec();
     let mut indices: Vec<usize> = vec![0];

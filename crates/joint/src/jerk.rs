@@ -26,8 +26,9 @@ use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder,
 
 use crate::further::FurtherLimits;
 
-/// Number of intervals h in the window w. Larger: a smaller deviation (4), and more cubic pieces. Smaller: fewer
-/// pieces, a larger deviation. Chosen: (4) is then a quarter above its least value.
+/// Number of intervals h of the B-spline in the window w of the average. Larger: a smaller deviation, (4) of the
+/// module, and more cubic pieces. Smaller: fewer pieces, a larger deviation. Chosen: (4) is then a quarter above its
+/// least value.
 const INTERVALS: usize = 4;
 
 /// Fraction of the limit on jerk that is left for rounding. Larger: a longer average than needed. Smaller:

@@ -74,7 +74,7 @@ pub enum JointError {
     /// It must be made on smaller cells; with single pixels this does not happen.
     #[error("cells of {pixels} x {pixels} pixels are too large for this TIF")]
     CellsTooLarge {
-        /// Pixels along a side of a cell.
+        /// Number of pixels along a side of a cell.
         pixels: usize,
     },
 }
