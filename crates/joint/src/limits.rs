@@ -44,12 +44,12 @@ use crate::{
 /// tool has turned further to the axis).
 const TURN_PER_STEP_RAD: f64 = 0.1;
 
-/// Least number of steps of a clothoid between places of (1). Larger: more rows. Smaller: the largest acceleration is
+/// Least number of steps between such points on a clothoid. Larger: more rows. Smaller: the largest acceleration is
 /// missed if the tool slows down into a bend, because it is before the bend. Chosen.
 const LEAST_STEPS: usize = 6;
 
-/// Change of the curvature of a clothoid over the largest one up to which its ends alone are places of (1). Larger: the
-/// acceleration between them exceeds that at the ends. Smaller: more rows along bent paths. Chosen.
+/// Ratio of the change of the curvature along a clothoid to its largest curvature up to which its ends alone are such
+/// points. Larger: the acceleration between them exceeds that at the ends. Smaller: more rows along bent paths. Chosen.
 const LITTLE_CHANGE: f64 = 0.25;
 
 /// Fraction of the limit on acceleration that the rows of a clothoid leave free. It allows for the motion between the
@@ -63,12 +63,12 @@ const CURVED_MARGIN: f64 = 2e-2;
 const TURNED_MARGIN: f64 = 2e-3;
 
 /// Fraction of the limit on the acceleration along the curve that is left free on spans with clothoids. Larger:
-/// slower corners. Smaller: exceeded limits. Derived: between two places 0.1 rad apart the tangent may have a
+/// slower corners. Smaller: exceeded limits. Derived: between two points 0.1 rad apart the tangent may have a
 /// component that is larger by 1.3e-3, and the cubic pieces differ by 2e-3 of the limit.
 const ALONG_CURVE_MARGIN: f64 = 4e-3;
 
-/// Fraction of a limit that is left free for rounding, relative. Larger: slower motions. Smaller: the judge may find
-/// a limit exceeded by rounding. Derived: half of what the judge allows.
+/// Fraction of a limit that is left free for rounding. Larger: slower motions. Smaller: `planish-verify` may find a
+/// limit exceeded by rounding. Derived: half of what `planish-verify` allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
 
 /// Largest excess of a further axis over its limit between two of its points, by (5) of the module. Larger: fewer rows,
