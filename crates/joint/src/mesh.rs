@@ -36,11 +36,12 @@ const SHARP_TURN_RAD: f64 = 0.5;
 /// corners without a node. Smaller: short spans, which cost time of the solver. Chosen.
 const NEAREST_NODE_FRACTION: f64 = 0.3;
 
-/// Largest number of steps of the inversion of (3). Larger: no difference. Smaller: an inversion by bisection may
-/// stop early. Derived: Newton's method takes some five, bisection as many as a number has bits.
+/// Largest number of Newton or bisection steps that find the time at which the motion, (3) of the module, reaches a
+/// position. Larger: no difference. Smaller: a search by bisection may stop early. Derived: Newton's method takes some
+/// five, bisection as many as a number has bits.
 const MAX_INVERSION_STEPS: usize = 60;
 
-/// Step of this inversion below which the result is exact to rounding, as a fraction of the time of the span. Larger:
+/// Step of this search below which the result is exact to rounding, as a fraction of the time of the span. Larger:
 /// less exact. Smaller: a step more than needed. Derived: the next step of Newton's method is about the square of this
 /// one.
 const INVERSION_STEP: f64 = 1e-9;
