@@ -94,7 +94,7 @@ fn largest(excess: &[Option<Excess>]) -> Option<Excess> {
 }
 
 /// Returns the worst excess of every piece, the step of the acceleration at its start included. The excess is a ratio
-/// of value to limit and can be below 1.
+/// of value to limit and can be below 1; `None` without axes.
 fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Option<Excess>> {
     // Accelerations at the end of the piece before, and its duration.
     let mut before = (vec![0.0; axes.len()], 0.0);

@@ -91,7 +91,7 @@ mod tests {
     const N: usize = 40;
     const ALPHA: f64 = 1e-5;
 
-    /// The matrix with these eigenvalues along cosines, applied.
+    /// Returns the product of `x` with the matrix whose eigenvectors are cosines, with the eigenvalues `spectrum`.
     fn of_spectrum(spectrum: impl Fn(usize) -> f64, x: &[f64]) -> Vec<f64> {
         let cosine = |k: usize, i: usize| {
             let norm = if k == 0 { 1.0 } else { 2.0f64 };

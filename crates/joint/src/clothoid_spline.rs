@@ -329,7 +329,8 @@ pub fn angle_between([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Largest steps of position (mm), direction and curvature times length from arc to arc.
+    /// Returns the largest steps from arc to arc: of the position (mm), of the direction, and of the curvature times
+    /// length.
     fn steps(arcs: &[CurvePiece]) -> [f64; 3] {
         let mut most = [0.0f64; 3];
         for w in arcs.windows(2) {

@@ -801,7 +801,7 @@ mod tests {
         assert_eq!(curves(&path(&lines), &rounding).moved_mm, 0.0);
     }
 
-    /// Points of a spiral of 1 mm per turn, `step_mm` apart, from a radius of 4 mm on.
+    /// Returns points of a spiral of 1 mm per turn, `step_mm` apart, from a radius of 4 mm on.
     fn spiral(step_mm: f64, points: usize) -> Vec<[f64; 2]> {
         let mut angle = 8.0 * PI;
         let next = |_| {

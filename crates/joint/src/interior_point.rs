@@ -204,7 +204,7 @@ mod tests {
         CscMatrix::new_from_triplets(rows.len(), columns, triplets.0, triplets.1, triplets.2)
     }
 
-    /// A map with a bump, a tool, and a raster of eight lines.
+    /// Returns a small case: a map with a bump, a tool, and a raster of eight lines.
     pub(super) fn part() -> (Surface, Tif, ToolPath) {
         let own = Axis::new(-2.0, 0.25, 17).unwrap();
         let g = Grid { x: own, y: own };
@@ -230,7 +230,8 @@ mod tests {
         (desired, tif, path)
     }
 
-    /// Another solver on the convex program of the last iterate: f is exactly quadratic, the rows are tangents.
+    /// Compares with another solver on the convex program of the last iterate: the objective is exactly quadratic, and
+    /// the rows are tangents.
     #[test]
     fn the_certificate_holds_by_another_solver() {
         let (desired, tif, path) = part();

@@ -253,7 +253,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Up and down with all of the acceleration, there with the tool on and back with it off.
+    /// Returns a motion up and down with the full acceleration: up with the tool on, back with it off.
     fn full_speed(limits: &Limits) -> Trajectory {
         let [a, _] = limits.max_acceleration_mm_per_s2();
         let t = 0.04;

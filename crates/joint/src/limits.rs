@@ -7,11 +7,12 @@
 //! c = (r D_j - D_k) / D_0 >= 0, and back                          r = MAX_RATIO                   (4)
 //! ```
 //!
-//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along the curve the acceleration is
-//! linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a clothoid (1) is also imposed
-//! every 0.1 rad, towards the bend. Margins allow for the motion between these places, and a judge checks the motion
-//! in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three times its mean
-//! feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+//! A row is one constraint `c >= 0` of (3) or (4). s' and s'' are the feedrate and the acceleration along the curve, of
+//! [`crate::mesh`]; q' and q'' are the derivatives of the position by arc length, of [`crate::curve`]. Along the curve
+//! the acceleration is linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a clothoid
+//! (1) is also imposed every 0.1 rad, towards the bend. Margins allow for the motion between these places, and a judge
+//! checks the motion in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three
+//! times its mean feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
 //!
 //! Axes beyond x and y ([`crate::axes`]) have the same rows, also on lines, because their q'' does not vanish there. With
 //! f = q' / A and g = q'' / A, their acceleration over the limit is `g s'^2 + f s''`. The excess of a product of two
@@ -708,7 +709,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Right angles, an acute and an obtuse corner, a rest where the path turns back.
+    /// Returns a path with right angles, an acute and an obtuse corner, and a rest where it turns back.
     fn path() -> ToolPath {
         let points = vec![
             [0.0, 0.0],

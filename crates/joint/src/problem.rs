@@ -643,9 +643,9 @@ fn level_s_per_mm(
 
 #[cfg(test)]
 mod tests {
-    //! Another solver from the end of this one: sequential quadratic programs with a trust region. It simulates the
-    //! motion for its objective, takes differences of simulations for its gradient, and Clarabel for its steps. It
-    //! keeps the rows themselves, not their tangents.
+    //! Another solver, which starts at the result of this one: sequential quadratic programs with a trust region. It
+    //! simulates the motion for its objective, takes differences of simulations for its gradient, and Clarabel for its
+    //! steps. It keeps the rows themselves, not their tangents.
 
     use clarabel::{
         algebra::CscMatrix,
@@ -658,7 +658,7 @@ mod tests {
     use super::*;
     use crate::curve::{Rounding, curves};
 
-    /// Uniform numbers of [0, 1) by a linear congruential generator (Knuth's MMIX).
+    /// Generator of uniform numbers in [0, 1) by a linear congruence (Knuth's MMIX).
     struct Random(u64);
 
     impl Random {
@@ -674,13 +674,13 @@ mod tests {
             low + (high - low) * self.next()
         }
 
-        /// Logarithmically uniform.
+        /// Returns a number between `low` and `high` whose logarithm is uniform.
         fn decades(&mut self, low: f64, high: f64) -> f64 {
             low * (high / low).powf(self.next())
         }
     }
 
-    /// A small part with its tool, path and machine.
+    /// Small part with its tool, path and machine.
     struct Problem {
         desired: Surface,
         tif: Tif,
@@ -747,7 +747,7 @@ mod tests {
         }
     }
 
-    /// Objective of both solvers, from the simulated motion.
+    /// Objective of both solvers, computed from the simulated motion.
     struct Executed<'a> {
         problem: &'a Problem,
         curves: &'a [Curve],
@@ -759,7 +759,7 @@ mod tests {
     }
 
     impl Executed<'_> {
-        /// The residual without its mean, over the root of the number of pixels.
+        /// Returns the residual without its mean, over the root of the number of pixels, nm.
         fn residual(&self, density: &[f64]) -> Vec<f64> {
             let Problem { path, limits, desired, .. } = self.problem;
             let motion =
@@ -778,7 +778,7 @@ mod tests {
                 + 0.5 * self.alpha * pull
         }
 
-        /// The objective after at most `steps`, from densities that keep the rows.
+        /// Returns the objective after at most `steps` steps, from densities that keep the rows.
         fn descend(&self, rows: &LimitRows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
             let n = density.len();
             let mut residual = self.residual(&density);
@@ -905,7 +905,8 @@ mod tests {
         }
     }
 
-    /// Decrease of the objective by the other solver, relative, and the proven relative gap.
+    /// Returns the relative decrease of the objective by the other solver, and the proven relative gap, in the case
+    /// `number`.
     fn gain(number: u64, steps: usize) -> (f64, f64) {
         let problem = problem(number);
         let Problem { desired, tif, path, limits, price, spacing_mm } = &problem;

@@ -103,7 +103,7 @@ impl Div for Series {
 mod tests {
     use super::*;
 
-    /// t, at t.
+    /// Returns the parameter t itself at the value `t`.
     fn parameter(t: f64) -> Series {
         Series { value: t, first: 1.0, second: 0.0 }
     }

@@ -174,7 +174,7 @@ mod tests {
         .unwrap()
     }
 
-    /// Motion of 1 mm in 1 s from rest to rest: v(1/2) = 1.5, |a| <= 6, j = -12.
+    /// Returns a motion of 1 mm in 1 s from rest to rest: v(1/2) = 1.5, |a| <= 6, j = -12 in mm and s.
     fn rest_to_rest() -> Trajectory {
         let c = [[0.0, 0.0, 3.0, -2.0], [0.0; 4]];
         Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![None]).unwrap()

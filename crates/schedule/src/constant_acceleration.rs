@@ -345,7 +345,7 @@ fn add(
 mod tests {
     use super::*;
 
-    /// A limit on the velocity that no case reaches.
+    /// Velocity limit that no case reaches, mm/s.
     const FREE: f64 = 1e3;
 
     #[test]

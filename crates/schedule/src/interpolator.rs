@@ -27,7 +27,8 @@
 //! Z is the height of the part at the end of the record, 0 without a form. The records state lengths, densities and
 //! velocities in the plane of the part, and this interpolator reads no Z.
 //!
-//! Run-up, lifts and brake are cubics in time, from where the tool is, at its velocity, to a point with a velocity
+//! The run-up accelerates the tool to the first pass, lifts lead from one pass to the next, and the brake ends the
+//! motion. They are cubics in time, from the present position and velocity of the tool to a point with a velocity
 //! (mm/s) after a time (s). [`linked_records`] takes them from the trajectory of the schedule:
 //!
 //! ```text

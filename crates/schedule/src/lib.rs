@@ -16,6 +16,11 @@
 //! The closed loop (`planish-refine`) takes any [`Scheduler`]; [`SCHEDULERS`] has them by name. [`claim`] measures
 //! every motion against the limits of the machine. [`interpolator`] turns the dwell-time density of `trig_spline`
 //! into reference positions, tick by tick.
+//!
+//! Segment `i` of a path runs from control point `i` to the next one, and has one dwell point and one dwell time. A
+//! node of `pvt` is a control point, a node of `trig_spline` a dwell point or a corner. A lift is a segment with the
+//! tool off, and a pass a run of segments with the tool on. To stretch a segment means to give it more time than its
+//! dwell time.
 
 // The command line names this library as any other program does.
 extern crate self as planish_schedule;
@@ -92,7 +97,7 @@ impl Scheduled {
 /// it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Choices {
-    /// Shape of the motion of `pvt`: its order of continuity, or automatic.
+    /// Shape of the motion of `pvt`: smooth, monotone, or the default of the machine.
     pub mode: pvt::ModeChoice,
     /// Repair of the dwell-time densities of `trig-spline` where the motion exceeds a limit.
     pub repair: trig_spline::Repair,
@@ -252,8 +257,8 @@ mod tests {
         assert_eq!(kind("stop-at-corners"), None);
     }
 
-    /// A fast stairway with a stand, a lift and a segment that is far too fast: the times that a scheduler states are
-    /// those of its motion.
+    /// Uses a fast stairway with a stand, a lift and a segment that is far too fast. The times that a scheduler states
+    /// must be those of its motion.
     #[test]
     fn the_times_that_a_scheduler_states_are_those_of_its_motion() {
         let limits = machine([20.0; 2], [100.0; 2]);

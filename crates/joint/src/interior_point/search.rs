@@ -324,7 +324,7 @@ mod tests {
         mesh::Mesh,
     };
 
-    /// Calls `test` with a search that takes at most so many steps, before its first state.
+    /// Calls `test` with a search of at most `max_iterations` steps, before its first state.
     fn on_search(max_iterations: usize, test: impl FnOnce(Search<'_>, &mut Merit<'_>)) {
         let (desired, tif, path) = part();
         let curves = curves(&path, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 }).curves;
@@ -344,7 +344,8 @@ mod tests {
         test(Search::new(&program, start, stop, &mut merit), &mut merit);
     }
 
-    /// Goes through the states until something can be proven. The gap there is taken as twice the one that is wanted.
+    /// Runs the search until something can be proven, and returns the state and twice the wanted gap, nm^2, as the gap
+    /// there.
     fn until_tangents(search: &mut Search<'_>, merit: &mut Merit<'_>) -> (Look, f64) {
         loop {
             let look = search.look();

@@ -519,7 +519,7 @@ mod tests {
     use super::*;
     use planish_types::break_times;
 
-    /// A limit that is never active, within a few orders of magnitude of the numbers.
+    /// Limit that is never active, within a few orders of magnitude of the other numbers.
     const FREE: f64 = 1e4;
 
     fn problem(points: &[f64], mode: Mode, max_acceleration: f64) -> AxisProblem<'static> {

@@ -143,8 +143,8 @@ impl NearPath {
     }
 
     /// Returns a rectangle of velocities around `held` with which one middle coefficient stays within the tolerance of
-    /// a segment along `dp` of duration `h`. For the segment that ends at the node, the same holds with -dp reversed in
-    /// time.
+    /// a segment along `dp` of duration `h`. By symmetry the condition is the same for a segment that starts at the
+    /// node and for one that ends there.
     fn rectangle(&self, dp: Point, held: Point, h: f64) -> VelocityRange {
         let length = dp[0].hypot(dp[1]);
         let point = held.map(|v| v * h / 3.0);
@@ -175,7 +175,7 @@ mod tests {
     use super::*;
     use planish_testkit::numbers;
 
-    /// Segments of random directions and lengths, times over two decades.
+    /// Returns segments of random directions and lengths, and times over two decades, s.
     fn random(seed: u64) -> (NearPath, Vec<f64>) {
         let mut random = numbers(seed);
         let dp = (0..40)

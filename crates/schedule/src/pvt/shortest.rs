@@ -562,7 +562,7 @@ mod tests {
         dp.map(|dp| AxisProblem::new(dp, mode, &limits.axes()[0]))
     }
 
-    /// A tolerance that no motion reaches.
+    /// Returns the path of these axes with a tolerance that no motion reaches.
     fn anywhere(axes: &[AxisProblem; 2]) -> NearPath {
         let [x, y] = axes.each_ref().map(|axis| axis.displacement_mm.iter());
         NearPath::new(x.zip(y).map(|(x, y)| [*x, *y]).collect(), 1e9)

@@ -229,7 +229,7 @@ mod tests {
         ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
     }
 
-    /// Time of every segment of the path in the motion.
+    /// Returns the time of each of the `n` segments of the path in the motion, s.
     fn times(t: &Trajectory, n: usize) -> Vec<f64> {
         t.served_s(n, |_| true).unwrap()
     }

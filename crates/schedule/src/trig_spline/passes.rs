@@ -1,5 +1,6 @@
 //! Passes of a path: maximal runs of segments with the tool on, their corners, and the densities
-//! that give every segment its dwell time. The numbers of equations and steps are those of [`super`].
+//! that give every segment its dwell time. A straight is a segment of a pass with a length above rounding. The numbers
+//! of equations and steps are those of [`super`].
 
 use std::{f64::consts::PI, ops::Range};
 

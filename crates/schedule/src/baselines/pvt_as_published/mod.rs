@@ -369,9 +369,9 @@ mod tests {
         }
     }
 
-    /// Solution (v, a) of the nodes 1 .. N-1 by Eqs 9-16 as printed: six unknowns
-    /// (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the absolute time `t` of the source. The matrix is
-    /// dense, and the null space keeps the hard rows. There are no bounds; they must not be active.
+    /// Returns velocity and acceleration (v, a) of the nodes 1 .. N-1 by Eqs 9-16 as printed. There are six unknowns
+    /// (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the absolute time `t` of the source. The matrix is dense, and
+    /// the null space keeps the hard rows. There are no bounds; they must not be active.
     fn as_printed(problem: &PublishedAxis) -> Vec<[f64; 2]> {
         let n = problem.duration_s.len();
         let t = break_times(&problem.duration_s);
@@ -483,9 +483,9 @@ mod tests {
         }
     }
 
-    /// A motion with continuous acceleration, from rest to rest, is its own least-squares solution at all
-    /// times. Here segments of 1e-4 s are among those of seconds; the squares of their rows would vanish in
-    /// the normal equations.
+    /// A motion with continuous acceleration, from rest to rest, must be its own least-squares solution at all times.
+    /// Here segments of 1e-4 s are among those of seconds; the squares of their rows would vanish in the normal
+    /// equations.
     #[test]
     fn a_smooth_motion_is_found_again_at_unequal_times() {
         let h = [2.0, 1e-4, 1e-4, 2e-4, 1e-4, 3e-4, 0.5, 1.0, 1e-3, 1e-4, 1e-4, 2e-4, 1.5, 3.0];
