@@ -24,10 +24,11 @@ const TOLERANCE_MM: f64 = 1e-6;
 /// velocity on parts with radii of 10 mm and more.
 const WAY: f64 = 1e-3;
 
-/// Largest number of times that a segment is halved. Larger: memory for 2^n pieces. Smaller: long segments are refused.
+/// Largest number of times that a segment of the motion of the axes is halved. Larger: memory for 2^n pieces. Smaller:
+/// long segments are refused.
 const MOST_HALVES: u32 = 16;
 
-/// Report on an executed contact point.
+/// Report on the motion of the contact point that the axes execute.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ContactReport {
     /// Number of segments of the executed motion.

@@ -24,8 +24,8 @@ const PART_OF_TOLERANCE: f64 = 0.5;
 /// Chosen: half of the half turn.
 const MOST_TURN_DEG: f64 = 90.0;
 
-/// Largest number of times that a segment is halved. Larger: memory for 2^n pieces. Smaller: fewer long segments of
-/// strongly curved parts succeed. Derived: 2^12 halves lower the distance by 2.8e14.
+/// Largest number of times that a segment of the motion is halved. Larger: memory for 2^n pieces. Smaller: fewer long
+/// segments of strongly curved parts succeed. Derived: 2^12 halves lower the distance by 2.8e14.
 const MOST_HALVES: u32 = 12;
 
 /// Largest jump of a spindle at a node that counts as rounding, degrees. Larger: real jumps pass. Smaller: rounding of
@@ -42,7 +42,7 @@ pub(crate) type State = [f64; 2];
 pub(crate) struct AxesPiece {
     /// Index of the segment of the motion to which the piece belongs.
     pub(crate) segment: usize,
-    /// Local times in this segment at which the piece begins and ends, s.
+    /// Local time in this segment at which the piece begins, s; `to_s` is that of its end.
     pub(crate) from_s: f64,
     pub(crate) to_s: f64,
     pub(crate) start: Vec<State>,

@@ -43,7 +43,7 @@ const MARGIN: f64 = 1e-4;
 /// Excess of one axis over one limit on one piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Excess {
-    /// Ratio of the value to the limit.
+    /// Ratio of the largest value of the quantity on the piece to its limit.
     pub(crate) ratio: f64,
     /// Factor by which the time of the piece has to be stretched.
     pub(crate) stretch: f64,

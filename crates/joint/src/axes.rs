@@ -390,11 +390,11 @@ pub fn slowed(trajectory: &Trajectory, factor: f64) -> Result<Trajectory, Invali
 pub struct AxisReport {
     /// Name of the axis; `contact x` and `contact y` for the contact point along x and y of the part.
     pub name: String,
-    /// Largest velocity over its limit.
+    /// Ratio of the largest |velocity| to its limit.
     pub velocity_over_limit: f64,
-    /// Largest acceleration over its limit.
+    /// Ratio of the largest |acceleration| to its limit.
     pub acceleration_over_limit: f64,
-    /// Largest jerk over its limit; absent for x and y, and where there is no limit.
+    /// Ratio of the largest |jerk| to its limit; `None` for x and y, and for an axis without a limit on jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk_over_limit: Option<f64>,
     /// Fraction of the time in which the velocity is above nine tenths of its limit, in the motion before averaging.

@@ -35,8 +35,8 @@ use crate::piece::{CurvePiece, Station};
 /// step leaves a fraction of the error, of the order of the square of the turn.
 const MOST_STEPS: usize = 60;
 
-/// Largest error of an angle at which the steps end, rad. Larger: steps of heading and curvature. Smaller: rounding
-/// keeps the steps going. Chosen: some tens of roundings.
+/// Largest error of an angle at which the Newton steps and the shifts end, rad. Larger: steps of heading and curvature
+/// of the curve. Smaller: rounding keeps the iteration going. Chosen: some tens of roundings.
 const ANGLE_TOLERANCE_RAD: f64 = 2e-15;
 
 /// Largest error of a curvature times the length of the longer clothoid beside it at which the steps end. Larger: steps
@@ -46,7 +46,8 @@ const BEND_TOLERANCE_RAD: f64 = 2e-13;
 /// Kind of the beginning or end of the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
-    /// The machine rests at the outermost point.
+    /// The curve begins or ends at the outermost point with the machine at rest; no straight line precedes or follows
+    /// it.
     Rest,
     /// The curve leaves a straight line at the outermost point. The curvature has a kink at this fraction (f) of the
     /// length of the outermost part.
@@ -56,7 +57,7 @@ pub enum End {
 /// Kind of the curve between two neighbouring points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
-    /// A clothoid.
+    /// One clothoid.
     One,
     /// Two clothoids, of which the first one begins with curvature 0. The number is the fraction (f) of the length of
     /// the first one.

@@ -89,7 +89,7 @@ const SAME_PLACE: f64 = 1e-12;
 /// Bounds on the rounding of corners.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rounding {
-    /// Largest distance of the curve from a vertex, mm.
+    /// Largest distance of the curve from a vertex of the path, mm.
     pub deviation_mm: f64,
     /// Upper bound of the least radius of a corner, mm. Corners are not made wider, even if the deviation would allow
     /// it.
@@ -111,7 +111,7 @@ pub struct Corner {
     pub deviation_mm: f64,
 }
 
-/// A smooth curve from rest to rest.
+/// Smooth curve along which the machine moves from rest to rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     pieces: Vec<CurvePiece>,
@@ -131,7 +131,7 @@ impl Curve {
         &self.corners
     }
 
-    /// Returns the arc length, mm.
+    /// Returns the arc length of the whole curve, mm.
     pub fn length_mm(&self) -> f64 {
         self.pieces.last().map_or(0.0, CurvePiece::to_mm)
     }
@@ -381,7 +381,7 @@ fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
 /// Kind of the vertex between a chord and the next one.
 #[derive(Clone, Copy)]
 enum Vertex {
-    /// The machine rests.
+    /// The machine rests, and the next curve begins.
     Rest,
     /// A corner of this turn, rad, positive to the left.
     Corner(f64),
@@ -553,7 +553,7 @@ fn curves_through(point_mm: &[[f64; 2]], tool_on: &[bool], rounding: &Rounding) 
 }
 
 impl Curve {
-    /// Adds the straight line between two lengths along a chord, mm.
+    /// Adds the straight line between two lengths along a chord from its start, mm.
     fn line(&mut self, chord: &Chord, [from_mm, to_mm]: [f64; 2]) {
         for (segment, from_mm, to_mm) in chord.parts(from_mm, to_mm) {
             let start = Station {

@@ -86,8 +86,8 @@ const MAX_HALVINGS: usize = 5;
 /// the cubic of a span is monotone.
 const MAX_RATIO: f64 = 3.0;
 
-/// Slack above which a row is far from being active, dimensionless (1 at rest); its curvature is not computed.
-/// Larger: more differences to compute. Smaller: rows whose bend ends a step early. Chosen.
+/// Slack above which a row is far from being active, dimensionless (1 at rest); its second derivatives are not computed.
+/// Larger: more differences to compute. Smaller: rows whose bend (second derivative) ends a step early. Chosen.
 const FAR_SLACK: f64 = 0.5;
 
 /// Step of the differences of first derivatives that give the second ones, relative to the density. Larger: an error by
@@ -98,7 +98,7 @@ const DIFFERENCE: f64 = 1e-4;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct LimitRow {
     span: usize,
-    /// Index of the further axis; `None` for x and y.
+    /// Index of the further axis that the row limits; `None` for x and y.
     further: Option<usize>,
     on: On,
 }
@@ -185,7 +185,7 @@ impl<'a> LimitRows<'a> {
         Self { mesh, rows, least_density }
     }
 
-    /// Adds the rows of further axes to those of x and y.
+    /// Adds the rows (constraints) of further axes to those of x and y.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
         let mesh = self.mesh;
         let of_spans = self.of_spans();
@@ -232,7 +232,7 @@ impl<'a> LimitRows<'a> {
         }
     }
 
-    /// Returns the number of rows.
+    /// Returns the number of rows (constraints).
     pub fn len(&self) -> usize {
         self.rows.len()
     }
@@ -477,11 +477,11 @@ fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
 
 /// Point of a span at which the acceleration is limited by (1) of the module.
 struct Sample {
-    /// Length from the start of the span, mm.
+    /// Length from the start of the span to the point, mm.
     s_mm: f64,
     /// Unit vector along the curve (q').
     tangent: [f64; 2],
-    /// Curvature, 1/mm; 0 on a line.
+    /// Curvature of the curve there, 1/mm; 0 on a straight line.
     curvature_per_mm: f64,
 }
 
@@ -511,7 +511,7 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
 
 /// Point of a span at which further axes are limited.
 struct FurtherPlace {
-    /// Length from the start of the span, mm.
+    /// Length from the start of the span to the point, mm.
     s_mm: f64,
     /// Scaled derivatives of every axis; empty where an axis has no position, because the motion is refused there.
     axes: Vec<Scaled>,

@@ -79,7 +79,7 @@ const MOST_UNSEEN_OF_RISE: f64 = 0.01;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Price {
-    /// Price of a second, relative to half the mean square of the residual, nm^2/s.
+    /// Fixed price of a second, relative to half the mean square of the residual, nm^2/s.
     Nm2PerS(f64),
     /// Elasticity of the plan, (2) of the module: percentage by which one percent more time would lower the mean
     /// square.

@@ -95,7 +95,8 @@ impl Span {
         [Self { to_mm: middle_mm, ..*self }, Self { from_mm: middle_mm, ..*self }]
     }
 
-    /// Returns the densities of the two nodes, s/mm; `None` at rest.
+    /// Returns the densities of the nodes at its start and its end, s/mm; `None` at rest. `density` has those of all
+    /// nodes.
     pub fn densities(&self, density: &[f64]) -> [Option<f64>; 2] {
         self.nodes.map(|n| n.map(|n| density[n]))
     }
@@ -245,11 +246,11 @@ struct Point {
     weight: [f64; 2],
     nodes: [Option<usize>; 2],
     span: usize,
-    /// Length from the start of the span, mm.
+    /// Length from the start of the span to the point, mm.
     s_mm: f64,
 }
 
-/// Nodes and spans of all curves.
+/// Mesh of the density: nodes and spans of all curves, and the Gauss points at which the tool acts.
 #[derive(Clone, Debug)]
 pub struct Mesh {
     /// Spans in order, curve by curve.

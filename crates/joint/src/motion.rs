@@ -43,7 +43,7 @@ pub struct Motion {
     pub fit_error_mm: f64,
 }
 
-/// Computes the motion along the curves for the densities of the nodes (nodes), s/mm.
+/// Returns the cubic pieces of the motion along the curves for the densities of the nodes (nodes), s/mm.
 ///
 /// # Errors
 ///

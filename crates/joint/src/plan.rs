@@ -87,16 +87,16 @@ const MOST_NAMED: usize = 4;
 pub struct JointReport {
     /// Number of curves along the path, each from rest to rest.
     pub curves: usize,
-    /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
+    /// Largest movement of a point of the path by the smoothing that precedes the rounding of corners, mm.
     pub points_moved_mm: f64,
     /// Number of corners that were rounded.
     pub corners: usize,
-    /// Largest distance of a curve from a corner, mm.
+    /// Largest distance of a curve from a corner of the path, or from its bent parts, mm.
     pub corner_deviation_mm: f64,
     /// Least radius of curvature of the curves, mm; `None` if all are straight.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub least_radius_mm: Option<f64>,
-    /// Arc length of all curves, mm.
+    /// Sum of the arc lengths of all curves, mm.
     pub length_mm: f64,
     /// Number of nodes of the density, which are the unknowns.
     pub nodes: usize,
@@ -107,7 +107,7 @@ pub struct JointReport {
     /// Widened spacing of the nodes; `None` unless the solver would take too long with the default spacing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub widened: Option<Widened>,
-    /// Price of a second, nm^2/s.
+    /// Price of a second in the objective, relative to half the mean square of the residual, nm^2/s.
     pub price_nm2_per_s: f64,
     /// Reason for the end of the solver: `optimal` or `iteration-limit`.
     pub end: End,
@@ -184,16 +184,16 @@ const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linea
 /// Spacing of the nodes that was widened because the solver would take too long with the default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Widened {
-    /// Default spacing, mm.
+    /// Default spacing of the nodes, mm.
     pub from_mm: f64,
-    /// Spacing of this plan, mm.
+    /// Spacing of the nodes of this plan, mm.
     pub to_mm: f64,
 }
 
 /// Average of a motion in time, which keeps a limit on jerk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Averaged {
-    /// Time over which the motion is averaged, s.
+    /// Length of the window over which the motion is averaged, s.
     pub window_s: f64,
     /// Fraction of the limits on acceleration that the plan uses before averaging.
     pub fraction_of_acceleration: f64,
@@ -212,7 +212,7 @@ pub struct JointPlan {
     pub removal: Removal,
     /// Reason why the motion is refused, a limit that it exceeds; `None` if it keeps every limit.
     pub refused: Option<String>,
-    /// Report of the plan.
+    /// Report on curves, nodes, solver and limits.
     pub report: JointReport,
 }
 

@@ -51,8 +51,8 @@ const MAX_DESCENTS: usize = 12;
 /// gain that is left is about that of this round.
 const LAST_GAIN: f64 = 0.25;
 
-/// Least fraction of the way to the solution of a round that is tried. Larger: rounds that gain nothing, although a
-/// short step would. Smaller: more simulations. Chosen.
+/// Least fraction of the way from the present densities to the solution of a round with new tangents that is tried.
+/// Larger: rounds that gain nothing, although a short step would. Smaller: more simulations. Chosen.
 const LEAST_PART: f64 = 0.05;
 
 /// Use of the limits of a further axis above which no round tightens them: the path passes a place where the axis
@@ -120,7 +120,7 @@ pub struct PlanInputs<'a> {
 /// First mesh of the densities, and the bounds on its refinement.
 pub struct Meshes {
     pub first: Mesh,
-    /// Largest number of refinements of the first mesh.
+    /// Largest number of refinements, each of which adds nodes to the mesh before.
     pub refinements: usize,
     /// Largest number of multiplications of a factorisation of the normal matrix on a refined mesh.
     pub most_work: f64,
@@ -142,7 +142,7 @@ pub struct MeshOutcome {
     pub refused: Option<String>,
     /// RMS of the residual in the removal model of the solver ([`crate::merit`]), without the free low-order terms, nm.
     pub model_rms_nm: f64,
-    /// Price of a second, nm^2/s.
+    /// Price of a second in the objective, nm^2/s.
     pub price: f64,
     /// Tikhonov weight of the pull to the least densities, dimensionless.
     pub tikhonov: f64,
@@ -295,7 +295,7 @@ struct OnMesh<'a> {
     mesh: &'a Mesh,
     residual: Residual<'a>,
     normal: Normal,
-    /// Least density of every node, s/mm.
+    /// Least density of every node (nodes), s/mm.
     lo: Vec<f64>,
     pull: Pull,
 }

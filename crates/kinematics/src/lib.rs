@@ -42,8 +42,9 @@ pub use series::Series;
 /// which is nothing beside the second derivative of any tilt.
 const STEP_MM: f64 = 1e-3;
 
-/// Distance from the centre of the spindle below which the direction of the motion decides on c, mm. Larger: the path's
-/// own azimuth is lost. Smaller: rounding of the coordinates decides. Chosen: far below any count.
+/// Distance from the centre of the spindle, mm, below which the direction of the motion, not that of the point, decides
+/// on the angle c. Larger: the path's own azimuth is lost. Smaller: rounding of the coordinates decides. Chosen: far
+/// below any count of an encoder.
 pub const CENTRE_MM: f64 = 1e-9;
 
 /// Change of the position along the tool at which the contact point has converged, mm. Larger: contact points are less
@@ -67,7 +68,7 @@ pub struct AxisMap {
 /// Contact of the tool with the part at given positions of the axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
-    /// Contact point [x, y] in the plane of the part, mm.
+    /// Contact point [x, y] in the coordinates of the part, mm.
     pub point_mm: [f64; 2],
     /// Distance from the surface to the tip of the tool, along the tool, mm; 0 for kinematics without an axis z.
     pub gap_mm: f64,

@@ -53,26 +53,26 @@ use crate::{
 pub struct ConstantAccelerationReport {
     /// Number of segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Time that these segments took beyond their dwell time, without lifts, s.
+    /// Sum of the times by which these segments were longer than their dwell times, s; lifts are counted apart.
     pub added_s: f64,
-    /// Largest such time of one segment, s.
+    /// Largest time by which one of these segments was longer than its dwell time, s.
     pub largest_added_s: f64,
     /// Number of segments, per axis, that did not end at their control point because the axis could not brake in time.
     pub missed_points: [usize; 2],
-    /// Largest distance to the control point at a segment's end, per axis, mm.
+    /// Largest distance between the end of a segment and its control point, per axis, mm.
     pub largest_missed_mm: [f64; 2],
     /// Number of segments, per axis, in which the axis left the interval between its ends by more than [`OVERSHOOT_MM`]
     /// = 1 nm.
     pub overshoot_segments: [usize; 2],
     /// Number of segments, per axis, in which the axis left that interval by more than [`VISIBLE_OVERSHOOT_MM`] = 1 um.
     pub visible_overshoot_segments: [usize; 2],
-    /// Largest distance from that interval, per axis, mm.
+    /// Largest distance of an axis from the interval between the ends of its segment, per axis, mm.
     pub largest_overshoot_mm: [f64; 2],
     /// Number of lifts: segments with the tool off, each a motion that ends at rest.
     pub lifts: usize,
-    /// Time that the lifts took beyond their dwell time, s.
+    /// Sum of the times by which the lifts were longer than their dwell times, s.
     pub added_lifted_s: f64,
-    /// Time of the brake at the end, s.
+    /// Duration of the brake at the end of the motion, s.
     pub brake_s: f64,
     /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
@@ -106,7 +106,7 @@ struct Phase {
     tau_s: f64,
     /// Time of the whole segment (d), s.
     duration_s: f64,
-    /// Velocity after the acceleration, mm/s.
+    /// Velocity at the end of the acceleration and for the rest of the segment, mm/s.
     velocity: f64,
 }
 

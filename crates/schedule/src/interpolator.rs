@@ -94,7 +94,7 @@ pub struct Cubic {
     pub velocity_mm_per_s: [f64; 2],
     /// Duration, s.
     pub duration_s: f64,
-    /// True if the tool removes.
+    /// True if the tool is on and removes material.
     pub tool_on: bool,
 }
 
@@ -346,7 +346,7 @@ pub struct Reference {
     pub position_mm: [f64; 2],
     /// Feedrate, mm/s: the magnitude of the velocity.
     pub feed_mm_per_s: f64,
-    /// Number of the pass, from 0; -1 where the tool is off.
+    /// Number of the pass in which the tool is, from 0; -1 while the tool is off.
     pub pass_idx: i64,
 }
 

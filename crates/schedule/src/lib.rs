@@ -49,7 +49,8 @@ pub trait Scheduler: std::fmt::Debug {
         None
     }
 
-    /// Makes the motion along `path` with the times `dwell` on a machine with these limits.
+    /// Returns the motion along `path` with the dwell times `dwell`, and the segments whose time it changed, on a
+    /// machine with these limits.
     fn schedule(
         &self,
         path: &ToolPath,
@@ -72,12 +73,13 @@ pub struct Schedule<R> {
 pub struct Scheduled {
     /// Motion of the tool.
     pub trajectory: Trajectory,
-    /// Segments whose time in the motion is not their dwell time, in order: index, and time in the motion, s.
+    /// Segments whose time in the motion is not their dwell time, in order: index of the segment, and time in the
+    /// motion, s.
     pub changed: Vec<(usize, f64)>,
 }
 
 impl Scheduled {
-    /// Compares the time of every segment in the motion with its dwell time.
+    /// Returns the trajectory with the segments whose time in it differs from their dwell time by more than rounding.
     ///
     /// # Errors
     ///
@@ -101,7 +103,7 @@ pub struct Choices {
     pub mode: pvt::ModeChoice,
     /// Repair of the dwell-time densities of `trig-spline` where the motion exceeds a limit.
     pub repair: trig_spline::Repair,
-    /// Largest distance of the motion of `pvt` from its path, mm; the usual tolerance of the path when absent.
+    /// Largest distance of the motion of `pvt` from its path, mm; `None`: the usual tolerance of the path.
     pub max_path_distance_mm: Option<f64>,
 }
 
@@ -116,7 +118,8 @@ pub struct Named {
 }
 
 impl Named {
-    /// Returns the scheduler for a machine, with the chosen settings and the default of every other one.
+    /// Returns the scheduler for a machine with these limits, with the chosen settings and the default of every other
+    /// setting.
     pub fn scheduler(&self, choices: &Choices, limits: &Limits) -> Box<dyn Scheduler> {
         (self.make)(choices, limits)
     }
@@ -165,7 +168,7 @@ pub fn by_name(name: &str) -> Option<&'static Named> {
 /// Reasons for which a scheduler returns no motion.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ScheduleError {
-    /// The inputs do not belong together.
+    /// The inputs or the settings are invalid or do not belong together.
     #[error(transparent)]
     Invalid(#[from] Invalid),
     /// The machine cannot move at the dwell times, and the settings forbid stretching.
@@ -180,7 +183,7 @@ pub enum ScheduleError {
         length_mm: f64,
         /// Dwell time of the segment, s.
         dwell_s: f64,
-        /// Time that the segment needs, or the factor by which its time must grow, in words.
+        /// Time that the segment needs, or the factor by which its time must grow, as text.
         reason: String,
     },
     /// An iteration ended before it reached its tolerance.
@@ -192,7 +195,7 @@ pub enum ScheduleError {
          {excess:.6} times its time; check the machine's limits"
     )]
     StretchLimit {
-        /// Rounds of stretching.
+        /// Number of rounds of stretching that were made.
         rounds: usize,
         /// Index of the segment that exceeds the limits most.
         segment: usize,

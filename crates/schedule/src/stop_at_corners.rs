@@ -54,13 +54,13 @@ pub struct StopAtCornersReport {
     pub stops: usize,
     /// Number of segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Time that these segments took beyond their dwell time, s.
+    /// Sum of the times by which these segments were longer than their dwell times, s.
     pub added_s: f64,
-    /// Largest such time of one segment, s.
+    /// Largest time by which one of these segments was longer than its dwell time, s.
     pub largest_added_s: f64,
     /// Number of lifts: segments with the tool off, each a motion from rest to rest.
     pub lifts: usize,
-    /// Time that the lifts took beyond their dwell time, s.
+    /// Sum of the times by which the lifts were longer than their dwell times, s.
     pub added_lifted_s: f64,
     /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
@@ -90,7 +90,7 @@ impl Scheduler for StopAtCornersSettings {
 /// a straight line whose coordinates are rounded.
 const STRAIGHT_MM_PER_S: f64 = 1e-7;
 
-/// Schedules `path` with at least the times `dwell` within `limits`.
+/// Schedules `path` within `limits`; every segment takes at least its dwell time.
 ///
 /// # Errors
 ///
@@ -149,13 +149,13 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-/// Length, direction, dwell time and limits of a segment along the path.
+/// Segment of the path: length, direction, dwell time, and limits along the direction.
 #[derive(Clone, Copy, Debug)]
 struct Along {
     index: usize,
     tool_on: bool,
     length_mm: f64,
-    /// Unit vector; zero where the tool stands.
+    /// Unit vector along the segment; zero if the tool stands.
     direction: [f64; 2],
     dwell_s: f64,
     /// The dwell time, but not below the shortest segment that the controller accepts, s.

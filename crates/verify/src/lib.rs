@@ -112,7 +112,7 @@ pub enum Program {
     Lines,
 }
 
-/// Thresholds above which a change counts as a step.
+/// Thresholds above which a change counts as a step, and the law of a controller's program.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VerifySettings {
     /// Largest step in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the

@@ -23,7 +23,7 @@ pub(crate) enum Bound {
     StepOfProgram(f64),
     /// The value is at least this limit.
     AtLeast(f64),
-    /// The value is between the first number and the second.
+    /// The value is between the first number and the second, such as the travel of an axis.
     Between([f64; 2]),
 }
 

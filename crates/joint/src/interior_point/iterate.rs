@@ -24,8 +24,9 @@ const MAX_BEND_CORRECTIONS: usize = 4;
 /// correction.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// Largest number of Gondzio's corrections of a step. Larger: more solutions with the factor per step. Smaller:
-/// shorter steps, because outlying products are left. Chosen.
+/// Largest number of Gondzio's corrections of a step; they bring outlying products of slacks and dual variables back
+/// towards the target. Larger: more solutions with the factor per step. Smaller: shorter steps, because outlying
+/// products are left. Chosen.
 const MAX_CENTRALITY_CORRECTIONS: usize = 3;
 
 /// Length by which Gondzio's correction extends the primal and the dual step (1 is a full step) before it measures
@@ -68,7 +69,7 @@ const RAISED_PRODUCT: f64 = 100.0;
 /// [`RAISED_PRODUCT`].
 const ACTIVE_SLACK: f64 = 0.1;
 
-/// Densities and dual variables from which the method begins.
+/// Densities and dual variables from which the interior point method begins.
 #[derive(Clone, Debug)]
 pub struct Start {
     /// Densities of the nodes (D, n), s/mm, strictly inside the limits.
@@ -94,7 +95,7 @@ pub(super) struct Step {
     y: Vec<f64>,
 }
 
-/// Products of slacks and their dual variables: c z (rows) and (D - lo) y (n).
+/// Products of slacks and their dual variables: c z of the rows (rows), and (D - lo) y of the bounds (n).
 struct Products {
     rows: Vec<f64>,
     bounds: Vec<f64>,

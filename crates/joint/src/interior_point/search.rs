@@ -58,10 +58,10 @@ const STEPS_OF_A_PROOF: usize = 25;
 /// because the cells of the normal matrix lose a part. Chosen.
 pub(super) const REFERRED_AGAIN: f64 = 0.1;
 
-/// Progress before any step.
+/// Progress before any step of the search.
 pub(super) const FIRST: Progress = Progress { iteration: 0, complementarity: f64::INFINITY };
 
-/// Conditions under which the method stops.
+/// Conditions under which the search stops.
 #[derive(Clone, Copy, Debug)]
 pub struct Stop {
     /// Wanted gap: proven excess of the objective over its least value, relative to the objective.
@@ -141,7 +141,7 @@ pub(super) struct Look {
     wanted_nm2: f64,
     /// True if the search tries to prove the gap here.
     near: bool,
-    /// True if no step is left.
+    /// True if no step is left: the largest number of steps is reached.
     last: bool,
 }
 
@@ -155,7 +155,7 @@ impl Look {
 /// State that follows a proof.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Next {
-    /// The search ends.
+    /// The search ends for this reason.
     End(End),
     /// The program of the tangents is solved, and proves too little: the iterate moves towards its solution.
     Move,

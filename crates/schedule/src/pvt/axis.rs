@@ -136,7 +136,7 @@ pub(super) fn joined(parts: Vec<Part>) -> Solved {
 /// Segments, and times within them, for which a program has the limits of the machine as rows.
 #[derive(Debug)]
 struct Limited {
-    /// True for each segment (N) that has rows.
+    /// True for each segment (N) whose limits are rows of the program.
     segment: Vec<bool>,
     /// Times, as parts of the duration, at which the velocity of a segment is bounded in addition to its middle, by
     /// segment.

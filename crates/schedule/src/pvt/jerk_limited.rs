@@ -97,7 +97,7 @@ pub(super) fn motion(
 struct CutSegments {
     /// Index of the segment to which every piece (m) belongs.
     segment: Vec<usize>,
-    /// Times of the breaks (m+1), s, and their differences (m).
+    /// Times of the breaks between pieces (m+1), s; `duration_s` has their differences (m).
     break_time_s: Vec<f64>,
     duration_s: Vec<f64>,
     /// Displacement of every piece (m) along each axis, mm.

@@ -86,7 +86,7 @@ use crate::{Schedule, ScheduleError, Scheduled, Scheduler, check_lengths, hermit
 /// Settings of the PVT scheduler.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PvtSettings {
-    /// Objective of the motion: smooth or monotone.
+    /// Objective of the motion: least acceleration energy (smooth), or that without reversal in a segment (monotone).
     pub mode: Mode,
     /// True: segments get more time if the limits need it. False: the scheduler refuses such dwell times.
     pub stretch: bool,
@@ -109,9 +109,9 @@ impl PvtSettings {
 pub struct PvtReport {
     /// Segments whose time the scheduler lengthened, in order of the path.
     pub stretched: Vec<Stretched>,
-    /// Time that the stretching added with the tool on, s.
+    /// Time by which segments with the tool on were stretched in all, s.
     pub added_tool_on_s: f64,
-    /// Time that the stretching added with the tool lifted, s.
+    /// Time by which segments with the tool off (lifts) were stretched in all, s.
     pub added_tool_off_s: f64,
     /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
@@ -146,7 +146,7 @@ impl Scheduler for PvtSettings {
     }
 }
 
-/// Schedules `path` with the times `dwell` within `limits`.
+/// Schedules `path` with the times `dwell` within `limits`, and reports the segments that it stretched.
 ///
 /// # Errors
 ///

@@ -53,8 +53,8 @@ const LEAST_ROUNDINGS: f64 = 1e4;
 /// Number of speeds along the path that are tried first, from the largest that any direction allows downwards. Larger:
 /// a lower lowest speed, and more computing time. Smaller: slow speeds are missing. The lowest is 6e-4 of the largest.
 const SPEEDS: usize = 42;
-/// Ratio of each of these speeds to the next lower one. Larger: coarser speeds, and a lower lowest one. Smaller: finer
-/// speeds that end at a higher one.
+/// Ratio of each of the [`SPEEDS`] to the next lower one. Larger: coarser speeds, and a lower lowest one. Smaller:
+/// finer speeds that end at a higher one.
 const SPEED_FACTOR: f64 = 1.2;
 
 /// Largest change of speed along one segment, in steps of [`SPEED_FACTOR`], except from and to rest. Larger: more
@@ -75,13 +75,13 @@ const LONGER_THAN_EVEN: f64 = 1.02;
 /// than the dwell times need. Smaller: it is too slow between such neighbours.
 const FASTER_THAN_WANTED: f64 = 1.25;
 
-/// Number of bisections for a speed of the profile, which resolve it to 1e-6 of its upper bound. More: a finer
-/// speed and more computing time.
+/// Number of bisections that find a speed of the profile; 20 resolve it to 1e-6 of its upper bound. More: a finer speed
+/// and more computing time.
 const BISECTIONS: usize = 20;
 
-/// First and last step around the best velocities so far, relative to the velocity at a node or, if that is larger,
-/// to the mean velocity of a segment beside it. A larger first step: a wider search. A smaller last step: a finer
-/// result, and more sweeps.
+/// First and last step of the search around the best velocities so far. They are relative to the velocity at a node or,
+/// if that is larger, to the mean velocity of a segment beside it. A larger first step: a wider search. A smaller last
+/// step: a finer result, and more sweeps.
 const STEPS: [f64; 2] = [0.1, 2e-3];
 
 /// Gain of a sweep below which the steps are halved, relative to the time of the segments that may change. Larger:
@@ -117,7 +117,7 @@ struct ShortestAxis<'a> {
 pub(super) struct Search<'a> {
     axes: [ShortestAxis<'a>; 2],
     near: &'a NearPath,
-    /// Wanted time of every segment, s.
+    /// Wanted time of every segment (N), s: the dwell time, or the least time of its mean velocity.
     wanted_s: &'a [f64],
     /// Least time of every segment, s: the wanted time, but not below [`LEAST_ROUNDINGS`].
     least_s: Vec<f64>,
@@ -126,7 +126,7 @@ pub(super) struct Search<'a> {
 /// Result of the search: a motion within the limits.
 #[derive(Debug)]
 pub(super) struct Shortest {
-    /// Time of every segment, s.
+    /// Time of every segment (N), s.
     pub(super) duration_s: Vec<f64>,
     /// Velocities at the nodes (N+1) at these times, mm/s, one vector per axis.
     pub(super) velocity: [Vec<f64>; 2],
@@ -231,7 +231,8 @@ impl<'a> Search<'a> {
         self.least_time(i, velocity[i], velocity[i + 1]) <= self.least_s[i]
     }
 
-    /// Returns the times of all segments, s. A segment between two nodes that keep their velocity has its wanted time.
+    /// Returns the times of all segments (N), s, for these node velocities. A segment between two nodes that are not
+    /// `open` has its wanted time.
     fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
         let durations = (0..self.wanted_s.len()).map(|i| {
             let least = self.least_time(i, velocity[i], velocity[i + 1]);

@@ -17,11 +17,11 @@ pub(super) const MAX_ROUNDS: usize = 100;
 pub struct Stretched {
     /// Index of the segment in the path, which is also that of its dwell point.
     pub segment: usize,
-    /// True if the tool is on: then the additional time is an error of the dwell time.
+    /// True if the tool is on; the additional time then removes more material than planned.
     pub tool_on: bool,
     /// Dwell time, s.
     pub dwell_s: f64,
-    /// Time in the schedule, s.
+    /// Time of the segment in the schedule, s.
     pub scheduled_s: f64,
 }
 

@@ -73,10 +73,10 @@ use self::{
 };
 use crate::{ScheduleError, Scheduled, Scheduler, check_lengths};
 
-/// Settings of the trigonometric spline.
+/// Settings of the scheduler `trig-spline`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TrigSplineSettings {
-    /// Repair of the densities that the machine cannot follow.
+    /// Repair of the dwell-time densities that the machine cannot follow: an offset, or local changes.
     pub repair: Repair,
     /// Largest distance of the motion from a corner, mm; > 0. Larger: corners are passed faster, and the
     /// tool is farther from the path. Default 0.02 mm: a hundredth of the smallest tools, and enough to
@@ -152,7 +152,7 @@ impl Scheduler for TrigSplineSettings {
     }
 }
 
-/// Schedules `path` with the times `dwell` within `limits`.
+/// Schedules `path` with the times `dwell` within `limits`; the report has the changes of the densities.
 ///
 /// # Errors
 ///

@@ -272,7 +272,7 @@ struct CubicFit {
 #[derive(Clone, Copy, Debug)]
 struct Cubic {
     duration_s: f64,
-    /// Coefficients of the distance from the start of the piece, ascending, mm/s^order.
+    /// Ascending coefficients of the distance from the start of the piece of the spline, mm/s^order.
     coefficient_mm: [f64; 4],
     /// Error of the position, mm: an upper bound, or, if that exceeds the tolerance, the largest error at the check
     /// points of the stretch.

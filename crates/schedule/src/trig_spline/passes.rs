@@ -73,9 +73,9 @@ pub(super) struct Straight {
     pub(super) length: f64,
     /// Arc length of the whole path up to the start of the straight, mm.
     arc_length: f64,
-    /// Largest acceleration along its direction, mm/s^2, less the margin.
+    /// Largest acceleration along the direction of the segment, less the margin of the repair, mm/s^2.
     max_acceleration: f64,
-    /// Corner at its end.
+    /// Blend at the end of the segment; `None` if the direction does not change there.
     corner: Option<Corner>,
 }
 
@@ -88,7 +88,7 @@ pub(super) struct Pass {
     start_mm: [f64; 2],
     /// Segments with a length above rounding; empty if the tool only stands.
     pub(super) straights: Vec<Straight>,
-    /// Dwell points, and the corners between them.
+    /// Nodes in order: the dwell points, and the corners between them.
     pub(super) nodes: Vec<Node>,
     /// Index of the straight for each node; a dwell point is at the middle of the straight, a corner at its end.
     pub(super) straight_of: Vec<usize>,

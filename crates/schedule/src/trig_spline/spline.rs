@@ -273,7 +273,7 @@ fn angle_less_sine(x: f64) -> f64 {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limited {
     pub(super) shape: TrigPiece,
-    /// Largest acceleration along the path, mm/s^2, less the margin.
+    /// Largest acceleration that the machine allows along the piece, less the margin of the repair, mm/s^2.
     pub(super) max_acceleration: f64,
 }
 

@@ -87,7 +87,7 @@ pub struct AsPublishedSettings {
 pub struct AsPublishedReport {
     /// Largest distance of the least-squares cubics from their control points, mm.
     pub largest_position_error_mm: [f64; 2],
-    /// RMS of that distance over both ends of every segment, mm.
+    /// RMS of the distance of the least-squares cubics from their control points over both ends of every segment, mm.
     pub rms_position_error_mm: [f64; 2],
     /// Number of segments in which this axis has no displacement.
     pub resting_segments: [usize; 2],
