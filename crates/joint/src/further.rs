@@ -15,7 +15,7 @@ pub struct FurtherLimits {
 
 /// Axes of a machine beyond x and y, whose positions follow from the position of the tool on the part.
 pub trait FurtherAxes: Sync {
-    /// Returns the limits of these axes, in the order of the axes.
+    /// Returns the limits of the further axes, in their order.
     fn limits(&self) -> &[FurtherLimits];
 
     /// Returns the position of every axis with its first and second derivative by arc length: in the unit of the axis,

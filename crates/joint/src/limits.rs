@@ -45,12 +45,14 @@ use crate::{
 /// tool has turned further to the axis).
 const TURN_PER_STEP_RAD: f64 = 0.1;
 
-/// Least number of steps between such points on a clothoid. Larger: more rows. Smaller: the largest acceleration is
-/// missed if the tool slows down into a bend, because it is before the bend. Chosen.
+/// Least number of steps into which a clothoid is divided; at their ends the acceleration is limited by (1) of the
+/// module. Larger: more rows. Smaller: the largest acceleration is missed if the tool slows down into a bend, because
+/// it is before the bend. Chosen.
 const LEAST_STEPS: usize = 6;
 
-/// Ratio of the change of the curvature along a clothoid to its largest curvature up to which its ends alone are such
-/// points. Larger: the acceleration between them exceeds that at the ends. Smaller: more rows along bent paths. Chosen.
+/// Ratio of the change of the curvature along a clothoid to its largest curvature up to which its ends alone are points
+/// of (1) of the module. Larger: the acceleration between them exceeds that at the ends. Smaller: more rows along bent
+/// paths. Chosen.
 const LITTLE_CHANGE: f64 = 0.25;
 
 /// Fraction of the limit on acceleration that the rows of a clothoid leave free. It allows for the motion between the

@@ -130,7 +130,7 @@ pub struct Merit<'a> {
     executed: Option<Executed<'a>>,
     /// Terms (3) and (4) of the module; `None` until the motion is simulated.
     beyond: Option<Beyond>,
-    /// True if these terms stay as they are, see [`Self::keep_motion_of`].
+    /// True if the terms (3) and (4) of the module stay as they are, see [`Self::keep_motion_of`].
     motion_is_kept: bool,
     /// Half the mean square of the residual where the objective was computed last.
     last_half_mean_square_nm2: f64,

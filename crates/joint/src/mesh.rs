@@ -41,9 +41,9 @@ const NEAREST_NODE_FRACTION: f64 = 0.3;
 /// five, bisection as many as a number has bits.
 const MAX_INVERSION_STEPS: usize = 60;
 
-/// Step of this search below which the result is exact to rounding, as a fraction of the time of the span. Larger:
-/// less exact. Smaller: a step more than needed. Derived: the next step of Newton's method is about the square of this
-/// one.
+/// Newton step of [`Span::tau_at`] below which its result is exact to rounding, as a fraction of the time of the span.
+/// Larger: less exact. Smaller: a step more than needed. Derived: the next step of Newton's method is about the square
+/// of this one.
 const INVERSION_STEP: f64 = 1e-9;
 
 /// Span: the part of a curve between two nodes, of which one may be a rest.

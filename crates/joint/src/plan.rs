@@ -118,7 +118,7 @@ pub struct JointReport {
     pub proven: ProvenGap,
     /// Tikhonov weight of the pull to the least densities (alpha), dimensionless.
     pub tikhonov: f64,
-    /// Part of the objective that is due to this pull, 0 to 1.
+    /// Part of the objective that is due to the pull to the least densities, 0 to 1.
     pub pull_part: f64,
     /// Number of steps of the solver in all its rounds, without the search for a start if the price is an elasticity.
     pub iterations: usize,
@@ -175,7 +175,7 @@ pub struct RatesOfTime {
 const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the \
                        limits; not closer nodes, another curve, or another law of time between the nodes";
 
-/// Description of these plans for a machine that limits jerk.
+/// Description of the plans that [`JointReport::relative_gap`] covers on a machine that limits jerk.
 const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linear between these nodes, under the \
                                       tangents of the limits, and which keep the jerk by the same average in time; \
                                       not closer nodes, another curve, another law of time between the nodes, or \
@@ -559,9 +559,9 @@ const MOST_SLOWED: f64 = 1e4;
 /// are refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
 const CHECKED_PARTS: usize = 32;
 
-/// Largest change of a derivative between two such points that its second derivatives there do not explain, over the
-/// derivative. Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is
-/// resolved it is some percent, and 2 where the tool passes the centre of a spindle.
+/// Largest change of a derivative between two points of [`check_further`] that its second derivatives there do not
+/// explain, over the derivative. Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen:
+/// where an axis is resolved it is some percent, and 2 where the tool passes the centre of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
 /// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns within a part of a span.

@@ -46,9 +46,9 @@ const ABOVE_LIMITS: f64 = 1.001;
 /// for less gain each. Smaller: an objective further above its minimum. Chosen.
 const MAX_DESCENTS: usize = 12;
 
-/// Gain of such a round, over the relative gap, below which it is the last one. Larger: fewer rounds, and an objective
-/// further above its minimum. Smaller: more rounds. Chosen: if every round gains half as much as the one before, the
-/// gain that is left is about that of this round.
+/// Relative gain of a round with new tangents, over the relative gap, below which it is the last one. Larger: fewer
+/// rounds, and an objective further above its minimum. Smaller: more rounds. Chosen: if every round gains half as much
+/// as the one before, the gain that is left is about that of this round.
 const LAST_GAIN: f64 = 0.25;
 
 /// Least fraction of the way from the present densities to the solution of a round with new tangents that is tried.
@@ -82,8 +82,8 @@ pub const LITTLE_WORK: f64 = 1.5e8;
 /// are compared. Smaller: more steps for each of them. Chosen.
 const COMPARABLE: f64 = 0.03;
 
-/// Ratio of the products m T^x (mean square m, total time T, elasticity x) of two such plans below which the other plan
-/// is taken. Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better plans are missed. Chosen.
+/// Ratio of the products m T^x (mean square m, total time T, elasticity x) of two plans below which the other plan is
+/// taken. Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better plans are missed. Chosen.
 const CLEARLY_LESS: f64 = 0.95;
 
 /// Factor between the prices of time from which plans with the same elasticity are looked for. Larger: starts further
@@ -146,7 +146,7 @@ pub struct MeshOutcome {
     pub price: f64,
     /// Tikhonov weight of the pull to the least densities, dimensionless.
     pub tikhonov: f64,
-    /// Part of the objective that is due to this pull, 0 to 1.
+    /// Part of the objective that is due to the pull to the least densities, 0 to 1.
     pub pull_part: f64,
     pub iterations: usize,
     pub rounds: usize,
@@ -597,12 +597,13 @@ fn tighten(
     }
 }
 
-/// Returns the factors by which rows with these ratios to their limits are tightened; 1 where the limits are kept.
+/// Returns the factors by which rows are tightened if `used` are their ratios to the limits; 1 where the limits are
+/// kept.
 fn tightening(used: &[f64]) -> Vec<f64> {
     used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
 }
 
-/// Returns the largest of these ratios to a limit, but at least 1.
+/// Returns the largest ratio to a limit in `used`, but at least 1.
 fn largest_excess<'u>(used: impl IntoIterator<Item = &'u f64>) -> f64 {
     used.into_iter().copied().fold(1.0, f64::max)
 }

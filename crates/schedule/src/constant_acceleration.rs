@@ -53,9 +53,9 @@ use crate::{
 pub struct ConstantAccelerationReport {
     /// Number of segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Sum of the times by which these segments were longer than their dwell times, s; lifts are counted apart.
+    /// Sum of the times by which the late segments were longer than their dwell times, s; lifts are counted apart.
     pub added_s: f64,
-    /// Largest time by which one of these segments was longer than its dwell time, s.
+    /// Largest time by which a late segment was longer than its dwell time, s.
     pub largest_added_s: f64,
     /// Number of segments, per axis, that did not end at their control point because the axis could not brake in time.
     pub missed_points: [usize; 2],

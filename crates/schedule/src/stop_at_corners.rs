@@ -54,9 +54,9 @@ pub struct StopAtCornersReport {
     pub stops: usize,
     /// Number of segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Sum of the times by which these segments were longer than their dwell times, s.
+    /// Sum of the times by which the late segments were longer than their dwell times, s.
     pub added_s: f64,
-    /// Largest time by which one of these segments was longer than its dwell time, s.
+    /// Largest time by which a late segment was longer than its dwell time, s.
     pub largest_added_s: f64,
     /// Number of lifts: segments with the tool off, each a motion from rest to rest.
     pub lifts: usize,

@@ -124,12 +124,12 @@ impl Products {
     }
 }
 
-/// Combines two vectors of equal length component by component.
+/// Returns the combination of two vectors of equal length, component by component.
 fn zip_with(a: &[f64], b: &[f64], combine: fn(f64, f64) -> f64) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| combine(*a, *b)).collect()
 }
 
-/// Iterate of the method.
+/// Iterate of the interior point method: densities, slacks and dual variables.
 pub(super) struct Iterate<'a> {
     program: &'a Program<'a>,
     pub(super) density: Vec<f64>,

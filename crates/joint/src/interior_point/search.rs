@@ -40,8 +40,9 @@ const STILL_FALLING: f64 = 0.3;
 /// Larger: the next proof begins sooner and may fail again. Smaller: more steps before the next proof. Chosen.
 const KEPT_AGAIN: f64 = 0.25;
 
-/// Least value of that largest complementarity, over the wanted gap. Larger: proofs begin earlier. Smaller: many steps
-/// if the rows bend much, because the iterate then moves slowly along them. Chosen.
+/// Least ratio of the complementarity to the wanted gap that may be demanded before the search keeps tangents. Larger:
+/// proofs begin earlier. Smaller: many steps if the rows bend much, because the iterate then moves slowly along them.
+/// Chosen.
 const LEAST_KEPT_BELOW: f64 = 0.06;
 
 /// Least number of steps under the rows themselves after a proof that failed. Larger: later proofs. Smaller: the next

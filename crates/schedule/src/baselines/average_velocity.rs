@@ -27,7 +27,7 @@ use crate::{
 pub struct AverageVelocityReport {
     /// Segments whose time is longer than their dwell time, in order of the path.
     pub stretched: Vec<Stretched>,
-    /// Sum of the times by which these segments are longer than their dwell times, s.
+    /// Sum of the times by which the stretched segments are longer than their dwell times, s.
     pub added_s: f64,
     /// Largest step of the velocity at a control point along [x, y], start and end of the motion included, mm/s.
     pub largest_velocity_step_mm_per_s: [f64; 2],

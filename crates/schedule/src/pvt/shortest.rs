@@ -62,7 +62,8 @@ const SPEED_FACTOR: f64 = 1.2;
 /// acceleration the second of equal segments ends 1.41 times as fast as the first, which is two steps.
 const SPEEDS_PER_SEGMENT: usize = 3;
 
-/// Number of candidates of a node that are not such speeds: rest, the velocity before, and that of [`Search::profile`].
+/// Number of candidates of a node beside its [`SPEEDS`] along the path: rest, the velocity before, and that of
+/// [`Search::profile`].
 const OTHERS: usize = 3;
 
 /// Largest ratio of the time of a segment between two speeds of a profile to its time at constant acceleration. It

@@ -28,9 +28,9 @@ pub struct Stretched {
 /// Segments of a path whose time is above zero, and their times.
 #[derive(Debug)]
 pub(super) struct Timing {
-    /// Indices of these segments in the path.
+    /// Indices of the segments with a time above zero in the path.
     pub(super) segments: Vec<usize>,
-    /// Time of each of these segments, s; > 0.
+    /// Time of each of the `segments`, s; > 0.
     pub(super) duration_s: Vec<f64>,
 }
 

@@ -20,7 +20,7 @@ pub struct TrigSplineReport {
     /// Number of dwell points whose density was held at half the mean density of the segment, because the neighbours
     /// differ too much.
     pub held_densities: usize,
-    /// Time that holding these densities added, s.
+    /// Time that the held densities added to the motion, s.
     pub held_added_s: f64,
     /// Number of changes of direction with the tool on; a parabola rounds each of them.
     pub corners: usize,
