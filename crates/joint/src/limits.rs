@@ -88,8 +88,9 @@ const MAX_HALVINGS: usize = 5;
 /// the cubic of a span is monotone.
 const MAX_RATIO: f64 = 3.0;
 
-/// Slack above which a row is far from being active, dimensionless (1 at rest); its second derivatives are not computed.
-/// Larger: more differences to compute. Smaller: rows whose bend (second derivative) ends a step early. Chosen.
+/// Slack above which a row is far from being active, dimensionless (1 at rest); its second derivatives are not
+/// computed. Larger: more differences to compute. Smaller: rows whose bend (second derivative) ends a step early.
+/// Chosen.
 const FAR_SLACK: f64 = 0.5;
 
 /// Step of the differences of first derivatives that give the second ones, relative to the density. Larger: an error by

@@ -74,8 +74,8 @@ const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 /// follows the removal of the TIF. Smaller: plans of large parts that take minutes. Chosen.
 const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 
-/// Least fraction of the time near a limit at which the summary names this limit. Larger: limits of short bends are left
-/// out. Smaller: limits at single points are named. Chosen.
+/// Least fraction of the time near a limit at which the summary names this limit. Larger: limits of short bends are
+/// left out. Smaller: limits at single points are named. Chosen.
 const LEAST_NAMED: f64 = 5e-4;
 
 /// Largest number of limits that the summary names. Larger: a longer sentence. Smaller: limits that matter are left

@@ -94,9 +94,9 @@ const MUCH_CHEAPER: f64 = 30.0;
 /// mesh at the cost of its steps. Smaller: smaller weights than needed. Chosen.
 const AIMED_PART: f64 = 0.3;
 
-/// Part of [`MOST_PULL`] from which on the Tikhonov weight is lowered before the last mesh. Larger: plans that are solved
-/// again. Smaller: smaller weights than needed. Chosen: the pull of an approach (an iterate near the minimum) is within a
-/// factor of two of the final one.
+/// Part of [`MOST_PULL`] from which on the Tikhonov weight is lowered before the last mesh. Larger: plans that are
+/// solved again. Smaller: smaller weights than needed. Chosen: the pull of an approach (an iterate near the minimum) is
+/// within a factor of two of the final one.
 const LOWERED_EARLY: f64 = 0.5;
 
 /// Factor by which a Tikhonov weight is raised if the matrix was singular. Larger: more of the pull. Smaller: more
