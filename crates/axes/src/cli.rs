@@ -29,7 +29,7 @@ impl AxesCommand {
     }
 }
 
-/// Returns the form of `--form`; a plane without it.
+/// Returns the form of the part that `--form` names, or a plane if the flag is absent.
 fn read_form(form: Option<&PathBuf>, inputs: &mut Inputs) -> Result<Form, Failure> {
     Ok(match form {
         Some(path) => inputs.read_form("form", path)?.form,

@@ -19,27 +19,28 @@ use crate::piece::{State, cubic};
 /// more segments. Chosen: 1e-3 um, a thousandth of the tolerance of a motion.
 const TOLERANCE_MM: f64 = 1e-6;
 
-/// Way of the fastest axis over which a velocity is taken, mm or deg. Larger: truncation, its square times the third
-/// derivative. Smaller: rounding of 1e-13 mm over it. Derived: both are below 1e-9 of the velocity on parts with radii
-/// of 10 mm and more.
+/// Distance that the fastest axis moves for the difference that gives a velocity, mm or deg. Larger: truncation, its
+/// square times the third derivative. Smaller: rounding of 1e-13 mm over it. Derived: both are below 1e-9 of the
+/// velocity on parts with radii of 10 mm and more.
 const WAY: f64 = 1e-3;
 
-/// Largest number of times that a segment is halved. Larger: memory for 2^n pieces. Smaller: long segments are refused.
+/// Largest number of times that a segment of the motion of the axes is halved. Larger: memory for 2^n pieces. Smaller:
+/// long segments are refused.
 const MOST_HALVES: u32 = 16;
 
-/// Report on an executed contact point.
+/// Report on the motion of the contact point that the axes execute.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ContactReport {
-    /// Number of segments.
+    /// Number of segments of the executed motion.
     pub segment_count: usize,
-    /// Largest distance of the cubics from the executed contact point, um, at 3 points in every segment.
+    /// Largest distance of the cubics from the executed contact point, um, measured at 3 points in every segment.
     pub deviation_um: f64,
     /// Duration of the motion, s.
     pub total_time_s: f64,
 }
 
-/// Returns the path of the contact point over the part that the motion of the axes executes, within 1e-3 um: a
-/// trajectory in the plane of the part, with the segments and the tool states of `motion`.
+/// Returns the motion of the contact point over the part that the motion of the axes executes, within 1e-3 um, and a
+/// report. It is a trajectory in the plane of the part, with the tool states and dwell points of `motion`.
 ///
 /// # Errors
 ///
@@ -115,7 +116,8 @@ fn point(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[f64; 2]> {
     Some(map.contact(&q)?.point_mm)
 }
 
-/// Returns the position and velocity of the contact point along x and y.
+/// Returns position and velocity of the contact point along x and y, at the local time `u` of the cubics of the axes.
+/// `None` if the tool meets no surface.
 fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[State; 2]> {
     let q: Vec<f64> = cubics.iter().map(|c| evaluate(c, u)).collect();
     let v: Vec<f64> = cubics.iter().map(|c| evaluate(&derivative(c), u)).collect();

@@ -14,14 +14,15 @@ use crate::{
     slow::{Excess, slow},
 };
 
-/// Largest number of times that pieces are halved because the stretch of time bends them. Larger: memory for 2^n
-/// pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with
-/// each.
+/// Largest number of times that pieces are halved because the stretch of time bends their cubics. Larger: memory for
+/// 2^n pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance from the path
+/// falls by 16 with each.
 const MOST_ROUNDS: usize = 10;
 
-/// Computes the motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
+/// Computes the motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`, and
+/// its report.
 ///
-/// Slows the motion down where an axis would exceed a limit; a step of the velocity in the motion itself stays.
+/// Slows the motion down where an axis would exceed a limit. A step of the velocity in `trajectory` itself stays.
 ///
 /// # Errors
 ///
@@ -94,16 +95,18 @@ pub fn motion(
     Ok((executed, report))
 }
 
-/// Returns the time that those pieces take longer than planned that are `chosen` by their index, s.
+/// Returns the sum of the times by which the executed pieces are longer than planned, s, over the pieces whose index is
+/// `chosen`.
 fn added_s(executed: &AxesMotion, pieces: &[AxesPiece], chosen: impl Fn(usize) -> bool) -> f64 {
     let chosen = (0..pieces.len()).filter(|k| chosen(*k));
     chosen.map(|k| executed.duration_s(k) - pieces[k].duration_s()).sum()
 }
 
-/// Pieces, stretch at their ends, and the worst excess of the motion as given with its time, s.
+/// Pieces, factors of the stretch of time at their ends, and the worst excess of the unslowed motion with its time, s.
 type SlowedPieces = (Vec<AxesPiece>, Vec<f64>, Option<(Excess, f64)>);
 
-/// Slows the pieces down to the limits, and halves those that leave the path by it, until neither is needed.
+/// Slows the pieces down to the limits of the axes, and halves those that leave the path because of it, until neither
+/// is needed.
 fn slowed(planned: &AxesPieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
     let mut pieces = planned.all()?;
     let mut first = None;
@@ -128,7 +131,7 @@ fn slowed(planned: &AxesPieces<'_>, machine: &Machine) -> Result<SlowedPieces, I
     Err(Invalid::whole("trajectory", problem, remedy))
 }
 
-/// Returns the cubics of the pieces, with the stretch at their ends.
+/// Returns the motion of the axes: the cubics of the pieces, with the stretch of time at their ends.
 fn executed(
     pieces: &[AxesPiece],
     stretch: &[f64],
@@ -169,12 +172,12 @@ fn executed(
     )
 }
 
-/// Number of parts into which the interval around the largest of equally spaced angles is cut in turn, each time at its
-/// golden section. Larger: more time, no effect. Smaller: a less exact angle. Derived: 0.618^30 is 5e-7.
+/// Number of golden sections that narrow the interval around the largest of equally spaced angles. Larger: more time,
+/// no effect. Smaller: a less exact angle. Derived: 0.618^30 is 5e-7.
 const GOLDEN_SECTIONS: usize = 30;
 
-/// Returns the largest angle between tool and normal on an executed motion, degrees: at equal parts of every segment,
-/// and from the largest of these on by golden sections.
+/// Returns the largest angle between tool and normal on an executed motion, degrees. It compares equally spaced points
+/// of every segment, and refines the largest one by golden sections.
 fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
     let parts = INNER_POINTS + 1;
     let mut largest = 0.0;
@@ -201,21 +204,23 @@ fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
     largest
 }
 
-/// Returns the angle between tool and normal at a part of segment `k`, degrees; 0 where the tool meets no surface.
+/// Returns the angle between tool and normal at the part `part` (0 to 1) of segment `k`, degrees; 0 if the tool meets
+/// no surface.
 fn off_normal_deg(map: &AxisMap, executed: &AxesMotion, k: usize, part: f64) -> f64 {
     let u = part * executed.duration_s(k);
     let q: Vec<f64> = executed.segment(k).iter().map(|c| evaluate(c, u)).collect();
     map.contact(&q).map_or(0.0, |contact| contact.off_normal_deg)
 }
 
-/// Largest distances of an executed motion.
+/// Largest distance of an executed motion from the path, with its time, and largest gap between tool and surface.
 struct Farthest {
     distance_mm: f64,
     time_s: f64,
     gap_mm: f64,
 }
 
-/// Returns the largest distance of the executed contact point from the path, at points in every segment.
+/// Returns the largest distances of the executed motion, measured at points inside every segment. The distance is
+/// infinite if the tool meets no surface.
 fn farthest(
     map: &AxisMap,
     pieces: &[AxesPiece],

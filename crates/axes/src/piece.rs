@@ -1,4 +1,4 @@
-//! Pieces of a motion of the contact point on which every axis runs a cubic.
+//! Pieces of a motion of the contact point; on each piece every axis runs one cubic.
 //!
 //! ```text
 //! q(u) = q0 + v0 u + (3 dq/h^2 - (2 v0 + v1)/h) u^2 + (-2 dq/h^3 + (v0 + v1)/h^2) u^3      u in [0, h]   (1)
@@ -11,8 +11,9 @@ use planish_kinematics::{AxisMap, CENTRE_MM, Series};
 use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Invalid, Segment, Trajectory};
 
-/// Points inside a piece at which contact points are compared. Larger: more time. Smaller: the largest distance of a
-/// fourth-order error, in the middle of a smooth piece, is missed by more. Chosen: 7 with the middle among them.
+/// Number of points inside a piece at which contact points are compared. Larger: more time. Smaller: the largest
+/// distance of a fourth-order error, in the middle of a smooth piece, is missed by more. Chosen: 7 with the middle
+/// among them.
 pub(crate) const INNER_POINTS: usize = 7;
 
 /// Part of the tolerance that the pieces use: slowing the motion down changes their cubics a little. Larger: the
@@ -23,25 +24,25 @@ const PART_OF_TOLERANCE: f64 = 0.5;
 /// Chosen: half of the half turn.
 const MOST_TURN_DEG: f64 = 90.0;
 
-/// Largest number of times that a segment is halved. Larger: memory for 2^n pieces. Smaller: fewer long segments of
-/// strongly curved parts succeed. Derived: 2^12 halves lower the distance by 2.8e14.
+/// Largest number of times that a segment of the motion is halved. Larger: memory for 2^n pieces. Smaller: fewer long
+/// segments of strongly curved parts succeed. Derived: 2^12 halves lower the distance by 2.8e14.
 const MOST_HALVES: u32 = 12;
 
-/// Largest jump of a spindle at a node that is rounding, degrees. Larger: real jumps pass. Smaller: rounding of a path
-/// at 1e-9 mm from the centre is refused. Chosen: planish-verify finds smaller jumps.
+/// Largest jump of a spindle at a node that counts as rounding, degrees. Larger: real jumps pass. Smaller: rounding of
+/// a path at 1e-9 mm from the centre is refused. Chosen: planish-verify finds smaller jumps.
 const MOST_JUMP_DEG: f64 = 1.0;
 
 const AWAY_FROM_CENTRE: &str = "lead the path farther from the centre of the spindle";
 
-/// Position and velocity of an axis.
+/// Position and velocity of an axis, in mm or deg and s.
 pub(crate) type State = [f64; 2];
 
-/// A piece, with the states of all axes at both ends.
+/// Piece of a motion, with the position and velocity of all axes at both ends.
 #[derive(Clone, Debug)]
 pub(crate) struct AxesPiece {
-    /// Segment of the motion.
+    /// Index of the segment of the motion to which the piece belongs.
     pub(crate) segment: usize,
-    /// Local times in this segment at which the piece begins and ends, s.
+    /// Local time in this segment at which the piece begins, s; `to_s` is that of its end.
     pub(crate) from_s: f64,
     pub(crate) to_s: f64,
     pub(crate) start: Vec<State>,
@@ -49,12 +50,13 @@ pub(crate) struct AxesPiece {
 }
 
 impl AxesPiece {
-    /// Returns the duration in the motion, s.
+    /// Returns the duration of the piece before any stretch of time, s.
     pub(crate) fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
     }
 
-    /// Returns the cubics (1) of the axes over `h` seconds, with the velocities at the ends divided by `slower`.
+    /// Returns the cubics of the axes over `h` seconds, (1) of the module. It divides the velocities at the start and
+    /// at the end by `slower`.
     pub(crate) fn cubics(&self, h: f64, slower: [f64; 2]) -> impl Iterator<Item = [f64; 4]> {
         self.start.iter().zip(&self.end).map(move |(start, end)| {
             cubic([start[0], start[1] / slower[0]], [end[0], end[1] / slower[1]], h)
@@ -62,13 +64,15 @@ impl AxesPiece {
     }
 }
 
-/// Returns the cubic (1) between two states, `h` seconds apart.
+/// Returns the cubic of one axis between two states that are `h` seconds apart, (1) of the module: ascending
+/// coefficients.
 pub(crate) fn cubic([q0, v0]: State, [q1, v1]: State, h: f64) -> [f64; 4] {
     let mean = (q1 - q0) / h;
     [q0, v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
 }
 
-/// Returns the contact point of the motion with its derivatives, at the local time `u` of a segment.
+/// Returns position, velocity and acceleration of the contact point along x and y at the local time `u` of a segment
+/// with the coefficients `c`.
 pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     c.each_ref().map(|c| {
         let v = derivative(c);
@@ -80,13 +84,14 @@ pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     })
 }
 
-/// Returns the duration of a piece whose time is stretched by a factor that is linear between its ends, s.
+/// Returns the duration of a piece whose time is stretched, s. The factor is linear between its values `ends` at the
+/// ends.
 pub(crate) fn stretched_s(piece: &AxesPiece, ends: [f64; 2]) -> f64 {
     0.5 * (ends[0] + ends[1]) * piece.duration_s()
 }
 
-/// Returns the part of the duration in the motion as given, at a part of the stretched duration: the root of `w0 f +
-/// (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
+/// Returns the part of the unstretched duration that has passed at the part `part` of the stretched one: the root f of
+/// `w0 f + (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
 pub(crate) fn planned_part(part: f64, [w0, w1]: [f64; 2]) -> f64 {
     let area = 0.5 * part * (w0 + w1);
     2.0 * area / (w0 + (w0 * w0 + 2.0 * (w1 - w0) * area).sqrt())
@@ -116,8 +121,8 @@ fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64;
     if order == 0 { None } else { Some([0, 1].map(|k| orders[k][order] / length)) }
 }
 
-/// Returns the distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) .
-/// p' = 0.
+/// Returns the distance of the point `x` from the path of a piece, mm. It starts at the part `f` of the piece and takes
+/// two Newton steps for the nearest point, (p - x) . p' = 0.
 pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &AxesPiece, f: f64, x: [f64; 2]) -> f64 {
     let mut u = piece.from_s + f * piece.duration_s();
     for _ in 0..2 {
@@ -135,18 +140,19 @@ pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &AxesPiece, f: f64, x: [f64;
     (p[0].value - x[0]).hypot(p[1].value - x[1])
 }
 
-/// All pieces of a motion, in order.
+/// Motion of the contact point, with what is needed to divide it into pieces.
 pub(crate) struct AxesPieces<'a> {
     pub(crate) map: &'a AxisMap,
     pub(crate) trajectory: &'a Trajectory,
-    /// Index of the axis c of a spindle.
+    /// Index of the axis c of a spindle; `None` for a machine without a spindle.
     pub(crate) turning: Option<usize>,
     pub(crate) tolerance_mm: f64,
     pub(crate) min_segment_s: f64,
 }
 
 impl AxesPieces<'_> {
-    /// Returns the pieces. Refuses a motion that leaves the form, and one that the axes cannot follow.
+    /// Returns the pieces of the motion, in order. Refuses a motion that leaves the form, and one that the axes cannot
+    /// follow within the tolerance.
     pub(crate) fn all(&self) -> Result<Vec<AxesPiece>, Invalid> {
         let mut pieces: Vec<AxesPiece> = Vec::new();
         for (i, segment) in self.trajectory.segments().enumerate() {
@@ -177,7 +183,7 @@ impl AxesPieces<'_> {
         Ok(pieces)
     }
 
-    /// Returns both halves of a piece.
+    /// Returns both halves of a piece, cut in the middle of its time.
     fn halved(&self, piece: AxesPiece, segment: &Segment<'_>) -> Result<[AxesPiece; 2], Invalid> {
         let i = piece.segment;
         let middle_s = 0.5 * (piece.from_s + piece.to_s);
@@ -192,8 +198,8 @@ impl AxesPieces<'_> {
         Ok([AxesPiece { to_s: middle_s, end, ..piece }, second])
     }
 
-    /// Returns the pieces, those halved that leave the path by more than the tolerance where time is stretched by
-    /// `stretch`; `None` if none does. A stretch that changes within a piece bends its cubics.
+    /// Returns the pieces, of which those that leave the path by more than the tolerance are halved; `None` if none
+    /// does. A stretch of time that changes within a piece bends its cubics.
     pub(crate) fn finer(
         &self,
         pieces: &[AxesPiece],
@@ -224,9 +230,9 @@ impl AxesPieces<'_> {
         Ok(if finer.len() > pieces.len() { Some(finer) } else { None })
     }
 
-    /// Returns the position and velocity of the axes at a time of a segment. In the centre of a spindle, the point
-    /// moves away from there, or it arrives. A point at rest in the centre has the direction in which it begins to
-    /// move, and all axes rest.
+    /// Returns the position and velocity of all axes at the local time `u` of segment `i`. In the centre of a spindle c
+    /// has the direction in which the point moves away, or from which it comes if `arrives`. A point at rest in the
+    /// centre has the direction in which it begins to move, and all axes rest.
     fn state(
         &self,
         i: usize,
@@ -256,7 +262,8 @@ impl AxesPieces<'_> {
         Ok(axes.iter().map(|q| [q.value, speed * q.first]).collect())
     }
 
-    /// Adds whole turns of the spindle to the state `after` a node, and refuses a jump there, which the centre causes.
+    /// Adds whole turns of the spindle to the state `after` a node, to be near the state `before` it. Refuses a jump
+    /// that is left, which a path through the centre causes.
     fn join(
         &self,
         i: usize,
@@ -282,15 +289,15 @@ impl AxesPieces<'_> {
         Err(Invalid::at_index("coefficient_mm", i, problem, AWAY_FROM_CENTRE))
     }
 
-    /// Adds whole turns of the spindle to `after` so that it is near `before`.
+    /// Adds whole turns of the spindle to the state `after` so that its angle is nearest to that of `before`.
     fn unwrap(&self, before: &[State], after: &mut [State]) {
         if let Some(c) = self.turning {
             after[c][0] -= 360.0 * ((after[c][0] - before[c][0]) / 360.0).round();
         }
     }
 
-    /// Returns the largest distance in mm of the contact point of a piece from that of the motion at the same time;
-    /// infinite where a spindle turns too far, and where the tool meets no surface.
+    /// Returns the largest distance of the contact point of a piece from that of the motion at the same time, mm. It is
+    /// infinite if the spindle turns too far within the piece, or if the tool meets no surface.
     fn away_mm(&self, piece: &AxesPiece, segment: &Segment<'_>) -> f64 {
         if self.turning.is_some_and(|c| (piece.end[c][0] - piece.start[c][0]).abs() > MOST_TURN_DEG)
         {

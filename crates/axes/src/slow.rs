@@ -6,10 +6,10 @@
 //! h' = h (w0 + w1) / 2,   velocities at the ends v0 / w0, v1 / w1                                   (1)
 //! ```
 //!
-//! A piece that exceeds a limit by the ratio e asks for more of it: e for a velocity, e^(1/2) for an acceleration,
-//! e^(1/3) for a jerk or a step of the acceleration. What the pieces ask for is spread over a window by a running
-//! maximum and then averaged twice over half of it, so that w has a continuous slope and is nowhere below what was
-//! asked. The window grows from round to round. What is left after the last round stretches the whole motion.
+//! A piece that exceeds a limit by the ratio e needs a larger factor: e for a velocity, e^(1/2) for an acceleration,
+//! e^(1/3) for a jerk or a step of the acceleration. A running maximum over a window spreads these needs; two averages
+//! over half the window follow. So w has a continuous slope and is nowhere below the need. The window grows from round
+//! to round. An excess that is left after the last round stretches the whole motion.
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -23,44 +23,46 @@ use planish_types::MachineAxis;
 
 use crate::piece::{AxesPiece, stretched_s};
 
-/// Half the window of the first round, s, and its growth from round to round. Larger: the motion is slowed down for
-/// longer. Smaller: more rounds. Chosen: from a few servo cycles to 20 000 s in [`ROUNDS`].
+/// Half the window of the first round, s; [`GROWTH`] is the factor from round to round. Larger: the motion is slowed
+/// down for longer. Smaller: more rounds. Chosen: from a few servo cycles to 20 000 s in [`ROUNDS`].
 const FIRST_WINDOW_S: f64 = 0.01;
 const GROWTH: f64 = 1.6;
 
-/// Largest number of rounds. Larger: more time before the whole motion is stretched. Smaller: that happens earlier.
+/// Largest number of rounds. Larger: more time before the whole motion is stretched. Smaller: the whole motion is
+/// stretched earlier.
 const ROUNDS: usize = 32;
 
-/// Excess over a limit that is rounding. Larger: limits are exceeded by it. Smaller: rounding slows the motion down.
-/// Chosen: a tenth of what planish-verify takes for rounding.
+/// Excess of the stretch over 1 that counts as rounding. Larger: limits are exceeded by it. Smaller: rounding slows the
+/// motion down. Chosen: a tenth of what planish-verify takes for rounding.
 pub(crate) const ROUNDING: f64 = 1e-10;
 
-/// Part by which a piece asks for more than it needs. Larger: the motion is slower by it. Smaller: more rounds. Chosen.
+/// Relative amount by which a piece is stretched more than it needs. Larger: the motion is slower by it. Smaller: more
+/// rounds. Chosen.
 const MARGIN: f64 = 1e-4;
 
-/// A limit that a motion exceeds.
+/// Excess of one axis over one limit on one piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Excess {
-    /// Ratio of the value to the limit.
+    /// Ratio of the largest value of the quantity on the piece to its limit.
     pub(crate) ratio: f64,
-    /// Factor by which time has to be stretched there.
+    /// Factor by which the time of the piece has to be stretched.
     pub(crate) stretch: f64,
-    /// Index of the axis.
+    /// Index of the axis of the machine.
     pub(crate) axis: usize,
     pub(crate) quantity: &'static str,
-    /// Index of the piece.
+    /// Index of the piece in the motion.
     pub(crate) piece: usize,
 }
 
-/// Stretch w at the ends of the pieces, with a factor for the whole motion.
+/// Factors (w) of the stretch of time at the ends of the pieces (n + 1), and a further factor for the whole motion.
 pub(crate) struct Slowed {
     pub(crate) stretch: Vec<f64>,
     pub(crate) whole: f64,
-    /// The worst excess of the motion as it was; `None` if it kept every limit.
+    /// Worst excess of the unslowed motion; `None` if it keeps every limit.
     pub(crate) worst: Option<Excess>,
 }
 
-/// Finds the stretch with which the pieces keep the limits of the axes.
+/// Returns the stretch of time with which the pieces keep the limits of the axes.
 pub(crate) fn slow(pieces: &[AxesPiece], axes: &[MachineAxis]) -> Slowed {
     let mut need = vec![1.0; pieces.len()];
     let mut stretch = vec![1.0; pieces.len() + 1];
@@ -91,7 +93,8 @@ fn largest(excess: &[Option<Excess>]) -> Option<Excess> {
     excess.iter().flatten().copied().max_by(|a, b| a.stretch.total_cmp(&b.stretch))
 }
 
-/// Returns the worst ratio of every piece, the step at its start included; `None` where everything rests.
+/// Returns the worst excess of every piece, the step of the acceleration at its start included. The excess is a ratio
+/// of value to limit and can be below 1; `None` without axes.
 fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Option<Excess>> {
     // Accelerations at the end of the piece before, and its duration.
     let mut before = (vec![0.0; axes.len()], 0.0);
@@ -132,7 +135,8 @@ fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<
     all
 }
 
-/// Returns the stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it.
+/// Returns the stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it,
+/// and at least the need of each piece.
 fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut time_s = vec![0.0];
     for piece in pieces {
@@ -150,7 +154,7 @@ fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     stretch
 }
 
-/// Returns the largest need of the pieces that come within `window_s` of every time.
+/// Returns, for each of the times, the largest need of the pieces that come within `window_s` of it.
 fn windowed_largest(time_s: &[f64], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut largest = Vec::with_capacity(time_s.len());
     // Pieces in the window, the needs descending.
@@ -172,8 +176,8 @@ fn windowed_largest(time_s: &[f64], need: &[f64], window_s: f64) -> Vec<f64> {
     largest
 }
 
-/// Returns the mean over `half_s` on both sides of every time, of values that are linear between the times and constant
-/// beyond.
+/// Returns, for each of the times, the mean of `value` over `half_s` on both sides. The values are linear between the
+/// times and constant beyond them.
 fn averaged(time_s: &[f64], value: &[f64], half_s: f64) -> Vec<f64> {
     let n = time_s.len();
     let mut sum = vec![0.0];

@@ -14,7 +14,7 @@ fn axes(dir: &Path, arguments: &str) -> Output {
         .unwrap()
 }
 
-/// A pass over 60 mm from rest to rest, a sphere, and the machine with five axes.
+/// Writes the inputs into `dir`: a pass over 60 mm from rest to rest, a sphere, and a machine with five axes.
 fn prepare(dir: &Path) {
     let h: f64 = 6.0;
     let cubic = |way: f64| [-0.5 * way, 0.0, 3.0 * way / (h * h), -2.0 * way / (h * h * h)];

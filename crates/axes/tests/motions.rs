@@ -21,7 +21,7 @@ fn plane() -> Form {
     Form::new(&FormFile::plane(), None).unwrap()
 }
 
-/// Cubics through points with velocities, all of the same duration.
+/// Returns the motion of cubics through points, mm, with velocities, mm/s, each of the duration `h`, s.
 fn through(points: &[[f64; 2]], velocities: &[[f64; 2]], h: f64) -> Trajectory {
     let segment = |i: usize| {
         [0, 1].map(|k| {
@@ -41,12 +41,12 @@ fn through(points: &[[f64; 2]], velocities: &[[f64; 2]], h: f64) -> Trajectory {
     .unwrap()
 }
 
-/// One long straight pass from rest to rest, as one cubic.
+/// Returns one long straight pass from rest to rest, as one cubic.
 fn pass(from: [f64; 2], to: [f64; 2], duration_s: f64) -> Trajectory {
     through(&[from, to], &[[0.0; 2]; 2], duration_s)
 }
 
-/// A smooth random motion from rest to rest, that comes near most of a disk of 40 mm.
+/// Returns a smooth random motion from rest to rest that comes near most of a disk of 40 mm.
 fn wander(random: &mut ChaCha8Rng) -> Trajectory {
     let n = random.random_range(2..12);
     let h = random.random_range(0.05..1.0);
@@ -69,8 +69,8 @@ fn wander(random: &mut ChaCha8Rng) -> Trajectory {
     through(&points, &velocities, h)
 }
 
-/// Sentences on the limits that a motion exceeds, from values at 65 instants of every segment. The jerk limit allows
-/// steps of the acceleration from the middle of a segment to that of the next.
+/// Returns a sentence for each limit that a motion exceeds, from values at 65 instants of every segment. The jerk limit
+/// allows steps of the acceleration as in a controller's program: from the middle of a segment to that of the next.
 fn exceeded(motion: &AxesMotion, machine: &Machine) -> Vec<String> {
     let mut found = Vec::new();
     // Rounding of the values and of the durations: what planish-verify allows.
@@ -113,7 +113,7 @@ fn settings() -> MotionSettings {
     MotionSettings::default()
 }
 
-/// Machines of the four kinematics, with and without a limit on jerk.
+/// Returns machines of the four kinematics, with and without a limit on jerk.
 fn machines() -> Vec<Machine> {
     let mut all = Vec::new();
     for time_s in [0.0, 0.1] {
@@ -124,7 +124,7 @@ fn machines() -> Vec<Machine> {
     all
 }
 
-/// PLANISH_CASES sets the number of motions per machine: 12500 make 1e5.
+/// The environment variable PLANISH_CASES sets the number of motions per machine: 12500 make 1e5 in all.
 #[test]
 fn random_motions_keep_every_limit_and_the_path() {
     let cases: u64 = env::var("PLANISH_CASES").map_or(25, |n| n.parse().unwrap());
@@ -268,7 +268,7 @@ fn along_a_cylinder_the_tilts_stand_still() {
     }
 }
 
-/// A pass at the distance d from the centre of a spindle: c turns by half a turn, at most at the speed v / d.
+/// The pass has the distance d from the centre of a spindle: c turns by half a turn, at most at the speed v / d.
 #[test]
 fn a_spindle_is_slowed_down_near_its_centre_and_says_what_that_costs() {
     let machine = fixture("spindle", |file| file["time_to_full_acceleration_s"] = 0.into());
@@ -318,7 +318,8 @@ fn a_spindle_is_slowed_down_near_its_centre_and_says_what_that_costs() {
     );
 }
 
-/// `plan` with other derivatives at the start of its first cubic: velocity, and twice the acceleration.
+/// Returns `plan` after adding `velocity`, mm/s, and `acceleration` (half of it, mm/s^2) to the coefficients of its
+/// first cubic.
 fn disturbed(plan: &Trajectory, velocity: [f64; 2], acceleration: [f64; 2]) -> Trajectory {
     let mut c = plan.coefficient_mm().to_vec();
     for k in 0..2 {
@@ -329,8 +330,8 @@ fn disturbed(plan: &Trajectory, velocity: [f64; 2], acceleration: [f64; 2]) -> T
     Trajectory::new(plan.break_time_s().to_vec(), c, on, index).unwrap()
 }
 
-/// A plan that rests in the centre of the spindle has no direction there: the first derivative that moves it gives one.
-/// Rounding of the derivatives before, of any direction, changes nothing.
+/// A plan that rests in the centre of the spindle has no direction there; the first derivative that moves it gives one.
+/// Rounding of the lower derivatives, in any direction, changes nothing.
 #[test]
 fn a_plan_that_starts_or_ends_in_the_centre_does_not_depend_on_rounding() {
     let machine = fixture("spindle", |_| {});

@@ -1,8 +1,8 @@
-//! Axes beyond x and y: z, tilts, a spindle.
+//! Further axes: the axes beyond x and y, such as z, tilts or a spindle.
 //!
-//! The position of such an axis is a function q of the place on the part. [`FurtherAxes`] gives it along a curve in the
-//! plane, with its derivatives by arc length. For a motion p(t) of speed v, acceleration w along the curve and curvature
-//! kappa:
+//! The position of such an axis is a function q of the contact point on the part. [`FurtherAxes`] gives it along a
+//! curve in the plane, with its derivatives by arc length. For a motion p(t) of speed v, acceleration w along the curve
+//! and curvature kappa:
 //!
 //! ```text
 //! v = |p'|,   w = p' . p'' / v,   kappa = (p' x p'') / v^3
@@ -27,9 +27,9 @@ use serde::Serialize;
 
 use crate::{further::FurtherAxes, jerk::Average, piece::Station};
 
-/// Least and largest number of intervals of a cubic piece between the times at which it is judged. Larger: more time
-/// for a judgement. Smaller: a short excess may be missed, or a steep one is not resolved. Chosen; they are doubled from
-/// the first to the second one until [`MAX_BULGE`] is met.
+/// Smallest and largest number of intervals into which a cubic piece is divided to judge it. The number is doubled
+/// until [`MAX_BULGE`] is met. Larger: more time for a judgement. Smaller: a short excess may be missed, or a steep one
+/// is not resolved. Chosen.
 const JUDGED_INTERVALS: [usize; 2] = [4, 64];
 
 /// Largest difference of an acceleration between two judged times from the line between them, over the limit. Larger:
@@ -44,44 +44,44 @@ const JERK_ALLOWANCE: f64 = 1e-6;
 /// real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
 const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 
-/// Use of a limit from which on an axis counts as near it. Larger: a shorter time near limits. Smaller: a longer one.
-/// Chosen below the margins that the plan leaves, which are some percent.
+/// Ratio of a value to its limit from which on the report counts the axis as near the limit. Larger: a shorter time
+/// near limits. Smaller: a longer one. Chosen below the margins that the plan leaves, which are some percent.
 const NEAR_A_LIMIT: f64 = 0.9;
 
-/// Number of equal times into which the report parts a cubic piece. Larger: more exact fractions of time. Smaller: less
-/// exact ones. Chosen.
+/// Number of equal times into which the report divides a cubic piece. Larger: more exact fractions of time. Smaller:
+/// less exact ones. Chosen.
 const REPORTED_TIMES: usize = 8;
 
-/// Further axes of a plan, with the acceleration that it may use before averaging.
+/// Further axes of a plan, with the average in time that bounds the jerk of its motion.
 #[derive(Clone, Copy)]
 pub struct Further<'a> {
     axes: &'a dyn FurtherAxes,
     average: Option<Average>,
 }
 
-/// A further axis at a place of a curve, over its limits.
+/// First and second derivative of the position of a further axis at a point of a curve, divided by limits of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scaled {
-    /// |q'| / V: least density, s/mm.
+    /// Least dwell-time density that the velocity limit allows, |q'| / V, s/mm.
     pub need_s_per_mm: f64,
-    /// q' / A, s^2/mm.
+    /// First derivative by arc length over the acceleration limit, q' / A, s^2/mm.
     pub along: f64,
-    /// q'' / A, s^2/mm^2.
+    /// Second derivative by arc length over the acceleration limit, q'' / A, s^2/mm^2.
     pub across: f64,
 }
 
-/// Largest use of the limits of an axis: of velocity, acceleration and jerk, 1 being all of it.
+/// Largest ratios of velocity, acceleration and jerk of an axis to their limits; 1 is the limit itself.
 pub type Used = [f64; 3];
 
-/// Use of the limits on a cubic piece.
+/// Ratios of all further axes to their limits on one cubic piece.
 struct UseOfPiece {
     used: Vec<Used>,
-    /// Acceleration over the limit at both ends, of every axis.
+    /// Acceleration of every axis over its limit at the start and at the end of the piece.
     ends: [Vec<f64>; 2],
 }
 
 impl<'a> Further<'a> {
-    /// Checks the limits of `axes` and joins them with the average in time that the motion of the plan will have.
+    /// Checks the limits of `axes`, and stores them with the average in time that the motion of the plan will have.
     ///
     /// # Errors
     ///
@@ -112,7 +112,8 @@ impl<'a> Further<'a> {
         self.average.map_or(1.0, |a| a.fraction)
     }
 
-    /// Returns the position of every axis at a place, and its two derivatives, if all are finite.
+    /// Returns the position of every axis at a point of a curve, and its two derivatives by arc length. `None` unless
+    /// all are given and finite.
     fn derivatives(&self, there: &Station) -> Option<Vec<[f64; 3]>> {
         let Station { point_mm, tangent, curvature_per_mm } = *there;
         let all = self.axes.along(point_mm, tangent, curvature_per_mm)?;
@@ -121,8 +122,8 @@ impl<'a> Further<'a> {
         if finite { Some(all) } else { None }
     }
 
-    /// Returns every axis (axes) at a place of the curve, over the limits that the plan keeps before averaging. `None`
-    /// where an axis has no position or no derivative.
+    /// Returns the scaled derivatives of every axis (axes) at a point of the curve, relative to the limits that the
+    /// plan keeps before averaging. `None` where an axis has no position or no derivative.
     pub fn scaled(&self, there: &Station) -> Option<Vec<Scaled>> {
         let mut all = Vec::new();
         for ([_, first, second], axis) in self.derivatives(there)?.iter().zip(self.axes.limits()) {
@@ -136,7 +137,8 @@ impl<'a> Further<'a> {
         Some(all)
     }
 
-    /// Returns velocity and acceleration (1) of every axis (axes), over the limits.
+    /// Returns velocity and acceleration of every axis (axes) over their limits, by (1) of the module. The contact
+    /// point has position `p`, velocity `v` and acceleration `a` along x and y, in mm and s.
     fn of_motion(&self, p: [f64; 2], v: [f64; 2], a: [f64; 2]) -> Option<Vec<[f64; 2]>> {
         let speed = v[0].hypot(v[1]);
         let curvature_per_mm = (v[0] * a[1] - v[1] * a[0]) / speed.powi(3);
@@ -162,14 +164,15 @@ impl<'a> Further<'a> {
         Some(values)
     }
 
-    /// Returns the largest difference of an acceleration of the axes between two accelerations of the same motion, over
-    /// the limit; 0 where an axis has none.
+    /// Returns the largest difference, over the limit, between the accelerations of a further axis for the two
+    /// accelerations `a` of the same contact point. It is 0 where an axis has no position.
     pub fn acceleration_error(&self, p: [f64; 2], v: [f64; 2], a: [[f64; 2]; 2]) -> f64 {
         let [Some(first), Some(second)] = a.map(|a| self.of_motion(p, v, a)) else { return 0.0 };
         first.iter().zip(second).map(|(a, b)| (a[1] - b[1]).abs()).fold(0.0, f64::max)
     }
 
-    /// Returns (1) at equal times of a cubic piece (times, axes), over the limits.
+    /// Returns velocity and acceleration over the limits, by (1) of the module, at equally spaced times of a cubic
+    /// piece (times, axes).
     fn sampled(&self, segment: &Segment<'_>, intervals: usize) -> Option<Vec<Vec<[f64; 2]>>> {
         (0..=intervals)
             .map(|k| {
@@ -180,7 +183,8 @@ impl<'a> Further<'a> {
             .collect()
     }
 
-    /// Returns the largest use of the limits on a cubic piece; `None` where an axis has no position or no derivative.
+    /// Returns the largest ratios to the limits on a cubic piece; `None` where an axis has no position or no
+    /// derivative.
     fn use_of_piece(&self, segment: &Segment<'_>) -> Option<UseOfPiece> {
         let limits = self.axes.limits();
         let [mut intervals, most] = JUDGED_INTERVALS;
@@ -233,8 +237,8 @@ impl<'a> Further<'a> {
         }
     }
 
-    /// Returns the largest use of the limits of every axis on every cubic piece (pieces, axes); all of them infinite
-    /// where an axis has no position or no derivative.
+    /// Returns the largest ratios of every axis to its limits on every cubic piece (pieces, axes). All of a piece are
+    /// infinite where an axis has no position or no derivative.
     pub fn used(&self, trajectory: &Trajectory) -> Vec<Vec<Used>> {
         let limits = self.axes.limits();
         let pieces: Vec<Option<UseOfPiece>> =
@@ -258,10 +262,10 @@ impl<'a> Further<'a> {
         all
     }
 
-    /// Returns the factor by which accelerations of every axis on every span of a planned motion are too large (spans,
-    /// axes); at most 1 where it keeps its limits. It is that of the motion after averaging, on every span that takes
-    /// part in it. `span` has the span of every segment of the `planned` motion, of `spans` in all.
-    ///
+    /// Returns the factor by which accelerations of every axis on every span of the mesh are too large (spans, axes);
+    /// at most 1 where it keeps its limits. If the motion is averaged, it judges the averaged motion, for every span
+    /// that takes part in the average. `span` has the index of the span for every segment of the `planned` motion;
+    /// there are `spans` of them.
     /// # Errors
     ///
     /// Fails where the motion cannot be averaged.
@@ -295,8 +299,8 @@ impl<'a> Further<'a> {
         Ok(of_spans)
     }
 
-    /// Returns the least factor on all times with which a motion keeps the limits of the further axes; 1 if it keeps
-    /// them.
+    /// Returns the least factor on all times with which the motion keeps the limits of the further axes; 1 if it keeps
+    /// them already.
     pub fn slower_by(&self, trajectory: &Trajectory) -> f64 {
         let used = self.used(trajectory);
         let factors = used.iter().flatten().map(|used| {
@@ -306,12 +310,13 @@ impl<'a> Further<'a> {
         factors.fold(1.0, f64::max)
     }
 
-    /// Names of the axes.
+    /// Returns the names of the further axes.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.axes.limits().iter().map(|axis| axis.name.as_str())
     }
 
-    /// Returns the largest excess over a limit on a motion, and the remedy, in words.
+    /// Returns a sentence on the largest excess over a limit of the motion, and its remedy; `None` without pieces or
+    /// axes.
     pub fn reason(&self, trajectory: &Trajectory) -> Option<String> {
         let used = self.used(trajectory);
         let pieces = used.iter().zip(trajectory.segments());
@@ -326,21 +331,21 @@ impl<'a> Further<'a> {
     }
 }
 
-/// Raises the excess of every axis on a span to that of a cubic piece on it.
+/// Raises the excess of every axis on a span to that of a cubic piece that lies on it.
 fn raise(excess_of_span: &mut [f64], used: &[Used]) {
     for (most, used) in excess_of_span.iter_mut().zip(used) {
         *most = most.max(as_acceleration(used));
     }
 }
 
-/// Returns the use of the limits less what is rounding.
+/// Returns the ratios to the limits less the allowances for rounding.
 fn without_rounding([velocity, acceleration, jerk]: &Used) -> Used {
     let [velocity, acceleration] = [velocity, acceleration].map(|u| u / (1.0 + LIMIT_ALLOWANCE));
     [velocity, acceleration, jerk / (1.0 + JERK_ALLOWANCE)]
 }
 
-/// Returns the largest use of a limit, as a factor on accelerations: with all times longer by a factor, a velocity is
-/// lower by this factor and an acceleration by its square.
+/// Returns the largest ratio to a limit as a factor on accelerations. If all times are longer by a factor, a velocity
+/// is lower by this factor and an acceleration by its square.
 fn as_acceleration(used: &Used) -> f64 {
     let [velocity, acceleration, jerk] = without_rounding(used);
     velocity.powi(2).max(acceleration).max(jerk)
@@ -356,14 +361,15 @@ fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
     })
 }
 
-/// Returns the largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
+/// Returns the largest magnitude of the parabola through three equidistant values if its vertex is between them; 0
+/// otherwise.
 fn peak([a, b, c]: [f64; 3]) -> f64 {
     let slope = 0.5 * (c - a);
     let bend = a - 2.0 * b + c;
     if slope.abs() < bend.abs() { (b - 0.5 * slope * slope / bend).abs() } else { 0.0 }
 }
 
-/// Returns the motion with all times longer by a factor.
+/// Returns the same motion with all times longer by `factor`.
 ///
 /// # Errors
 ///
@@ -379,33 +385,35 @@ pub fn slowed(trajectory: &Trajectory, factor: f64) -> Result<Trajectory, Invali
     builder.build()
 }
 
-/// Use of the limits of an axis by the motion of a plan.
+/// Largest ratios of an axis to its limits by the motion of a plan, and the time and places near the limits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AxisReport {
     /// Name of the axis; `contact x` and `contact y` for the contact point along x and y of the part.
     pub name: String,
-    /// Largest velocity over its limit.
+    /// Ratio of the largest |velocity| to its limit.
     pub velocity_over_limit: f64,
-    /// Largest acceleration over its limit.
+    /// Ratio of the largest |acceleration| to its limit.
     pub acceleration_over_limit: f64,
-    /// Largest jerk over its limit; absent for x and y, and where there is no limit.
+    /// Ratio of the largest |jerk| to its limit; `None` for x and y, and for an axis without a limit on jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk_over_limit: Option<f64>,
-    /// Fraction of the time in which the velocity is above nine tenths of its limit, of the motion before averaging.
+    /// Fraction of the time in which the velocity is above nine tenths of its limit, in the motion before averaging.
     pub time_near_velocity_limit: f64,
-    /// Fraction of the time in which the acceleration is above nine tenths of what the plan may use of its limit, of the
-    /// motion before averaging: all of the limit, or the fraction that a limit on jerk leaves.
+    /// Fraction of the time in which the acceleration is above nine tenths of what the plan may use, in the motion
+    /// before averaging. The plan may use all of the limit, or the fraction that a limit on jerk leaves.
     pub time_near_acceleration_limit: f64,
-    /// Box of the places with a velocity near the limit, mm: least x and y, largest x and y.
+    /// Box of the contact points with a velocity near the limit, mm: least x and y, largest x and y. `None` without
+    /// such points.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near_velocity_limit_mm: Option<[[f64; 2]; 2]>,
-    /// Box of the places with an acceleration near the limit, mm: least x and y, largest x and y.
+    /// Box of the contact points with an acceleration near the limit, mm: least x and y, largest x and y. `None`
+    /// without such points.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near_acceleration_limit_mm: Option<[[f64; 2]; 2]>,
 }
 
-/// Report on x, y and the further axes: the largest use of limits by the motion `executed`, and the time near limits of
-/// the motion `planned` before any average.
+/// Returns the reports on x, y and the further axes, in this order: the largest ratios to the limits by the motion
+/// `executed`, and the time near limits of the motion `planned` before any average.
 pub fn report(
     executed: &Trajectory,
     planned: &Trajectory,
@@ -451,7 +459,7 @@ pub fn report(
     reports
 }
 
-/// Adds the times and places near limits.
+/// Adds the times and the boxes near limits to the reports.
 fn near_limits(
     reports: &mut [AxisReport],
     planned: &Trajectory,
@@ -486,8 +494,8 @@ fn near_limits(
 }
 
 impl AxisReport {
-    /// Returns the fractions of the time in which the velocity and the acceleration are near what the plan may use of
-    /// their limits, each with its quantity.
+    /// Returns the fractions of the time in which velocity and acceleration are near what the plan may use, each after
+    /// the name of its quantity.
     pub fn near(&self) -> [(&'static str, f64); 2] {
         [
             ("velocity", self.time_near_velocity_limit),
@@ -496,7 +504,7 @@ impl AxisReport {
     }
 }
 
-/// Widens a box of places so that it contains the point `p`, mm.
+/// Widens a box so that it contains the point `p`, mm; `None` is the empty box.
 fn widen(box_mm: &mut Option<[[f64; 2]; 2]>, p: [f64; 2]) {
     let [low, high] = box_mm.unwrap_or([p, p]);
     *box_mm = Some([[0, 1].map(|i| low[i].min(p[i])), [0, 1].map(|i| high[i].max(p[i]))]);

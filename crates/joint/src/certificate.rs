@@ -1,7 +1,8 @@
 //! Proven upper bound on the excess of an objective over its least value (duality gap), nm^2.
 //!
-//! The convex program is `min f(D)` with the rows `c + J d >= 0` and the bounds `D + d >= lo`, with f quadratic. For
-//! all dual variables z >= 0 and y >= 0, with the curvature F of f, at least alpha,
+//! The convex program is `min f(D + d)` over the changes d of the densities D. It has the rows (linearised constraints)
+//! `c + J d >= 0` and the bounds `D + d >= lo`; f is quadratic. For all dual variables z >= 0 and y >= 0, with the
+//! curvature F of f, at least alpha,
 //!
 //! ```text
 //! f - min <= z' c + y' (D - lo) + 1/2 r' F^-1 r,   r = f' - J' z - y                            (1)
@@ -28,17 +29,18 @@
 
 use planish_numerics::linear::skyline::dot;
 
-/// Largest number of conjugate-gradient steps for (3). Larger: a tighter bound where the preconditioner is poor, at
-/// the cost of one product with F per step. Smaller: a looser, still valid bound, so more proofs fail. Chosen: one or
-/// two steps are usual with the inverse of F itself as the preconditioner.
+/// Largest number of conjugate-gradient steps for (3) of the module. Larger: a tighter bound where the preconditioner
+/// is poor, at the cost of one product with F per step. Smaller: a looser, still valid bound, so more proofs fail.
+/// Chosen: one or two steps are usual with the inverse of F itself as the preconditioner.
 const MAX_STEPS: usize = 10;
 
-/// Last term of (3) over the sum of the first two, dimensionless, at which the steps end. Larger: fewer steps and a
-/// looser bound. Smaller: more steps and a tighter bound. Derived: the first two terms are a lower bound, so the
+/// Ratio of the last term of (3) of the module to the sum of the first two at which the steps end. Larger: fewer steps
+/// and a looser bound. Smaller: more steps and a tighter bound. Derived: the first two terms are a lower bound, so the
 /// result is at most a tenth above the exact value.
 const REST: f64 = 0.1;
 
-/// Returns the bound (2) on the gap without its term `z' c`, for `r = f' - J' z` (n), nm^2; `room` is D - lo (n).
+/// Returns the bound (2) of the module on the gap, without its term `z' c`, nm^2. `r` (n) is f' - J' z, `room` (n) the
+/// distance D - lo of the densities from their bounds, and `alpha` the least curvature of f.
 pub fn by_alpha(r: &[f64], room: &[f64], alpha: f64) -> f64 {
     r.iter()
         .zip(room)
@@ -46,10 +48,11 @@ pub fn by_alpha(r: &[f64], room: &[f64], alpha: f64) -> f64 {
         .sum()
 }
 
-/// Returns an upper bound of `1/2 r' F^-1 r` by (3), for `r = f' - J' z - y`; `product` is F x, `precondition` nearly
-/// F^-1 x.
+/// Returns an upper bound of `1/2 r' F^-1 r` by (3) of the module, nm^2, for `r = f' - J' z - y` (n). `product` returns
+/// F x, and `precondition` nearly F^-1 x.
 ///
-/// The first two terms of (3) are a lower bound. The steps also end where half of them exceeds `of_use`, nm^2.
+/// The first two terms of (3) are a lower bound of the result. The steps also end when half of them exceeds `of_use`,
+/// nm^2, because the bound can then prove nothing.
 pub fn by_curvature(
     r: &[f64],
     alpha: f64,
@@ -88,7 +91,7 @@ mod tests {
     const N: usize = 40;
     const ALPHA: f64 = 1e-5;
 
-    /// The matrix with these eigenvalues along cosines, applied.
+    /// Returns the product of `x` with the matrix whose eigenvectors are cosines, with the eigenvalues `spectrum`.
     fn of_spectrum(spectrum: impl Fn(usize) -> f64, x: &[f64]) -> Vec<f64> {
         let cosine = |k: usize, i: usize| {
             let norm = if k == 0 { 1.0 } else { 2.0f64 };

@@ -30,51 +30,56 @@ use planish_numerics::{
 
 use crate::piece::{CurvePiece, Station};
 
-/// Largest number of steps for the headings, and of shifts for a clothoid. Larger: more time for points that no spline
-/// of small turns goes through. Smaller: such splines are given up that need a step more. Chosen: each step leaves a
-/// fraction of the error, of the order of the square of the turn.
+/// Largest number of Newton steps for the headings, and of shifts of the angles of one clothoid. Larger: more time for
+/// points that no spline of small turns goes through. Smaller: splines are given up that need a step more. Chosen: each
+/// step leaves a fraction of the error, of the order of the square of the turn.
 const MOST_STEPS: usize = 60;
 
-/// Largest error of an angle at which the steps end, rad. Larger: steps of heading and curvature. Smaller: rounding
-/// keeps the steps going. Chosen: some tens of roundings.
+/// Largest error of an angle at which the Newton steps and the shifts end, rad. Larger: steps of heading and curvature
+/// of the curve. Smaller: rounding keeps the iteration going. Chosen: some tens of roundings.
 const ANGLE_TOLERANCE_RAD: f64 = 2e-15;
 
 /// Largest error of a curvature times the length of the longer clothoid beside it at which the steps end. Larger: steps
 /// of acceleration. Smaller: rounding keeps the steps going. Chosen: some hundred roundings.
 const BEND_TOLERANCE_RAD: f64 = 2e-13;
 
-/// Beginning or end of the curve.
+/// Kind of the beginning or end of the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
-    /// The machine rests at the outermost point.
+    /// The curve begins or ends at the outermost point with the machine at rest; no straight line precedes or follows
+    /// it.
     Rest,
-    /// The curve leaves a straight line at the outermost point, with this fraction f of its first length up to the place
-    /// where the curvature has a kink.
+    /// The curve leaves a straight line at the outermost point. The curvature has a kink at this fraction (f) of the
+    /// length of the outermost part.
     Line(f64),
 }
 
-/// Kind of the curve between two points.
+/// Kind of the curve between two neighbouring points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
-    /// A clothoid.
+    /// One clothoid.
     One,
-    /// Two, of which the first one begins straight.
+    /// Two clothoids, of which the first one begins with curvature 0. The number is the fraction (f) of the length of
+    /// the first one.
     FromLine(f64),
-    /// Two, of which the last one ends straight.
+    /// Two clothoids, of which the last one ends with curvature 0. The number is the fraction (f) of the length of the
+    /// last one.
     ToLine(f64),
 }
 
-/// Curvatures of a shape times its length: at the start, in between where there are two clothoids, and at the end.
+/// Curvatures of a shape times its length, rad: at its start, at the kink between two clothoids if there are two, and
+/// at its end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Bends {
     start: f64,
-    /// Fraction of the length of the kink, and the curvature there.
+    /// Position of the kink, as a fraction of the length, and the curvature there; `None` for one clothoid.
     kink: Option<(f64, f64)>,
     end: f64,
 }
 
 impl Bends {
-    /// Returns the parts of a shape of length 1: fraction of the length, and both curvatures.
+    /// Returns the clothoids of a shape of length 1: for each the fraction of the length, and the curvatures at its
+    /// start and end.
     fn parts(&self) -> Vec<(f64, [f64; 2])> {
         match self.kink {
             None => vec![(1.0, [self.start, self.end])],
@@ -82,7 +87,7 @@ impl Bends {
         }
     }
 
-    /// End of the shape of length 1 that begins at the origin along the first axis.
+    /// Returns the end point of the shape of length 1 that begins at the origin along the first axis.
     fn tip(&self) -> [f64; 2] {
         let mut tip = [0.0; 2];
         let mut heading = 0.0;
@@ -97,7 +102,8 @@ impl Bends {
 }
 
 impl Shape {
-    /// (1) or (2): the factors of phi_0 and phi_1 in the curvatures at the start and at the end.
+    /// Returns the factors of phi_0 and phi_1 in the curvatures at the start and at the end, by (1) or (2) of the
+    /// module.
     fn factors(&self) -> [[f64; 2]; 2] {
         match *self {
             Self::One => [[-4.0, -2.0], [2.0, 4.0]],
@@ -120,8 +126,8 @@ impl Shape {
         Bends { start, kink, end }
     }
 
-    /// Returns the length, mm, and curvatures times the length of the shape over a chord, mm, whose ends have these
-    /// headings, counted from the chord; `None` where the turns are too large.
+    /// Returns the length of the shape over a chord of `chord_mm`, mm, and its curvatures times this length.
+    /// `angles_rad` are the headings at its ends, counted from the chord. Returns `None` if the turns are too large.
     fn joined(&self, angles_rad: [f64; 2], chord_mm: f64) -> Option<(f64, Bends)> {
         let mut shift = 0.0;
         for _ in 0..MOST_STEPS {
@@ -137,12 +143,12 @@ impl Shape {
     }
 }
 
-/// Returns the factors of phi_0 and phi_1 in kappa_1 L of (2).
+/// Returns the factors of phi_0 and phi_1 in kappa_1 L, (2) of the module.
 fn factors_of_line(f: f64) -> [f64; 2] {
     [2.0 * (1.0 + f) / (1.0 - f), 2.0 * (2.0 - f) / (1.0 - f)]
 }
 
-/// A chord between two points.
+/// Chord between two neighbouring points, with the shape of the curve over it.
 struct Chord {
     length_mm: f64,
     /// Unit vector from the first point to the second one.
@@ -152,7 +158,7 @@ struct Chord {
     turn_rad: f64,
 }
 
-/// A spline in the course of its solution.
+/// Spline during its solution: the chords, and the headings so far.
 struct Spline {
     chords: Vec<Chord>,
     /// Angles from the chord after a point to the heading there, rad; at the last point from the chord before it.
@@ -160,8 +166,8 @@ struct Spline {
     ends: [End; 2],
 }
 
-/// Returns the clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has unit
-/// vectors along the lines at the ends; they count where there is a line. `None` if the turns are too large.
+/// Returns the clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has the
+/// unit vectors of the lines at both ends; an end at rest ignores its own. `None` if the turns are too large.
 pub fn through(
     points_mm: &[[f64; 2]],
     ends: [End; 2],
@@ -217,7 +223,7 @@ impl Spline {
         Self { chords, angles_rad, ends }
     }
 
-    /// Returns the lengths, mm, and curvatures times length of all shapes.
+    /// Returns length, mm, and curvatures times length of every shape; `None` if a turn is too large.
     fn joined(&self) -> Option<Vec<(f64, Bends)>> {
         let chords = self.chords.iter().enumerate().map(|(k, chord)| {
             let angles = [self.angles_rad[k], self.angles_rad[k + 1] + chord.turn_rad];
@@ -226,13 +232,14 @@ impl Spline {
         chords.collect()
     }
 
-    /// Returns the excess of the curvature before an inner point over that after it, 1/mm.
+    /// Returns the curvature before an inner point less that after it, 1/mm.
     fn kink_per_mm(joined: &[(f64, Bends)], point: usize) -> f64 {
         let ((before_mm, before), (after_mm, after)) = (&joined[point - 1], &joined[point]);
         before.end / before_mm - after.start / after_mm
     }
 
-    /// Sum of the angles at the two ends of an outermost arc, rad; 0 for a circular arc.
+    /// Returns the sum of the angles of the curve from the chord at the two ends of an outermost arc, rad; 0 for a
+    /// circular arc.
     fn asymmetry_rad(&self, chord: usize) -> f64 {
         self.angles_rad[chord] + self.angles_rad[chord + 1] + self.chords[chord].turn_rad
     }
@@ -249,7 +256,8 @@ impl Spline {
             })
     }
 
-    /// Returns the changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
+    /// Returns the changes of the angles by a step of Newton's method, rad, with the derivatives by (1) and (2) of the
+    /// module.
     fn step(&self, joined: &[(f64, Bends)]) -> Vec<f64> {
         let n = self.chords.len();
         tridiagonal::solve(n + 1, |k| {
@@ -267,7 +275,7 @@ impl Spline {
         })
     }
 
-    /// Returns the equation of a step for the heading at an end, whose outermost chord is `chord`.
+    /// Returns the row of the Newton step for the heading at an end of the curve, whose outermost chord is `chord`.
     fn row_of_end(&self, end: End, elements: [f64; 3], chord: usize) -> Row {
         match end {
             End::Rest => Row { elements, right: -self.asymmetry_rad(chord) },
@@ -308,7 +316,7 @@ fn direction(angle_rad: f64) -> [f64; 2] {
     [cos, sin]
 }
 
-/// Returns a vector turned by the angle from the first axis to a unit vector.
+/// Returns the vector turned by the angle from the first axis to the unit vector `[cos, sin]`.
 fn turned([x, y]: [f64; 2], [cos, sin]: [f64; 2]) -> [f64; 2] {
     [cos * x - sin * y, sin * x + cos * y]
 }
@@ -322,7 +330,8 @@ pub fn angle_between([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Largest steps of position (mm), direction and curvature times length from arc to arc.
+    /// Returns the largest steps from arc to arc: of the position (mm), of the direction, and of the curvature times
+    /// length.
     fn steps(arcs: &[CurvePiece]) -> [f64; 3] {
         let mut most = [0.0f64; 3];
         for w in arcs.windows(2) {

@@ -81,47 +81,47 @@ const MOST_UNEVEN: f64 = 2.0;
 /// a line with two corners near each other counts as bent. Chosen.
 const LEAST_BENT_VERTICES: usize = 4;
 
-/// Largest distance between two places on a line that are taken for one, relative to the length of the line. Larger:
+/// Largest distance between two positions on a line that count as one, relative to the length of the line. Larger:
 /// short parts of segments are lost. Smaller: rounding becomes a part of its own. Chosen: some thousand times the
 /// rounding.
 const SAME_PLACE: f64 = 1e-12;
 
-/// Limits on the rounding of corners.
+/// Bounds on the rounding of corners.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rounding {
-    /// Largest distance of the curve from a vertex, mm.
+    /// Largest distance of the curve from a vertex of the path, mm.
     pub deviation_mm: f64,
-    /// Upper limit of the least radius of a corner, mm. Corners are not made wider, even if the deviation would allow
+    /// Upper bound of the least radius of a corner, mm. Corners are not made wider, even if the deviation would allow
     /// it.
     pub radius_mm: f64,
 }
 
-/// A corner of a curve.
+/// Rounded corner of a curve: two clothoids.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Corner {
-    /// Arc length of its middle from the start of the curve, mm.
+    /// Arc length of the middle of the corner from the start of the curve, mm.
     pub at_mm: f64,
-    /// L: arc length of each of its two clothoids, mm.
+    /// Arc length of each of the two clothoids (L), mm.
     pub half_length_mm: f64,
-    /// phi, without its sign, rad.
+    /// Turn of the corner (phi), without its sign, rad.
     pub turn_rad: f64,
-    /// Its least radius, mm.
+    /// Least radius of the corner, mm.
     pub radius_mm: f64,
-    /// e, mm.
+    /// Distance of the curve from the vertex (e), mm.
     pub deviation_mm: f64,
 }
 
-/// A smooth curve from rest to rest.
+/// Smooth curve along which the machine moves from rest to rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     pieces: Vec<CurvePiece>,
     corners: Vec<Corner>,
-    /// Largest distance from the path where that is bent, mm.
+    /// Largest distance from the path in its bent parts, which have no corners, mm.
     bent_deviation_mm: f64,
 }
 
 impl Curve {
-    /// Returns the pieces in order; each begins where the one before ends.
+    /// Returns the pieces in order; each begins where the previous one ends.
     pub fn pieces(&self) -> &[CurvePiece] {
         &self.pieces
     }
@@ -131,39 +131,39 @@ impl Curve {
         &self.corners
     }
 
-    /// Returns the arc length, mm.
+    /// Returns the arc length of the whole curve, mm.
     pub fn length_mm(&self) -> f64 {
         self.pieces.last().map_or(0.0, CurvePiece::to_mm)
     }
 
-    /// Returns the largest distance from the path, mm.
+    /// Returns the largest distance of the curve from the path, mm.
     pub fn deviation_mm(&self) -> f64 {
         self.corners.iter().map(|c| c.deviation_mm).fold(self.bent_deviation_mm, f64::max)
     }
 
-    /// Returns the largest curvature, without its sign, 1/mm.
+    /// Returns the largest magnitude of the curvature, 1/mm.
     pub fn most_curvature_per_mm(&self) -> f64 {
         self.pieces.iter().map(CurvePiece::most_curvature_per_mm).fold(0.0, f64::max)
     }
 
-    /// Integral of the square root of the curvature, mm^(1/2).
+    /// Returns the bend of the curve: the integral of the square root of its curvature, mm^(1/2).
     fn bend(&self) -> f64 {
         self.pieces.iter().map(CurvePiece::bend).sum()
     }
 
-    /// Returns the piece at an arc length, mm; of two that meet there the later one.
+    /// Returns the piece at the arc length `s` from the start of the curve, mm; where two meet, the later one.
     pub fn piece_at(&self, s: f64) -> &CurvePiece {
         let after = self.pieces.partition_point(|p| p.from_mm <= s);
         &self.pieces[after.saturating_sub(1)]
     }
 
-    /// Returns the station at an arc length, mm.
+    /// Returns position, direction and curvature at the arc length `s` from the start of the curve, mm.
     pub fn station(&self, s: f64) -> Station {
         let piece = self.piece_at(s);
         piece.station((s - piece.from_mm).min(piece.length_mm))
     }
 
-    /// Returns the unit vector along the curve, and its curvature (1/mm), at an arc length, mm.
+    /// Returns the unit vector along the curve, and its curvature (1/mm), at the arc length `s` from its start, mm.
     pub fn direction(&self, s: f64) -> ([f64; 2], f64) {
         let piece = self.piece_at(s);
         piece.direction((s - piece.from_mm).min(piece.length_mm))
@@ -178,18 +178,18 @@ impl Curve {
     }
 }
 
-/// The curves of a path.
+/// Smooth curves along a path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smooth {
-    /// The curves, each from rest to rest.
+    /// Curves in order, each from rest to rest.
     pub curves: Vec<Curve>,
     /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
     pub moved_mm: f64,
 }
 
-/// A straight line of the path: one segment, or several in line with each other.
+/// Straight line of the path: one segment, or several in line with each other.
 struct Chord {
-    /// Its segments that have a length, and where each ends along it, mm.
+    /// Indices of the segments that have a length, each with the length along the chord at which it ends, mm.
     segments: Vec<(usize, f64)>,
     from: [f64; 2],
     to: [f64; 2],
@@ -199,18 +199,19 @@ struct Chord {
 }
 
 impl Chord {
-    /// Returns the point at a length along it, mm.
+    /// Returns the point at the length `s_mm` from the start of the chord.
     fn point_mm(&self, s_mm: f64) -> [f64; 2] {
         [0, 1].map(|k| self.from[k] + s_mm * self.tangent[k])
     }
 
-    /// Returns the distance of a point from the line through it, mm.
+    /// Returns the distance of a point from the straight line through the chord, mm.
     fn distance_mm(&self, point_mm: [f64; 2]) -> f64 {
         let [dx, dy] = [0, 1].map(|k| point_mm[k] - self.from[k]);
         (self.tangent[0] * dy - self.tangent[1] * dx).abs()
     }
 
-    /// Returns the parts of its segments between two lengths along it: segment, from, to (mm).
+    /// Returns the parts of the segments between two lengths along the chord: index of the segment, start and end of
+    /// its part, mm.
     fn parts(&self, from_mm: f64, to_mm: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         let starts = std::iter::once(0.0).chain(self.segments.iter().map(|(_, end)| *end));
         let parts = self
@@ -223,7 +224,8 @@ impl Chord {
     }
 }
 
-/// Returns the straight lines between points (segments + 1); segments shorter than a picometre are left out.
+/// Returns the straight lines through the points (segments + 1); segments shorter than a picometre are left out.
+/// Neighbouring segments in line with the same tool state are one line.
 fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     let mut chords: Vec<Chord> = Vec::new();
     for (segment, tool_on) in tool_on.iter().copied().enumerate() {
@@ -252,7 +254,7 @@ fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     chords
 }
 
-/// Dimensions of the rounding of a corner, by (1) and (2).
+/// Dimensions of the rounding of a corner, by (1) and (2) of the module.
 struct Blend {
     cut_mm: f64,
     half_length_mm: f64,
@@ -260,7 +262,8 @@ struct Blend {
 }
 
 impl Blend {
-    /// Returns the widest rounding that the limits and the room along the two segments allow.
+    /// Returns the widest rounding of a corner of this turn that the bounds and `room_mm` along each of the two lines
+    /// allow.
     fn widest(turn_rad: f64, room_mm: f64, rounding: &Rounding) -> Self {
         // For L = 1: heading phi u^2 / 2 means a sharpness of phi.
         let [c, s] = clothoid::position(0.0, turn_rad, 1.0);
@@ -299,14 +302,14 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
     }
 }
 
-/// Returns the points of a path moved by at most `bound_mm` so that it bends less.
+/// Returns the points of a path, moved by at most `bound_mm` so that it bends less, and the largest movement, mm.
 ///
 /// ```text
 /// min sum |P_(i-1) - 2 P_i + P_(i+1)|^2   subject to   |P_i - P_i of the path| <= bound
 /// ```
 ///
-/// by sweeps over the points, each put where the sum is least. The ends stay, and with them every point at which the
-/// machine rests, the tool is switched, or a line longer than `longest_mm` begins or ends.
+/// It sweeps over the points and puts each where the sum is least. The ends stay, and with them every point at which
+/// the machine rests, the tool is switched, or a line longer than `longest_mm` begins or ends.
 fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, f64) {
     let mut point_mm = path.point_mm().to_vec();
     let mut indices: Vec<usize> = vec![0];
@@ -355,7 +358,7 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
     (point_mm, moved_mm)
 }
 
-/// Splits the indices `at` of the points of a path from one that must stay to the next.
+/// Splits the indices `at` of the points of a path into runs, each from a point that must stay to the next such point.
 fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     let mut runs = vec![vec![at[0]]];
     for w in at.windows(3) {
@@ -375,16 +378,16 @@ fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     runs
 }
 
-/// Place between a chord and the next one.
+/// Kind of the vertex between a chord and the next one.
 #[derive(Clone, Copy)]
 enum Vertex {
-    /// The machine rests.
+    /// The machine rests, and the next curve begins.
     Rest,
-    /// A corner of this turn, positive to the left, rad.
+    /// A corner of this turn, rad, positive to the left.
     Corner(f64),
 }
 
-/// Returns the vertices after the chords.
+/// Returns the vertex after every chord; the last one is a rest.
 fn vertices(chords: &[Chord]) -> Vec<Vertex> {
     let between = chords.windows(2).map(|w| {
         let turn = angle_between(w[0].tangent, w[1].tangent);
@@ -395,7 +398,7 @@ fn vertices(chords: &[Chord]) -> Vec<Vertex> {
     between.chain(last).collect()
 }
 
-/// Returns the rounding of the corner after a chord; `None` where there is no corner.
+/// Returns the turn, rad, and the rounding of the corner after chord `i`; `None` if there is no corner.
 fn blend(
     chords: &[Chord],
     vertices: &[Vertex],
@@ -410,18 +413,19 @@ fn blend(
     Some((turn, Blend::widest(turn.abs(), room_mm, rounding)))
 }
 
-/// A bent part of a path: the clothoids along its chords.
+/// Bent part of a path: the clothoids along its chords.
 struct Bent {
-    /// For each chord in order: part of its length, as fractions, and the clothoid along it.
+    /// Clothoids in order, each with the index of its chord and the start and end of its part of the chord, as
+    /// fractions.
     arcs: Vec<(usize, [f64; 2], CurvePiece)>,
-    /// Length of the last chord that it takes, mm.
+    /// Length of the last chord that the bent part covers, mm.
     taken_mm: f64,
     deviation_mm: f64,
 }
 
 impl Bent {
     /// Returns the bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None`
-    /// where the rounding allows no such deviation, or corners would be less curved.
+    /// if it would be farther from the path than the rounding allows, or if corners would be less curved.
     fn new(
         chords: &[Chord],
         vertices: &[Vertex],
@@ -469,7 +473,7 @@ impl Bent {
         if is_better { Some(bent) } else { None }
     }
 
-    /// Returns the largest distance of ends and middles of the clothoids from their chords, mm.
+    /// Returns the largest distance of the ends and middles of the clothoids from their chords, mm.
     fn deviation_mm(&self, chords: &[Chord]) -> f64 {
         let distances = self.arcs.iter().flat_map(|(chord, _, arc)| {
             [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.station(f * arc.length_mm).point_mm))
@@ -478,7 +482,7 @@ impl Bent {
     }
 }
 
-/// Returns the bent parts of a path, each with the chord after which it has its first vertex.
+/// Returns the bent parts of a path, each under the index of the chord before its first vertex.
 fn bent_parts(chords: &[Chord], vertices: &[Vertex], rounding: &Rounding) -> BTreeMap<usize, Bent> {
     let mut bent_parts = BTreeMap::new();
     let mut first = 0;
@@ -501,7 +505,8 @@ fn bent_parts(chords: &[Chord], vertices: &[Vertex], rounding: &Rounding) -> BTr
     bent_parts
 }
 
-/// Returns true if the vertex after the chord `i` may be a sample of a bent path.
+/// Returns true if the vertex after chord `i` may be a sample of a bent path: it turns little, and an arc through it
+/// stays near.
 fn is_sample(chords: &[Chord], vertices: &[Vertex], i: usize, rounding: &Rounding) -> bool {
     let Vertex::Corner(turn) = vertices[i] else { return false };
     // A circle through three points l apart that turns by phi there is l phi / 8 from the chord
@@ -509,7 +514,7 @@ fn is_sample(chords: &[Chord], vertices: &[Vertex], i: usize, rounding: &Roundin
     (NO_TURN_RAD..=BENT_TURN_RAD).contains(&turn.abs()) && sagitta_mm <= rounding.deviation_mm
 }
 
-/// Returns true if a chord and the next one may be samples of the same bent path.
+/// Returns true if chord `i` and the next one may be samples of the same bent path: their lengths differ little.
 fn are_even(chords: &[Chord], i: usize) -> bool {
     let a = chords[i].length_mm;
     let b = chords[i + 1].length_mm;
@@ -548,7 +553,7 @@ fn curves_through(point_mm: &[[f64; 2]], tool_on: &[bool], rounding: &Rounding) 
 }
 
 impl Curve {
-    /// Adds the straight line between two lengths along a chord, mm.
+    /// Adds the straight line between two lengths along a chord from its start, mm.
     fn line(&mut self, chord: &Chord, [from_mm, to_mm]: [f64; 2]) {
         for (segment, from_mm, to_mm) in chord.parts(from_mm, to_mm) {
             let start = Station {
@@ -560,7 +565,7 @@ impl Curve {
         }
     }
 
-    /// Adds a bent part of the path. A fraction of a clothoid serves the segment at this fraction of its chord.
+    /// Adds a bent part of the path. A fraction of a clothoid belongs to the segment at this fraction of its chord.
     fn follow(&mut self, chords: &[Chord], bent: &Bent) {
         for (chord, [from, to], arc) in &bent.arcs {
             let chord = &chords[*chord];
@@ -573,8 +578,8 @@ impl Curve {
         self.bent_deviation_mm = self.bent_deviation_mm.max(bent.deviation_mm);
     }
 
-    /// Adds the corner between two chords. Every part of it serves the segment of the path next to it: a fraction of
-    /// a clothoid belongs to the same fraction of the part of the chord that the corner replaces.
+    /// Adds the corner between two chords. Every part of it belongs to the segment of the path next to it: a fraction
+    /// of a clothoid to the same fraction of the part of the chord that the corner replaces.
     fn round(&mut self, chord: &Chord, next: &Chord, turn: f64, blend: &Blend) {
         let [tx, ty] = chord.tangent;
         let v = chord.to;
@@ -624,7 +629,7 @@ impl Curve {
         });
     }
 
-    /// The part of a piece between two fractions of its length.
+    /// Adds the part of a piece between two fractions of its length; it belongs to this segment of the path.
     fn push_part(&mut self, whole: &CurvePiece, [from, to]: [f64; 2], segment: usize) {
         let l = whole.length_mm;
         self.push(whole.station(from * l), whole.sharpness_per_mm2, (to - from) * l, segment);
@@ -796,7 +801,7 @@ mod tests {
         assert_eq!(curves(&path(&lines), &rounding).moved_mm, 0.0);
     }
 
-    /// Points of a spiral of 1 mm per turn, `step_mm` apart, from a radius of 4 mm on.
+    /// Returns points of a spiral of 1 mm per turn, `step_mm` apart, from a radius of 4 mm on.
     fn spiral(step_mm: f64, points: usize) -> Vec<[f64; 2]> {
         let mut angle = 8.0 * PI;
         let next = |_| {

@@ -4,9 +4,10 @@
 //! min f(D)   subject to   c_i(D_j, D_k) >= 0,   D >= lo                                          (1)
 //! ```
 //!
-//! f is convex. The rows c are not concave everywhere, so (1) is not convex. Every step is that of a primal-dual
-//! method. It takes into account only the part of the curvature of every row that bends it downwards (C_i, positive
-//! semidefinite):
+//! f is the objective, D the densities of the nodes, and c the rows: the constraints that the limits of the machine
+//! impose. f is convex. The rows c are not concave everywhere, so (1) is not convex. Every step is that of a
+//! primal-dual method. It takes into account only the part of the curvature of every row that bends it downwards (C_i,
+//! positive semidefinite):
 //!
 //! ```text
 //! (H + sum_i z_i C_i + J' Z/c J + Y/(D - lo)) d = -f' + J' (mu/c) + mu/(D - lo)
@@ -60,18 +61,18 @@ use crate::{
     merit::{Merit, Progress},
 };
 
-/// Complementarity over f at which an [`approach`] may end. Larger: dual variables that do not tell the rows that
-/// decide. Smaller: more steps on a mesh that is not the last one. Chosen: by then the dual variables of the rows
-/// that decide are far above the others.
+/// Ratio of the complementarity (the sum of slacks times dual variables) to the objective f at which an [`approach`]
+/// may end. Larger: dual variables that do not tell which rows decide. Smaller: more steps on a mesh that is not the
+/// last one. Chosen: by then the dual variables of the rows that decide are far above the others.
 pub const NEAR_THE_MINIMUM: f64 = 0.3;
 
 /// Least number of steps of an [`approach`]. Larger: more time per mesh. Smaller: dual variables that still belong to
 /// the rows of the coarser mesh. Chosen.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
-/// Minimises (1) from densities strictly inside. The objective may change from step to step while its price is still
-/// being found; nothing is proven, or compared, before it is. `None` where the matrix is singular to rounding.
-///
+/// Minimises the program (1) of the module from densities strictly inside the limits. The objective may change from
+/// step to step while its price is still being found; nothing is proven or compared before. Returns `None` if the
+/// matrix is singular to rounding.
 /// # Errors
 ///
 /// Refuses cells of the normal matrix that miss too much of the mean square ([`JointError::CellsTooLarge`]). Fails
@@ -104,23 +105,23 @@ pub fn solve(
     }
 }
 
-/// Iterate near the minimum, of which nothing is proven.
+/// Iterate near the minimum; its distance from the minimum is not proven.
 #[derive(Clone, Debug)]
 pub struct Approach {
-    /// D (n).
+    /// Densities of the nodes (D, n), s/mm.
     pub density: Vec<f64>,
-    /// z (rows) and y (n).
+    /// Dual variables of the rows (z) and of the bounds (y, n).
     pub duals: [Vec<f64>; 2],
-    /// f, nm^2.
+    /// Objective (f), nm^2.
     pub value: f64,
     /// Mean product of a slack and its dual variable, nm^2.
     pub mean_product: f64,
-    /// Steps.
+    /// Number of steps.
     pub iterations: usize,
 }
 
-/// Goes towards the minimum of (1) without proving anything, until the complementarity is below the fraction `near`
-/// of f. `None` where the matrix is singular to rounding.
+/// Goes towards the minimum of the program (1) of the module without a proof, until the complementarity is below the
+/// fraction `near` of the objective. Returns `None` if the matrix is singular to rounding.
 ///
 /// # Errors
 ///
@@ -203,7 +204,7 @@ mod tests {
         CscMatrix::new_from_triplets(rows.len(), columns, triplets.0, triplets.1, triplets.2)
     }
 
-    /// A map with a bump, a tool, and a raster of eight lines.
+    /// Returns a small case: a map with a bump, a tool, and a raster of eight lines.
     pub(super) fn part() -> (Surface, Tif, ToolPath) {
         let own = Axis::new(-2.0, 0.25, 17).unwrap();
         let g = Grid { x: own, y: own };
@@ -229,7 +230,8 @@ mod tests {
         (desired, tif, path)
     }
 
-    /// Another solver on the convex program of the last iterate: f is exactly quadratic, the rows are tangents.
+    /// Compares with another solver on the convex program of the last iterate: the objective is exactly quadratic, and
+    /// the rows are tangents.
     #[test]
     fn the_certificate_holds_by_another_solver() {
         let (desired, tif, path) = part();

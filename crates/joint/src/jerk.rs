@@ -26,41 +26,42 @@ use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder,
 
 use crate::further::FurtherLimits;
 
-/// Number of intervals h in the window w. Larger: a smaller deviation (4), and more cubic pieces. Smaller: fewer
-/// pieces, a larger deviation. Chosen: (4) is then a quarter above its least value.
+/// Number of intervals h of the B-spline in the window w of the average. Larger: a smaller deviation, (4) of the
+/// module, and more cubic pieces. Smaller: fewer pieces, a larger deviation. Chosen: (4) is then a quarter above its
+/// least value.
 const INTERVALS: usize = 4;
 
-/// Fraction of the limit on jerk that is left for rounding, relative. Larger: a longer average than needed. Smaller:
-/// the judge may find the limit exceeded by rounding. Chosen.
+/// Fraction of the limit on jerk that is left for rounding. Larger: a longer average than needed. Smaller:
+/// `planish-verify` may find the limit exceeded by rounding. Chosen.
 const ROUNDING_MARGIN: f64 = 1e-9;
 
-/// Least duration of a piece over h; what is shorter is left to its neighbour. Larger: a segment of the path gets or
-/// loses more time. Smaller: pieces too short for a controller. Chosen: far below what a machine notices.
+/// Least duration of a piece over the interval h; a shorter piece is joined to its neighbour. Larger: a segment of the
+/// path gets or loses more time. Smaller: pieces too short for a controller. Chosen: far below what a machine notices.
 const SHORTEST_OVER_INTERVAL: f64 = 1e-3;
 
-/// Least deviation (4) that the average uses, over the largest one. Larger: longer averages than the limit on jerk
-/// asks for. Smaller: more cubic pieces, for a deviation that the plan need not avoid. Chosen.
+/// Least deviation that the average uses, (4) of the module, over the largest one. Larger: longer averages than the
+/// limit on jerk asks for. Smaller: more cubic pieces, for a deviation that the plan need not avoid. Chosen.
 const LEAST_DEVIATION: f64 = 0.25;
 
 /// Least fraction of the limit on acceleration that the plan may use. If less would be left, the limit on jerk has
 /// probably the wrong unit, and it is refused. Larger: slow machines are refused. Smaller: runs of years. Chosen.
 const LEAST_FRACTION: f64 = 1e-6;
 
-/// Averaging of a motion in time.
+/// Moving average of a motion in time, which bounds its jerk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Average {
-    /// w, s.
+    /// Length of the window of the average (w), s.
     pub window_s: f64,
-    /// Fraction of the limits on acceleration that the plan uses.
+    /// Fraction (f) of the limits on acceleration that the plan uses before averaging.
     pub fraction: f64,
-    /// (4), mm.
+    /// Bound on the distance of the averaged motion from the planned one, (4) of the module, mm.
     pub deviation_mm: f64,
 }
 
 impl Average {
-    /// Returns the average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine
-    /// does not limit jerk. (3) does not hold for further axes, which are no linear functions of x and y: the rounds of
-    /// the plan keep their limits.
+    /// Returns the average for the limits on jerk of a machine, with a deviation of at most `deviation_mm`; `None` if
+    /// the machine does not limit jerk. The bound (3) of the module does not hold for further axes, which are no linear
+    /// functions of x and y; the rounds of the plan keep their limits.
     pub fn new(limits: &Limits, further: &[FurtherLimits], deviation_mm: f64) -> Option<Self> {
         // (4) holds for every axis; the distance is that of both together.
         let [a, b] = limits.max_acceleration_mm_per_s2();
@@ -85,7 +86,8 @@ impl Average {
         Some(Self { window_s, fraction, deviation_mm })
     }
 
-    /// Returns the limits that the plan keeps before averaging: the fraction f of every acceleration, and no jerk.
+    /// Returns the limits that the plan keeps before averaging: the fraction f of every acceleration, and no limit on
+    /// jerk.
     ///
     /// # Errors
     ///
@@ -104,7 +106,8 @@ impl Average {
         file.checked()
     }
 
-    /// Returns the motion (2), longer by w and four h. Segments of the path and the state of the tool keep their times.
+    /// Returns the averaged motion, (2) of the module; it is longer by w and four h. Segments of the path and the state
+    /// of the tool keep their times.
     ///
     /// # Errors
     ///
@@ -154,9 +157,9 @@ impl Average {
     }
 }
 
-/// Pieces in a row that serve the same segment of the path.
+/// Consecutive pieces that belong to the same segment of the path.
 struct Run {
-    /// Infinite for the last one: the average lasts longer.
+    /// Time at which the run ends, s; infinite for the last one, because the average lasts longer.
     end_s: f64,
     tool_on: bool,
     dwell_index: Option<usize>,
@@ -179,10 +182,11 @@ fn runs(motion: &Trajectory) -> Vec<Run> {
     runs
 }
 
-/// (1) from `from_s` on, mm; a motion rests before its start and after its end.
+/// Returns the mean position over `window_s` from the time `from_s` on, (1) of the module, mm; a motion rests before
+/// its start and after its end.
 ///
-/// Of the distance from where it is in the middle, so that the mean has the rounding of a position: third differences of
-/// means are divided by h^3.
+/// It averages the distance from the position in the middle of the window, so that the mean has the rounding of a
+/// position: third differences of means are divided by h^3.
 fn mean_mm(motion: &Trajectory, from_s: f64, window_s: f64) -> [f64; 2] {
     let breaks = motion.break_time_s();
     let last = motion.len() - 1;
@@ -218,7 +222,7 @@ fn mean_mm(motion: &Trajectory, from_s: f64, window_s: f64) -> [f64; 2] {
     [0, 1].map(|axis| about[axis] + sum[axis] / window_s)
 }
 
-/// Returns a piece of (2), h long, from the coefficients that reach it.
+/// Returns a cubic piece of duration `h` of the B-spline, (2) of the module, from the four coefficients that act on it.
 fn of_b_spline([a, b, c, d]: [f64; 4], h: f64) -> [f64; 4] {
     let (before, here, after) = (b - a, c - b, d - c);
     [
@@ -249,7 +253,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Up and down with all of the acceleration, there with the tool on and back with it off.
+    /// Returns a motion up and down with the full acceleration: up with the tool on, back with it off.
     fn full_speed(limits: &Limits) -> Trajectory {
         let [a, _] = limits.max_acceleration_mm_per_s2();
         let t = 0.04;

@@ -2,8 +2,8 @@
 //!
 //! A dwell solver chooses times, and a scheduler then looks for a motion that takes them. On a slow machine the two
 //! contradict each other. In a joint plan the curve is fixed first, with rounded corners, and the unknown is the
-//! dwell-time density along it. The removal is linear in this density, and every iterate of the solver is a motion
-//! within the limits.
+//! dwell-time density along it (time per length, s/mm). The removal is linear in this density, and every iterate of the
+//! solver is a motion within the limits.
 //!
 //! | module | contents |
 //! |---|---|
@@ -22,6 +22,12 @@
 //! | [`jerk`] | the average of the motion in time, if the machine limits jerk |
 //! | `settings` | settings of the plan |
 //! | `plan` | all of it, judged as it will be executed |
+//!
+//! Words of this crate: a node is a point of the curve with an unknown density, and a span the part of the curve
+//! between two nodes. A row is a constraint `c >= 0` on the densities that a limit of the machine imposes. The pull is
+//! the Tikhonov term of the objective, which draws the densities to their least values. A round is one solution of the
+//! program, after which limits are tightened or new tangents are taken. The judge is the proof that a motion keeps the
+//! limits, by `planish-verify` or by [`axes`]. Further axes are those beyond x and y.
 
 // The command line names this library as any other program does.
 extern crate self as planish_joint;
@@ -55,26 +61,26 @@ pub use settings::JointSettings;
 use planish_dwell::DwellError;
 use planish_types::Invalid;
 
-/// Reason why no plan could be found.
+/// Reason why no joint plan could be found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointError {
     /// The inputs or settings contradict themselves or each other.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The removal model refused.
+    /// The removal model of the dwell solver failed.
     #[error(transparent)]
     Dwell(#[from] DwellError),
-    /// The program has no unique solution to rounding.
+    /// The matrix of the solver is singular to rounding, so that the densities have no unique solution.
     #[error("the densities are not determined by the surface; raise `tikhonov` (now {tikhonov})")]
     Singular {
-        /// alpha, dimensionless.
+        /// Tikhonov weight of the plan (alpha), dimensionless.
         tikhonov: f64,
     },
-    /// A normal matrix on cells of the map is too far below the curvature. It must be made on smaller cells; with
-    /// single pixels this does not happen.
+    /// The normal matrix, which is computed on cells of several pixels of the map, is too far below the true curvature.
+    /// It must be made on smaller cells; with single pixels this does not happen.
     #[error("cells of {pixels} x {pixels} pixels are too large for this TIF")]
     CellsTooLarge {
-        /// Pixels along a side of a cell.
+        /// Number of pixels along a side of a cell.
         pixels: usize,
     },
 }

@@ -7,11 +7,12 @@
 //! c = (r D_j - D_k) / D_0 >= 0, and back                          r = MAX_RATIO                   (4)
 //! ```
 //!
-//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along the curve the acceleration is
-//! linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a clothoid (1) is also imposed
-//! every 0.1 rad, towards the bend. Margins allow for the motion between these places, and a judge checks the motion
-//! in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three times its mean
-//! feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+//! A row is one constraint `c >= 0` of (3) or (4). s' and s'' are the feedrate and the acceleration along the curve, of
+//! [`crate::mesh`]; q' and q'' are the derivatives of the position by arc length, of [`crate::curve`]. Along the curve
+//! the acceleration is linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a clothoid
+//! (1) is also imposed every 0.1 rad, towards the bend. Margins allow for the motion between these places, and a judge
+//! checks the motion in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three
+//! times its mean feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
 //!
 //! Axes beyond x and y ([`crate::axes`]) have the same rows, also on lines, because their q'' does not vanish there. With
 //! f = q' / A and g = q'' / A, their acceleration over the limit is `g s'^2 + f s''`. The excess of a product of two
@@ -38,93 +39,99 @@ use crate::{
     piece::CurvePiece,
 };
 
-/// Largest turn between two places of (1) on a clothoid, rad. Larger: fewer rows, and more acceleration between the
-/// places than at them. Smaller: more rows. Derived: between two places a component of the acceleration is larger by
-/// at most 0.6 % (it is largest before the curved end, where the tool has turned further to the axis).
+/// Largest turn of a clothoid between two points at which the acceleration is limited by (1) of the module, rad.
+/// Larger: fewer rows, and more acceleration between the points than at them. Smaller: more rows. Derived: between two
+/// points a component of the acceleration is larger by at most 0.6 % (it is largest before the curved end, where the
+/// tool has turned further to the axis).
 const TURN_PER_STEP_RAD: f64 = 0.1;
 
-/// Least number of steps of a clothoid between places of (1). Larger: more rows. Smaller: the largest acceleration is
-/// missed if the tool slows down into a bend, because it is before the bend. Chosen.
+/// Least number of steps into which a clothoid is divided; at their ends the acceleration is limited by (1) of the
+/// module. Larger: more rows. Smaller: the largest acceleration is missed if the tool slows down into a bend, because
+/// it is before the bend. Chosen.
 const LEAST_STEPS: usize = 6;
 
-/// Change of the curvature of a clothoid over the largest one up to which its ends alone are places of (1). Larger: the
-/// acceleration between them exceeds that at the ends. Smaller: more rows along bent paths. Chosen.
+/// Ratio of the change of the curvature along a clothoid to its largest curvature up to which its ends alone are points
+/// of (1) of the module. Larger: the acceleration between them exceeds that at the ends. Smaller: more rows along bent
+/// paths. Chosen.
 const LITTLE_CHANGE: f64 = 0.25;
 
 /// Fraction of the limit on acceleration that the rows of a clothoid leave free. It allows for the motion between the
-/// places of (1) and for the cubic pieces. Larger: slower corners. Smaller: more rounds with tightened rows, because
-/// the judge finds the limit exceeded. Chosen.
+/// points of (1) of the module and for the cubic pieces. Larger: slower corners. Smaller: more rounds with tightened
+/// rows, because `planish-verify` finds the limit exceeded. Chosen.
 const CURVED_MARGIN: f64 = 2e-2;
 
 /// Fraction of the limit on velocity that is left free on a clothoid. Larger: slower corners. Smaller: the velocity
-/// exceeds the limit between the places. Derived: between two places 0.1 rad apart a component is larger by up to
+/// exceeds the limit between the points. Derived: between two points 0.1 rad apart a component is larger by up to
 /// 1.3e-3.
 const TURNED_MARGIN: f64 = 2e-3;
 
 /// Fraction of the limit on the acceleration along the curve that is left free on spans with clothoids. Larger:
-/// slower corners. Smaller: exceeded limits. Derived: between two places 0.1 rad apart the tangent may have a
+/// slower corners. Smaller: exceeded limits. Derived: between two points 0.1 rad apart the tangent may have a
 /// component that is larger by 1.3e-3, and the cubic pieces differ by 2e-3 of the limit.
 const ALONG_CURVE_MARGIN: f64 = 4e-3;
 
-/// Fraction of a limit that is left free for rounding, relative. Larger: slower motions. Smaller: the judge may find
-/// a limit exceeded by rounding. Derived: half of what the judge allows.
+/// Fraction of a limit that is left free for rounding. Larger: slower motions. Smaller: `planish-verify` may find a
+/// limit exceeded by rounding. Derived: half of what `planish-verify` allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
 
-/// Largest excess (5) over a limit between two places of a further axis. Larger: fewer rows, with larger margins.
-/// Smaller: more rows. Chosen: half of [`CURVED_MARGIN`].
+/// Largest excess of a further axis over its limit between two of its points, by (5) of the module. Larger: fewer rows,
+/// with larger margins. Smaller: more rows. Chosen: half of [`CURVED_MARGIN`].
 const MOST_BETWEEN: f64 = 1e-2;
 
-/// Largest number of halvings of a span, or of a step on a clothoid, until (5) is small enough. Larger: more rows where
-/// an axis turns sharply. Smaller: larger margins there. Chosen: 32 parts of a span are closer than any TIF resolves.
+/// Largest number of halvings of a span, or of a step on a clothoid, until (5) of the module is small enough. Larger:
+/// more rows where an axis turns sharply. Smaller: larger margins there. Chosen: 32 parts of a span are closer than any
+/// TIF resolves.
 const MAX_HALVINGS: usize = 5;
 
-/// r of (4): largest ratio of the densities of two neighbouring nodes. Larger: the tool nearly stands in the middle
-/// of a span. Smaller: densities that follow the desired removal less closely. Chosen below 5, up to which the cubic
-/// of a span is monotone.
+/// Largest ratio of the densities of two neighbouring nodes (r of (4) of the module). Larger: the tool nearly stands in
+/// the middle of a span. Smaller: densities that follow the desired removal less closely. Chosen below 5, up to which
+/// the cubic of a span is monotone.
 const MAX_RATIO: f64 = 3.0;
 
-/// Slack above which a row is far from being active, dimensionless (1 at rest); its curvature is not computed.
-/// Larger: more differences to compute. Smaller: rows whose bend ends a step early. Chosen.
+/// Slack above which a row is far from being active, dimensionless (1 at rest); its second derivatives are not
+/// computed. Larger: more differences to compute. Smaller: rows whose bend (second derivative) ends a step early.
+/// Chosen.
 const FAR_SLACK: f64 = 0.5;
 
-/// Step of the differences of first derivatives that give the second ones, relative to the density. Larger: an error
-/// of the fourth derivatives. Smaller: rounding. Chosen between the two.
+/// Step of the differences of first derivatives that give the second ones, relative to the density. Larger: an error by
+/// the fourth derivatives. Smaller: rounding. Chosen between the two.
 const DIFFERENCE: f64 = 1e-4;
 
-/// A row of the program: its span and the quantity that it limits.
+/// Row of the program (a constraint `c >= 0`): its span, and the quantity that it limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct LimitRow {
     span: usize,
-    /// Index of the further axis; `None` for x and y.
+    /// Index of the further axis that the row limits; `None` for x and y.
     further: Option<usize>,
     on: On,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum On {
-    /// Along the curve, at this fraction of the time: `c = 1 - along s''`, s^2/mm.
+    /// Acceleration along the curve, at this fraction of the time of the span: `c = 1 - along s''`, with `along` in
+    /// s^2/mm.
     Line { tau: f64, along: f64 },
-    /// A clothoid, or a place of a further axis, at this length from the start of the span:
-    /// `c = 1 - across s'^2 - along s''`.
+    /// Acceleration of an axis on a clothoid, or of a further axis, at this length from the start of the span: `c = 1 -
+    /// across s'^2 - along s''`.
     Place { s_mm: f64, across: f64, along: f64 },
-    /// (4): `c = by D`, mm/s.
+    /// Ratio of the densities of both nodes, (4) of the module: `c = by D`, with `by` in mm/s.
     Ratio { by: [f64; 2] },
 }
 
-/// (3) with its derivatives by the densities of the two nodes.
+/// Row at some densities, with its derivatives by the densities of the two nodes of its span.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Constraint {
-    /// The nodes; none at rest.
+    /// Nodes at the start and at the end of the span; `None` at rest.
     pub nodes: [Option<usize>; 2],
-    /// c.
+    /// Slack (c), dimensionless; the limit is exceeded if it is negative.
     pub slack: f64,
-    /// Its derivatives, mm/s.
+    /// First derivatives of c by the two densities, mm/s.
     pub by: [f64; 2],
-    /// The part of its second derivatives that bends it downwards, times -1: elements 00, 01, 11, mm^2/s^2.
+    /// Part of the second derivatives of c that bends it downwards, times -1: matrix elements 00, 01, 11, mm^2/s^2.
     pub bend: [f64; 3],
 }
 
-/// The limits along some curves.
+/// Limits of the machine along the curves, as rows and as least densities.
 pub struct LimitRows<'a> {
     mesh: &'a Mesh,
     rows: Vec<LimitRow>,
@@ -132,7 +139,8 @@ pub struct LimitRows<'a> {
 }
 
 impl<'a> LimitRows<'a> {
-    /// Returns the rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
+    /// Returns the rows of all spans of a mesh for the axes x and y. `reference_s_per_mm` is D_0 of (4) of the module,
+    /// a density of the usual size.
     pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
         let mut rows = Vec::new();
         let mut least_density = vec![0.0f64; mesh.nodes];
@@ -180,7 +188,7 @@ impl<'a> LimitRows<'a> {
         Self { mesh, rows, least_density }
     }
 
-    /// Adds the rows of further axes to those of x and y.
+    /// Adds the rows (constraints) of further axes to those of x and y.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
         let mesh = self.mesh;
         let of_spans = self.of_spans();
@@ -211,8 +219,7 @@ impl<'a> LimitRows<'a> {
         self
     }
 
-    /// Returns the largest feedrate and acceleration along the curve that the other limits allow on a span with these
-    /// rows.
+    /// Returns the largest feedrate and the largest acceleration along the curve that these rows allow on a span.
     fn most(&self, span: usize, rows: Range<usize>) -> Most<'a> {
         let span = &self.mesh.spans[span];
         // s' is largest at a node, because its cubic is not concave; s'' is linear in time.
@@ -228,7 +235,7 @@ impl<'a> LimitRows<'a> {
         }
     }
 
-    /// Returns the number of rows.
+    /// Returns the number of rows (constraints).
     pub fn len(&self) -> usize {
         self.rows.len()
     }
@@ -238,8 +245,8 @@ impl<'a> LimitRows<'a> {
         self.rows.is_empty()
     }
 
-    /// Returns c of (3) and (4) for every row (rows), at the densities of the nodes, s/mm; negative where a limit is
-    /// exceeded.
+    /// Returns the slack c of every row (rows), (3) and (4) of the module, at the densities of the nodes, s/mm. It is
+    /// negative where a limit is exceeded.
     pub fn slacks(&self, density: &[f64]) -> Vec<f64> {
         let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
@@ -252,7 +259,7 @@ impl<'a> LimitRows<'a> {
         all.collect()
     }
 
-    /// Returns every row (rows) with its derivatives by the densities of the nodes, s/mm.
+    /// Returns every row (rows) with its derivatives by the densities, at the densities of the nodes, s/mm.
     pub fn constraints(&self, density: &[f64]) -> Vec<Constraint> {
         let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
@@ -295,7 +302,7 @@ impl<'a> LimitRows<'a> {
         all.collect()
     }
 
-    /// Returns the ranges of the rows of every span (spans).
+    /// Returns the range of the rows of every span (spans).
     pub fn of_spans(&self) -> Vec<Range<usize>> {
         let mut all = Vec::with_capacity(self.mesh.spans.len());
         let mut end = 0;
@@ -308,10 +315,10 @@ impl<'a> LimitRows<'a> {
     }
 
     /// Returns the first-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks
-    /// of its rows, times their dual variables `z`.
+    /// of its rows times their dual variables `z` (rows).
     ///
-    /// The node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a row
-    /// about the whole span, the half with the smaller slack decides.
+    /// The new node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a
+    /// row on the whole span, the half with the smaller slack decides.
     pub fn worth_of_halving(&self, density: &[f64], z: &[f64]) -> Vec<f64> {
         let mut worth = vec![0.0; self.mesh.spans.len()];
         for (row, z) in self.rows.iter().zip(z) {
@@ -335,18 +342,18 @@ impl<'a> LimitRows<'a> {
         worth
     }
 
-    /// Multiplies the use of the limits in the rows of x and y of every span by `use_of_limit` (spans) where that is above
-    /// 1, so that the next solution uses less.
+    /// Multiplies the use of the limits in the rows of x and y of every span by `use_of_limit` (spans) if that is above
+    /// 1. The next solution then uses less of the limits.
     pub fn tighten(&mut self, use_of_limit: &[f64]) {
         for row in self.rows.iter_mut().filter(|row| row.further.is_none()) {
             row.on.tighten(use_of_limit[row.span]);
         }
     }
 
-    /// Multiplies the use of the limits in the rows of further axes by `use_of_limit` (spans, axes) where that is above 1.
+    /// Multiplies the use of the limits in the rows of further axes by `use_of_limit` (spans, axes) if that is above 1.
     ///
-    /// A span may have no row of an axis, because other limits imply its velocity and acceleration, but not its jerk. Its
-    /// rows of x and y are then tightened, and with `all` those of all axes.
+    /// A span may have no row of an axis, because other limits imply its velocity and acceleration, but not its jerk.
+    /// The method then tightens its rows of x and y; with `all` it tightens those of all axes.
     pub fn tighten_further(&mut self, use_of_limit: &[Vec<f64>], all: bool) {
         for (span, rows) in self.of_spans().into_iter().enumerate() {
             let rows = &mut self.rows[rows];
@@ -360,14 +367,14 @@ impl<'a> LimitRows<'a> {
         }
     }
 
-    /// Returns the least densities by (2) (nodes), s/mm: on both spans of a node.
+    /// Returns the least densities of the nodes by the velocity limits, (2) of the module (nodes), s/mm.
     pub fn least_density(&self) -> &[f64] {
         &self.least_density
     }
 
-    /// Returns the least uniform density at which every row holds, s/mm.
+    /// Returns the least uniform density at which every row holds, except the ratios of densities, s/mm.
     ///
-    /// At a uniform feedrate p'' is that feedrate squared times what it is at 1 mm/s, at rest too.
+    /// At a uniform feedrate p'' is the square of that feedrate times its value at 1 mm/s, at rest too.
     pub fn least_uniform_density(&self) -> f64 {
         let at_one = self.slacks(&vec![1.0; self.mesh.nodes]);
         let limits =
@@ -376,19 +383,19 @@ impl<'a> LimitRows<'a> {
     }
 }
 
-/// Returns the density in the middle between two others where the acceleration is constant: that of the root mean
-/// square of their feedrates.
+/// Returns the density in the middle between two nodes of the densities `a` and `b` if the acceleration is constant.
+/// Its feedrate is the root mean square of the two feedrates.
 pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
 
 impl LimitRow {
-    /// Returns a row of x or y.
+    /// Returns a row of the axes x and y.
     fn of_part(span: usize, on: On) -> Self {
         Self { span, further: None, on }
     }
 
-    /// Returns true if two rows limit the motion at the same place or time.
+    /// Returns true if two rows limit the motion of the same span at the same position or time.
     fn are_at_one_place(&self, other: &Self) -> bool {
         let same = match (self.on, other.on) {
             (On::Line { tau: a, .. }, On::Line { tau: b, .. }) => a == b,
@@ -400,7 +407,7 @@ impl LimitRow {
 }
 
 impl On {
-    /// Returns the place of the row on its span, mm; infinite for one that has none.
+    /// Returns the position of the row on its span, mm; infinite for a row without one.
     fn place_mm(&self) -> f64 {
         match self {
             Self::Place { s_mm, .. } => *s_mm,
@@ -408,12 +415,12 @@ impl On {
         }
     }
 
-    /// Returns c of the row where it limits the motion on `span` with these densities at its nodes, s/mm.
+    /// Returns the slack c of the row on `span` with these densities at its nodes, s/mm.
     fn slack(&self, span: &Span, densities: [f64; 2]) -> f64 {
         let densities = densities.map(Some);
         self.derivatives(&self.motion(span, densities), densities).0
     }
-    /// Multiplies the use of the limit by a factor where that is above 1.
+    /// Multiplies the use of the limit by `factor` if that is above 1; a ratio of densities stays.
     fn tighten(&mut self, factor: f64) {
         let factor = factor.max(1.0);
         match self {
@@ -426,7 +433,8 @@ impl On {
         }
     }
 
-    /// Returns the motion that the row limits; for a ratio of densities any.
+    /// Returns the motion on `span` at the position or time of the row; for a ratio of densities, which needs none,
+    /// that at the start.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
             Self::Ratio { .. } => span.kinematics(0.0, densities),
@@ -435,7 +443,8 @@ impl On {
         }
     }
 
-    /// c and its derivatives by the densities of the two nodes, for the motion there.
+    /// Returns the slack c and its derivatives by the densities of the two nodes, for the motion `at` the position of
+    /// the row.
     fn derivatives(&self, at: &Kinematics, densities: [Option<f64>; 2]) -> (f64, [f64; 2]) {
         let (across, along) = match *self {
             Self::Ratio { by } => {
@@ -453,7 +462,7 @@ impl On {
     }
 }
 
-/// Returns the nearest matrix without negative eigenvalues, elements 00, 01, 11.
+/// Returns the nearest symmetric matrix without negative eigenvalues; matrices are elements 00, 01, 11.
 fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
     let middle = 0.5 * (a + c);
     let half = 0.5 * (a - c);
@@ -469,17 +478,17 @@ fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
     [mean + difference * half, difference * b, mean - difference * half]
 }
 
-/// A place on a span at which (1) is imposed.
+/// Point of a span at which the acceleration is limited by (1) of the module.
 struct Sample {
-    /// Length from the start of the span, mm.
+    /// Length from the start of the span to the point, mm.
     s_mm: f64,
-    /// q'.
+    /// Unit vector along the curve (q').
     tangent: [f64; 2],
-    /// Curvature, 1/mm; 0 on a line.
+    /// Curvature of the curve there, 1/mm; 0 on a straight line.
     curvature_per_mm: f64,
 }
 
-/// Returns the number of steps of a clothoid between places of (1) for x and y.
+/// Returns the number of steps between the points of a clothoid at which x and y are limited.
 fn steps_of(piece: &CurvePiece) -> usize {
     let least = if piece.change_of_curvature() > LITTLE_CHANGE { LEAST_STEPS } else { 1 };
     ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(least)
@@ -503,18 +512,18 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
     samples
 }
 
-/// A place on a span at which further axes are limited.
+/// Point of a span at which further axes are limited.
 struct FurtherPlace {
-    /// Length from the start of the span, mm.
+    /// Length from the start of the span to the point, mm.
     s_mm: f64,
-    /// Empty where an axis has no position: there the judge refuses the motion.
+    /// Scaled derivatives of every axis; empty where an axis has no position, because the motion is refused there.
     axes: Vec<Scaled>,
-    /// Fractions of the limits of every axis that are left free, of velocity and of acceleration.
+    /// Fractions of the limits on velocity and on acceleration of every axis that are left free.
     margins: Vec<[f64; 2]>,
 }
 
 impl FurtherPlace {
-    /// Returns the place at `s_mm` from the start of the span, with the margins for rounding.
+    /// Returns the point at `s_mm` from the start of the span, with the margins for rounding only.
     fn new(curve: &Curve, span: &Span, further: &Further<'_>, s_mm: f64) -> Self {
         let axes = further.scaled(&curve.station(span.from_mm + s_mm)).unwrap_or_default();
         let margins = vec![[ROUNDING_MARGIN; 2]; axes.len()];
@@ -522,7 +531,7 @@ impl FurtherPlace {
     }
 }
 
-/// Bounds on the motion on a span.
+/// Upper bounds on feedrate and acceleration along the curve on a span.
 struct Most<'a> {
     span: &'a Span,
     feed_mm_per_s: f64,
@@ -530,7 +539,7 @@ struct Most<'a> {
 }
 
 impl Most<'_> {
-    /// Returns the places between which (5) is small.
+    /// Returns the points of the span between which (5) of the module is small.
     fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<FurtherPlace> {
         let span = self.span;
         let mut places = Vec::new();
@@ -566,8 +575,9 @@ impl Most<'_> {
         places
     }
 
-    /// Ends of the parts that have places of their own whatever the axes do, as lengths from the start of the span, mm,
-    /// each with true for a part of a clothoid: steps on clothoids, and all of the lines between them.
+    /// Returns the ends of the parts into which every span is divided whatever the axes do, as lengths from its start,
+    /// mm. They are the steps on clothoids, and the lines between them as a whole. The flag is true for a part of a
+    /// clothoid.
     fn steps(&self, curve: &Curve) -> Vec<(f64, bool)> {
         let from_mm = self.span.from_mm;
         let to_mm = self.span.to_mm;
@@ -592,7 +602,8 @@ impl Most<'_> {
         steps
     }
 
-    /// (5) of velocity and acceleration of every axis, over its limit, from the values at five equidistant places.
+    /// Returns the bound (5) of the module on velocity and acceleration of every axis, over its limits, from five
+    /// equidistant points.
     fn between(&self, at: [&FurtherPlace; 5]) -> Vec<[f64; 2]> {
         let axes = at.iter().map(|place| place.axes.len()).min().unwrap_or(0);
         let length_mm = at[4].s_mm - at[0].s_mm;
@@ -632,7 +643,7 @@ impl Most<'_> {
         bounds.collect()
     }
 
-    /// Returns the rows of a place that the other limits do not imply.
+    /// Returns the rows of a point that the other limits do not imply.
     fn rows(&self, span: usize, place: &FurtherPlace) -> Vec<LimitRow> {
         let s_mm = place.s_mm;
         let feed = self.feed_mm_per_s;
@@ -667,7 +678,7 @@ fn largest(v: [f64; 5]) -> f64 {
     v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()))
 }
 
-/// Returns the magnitude of the change from the first of five values to the last one.
+/// Returns the magnitude of the difference of the last and the first of five values.
 fn change(v: [f64; 5]) -> f64 {
     (v[4] - v[0]).abs()
 }
@@ -701,7 +712,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Right angles, an acute and an obtuse corner, a rest where the path turns back.
+    /// Returns a path with right angles, an acute and an obtuse corner, and a rest where it turns back.
     fn path() -> ToolPath {
         let points = vec![
             [0.0, 0.0],

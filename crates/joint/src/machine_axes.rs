@@ -1,4 +1,4 @@
-//! The axes of a machine while its tool follows a path over a form: [`FurtherAxes`] from the kinematics of the machine.
+//! Further axes of a machine while its tool follows a path over a form: [`FurtherAxes`] from its kinematics.
 //!
 //! | kinematics | axes with rows of their own |
 //! |---|---|
@@ -21,18 +21,18 @@ use crate::{FurtherAxes, FurtherLimits};
 /// rounding, and far below what a tool resolves.
 const CENTRE_MM: f64 = 1e-6;
 
-/// Axes of a machine that do not simply read x and y of the part.
+/// Axes of a machine that do not simply read x and y of the part, with their limits.
 #[derive(Clone, Debug)]
 pub struct MachineAxes {
     map: AxisMap,
-    /// Index of the first axis with rows of its own.
+    /// Index of the first axis with rows (limits) of its own in the plan.
     first: usize,
     is_spindle: bool,
     limits: Vec<FurtherLimits>,
 }
 
 impl MachineAxes {
-    /// Returns the axes of a machine over a form; `None` if x and y are all.
+    /// Returns the axes of a machine over the form of the part; `None` if the machine has only x and y.
     ///
     /// # Errors
     ///

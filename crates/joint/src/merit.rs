@@ -1,4 +1,4 @@
-//! The objective, as a function of the densities of the nodes.
+//! Objective of the plan, as a function of the densities of the nodes.
 //!
 //! ```text
 //! 1/2 mean square of the residual + price T
@@ -42,30 +42,32 @@ use serde::Serialize;
 
 use crate::{JointError, mesh::Mesh};
 
-/// Largest change of the price in a step, relative, at which it is found and stays as it is. Larger: an elasticity
+/// Largest relative change of the price in a step at which the price counts as found and stays. Larger: an elasticity
 /// that is met less exactly. Smaller: more steps before anything can be proven. Chosen.
 const PRICE_FOUND: f64 = 0.01;
 
-/// Complementarity over half the mean square below which the price may be found. Larger: the residual is still
-/// falling, and the elasticity is missed. Smaller: more steps. Chosen.
+/// Ratio of the complementarity (about the excess of the objective over its least value) to half the mean square below
+/// which the price may be found. Larger: the residual is still falling, and the elasticity is missed. Smaller: more
+/// steps. Chosen.
 const NEARLY_SOLVED: f64 = 0.03;
 
 /// Number of steps after which the price stays as it is, whether it is found or not. Larger: more steps without a
 /// proof. Smaller: an elasticity that is missed. Chosen.
 const PRICE_STEPS: usize = 40;
 
-/// Complementarity over half the mean square from which on the motion is simulated. Larger: simulations at densities
-/// that are far from those that will be executed. Smaller: fewer steps with the residual of the motion. Chosen.
+/// Ratio of the complementarity to half the mean square below which the motion is simulated. Larger: simulations at
+/// densities that are far from those that will be executed. Smaller: fewer steps with the residual of the motion.
+/// Chosen.
 const SIMULATED_BELOW: f64 = 0.3;
 
-/// Largest fraction of the mean square that the cells of the normal matrix may have missed since the last reference.
-/// Larger: steps by a curvature of less than half the true one lead away from the minimum. Smaller: smaller cells,
-/// and more time. Chosen: near the minimum between 1e-4 and 0.04 is usual.
+/// Largest fraction of the mean square that the normal matrix on cells of pixels may have missed since the last
+/// reference. Larger: steps by a curvature of less than half the true one lead away from the minimum. Smaller: smaller
+/// cells, and more time. Chosen: near the minimum between 1e-4 and 0.04 is usual.
 const MOST_UNSEEN: f64 = 0.1;
 
-/// Largest such part over the fall of the mean square by the cells. Both this and [`MOST_UNSEEN`] must be exceeded
-/// for smaller cells. Larger: steps that lead away. Smaller: smaller cells without need on the way to the minimum.
-/// Chosen: on that way a hundredth is usual.
+/// Largest ratio of the missed part of the mean square to its fall by the cells. Smaller cells are made only if both
+/// this and [`MOST_UNSEEN`] are exceeded. Larger: steps that lead away. Smaller: smaller cells without need on the way
+/// to the minimum. Chosen: on that way a hundredth is usual.
 const MOST_UNSEEN_OF_FALL: f64 = 0.3;
 
 /// Largest fraction of the mean square that the cells may have missed when it rose although the cells saw a fall.
@@ -73,85 +75,87 @@ const MOST_UNSEEN_OF_FALL: f64 = 0.3;
 /// rounding. Chosen.
 const MOST_UNSEEN_OF_RISE: f64 = 0.01;
 
-/// Price of time.
+/// Price of time in the objective.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Price {
-    /// Price of a second, relative to half the mean square of the residual, nm^2/s.
+    /// Fixed price of a second, relative to half the mean square of the residual, nm^2/s.
     Nm2PerS(f64),
-    /// Elasticity (2) of the plan: percentage by which one percent more time would lower the mean square.
+    /// Elasticity of the plan, (2) of the module: percentage by which one percent more time would lower the mean
+    /// square.
     Elasticity(f64),
 }
 
-/// The removal of the motion for densities (nodes), nm: a map like the desired removal.
+/// Function that returns the removal of the motion with these densities (nodes), nm: a map like the desired removal.
 pub type Executed<'a> = &'a dyn Fn(&[f64]) -> Result<Array2<f64>, Invalid>;
 
-/// Progress of a method towards the minimum.
+/// Progress of the solver towards the minimum.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// 0 at the start.
+    /// Number of steps so far; 0 at the start.
     pub iteration: usize,
-    /// c z + (D - lo) y, summed: about how far the objective is above its least value, nm^2.
+    /// Sum of slacks times dual variables, c z + (D - lo) y, nm^2: about the excess of the objective over its least
+    /// value.
     pub complementarity: f64,
 }
 
-/// Value and gradient of (1) at some densities.
+/// Value and gradient of the objective, (1) of the module, at some densities.
 pub struct Objective {
-    /// Value of (1), nm^2.
+    /// Value of the objective, nm^2.
     pub value: f64,
-    /// Derivatives by the densities (nodes).
+    /// Derivatives by the densities (nodes), nm^2 mm/s.
     pub gradient: Vec<f64>,
 }
 
-/// The objective (1) on a mesh.
+/// Objective, (1) of the module, on a mesh.
 pub struct Merit<'a> {
     residual: &'a Residual<'a>,
     mesh: &'a Mesh,
     normal: &'a Normal,
-    /// Length of the path for which every node stands (nodes), mm.
+    /// Length of the path that belongs to every node (nodes), mm: the derivative of the total time by its density.
     lengths_mm: Vec<f64>,
-    /// lo (nodes), s/mm.
+    /// Least densities (lo, nodes), s/mm.
     lo: &'a [f64],
-    /// alpha K, nm^2 mm^2/s^2.
+    /// Weight of the squared distances from the least densities (alpha K), nm^2 mm^2/s^2.
     pub alpha: f64,
-    /// beta K, nm^2 mm^2/s^2.
+    /// Weight of the squared differences of neighbours (beta K), nm^2 mm^2/s^2.
     beta: f64,
-    /// Neighbouring nodes.
+    /// Pairs of neighbouring nodes.
     neighbours: Vec<[usize; 2]>,
     wanted: Price,
-    /// nm^2/s.
+    /// Price of time, nm^2/s.
     pub price: f64,
     price_is_found: bool,
     reference: Reference,
     executed: Option<Executed<'a>>,
-    /// (3) and (4), once the motion was simulated.
+    /// Terms (3) and (4) of the module; `None` until the motion is simulated.
     beyond: Option<Beyond>,
-    /// True if (3) and (4) stay as they are, see [`Self::keep_motion_of`].
+    /// True if the terms (3) and (4) of the module stay as they are, see [`Self::keep_motion_of`].
     motion_is_kept: bool,
-    /// Half the mean square where (1) was computed last.
+    /// Half the mean square of the residual where the objective was computed last.
     last_half_mean_square_nm2: f64,
 }
 
-/// Difference of the removal of the motion from that of the densities, at D_k.
+/// Difference of the removal of the motion from that of the densities, at the densities D_k of (3) of the module.
 struct Beyond {
-    /// M(D_k) - B D_k of (3), nm.
+    /// Difference of the removals M(D_k) - B D_k of (3) of the module, nm.
     removal_nm: Array2<f64>,
-    /// D_k (nodes), s/mm.
+    /// Densities (D_k, nodes), s/mm.
     density: Vec<f64>,
-    /// g of (4) (nodes).
+    /// Gradient (g, nodes) of (4) of the module.
     gradient: Vec<f64>,
 }
 
 impl Beyond {
-    /// (4), nm^2.
+    /// Returns the linear term (4) of the module at these densities, nm^2.
     fn linear_nm2(&self, density: &[f64]) -> f64 {
         let by = self.gradient.iter().zip(density.iter().zip(&self.density));
         by.map(|(g, (d, k))| g * (d - k)).sum()
     }
 }
 
-/// Densities at which the mean square f was last computed with the removal itself. Elsewhere f follows from the
-/// normal matrix H, which is on cells of pixels, and from the difference x of the densities,
+/// Densities at which the mean square f was last computed with the removal itself. Elsewhere f follows from the normal
+/// matrix H, which is on cells of pixels, and from the difference x of the densities,
 ///
 /// ```text
 /// f + f' x + x' H x / 2
@@ -165,7 +169,7 @@ struct Reference {
 }
 
 impl Reference {
-    /// Returns the reference at densities with this removal.
+    /// Returns the reference at these densities with this removal, nm.
     fn new(
         residual: &Residual<'_>,
         mesh: &Mesh,
@@ -182,8 +186,8 @@ impl Reference {
 }
 
 impl<'a> Merit<'a> {
-    /// Builds the objective on a mesh; K is the largest diagonal element of `normal`, and the first reference is at
-    /// `density` (nodes), s/mm.
+    /// Builds the objective on a mesh, with its first reference at `density` (nodes), s/mm. The weights are alpha and
+    /// beta of (1) of the module; K is the largest diagonal element of `normal`.
     pub fn new(
         residual: &'a Residual<'a>,
         normal: &'a Normal,
@@ -227,12 +231,13 @@ impl<'a> Merit<'a> {
         }
     }
 
-    /// Uses the removal of the motion itself, (3).
+    /// Uses the removal of the motion itself near the minimum, by (3) of the module.
     pub fn of_motion(self, executed: Executed<'a>) -> Self {
         Self { executed: Some(executed), ..self }
     }
 
-    /// Returns the curvature of (1) without that of the residual: diagonal (nodes), and element (j, j - 1) for every j.
+    /// Returns the curvature of the objective without that of the residual: the diagonal (nodes), and the element (j, j
+    /// - 1) for every node j (nodes).
     pub fn chain(&self) -> (Vec<f64>, Vec<f64>) {
         let n = self.lo.len();
         let mut diagonal = vec![self.alpha; n];
@@ -245,10 +250,11 @@ impl<'a> Merit<'a> {
         (diagonal, below)
     }
 
-    /// Computes the mean square and its gradient at densities with the removal itself: near the minimum with that of
-    /// their motion, unless (3) `stays` what it is.
+    /// Computes the mean square and its gradient at densities with the removal itself, as a new reference. Near the
+    /// minimum it uses the removal of their motion; if `stays` is true, the difference (3) of the module remains that
+    /// of the last simulation.
     ///
-    /// The cells of the normal matrix miss a part of the mean square, for example of a TIF that ends abruptly on a
+    /// The cells of the normal matrix miss a part of the mean square, for example with a TIF that ends abruptly on a
     /// small map.
     ///
     /// # Errors
@@ -284,7 +290,7 @@ impl<'a> Merit<'a> {
         Ok(())
     }
 
-    /// Returns the reference at densities by (3) and (4).
+    /// Returns the reference at these densities with the terms (3) and (4) of the module.
     fn reference_at(&self, density: &[f64], model_nm: Array2<f64>) -> Reference {
         let Some(beyond) = &self.beyond else {
             return Reference::new(self.residual, self.mesh, density, &model_nm);
@@ -296,7 +302,7 @@ impl<'a> Merit<'a> {
         reference
     }
 
-    /// Fixes (3) and (4) at these densities, and the price, for all steps that follow.
+    /// Fixes the terms (3) and (4) of the module at these densities, and the price, for all steps that follow.
     ///
     /// # Errors
     ///
@@ -318,7 +324,7 @@ impl<'a> Merit<'a> {
         Ok(())
     }
 
-    /// Returns the objective (1) with the removal of the simulated motion, nm^2, for densities (nodes), s/mm.
+    /// Returns the objective with the removal of the simulated motion, nm^2, for densities (nodes), s/mm.
     ///
     /// # Errors
     ///
@@ -332,13 +338,13 @@ impl<'a> Merit<'a> {
         Ok(self.priced(density, left.half_mean_square_nm2, vec![0.0; density.len()]).value)
     }
 
-    /// Returns the objective (1) by the normal matrix, from the last reference on, nm^2.
+    /// Returns the objective by the normal matrix, starting from the last reference, nm^2.
     pub fn value_nm2(&self, density: &[f64]) -> f64 {
         let half_mean_square_nm2 = self.by_cells(density).half_mean_square_nm2;
         self.priced(density, half_mean_square_nm2, vec![0.0; density.len()]).value
     }
 
-    /// Returns half the mean square of the residual by (3), nm^2.
+    /// Returns half the mean square of the residual with the removal (3) of the module, nm^2.
     pub fn half_mean_square_nm2(&self, density: &[f64]) -> f64 {
         let mut removal_nm = self.residual.removal_nm(&self.mesh.times_s(density));
         if let Some(beyond) = &self.beyond {
@@ -347,7 +353,7 @@ impl<'a> Merit<'a> {
         self.residual.evaluate_removal(&removal_nm).half_mean_square_nm2
     }
 
-    /// Returns half the mean square and its gradient, by the normal matrix since the reference.
+    /// Returns half the mean square and its gradient by the normal matrix, starting from the last reference.
     fn by_cells(&self, density: &[f64]) -> Evaluation {
         let reference = &self.reference;
         let off: Vec<f64> = density.iter().zip(&reference.density).map(|(d, r)| d - r).collect();
@@ -360,8 +366,8 @@ impl<'a> Merit<'a> {
         Evaluation { half_mean_square_nm2, gradient_nm2_per_s }
     }
 
-    /// Returns the value and the gradient of (1), and true if the price is found: before that, it changes from step to
-    /// step.
+    /// Returns value and gradient of the objective, and true if the price of time is found. Before that, the price
+    /// changes from step to step.
     pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
         let Evaluation { half_mean_square_nm2, gradient_nm2_per_s } = self.by_cells(density);
         self.last_half_mean_square_nm2 = half_mean_square_nm2;
@@ -378,12 +384,12 @@ impl<'a> Merit<'a> {
         (objective, self.price_is_found)
     }
 
-    /// Returns the pull to the least densities in (1), nm^2.
+    /// Returns the pull to the least densities: the term with alpha in (1) of the module, nm^2.
     pub fn pull_nm2(&self, density: &[f64]) -> f64 {
         0.5 * self.alpha * density.iter().zip(self.lo).map(|(d, lo)| (d - lo).powi(2)).sum::<f64>()
     }
 
-    /// (1) and its gradient from those of half the mean square.
+    /// Returns the objective and its gradient from half the mean square and its gradient.
     fn priced(
         &self,
         density: &[f64],
@@ -406,8 +412,8 @@ impl<'a> Merit<'a> {
         Objective { value, gradient }
     }
 
-    /// Returns the product of densities `d` (nodes) with a matrix that is nowhere above the curvature of (1), and
-    /// nowhere below alpha.
+    /// Returns the product of the densities `d` (nodes) with a matrix that is nowhere above the curvature of the
+    /// objective, and nowhere below alpha.
     pub fn lower_curvature(&self, d: &[f64]) -> Vec<f64> {
         let mut product = if self.normal.below_curvature {
             self.normal.product(d)

@@ -20,8 +20,8 @@ use planish_types::{Invalid, Tif, ToolPath, budget};
 
 use crate::{curve::Curve, piece::Station};
 
-/// Number of Gauss points of a span in (1). Larger: a removal nearer to the integral, with more time for every model
-/// of it. Smaller: the removal of the solver differs from that of the motion. Chosen.
+/// Number of Gauss points of a span in (1) of the module. Larger: a removal nearer to the integral, with more time for
+/// every model of it. Smaller: the removal of the solver differs from that of the motion. Chosen.
 const GAUSS_POINTS: usize = 3;
 
 /// Least turn of a corner with a node of its own, rad. Larger: corners between nodes, at which the feedrate cannot
@@ -32,44 +32,45 @@ const GENTLE_TURN_RAD: f64 = 0.1;
 /// sharp corner. Smaller: more nodes. Chosen.
 const SHARP_TURN_RAD: f64 = 0.5;
 
-/// Least distance of a node at a corner, or at its end, from the other nodes, over the spacing. Larger: corners
-/// without a node. Smaller: short spans, which cost time of the solver. Chosen.
+/// Least distance of a node at a corner, or at an end of a corner, from the other nodes, over their spacing. Larger:
+/// corners without a node. Smaller: short spans, which cost time of the solver. Chosen.
 const NEAREST_NODE_FRACTION: f64 = 0.3;
 
-/// Largest number of steps of the inversion of (3). Larger: no difference. Smaller: an inversion by bisection may
-/// stop early. Derived: Newton's method takes some five, bisection as many as a number has bits.
+/// Largest number of Newton or bisection steps that find the time at which the motion, (3) of the module, reaches a
+/// position. Larger: no difference. Smaller: a search by bisection may stop early. Derived: Newton's method takes some
+/// five, bisection as many as a number has bits.
 const MAX_INVERSION_STEPS: usize = 60;
 
-/// Step of the inversion below which the result is exact to rounding, as a fraction of the time of the span. Larger:
-/// less exact. Smaller: a step more than needed. Derived: the next step of Newton's method is about the square of
-/// this one.
+/// Newton step of [`Span::tau_at`] below which its result is exact to rounding, as a fraction of the time of the span.
+/// Larger: less exact. Smaller: a step more than needed. Derived: the next step of Newton's method is about the square
+/// of this one.
 const INVERSION_STEP: f64 = 1e-9;
 
-/// A part of a curve between two nodes, of which one may be a rest.
+/// Span: the part of a curve between two nodes, of which one may be a rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
-    /// Its curve.
+    /// Index of its curve.
     pub curve: usize,
-    /// Arc lengths of its ends, mm.
+    /// Arc length of its start from the start of the curve, mm.
     pub from_mm: f64,
-    /// See `from_mm`.
+    /// Arc length of its end from the start of the curve, mm.
     pub to_mm: f64,
-    /// Nodes of its ends; none at rest.
+    /// Indices of the nodes at its start and its end; `None` at rest.
     pub nodes: [Option<usize>; 2],
 }
 
-/// (3) at some time: position along the span, feedrate and acceleration along the curve.
+/// Motion along a span at some time, (3) of the module: position, feedrate, acceleration and jerk along the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kinematics {
-    /// s from the start of the span, mm.
+    /// Position (s) from the start of the span, mm.
     pub s_mm: f64,
-    /// s', mm/s.
+    /// Feedrate (s'), mm/s.
     pub feed_mm_per_s: f64,
-    /// s'', mm/s^2.
+    /// Acceleration along the curve (s''), mm/s^2.
     pub acceleration_mm_per_s2: f64,
-    /// s''', mm/s^3.
+    /// Jerk along the curve (s'''), mm/s^3.
     pub jerk_mm_per_s3: f64,
-    /// Derivatives of s by the densities of the two nodes.
+    /// Derivatives of the position by the densities of the two nodes.
     pub s_by: [f64; 2],
     /// Derivatives of the feedrate by the densities of the two nodes.
     pub feed_by: [f64; 2],
@@ -78,28 +79,29 @@ pub struct Kinematics {
 }
 
 impl Span {
-    /// Returns the length l of the span, mm.
+    /// Returns the length of the span (l), mm.
     pub fn length_mm(&self) -> f64 {
         self.to_mm - self.from_mm
     }
 
-    /// Returns the arc length of the middle of the span, mm.
+    /// Returns the arc length of the middle of the span from the start of the curve, mm.
     pub fn middle_mm(&self) -> f64 {
         0.5 * (self.from_mm + self.to_mm)
     }
 
-    /// Returns both halves, with the same nodes as the whole.
+    /// Returns both halves of the span; they keep the nodes of the whole span.
     pub fn halves(&self) -> [Self; 2] {
         let middle_mm = self.middle_mm();
         [Self { to_mm: middle_mm, ..*self }, Self { from_mm: middle_mm, ..*self }]
     }
 
-    /// Returns the densities of the two nodes, s/mm; `None` at rest.
+    /// Returns the densities of the nodes at its start and its end, s/mm; `None` at rest. `density` has those of all
+    /// nodes.
     pub fn densities(&self, density: &[f64]) -> [Option<f64>; 2] {
         self.nodes.map(|n| n.map(|n| density[n]))
     }
 
-    /// Returns the duration of the span by (2), s.
+    /// Returns the duration of the span by (2) of the module, s.
     pub fn duration_s(&self, density: &[f64]) -> f64 {
         let l = self.length_mm();
         match self.densities(density) {
@@ -109,7 +111,8 @@ impl Span {
         }
     }
 
-    /// Returns the motion (3) at the fraction `tau` of the time of the span, for the densities of its nodes.
+    /// Returns the motion at the fraction `tau` (0 to 1) of the time of the span, by (3) of the module, for the
+    /// densities of its nodes.
     pub fn kinematics(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let l = self.length_mm();
         let t = tau;
@@ -183,8 +186,8 @@ impl Span {
         }
     }
 
-    /// Returns the motion (3) at `s_mm` from the start of the span. Its derivatives are those at this place, not at a
-    /// time.
+    /// Returns the motion at `s_mm` from the start of the span, by (3) of the module. The derivatives by the densities
+    /// are those at this position, not at a fixed time.
     pub fn at_place(&self, s_mm: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let mut at = self.kinematics(self.tau_at(s_mm, densities), densities);
         // At a place the time changes by du / dD = -(ds / dD) / s' with a density.
@@ -198,10 +201,10 @@ impl Span {
         at
     }
 
-    /// Returns the fraction of the time of the span after which the motion has come `s_mm` from its start.
+    /// Returns the fraction of the time of the span after which the tool is `s_mm` from its start.
     ///
-    /// In closed form on a span that begins or ends at rest. Otherwise Newton's method solves (3) from the time that
-    /// the density asks for, within brackets, because (3) is monotone.
+    /// On a span that begins or ends at rest this has a closed form. Otherwise Newton's method solves (3) of the module
+    /// within brackets, because (3) is monotone. It starts at the time that the linear density gives.
     pub fn tau_at(&self, s_mm: f64, densities: [Option<f64>; 2]) -> f64 {
         let f = (s_mm / self.length_mm()).clamp(0.0, 1.0);
         let (a, b) = match densities {
@@ -236,35 +239,35 @@ impl Span {
     }
 }
 
-/// A Gauss point of a span with the tool on.
+/// Gauss point of a span with the tool on.
 #[derive(Clone, Copy, Debug)]
 struct Point {
-    /// Length of the path for which each node stands here, mm.
+    /// Length of the path that belongs to each of the two nodes at this point, mm.
     weight: [f64; 2],
     nodes: [Option<usize>; 2],
     span: usize,
-    /// Length from the start of the span, mm.
+    /// Length from the start of the span to the point, mm.
     s_mm: f64,
 }
 
-/// Nodes and spans of all curves.
+/// Mesh of the density: nodes and spans of all curves, and the Gauss points at which the tool acts.
 #[derive(Clone, Debug)]
 pub struct Mesh {
     /// Spans in order, curve by curve.
     pub spans: Vec<Span>,
-    /// Number of nodes that are no rests.
+    /// Number of nodes, without the rests.
     pub nodes: usize,
-    /// Gauss points of the spans with the tool on, at which the tool acts, mm.
+    /// Positions of the Gauss points of the spans with the tool on, mm.
     pub points_mm: Vec<[f64; 2]>,
-    /// Directions of the curve at the points, rad from positive x towards positive y.
+    /// Directions of the curve at the Gauss points, rad from positive x towards positive y.
     pub headings_rad: Vec<f64>,
-    /// Segment of the path of every Gauss point.
+    /// Segment of the path for every Gauss point.
     pub segments: Vec<usize>,
     points: Vec<Point>,
 }
 
 impl Mesh {
-    /// Sets nodes along the curves at most `spacing_mm` apart.
+    /// Builds the mesh with nodes along the curves at most `spacing_mm` apart.
     ///
     /// # Errors
     ///
@@ -282,8 +285,8 @@ impl Mesh {
         Ok(Self::through(curves, path, &breaks))
     }
 
-    /// Returns the mesh with one more node in the middle of every span that is to be `halved` (spans), none of which
-    /// may end at rest.
+    /// Returns the mesh with one more node in the middle of every span for which `halved` (spans) is true. None of
+    /// these may end at rest.
     pub fn refined(&self, curves: &[Curve], path: &ToolPath, halved: &[bool]) -> Self {
         let mut breaks = vec![vec![0.0]; curves.len()];
         for (span, halved) in self.spans.iter().zip(halved) {
@@ -296,7 +299,8 @@ impl Mesh {
         Self::through(curves, path, &breaks)
     }
 
-    /// Returns the nodes at all `breaks` (curves) but the first and last one, which are rests.
+    /// Returns the mesh with nodes at all arc lengths `breaks` (curves), mm, except the first and the last one, which
+    /// are rests.
     fn through(curves: &[Curve], path: &ToolPath, breaks: &[Vec<f64>]) -> Self {
         let mut spans = Vec::new();
         let mut nodes = 0;
@@ -336,7 +340,8 @@ impl Mesh {
         Self { spans, nodes, points_mm, headings_rad, segments, points }
     }
 
-    /// Returns the time of (1) at every Gauss point (points), s, for the densities of the nodes, s/mm.
+    /// Returns the dwell time at every Gauss point (points), s, by (1) of the module for the densities of the nodes,
+    /// s/mm.
     pub fn times_s(&self, density: &[f64]) -> Vec<f64> {
         let times = self.points.iter().map(|point| {
             let nodes = point.nodes.iter().zip(point.weight);
@@ -345,7 +350,8 @@ impl Mesh {
         times.collect()
     }
 
-    /// Returns the derivatives of a function by the densities, from those by the times at the Gauss points.
+    /// Returns the derivatives of a function by the densities (nodes), from its derivatives `by_time` by the times at
+    /// the Gauss points.
     pub fn collect(&self, by_time: &[f64]) -> Vec<f64> {
         let mut by_density = vec![0.0; self.nodes];
         for (point, g) in self.points.iter().zip(by_time) {
@@ -358,12 +364,12 @@ impl Mesh {
         by_density
     }
 
-    /// Returns the difference of the derivatives of a function of the removal of the motion (3) from those of
-    /// [`Self::collect`].
+    /// Returns the correction of [`Self::collect`] for a function of the removal of the motion (3) of the module: the
+    /// exact derivatives by the densities less those of [`Self::collect`].
     ///
-    /// At a place the motion takes `1 / s'` per length, whose derivatives by the two densities are `-s'_k / s'^2` and not
-    /// `1 - f` and `f`. At rest they are the same. The time of a span is linear in the densities, so on every span the
-    /// sum of the differences is zero; what the Gauss points leave of it is subtracted.
+    /// At a point the motion takes `1 / s'` per length. Its derivatives by the two densities are `-s'_k / s'^2` and not
+    /// `1 - f` and `f`; at rest they are the same. The time of a span is linear in the densities, so on every span the
+    /// sum of the differences is zero. The method subtracts what the Gauss points leave of this sum.
     pub fn collect_beyond(&self, by_time: &[f64], density: &[f64]) -> Vec<f64> {
         let mut by_density = vec![0.0; self.nodes];
         let of_spans = self.points.chunk_by(|a, b| a.span == b.span);
@@ -395,8 +401,8 @@ impl Mesh {
         by_density
     }
 
-    /// Returns the Gauss points at which every node acts, with the length of the path at each for a unit of density
-    /// (nodes), mm.
+    /// Returns, for every node (nodes), the Gauss points at which it acts: index, and length of the path that belongs
+    /// to the node there, mm.
     pub fn columns(&self) -> Vec<Vec<(usize, f64)>> {
         let mut columns = vec![Vec::new(); self.nodes];
         for (i, point) in self.points.iter().enumerate() {
@@ -410,7 +416,8 @@ impl Mesh {
     }
 
     /// Returns the number of multiplications of one factorisation of the normal matrix: the sum of b^2 over the nodes.
-    /// b is the number of earlier nodes within reach of a TIF, in the order along the axis for which the sum is less.
+    /// b is the number of earlier nodes within reach of a TIF, in the order along the axis (x or y) for which the sum
+    /// is less.
     pub fn work(&self, tif: &Tif) -> f64 {
         let columns = self.columns();
         let [x, y] = [(0, &tif.grid().x), (1, &tif.grid().y)]
@@ -418,7 +425,8 @@ impl Mesh {
         x.min(y)
     }
 
-    /// Returns [`Self::work`] in the order along an axis, for a TIF that reaches `reach_mm` along it.
+    /// Returns [`Self::work`] for the nodes in the order along `axis` (0 x, 1 y), for a TIF that reaches `reach_mm`
+    /// along it.
     fn work_along(&self, columns: &[Vec<(usize, f64)>], axis: usize, reach_mm: f64) -> f64 {
         let mut places: Vec<f64> = columns
             .iter()
@@ -438,7 +446,8 @@ impl Mesh {
         sum
     }
 
-    /// Returns the length of the path for which every node stands: the derivatives of the total time (nodes), mm.
+    /// Returns the length of the path that belongs to every node (nodes), mm: the derivatives of the total time by the
+    /// densities.
     pub fn lengths_mm(&self) -> Vec<f64> {
         let mut lengths = vec![0.0; self.nodes];
         for span in &self.spans {
@@ -450,7 +459,7 @@ impl Mesh {
     }
 }
 
-/// Returns the arc lengths at which nodes stand, from the rest at the start to that at the end.
+/// Returns the arc lengths of the nodes of a curve, mm, from the rest at its start to that at its end.
 fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     let end = curve.length_mm();
     let mut at = vec![0.0];
@@ -482,8 +491,8 @@ fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     all
 }
 
-/// Returns the candidates (rising) that are further than `nearest` from every value (rising) and from each other, among
-/// them.
+/// Returns the ascending values `at` with those ascending candidates that are farther than `nearest` from every value
+/// and from each other.
 fn insert(at: Vec<f64>, candidates: impl Iterator<Item = f64>, nearest: f64) -> Vec<f64> {
     let mut all: Vec<f64> = Vec::with_capacity(at.len());
     let mut rest = at.into_iter().peekable();

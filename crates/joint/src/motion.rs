@@ -1,4 +1,4 @@
-//! The motion along the curves: cubic pieces in time.
+//! Motion along the curves: cubic pieces in time.
 //!
 //! Along the curve the motion of a span is one cubic s(u) ([`crate::mesh`]). On a line that is the motion itself.
 //! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece. Pieces
@@ -15,35 +15,35 @@ use crate::{
     piece::{CurvePiece, Station},
 };
 
-/// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit. Larger:
-/// fewer pieces, and accelerations beyond the margins of [`crate::limits`]. Smaller: more pieces. Chosen below these
-/// margins.
+/// Largest difference of the acceleration at the ends of a cubic piece from that of the exact motion q(s(u)), over the
+/// limit. Larger: fewer pieces, and accelerations beyond the margins of [`crate::limits`]. Smaller: more pieces. Chosen
+/// below these margins.
 const MAX_ACCELERATION_ERROR: f64 = 2e-3;
 
-/// Largest distance of a cubic piece from q(s(u)) at the middle of its time, mm. Larger: fewer pieces, further from
-/// the curve. Smaller: more pieces. Chosen: a machine follows no closer.
+/// Largest distance of a cubic piece from the exact motion q(s(u)) at the middle of its time, mm. Larger: fewer pieces,
+/// further from the curve. Smaller: more pieces. Chosen: a machine follows no closer.
 const MAX_FIT_ERROR_MM: f64 = 1e-4;
 
-/// Largest distance between two breaks that are taken for one, mm. Larger: pieces of the curve are left out. Smaller:
-/// pieces that are rounding of arc lengths. Chosen far above that rounding, and far below anything that a machine or
-/// a TIF notices. The curvature is continuous, so there is no step at a break that is left out.
+/// Largest distance between two ends of pieces that count as one, mm. Larger: pieces of the curve are left out.
+/// Smaller: pieces that are rounding of arc lengths. Chosen far above that rounding, and far below anything that a
+/// machine or a TIF notices. The curvature is continuous, so there is no step at an end that is left out.
 const SAME_BREAK_MM: f64 = 1e-5;
 
 /// Least length of a piece that may be halved, mm. Larger: pieces that do not follow the curve. Smaller: halves whose
 /// acceleration is rounding of their positions. Chosen.
 const SHORTEST_PARTED_MM: f64 = 1e-3;
 
-/// The motion, and how closely it follows the curve.
+/// Motion along the curves, and its largest distance from the exact motion.
 pub struct Motion {
-    /// Cubic pieces; each serves the segment of the path that it follows.
+    /// Cubic pieces; each belongs to the segment of the path that it follows.
     pub trajectory: Trajectory,
-    /// Span of every piece.
+    /// Index of the span of the mesh for every piece.
     pub span: Vec<usize>,
-    /// Largest distance of a cubic piece from q(s(u)) at the middle of its time, mm.
+    /// Largest distance of a cubic piece from the exact motion q(s(u)) at the middle of its time, mm.
     pub fit_error_mm: f64,
 }
 
-/// Computes the motion along the curves for the densities of the nodes (nodes), s/mm.
+/// Returns the cubic pieces of the motion along the curves for the densities of the nodes (nodes), s/mm.
 ///
 /// # Errors
 ///
@@ -77,7 +77,7 @@ pub fn motion(
 }
 
 impl Motion {
-    /// Returns the largest use of a limit on acceleration on every span, 1 being all of it.
+    /// Returns the largest ratio of an acceleration of x or y to its limit on every span of the mesh (`spans` in all).
     pub fn use_of_acceleration(&self, spans: usize, limits: &Limits) -> Vec<f64> {
         let mut used = vec![0.0f64; spans];
         for (segment, span) in self.trajectory.segments().zip(&self.span) {
@@ -92,25 +92,25 @@ impl Motion {
     }
 }
 
-/// A span with the densities of its nodes.
+/// Span of the mesh with the densities of its nodes, s/mm.
 struct OnSpan<'a> {
     span: &'a Span,
     densities: [Option<f64>; 2],
     further: Option<&'a Further<'a>>,
 }
 
-/// A piece of the motion.
+/// Cubic piece of the motion.
 struct Cubic {
     coefficient_mm: [[f64; 4]; 2],
     /// Length of the curve along the piece, mm.
     length_mm: f64,
-    /// Distance from q(s(u)) at the middle of its time, mm.
+    /// Distance from the exact motion q(s(u)) at the middle of its time, mm.
     fit_error_mm: f64,
-    /// Largest difference of its acceleration from that of q(s(u)) at its ends, over the limit.
+    /// Largest difference of its acceleration at its ends from that of the exact motion q(s(u)), over the limit.
     acceleration_error: f64,
 }
 
-/// A piece of the motion with its time, s, and the segment of the path that it follows.
+/// Cubic piece of the motion with its duration, s, and the segment of the path that it follows.
 struct Timed {
     duration_s: f64,
     cubic: Cubic,
@@ -118,7 +118,8 @@ struct Timed {
 }
 
 impl OnSpan<'_> {
-    /// Returns the motion on the span, which takes `duration_s`, with the limits `most` on acceleration, mm/s^2.
+    /// Returns the cubic pieces of the motion on the span, which takes `duration_s`; `most` are the acceleration limits
+    /// of x and y, mm/s^2.
     fn cubics(&self, curve: &Curve, duration_s: f64, most: [f64; 2]) -> Vec<Timed> {
         let mut cubics = Vec::new();
         for (piece, from, to) in self.parts(curve) {
@@ -141,7 +142,8 @@ impl OnSpan<'_> {
         cubics
     }
 
-    /// Returns the pieces of the curve on the span, with the fractions of its time between which each lies.
+    /// Returns the pieces of the curve on the span, each with the fractions of the time of the span at which it begins
+    /// and ends.
     fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c CurvePiece, f64, f64)> {
         let span = self.span;
         let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm + SAME_BREAK_MM);
@@ -159,14 +161,15 @@ impl OnSpan<'_> {
         parts
     }
 
-    /// Returns the motion along the curve at the fraction `tau` of the time of the span, and the station there.
+    /// Returns the motion along the curve at the fraction `tau` of the time of the span, with position, direction and
+    /// curvature there.
     fn state(&self, piece: &CurvePiece, tau: f64) -> (Kinematics, Station) {
         let along = self.span.kinematics(tau, self.densities);
         (along, piece.station(self.span.from_mm + along.s_mm - piece.from_mm))
     }
 
-    /// Fits the motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the
-    /// limits `most` on acceleration, mm/s^2.
+    /// Fits a cubic to the motion on a piece of the curve between two fractions of the time of the span, `h` seconds
+    /// apart. `most` are the acceleration limits of x and y, mm/s^2.
     fn cubic(&self, piece: &CurvePiece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
         let [(from, start), (to, end)] = taus.map(|tau| self.state(piece, tau));
         let length_mm = to.s_mm - from.s_mm;

@@ -3,10 +3,10 @@
 
 use planish_numerics::motion::clothoid;
 
-/// Position, direction and curvature at a place on a curve.
+/// Position, direction and curvature at a point of a curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Station {
-    /// Position, mm.
+    /// Position [x, y], mm.
     pub point_mm: [f64; 2],
     /// Unit vector along the curve.
     pub tangent: [f64; 2],
@@ -14,23 +14,23 @@ pub struct Station {
     pub curvature_per_mm: f64,
 }
 
-/// A part of a curve whose curvature is linear in the arc length.
+/// Piece of a curve whose curvature is linear in the arc length (a clothoid).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CurvePiece {
-    /// Its start.
+    /// Position, direction and curvature at its start.
     pub start: Station,
-    /// Change of curvature over length, 1/mm^2.
+    /// Change of the curvature per length, 1/mm^2.
     pub sharpness_per_mm2: f64,
-    /// Arc length from the start of the curve, mm.
+    /// Arc length of its start from the start of the curve, mm.
     pub from_mm: f64,
-    /// Its own arc length, mm.
+    /// Arc length of the piece, mm.
     pub length_mm: f64,
-    /// Segment of the tool path that it follows.
+    /// Index of the segment of the tool path that it follows.
     pub segment: usize,
 }
 
 impl CurvePiece {
-    /// Returns the station at a length from the start of the piece, mm.
+    /// Returns position, direction and curvature at the length `s` from the start of the piece, mm.
     pub fn station(&self, s: f64) -> Station {
         let Station { point_mm, tangent, curvature_per_mm } = self.start;
         let [along, across] = clothoid::position(curvature_per_mm, self.sharpness_per_mm2, s);
@@ -41,7 +41,8 @@ impl CurvePiece {
         Station { point_mm, tangent, curvature_per_mm }
     }
 
-    /// Returns the unit vector along the curve, and curvature (1/mm), at a length from the start of the piece, mm.
+    /// Returns the unit vector along the curve, and the curvature (1/mm), at the length `s` from the start of the
+    /// piece, mm.
     pub fn direction(&self, s: f64) -> ([f64; 2], f64) {
         let Station { tangent, curvature_per_mm: curvature, .. } = self.start;
         let (sin, cos) = clothoid::heading(curvature, self.sharpness_per_mm2, s).sin_cos();
@@ -54,31 +55,31 @@ impl CurvePiece {
         self.start.curvature_per_mm == 0.0 && self.sharpness_per_mm2 == 0.0
     }
 
-    /// Returns the change of the heading along the piece without its sign, rad.
+    /// Returns the magnitude of the change of the heading along the piece, rad.
     pub fn turn_rad(&self) -> f64 {
         clothoid::heading(self.start.curvature_per_mm, self.sharpness_per_mm2, self.length_mm).abs()
     }
 
-    /// Returns the curvature at the start and at the end of the piece, 1/mm.
+    /// Returns the curvature at the start and at the end of the piece, 1/mm, positive to the left.
     pub fn curvatures_per_mm(&self) -> [f64; 2] {
         let from = self.start.curvature_per_mm;
         [from, from + self.sharpness_per_mm2 * self.length_mm]
     }
 
-    /// Returns the largest curvature, without its sign, 1/mm.
+    /// Returns the largest magnitude of the curvature, 1/mm.
     pub fn most_curvature_per_mm(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         from.abs().max(to.abs())
     }
 
-    /// Returns the change of the curvature along the piece over the largest curvature; 0 on a line.
+    /// Returns the ratio of the change of the curvature along the piece to its largest magnitude; 0 on a straight line.
     pub fn change_of_curvature(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         let most = from.abs().max(to.abs());
         if most > 0.0 { (to - from).abs() / most } else { 0.0 }
     }
 
-    /// Returns the integral of the square root of the curvature without its sign, mm^(1/2).
+    /// Returns the bend of the piece: the integral of the square root of the magnitude of its curvature, mm^(1/2).
     pub fn bend(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         let a = from.abs().sqrt();

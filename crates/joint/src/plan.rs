@@ -1,4 +1,4 @@
-//! A joint plan, from the map to the motion.
+//! Joint plan, from the surface error map to the motion.
 //!
 //! ```text
 //! path -> smooth curves -> nodes, about one per 0.6 TIF widths and those of the corners -> their densities
@@ -30,18 +30,18 @@ use crate::{
     settings::JointSettings,
 };
 
-/// Default spacing of the nodes over the width of the TIF. Larger: less work, and a residual at wavelengths that the
-/// TIF could remove. Smaller: more nodes, for densities that the removal hardly shows. Chosen.
+/// Default spacing of the nodes of the density, over the width of the TIF. Larger: less work, and a residual at
+/// wavelengths that the TIF could remove. Smaller: more nodes, for densities that the removal hardly shows. Chosen.
 const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
 
-/// Least width of a TIF for the spacing of the nodes, over its spread. A spot with steep flanks, such as a ring, is
-/// narrow by its slopes, and nodes by these are many more than its removal shows: half as many leave 0.1 % more of a
-/// ring with hard edges. Larger: a larger residual with such spots. Smaller: plans that take minutes. Chosen.
+/// Least width of a TIF that sets the spacing of the nodes, over the spread of the TIF. A spot with steep flanks, such
+/// as a ring, is narrow by its slopes. Nodes by these are many more than its removal shows: half as many leave 0.1 %
+/// more of a ring with hard edges. Larger: a larger residual with such spots. Smaller: plans that take minutes. Chosen.
 const LEAST_WIDTH_OVER_SPREAD: f64 = 0.4;
 
-/// Default deviation of the curve at corners over the width of the TIF. Larger: faster corners, further from the
-/// path. Smaller: slower corners. Chosen so that a corner costs little time. It is no error of the removal, because
-/// the solver knows the position of the tool.
+/// Default deviation of the curve at corners, over the width of the TIF. Larger: faster corners, further from the path.
+/// Smaller: slower corners. Chosen so that a corner costs little time. It is no error of the removal, because the
+/// solver knows the position of the tool.
 const DEVIATION_OVER_TIF_WIDTH: f64 = 0.2;
 
 /// Default largest radius of a corner over the width of the TIF. Larger: faster, longer corners. Smaller: slower
@@ -57,9 +57,9 @@ const JERK_DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
 /// spacing in the wrong unit makes a very large program. Chosen.
 const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 
-/// Largest number of multiplications of one factorisation at the default spacing; above it the nodes are set further
-/// apart. Larger: plans that take many minutes. Smaller: a larger residual on large parts. Chosen: a plan takes some
-/// 30 factorisations.
+/// Largest number of multiplications of one factorisation of the normal matrix at the default spacing; above it the
+/// nodes are set further apart. Larger: plans that take many minutes. Smaller: a larger residual on large parts.
+/// Chosen: a plan takes some 30 factorisations.
 const MOST_WORK: f64 = 6e10;
 
 /// Factor by which the spacing grows until the work is affordable, and by which it shrinks while there is little
@@ -74,82 +74,82 @@ const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 /// follows the removal of the TIF. Smaller: plans of large parts that take minutes. Chosen.
 const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 
-/// Least fraction of the time near a limit that is named. Larger: limits of short bends are left out. Smaller: single
-/// places are named. Chosen.
+/// Least fraction of the time near a limit at which the summary names this limit. Larger: limits of short bends are
+/// left out. Smaller: limits at single points are named. Chosen.
 const LEAST_NAMED: f64 = 5e-4;
 
-/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out.
-/// Chosen; the manifest has all of them.
+/// Largest number of limits that the summary names. Larger: a longer sentence. Smaller: limits that matter are left
+/// out. Chosen; the manifest has all of them.
 const MOST_NAMED: usize = 4;
 
-/// Report of a plan.
+/// Report of a joint plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointReport {
-    /// Number of curves from rest to rest.
+    /// Number of curves along the path, each from rest to rest.
     pub curves: usize,
-    /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
+    /// Largest movement of a point of the path by the smoothing that precedes the rounding of corners, mm.
     pub points_moved_mm: f64,
     /// Number of corners that were rounded.
     pub corners: usize,
-    /// Largest distance of a curve from a corner, mm.
+    /// Largest distance of a curve from a corner of the path, or from its bent parts, mm.
     pub corner_deviation_mm: f64,
-    /// Least radius of a corner, mm; absent without corners.
+    /// Least radius of curvature of the curves, mm; `None` if all are straight.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub least_radius_mm: Option<f64>,
-    /// Arc length of all curves, mm.
+    /// Sum of the arc lengths of all curves, mm.
     pub length_mm: f64,
-    /// Number of unknowns.
+    /// Number of nodes of the density, which are the unknowns.
     pub nodes: usize,
-    /// Number of nodes of every mesh, from that of equal distances to the last one.
+    /// Number of nodes of every mesh, from the one of equal distances to the last one.
     pub nodes_of_meshes: Vec<usize>,
     /// Largest distance of neighbouring nodes, mm.
     pub node_spacing_mm: f64,
-    /// Widened spacing of the nodes; absent unless the solver would take too long with the default spacing.
+    /// Widened spacing of the nodes; `None` unless the solver would take too long with the default spacing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub widened: Option<Widened>,
-    /// Price of a second, nm^2/s.
+    /// Price of a second in the objective, relative to half the mean square of the residual, nm^2/s.
     pub price_nm2_per_s: f64,
-    /// End of the solver: `optimal` or `iteration-limit`.
+    /// Reason for the end of the solver: `optimal` or `iteration-limit`.
     pub end: End,
     /// Proven bound on the excess of the objective over the least one of the last convex program, relative to it.
     /// This program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
     /// motion.
     #[serde(flatten)]
     pub proven: ProvenGap,
-    /// Tikhonov weight of the pull to the least densities.
+    /// Tikhonov weight of the pull to the least densities (alpha), dimensionless.
     pub tikhonov: f64,
-    /// Part of the objective that this pull has.
+    /// Part of the objective that is due to the pull to the least densities, 0 to 1.
     pub pull_part: f64,
-    /// Number of steps of the solver in all its rounds, without those that look for a start for an elasticity.
+    /// Number of steps of the solver in all its rounds, without the search for a start if the price is an elasticity.
     pub iterations: usize,
     /// Objective of the last round at its start and after every step, nm^2. The last value and some before it are
     /// computed with the removal itself, the others with the normal matrix.
     pub objective_nm2: Vec<f64>,
-    /// RMS of the residual in the removal model of the solver, without the terms that are free, nm.
+    /// RMS of the residual in the removal model of the solver, without the free low-order terms, nm.
     pub model_rms_nm: f64,
-    /// Largest distance of the motion from the curve at equal times, mm.
+    /// Largest distance of a cubic piece from the exact motion along the curve at the middle of its time, mm.
     pub fit_error_mm: f64,
-    /// Average of the motion in time; absent if the machine does not limit jerk.
+    /// Average of the motion in time; `None` if the machine does not limit jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub average: Option<Averaged>,
     /// Number of rounds of the solver. In all but the first one the limits of some spans are tightened.
     pub rounds: usize,
-    /// Use of the limits of every axis; empty if the machine has no axes beyond x and y.
+    /// Ratios of every axis to its limits; empty if the machine has no axes beyond x and y.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<AxisReport>,
-    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if
-    /// they left none.
+    /// Factor by which all times of the motion are longer, because an excess over a limit of a further axis was left
+    /// after the rounds. `None` if none was left.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowed_by: Option<f64>,
-    /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
+    /// Lattice of the map on which the TIF was resampled; `None` if its own samples were used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tif_lattice: Option<TifLattice>,
-    /// Rates at the times of the plan; absent unless the rate depends on the time of the run.
+    /// Rates at the times of the plan; `None` unless the removal rate depends on the time of the run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rates_of_time: Option<RatesOfTime>,
 }
 
-/// Returns the proven bound of a plan, and the plans that it compares with.
+/// Returns the proven bound of a plan, with the description of the plans that it covers.
 fn proven_gap(relative_gap: f64, is_before_average: bool) -> ProvenGap {
     let covered = if is_before_average { COVERED_BEFORE_AVERAGE } else { COVERED };
     ProvenGap { relative_gap: Some(relative_gap), gap: None, gap_covers: Some(covered.into()) }
@@ -162,38 +162,38 @@ impl JointReport {
     }
 }
 
-/// Rates of a plan for a tool whose rate depends on the time of the run.
+/// Removal rates of a plan for a tool whose rate depends on the time of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatesOfTime {
-    /// Plans, each with the rates at the times of the one before.
+    /// Number of plans, each with the rates at the times of the previous one.
     pub rounds: usize,
-    /// Largest relative difference of a rate of the plan from that at its own times.
+    /// Largest relative difference between a rate that the plan uses and the rate at the times of the plan.
     pub rate_error: f64,
 }
 
-/// Plans that [`JointReport::relative_gap`] compares with.
+/// Description of the plans that [`JointReport::relative_gap`] covers.
 const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the \
                        limits; not closer nodes, another curve, or another law of time between the nodes";
 
-/// The same for a machine that limits jerk.
+/// Description of the plans that [`JointReport::relative_gap`] covers on a machine that limits jerk.
 const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linear between these nodes, under the \
                                       tangents of the limits, and which keep the jerk by the same average in time; \
                                       not closer nodes, another curve, another law of time between the nodes, or \
                                       another way to keep the jerk";
 
-/// Spacing of the nodes, if the solver would take too long with the default.
+/// Spacing of the nodes that was widened because the solver would take too long with the default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Widened {
-    /// Default spacing, mm.
+    /// Default spacing of the nodes, mm.
     pub from_mm: f64,
-    /// Spacing of this plan, mm.
+    /// Spacing of the nodes of this plan, mm.
     pub to_mm: f64,
 }
 
-/// Average of a motion that keeps a limit on jerk.
+/// Average of a motion in time, which keeps a limit on jerk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Averaged {
-    /// Time over which the motion is averaged, s.
+    /// Length of the window over which the motion is averaged, s.
     pub window_s: f64,
     /// Fraction of the limits on acceleration that the plan uses before averaging.
     pub fraction_of_acceleration: f64,
@@ -201,23 +201,24 @@ pub struct Averaged {
     pub deviation_mm: f64,
 }
 
-/// The plan.
+/// Joint plan: times, motion, predicted removal and report.
 #[derive(Clone, Debug)]
 pub struct JointPlan {
-    /// Time of the motion on every segment of the path.
+    /// Time of the motion in every segment of the path.
     pub dwell: DwellTime,
-    /// The motion.
+    /// Motion that the machine executes.
     pub trajectory: Trajectory,
-    /// Simulated removal of the motion, and the residual.
+    /// Simulated removal of the motion, with the residual.
     pub removal: Removal,
-    /// Reason why the judge refuses the motion; `None` if it keeps every limit.
+    /// Reason why the motion is refused, a limit that it exceeds; `None` if it keeps every limit.
     pub refused: Option<String>,
-    /// Report of the plan.
+    /// Report on curves, nodes, solver and limits.
     pub report: JointReport,
 }
 
 impl JointReport {
-    /// Names the limits that the plan is near for some of the time, in words, those of most of the time first.
+    /// Returns the names of the limits that the plan is near, with the fraction of the time, the longest first; `none`
+    /// if there is none.
     pub fn near_limits(&self) -> String {
         let of_axes = self.axes.iter().flat_map(|axis| {
             axis.near().map(|(quantity, part)| (part, format!("{quantity} of {}", axis.name)))
@@ -235,7 +236,8 @@ impl JointReport {
 }
 
 impl JointPlan {
-    /// Returns the reason why the plan should not be run as it is; `None` if there is none.
+    /// Returns the reason why the plan should not be run as it is; `None` if there is none. `desired` is the surface
+    /// error before the plan.
     pub fn negative(&self, desired: &Surface) -> Option<String> {
         let r = &self.report;
         let unfinished = if r.end == End::Optimal {
@@ -263,15 +265,16 @@ impl JointPlan {
     }
 }
 
-/// Relative change of a rate from one plan to the next up to which the plan has the rates of its own times. Larger: a
-/// larger residual of tools whose rate changes. Smaller: more plans.
+/// Relative change of a rate from one plan to the next up to which the plan counts as planned with the rates of its own
+/// times. Larger: a larger residual of tools whose rate changes. Smaller: more plans.
 const SAME_RATE: f64 = 1e-4;
 
-/// Largest number of plans for a tool whose rate depends on the time of the run. Larger: more time. Smaller: rates of
-/// other times.
+/// Largest number of plans for a tool whose rate depends on the time of the run. Larger: more time. Smaller: plans with
+/// the rates of other times.
 const MAX_ROUNDS_OF_TIMES: usize = 6;
 
-/// Finds density and motion along `path` for the desired removal, on a machine with the axes x and y.
+/// Finds the dwell-time density and the motion along `path` for the desired removal, on a machine with the axes x and
+/// y.
 ///
 /// # Errors
 ///
@@ -287,7 +290,7 @@ pub fn plan(
     planned(desired, tif, path, (limits, None), settings)
 }
 
-/// Finds density and motion along `path` as [`plan`] does, on a machine with axes beyond x and y.
+/// Finds the density and the motion along `path` as [`plan`] does, on a machine with axes beyond x and y.
 ///
 /// # Errors
 ///
@@ -312,7 +315,7 @@ impl From<Average> for Averaged {
     }
 }
 
-/// The problem along smooth curves, without the rates of a tool that depend on the time of the run.
+/// Problem along smooth curves; the rates of a tool that depend on the time of the run are not part of it.
 struct Task<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
@@ -325,12 +328,13 @@ struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// Returns the average in time, if the machine limits jerk.
+    /// Returns the average of a planned motion in time; `None` if the machine does not limit jerk.
     fn averaged(&self, planned: &Trajectory) -> Result<Option<Trajectory>, Invalid> {
         self.average.map(|average| average.averaged(planned)).transpose()
     }
 
-    /// Removal of a plan as it is executed, by these rates at the dwell points.
+    /// Returns the removal of a plan as it is executed, nm; `rates` has the factor of the removal rate in every segment
+    /// of the path.
     fn removal_nm(&self, planned: &Trajectory, rates: &[f64]) -> Result<Array2<f64>, Invalid> {
         let averaged = self.averaged(planned)?;
         let motion = averaged.as_ref().unwrap_or(planned);
@@ -344,8 +348,8 @@ impl Task<'_> {
         }
     }
 
-    /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the
-    /// times of the plan before, until these stay.
+    /// Solves the problem. If the removal rate depends on the time of the run, it solves it again with the rates at the
+    /// times of the previous plan, until the rates stay.
     fn solved(
         &self,
         meshes: &Meshes,
@@ -378,8 +382,9 @@ impl Task<'_> {
     }
 }
 
-/// Returns the rates in the segments of the path of a motion that removes in each as much as this one does at these rates,
-/// at the rates of its own times. What a plan removes changes less from round to round than its times.
+/// Returns the rates in the segments of the path at the times of another motion. That motion removes the same in every
+/// segment as this one does at `rates`, but by the rates of its own times. The removal of a plan changes less from
+/// round to round than its times.
 fn rates_of_same_removal(time: &TimeFactor, motion: &Trajectory, rates: &[f64]) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); rates.len()];
     let mut now_s = motion.break_time_s()[0];
@@ -484,8 +489,8 @@ fn planned(
     Ok(JointPlan { dwell, trajectory, removal, refused, report })
 }
 
-/// Returns the motion of a plan as the machine runs it: averaged in time and within the further axes. With the reason why
-/// the judge refuses it, and the factor on all times.
+/// Returns the motion of a plan as the machine runs it: averaged in time, and within the limits of the further axes.
+/// The second value is the reason why it is refused, the third the factor on all times; `None` if there is none.
 fn as_run(
     task: &Task<'_>,
     planned: &Trajectory,
@@ -505,8 +510,8 @@ fn as_run(
     }
 }
 
-/// Returns a motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why
-/// the judge refuses it, and the factor on all times.
+/// Returns a motion that keeps the limits of the further axes: the same one, or one with all times longer. The second
+/// value is the reason why it is refused, the third the factor on all times; `None` if there is none.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -526,7 +531,7 @@ fn within_axes(
     Ok((trajectory, refused, Some(factor)))
 }
 
-/// Returns the mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
+/// Returns the mesh of equal distances, and the widened spacing if that is larger than `spacing_mm` to save work.
 fn first_mesh(
     curves: &[Curve],
     path: &ToolPath,
@@ -545,21 +550,21 @@ fn first_mesh(
     Ok((mesh, if taken_mm > spacing_mm { Some(widened) } else { None }))
 }
 
-/// Largest ratio of a density that a further axis asks for to the largest that x and y ask for. Larger: a plan that
-/// stands still near the centre of a spindle. Smaller: paths that pass near it are refused. Chosen: a tool that takes
-/// ten thousand times as long over a place removes far too much there.
+/// Largest ratio of the density that the velocity limit of a further axis demands to the largest that x and y demand.
+/// Larger: a plan that stands still near the centre of a spindle. Smaller: paths that pass near it are refused. Chosen:
+/// a tool that takes ten thousand times as long over a point removes far too much there.
 const MOST_SLOWED: f64 = 1e4;
 
-/// Number of parts of every span between whose ends [`check_further`] looks. Larger: more time. Smaller: paths are
-/// refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
+/// Number of parts of every span at whose ends [`check_further`] evaluates the axes. Larger: more time. Smaller: paths
+/// are refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
 const CHECKED_PARTS: usize = 32;
 
-/// Change of a derivative between two such places that its second derivatives there do not show, over the derivative.
-/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is
-/// some percent, and 2 where the tool passes the centre of a spindle.
+/// Largest change of a derivative between two points of [`check_further`] that its second derivatives there do not
+/// explain, over the derivative. Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen:
+/// where an axis is resolved it is some percent, and 2 where the tool passes the centre of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
-/// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns between two places.
+/// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns within a part of a span.
 fn check_further(
     further: &Further<'_>,
     curves: &[Curve],
@@ -611,7 +616,7 @@ fn check_further(
     Ok(())
 }
 
-/// Returns the least radius of curvature, mm; `None` where all is straight.
+/// Returns the least radius of curvature of the curves, mm; `None` if all are straight.
 fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     let most = curves.iter().map(Curve::most_curvature_per_mm).fold(0.0, f64::max);
     if most > 0.0 { Some(1.0 / most) } else { None }
@@ -640,8 +645,8 @@ fn scales(
     Ok((rounding, spacing_mm))
 }
 
-/// Returns the mesh with nodes `spacing_mm[0]` apart, and its spacing. It is larger, up to `spacing_mm[1]`, where the
-/// solver would need more than `most_work` multiplications for a factorisation.
+/// Returns the mesh with nodes `spacing_mm[0]` apart, and its spacing. The spacing grows up to `spacing_mm[1]` while a
+/// factorisation would need more than `most_work` multiplications.
 fn affordable(
     curves: &[Curve],
     path: &ToolPath,
@@ -658,8 +663,8 @@ fn affordable(
     }
 }
 
-/// Returns the mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as it takes
-/// [`LITTLE_WORK`].
+/// Returns the mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as its factorisation
+/// needs at most [`LITTLE_WORK`].
 fn closer(
     curves: &[Curve],
     path: &ToolPath,

@@ -1,5 +1,5 @@
-//! Solution for the densities: meshes are refined where this lowers the objective most, until the motion keeps the
-//! limits.
+//! Solution for the densities of the nodes. The mesh is refined where this lowers the objective most; then rounds
+//! follow until the motion keeps the limits.
 //!
 //! ```text
 //! mesh -> near the minimum (nothing proven) -> finer mesh -> ... -> minimum, proven -> motion -> judge
@@ -29,7 +29,7 @@ use crate::{
     settings::{FIRST_TIKHONOV, JointSettings, LEAST_TIKHONOV, MOST_PULL},
 };
 
-/// Ratio of the first densities to the largest bound on a uniform density. Larger: a slower start, further from the
+/// Ratio of the first uniform density to the largest lower bound on it. Larger: a slower start, further from the
 /// minimum. Smaller: slacks near zero, with short first steps. Chosen.
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
@@ -42,17 +42,17 @@ const MAX_ROUNDS: usize = 8;
 /// begin there. Larger: a slower start. Smaller: slacks near zero, with short first steps. Chosen.
 const ABOVE_LIMITS: f64 = 1.001;
 
-/// Largest number of rounds with new tangents. Larger: more simulations and proofs, for less gain each. Smaller: an
-/// objective further above its minimum. Chosen.
+/// Largest number of rounds with new tangents of the limits and of the removal. Larger: more simulations and proofs,
+/// for less gain each. Smaller: an objective further above its minimum. Chosen.
 const MAX_DESCENTS: usize = 12;
 
-/// Gain of a round with new tangents, over the relative gap, below which it is the last one. Larger: fewer rounds,
-/// and an objective further above its minimum. Smaller: more rounds. Chosen: if every round gains half as much as the
-/// one before, the gain that is left is about that of this round.
+/// Relative gain of a round with new tangents, over the relative gap, below which it is the last one. Larger: fewer
+/// rounds, and an objective further above its minimum. Smaller: more rounds. Chosen: if every round gains half as much
+/// as the one before, the gain that is left is about that of this round.
 const LAST_GAIN: f64 = 0.25;
 
-/// Least fraction of the way to the solution of a round that is tried. Larger: rounds that gain nothing, although a
-/// short step would. Smaller: more simulations. Chosen.
+/// Least fraction of the way from the present densities to the solution of a round with new tangents that is tried.
+/// Larger: rounds that gain nothing, although a short step would. Smaller: more simulations. Chosen.
 const LEAST_PART: f64 = 0.05;
 
 /// Use of the limits of a further axis above which no round tightens them: the path passes a place where the axis
@@ -60,7 +60,7 @@ const LEAST_PART: f64 = 0.05;
 /// mended. Chosen: rows of an axis that moves smoothly are exceeded by some percent.
 pub const HOPELESS: f64 = 30.0;
 
-/// Factor on the measured use of a limit when the rows are tightened. Larger: spans that use less than the limit.
+/// Factor on the measured ratio to a limit when the rows are tightened. Larger: spans that use less than the limit.
 /// Smaller: more rounds. Chosen.
 const TIGHTENED_FURTHER: f64 = 1.002;
 
@@ -68,37 +68,39 @@ const TIGHTENED_FURTHER: f64 = 1.002;
 /// where the rows of other axes decide. Smaller: plans that are slower than needed. Chosen.
 const TIGHTEN_ALL_FROM: usize = 4;
 
-/// Largest ratio of the multiplications of a factorisation on the last mesh to those on the first one. Larger: more
-/// nodes, a smaller residual and more time. Smaller: the opposite. Chosen.
+/// Largest ratio of the number of multiplications of a factorisation on the last mesh to that on the first one. Larger:
+/// more nodes, a smaller residual and more time. Smaller: the opposite. Chosen.
 const MOST_GROWTH: f64 = 5.0;
 
 /// Number of multiplications of one factorisation that take hardly any time. If the first nodes need less, as with a
-/// TIF that is wide for the part, they are set closer, because the densities go up and down steeply there. A start
-/// for the elasticity is then looked for at more than one price. Larger: more plans get this treatment, and take
+/// TIF that is wide for the part, they are set closer, because the densities vary steeply there. The solver then also
+/// tries more than one price to find a start for the elasticity. Larger: more plans get this treatment, and take
 /// longer. Smaller: fewer do. Chosen.
 pub const LITTLE_WORK: f64 = 1.5e8;
 
-/// Complementarity over the objective at which two plans are compared. Larger: plans that are not finished are
-/// compared. Smaller: more steps for each of them. Chosen.
+/// Ratio of the complementarity to the objective at which two plans are compared. Larger: plans that are not finished
+/// are compared. Smaller: more steps for each of them. Chosen.
 const COMPARABLE: f64 = 0.03;
 
-/// Ratio of the products m T^x of two such plans below which the other plan is taken. Larger: a plan may be taken for
-/// an error of [`COMPARABLE`]. Smaller: better plans are missed. Chosen.
+/// Ratio of the products m T^x (mean square m, total time T, elasticity x) of two plans below which the other plan is
+/// taken. Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better plans are missed. Chosen.
 const CLEARLY_LESS: f64 = 0.95;
 
-/// Factor between the prices from which plans with the same elasticity are looked for. Larger: starts further from
-/// the plan that is sought. Smaller: all starts lead to the same plan. Chosen.
+/// Factor between the prices of time from which plans with the same elasticity are looked for. Larger: starts further
+/// from the plan that is sought. Smaller: all starts lead to the same plan. Chosen.
 const MUCH_CHEAPER: f64 = 30.0;
 
-/// Part of [`MOST_PULL`] at which a lowered weight aims. Larger: weights that are lowered again, on the last mesh at
-/// the cost of its steps. Smaller: smaller weights than needed. Chosen.
+/// Part of [`MOST_PULL`] at which a lowered Tikhonov weight aims. Larger: weights that are lowered again, on the last
+/// mesh at the cost of its steps. Smaller: smaller weights than needed. Chosen.
 const AIMED_PART: f64 = 0.3;
 
-/// Part of [`MOST_PULL`] from which on the weight is lowered before the last mesh. Larger: plans that are solved again.
-/// Smaller: smaller weights than needed. Chosen: the pull of an approach is within a factor of two of the final one.
+/// Part of [`MOST_PULL`] from which on the Tikhonov weight is lowered before the last mesh. Larger: plans that are
+/// solved again. Smaller: smaller weights than needed. Chosen: the pull of an approach (an iterate near the minimum) is
+/// within a factor of two of the final one.
 const LOWERED_EARLY: f64 = 0.5;
 
-/// Factor on a weight at which the matrix was singular. Larger: more of the pull. Smaller: more attempts.
+/// Factor by which a Tikhonov weight is raised if the matrix was singular. Larger: more of the pull. Smaller: more
+/// attempts.
 const SINGULAR_RAISED_BY: f64 = 30.0;
 
 /// Inputs of a plan: the desired removal, the TIF, the path with its curves, and the limits.
@@ -109,22 +111,22 @@ pub struct PlanInputs<'a> {
     pub curves: &'a [Curve],
     pub limits: &'a Limits,
     pub further: Option<&'a Further<'a>>,
-    /// Factor of the rate in every segment of the path: that of the time at which the tool is there.
+    /// Factor of the removal rate in every segment of the path, at the time at which the tool is there.
     pub rates: &'a [f64],
-    /// Removal of the machine for a planned motion, nm: a map like `desired`.
+    /// Function that returns the removal of the machine for a planned motion, nm: a map like `desired`.
     pub executed: &'a dyn Fn(&Trajectory) -> Result<Array2<f64>, Invalid>,
 }
 
-/// Meshes on which the densities are found.
+/// First mesh of the densities, and the bounds on its refinement.
 pub struct Meshes {
     pub first: Mesh,
-    /// Largest number of refinements of the first mesh.
+    /// Largest number of refinements, each of which adds nodes to the mesh before.
     pub refinements: usize,
-    /// Largest number of multiplications of a factorisation on a refined mesh.
+    /// Largest number of multiplications of a factorisation of the normal matrix on a refined mesh.
     pub most_work: f64,
 }
 
-/// Result on the last mesh.
+/// Result on the last mesh, with the numbers of nodes of all meshes.
 pub struct Solved {
     pub mesh: Mesh,
     /// Number of nodes of every mesh; the last one is that of `mesh`.
@@ -132,26 +134,26 @@ pub struct Solved {
     pub outcome: MeshOutcome,
 }
 
-/// Densities, and their motion.
+/// Densities on one mesh, with their motion.
 pub struct MeshOutcome {
     pub solution: Solution,
     pub motion: Motion,
-    /// Reason why the judge refuses the motion; `None` if it keeps the limits.
+    /// Reason why the motion is refused, a limit that it exceeds; `None` if it keeps the limits.
     pub refused: Option<String>,
-    /// RMS of the residual in the removal model of the solver ([`crate::merit`]), without the terms that are free,
-    /// nm.
+    /// RMS of the residual in the removal model of the solver ([`crate::merit`]), without the free low-order terms, nm.
     pub model_rms_nm: f64,
-    /// Price of a second, nm^2/s.
+    /// Price of a second in the objective, nm^2/s.
     pub price: f64,
-    /// Weight of the pull to the least densities.
+    /// Tikhonov weight of the pull to the least densities, dimensionless.
     pub tikhonov: f64,
-    /// Part of the objective that this pull has.
+    /// Part of the objective that is due to the pull to the least densities, 0 to 1.
     pub pull_part: f64,
     pub iterations: usize,
     pub rounds: usize,
 }
 
-/// Finds the densities on a series of meshes. Their motion keeps the limits if the judge does not refuse it.
+/// Finds the densities on a series of meshes. The motion of the result keeps the limits unless the result says that it
+/// is refused.
 ///
 /// # Errors
 ///
@@ -177,11 +179,11 @@ pub fn solve(
     }
 }
 
-/// Weight of the pull to the least densities on one mesh and the next.
+/// Tikhonov weight of the pull to the least densities, which may be lowered from one mesh to the next.
 #[derive(Clone, Copy)]
 struct Pull {
     tikhonov: f64,
-    /// Smallest weight that is chosen; `None` if the weight is given.
+    /// Smallest weight that may be chosen; `None` if the settings fix the weight.
     least: Option<f64>,
 }
 
@@ -193,7 +195,8 @@ impl Pull {
         }
     }
 
-    /// Lowers the weight if the pull is more than `most` of the objective. Returns true if it did.
+    /// Lowers the weight if the pull is more than the part `most` of the objective; `part` is the present one. Returns
+    /// true if it did.
     fn lower(&mut self, part: f64, most: f64) -> bool {
         let Some(least) = self.least.filter(|least| part > most && self.tikhonov > *least) else {
             return false;
@@ -204,8 +207,8 @@ impl Pull {
     }
 }
 
-/// Solves as [`solve`] does, with normal matrices on cells of at most `pixels` pixels along a side, and weights of the
-/// pull from `least_tikhonov` on.
+/// Solves as [`solve`] does, with normal matrices on cells of at most `pixels` pixels along a side, and Tikhonov
+/// weights of at least `least_tikhonov`.
 fn solve_on_cells(
     inputs: &PlanInputs<'_>,
     meshes: &Meshes,
@@ -287,12 +290,12 @@ fn solve_on_cells(
     Ok(Solved { mesh, nodes_of_meshes, outcome })
 }
 
-/// Program on a mesh, without its rows.
+/// Program on a mesh, without its rows (the limits).
 struct OnMesh<'a> {
     mesh: &'a Mesh,
     residual: Residual<'a>,
     normal: Normal,
-    /// Least density of every node, s/mm.
+    /// Least density of every node (nodes), s/mm.
     lo: Vec<f64>,
     pull: Pull,
 }
@@ -311,7 +314,7 @@ impl<'a> OnMesh<'a> {
         Ok(Self { mesh, residual, normal, lo, pull })
     }
 
-    /// Returns a uniform density above every bound, to start from.
+    /// Returns a uniform density above every bound as a start, without dual variables.
     fn uniform(&self, rows: &LimitRows<'_>, level_s_per_mm: f64) -> Start {
         let bound = self.lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
         let density = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); self.mesh.nodes];
@@ -324,7 +327,7 @@ impl<'a> OnMesh<'a> {
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
     }
 
-    /// Returns the part of an objective, nm^2, that the pull to the least densities has.
+    /// Returns the part of an objective, nm^2, that is due to the pull to the least densities at these densities.
     fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &JointSettings) -> f64 {
         self.merit(density, settings).pull_nm2(density) / objective_nm2
     }
@@ -337,7 +340,8 @@ impl<'a> OnMesh<'a> {
         Program { normal: &self.normal, chain, lo: &self.lo, rows }
     }
 
-    /// Iterate near the minimum after at most `max_iterations` steps; nothing is proven of it.
+    /// Returns an iterate near the minimum after at most `max_iterations` steps; its distance from the minimum is not
+    /// proven.
     fn approach(
         &self,
         rows: &LimitRows<'_>,
@@ -352,8 +356,8 @@ impl<'a> OnMesh<'a> {
             .ok_or(JointError::Singular { tikhonov: self.pull.tikhonov })
     }
 
-    /// Start of a plan with an elasticity: the one from which the solver finds the least product of mean square and
-    /// time.
+    /// Returns the start of a plan with an elasticity: the one from which the solver finds the least product of mean
+    /// square and time.
     ///
     /// The mean square m falls by x percent for one percent more total time T where m T^x is stationary. With a tool
     /// that is wide for the part there may be several such plans: low orders take little time, details take much. So
@@ -383,16 +387,16 @@ impl<'a> OnMesh<'a> {
         Ok(Start { density, duals: Some(duals) })
     }
 
-    /// Returns the price with the elasticity `x` at densities (nodes), nm^2/s, and the product m T^x of mean square and
-    /// time there.
+    /// Returns the price of time at which the elasticity is `x` at these densities (nodes), nm^2/s, and the product m
+    /// T^x of mean square and time there.
     fn price_and_product(&self, x: f64, density: &[f64]) -> (f64, f64) {
         let m = 2.0 * self.residual.evaluate(&self.mesh.times_s(density)).half_mean_square_nm2;
         let total_s = dot(&self.mesh.lengths_mm(), density);
         (0.5 * x * m / total_s, m * total_s.powf(x))
     }
 
-    /// Solves the program again with a lower weight while the pull is too large a part of the objective. Returns the last
-    /// plan that is proven, or the first one, with the number of all steps: those and the `iterations` before.
+    /// Solves the program, and again with a lower weight while the pull is too large a part of the objective. Returns
+    /// the last plan that is proven, or the first one. Its number of steps includes the `iterations` before.
     fn solve_with_less_pull(
         &mut self,
         inputs: &PlanInputs<'_>,
@@ -419,7 +423,8 @@ impl<'a> OnMesh<'a> {
         }
     }
 
-    /// Solves the program in rounds until the judge finds the limits of the motion kept.
+    /// Solves the program in rounds until the motion keeps the limits; each round tightens the limits that the motion
+    /// exceeds. Rounds with new tangents follow.
     fn solve(
         &self,
         inputs: &PlanInputs<'_>,
@@ -493,7 +498,7 @@ impl<'a> OnMesh<'a> {
         self.outcome(&mut merit, solution, (planned, refused), (iterations, rounds))
     }
 
-    /// Returns a solution and its motion with the parts of the objective there.
+    /// Returns a solution and its motion, with the parts of the objective at the densities of the solution.
     fn outcome(
         &self,
         merit: &mut Merit<'_>,
@@ -521,9 +526,9 @@ impl<'a> OnMesh<'a> {
         })
     }
 
-    /// Runs a round with new tangents, of the removal of the motion and of the limits. It goes towards the least
-    /// objective of that convex program as far as the simulated motion has a lower one. `None` if nothing is proven of
-    /// this program.
+    /// Runs a round with new tangents of the removal of the motion and of the limits. It goes towards the least
+    /// objective of that convex program as far as the simulated motion has a lower one. Returns `None` if nothing is
+    /// proven for this program.
     fn descend(
         &self,
         program: &Program<'_>,
@@ -574,8 +579,9 @@ impl<'a> OnMesh<'a> {
     }
 }
 
-/// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess`
-/// the largest. `all` tightens the further axes everywhere.
+/// Tightens the limits on the spans whose motion exceeds them. `used` has the ratio to the limits of x and y for every
+/// span, `of_axes` that of every further axis; `excess` and `further_excess` are the largest. With `all`, rows of all
+/// axes are tightened.
 fn tighten(
     rows: &mut LimitRows<'_>,
     (excess, used): (f64, &[f64]),
@@ -591,17 +597,18 @@ fn tighten(
     }
 }
 
-/// Returns the factors by which rows are tightened whose limits are used like this; 1 where they are kept.
+/// Returns the factors by which rows are tightened if `used` are their ratios to the limits; 1 where the limits are
+/// kept.
 fn tightening(used: &[f64]) -> Vec<f64> {
     used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
 }
 
-/// Returns the largest use of a limit, at least 1.
+/// Returns the largest ratio to a limit in `used`, but at least 1.
 fn largest_excess<'u>(used: impl IntoIterator<Item = &'u f64>) -> f64 {
     used.into_iter().copied().fold(1.0, f64::max)
 }
 
-/// Builds the residual as a function of the times at the points of a mesh.
+/// Returns the residual as a function of the times at the Gauss points of a mesh.
 fn residual<'a>(
     inputs: &PlanInputs<'a>,
     mesh: &'a Mesh,
@@ -621,7 +628,7 @@ fn residual<'a>(
     })
 }
 
-/// Returns the uniform density, s/mm, that removes on average what is above the lowest point.
+/// Returns the uniform density, s/mm, that removes on average the height above the lowest point of the map.
 fn level_s_per_mm(
     inputs: &PlanInputs<'_>,
     mesh: &Mesh,
@@ -637,9 +644,9 @@ fn level_s_per_mm(
 
 #[cfg(test)]
 mod tests {
-    //! Another solver from the end of this one: sequential quadratic programs with a trust region. It simulates the
-    //! motion for its objective, takes differences of simulations for its gradient, and Clarabel for its steps. It
-    //! keeps the rows themselves, not their tangents.
+    //! Another solver, which starts at the result of this one: sequential quadratic programs with a trust region. It
+    //! simulates the motion for its objective, takes differences of simulations for its gradient, and Clarabel for its
+    //! steps. It keeps the rows themselves, not their tangents.
 
     use clarabel::{
         algebra::CscMatrix,
@@ -652,7 +659,7 @@ mod tests {
     use super::*;
     use crate::curve::{Rounding, curves};
 
-    /// Uniform numbers of [0, 1) by a linear congruential generator (Knuth's MMIX).
+    /// Generator of uniform numbers in [0, 1) by a linear congruence (Knuth's MMIX).
     struct Random(u64);
 
     impl Random {
@@ -668,13 +675,13 @@ mod tests {
             low + (high - low) * self.next()
         }
 
-        /// Logarithmically uniform.
+        /// Returns a number between `low` and `high` whose logarithm is uniform.
         fn decades(&mut self, low: f64, high: f64) -> f64 {
             low * (high / low).powf(self.next())
         }
     }
 
-    /// A small part with its tool, path and machine.
+    /// Small part with its tool, path and machine.
     struct Problem {
         desired: Surface,
         tif: Tif,
@@ -741,7 +748,7 @@ mod tests {
         }
     }
 
-    /// Objective of both solvers, from the simulated motion.
+    /// Objective of both solvers, computed from the simulated motion.
     struct Executed<'a> {
         problem: &'a Problem,
         curves: &'a [Curve],
@@ -753,7 +760,7 @@ mod tests {
     }
 
     impl Executed<'_> {
-        /// The residual without its mean, over the root of the number of pixels.
+        /// Returns the residual without its mean, over the root of the number of pixels, nm.
         fn residual(&self, density: &[f64]) -> Vec<f64> {
             let Problem { path, limits, desired, .. } = self.problem;
             let motion =
@@ -772,7 +779,7 @@ mod tests {
                 + 0.5 * self.alpha * pull
         }
 
-        /// The objective after at most `steps`, from densities that keep the rows.
+        /// Returns the objective after at most `steps` steps, from densities that keep the rows.
         fn descend(&self, rows: &LimitRows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
             let n = density.len();
             let mut residual = self.residual(&density);
@@ -899,7 +906,8 @@ mod tests {
         }
     }
 
-    /// Decrease of the objective by the other solver, relative, and the proven relative gap.
+    /// Returns the relative decrease of the objective by the other solver, and the proven relative gap, in the case
+    /// `number`.
     fn gain(number: u64, steps: usize) -> (f64, f64) {
         let problem = problem(number);
         let Problem { desired, tif, path, limits, price, spacing_mm } = &problem;

@@ -1,4 +1,4 @@
-//! Nodes added where they lower the objective most.
+//! Refinement of the mesh: nodes added where they lower the objective most.
 //!
 //! Between two nodes the density is linear, and the motion uses all of the acceleration at one end of the span only.
 //! The more the two densities differ, the less it uses on the way. In most spans this hardly matters. The spans in
@@ -21,11 +21,11 @@ use crate::{
     mesh::Mesh,
 };
 
-/// Least worth (1) of a span that is halved, over the objective per node. Larger: fewer nodes and a larger residual.
-/// Smaller: more nodes, which take more time than they gain. Chosen.
+/// Least worth of halving a span, (1) of the module, at which the span is halved, over the objective per node. Larger:
+/// fewer nodes and a larger residual. Smaller: more nodes, which take more time than they gain. Chosen.
 const LEAST_WORTH: f64 = 4e-3;
 
-/// Factor by which that least worth grows until the nodes are affordable. Larger: fewer nodes than are affordable.
+/// Factor by which [`LEAST_WORTH`] grows until the nodes are affordable. Larger: fewer nodes than are affordable.
 /// Smaller: more meshes that are tried. Chosen.
 const DEARER: f64 = 2.0;
 
@@ -33,33 +33,33 @@ const DEARER: f64 = 2.0;
 /// halved. Smaller: short first steps. Chosen.
 const LEAST_SLACK: f64 = 0.02;
 
-/// Densities that are tried in the middle of a halved span, as weights of the mean of those at its ends. 1: this
-/// mean, with the same time as before; 0: the density of a constant acceleration, with the largest slacks. More of
-/// them: starts nearer to the mean; fewer: the opposite. Chosen.
+/// Densities that are tried in the middle of a halved span, as weights of the mean density of its ends. Weight 1: this
+/// mean, with the same time as before. Weight 0: the density of a constant acceleration, with the largest slacks. More
+/// weights: starts nearer to the mean; fewer: the opposite. Chosen.
 const TOWARDS_MEAN: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 
-/// A mesh that is finer than another one.
+/// Mesh that is finer than another one, with a start for the solver.
 pub struct Refined {
     pub mesh: Mesh,
-    /// Densities and dual variables from which the solver begins on it.
+    /// Densities and dual variables from which the solver begins on the finer mesh.
     pub start: Start,
-    /// Node of the coarser mesh with the same two neighbours, if there is one (nodes).
+    /// Node of the coarser mesh with the same two neighbours (nodes); `None` if there is none.
     pub same: Vec<Option<usize>>,
 }
 
-/// Inputs that are the same for all meshes.
+/// Inputs of the program that are the same for all meshes.
 pub struct MeshInputs<'a> {
     pub curves: &'a [Curve],
     pub path: &'a ToolPath,
     pub limits: &'a Limits,
     pub further: Option<&'a Further<'a>>,
-    /// A density of the usual size, s/mm.
+    /// Density of the usual size (D_0 of [`crate::limits`]), s/mm.
     pub reference_s_per_mm: f64,
     pub min_dwell_s_per_mm: f64,
 }
 
 impl MeshInputs<'_> {
-    /// Returns the limits on the densities of a mesh.
+    /// Returns the limits of the machine as rows (constraints) on the densities of a mesh.
     pub fn rows<'m>(&self, mesh: &'m Mesh) -> LimitRows<'m> {
         let rows = LimitRows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
         match self.further {
@@ -68,13 +68,13 @@ impl MeshInputs<'_> {
         }
     }
 
-    /// Returns the least density of every node, s/mm.
+    /// Returns the least density of every node (nodes), s/mm: by the velocity limits and by the settings.
     pub fn floors(&self, rows: &LimitRows<'_>) -> Vec<f64> {
         rows.least_density().iter().map(|d| d.max(self.min_dwell_s_per_mm)).collect()
     }
 
-    /// Returns a finer mesh that is `affordable`, with a start from the iterate `at` of the solver on `mesh`; `None` if
-    /// no span is worth halving by (1).
+    /// Returns a finer mesh that is `affordable`, with a start from the iterate `at` of the solver on `mesh`. `None` if
+    /// no span is worth halving by (1) of the module.
     pub fn refined(
         &self,
         mesh: &Mesh,
@@ -113,8 +113,8 @@ impl MeshInputs<'_> {
         Some(Refined { mesh: finer, start, same })
     }
 
-    /// Returns the first value of [`TOWARDS_MEAN`] that the rows of the halves allow, for every span that is to be
-    /// halved; `None` if there is none.
+    /// Returns, for every span that is to be halved, the first weight of [`TOWARDS_MEAN`] that the rows of the halves
+    /// allow; `None` if there is none, and for the other spans.
     fn towards_mean(
         &self,
         mesh: &Mesh,
@@ -142,8 +142,8 @@ impl MeshInputs<'_> {
         towards_mean
     }
 
-    /// Start on the finer mesh. The dual variables of rows and bounds that stay are kept. New ones are chosen so that
-    /// their product with the slack is the mean of the products before.
+    /// Returns the start on the finer mesh. Rows and bounds that stay keep their dual variables. New ones get dual
+    /// variables whose product with the slack is the mean product on the coarser mesh.
     fn start(
         &self,
         mesh: &Mesh,
@@ -178,7 +178,7 @@ impl MeshInputs<'_> {
     }
 }
 
-/// Returns the node of the coarser mesh for every node of the finer one; `None` for new nodes.
+/// Returns the node of the coarser mesh for every node of the finer one (nodes); `None` for new nodes.
 fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
     let mut before = Vec::new();
     for (span, halved) in mesh.spans.iter().zip(halved) {
@@ -190,8 +190,8 @@ fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
     before
 }
 
-/// Returns the densities of the nodes of the finer mesh: those of the spans that are halved in between, so far towards
-/// the mean; the others are left as they are.
+/// Returns the densities of the nodes of the finer mesh, s/mm. A new node has the mixture of the mean and the density
+/// of a constant acceleration by the weight `towards` of its span; the others keep their density.
 fn densities(mesh: &Mesh, towards: &[Option<f64>], density: &[f64]) -> Vec<f64> {
     let mut all = Vec::with_capacity(density.len());
     for (span, towards) in mesh.spans.iter().zip(towards) {

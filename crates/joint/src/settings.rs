@@ -6,44 +6,45 @@ use serde::Serialize;
 
 use crate::merit::Price;
 
-/// Largest Tikhonov weight that is chosen, dimensionless. Larger: plans that are pulled to the floor. Smaller: more
-/// plans whose weight has to be lowered. Chosen: on rasters of the fixtures the pull is below [`MOST_PULL`] with it.
+/// Largest Tikhonov weight that is chosen automatically, dimensionless. Larger: the pull to the least densities
+/// distorts plans. Smaller: more plans whose weight has to be lowered. Chosen: on rasters of the fixtures the pull is
+/// below [`MOST_PULL`] with it.
 pub const FIRST_TIKHONOV: f64 = 1e-5;
 
-/// Smallest Tikhonov weight that is chosen. Larger: more of the pull stays in the objective. Smaller: the factors of
-/// the normal matrix, in single precision, are not positive definite.
+/// Smallest Tikhonov weight that is chosen automatically, dimensionless. Larger: more of the pull stays in the
+/// objective. Smaller: the factors of the normal matrix, in single precision, are not positive definite.
 pub const LEAST_TIKHONOV: f64 = 1e-10;
 
-/// Largest part of the objective that the pull to the floor may have where its weight is chosen. Larger: the pull costs
-/// more of the residual than a plan may miss. Smaller: weights at which rounding decides. Chosen: ten times
-/// `relative_gap`.
+/// Largest part of the objective that the pull to the least densities may have, if its weight is chosen automatically.
+/// Larger: the pull costs more of the residual than a plan may miss. Smaller: weights at which rounding decides.
+/// Chosen: ten times `relative_gap`.
 pub const MOST_PULL: f64 = 0.01;
 
 /// Settings of a joint plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct JointSettings {
-    /// Least dwell-time density, s/mm; >= 0.
+    /// Least dwell-time density (1 / largest feedrate), s/mm; >= 0.
     pub min_dwell_s_per_mm: f64,
-    /// Price of time.
+    /// Price of time in the objective: fixed, or by an elasticity.
     pub price: Price,
-    /// alpha, dimensionless; > 0. When absent 1e-5, and less where the pull to the floor would be more than 1 % of the
-    /// objective.
+    /// Tikhonov weight (alpha) of the squared distance to the least densities, dimensionless; > 0. If absent, 1e-5, and
+    /// less where this pull would be more than 1 % of the objective.
     pub tikhonov: Option<f64>,
-    /// beta, dimensionless; >= 0.
+    /// Weight (beta) of the squared differences of neighbouring densities, dimensionless; >= 0.
     pub difference_weight: f64,
-    /// Terms of the surface error that need not be removed.
+    /// Low-order terms of the surface error that need not be removed, such as the piston.
     pub free: Free,
-    /// Largest distance of the curve from a corner of the path, mm; a fifth of the TIF's width when absent.
+    /// Largest distance of the curve from a corner of the path, mm; if absent, a fifth of the TIF's width.
     pub corner_deviation_mm: Option<f64>,
-    /// Largest radius to which corners are rounded, mm; the TIF's width when absent.
+    /// Largest radius to which corners are rounded, mm; if absent, the TIF's width.
     pub corner_radius_mm: Option<f64>,
-    /// Largest distance of the nodes, mm; when absent 0.6 of the TIF's width, more where the solver would take too
-    /// long, and less where it has little work.
+    /// Largest distance of neighbouring nodes of the density, mm. If absent, 0.6 of the TIF's width, more where the
+    /// solver would take too long, and less where it has little work.
     pub node_spacing_mm: Option<f64>,
-    /// Number of refinements: each adds nodes where they lower the objective most. If no spacing is given, only as
-    /// many are made as the solver can afford.
+    /// Number of refinements of the mesh: each adds nodes where they lower the objective most. If no spacing is given,
+    /// the plan makes only as many as the solver can afford.
     pub refinements: usize,
-    /// Proven excess of the objective over its least value, relative to it, at which the solver ends.
+    /// Proven excess of the objective over its least value, relative to the objective, at which the solver ends.
     pub relative_gap: f64,
     /// Largest number of steps of the solver.
     pub max_iterations: usize,
@@ -72,7 +73,7 @@ impl Default for JointSettings {
 const MOST_REFINEMENTS: usize = 10;
 
 impl JointSettings {
-    /// Checks every number by itself.
+    /// Checks that every number is in its range.
     ///
     /// # Errors
     ///

@@ -9,12 +9,12 @@ use planish_joint::{
 use planish_types::{Axis, End, Grid, Limits, Surface, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 
-/// An axis as a function of the place: its value, gradient, and second derivatives by xx, xy and yy.
+/// Position of an axis at a point of the part: its value, its gradient, and its second derivatives by xx, xy and yy.
 struct Jet(f64, [f64; 2], [f64; 3]);
 
 type Field = Box<dyn Fn([f64; 2]) -> Option<Vec<Jet>> + Sync>;
 
-/// Axes by analytic functions of the place.
+/// Axes whose positions are analytic functions of the point of the part.
 struct Analytic {
     limits: Vec<FurtherLimits>,
     of: Field,
@@ -44,7 +44,7 @@ fn limits_of(name: &str, velocity: f64, acceleration: f64, jerk: Option<f64>) ->
     }
 }
 
-/// z, and two tilts in degrees, of a tool normal to a sphere of this radius.
+/// Returns the axes z and two tilts, in degrees, of a tool normal to a sphere of this radius.
 fn sphere(radius: f64, limits: [FurtherLimits; 3]) -> Analytic {
     let of = move |[x, y]: [f64; 2]| {
         let w = (radius * radius - x * x - y * y).sqrt();
@@ -63,7 +63,7 @@ fn sphere(radius: f64, limits: [FurtherLimits; 3]) -> Analytic {
     Analytic { limits: limits.into(), of: Box::new(of) }
 }
 
-/// r and c (rad) of a spindle at the origin.
+/// Returns the axes r and c (rad) of a spindle at the origin.
 fn spindle(limits: [FurtherLimits; 2]) -> Analytic {
     let of = |[x, y]: [f64; 2]| {
         let r = x.hypot(y);
@@ -83,8 +83,8 @@ fn spindle(limits: [FurtherLimits; 2]) -> Analytic {
     Analytic { limits: limits.into(), of: Box::new(of) }
 }
 
-/// The judge of this test: differences of q(p(t)) at equal times, which are means of derivatives. Largest velocity,
-/// acceleration and jerk over their limits, of every axis.
+/// Returns the largest velocity, acceleration and jerk of every axis over their limits. It takes differences of q(p(t))
+/// at equal times, which are means of derivatives.
 fn differences(
     motion: &Trajectory,
     axes: &Analytic,
@@ -139,13 +139,13 @@ fn stage() -> Limits {
     two_axes([100.0, 60.0], [1000.0, 600.0], None)
 }
 
-/// 14 x 14 mm about the origin.
+/// Returns a desired removal of 14 x 14 mm about the origin.
 fn desired() -> Surface {
     let a = Axis::new(-7.0, 0.25, 57).unwrap();
     hill(Grid { x: a, y: a }, [0.0, 0.0])
 }
 
-/// Lines 1 mm apart, half a millimetre beside the origin.
+/// Returns lines 1 mm apart, half a millimetre beside the origin.
 fn raster() -> ToolPath {
     let mut points = Vec::new();
     for line in 0..18 {
@@ -156,7 +156,7 @@ fn raster() -> ToolPath {
     through(points)
 }
 
-/// A spiral of 1 mm per turn about the origin.
+/// Returns a spiral of 1 mm per turn about the origin, from the radius `from_mm` on.
 fn spiral(from_mm: f64) -> ToolPath {
     let mut points = Vec::new();
     let mut angle = 0.0f64;
@@ -170,7 +170,7 @@ fn spiral(from_mm: f64) -> ToolPath {
     }
 }
 
-/// What a second is worth, nm^2/s.
+/// Price of a second, nm^2/s.
 const PRICE: f64 = 1e-3;
 
 fn settings() -> JointSettings {
@@ -181,7 +181,7 @@ fn on(axes: &Analytic, path: &ToolPath, limits: &Limits) -> Result<JointPlan, Jo
     plan_with_further_axes(&desired(), &tif(), path, (limits, axes), &settings())
 }
 
-/// A plan that keeps every limit by both judges, and a further axis that is used.
+/// Returns a plan after checking that both judges find every limit kept, and that a further axis is used.
 fn kept(axes: &Analytic, path: &ToolPath, limits: &Limits, turns: &[usize]) -> JointPlan {
     let plan = on(axes, path, limits).unwrap();
     assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None));

@@ -23,7 +23,8 @@ fn machine(jerk: Option<f64>, acceleration: f64) -> Value {
     json!({"name": "m", "axes": [axis("x"), axis("y")]})
 }
 
-/// 6 x 2 mm with a wave, a Gaussian of 0.5 mm, lines with turns outside.
+/// Writes the inputs into `dir`: a map of 6 x 2 mm with a wave, a Gaussian TIF of 0.5 mm, and lines with turns outside
+/// of the map.
 fn prepare(dir: &Path) {
     let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
     let grid = Grid { x: axis(0.0, 25), y: axis(0.0, 9) };
@@ -101,7 +102,7 @@ fn a_plan_is_written_with_its_certificate_and_keeps_the_limits() {
     }
 }
 
-/// A machine with the tilts a and b, whose pivot is far above the part.
+/// Returns a machine with the tilts a and b, whose pivot is far above the part.
 fn five_axes() -> Value {
     let mut machine = machine(None, 400.0);
     let z = json!({"name": "z", "max_velocity_mm_per_s": 40, "max_acceleration_mm_per_s2": 300});

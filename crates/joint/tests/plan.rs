@@ -7,7 +7,7 @@ use planish_simulate::{SimulationSettings as Simulation, simulate};
 use planish_types::{Axis, End, Grid, Limits, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
-/// A machine whose y axis has 0.6 of the velocity and acceleration of x.
+/// Returns a machine whose y axis has 0.6 of the velocity and acceleration of x.
 fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>) -> Limits {
     two_axes([velocity, 0.6 * velocity], [acceleration, 0.6 * acceleration], jerk)
 }
@@ -29,7 +29,7 @@ fn raster() -> ToolPath {
     through(points)
 }
 
-/// Right angles after every millimetre.
+/// Returns a path with right angles after every millimetre.
 fn meander() -> ToolPath {
     let mut points = Vec::new();
     for row in 0..8 {
@@ -52,7 +52,7 @@ fn spiral() -> ToolPath {
     through((0..260).map(turn).collect())
 }
 
-/// Lines all in one direction, with the tool off on the way back.
+/// Returns lines all in one direction, with the tool off on the way back.
 fn one_way() -> ToolPath {
     let (mut points, mut on) = (Vec::new(), Vec::new());
     for line in 0..15 {
@@ -211,7 +211,7 @@ fn nodes_where_they_are_worth_most_leave_less_than_as_many_everywhere() {
     assert!(refined < everywhere * (1.0 - 2e-3), "{refined} {everywhere}");
 }
 
-/// Lines 1 mm apart with a tooth of `height` to each side at every `step` mm.
+/// Returns lines 1 mm apart with a tooth of `height` to each side at every `step`, mm.
 fn toothed(step: f64, height: f64) -> ToolPath {
     let teeth = (18.0 / step).ceil() as usize;
     let mut points = Vec::new();
@@ -249,7 +249,7 @@ fn corners_between_nodes_far_apart_do_not_hold_the_method_up() {
     }
 }
 
-/// 20 x 15 mm of low orders.
+/// Returns a desired removal of 20 x 15 mm with low orders only.
 fn low_orders() -> Surface {
     let g = Grid { x: Axis::new(0.0, 0.25, 81).unwrap(), y: Axis::new(0.0, 0.25, 61).unwrap() };
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -259,7 +259,7 @@ fn low_orders() -> Surface {
     Surface::new(g, height).unwrap()
 }
 
-/// Lines over 20 x 15 mm, and this far beyond.
+/// Returns lines over 20 x 15 mm, and `reach` beyond, `pitch` apart, mm.
 fn lines(reach: f64, pitch: f64) -> ToolPath {
     let count = ((15.0 + 2.0 * reach) / pitch) as usize + 1;
     let mut points = Vec::new();
@@ -271,7 +271,7 @@ fn lines(reach: f64, pitch: f64) -> ToolPath {
     through(points)
 }
 
-/// A tool that is round within a square.
+/// Returns a round TIF within a square of the half width `half`, mm.
 fn within_square(half: f64, rate: &dyn Fn(f64) -> f64) -> Tif {
     let a = Axis::new(-half, 0.25, 2 * (half / 0.25) as usize + 1).unwrap();
     let of = |(r, c): (usize, usize)| rate(a.coordinate_mm(c).hypot(a.coordinate_mm(r)));

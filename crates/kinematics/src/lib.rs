@@ -42,8 +42,9 @@ pub use series::Series;
 /// which is nothing beside the second derivative of any tilt.
 const STEP_MM: f64 = 1e-3;
 
-/// Distance from the centre of the spindle below which the direction of the motion decides on c, mm. Larger: the path's
-/// own azimuth is lost. Smaller: rounding of the coordinates decides. Chosen: far below any count.
+/// Distance from the centre of the spindle, mm, below which the direction of the motion, not that of the point, decides
+/// on the angle c. Larger: the path's own azimuth is lost. Smaller: rounding of the coordinates decides. Chosen: far
+/// below any count of an encoder.
 pub const CENTRE_MM: f64 = 1e-9;
 
 /// Change of the position along the tool at which the contact point has converged, mm. Larger: contact points are less
@@ -54,7 +55,7 @@ const CONVERGED_MM: f64 = 1e-12;
 /// quadratically. Smaller: tools far from the surface are given up.
 const NEWTON_STEPS: usize = 30;
 
-/// Map from a contact point to the positions of the axes, and back.
+/// Map from a contact point on the part to the positions of the axes, and back.
 #[derive(Clone, Debug)]
 pub struct AxisMap {
     form: Form,
@@ -64,14 +65,15 @@ pub struct AxisMap {
     axes: usize,
 }
 
-/// Contact of the tool with the part.
+/// Contact of the tool with the part at given positions of the axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
-    /// Contact point [x, y] in the plane of the part, mm.
+    /// Contact point [x, y] in the coordinates of the part, mm.
     pub point_mm: [f64; 2],
     /// Distance from the surface to the tip of the tool, along the tool, mm; 0 for kinematics without an axis z.
     pub gap_mm: f64,
-    /// Angle between the tool and the normal there, degrees; 0 for kinematics without an axis z where there is no form.
+    /// Angle between the tool and the normal at the contact point, degrees. Without an axis z it is the slope of the
+    /// form there, and 0 outside of the form.
     pub off_normal_deg: f64,
 }
 
@@ -95,15 +97,15 @@ impl AxisMap {
         })
     }
 
-    /// Returns the number of axes.
+    /// Returns the number of axes of the machine.
     pub fn axes(&self) -> usize {
         self.axes
     }
 
     /// Returns the positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`,
-    /// mm. `None` where the form does not exist. The axis c of a spindle is between -180 and 180 deg.
+    /// mm. `None` if the form does not exist there. The axis c of a spindle is between -180 and 180 deg.
     ///
-    /// In the centre of a spindle the point is taken to move away from it.
+    /// In the centre of a spindle, c is the azimuth of the direction in which the point moves.
     pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {
         let [x, y] = self.on_machine(p);
         let origin_z = Series::constant(self.origin_z_mm);
@@ -140,9 +142,9 @@ impl AxisMap {
         })
     }
 
-    /// Returns the position of every axis, with the first and second derivative by the arc length in the plane of the
-    /// part; in mm and deg, and over mm and mm^2. The path goes through `point_mm` along the unit vector `tangent`,
-    /// with this curvature (positive to the left). `None` where the form does not exist.
+    /// Returns the position of every axis, with its first and second derivative by the arc length in the plane of the
+    /// part: mm or deg, per mm and per mm^2. The path goes through `point_mm` along the unit vector `tangent`, with
+    /// this curvature (positive to the left). `None` if the form does not exist there.
     pub fn along(
         &self,
         point_mm: [f64; 2],
@@ -159,7 +161,7 @@ impl AxisMap {
         Some(axes.iter().map(|q| [q.value, q.first, q.second]).collect())
     }
 
-    /// Returns the contact of the tool where the axes are at `positions`, mm and deg. `None` where the axis of the tool
+    /// Returns the contact of the tool where the axes are at `positions`, mm and deg. `None` if the axis of the tool
     /// meets no surface.
     pub fn contact(&self, positions: &[f64]) -> Option<Contact> {
         let q = positions;
@@ -220,7 +222,7 @@ impl AxisMap {
         None
     }
 
-    /// Returns the contact of a tool along z that has no axis z.
+    /// Returns the contact of a machine without an axis z, whose tool is parallel to z.
     fn below_z(&self, point_mm: [f64; 2]) -> Contact {
         let off_normal_deg = self.form.point(point_mm).map_or(0.0, |place| place.slope_deg());
         Contact { point_mm, gap_mm: 0.0, off_normal_deg }
@@ -232,7 +234,8 @@ impl AxisMap {
         x.value.hypot(y.value)
     }
 
-    /// Returns the height of the form, and its unit normal in the directions of the machine; zero without `normal`.
+    /// Returns the height of the form at `p`, mm, and its unit normal in the directions of the machine. The normal is
+    /// zero unless `normal` is true; `None` if the form does not exist there.
     fn surface(&self, p: [Series; 2], normal: bool) -> Option<(Series, [Series; 3])> {
         let at = p.map(|v| v.value);
         let place = self.form.point(at)?;
@@ -268,8 +271,9 @@ impl AxisMap {
         Some((f, [nx, ny, nz]))
     }
 
-    /// Returns the derivative of the second derivatives of the form by the parameter of a point that moves with the
-    /// velocity `v`: a difference over [`STEP_MM`] on both sides, or on one where the form ends.
+    /// Returns the derivative of the second derivatives of the form (xx, xy, yy) by the parameter of a point that moves
+    /// with the velocity `v`. It is a difference over [`STEP_MM`] on both sides, or on one where the form ends; `None`
+    /// without the form.
     fn hessian_change(&self, at: [f64; 2], v: [f64; 2]) -> Option<[f64; 3]> {
         let speed = v[0].hypot(v[1]);
         if speed == 0.0 {
@@ -304,12 +308,12 @@ impl AxisMap {
     }
 }
 
-/// Returns the product of a symmetric matrix, of the elements xx, xy and yy, with a vector.
+/// Returns the product of a symmetric matrix, given by its elements xx, xy and yy, with a vector.
 fn times([xx, xy, yy]: [f64; 3], v: [f64; 2]) -> [f64; 2] {
     [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
 }
 
-/// Returns radius, azimuth in rad and unit vector along the radius.
+/// Returns radius, azimuth in rad and unit vector along the radius of the point (x, y), mm.
 fn polar(x: Series, y: Series) -> (Series, Series, [Series; 2]) {
     if x.value.hypot(y.value) >= CENTRE_MM {
         let r = hypot(x, y);

@@ -7,24 +7,24 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// A value and its derivatives by a parameter: time, or arc length.
+/// Value with its derivatives by a parameter: time, or arc length.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Series {
-    /// The value.
+    /// Value, in any unit.
     pub value: f64,
-    /// First derivative.
+    /// First derivative by the parameter.
     pub first: f64,
-    /// Second derivative.
+    /// Second derivative by the parameter.
     pub second: f64,
 }
 
 impl Series {
-    /// Returns a number that does not depend on the parameter.
+    /// Returns a value that does not depend on the parameter: both derivatives are 0.
     pub fn constant(value: f64) -> Self {
         Self { value, ..Self::default() }
     }
 
-    /// Returns the number times a factor.
+    /// Returns the value and its derivatives times a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
             value: factor * self.value,
@@ -90,7 +90,7 @@ impl Mul for Series {
 
 impl Div for Series {
     type Output = Self;
-    /// `q g = f` gives `q' = (f' - q g') / g` and `q'' = (f'' - 2 q' g' - q g'') / g`.
+    /// Divides: `q g = f` gives `q' = (f' - q g') / g` and `q'' = (f'' - 2 q' g' - q g'') / g`.
     fn div(self, g: Self) -> Self {
         let value = self.value / g.value;
         let first = (self.first - value * g.first) / g.value;
@@ -103,7 +103,7 @@ impl Div for Series {
 mod tests {
     use super::*;
 
-    /// t, at t.
+    /// Returns the parameter t itself at the value `t`.
     fn parameter(t: f64) -> Series {
         Series { value: t, first: 1.0, second: 0.0 }
     }

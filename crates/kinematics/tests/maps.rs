@@ -39,7 +39,7 @@ fn spindle(pivot_mm: Option<f64>, linear: &[&str], more: Value) -> Machine {
     machine(kinematics, linear, rotary, more)
 }
 
-/// The part lies turned, mirrored and moved.
+/// Returns a placement of the part on the machine: turned, mirrored and moved.
 fn placed() -> Value {
     json!({"part_rotation_deg": 30.0, "part_origin_mm": [7.0, -3.0], "part_origin_z_mm": 11.0})
 }
@@ -59,7 +59,7 @@ fn forms() -> [Form; 3] {
     ]
 }
 
-/// The four kinematics, also with the part somewhere else.
+/// Returns machines of the four kinematics, each also with the part placed elsewhere.
 fn machines() -> Vec<Machine> {
     vec![
         machine(json!({"kind": "xy"}), &["x", "y"], &[], json!({"part_rotation_deg": 30.0})),

@@ -1,5 +1,5 @@
-//! Schedulers to compare with: the motion of a publication as it was printed, and the two ideas of dwell times that no
-//! machine can execute. A report shows them, and recommends none.
+//! Schedulers to compare with: a published motion as it was printed, and two idealised motions that no machine can
+//! execute. Reports show them, but recommend none.
 
 pub mod average_velocity;
 pub mod position;

@@ -1,4 +1,4 @@
-//! Limits of the machine that a schedule claims to keep, measured on its own polynomials.
+//! Claim of a schedule: the limits of the machine that its motion keeps, measured on the cubics of the motion.
 //!
 //! ```text
 //! v(u) = c1 + 2 c2 u + 3 c3 u^2      largest at an end or at u = -c2 / (3 c3)
@@ -6,9 +6,8 @@
 //! j    = 6 c3
 //! ```
 //!
-//! The claim goes into the manifest of every schedule. `planish-verify`, which shares no code with
-//! this file, must come to the same result. A step below the tolerances counts as rounding: the
-//! motion is then continuous.
+//! The claim goes into the manifest of every schedule. `planish-verify`, which shares no code with this file, must come
+//! to the same result. A step (jump) below the tolerances counts as rounding: the motion is then continuous.
 
 pub use planish_types::outcome::plan::Claim;
 use planish_types::{Limits, Trajectory, plausible};
@@ -32,7 +31,7 @@ const ACCELERATION_STEP: f64 = 1e-6;
 /// Advice for the motion of a baseline (`position`, `average-velocity`), which no machine can execute.
 pub const JUMPS: &str = "its position or its velocity jumps, which no machine can do";
 
-/// Returns the claim of `trajectory` about `limits`, measured on its polynomials.
+/// Returns the claim: the limits that `trajectory` keeps, measured on its polynomials.
 pub fn measured_claim(trajectory: &Trajectory, limits: &Limits) -> Claim {
     let mut claim = Claim {
         limits_respected: false,
@@ -96,7 +95,8 @@ fn measure(claim: &mut Claim, trajectory: &Trajectory, limits: &Limits, axis: us
     }
 }
 
-/// Adds the steps of position, velocity and acceleration at a break to the claim.
+/// Adds the steps at a break to the claim: `before` and `after` are position, velocity and acceleration of one axis
+/// (mm, mm/s, mm/s^2) on the two sides. A velocity step above `velocity_step`, mm/s, makes the velocity discontinuous.
 fn measure_step(
     claim: &mut Claim,
     axis: usize,
@@ -109,22 +109,22 @@ fn measure_step(
     *largest = largest.max((after[2] - before[2]).abs());
 }
 
-/// Returns true if a value exceeds its limit by rounding at most.
+/// Returns true if the magnitude of a value exceeds its limit by rounding at most ([`ROUNDING`]).
 fn within(value: f64, limit: f64) -> bool {
     value.abs() <= limit * (1.0 + ROUNDING)
 }
 
-/// Returns the velocity v(u) of a cubic, mm/s.
+/// Returns the velocity of the cubic with the coefficients `c` at the time `u` after its start, mm/s.
 fn velocity(c: &[f64; 4], u: f64) -> f64 {
     c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u)
 }
 
-/// Returns the acceleration a(u) of a cubic, mm/s^2.
+/// Returns the acceleration of the cubic with the coefficients `c` at the time `u` after its start, mm/s^2.
 fn acceleration(c: &[f64; 4], u: f64) -> f64 {
     2.0 * c[2] + 6.0 * c[3] * u
 }
 
-/// Returns the broken limits, in words; empty if every limit is kept.
+/// Returns one phrase per limit that the claim does not keep; empty if it keeps every limit.
 pub fn broken_limits(claim: &Claim) -> Vec<&'static str> {
     let jerk = match claim.jerk_inside_segments {
         Some(true) => "the acceleration steps, which no limit on jerk allows",
@@ -141,8 +141,8 @@ pub fn broken_limits(claim: &Claim) -> Vec<&'static str> {
     broken.iter().filter(|(_, is_respected)| !is_respected).map(|(b, _)| *b).collect()
 }
 
-/// Returns the reason against executing the motion, if there is one: a limit is exceeded (followed by the `advice`
-/// of the scheduler), or the run takes too long.
+/// Returns the reason not to execute the motion; `None` if there is none. Reasons are an exceeded limit, followed by
+/// the `advice` of the scheduler, or a run that takes too long.
 pub fn drawback(claim: &Claim, total_time_s: f64, advice: Option<&str>) -> Option<String> {
     if claim.limits_respected {
         return plausible::too_long(total_time_s);
@@ -174,7 +174,7 @@ mod tests {
         .unwrap()
     }
 
-    /// Motion of 1 mm in 1 s from rest to rest: v(1/2) = 1.5, |a| <= 6, j = -12.
+    /// Returns a motion of 1 mm in 1 s from rest to rest: v(1/2) = 1.5, |a| <= 6, j = -12 in mm and s.
     fn rest_to_rest() -> Trajectory {
         let c = [[0.0, 0.0, 3.0, -2.0], [0.0; 4]];
         Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![None]).unwrap()

@@ -92,7 +92,7 @@ pub struct SchedulerCommand<S: Args> {
     scheduler: S,
 }
 
-/// Settings of a scheduler, with the tolerance by which its motion is judged.
+/// Settings of a scheduler for the manifest, with the tolerance of the path by which its motion is judged.
 #[derive(Serialize)]
 struct JudgedSettings<'a, S> {
     #[serde(flatten)]
@@ -100,23 +100,23 @@ struct JudgedSettings<'a, S> {
     max_path_distance_mm: f64,
 }
 
-/// Settings of a scheduler that has none.
+/// Settings of a scheduler that has no settings.
 #[derive(Serialize)]
 pub struct NoSettings {}
 
-/// Result of a scheduler.
+/// Result of a scheduler for the command line.
 pub struct Made {
     trajectory: Trajectory,
-    /// Nodes of the dwell-time density, if the scheduler has them.
+    /// Nodes of the dwell-time density; `None` if the scheduler has no density.
     density: Option<DwellDensity>,
     report: Value,
-    /// Addition to the line that the program prints.
+    /// Text that follows the counts in the line that the program prints.
     remark: String,
 }
 
-/// A subcommand that makes a motion.
+/// Subcommand that makes a motion.
 pub trait MotionCommand {
-    /// Name of the method in the manifest: that of the subcommand.
+    /// Name of the method in the manifest, equal to the name of the subcommand.
     const METHOD: &'static str;
 
     /// Settings for the manifest, with all defaults resolved for this machine and path.
@@ -124,12 +124,12 @@ pub trait MotionCommand {
 
     fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::SchedulerSettings;
 
-    /// Returns the kind of the motion, if the method has several.
+    /// Returns the name of the kind of motion; `None` if the method has one kind only.
     fn kind(_: &Self::SchedulerSettings) -> Option<&'static str> {
         None
     }
 
-    /// Directory for the nodes of the density, if `--dwell-density-out` is given.
+    /// Returns the output directory for the nodes of the dwell-time density; `None` without `--dwell-density-out`.
     fn dwell_density(&self) -> Option<&Path> {
         None
     }
@@ -141,7 +141,7 @@ pub trait MotionCommand {
         settings: &Self::SchedulerSettings,
     ) -> Result<Made, ScheduleError>;
 
-    /// Advice to the user if a limit is exceeded.
+    /// Returns advice for the user if a limit is exceeded; `None` if there is none.
     fn advice(_: &Self::SchedulerSettings, _: &Claim) -> Option<String> {
         None
     }
@@ -215,7 +215,7 @@ impl<S: MotionCommand + Args> SchedulerCommand<S> {
     }
 }
 
-/// Returns the excess over the tolerance of the path with its remedy.
+/// Returns the message about a motion that is too far from its path, with the remedy.
 fn nearer(excess: String) -> String {
     with_flags(&format!(
         "{excess}. planish-schedule pvt stays within it; or give a larger tolerance that is harmless on this part"

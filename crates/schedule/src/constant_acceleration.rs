@@ -48,38 +48,37 @@ use crate::{
     shortest_cubic::{State, shortest_cubic},
 };
 
-/// Times and positions that the recursion did not keep.
+/// Numbers of late segments, missed control points, overshoots and lifts of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ConstantAccelerationReport {
-    /// Segments that took longer than their dwell time.
+    /// Number of segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Time that these segments took beyond their dwell time, without lifts, s.
+    /// Sum of the times by which the late segments were longer than their dwell times, s; lifts are counted apart.
     pub added_s: f64,
-    /// Largest such time of one segment, s.
+    /// Largest time by which a late segment was longer than its dwell time, s.
     pub largest_added_s: f64,
-    /// Segments that did not end at their control point, because the axis could not brake in time, per axis.
+    /// Number of segments, per axis, that did not end at their control point because the axis could not brake in time.
     pub missed_points: [usize; 2],
-    /// Largest distance to the control point at a segment's end, per axis, mm.
+    /// Largest distance between the end of a segment and its control point, per axis, mm.
     pub largest_missed_mm: [f64; 2],
-    /// Segments in which the axis left the interval between its ends by more than
-    /// [`OVERSHOOT_MM`] = 1 nm, per axis.
+    /// Number of segments, per axis, in which the axis left the interval between its ends by more than [`OVERSHOOT_MM`]
+    /// = 1 nm.
     pub overshoot_segments: [usize; 2],
-    /// Segments in which the axis left that interval by more than [`VISIBLE_OVERSHOOT_MM`] = 1 um, per
-    /// axis.
+    /// Number of segments, per axis, in which the axis left that interval by more than [`VISIBLE_OVERSHOOT_MM`] = 1 um.
     pub visible_overshoot_segments: [usize; 2],
-    /// Largest distance from that interval, per axis, mm.
+    /// Largest distance of an axis from the interval between the ends of its segment, per axis, mm.
     pub largest_overshoot_mm: [f64; 2],
-    /// Lifts: segments with the tool off, each a link that ends at rest.
+    /// Number of lifts: segments with the tool off, each a motion that ends at rest.
     pub lifts: usize,
-    /// Time that the lifts took beyond their dwell time, s.
+    /// Sum of the times by which the lifts were longer than their dwell times, s.
     pub added_lifted_s: f64,
-    /// Time of the brake at the end, s.
+    /// Duration of the brake at the end of the motion, s.
     pub brake_s: f64,
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
 }
 
-/// The scheduler, which has no settings.
+/// Scheduler `constant-acceleration`, which has no settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConstantAccelerationSettings;
 
@@ -98,20 +97,20 @@ impl Scheduler for ConstantAccelerationSettings {
     }
 }
 
-/// Motion of one axis in one segment.
+/// Motion of one axis in one segment: a constant acceleration from the start, then a constant velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Phase {
     /// Signed acceleration, mm/s^2.
     acceleration: f64,
-    /// Time of the acceleration, s.
+    /// Time of the acceleration (tau), s.
     tau_s: f64,
-    /// Time of the segment, s.
+    /// Time of the whole segment (d), s.
     duration_s: f64,
-    /// Velocity after the acceleration, mm/s.
+    /// Velocity at the end of the acceleration and for the rest of the segment, mm/s.
     velocity: f64,
 }
 
-/// Schedules `path` with the times `dwell` and the accelerations of `limits`.
+/// Schedules `path` with the times `dwell` and the full accelerations of `limits`.
 ///
 /// # Errors
 ///
@@ -193,7 +192,7 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-/// Shortest duration of a piece that ends at the time `end_s`, s: 64 roundings of that time.
+/// Returns the shortest duration of a cubic piece that ends at the time `end_s`, s: 64 roundings of that time.
 pub(crate) fn least_piece_s(end_s: f64) -> f64 {
     64.0 * f64::EPSILON * end_s
 }
@@ -209,12 +208,13 @@ const ROUNDING_MM: f64 = 1e-9;
 /// more than 1e-9 mm.
 pub const OVERSHOOT_MM: f64 = 1e-6;
 
-/// Overshoot above which a corner was missed, mm; a smaller one is an echo of a missed corner. Larger:
-/// missed corners are not counted. Smaller: echoes count, too. On the reference maze 379 segments per
-/// axis overshoot by more than this (docs/schedulers.md).
+/// Overshoot above which a corner counts as missed, mm; a smaller one follows from an earlier missed corner. Larger:
+/// missed corners are not counted. Smaller: overshoots that only follow from others count, too. On the reference maze
+/// 379 segments per axis overshoot by more than this (docs/schedulers.md).
 pub const VISIBLE_OVERSHOOT_MM: f64 = 1e-3;
 
-/// Returns the motion of both axes in the same time: the later axis decides it.
+/// Returns the motion of both axes in the same time: at least the dwell time `dwell_s`, and as long as the later axis
+/// needs. The arguments are the displacements `s`, mm, the start velocities `v0`, mm/s, and the limits per axis.
 fn coupled(
     s: [f64; 2],
     v0: [f64; 2],
@@ -233,7 +233,8 @@ fn coupled(
     }
 }
 
-/// Returns the motion of one axis by (1), by (2) if the time is too short, or by (3) if the result is too fast.
+/// Returns the motion of one axis by (1) of the module, by (2) if the time `d` is too short, or by (3) if the result is
+/// too fast.
 fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     let free = unlimited(s, v0, d, a_max);
     if free.velocity.abs() <= v_max {
@@ -245,7 +246,8 @@ fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     Phase { tau_s, duration_s, velocity: v, ..free }
 }
 
-/// Returns the motion of one axis by (1), or by (2) if the time is too short; the velocity is not limited.
+/// Returns the motion of one axis by (1) of the module, or by (2) if the time `d` is too short. It ignores the velocity
+/// limit.
 fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
     let r = s - v0 * d;
     if r.abs() <= 1e-15 * s.abs().max(1.0) {
@@ -271,7 +273,8 @@ fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
 }
 
 impl Phase {
-    /// Displacement after the time `t`.
+    /// Returns the displacement after the time `t` from the start of the segment, mm, for the start velocity `v0`,
+    /// mm/s.
     fn travel(&self, v0: f64, t: f64) -> f64 {
         let tau = self.tau_s.min(t);
         v0 * tau + 0.5 * self.acceleration * tau * tau + self.velocity * (t - tau)
@@ -286,7 +289,8 @@ impl ConstantAccelerationReport {
         }
     }
 
-    /// Extremes are at the end of the acceleration, at its turning point, and at the ends.
+    /// Measures by how much the axis left the interval between the start and the target `ends`, mm. The extremes are at
+    /// the end of the acceleration, at its turning point, and at the ends.
     fn overshoot(&mut self, axis: usize, p: &Phase, v0: f64, ends: [f64; 2], duration_s: f64) {
         let turn = -v0 / p.acceleration;
         let turn = if turn > 0.0 && turn < p.tau_s { turn } else { 0.0 };
@@ -304,7 +308,7 @@ impl ConstantAccelerationReport {
     }
 }
 
-/// A segment of two axes, cut where one of them ends its acceleration.
+/// Adds the cubics of a segment of both axes to `motion`, cut where either axis ends its acceleration.
 fn add(
     motion: &mut TrajectoryBuilder,
     from: State,
@@ -341,7 +345,7 @@ fn add(
 mod tests {
     use super::*;
 
-    /// A limit on the velocity that no case reaches.
+    /// Velocity limit that no case reaches, mm/s.
     const FREE: f64 = 1e3;
 
     #[test]

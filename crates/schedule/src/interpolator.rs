@@ -13,7 +13,7 @@
 //! feed = |dP/dt|:  1/D on a line,  2 |(1-x)(C - P1) + x (P2 - C)| / T  on a blend, where it is less than 1/tau
 //! ```
 //!
-//! Nothing but the block at hand is kept. The last tick is the end of the program.
+//! The interpolator keeps only the present block. The last tick is the end of the program.
 //!
 //! A program is text, one record per line, the words in any order, lengths in mm, densities in s/mm:
 //!
@@ -27,7 +27,8 @@
 //! Z is the height of the part at the end of the record, 0 without a form. The records state lengths, densities and
 //! velocities in the plane of the part, and this interpolator reads no Z.
 //!
-//! Run-up, lifts and brake are cubics in time, from where the tool is, at its velocity, to a point with a velocity
+//! The run-up accelerates the tool to the first pass, lifts lead from one pass to the next, and the brake ends the
+//! motion. They are cubics in time, from the present position and velocity of the tool to a point with a velocity
 //! (mm/s) after a time (s). [`linked_records`] takes them from the trajectory of the schedule:
 //!
 //! ```text
@@ -51,52 +52,53 @@ use planish_types::{DwellDensity, Segment, Trajectory};
 
 use crate::{hermite, trig_spline::TrigPiece};
 
-/// Lengths of a program agree with the distances of its points to this, mm.
+/// Largest difference between a length stated in a program and the distance of its points that counts as equal, mm. It
+/// also bounds the gap between the end of a record and the start of the next one.
 const SAME_LENGTH_MM: f64 = 1e-6;
 
-/// A block: a line, or a blend when it has a corner.
+/// Block of a program: a line, or a blend (parabola) when it has a corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
-    /// Where it ends [x, y], mm.
+    /// End point of the block [x, y], mm.
     pub end_mm: [f64; 2],
-    /// Control point of a blend [x, y], mm.
+    /// Corner of the path that the blend rounds, its middle control point [x, y], mm; `None` for a line.
     pub corner_mm: Option<[f64; 2]>,
-    /// Dwell-time densities at its ends, s/mm.
+    /// Dwell-time densities at the start and at the end of the block, s/mm.
     pub density_s_per_mm: [f64; 2],
-    /// Arc lengths of its ends, mm.
+    /// Arc lengths at the start and at the end of the block, mm.
     pub arc_length_mm: [f64; 2],
 }
 
-/// A line of a program.
+/// Record of a program: the content of one line of its text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Record {
-    /// A pass starts.
+    /// Start of a pass (a run of the path with the tool on).
     Start {
         /// Position [x, y], mm.
         point_mm: [f64; 2],
-        /// Arc length there, mm.
+        /// Arc length at that position, mm.
         arc_length_mm: f64,
     },
-    /// The tool moves along a pass.
+    /// Motion along a pass.
     Block(Block),
-    /// The tool moves outside of the passes, or stands.
+    /// Motion outside of the passes, or rest.
     Cubic(Cubic),
 }
 
-/// A cubic in time from where the tool is, at its velocity.
+/// Cubic in time from the present position and velocity of the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cubic {
-    /// Where it ends [x, y], mm.
+    /// End point [x, y], mm.
     pub end_mm: [f64; 2],
-    /// Velocity there [x, y], mm/s.
+    /// Velocity at the end [x, y], mm/s.
     pub velocity_mm_per_s: [f64; 2],
     /// Duration, s.
     pub duration_s: f64,
-    /// True if the tool removes.
+    /// True if the tool is on and removes material.
     pub tool_on: bool,
 }
 
-/// Returns the records of `density`, in order.
+/// Returns the records of `density` in order: a start for each pass, and a block for each line or blend.
 pub fn records(density: &DwellDensity) -> impl Iterator<Item = Record> + '_ {
     let s = density.arc_length_mm();
     let d = density.dwell_density_s_per_mm();
@@ -117,7 +119,7 @@ pub fn records(density: &DwellDensity) -> impl Iterator<Item = Record> + '_ {
     })
 }
 
-/// Returns the [`records`] with the run-up, the lifts and the brake of `trajectory`, which was scheduled with
+/// Returns the [`records`] with the run-up, the lifts and the brake of `trajectory`, which was scheduled together with
 /// `density`.
 ///
 /// # Errors
@@ -178,17 +180,17 @@ pub fn linked_records(
     Ok(all)
 }
 
-/// Returns the error about a trajectory that does not belong to the density.
+/// Returns the error message for a trajectory that does not belong to the density; `what` names the difference.
 fn differs(what: &str) -> String {
     format!("{what}: the trajectory is not the one that was scheduled with this feed")
 }
 
-/// Returns true for a segment along a pass; the others stand, or have the tool off.
+/// Returns true for a segment along a pass: the tool is on and the tool moves.
 fn is_of_a_pass(s: &Segment<'_>) -> bool {
     s.tool_on && s.coefficient_mm.iter().any(|c| c[1..].iter().any(|c| *c != 0.0))
 }
 
-/// Returns the record of a segment outside of the passes.
+/// Returns the cubic record of a segment outside of the passes: run-up, lift, brake or rest.
 fn cubic_record(s: Segment<'_>) -> Record {
     let [(x, u), (y, v)] = s.coefficient_mm.map(|c| end_of(&c, s.duration_s));
     Record::Cubic(Cubic {
@@ -199,7 +201,7 @@ fn cubic_record(s: Segment<'_>) -> Record {
     })
 }
 
-/// Returns position and velocity of a cubic after a time.
+/// Returns the position, mm, and the velocity, mm/s, of a cubic with the coefficients `c` after the time `t`, s.
 fn end_of(c: &[f64; 4], t: f64) -> (f64, f64) {
     (evaluate(c, t), evaluate(&derivative(c), t))
 }
@@ -214,7 +216,7 @@ impl Block {
         TrigPiece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
     }
 
-    /// Returns the velocity at its end [x, y], mm/s, if it starts at `start`.
+    /// Returns the velocity at the end of the block [x, y], mm/s, if the block starts at the point `start`, mm.
     fn end_velocity(&self, start: [f64; 2]) -> [f64; 2] {
         let from = self.corner_mm.unwrap_or(start);
         let length = distance(from, self.end_mm);
@@ -228,7 +230,7 @@ impl Block {
 }
 
 impl Record {
-    /// Returns the end of the record [x, y], mm.
+    /// Returns the end point of the record [x, y], mm.
     pub fn end_mm(&self) -> [f64; 2] {
         match self {
             Self::Start { point_mm, .. } => *point_mm,
@@ -237,8 +239,8 @@ impl Record {
         }
     }
 
-    /// Returns the line of a program, without a line break, where the part has the height `z_mm` at the end; numbers
-    /// keep every digit.
+    /// Returns the record as a line of a program, without a line break. `z_mm` is the height of the part at the end of
+    /// the record; the numbers keep every digit.
     pub fn to_line(&self, number: usize, z_mm: f64) -> String {
         match self {
             Self::Start { point_mm: [x, y], arc_length_mm } => {
@@ -261,7 +263,7 @@ impl Record {
         }
     }
 
-    /// Reads a line; `None` for an empty line or a comment. The error says what is wrong and what
+    /// Reads a line of a program; returns `None` for an empty line or a comment. The error says what is wrong and what
     /// to do.
     pub fn parse(line: &str) -> Result<Option<Self>, String> {
         let line = line.trim();
@@ -321,7 +323,7 @@ impl Record {
     }
 }
 
-/// Numbers of the words of a line, by letter from A to Z.
+/// Numbers of the words of a line, indexed by the letter of the word from A to Z; `None` for a letter without a word.
 struct Words([Option<f64>; 26]);
 
 impl Words {
@@ -329,49 +331,49 @@ impl Words {
         self.0[letter as usize - 'A' as usize]
     }
 
-    /// Returns the number of a word that must be there.
+    /// Returns the number of the word with this letter; an error if the line does not have it.
     fn need(&self, letter: char) -> Result<f64, String> {
         self.get(letter).ok_or_else(|| format!("the word {letter} is missing"))
     }
 }
 
-/// A reference for the position loop.
+/// Reference for the position loop of the controller at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference {
     /// Time since the start of the program, s.
     pub time_s: f64,
-    /// [x, y], mm.
+    /// Position [x, y], mm.
     pub position_mm: [f64; 2],
     /// Feedrate, mm/s: the magnitude of the velocity.
     pub feed_mm_per_s: f64,
-    /// Number of the pass, from 0; -1 where the tool is off.
+    /// Number of the pass in which the tool is, from 0; -1 while the tool is off.
     pub pass_idx: i64,
 }
 
-/// Place of the interpolator in the program.
+/// State of the interpolator in the program.
 #[derive(Clone, Debug)]
 pub struct Interpolator {
     tick_s: f64,
     /// Number of the next tick.
     tick: u64,
-    /// Sum of the times of the blocks before, s, and its compensation (Kahan).
+    /// Sum of the times of the records before, s, and the rounding error of that sum (Kahan summation).
     start_s: f64,
     lost_s: f64,
     pass_idx: i64,
     before: Option<Before>,
 }
 
-/// End of the record before.
+/// State at the end of the previous record.
 #[derive(Clone, Copy, Debug)]
 struct Before {
     point_mm: [f64; 2],
     velocity_mm_per_s: [f64; 2],
     arc_length_mm: f64,
-    /// Number of the pass in which it is; -1 outside.
+    /// Number of the pass in which the tool is, from 0; -1 outside.
     pass_idx: i64,
-    /// False until something has moved.
+    /// False until a record has moved the tool.
     has_moved: bool,
-    /// True after the start of a pass and after a block.
+    /// True after the start of a pass and after a block: the next record can be a block.
     in_pass: bool,
 }
 
@@ -388,14 +390,14 @@ impl Interpolator {
         Ok(Self { tick_s, tick: 0, start_s: 0.0, lost_s: 0.0, pass_idx: -1, before: None })
     }
 
-    /// Returns the duration of everything up to now, s.
+    /// Returns the duration of all records so far, s.
     pub fn duration_s(&self) -> f64 {
         self.start_s
     }
 
-    /// Takes in one record and gives the references of its ticks to `emit`, in order.
+    /// Runs one record and passes the references of its ticks to `emit`, in order.
     ///
-    /// Refuses a block that does not continue the one before.
+    /// Refuses a record that does not continue the previous one.
     pub fn push(&mut self, record: &Record, emit: impl FnMut(Reference)) -> Result<(), String> {
         match record {
             Record::Start { point_mm, arc_length_mm } => {
@@ -423,8 +425,7 @@ impl Interpolator {
         }
     }
 
-    /// Returns the last reference, at the end of the program; `None` when a tick has just been there or nothing has
-    /// moved.
+    /// Returns the reference at the end of the program; `None` if a tick falls on that end or if nothing has moved.
     pub fn finish(self) -> Option<Reference> {
         let before = self.before.filter(|b| b.has_moved)?;
         let last_tick_s = (self.tick.max(1) - 1) as f64 * self.tick_s;
@@ -482,7 +483,7 @@ impl Interpolator {
         Ok(())
     }
 
-    /// Emits the references of a cubic.
+    /// Emits the references of a cubic record.
     fn link(&mut self, cubic: &Cubic, mut emit: impl FnMut(Reference)) -> Result<(), String> {
         let Some(before) = self.before else {
             return Err("a cubic stands before the start; begin with N X Y Z S".into());
@@ -510,8 +511,8 @@ impl Interpolator {
         Ok(())
     }
 
-    /// Gives `emit` the time of every tick within the next `duration_s`, since the start of the program and since now, and
-    /// goes on by it.
+    /// Calls `emit` for every tick within the next `duration_s`, and advances the time by `duration_s`. `emit` gets the
+    /// time since the start of the program and the time since the start of the record, s.
     fn ticks(&mut self, duration_s: f64, mut emit: impl FnMut(f64, f64)) {
         loop {
             let time_s = self.tick as f64 * self.tick_s;
@@ -528,7 +529,8 @@ impl Interpolator {
         self.start_s = sum;
     }
 
-    /// Returns the start of the block, when everything agrees.
+    /// Returns the start point of the block, mm; an error if its arc lengths, densities or points contradict each other
+    /// or the record before.
     fn check(&self, block: &Block) -> Result<[f64; 2], String> {
         let Some(Before { point_mm: start, arc_length_mm: s, .. }) =
             self.before.filter(|b| b.in_pass)

@@ -1,7 +1,7 @@
 //! Schedulers: each one makes a motion from a tool path and dwell times.
 //!
-//! Every scheduler is a file or a folder with the same items: its settings, `schedule`, and a report in addition to the
-//! trajectory ([`Schedule`]).
+//! Every scheduler is a file or a folder with the same items: its settings, a function `schedule`, and a report.
+//! [`Schedule`] holds the trajectory and that report.
 //!
 //! | scheduler | motion |
 //! |---|---|
@@ -16,6 +16,11 @@
 //! The closed loop (`planish-refine`) takes any [`Scheduler`]; [`SCHEDULERS`] has them by name. [`claim`] measures
 //! every motion against the limits of the machine. [`interpolator`] turns the dwell-time density of `trig_spline`
 //! into reference positions, tick by tick.
+//!
+//! Segment `i` of a path runs from control point `i` to the next one, and has one dwell point and one dwell time. A
+//! node of `pvt` is a control point, a node of `trig_spline` a dwell point or a corner. A lift is a segment with the
+//! tool off, and a pass a run of segments with the tool on. To stretch a segment means to give it more time than its
+//! dwell time.
 
 // The command line names this library as any other program does.
 extern crate self as planish_schedule;
@@ -34,17 +39,18 @@ pub mod trig_spline;
 
 use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory};
 
-/// A scheduler with its settings, as the closed loop takes it.
+/// A scheduler with its settings. The closed loop (`planish-refine`) calls every scheduler through this trait.
 pub trait Scheduler: std::fmt::Debug {
-    /// Name: that of its subcommand of `planish-schedule`.
+    /// Returns the name of the scheduler, which is also its subcommand of `planish-schedule`.
     fn name(&self) -> &'static str;
 
-    /// Returns the kind of the motion, if the scheduler has several.
+    /// Returns the name of the kind of motion; `None` if the scheduler has one kind only.
     fn kind(&self) -> Option<&'static str> {
         None
     }
 
-    /// Makes the motion along `path` with the times `dwell` on a machine with these limits.
+    /// Returns the motion along `path` with the dwell times `dwell`, and the segments whose time it changed, on a
+    /// machine with these limits.
     fn schedule(
         &self,
         path: &ToolPath,
@@ -53,26 +59,27 @@ pub trait Scheduler: std::fmt::Debug {
     ) -> Result<Scheduled, ScheduleError>;
 }
 
-/// Motion of a scheduler, with its report.
+/// Trajectory of a scheduler, with the report `R` of that scheduler.
 #[derive(Clone, Debug)]
 pub struct Schedule<R> {
-    /// Motion.
+    /// Motion of the tool.
     pub trajectory: Trajectory,
-    /// Changes of the times, and what the motion does not keep.
+    /// Report: the segments whose time the scheduler changed, and the limits or steps that the motion does not keep.
     pub report: R,
 }
 
-/// Motion, and the segments of the path whose time is not their dwell time.
+/// Trajectory, with the segments of the path whose time in it differs from their dwell time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scheduled {
-    /// Motion.
+    /// Motion of the tool.
     pub trajectory: Trajectory,
-    /// Segments whose time in the motion is not their dwell time, in order: index, and time in the motion, s.
+    /// Segments whose time in the motion is not their dwell time, in order: index of the segment, and time in the
+    /// motion, s.
     pub changed: Vec<(usize, f64)>,
 }
 
 impl Scheduled {
-    /// Compares the time of every segment in the motion with its dwell time.
+    /// Returns the trajectory with the segments whose time in it differs from their dwell time by more than rounding.
     ///
     /// # Errors
     ///
@@ -88,29 +95,31 @@ impl Scheduled {
     }
 }
 
-/// Settings that a user can choose together with the name. A scheduler without such a setting ignores it.
+/// Settings that a user can choose together with the name of a scheduler. A scheduler without such a setting ignores
+/// it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Choices {
-    /// Shape of the motion of `pvt`.
+    /// Shape of the motion of `pvt`: smooth, monotone, or the default of the machine.
     pub mode: pvt::ModeChoice,
-    /// Repair of the densities of `trig-spline`.
+    /// Repair of the dwell-time densities of `trig-spline` where the motion exceeds a limit.
     pub repair: trig_spline::Repair,
-    /// Largest distance of the motion of `pvt` from its path, mm; the usual tolerance of the path when absent.
+    /// Largest distance of the motion of `pvt` from its path, mm; `None`: the usual tolerance of the path.
     pub max_path_distance_mm: Option<f64>,
 }
 
-/// A row of the table.
+/// Row of the table [`SCHEDULERS`].
 #[derive(Clone, Copy, Debug)]
 pub struct Named {
-    /// Name: that of the subcommand of `planish-schedule`.
+    /// Name of the scheduler, which is also its subcommand of `planish-schedule`.
     pub name: &'static str,
-    /// Its motion, in a phrase.
+    /// Phrase that describes the motion of the scheduler.
     pub about: &'static str,
     make: fn(&Choices, &Limits) -> Box<dyn Scheduler>,
 }
 
 impl Named {
-    /// Returns the scheduler for a machine, with the chosen settings and the default of every other one.
+    /// Returns the scheduler for a machine with these limits, with the chosen settings and the default of every other
+    /// setting.
     pub fn scheduler(&self, choices: &Choices, limits: &Limits) -> Box<dyn Scheduler> {
         (self.make)(choices, limits)
     }
@@ -156,10 +165,10 @@ pub fn by_name(name: &str) -> Option<&'static Named> {
     SCHEDULERS.iter().find(|named| named.name == name)
 }
 
-/// Reasons for which a scheduler makes no motion.
+/// Reasons for which a scheduler returns no motion.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ScheduleError {
-    /// The inputs do not belong together.
+    /// The inputs or the settings are invalid or do not belong together.
     #[error(transparent)]
     Invalid(#[from] Invalid),
     /// The machine cannot move at the dwell times, and the settings forbid stretching.
@@ -170,14 +179,14 @@ pub enum ScheduleError {
     Infeasible {
         /// Index of the segment that exceeds the limits most.
         segment: usize,
-        /// Its length, mm.
+        /// Length of the segment, mm.
         length_mm: f64,
-        /// Its dwell time, s.
+        /// Dwell time of the segment, s.
         dwell_s: f64,
-        /// Time that the segment needs, or the factor by which its time must grow, in words.
+        /// Time that the segment needs, or the factor by which its time must grow, as text.
         reason: String,
     },
-    /// A system of equations was not solved to its tolerance.
+    /// An iteration ended before it reached its tolerance.
     #[error(transparent)]
     NotConverged(#[from] NotConverged),
     /// The limits are still exceeded after the largest number of rounds of stretching.
@@ -186,11 +195,11 @@ pub enum ScheduleError {
          {excess:.6} times its time; check the machine's limits"
     )]
     StretchLimit {
-        /// Rounds of stretching.
+        /// Number of rounds of stretching that were made.
         rounds: usize,
-        /// Worst segment.
+        /// Index of the segment that exceeds the limits most.
         segment: usize,
-        /// Factor by which its time would still have to grow; 1 = at the limit.
+        /// Factor by which the time of that segment would still have to grow; 1 = at the limit.
         excess: f64,
     },
 }
@@ -200,21 +209,22 @@ pub enum ScheduleError {
 /// large that rounding keeps the motion from being proven within the limits.
 const LEAST_LENGTH_MM: f64 = 1e-9;
 
-/// Returns the length up to which a segment counts as rounding, mm: [`LEAST_LENGTH_MM`], or four roundings of its
-/// largest coordinate. A computed closed path ends with such a segment.
+/// Returns the length up to which the segment of this index counts as having no length, mm: the larger of
+/// [`LEAST_LENGTH_MM`] and four roundings of its largest coordinate. A computed closed path ends with such a segment.
 fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
     let ends = [path.point_mm()[segment], path.point_mm()[segment + 1]];
     let largest = ends.as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
     (4.0 * f64::EPSILON * largest).max(LEAST_LENGTH_MM)
 }
 
-/// Returns the largest magnitude along a unit vector `direction` that keeps `max` on both axes.
+/// Returns the largest magnitude of a vector along the unit vector `direction` whose x and y components keep the limits
+/// `max`. The result has the unit of `max`; an axis across the direction does not limit it.
 fn largest_along(direction: [f64; 2], max: [f64; 2]) -> f64 {
     let [x, y] = [0, 1].map(|a| max[a] / direction[a].abs()); // infinite across
     x.min(y)
 }
 
-/// Refuses a dwell time that belongs to another path.
+/// Returns an error if the dwell times and the path have different numbers of segments.
 fn check_lengths(path: &ToolPath, dwell: &DwellTime) -> Result<(), Invalid> {
     let segments = path.len();
     let times = dwell.dwell_s().len();
@@ -250,8 +260,8 @@ mod tests {
         assert_eq!(kind("stop-at-corners"), None);
     }
 
-    /// A fast stairway with a stand, a lift and a segment that is far too fast: the times that a scheduler states are
-    /// those of its motion.
+    /// Uses a fast stairway with a stand, a lift and a segment that is far too fast. The times that a scheduler states
+    /// must be those of its motion.
     #[test]
     fn the_times_that_a_scheduler_states_are_those_of_its_motion() {
         let limits = machine([20.0; 2], [100.0; 2]);

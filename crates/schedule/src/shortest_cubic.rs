@@ -23,33 +23,34 @@ use crate::hermite::{accelerations, coefficients, peak_velocity};
 /// coefficients. Larger: links take longer. Smaller: rounding can exceed the limit.
 const MARGIN: f64 = 1e-6;
 
-/// Position and velocity.
+/// Position and velocity of the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct State {
-    /// [x, y], mm.
+    /// Position [x, y], mm.
     pub position_mm: [f64; 2],
-    /// [x, y], mm/s.
+    /// Velocity [x, y], mm/s.
     pub velocity_mm_per_s: [f64; 2],
 }
 
 impl State {
-    /// Returns the state of rest at a point, mm.
+    /// Returns the state of rest at the point [x, y], mm.
     pub(crate) fn at_rest(position_mm: [f64; 2]) -> Self {
         Self { position_mm, velocity_mm_per_s: [0.0; 2] }
     }
 }
 
-/// One segment of a trajectory.
+/// One cubic segment of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct CubicSegment {
     /// Duration, s.
     pub duration_s: f64,
-    /// Ascending coefficients of [x, y].
+    /// Coefficients of the position of [x, y] in the local time, ascending, mm/s^order.
     pub coefficient_mm: [[f64; 4]; 2],
 }
 
-/// Finds the shortest segment that lasts at least `least_s`. `None` if there is no distance, no velocity and no
-/// time. An end that is faster than the velocity limit keeps its velocity.
+/// Returns the shortest cubic segment between two states within the limits that lasts at least `least_s`. `None` if
+/// displacement, velocities and least time are all zero. An end that is faster than the velocity limit keeps its
+/// velocity.
 pub(crate) fn shortest_cubic(
     from: State,
     to: State,

@@ -52,21 +52,21 @@ use crate::{
 pub struct StopAtCornersReport {
     /// Number of nodes between two segments with the tool on at which the tool comes to rest.
     pub stops: usize,
-    /// Segments with the tool on that took longer than their dwell time.
+    /// Number of segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Time that these segments took beyond their dwell time, s.
+    /// Sum of the times by which the late segments were longer than their dwell times, s.
     pub added_s: f64,
-    /// Largest such time of one segment, s.
+    /// Largest time by which a late segment was longer than its dwell time, s.
     pub largest_added_s: f64,
-    /// Lifts: segments with the tool off, each a link from rest to rest.
+    /// Number of lifts: segments with the tool off, each a motion from rest to rest.
     pub lifts: usize,
-    /// Time that the lifts took beyond their dwell time, s.
+    /// Sum of the times by which the lifts were longer than their dwell times, s.
     pub added_lifted_s: f64,
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
 }
 
-/// The scheduler, which has no settings.
+/// Scheduler `stop-at-corners`, which has no settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopAtCornersSettings;
 
@@ -85,12 +85,12 @@ impl Scheduler for StopAtCornersSettings {
     }
 }
 
-/// Largest step of the velocity at a node that the tool passes without a stop, mm/s: a tenth of the
-/// step that a judge takes for rounding. Larger: steps that the judge finds. Smaller: stops at nodes
-/// of a straight line whose coordinates are rounded.
+/// Largest step of the velocity at a node that the tool passes without a stop, mm/s: a tenth of the step that
+/// `planish-verify` takes for rounding. Larger: `planish-verify` reports the steps. Smaller: the tool stops at nodes of
+/// a straight line whose coordinates are rounded.
 const STRAIGHT_MM_PER_S: f64 = 1e-7;
 
-/// Schedules `path` with at least the times `dwell` within `limits`.
+/// Schedules `path` within `limits`; every segment takes at least its dwell time.
 ///
 /// # Errors
 ///
@@ -149,16 +149,16 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-/// Length, direction, dwell time and limits of a segment along the path.
+/// Segment of the path: length, direction, dwell time, and limits along the direction.
 #[derive(Clone, Copy, Debug)]
 struct Along {
     index: usize,
     tool_on: bool,
     length_mm: f64,
-    /// Unit vector; zero where the tool stands.
+    /// Unit vector along the segment; zero if the tool stands.
     direction: [f64; 2],
     dwell_s: f64,
-    /// The dwell time, or the least that the controller accepts.
+    /// The dwell time, but not below the shortest segment that the controller accepts, s.
     duration_s: f64,
     max_velocity: f64,
     max_acceleration: f64,
@@ -192,7 +192,8 @@ impl Along {
             && x.max(y) <= STRAIGHT_MM_PER_S
     }
 
-    /// Returns the largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
+    /// Returns the largest velocity at the start of the segment, mm/s, by (1) of the module, with the velocity `next`
+    /// at its end.
     fn bound(&self, next: f64) -> f64 {
         let l = self.length_mm;
         let d = self.duration_s;
@@ -201,7 +202,7 @@ impl Along {
         self.max_velocity.min((next * next + 2.0 * a * l).sqrt()).min(in_time)
     }
 
-    /// Returns the motion from `v0` that ends at `bound` at most.
+    /// Returns the velocity profile that starts at `v0` and ends at `bound` at most, mm/s.
     fn profile(&self, v0: f64, bound: f64) -> Profile {
         let l = self.length_mm;
         let d = self.duration_s;
@@ -252,7 +253,7 @@ impl Along {
     }
 }
 
-/// Returns the largest velocities (1) at all nodes, mm/s, from the end backwards.
+/// Returns the largest velocities at all nodes (n+1), mm/s, by (1) of the module, computed from the end backwards.
 fn bounds(along: &[Along]) -> Vec<f64> {
     let mut bound = vec![0.0; along.len() + 1];
     for i in (1..along.len()).rev() {
@@ -263,8 +264,8 @@ fn bounds(along: &[Along]) -> Vec<f64> {
     bound
 }
 
-/// Velocity along a segment: from velocity[0] to velocity[1] in time_s[0], at velocity[1] for
-/// time_s[1], and to velocity[2] in time_s[2].
+/// Velocity along a segment, in three phases. It changes from velocity[0] to velocity[1] in time_s[0], stays at
+/// velocity[1] for time_s[1], and changes to velocity[2] in time_s[2].
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Profile {
     time_s: [f64; 3],
@@ -276,7 +277,8 @@ impl Profile {
         self.time_s.iter().sum()
     }
 
-    /// Returns the pieces that last longer than `least_s`, from 0 to the end.
+    /// Returns start and end time of the phases, s, from 0 to the end of the segment. A phase of at most `least_s`
+    /// joins the next one.
     fn cuts(&self, least_s: f64) -> Vec<[f64; 2]> {
         let end = self.duration_s();
         let mut cut = vec![0.0, self.time_s[0], self.time_s[0] + self.time_s[1], end];
@@ -287,7 +289,8 @@ impl Profile {
         cut.windows(2).map(|w| [w[0], w[1]]).collect()
     }
 
-    /// Returns distance, velocity and half the acceleration at the time `t` of the phase that `during` is in.
+    /// Returns the distance along the segment, mm, the velocity and half the acceleration at the time `t`. The time
+    /// `during` selects the phase whose formula applies.
     fn state(&self, during: f64, t: f64) -> [f64; 3] {
         let [t0, t1, t2] = self.time_s;
         let [v0, w, v1] = self.velocity;
@@ -305,7 +308,7 @@ impl Profile {
     }
 }
 
-/// Returns the acceleration of a change of velocity in some time; 0 without time.
+/// Returns the acceleration of a change of velocity in some time; 0 if the time is 0.
 fn slope(change: f64, time: f64) -> f64 {
     if time > 0.0 { change / time } else { 0.0 }
 }

@@ -9,7 +9,7 @@ use planish_testkit::program::{text, write};
 use planish_types::{DwellTime, Segment, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
-/// The reference machine: an ion beam.
+/// Returns the reference machine, an ion beam.
 fn ion_beam() -> Value {
     let axis = |name: &str, velocity: f64, acceleration: f64| {
         json!({
@@ -43,7 +43,7 @@ fn schedule(dir: &Path, scheduler: &str, more: &[&str]) -> Output {
         .unwrap()
 }
 
-/// The motion and the outcome in its manifest.
+/// Returns the motion that the scheduler writes, and the outcome in its manifest.
 fn scheduled(dir: &Path, scheduler: &str, more: &[&str]) -> (Trajectory, Value) {
     let output = schedule(dir, scheduler, more);
     let loaded = artifact::read::<Trajectory>(&dir.join("trajectory")).unwrap();
@@ -55,8 +55,8 @@ fn scheduled(dir: &Path, scheduler: &str, more: &[&str]) -> (Trajectory, Value) 
     (loaded.value, manifest.outcome)
 }
 
-/// The subcommands that make a motion, baselines too, as `--help` lists them. The others write a single file, which has no
-/// manifest.
+/// Returns the subcommands that make a motion, baselines too, as `--help` lists them. The other subcommands write a
+/// single file, which has no manifest.
 fn schedulers() -> Vec<String> {
     let output =
         planish_testkit::program::stage("planish-schedule").arg("--help").output().unwrap();
@@ -105,7 +105,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("not a number: {value}"))
 }
 
-/// p, v and a of a segment's axis at its local time.
+/// Returns position, velocity and acceleration of a cubic at the local time `u`.
 fn state(c: &[f64; 4], u: f64) -> [f64; 3] {
     [
         c[0] + u * (c[1] + u * (c[2] + u * c[3])),
@@ -360,7 +360,7 @@ fn segments_shorter_than_the_controllers_least_are_stretched() {
     assert_eq!(outcome["report"]["stretched"][0]["segment"], 0);
 }
 
-/// Exit code 2, one message with every part of `expected`, no output.
+/// Asserts exit code 2, one message that contains every part of `expected`, and no output.
 fn refused(dir: &Path, scheduler: &str, more: &[&str], expected: &[&str]) {
     let output = schedule(dir, scheduler, more);
     let message = text(&output.stderr);
@@ -575,7 +575,7 @@ fn the_manifest_says_which_limits_are_kept() {
     refused_again(tmp.path());
 }
 
-/// The smooth motion within a limit on jerk needs more time; without stretching it is refused.
+/// Asserts that the smooth motion within a limit on jerk needs more time, and that it is refused without stretching.
 fn refused_again(dir: &Path) {
     fs::remove_dir_all(dir.join("trajectory")).unwrap();
     prepare(dir, &[[0.0, 0.0], [1.0, 0.0]], &[0.1]);
@@ -609,7 +609,7 @@ fn corners_cost_time_and_no_overshoot_when_it_stops_there() {
     assert_eq!(outcome["claim"]["limits_respected"], true);
 }
 
-/// Returns true if a piece leaves the box of the segment that it serves.
+/// Returns true if a cubic leaves the box of the ends of its segment.
 fn leaves_the_path(t: &Trajectory, points: &[[f64; 2]]) -> bool {
     t.segments().any(|s| {
         let i = s.dwell_index.unwrap();

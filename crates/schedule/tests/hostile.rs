@@ -48,8 +48,8 @@ fn no_path_and_no_dwell_time_ends_in_a_panic() {
     }
 }
 
-/// A closed line there and back whose last segment is the rounding of its closure, without a dwell time or with one
-/// that vanishes beside the others.
+/// The path is a closed line there and back whose last segment is the rounding of its closure. This segment has no
+/// dwell time, or one that vanishes beside the others.
 #[test]
 fn the_rounding_of_a_closed_path_is_no_obstacle() {
     let tmp = tempfile::tempdir().unwrap();
@@ -82,7 +82,7 @@ fn the_rounding_of_a_closed_path_is_no_obstacle() {
     }
 }
 
-/// Limits at the ends of what a machine file may state, and beyond.
+/// The limits are at the ends of the range that a machine file may state, and beyond.
 #[test]
 fn no_limit_ends_in_a_panic() {
     let tmp = tempfile::tempdir().unwrap();

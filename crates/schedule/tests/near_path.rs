@@ -12,10 +12,11 @@ use planish_schedule::{
 use planish_testkit::{ion_beam, machine, numbers};
 use planish_types::{DwellTime, Limits, MachineFile, PathDistance, ToolPath, Trajectory};
 
-/// Tolerance that no motion reaches, mm.
+/// Tolerance of the path that no motion reaches, mm.
 const ANYWHERE_MM: f64 = 1e9;
 
-/// Path with points from 1e-3 to 10 mm apart, turns of every size, and runs of lifts. Dwell times from 1e-3 to 10 s.
+/// Returns a path with points from 1e-3 to 10 mm apart, turns of every size, and runs of lifts, and dwell times from
+/// 1e-3 to 10 s.
 fn random_case(seed: u64) -> (ToolPath, DwellTime) {
     let mut random = numbers(seed);
     let n = 3 + (57.0 * random()) as usize;
@@ -47,7 +48,7 @@ fn with_jerk(limits: &Limits, time_to_full_acceleration_s: f64) -> Limits {
     file.checked().unwrap()
 }
 
-/// Machines without and with a limit on jerk.
+/// Returns machines without and with a limit on jerk, each with its name.
 fn machines() -> [(&'static str, Limits); 4] {
     let slow = machine([50.0, 30.0], [200.0, 80.0]);
     [
@@ -58,7 +59,7 @@ fn machines() -> [(&'static str, Limits); 4] {
     ]
 }
 
-/// Distance of a point from segment `i` of the path, mm.
+/// Returns the distance of a point from segment `i` of the path, mm.
 fn from_segment_mm(p: [f64; 2], path: &ToolPath, i: usize) -> f64 {
     let [a, b] = [path.point_mm()[i], path.point_mm()[i + 1]];
     let d = [b[0] - a[0], b[1] - a[1]];
@@ -68,8 +69,8 @@ fn from_segment_mm(p: [f64; 2], path: &ToolPath, i: usize) -> f64 {
     (p[0] - a[0] - part * d[0]).hypot(p[1] - a[1] - part * d[1])
 }
 
-/// Largest distance of the motion from the segments that it serves, with the tool on, at 41 times per segment, mm. A
-/// segment that serves none lies between those that its neighbours serve.
+/// Returns the largest distance of the motion from the segments of its dwell indices, with the tool on, at 41 times per
+/// segment, mm. A cubic without a dwell index lies between the segments of its neighbours.
 fn sampled_distance_mm(motion: &Trajectory, path: &ToolPath) -> f64 {
     let index = motion.dwell_index();
     let mut largest_mm = 0.0_f64;
@@ -88,7 +89,7 @@ fn sampled_distance_mm(motion: &Trajectory, path: &ToolPath) -> f64 {
 
 type Schedule = Box<dyn Fn(&ToolPath, &DwellTime, &Limits) -> Result<Trajectory, String>>;
 
-/// Every scheduler with its modes; true where it keeps the tolerance by construction.
+/// Returns every scheduler with its modes; the flag is true if it keeps the tolerance by construction.
 fn schedulers() -> Vec<(String, bool, Schedule)> {
     let mut all: Vec<(String, bool, Schedule)> = Vec::new();
     for mode in [Mode::Smooth, Mode::Monotone] {
@@ -128,8 +129,8 @@ fn quantile(values: &mut [f64], part: f64) -> f64 {
     values.get((part * values.len() as f64) as usize).copied().unwrap_or(0.0)
 }
 
-/// The stated distance is that of dense samples, every PVT motion stays within its tolerance and its limits, and every
-/// other motion has a verdict.
+/// The stated distance must be that of dense samples. Every PVT motion must stay within its tolerance and its limits,
+/// and every other motion must have a verdict.
 #[test]
 fn every_scheduler_states_its_distance_and_pvt_keeps_the_tolerance() {
     let cases: u64 = std::env::var("PLANISH_CASES").map_or(200, |n| n.parse().unwrap());
@@ -194,7 +195,8 @@ fn every_scheduler_states_its_distance_and_pvt_keeps_the_tolerance() {
     }
 }
 
-/// A tolerance that nothing reaches holds no node: the smooth motion is the spline, whose acceleration is continuous.
+/// With a tolerance that no motion reaches, no node is held: the smooth motion is the spline, whose acceleration is
+/// continuous.
 #[test]
 fn without_a_tolerance_no_node_is_held() {
     for seed in 0..20 {
@@ -210,7 +212,7 @@ fn without_a_tolerance_no_node_is_held() {
     }
 }
 
-/// Equal points and times along a straight line: no swing, no stretch, no held node, whatever the tolerance is.
+/// Equal points and times along a straight line need no swing, no stretch and no held node, whatever the tolerance is.
 #[test]
 fn a_straight_path_of_equal_points_and_times_needs_no_tolerance() {
     let n = 60;

@@ -22,8 +22,8 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict\n\
     \x20 planish-verify --axes out/axes --machine five-axis.json --out out/verdict";
 
-/// Law by which a controller runs the motion of this manifest; `None` if the motion is no program that
-/// `planish-import program` read back.
+/// Returns the law by which a controller runs the motion of this manifest. `None` if the motion is not a program that
+/// `planish-import program` read.
 fn program_of(manifest: &Manifest) -> Option<Program> {
     let is_program = manifest.tool == "planish-import" && manifest.method == "program";
     if !is_program {
@@ -89,7 +89,7 @@ fn main() -> ExitCode {
     })
 }
 
-/// Judges a motion of all axes.
+/// Checks a motion of all axes against the machine, and writes the verdict.
 fn judge_axes(cli: &VerifyCli, axes: &Path) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let (motion, manifest): (AxesMotion, _) = inputs.read_with_manifest("axes", axes)?;
@@ -140,11 +140,11 @@ struct JudgedSettings {
     max_path_distance_mm: Option<f64>,
 }
 
-/// Said of a program of lines for axes with a limit on jerk.
+/// Message about a program of straight lines on a machine whose axes have a limit on jerk.
 const JERK_OF_LINES: &str = "the jerk limit is not judged: how the controller joins the straight lines of the program \
                              decides on the jerk";
 
-/// Judges a motion in the plane.
+/// Checks a motion in the plane of x and y against the machine, and writes the verdict.
 fn judge_trajectory(cli: &VerifyCli, trajectory: PathBuf) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let on_axes = TrajectoryArgs { trajectory }.read_on_axes(&cli.machine, &mut inputs)?;

@@ -1,4 +1,4 @@
-//! Does a trajectory keep the limits of a machine? Proven from the polynomials, never from samples.
+//! Verdict: does a trajectory keep the limits of a machine? Proven from the polynomials, never from samples.
 //!
 //! ```text
 //! p(u) = c0 + c1 u + c2 u^2 + c3 u^3      u in [0, h], per segment and axis
@@ -97,21 +97,22 @@ const LARGEST_NUMBER: f64 = 1e60;
 
 const REMEDY_OF_NUMBERS: &str = "numbers beyond 1e60 are not mm and s; check the units";
 
-/// Units of position, velocity, acceleration and jerk, of a linear and of a rotary axis.
+/// Units of position, velocity, acceleration and jerk of a linear axis; [`UNITS_DEG`] has those of a rotary axis.
 const UNITS_MM: [&str; 4] = ["mm", "mm/s", "mm/s^2", "mm/s^3"];
 const UNITS_DEG: [&str; 4] = ["deg", "deg/s", "deg/s^2", "deg/s^3"];
 
-/// Law by which a controller runs from node to node of its program.
+/// Law by which a controller runs the motion between the nodes of its program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Program {
-    /// Along cubics through positions and velocities: with a limit on jerk their acceleration may step by (1).
+    /// Along cubics through positions and velocities. With a limit on jerk their acceleration may step at a node, by
+    /// (1) of the module at most.
     Cubics,
-    /// Along straight lines that it joins: a limit on jerk is not judged.
+    /// Along straight lines, which the controller joins in its own way; a limit on jerk is not judged.
     Lines,
 }
 
-/// Thresholds above which a change counts as a step.
+/// Thresholds above which a change counts as a step, and the law of a controller's program.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VerifySettings {
     /// Largest step in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the
@@ -122,7 +123,8 @@ pub struct VerifySettings {
     /// at 2000 mm/s^2 and 1e5 s. At only 10 mm/s^2, a drive takes 0.1 us for 1e-6 mm/s, less than
     /// any servo cycle.
     pub velocity_step_mm_per_s: f64,
-    /// Program of a controller that the motion was read from. Default: none, a limit on jerk allows no step.
+    /// Law of the controller's program that the motion was read from. Default `None`: the motion is no program, and a
+    /// limit on jerk allows no step of the acceleration.
     pub program: Option<Program>,
 }
 
@@ -132,7 +134,7 @@ impl Default for VerifySettings {
     }
 }
 
-/// Judges the motion of the axes of `machine` against its limits and its travel.
+/// Judges the motion of the axes x and y of `machine` against its limits and its travel.
 ///
 /// Refuses the same inputs as [`verify`].
 pub fn verify_on_axes(
@@ -143,7 +145,7 @@ pub fn verify_on_axes(
     judge(motion, machine.limits(), machine.travel_mm(), settings)
 }
 
-/// Judges `trajectory` against `limits` (validated, so with the two axes x and y).
+/// Judges `trajectory` against `limits` of the axes x and y, without any travel.
 ///
 /// Refuses tolerances that are negative or not finite, and coefficients or times beyond 1e60. It
 /// passes over the segments once; its memory does not depend on their number.
@@ -184,10 +186,10 @@ fn judge(
     Ok(verdict::verdict(trajectory, [x, y], duration.finish()))
 }
 
-/// Judges a motion of all axes of `machine` against their limits and travels. The motion is a program: of cubics, whose
-/// acceleration may step at a break by (1), unless the settings say that it is one of lines.
+/// Judges a motion of all axes of `machine` against their limits and travels. It is judged as a program of cubics,
+/// whose acceleration may step at a break by (1) of the module, unless the settings say that it is one of lines.
 ///
-/// Refuses the same inputs as [`verify`], and a motion with another number of axes.
+/// Refuses the same inputs as [`verify`], and a motion whose number of axes is not that of the machine.
 pub fn verify_axes(
     motion: &AxesMotion,
     machine: &Machine,
@@ -229,7 +231,8 @@ pub fn verify_axes(
     Ok(verdict::axes_verdict(motion, verdicts, duration.finish()))
 }
 
-/// Returns the empty tally of the durations of segments.
+/// Returns the empty tally of the durations of segments, with the shortest one that the controller accepts as its
+/// bound.
 fn durations(limits: &Limits) -> Tally {
     let least_s = limits.min_segment_s();
     let bound = if least_s > 0.0 { Some(Bound::AtLeast(least_s)) } else { None };
@@ -243,22 +246,23 @@ fn add_duration(duration: &mut Tally, i: usize, span: &Span) {
     duration.add(place, place, rounding_s);
 }
 
-/// Position, velocity and acceleration at an instant.
+/// Position, velocity and acceleration of an axis at an instant, in mm or deg and s.
 type State = [f64; 3];
 
-/// Tallies of one axis.
+/// Ranges, steps and excursions of one axis over the segments so far.
 struct AxisTally {
     name: &'static str,
     travel: Option<[f64; 2]>,
-    /// Tallies of position, velocity, acceleration, jerk.
+    /// Ranges of position, velocity, acceleration and jerk.
     ranges: [Tally; 4],
-    /// Tallies of the steps in position, velocity, acceleration.
+    /// Steps at the breaks of position, velocity and acceleration.
     steps: [Tally; 3],
     overshoot: Excursions,
     reversal: Excursions,
-    /// Half the jerk limit where the motion is a program: times the durations beside a break it is (1). 0 otherwise.
+    /// Half the jerk limit if the motion is a program of cubics, else 0. Times the durations of both segments beside a
+    /// break it is the allowed step of the acceleration, (1) of the module.
     step_per_s: f64,
-    /// State before the next break and duration of the segment that ends there; `None` before the first.
+    /// State before the next break, and duration of the segment that ends there, s; `None` before the first segment.
     before: Option<(State, f64)>,
 }
 
@@ -304,8 +308,7 @@ impl AxisTally {
         }
     }
 
-    /// Adds segment `i` with the coefficients `c` of this axis, and the steps at the break where it
-    /// starts.
+    /// Adds segment `i`, with the coefficients `c` of this axis, and the steps at the break at which it starts.
     fn add_segment(&mut self, i: usize, segment: &Span, c: &[f64; 4]) {
         let h = segment.duration_s;
         // p, v = p', a = p'', j = p'''
@@ -338,8 +341,8 @@ impl AxisTally {
         add_excursion(&mut self.reversal, segment.place(i, slower, v.max.min(-v.min)));
     }
 
-    /// The steps at the break at `place`, from the state before it to the state `after` it, in which the motion stays
-    /// in a segment of `after_s`.
+    /// Adds the steps at the break at `place`. `after` is the state after it, and `after_s` the duration of the segment
+    /// that begins there.
     fn add_steps(&mut self, after: State, after_s: f64, place: PlacedValue) {
         // Before the first break the machine stands where the motion starts.
         let (before, before_s) = self.before.unwrap_or(([after[0], 0.0, 0.0], 0.0));
@@ -350,8 +353,7 @@ impl AxisTally {
         }
     }
 
-    /// Adds the steps at the last break, number `index`: after it the machine stands where the
-    /// motion ends.
+    /// Adds the steps at the last break, of the number `index`; after it the machine rests where the motion ends.
     fn add_stop(&mut self, index: usize, last: &Span) {
         let position = self.before.map_or(0.0, |(before, _)| before[0]);
         self.add_steps([position, 0.0, 0.0], 0.0, last.place(index, last.duration_s, 0.0));
@@ -377,7 +379,7 @@ impl AxisTally {
         }
     }
 
-    /// Returns the verdict on an axis whose positions have the unit `unit`.
+    /// Returns the verdict on an axis of a motion of all axes, whose positions have the unit `unit`.
     fn finish_for(self, unit: &'static str) -> MachineAxisVerdict {
         let [position, velocity, acceleration, jerk] = self.ranges.map(Tally::finish);
         let [position_step, velocity_step, acceleration_step] = self.steps.map(Tally::finish);

@@ -1,4 +1,4 @@
-//! Collects the range of one quantity over all segments, and the places where it exceeds its limit.
+//! Tally: the range of one quantity over all segments, and the worst segments in which it exceeds its limit.
 
 use planish_types::{
     outcome::verdict::{Check, PlacedValue},
@@ -7,28 +7,28 @@ use planish_types::{
 
 use crate::LIMIT_ALLOWANCE;
 
-/// Number of offending segments or breaks that a check lists. Larger: longer manifests. Smaller:
-/// fewer places to look at. Chosen: 20; `exceeding_count` counts all of them.
+/// Largest number of segments or breaks beyond the bound that a check lists. Larger: longer manifests. Smaller: fewer
+/// of them to look at. Chosen: 20; `exceeding_count` counts all of them.
 const WORST_COUNT: usize = 20;
 
-/// Allowed values of a quantity.
+/// Bound on the values of a quantity.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Bound {
-    /// The magnitude inside a segment is at most this.
+    /// The magnitude inside a segment is at most this limit.
     Within(f64),
-    /// The step at a break is at most this tolerance, which covers rounding.
+    /// The magnitude of the step at a break is at most this tolerance, which covers rounding.
     StepWithin(f64),
-    /// A step of the acceleration of a program; the tolerance is for rounding, beside what the jerk limit allows at the
-    /// break.
+    /// The step of the acceleration at a break of a controller's program is at most this tolerance for rounding, plus
+    /// the step that the jerk limit allows there.
     StepOfProgram(f64),
-    /// A value of at least this.
+    /// The value is at least this limit.
     AtLeast(f64),
-    /// The value is between the first number and the second.
+    /// The value is between the first number and the second, such as the travel of an axis.
     Between([f64; 2]),
 }
 
 impl Bound {
-    /// Returns the limit, if it is a single number.
+    /// Returns the limit; `None` if it is not a single number.
     fn value(self) -> Option<f64> {
         match self {
             Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => Some(v),
@@ -36,7 +36,7 @@ impl Bound {
         }
     }
 
-    /// Returns true if `value` is outside the bound by more than `rounding`, its uncertainty.
+    /// Returns true if `value` is outside the bound by more than `rounding`, the uncertainty of the value.
     fn is_exceeded_by(self, value: f64, rounding: f64) -> bool {
         match self {
             Self::Within(limit) => value.abs() > limit * (1.0 + LIMIT_ALLOWANCE) + rounding,
@@ -48,8 +48,8 @@ impl Bound {
         }
     }
 
-    /// Returns the ratio of the value to its limit: 1 is the limit itself. `None` if the limit is zero (a tolerance may
-    /// be), or consists of two numbers.
+    /// Returns the ratio of the value to its limit: 1 is the limit itself. `None` if the limit is zero, which a
+    /// tolerance may be, or if it is not a single number.
     fn ratio(self, value: f64) -> Option<f64> {
         match self {
             Self::Within(limit) | Self::StepWithin(limit) => {
@@ -64,7 +64,7 @@ impl Bound {
         }
     }
 
-    /// Order of the offenders: the larger this number, the worse.
+    /// Returns the number by which the values beyond the bound are sorted: the larger, the worse.
     fn badness(self, value: f64) -> f64 {
         match self {
             Self::Within(_) | Self::StepWithin(_) | Self::StepOfProgram(_) => value.abs(),
@@ -109,14 +109,14 @@ impl Bound {
     }
 }
 
-/// Range and offenders of one quantity in the segments so far.
+/// Range of one quantity in the segments so far, and its values beyond the bound.
 pub(crate) struct Tally {
     name: String,
     unit: &'static str,
     bound: Option<Bound>,
     range: Option<(PlacedValue, PlacedValue)>,
     exceeding_count: usize,
-    /// Offenders, the worst first; equal ones in the order of the motion.
+    /// Values beyond the bound, the worst first; equal ones in the order of the motion. At most [`WORST_COUNT`].
     worst: Vec<PlacedValue>,
 }
 
@@ -126,8 +126,7 @@ impl Tally {
         Self { name, unit, bound, range: None, exceeding_count: 0, worst: Vec::new() }
     }
 
-    /// Adds one segment or break with its smallest and largest value. Both have the uncertainty
-    /// `rounding`.
+    /// Adds one segment or break with its smallest and largest value; both have the uncertainty `rounding`.
     pub(crate) fn add(&mut self, min: PlacedValue, max: PlacedValue, rounding: f64) {
         let (low, high) = self.range.get_or_insert((min, max));
         if min.value < low.value {

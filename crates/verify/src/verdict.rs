@@ -9,7 +9,7 @@ use planish_types::{
 
 use crate::LIMIT_ALLOWANCE;
 
-/// A segment without its polynomials.
+/// Times and dwell point of a segment, without its polynomials.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
     pub(crate) start_s: f64,
@@ -29,13 +29,13 @@ impl Span {
         Self { start_s, duration_s: motion.duration_s(i), dwell_index }
     }
 
-    /// Returns `value` at the local time `u_s` of this segment, which has the number `index`.
+    /// Returns `value` with its position in the motion: the segment of the number `index`, at the local time `u_s`.
     pub(crate) fn place(&self, index: usize, u_s: f64, value: f64) -> PlacedValue {
         PlacedValue { index, dwell_index: self.dwell_index, time_s: self.start_s + u_s, value }
     }
 }
 
-/// Adds an excursion, unless it is rounding.
+/// Adds an excursion at `place` to the count and the maximum, unless it is within the noise.
 pub(crate) fn add_excursion(excursions: &mut Excursions, place: PlacedValue) {
     if place.value > excursions.noise {
         excursions.count += 1;
@@ -45,7 +45,7 @@ pub(crate) fn add_excursion(excursions: &mut Excursions, place: PlacedValue) {
     }
 }
 
-/// Returns the checks of an axis that can fail, the gravest first.
+/// Returns the checks of an axis of a motion in the plane that can fail, the gravest first.
 fn checks(axis: &AxisVerdict) -> [&Check; 7] {
     [
         &axis.position_mm,
@@ -58,7 +58,7 @@ fn checks(axis: &AxisVerdict) -> [&Check; 7] {
     ]
 }
 
-/// Returns the checks of an axis of a machine that can fail, the gravest first.
+/// Returns the checks of an axis of a motion of all axes that can fail, the gravest first.
 fn machine_checks(axis: &MachineAxisVerdict) -> [&Check; 7] {
     [
         &axis.position,
@@ -71,13 +71,13 @@ fn machine_checks(axis: &MachineAxisVerdict) -> [&Check; 7] {
     ]
 }
 
-/// Returns the sentences on exceeded limits, sorted by kind of limit, then by axis.
+/// Returns one sentence per exceeded limit, sorted by kind of limit, then by axis.
 fn violations(axes: &[[&Check; 7]], segment_duration_s: &Check) -> Vec<String> {
     let by_kind = (0..7).flat_map(|kind| axes.iter().map(move |axis| axis[kind]));
     by_kind.chain([segment_duration_s]).filter_map(|c| c.complaint.clone()).collect()
 }
 
-/// Returns the verdict on a motion in the plane.
+/// Returns the verdict on a motion in the plane, from the verdicts on its axes x and y.
 pub(crate) fn verdict(
     trajectory: &Trajectory,
     axes: [AxisVerdict; 2],
@@ -107,7 +107,7 @@ pub(crate) fn verdict(
     }
 }
 
-/// Returns the verdict on a motion of all axes.
+/// Returns the verdict on a motion of all axes, from the verdicts on the axes.
 pub(crate) fn axes_verdict(
     motion: &AxesMotion,
     axes: Vec<MachineAxisVerdict>,

@@ -15,7 +15,7 @@ fn verify(dir: &Path, more: &[&str]) -> Output {
         .unwrap()
 }
 
-/// A bang-bang motion of 5 mm along x (peak 10 mm/s, 20 mm/s^2), and a machine.
+/// Writes the inputs into `dir`: a bang-bang motion of 5 mm along x (peaks 10 mm/s, 20 mm/s^2), and a machine.
 fn prepare(dir: &Path, max_velocity: f64) {
     let c = |x: [f64; 4]| [x, [0.0; 4]];
     let trajectory = Trajectory::new(

@@ -4,7 +4,7 @@ use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 use planish_verify::{Check, Program, Verdict, VerifySettings, verify};
 use proptest::prelude::*;
 
-/// Coefficients of one axis.
+/// Ascending coefficients of one axis.
 type Cubic = [f64; 4];
 
 fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>, min_segment_s: f64) -> Limits {
@@ -25,7 +25,7 @@ fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>, min_segment_s: f
     .unwrap()
 }
 
-/// A trajectory from durations and coefficients of x; y rests at 0. Dwell indices count from 100.
+/// Returns a trajectory from durations, s, and coefficients of x; y rests at 0. Dwell indices count from 100.
 fn along_x(duration_s: &[f64], x: &[Cubic]) -> Trajectory {
     both(duration_s, x, &vec![[0.0; 4]; x.len()])
 }
@@ -41,7 +41,7 @@ fn both(duration_s: &[f64], x: &[Cubic], y: &[Cubic]) -> Trajectory {
     Trajectory::new(breaks, c, vec![true; k], index).unwrap()
 }
 
-/// Cubics through `p` with the velocities `v` at the ends of segments of duration `h`.
+/// Returns the cubics through the positions `p` with the velocities `v` at the ends of segments of duration `h`.
 fn hermite(p: &[f64], v: &[f64], h: f64) -> Vec<Cubic> {
     let segment = |i: usize| {
         let d = p[i + 1] - p[i];
@@ -303,12 +303,12 @@ fn cubics() -> impl Strategy<Value = (Vec<f64>, Vec<Cubic>, Vec<Cubic>)> {
     })
 }
 
-/// `p` with time stretched by `k`: p(u / k).
+/// Returns the cubic with its time stretched by `k`: p(u / k).
 fn stretched(c: &Cubic, k: f64) -> Cubic {
     [c[0], c[1] / k, c[2] / (k * k), c[3] / (k * k * k)]
 }
 
-/// `p` run backwards: p(h - u).
+/// Returns the cubic run backwards: p(h - u).
 fn reversed(c: &Cubic, h: f64) -> Cubic {
     [
         c[0] + h * (c[1] + h * (c[2] + h * c[3])),
@@ -419,8 +419,9 @@ proptest! {
     }
 }
 
-/// A motion of piecewise constant jerk from rest to rest as its program has it: cubics through its positions and
-/// velocities at nodes that are none of its own breaks. The motion is the integral of j(t) = J s(t), s = +-1.
+/// Returns a motion of piecewise constant jerk from rest to rest as a controller's program has it: cubics through its
+/// positions and velocities at nodes that are none of its own breaks. The motion is the integral of j(t) = J s(t), s =
+/// +-1.
 fn program_of(jerk: f64, nodes: &[f64]) -> Trajectory {
     // Rest to rest: + - - + + ... in steps of 0.25 s; the last motion goes back.
     let signs = [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0];
@@ -480,7 +481,7 @@ fn the_program_of_a_motion_within_the_jerk_limit_keeps_it_and_steps_by_less_than
     );
 }
 
-/// A machine with the axes x, y, z, a and b, a limit on jerk, and a travel of b.
+/// Returns a machine with the axes x, y, z, a and b, a limit on jerk, and a travel of b.
 fn five_axes() -> planish_types::Machine {
     let linear = ["x", "y", "z"].map(|name| {
         serde_json::json!({"name": name, "max_velocity_mm_per_s": 10, "max_acceleration_mm_per_s2": 20})

@@ -1,4 +1,4 @@
-//! The iterate of [`super`]: densities, slacks and dual variables, its steps by (2), and the tangents that it keeps.
+//! Iterate of the method: densities, slacks and dual variables, with its steps by (2) of [`super`] and kept tangents.
 
 use planish_numerics::linear::skyline::dot;
 
@@ -9,20 +9,24 @@ use crate::{
     merit::{Merit, Objective},
 };
 
-/// Least ratio of mu to the mean product of a slack and its dual variable before the step. Larger: the
-/// complementarity falls more slowly. Smaller: products may become so unequal that the next steps are short. Chosen.
+/// Least ratio of the target (mu) of a step to the mean product of a slack and its dual variable before the step.
+/// Larger: the complementarity falls more slowly. Smaller: products may become so unequal that the next steps are
+/// short. Chosen.
 const LEAST_CENTRING: f64 = 1e-3;
 
-/// Largest number of corrections of a step that bends of the rows end early. Larger: more solutions with the factor.
-/// Smaller: shorter steps at rows that bend much. Chosen: of a hundred steps none needed a third correction.
+/// Largest number of corrections of a step that the bends of the rows (their second-order terms) end early. Larger:
+/// more solutions with the factor. Smaller: shorter steps at rows that bend much. Chosen: of a hundred steps none
+/// needed a third correction.
 const MAX_BEND_CORRECTIONS: usize = 4;
 
-/// Length of a step over that by the tangents above which it is long enough and no bend is corrected. Larger: more
-/// corrections. Smaller: more, shorter steps. Chosen: a ratio between this one and 1 is usual without a correction.
+/// Ratio of the length of a step to that by the tangents above which the step is long enough and no bend is corrected.
+/// Larger: more corrections. Smaller: more, shorter steps. Chosen: a ratio between this one and 1 is usual without a
+/// correction.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// Largest number of Gondzio's corrections of a step. Larger: more solutions with the factor per step. Smaller:
-/// shorter steps, because outlying products are left. Chosen.
+/// Largest number of Gondzio's corrections of a step; they bring outlying products of slacks and dual variables back
+/// towards the target. Larger: more solutions with the factor per step. Smaller: shorter steps, because outlying
+/// products are left. Chosen.
 const MAX_CENTRALITY_CORRECTIONS: usize = 3;
 
 /// Length by which Gondzio's correction extends the primal and the dual step (1 is a full step) before it measures
@@ -33,20 +37,20 @@ const FURTHER: f64 = 0.3;
 /// one to be tried. Larger: fewer corrections. Smaller: corrections that gain little. Chosen.
 const LEAST_GAIN: f64 = 0.1;
 
-/// Largest ratio of a product to mu, and of mu to a product, that is no outlier. Larger: fewer products are
+/// Largest ratio of a product to the target mu, or of mu to a product, that is no outlier. Larger: fewer products are
 /// corrected, and steps end early at them. Smaller: corrections of products that hold no step back. Chosen: a decade.
 const OUTLIER: f64 = 10.0;
 
-/// Complementarity at a start without dual variables, over the objective there. Larger: more steps until it has
+/// Ratio of the complementarity to the objective at a start without dual variables. Larger: more steps until it has
 /// fallen. Smaller: dual variables that are too small for the first steps to be long. Chosen.
 const FIRST_RELATIVE_GAP: f64 = 0.3;
 
-/// Least product of a slack and its dual variable at a start with dual variables, over the mean product. Larger: dual
-/// variables from before are lost. Smaller: products far below the mean make the first steps short. Chosen.
+/// Least product of a slack and its dual variable at a start with dual variables, over the mean product. Larger: more
+/// of the given dual variables are changed. Smaller: products far below the mean make the first steps short. Chosen.
 const LEAST_PRODUCT: f64 = 0.1;
 
-/// Gap at which the program of the tangents is taken as solved, over the gap that is wanted. Larger: the method moves
-/// on earlier, towards a less exact solution. Smaller: more steps for a program that does not prove enough. Chosen.
+/// Gap at which the program of the tangents counts as solved, over the gap that is wanted. Larger: the method moves on
+/// earlier, towards a less exact solution. Smaller: more steps for a program that does not prove enough. Chosen.
 pub(super) const PROGRAM_SOLVED: f64 = 0.1;
 
 /// Least fraction of the way to the solution under the tangents that the iterate moves; if the rows allow less it
@@ -54,43 +58,44 @@ pub(super) const PROGRAM_SOLVED: f64 = 0.1;
 /// short. Chosen.
 const LEAST_PART: f64 = 0.5;
 
-/// Least product of a slack and its dual variable over their mean, where tangents begin to be kept. Slacks below
-/// [`ACTIVE_SLACK`] are raised first, and the steps take the excess away again; then dual variables are raised.
-/// Larger: more steps until the complementarity has fallen again. Smaller: short first steps, because the dual
+/// Least product of a slack and its dual variable, over the mean product, when the method begins to keep tangents.
+/// Slacks below [`ACTIVE_SLACK`] are raised first, and the steps take the excess away again; then dual variables are
+/// raised. Larger: more steps until the complementarity has fallen again. Smaller: short first steps, because the dual
 /// variables fit rows that are bent. Chosen.
 const RAISED_PRODUCT: f64 = 100.0;
 
-/// Slack below which a row counts as active when tangents begin to be kept, dimensionless (1 at rest). Larger: slacks
-/// of more rows are raised. Smaller: the dual variables of such rows are raised in their place. Chosen. See
+/// Slack below which a row counts as active when the method begins to keep tangents, dimensionless (1 at rest). Larger:
+/// slacks of more rows are raised. Smaller: the dual variables of such rows are raised in their place. Chosen. See
 /// [`RAISED_PRODUCT`].
 const ACTIVE_SLACK: f64 = 0.1;
 
-/// Densities and dual variables from which the method begins.
+/// Densities and dual variables from which the interior point method begins.
 #[derive(Clone, Debug)]
 pub struct Start {
-    /// D (n), strictly inside.
+    /// Densities of the nodes (D, n), s/mm, strictly inside the limits.
     pub density: Vec<f64>,
-    /// z and y of a program with nearly the same rows, if there was one.
+    /// Dual variables of the rows (z) and of the bounds (y) of a program with nearly the same rows; `None` if there was
+    /// none.
     pub duals: Option<[Vec<f64>; 2]>,
 }
 
-/// An iterate that keeps the rows themselves.
+/// Iterate that keeps the limits themselves, not only their tangents, with its objective and proven gap.
 pub(super) struct Executable {
     pub(super) density: Vec<f64>,
     pub(super) value: f64,
     pub(super) relative_gap: f64,
 }
 
-/// The step by (2).
+/// Step of the method by (2) of [`super`]: changes of densities, slacks and dual variables.
 pub(super) struct Step {
     density: Vec<f64>,
-    /// Change of the slacks by the tangents: J d, less the excess.
+    /// Change of the slacks by the tangents of the rows: J d, less the excess of the slacks.
     c: Vec<f64>,
     z: Vec<f64>,
     y: Vec<f64>,
 }
 
-/// Products of slacks and their dual variables: c z (rows) and (D - lo) y (n).
+/// Products of slacks and their dual variables: c z of the rows (rows), and (D - lo) y of the bounds (n).
 struct Products {
     rows: Vec<f64>,
     bounds: Vec<f64>,
@@ -101,7 +106,7 @@ impl Products {
         self.rows.iter().sum::<f64>() + self.bounds.iter().sum::<f64>()
     }
 
-    /// Combines each product with that of `other`.
+    /// Combines each product with the same product of `other`.
     fn combined(&self, other: &Self, combine: fn(f64, f64) -> f64) -> Self {
         Self {
             rows: zip_with(&self.rows, &other.rows, combine),
@@ -109,7 +114,7 @@ impl Products {
         }
     }
 
-    /// Returns the change of the products that brings outliers back to within a decade of `mu`.
+    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`.
     fn correction(&self, mu: f64) -> Self {
         let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
             let clamped = products.iter().map(|v| v.clamp(mu / OUTLIER, mu * OUTLIER));
@@ -119,35 +124,35 @@ impl Products {
     }
 }
 
-/// Combines two vectors component by component.
+/// Returns the combination of two vectors of equal length, component by component.
 fn zip_with(a: &[f64], b: &[f64], combine: fn(f64, f64) -> f64) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| combine(*a, *b)).collect()
 }
 
-/// An iterate of the method.
+/// Iterate of the interior point method: densities, slacks and dual variables.
 pub(super) struct Iterate<'a> {
     program: &'a Program<'a>,
     pub(super) density: Vec<f64>,
     pub(super) f: Objective,
-    /// The rows here; or the tangents that are kept, with what they leave here.
+    /// Rows (constraints) at the present densities, or the tangents that are kept, with their slacks here.
     here: Vec<Constraint>,
-    /// Slacks of the rows and of the bounds, and their dual variables.
+    /// Slacks of the rows (c) and of the bounds (room = D - lo), and their dual variables (z, y).
     pub(super) c: Vec<f64>,
     pub(super) room: Vec<f64>,
     pub(super) z: Vec<f64>,
     pub(super) y: Vec<f64>,
-    /// Excess of c over the slacks that the tangents that are kept allow.
+    /// Excess of the slacks over those that the kept tangents allow (rows).
     excess: Vec<f64>,
-    /// The iterate whose tangents are kept; `None` while the rows themselves are used.
+    /// Iterate whose tangents are kept; `None` while the rows themselves are used.
     pub(super) anchor: Option<Anchor>,
 }
 
-/// An iterate whose tangents are kept.
+/// Iterate at which the method began to keep tangents.
 pub(super) struct Anchor {
     pub(super) density: Vec<f64>,
     pub(super) value: f64,
     c: Vec<f64>,
-    /// Smallest proven gap, nm^2.
+    /// Smallest proven gap of this iterate, nm^2.
     pub(super) gap: f64,
 }
 
@@ -179,8 +184,8 @@ impl<'a> Iterate<'a> {
         dot(&self.c, &self.z) + dot(&self.room, &self.y)
     }
 
-    /// Returns the upper bound on the excess of f over its least value under the tangents, nm^2. With the inverse of
-    /// its curvature a closer bound is tried, if it can decide whether `relative_gap` is reached.
+    /// Returns the upper bound on the excess of the objective over its least value under the tangents, nm^2. With the
+    /// inverse of the curvature it tries a closer bound, if that can decide whether `relative_gap` is reached.
     pub(super) fn gap(
         &self,
         inverse: Option<&Inverse<'_>>,
@@ -216,8 +221,8 @@ impl<'a> Iterate<'a> {
         simple.min(products + square)
     }
 
-    /// Returns the iterate whose rows the tangents are, and its proven gap: the excess over their least value, from the
-    /// `gap` here.
+    /// Returns the iterate that keeps the limits, with its proven gap. While tangents are kept this is the anchor,
+    /// whose gap follows from the proven `gap` of the present iterate, nm^2.
     pub(super) fn executable(&mut self, gap: f64) -> Executable {
         let (density, value, gap) = match &mut self.anchor {
             None => (&self.density, self.f.value, gap),
@@ -251,8 +256,8 @@ impl<'a> Iterate<'a> {
         self.y.iter_mut().zip(&self.room).for_each(|(y, room)| *y = y.max(product / room));
     }
 
-    /// Moves from where the tangents were kept towards this iterate, as far as the rows allow, and returns to the
-    /// rows.
+    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow. The
+    /// following steps use the rows again.
     pub(super) fn move_towards_solution(&mut self) {
         let Some(anchor) = self.anchor.take() else { return };
         self.excess.fill(0.0);
@@ -261,7 +266,7 @@ impl<'a> Iterate<'a> {
         self.move_to(if t >= LEAST_PART { to } else { anchor.density });
     }
 
-    /// Evaluates the rows at other densities.
+    /// Moves to other densities and evaluates the rows there.
     fn move_to(&mut self, density: Vec<f64>) {
         self.here = self.program.rows.constraints(&density);
         self.c = self.here.iter().map(|row| row.slack).collect();
@@ -269,7 +274,8 @@ impl<'a> Iterate<'a> {
         self.density = density;
     }
 
-    /// Solves (2) with Mehrotra's mu, and corrects the step. `None` if the matrix is singular to rounding.
+    /// Returns the step by (2) of [`super`] with Mehrotra's target mu and corrections; `None` if the matrix is singular
+    /// to rounding.
     pub(super) fn step(&self, row_of: &[usize]) -> Option<Step> {
         let inverse = self.inverse(row_of)?;
         let (mu, target) = self.centred(&inverse);
@@ -280,7 +286,8 @@ impl<'a> Iterate<'a> {
         })
     }
 
-    /// Mehrotra's mu, from the step that aims at no products at all, and the products to aim at.
+    /// Returns Mehrotra's target mu, from a predictor step that aims at products of 0, and the products at which the
+    /// step aims.
     fn centred(&self, inverse: &Inverse<'_>) -> (f64, Products) {
         let rows = self.c.len();
         let bounds = self.room.len();
@@ -294,7 +301,8 @@ impl<'a> Iterate<'a> {
         (mu, centred.combined(&self.second_order(&predictor), |a, b| a - b))
     }
 
-    /// Returns the step to `target` with Gondzio's corrections, and the products that it aims at with them.
+    /// Returns the step towards the products `target` with Gondzio's corrections, and the products at which it then
+    /// aims.
     fn without_outliers(
         &self,
         inverse: &Inverse<'_>,
@@ -318,7 +326,7 @@ impl<'a> Iterate<'a> {
         (target, step)
     }
 
-    /// Returns a longer step where bends end it early.
+    /// Returns a step that goes farther than `step` if the bends of the rows end that one early.
     ///
     /// ```text
     /// c(D + t d) = c + t J d - q,   and d' instead of d with   J d' = J d + q / t as far as (2) allows   (3)
@@ -351,7 +359,7 @@ impl<'a> Iterate<'a> {
         step
     }
 
-    /// Goes the longest step that is allowed, and returns the complementarity there by the tangents.
+    /// Goes the longest step that is allowed, and returns the complementarity at its end by the tangents.
     pub(super) fn advance(&mut self, step: &Step) -> f64 {
         let (length, to) = self.primal(step);
         let b = self.dual(step);
@@ -369,7 +377,8 @@ impl<'a> Iterate<'a> {
         after
     }
 
-    /// Returns the matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
+    /// Returns the factorised matrix of (2) of [`super`]; `row_of` has the row of the matrix of every node. `None` if
+    /// it is singular to rounding.
     fn inverse(&self, row_of: &[usize]) -> Option<Inverse<'_>> {
         let chain = self.program.chain;
         let mut diagonal: Vec<f64> =
@@ -389,8 +398,8 @@ impl<'a> Iterate<'a> {
         self.program.inverse(row_of, (&diagonal, &below))
     }
 
-    /// Returns the step by (2) with `target` in the place of mu, and slacks that are `excess` (rows) larger than they
-    /// should be.
+    /// Returns the step by (2) of [`super`] that aims at the products `target` in the place of mu. `excess` (rows) is
+    /// the amount by which the slacks are larger than they should be.
     fn direction(&self, inverse: &Inverse<'_>, target: &Products, excess: &[f64]) -> Step {
         let Self { f, here, c, room, z, y, .. } = self;
         let t = target.bounds.iter().zip(room).map(|(t, room)| t / room);
@@ -407,12 +416,13 @@ impl<'a> Iterate<'a> {
         }
     }
 
-    /// Returns the longest step by the tangents of the rows.
+    /// Returns the length of the longest step that the tangents of the rows and the bounds allow, at most 1.
     fn by_tangents(&self, step: &Step) -> f64 {
         longest(&self.room, &step.density).min(longest(&self.c, &step.c))
     }
 
-    /// Returns the longest step, and where it ends: by the rows themselves, unless their tangents are kept.
+    /// Returns the length of the longest step and the densities at its end. The rows themselves limit it, unless their
+    /// tangents are kept.
     fn primal(&self, step: &Step) -> (f64, Vec<f64>) {
         // The tangents say nearly how far.
         let length = self.by_tangents(step);
@@ -426,7 +436,7 @@ impl<'a> Iterate<'a> {
         longest(&self.z, &step.z).min(longest(&self.y, &step.y))
     }
 
-    /// Returns the products after a primal step of length `a` and a dual one of length `b`, by the tangents.
+    /// Returns the products after a primal step of length `a` and a dual step of length `b`, by the tangents.
     fn products(&self, step: &Step, a: f64, b: f64) -> Products {
         let after_step = |v: &[f64], dv: &[f64], z: &[f64], dz: &[f64]| {
             (0..v.len()).map(|i| (v[i] + a * dv[i]) * (z[i] + b * dz[i])).collect()
@@ -437,7 +447,7 @@ impl<'a> Iterate<'a> {
         }
     }
 
-    /// Returns the second-order terms of the products after a full step.
+    /// Returns the second-order terms of the products after a full step: change of slack times change of dual variable.
     fn second_order(&self, step: &Step) -> Products {
         Products {
             rows: zip_with(&step.c, &step.z, |dc, dz| dc * dz),

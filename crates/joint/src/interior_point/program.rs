@@ -1,4 +1,4 @@
-//! The program (1) of [`super`], its matrix, and how far an iterate may move.
+//! Program (1) of [`super`], its matrix, and the largest step of an iterate.
 
 use planish_dwell::residual::Normal;
 use planish_numerics::{
@@ -25,21 +25,22 @@ const BACKTRACKING: f64 = 0.8;
 /// the products.
 const LEFT_TO_SINGLE: f64 = 1e-4;
 
-/// The program (1).
+/// Program (1) of [`super`]: curvature of the objective, bounds and rows.
 pub struct Program<'a> {
-    /// Curvature of f without its chain, in an order of its own.
+    /// Curvature of the objective without its chain, in an order of its own.
     pub normal: &'a Normal,
-    /// Curvature of f beside it: diagonal (n), and element (j, j - 1) for every j (n; the first unused).
+    /// Rest of the curvature (the chain), which couples neighbouring nodes only: diagonal (n), and element (j, j - 1)
+    /// for every j (n; the first unused).
     pub chain: (&'a [f64], &'a [f64]),
-    /// lo (n).
+    /// Least densities of the nodes (lo, n), s/mm.
     pub lo: &'a [f64],
-    /// c.
+    /// Rows (c): the limits of the machine as constraints on the densities.
     pub rows: &'a LimitRows<'a>,
 }
 
 impl<'a> Program<'a> {
-    /// Returns the inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n).
-    /// `None` if that is singular to rounding.
+    /// Returns the inverse of the normal matrix plus a tridiagonal matrix, given by its diagonal (n) and its elements
+    /// (j, j - 1) (n). `row_of` has the row of every node. `None` if the sum is singular to rounding.
     pub(super) fn inverse(
         &self,
         row_of: &[usize],
@@ -70,8 +71,8 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, by_rows })
     }
 
-    /// Returns the longest part of the step `length d` after which every row keeps more than a twentieth of its slack
-    /// `c`, and the densities where it ends.
+    /// Returns the longest part of the step `length d` after which every row keeps at least a twentieth of its slack
+    /// `c`, and the densities at its end.
     pub(super) fn farthest(
         &self,
         density: &[f64],
@@ -91,7 +92,7 @@ impl<'a> Program<'a> {
     }
 }
 
-/// Returns the product of the matrix `k`, to which some elements are added, with `x` (n).
+/// Returns the product of the symmetric matrix `k`, to which the elements `added` are added, with `x` (n).
 fn product_with(k: &Skyline, added: &[Element], x: &[f64]) -> Vec<f64> {
     let mut product = k.product(x);
     for e in added {
@@ -103,19 +104,19 @@ fn product_with(k: &Skyline, added: &[Element], x: &[f64]) -> Vec<f64> {
     product
 }
 
-/// Returns `D + length d`.
+/// Returns the densities after a step, `D + length d`.
 pub(super) fn moved(density: &[f64], d: &[f64], length: f64) -> Vec<f64> {
     density.iter().zip(d).map(|(u, d)| u + length * d).collect()
 }
 
-/// The inverse of a matrix over the nodes.
+/// Inverse of a symmetric matrix over the nodes.
 pub(super) struct Inverse<'a> {
-    /// Node of every row.
+    /// Node of every row of the matrix.
     order: &'a [usize],
     by_rows: ByRows,
 }
 
-/// The inverse of a matrix over the rows, of a factor in single or in double precision.
+/// Inverse of the matrix in the order of its rows, by a factor in single or in double precision.
 enum ByRows {
     Single(Woodbury<f32>),
     Double(Woodbury),
@@ -134,14 +135,14 @@ impl Inverse<'_> {
     }
 }
 
-/// Returns J d (rows).
+/// Returns the changes of the slacks by a change `d` of the densities, J d (rows).
 pub(super) fn along(rows: &[Constraint], d: &[f64]) -> Vec<f64> {
     rows.iter()
         .map(|row| (0..2).map(|k| row.nodes[k].map_or(0.0, |n| row.by[k] * d[n])).sum())
         .collect()
 }
 
-/// Adds J' v to `out` (n).
+/// Adds J' v to `out` (n), with `v` one number per row.
 pub(super) fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &mut [f64]) {
     for (i, row) in rows.iter().enumerate() {
         let v = v(i);
@@ -153,7 +154,8 @@ pub(super) fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &m
     }
 }
 
-/// Returns the length of the longest step, at most 1, after which no component of `v` is below a twentieth of itself.
+/// Returns the length of the longest step along `d`, at most 1, after which every component of `v` keeps at least a
+/// twentieth of itself.
 pub(super) fn longest(v: &[f64], d: &[f64]) -> f64 {
     v.iter()
         .zip(d)

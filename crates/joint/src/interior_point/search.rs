@@ -1,4 +1,4 @@
-//! The states of the search of [`super::solve`]. One step goes through these:
+//! States of the search of [`super::solve`]. One step goes through these:
 //!
 //! ```text
 //! look --> refer --> prove --> conclude --> keep tangents --> step --> look ...
@@ -29,82 +29,84 @@ use crate::{
 };
 
 /// Fraction of the progress bar for the steps until the complementarity is small enough; the rest is for the proof.
-/// It changes only what is shown. Larger or smaller: the bar moves faster or slower towards its end. Chosen.
+/// Larger or smaller: the bar moves faster or slower towards its end, and nothing else changes. Chosen.
 const BEFORE_PROOF: f64 = 0.75;
 
-/// Largest fall of the objective in a step, over the gap that is wanted, at which tangents are kept. Larger: proofs
-/// begin earlier and fail more often. Smaller: steps after the objective has nearly stopped to fall. Chosen.
+/// Largest fall of the objective in a step, over the wanted gap, at which the search begins to keep tangents. Larger:
+/// proofs begin earlier and fail more often. Smaller: steps after the objective has nearly stopped to fall. Chosen.
 const STILL_FALLING: f64 = 0.3;
 
-/// Factor on the largest complementarity at which tangents are kept, after each proof that failed. Larger: the next
-/// proof begins sooner and may fail again. Smaller: more steps before the next proof. Chosen.
+/// Factor, after each proof that failed, on the largest complementarity at which the search begins to keep tangents.
+/// Larger: the next proof begins sooner and may fail again. Smaller: more steps before the next proof. Chosen.
 const KEPT_AGAIN: f64 = 0.25;
 
-/// Least value of that largest complementarity, over the gap that is wanted. Larger: proofs begin earlier. Smaller:
-/// many steps where rows bend much, because the way along them is long. Chosen.
+/// Least ratio of the complementarity to the wanted gap that may be demanded before the search keeps tangents. Larger:
+/// proofs begin earlier. Smaller: many steps if the rows bend much, because the iterate then moves slowly along them.
+/// Chosen.
 const LEAST_KEPT_BELOW: f64 = 0.06;
 
 /// Least number of steps under the rows themselves after a proof that failed. Larger: later proofs. Smaller: the next
 /// proof begins at nearly the same iterate and fails as well, up to the last step. Chosen.
 const LEAST_STEPS_BETWEEN_PROOFS: usize = 3;
 
-/// Number of last steps that are left for the proof: in these, tangents are kept as soon as the complementarity is as
-/// small as the gap that is wanted. Larger: fewer steps lower the objective. Smaller: the last proof is not finished.
+/// Number of last steps that are left for the proof: in these, the search keeps tangents as soon as the complementarity
+/// is as small as the wanted gap. Larger: fewer steps lower the objective. Smaller: the last proof is not finished.
 /// Chosen: a proof usually takes about as many.
 const STEPS_OF_A_PROOF: usize = 25;
 
-/// Ratio of the complementarity to that at the last reference at which f is computed with the removal itself again.
-/// Larger: more convolutions of the map. Smaller: f is less exact, because the cells of the normal matrix lose a
-/// part. Chosen.
+/// Fall of the complementarity, as a ratio to its value at the last exact evaluation, at which the objective is
+/// computed with the removal itself again. Larger: more convolutions of the map. Smaller: the objective is less exact,
+/// because the cells of the normal matrix lose a part. Chosen.
 pub(super) const REFERRED_AGAIN: f64 = 0.1;
 
-/// Progress before any step.
+/// Progress before any step of the search.
 pub(super) const FIRST: Progress = Progress { iteration: 0, complementarity: f64::INFINITY };
 
-/// Conditions under which the method stops.
+/// Conditions under which the search stops.
 #[derive(Clone, Copy, Debug)]
 pub struct Stop {
-    /// Proven gap over the objective.
+    /// Wanted gap: proven excess of the objective over its least value, relative to the objective.
     pub relative_gap: f64,
-    /// Most steps.
+    /// Largest number of steps.
     pub max_iterations: usize,
 }
 
-/// The best iterate.
+/// Best iterate that the search found, with the history of the search.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// D (n).
+    /// Densities of the nodes (D, n), s/mm.
     pub density: Vec<f64>,
-    /// f at every iterate, nm^2; see [`crate::merit`] for where it is exact.
+    /// Objective at every iterate, nm^2; [`crate::merit`] says where it is exact.
     pub objective: Vec<f64>,
-    /// Steps.
+    /// Number of steps.
     pub iterations: usize,
-    /// z (rows) and y (n) at the last one.
+    /// Dual variables of the rows (z) and of the bounds (y, n) at the last iterate.
     pub duals: [Vec<f64>; 2],
-    /// Proven gap over f at the last one.
+    /// Proven gap over the objective at the returned densities.
     pub relative_gap: f64,
-    /// `optimal` or `iteration-limit`.
+    /// Reason for the end of the search: `optimal` or `iteration-limit`.
     pub end: End,
 }
 
-/// Condition under which the rows give way to their tangents. It is stricter after each proof that failed.
+/// Condition for keeping tangents in the place of the rows. It is stricter after each proof that failed.
 struct Patience {
-    /// Largest complementarity, over the gap that is wanted.
+    /// Largest complementarity over the wanted gap.
     below: f64,
-    /// First step.
+    /// First step at which a proof may begin.
     from: usize,
 }
 
 impl Patience {
     const FIRST: Self = Self { below: 1.0, from: 0 };
 
-    /// Returns true if a proof may begin, when the objective has just fallen by `fall_nm2`.
+    /// Returns true if a proof may begin; the objective has just fallen by `fall_nm2`, and `wanted_nm2` is the wanted
+    /// gap.
     fn ends(&self, there: Progress, fall_nm2: f64, wanted_nm2: f64) -> bool {
         let falls = fall_nm2 > STILL_FALLING * wanted_nm2;
         there.complementarity <= self.below * wanted_nm2 && !falls && there.iteration >= self.from
     }
 
-    /// Returns the condition after a proof that failed at a step.
+    /// Returns the condition after a proof that failed at the step of this number.
     fn after_failure(&self, iteration: usize) -> Self {
         Self {
             below: (self.below * KEPT_AGAIN).max(LEAST_KEPT_BELOW),
@@ -113,16 +115,17 @@ impl Patience {
     }
 }
 
-/// The best of the iterates of which a gap is known.
+/// Best of the iterates whose gap is known.
 #[derive(Default)]
 struct Best {
     iterate: Option<Executable>,
-    /// True if its value is one at the final price. Others cannot be compared.
+    /// True if its objective is at the final price of time; others cannot be compared.
     is_settled: bool,
 }
 
 impl Best {
-    /// Takes an iterate that is better, that cannot be compared, or that is proven (`optimal`).
+    /// Replaces the best iterate by `iterate` if that has a lower objective, cannot be compared, or is proven
+    /// (`optimal`).
     fn offer(&mut self, iterate: Executable, is_settled: bool, optimal: bool) {
         let comparable = is_settled && self.is_settled && !optimal;
         if !comparable || self.iterate.as_ref().is_none_or(|best| iterate.value <= best.value) {
@@ -131,56 +134,56 @@ impl Best {
     }
 }
 
-/// The iterate, seen before the step from it.
+/// State of the search at the iterate, before the step from it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Look {
     there: Progress,
-    /// The gap that is wanted, nm^2.
+    /// Wanted gap, nm^2.
     wanted_nm2: f64,
-    /// True if something is to be proven here.
+    /// True if the search tries to prove the gap here.
     near: bool,
-    /// True if no step is left.
+    /// True if no step is left: the largest number of steps is reached.
     last: bool,
 }
 
 impl Look {
-    /// Returns true if the gap here decides how the search goes on.
+    /// Returns true if the gap here decides what the search does next.
     pub(super) fn decides(&self) -> bool {
         self.near || self.last
     }
 }
 
-/// The state that follows a proof.
+/// State that follows a proof.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Next {
-    /// The search ends.
+    /// The search ends for this reason.
     End(End),
-    /// The program of the tangents is solved, and proves too little.
+    /// The program of the tangents is solved, and proves too little: the iterate moves towards its solution.
     Move,
-    /// The rows give way to their tangents.
+    /// The tangents at the iterate replace the rows.
     KeepTangents,
     Step,
 }
 
-/// The search, between two of its states.
+/// Search between two of its states.
 pub(super) struct Search<'a> {
     program: &'a Program<'a>,
     stop: Stop,
     row_of: Vec<usize>,
     at: Iterate<'a>,
-    /// True if the price of f is found. Nothing is proven before it is.
+    /// True if the price of time in the objective is found. Nothing is proven before.
     settled: bool,
     best: Best,
-    /// Inverse of the curvature of f alone, made when the first proof asks for it.
+    /// Inverse of the curvature of the objective alone; `None` until the first proof needs it.
     of_curvature: Option<Inverse<'a>>,
-    /// f at every iterate under the rows themselves.
+    /// Objective at every iterate under the rows themselves, nm^2.
     values: Vec<f64>,
     iteration: usize,
-    /// f before the last step.
+    /// Objective before the last step, nm^2.
     value_before: f64,
     patience: Patience,
     first_complementarity: f64,
-    /// Complementarity where f was last computed with the removal itself.
+    /// Complementarity at which the objective was last computed with the removal itself.
     referred_at: f64,
 }
 
@@ -211,8 +214,9 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Decides whether something is to be proven here: under the tangents always when the complementarity is as small
-    /// as the gap that is wanted; under the rows when the objective falls no longer, or few steps are left.
+    /// Returns the state here, and decides whether to prove the gap. Under kept tangents it does so when the
+    /// complementarity is as small as the wanted gap. Under the rows the objective must also have stopped to fall, or
+    /// few steps be left.
     pub(super) fn look(&self) -> Look {
         let complementarity = self.at.complementarity();
         let there = Progress { iteration: self.iteration, complementarity };
@@ -230,8 +234,8 @@ impl<'a> Search<'a> {
         Look { there, wanted_nm2, near, last: to_go == 0 }
     }
 
-    /// Computes f with the removal itself, where something is to be proven or the complementarity has fallen much. The
-    /// price may then be another one, and nothing is proven here.
+    /// Computes the objective with the removal itself if the gap is to be proven or if the complementarity has fallen
+    /// much. The price may change by this, and then nothing is proven here.
     pub(super) fn refer(&mut self, look: Look, merit: &mut Merit<'_>) -> Result<Look, JointError> {
         let complementarity = look.there.complementarity;
         if look.decides() || complementarity <= REFERRED_AGAIN * self.referred_at {
@@ -246,7 +250,7 @@ impl<'a> Search<'a> {
         Ok(Look { near: look.near && self.settled, ..look })
     }
 
-    /// Returns the proven gap here, nm^2. `None` if the curvature of f is singular to rounding.
+    /// Returns the proven gap here, nm^2; `None` if the curvature of the objective is singular to rounding.
     pub(super) fn prove(&mut self, look: &Look, merit: &Merit<'_>) -> Option<f64> {
         if look.near && self.of_curvature.is_none() {
             self.of_curvature = Some(self.program.inverse(&self.row_of, self.program.chain)?);
@@ -255,7 +259,7 @@ impl<'a> Search<'a> {
         Some(self.at.gap(of_curvature, self.stop.relative_gap, merit))
     }
 
-    /// Keeps the iterate if it is the best one, and decides from its gap how the search goes on.
+    /// Stores the iterate if it is the best one, and returns from its gap what the search does next.
     pub(super) fn conclude(&mut self, look: &Look, gap_nm2: f64) -> Next {
         let executable = self.at.executable(gap_nm2);
         let optimal = self.settled && executable.relative_gap <= self.stop.relative_gap;
@@ -273,19 +277,19 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Replaces the rows by their tangents here.
+    /// Replaces the rows by their tangents at the iterate.
     pub(super) fn keep_tangents(&mut self, gap_nm2: f64) {
         self.at.keep_tangents(gap_nm2);
     }
 
-    /// Moves towards the solution under the tangents, and returns to the rows.
+    /// Moves towards the solution under the tangents, and uses the rows again.
     pub(super) fn move_towards_solution(&mut self, look: &Look, merit: &mut Merit<'_>) {
         self.at.move_towards_solution();
         self.patience = self.patience.after_failure(self.iteration);
         self.evaluate(look.there, merit);
     }
 
-    /// Takes the step by (2), as far as it is allowed. `None` if its matrix is singular to rounding.
+    /// Takes the step by (2) of [`super`], as far as it is allowed. `None` if its matrix is singular to rounding.
     pub(super) fn step(&mut self, merit: &mut Merit<'_>) -> Option<()> {
         let step = self.at.step(&self.row_of)?;
         let complementarity = self.at.advance(&step);
@@ -298,7 +302,7 @@ impl<'a> Search<'a> {
         (self.at.f, self.settled) = merit.evaluate(there, &self.at.density);
     }
 
-    /// Returns the best iterate, with the dual variables of the last one.
+    /// Returns the best iterate, with the dual variables of the last one; `None` if no gap was ever computed.
     pub(super) fn solution(self, end: End) -> Option<Solution> {
         let Executable { density, relative_gap, .. } = self.best.iterate?;
         let duals = [self.at.z, self.at.y];
@@ -321,7 +325,7 @@ mod tests {
         mesh::Mesh,
     };
 
-    /// Calls `test` with a search that takes at most so many steps, before its first state.
+    /// Calls `test` with a search of at most `max_iterations` steps, before its first state.
     fn on_search(max_iterations: usize, test: impl FnOnce(Search<'_>, &mut Merit<'_>)) {
         let (desired, tif, path) = part();
         let curves = curves(&path, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 }).curves;
@@ -341,7 +345,8 @@ mod tests {
         test(Search::new(&program, start, stop, &mut merit), &mut merit);
     }
 
-    /// Goes through the states until something can be proven. The gap there is taken as twice the one that is wanted.
+    /// Runs the search until something can be proven, and returns the state and twice the wanted gap, nm^2, as the gap
+    /// there.
     fn until_tangents(search: &mut Search<'_>, merit: &mut Merit<'_>) -> (Look, f64) {
         loop {
             let look = search.look();

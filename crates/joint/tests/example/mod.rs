@@ -4,7 +4,7 @@ use ndarray::Array2;
 use planish_joint::{JointPlan, JointSettings, Price};
 use planish_types::{Axis, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath};
 
-/// Limits along [x, y]: velocities, mm/s, accelerations, mm/s^2, and one jerk, mm/s^3.
+/// Returns a machine with these limits along [x, y]: velocities, mm/s, accelerations, mm/s^2, and one jerk, mm/s^3.
 pub fn two_axes(velocity: [f64; 2], acceleration: [f64; 2], jerk: Option<f64>) -> Limits {
     let axis = |i: usize| MachineFileAxis {
         name: ["x", "y"][i].into(),
@@ -19,7 +19,7 @@ pub fn two_axes(velocity: [f64; 2], acceleration: [f64; 2], jerk: Option<f64>) -
         .unwrap()
 }
 
-/// A Gaussian of 1 mm out to 3 mm.
+/// Returns a Gaussian TIF of 1 mm, out to a radius of 3 mm.
 pub fn tif() -> Tif {
     let a = Axis::new(-3.0, 0.25, 25).unwrap();
     let g = Grid { x: a, y: a };
@@ -29,7 +29,7 @@ pub fn tif() -> Tif {
     Tif::new(g, rate).unwrap()
 }
 
-/// A hill and a wave over 40 nm, about the place `middle`, mm.
+/// Returns a desired removal with a hill and a wave over 40 nm; `middle` is the position of the hill, mm.
 pub fn hill(g: Grid, middle: [f64; 2]) -> Surface {
     let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
         let (x, y) = (g.x.coordinate_mm(c) - middle[0], g.y.coordinate_mm(r) - middle[1]);
@@ -43,14 +43,14 @@ pub fn through(points: Vec<[f64; 2]>) -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-/// Settings with nodes as far apart as on a large part. The closer ones of a plan with little work test nothing more
-/// here.
+/// Returns settings with this price of time, nm^2/s, and nodes as far apart as on a large part. The closer nodes of a
+/// plan with little work test nothing more here.
 pub fn at_price(price: f64) -> JointSettings {
     let node_spacing_mm = Some(0.6);
     JointSettings { price: Price::Nm2PerS(price), node_spacing_mm, ..JointSettings::default() }
 }
 
-/// Objective of the plan, from the executed motion, without the pull to the floor.
+/// Returns the objective of the plan from its executed motion, without the pull to the least densities, nm^2.
 pub fn merit(plan: &JointPlan, price: f64) -> f64 {
     let rms = plan.removal.residual().statistics().rms;
     0.5 * rms * rms + price * plan.trajectory.total_time_s()

@@ -22,16 +22,16 @@ use crate::{
     pvt::{Stretched, durations_s},
 };
 
-/// Stretched segments and velocity steps of a schedule.
+/// Stretched segments, velocity steps and dropped segments of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct AverageVelocityReport {
-    /// Segments that were given more time, in order.
+    /// Segments whose time is longer than their dwell time, in order of the path.
     pub stretched: Vec<Stretched>,
-    /// Time that the stretching added, s.
+    /// Sum of the times by which the stretched segments are longer than their dwell times, s.
     pub added_s: f64,
-    /// Largest step in velocity of [x, y], start and end included, mm/s.
+    /// Largest step of the velocity at a control point along [x, y], start and end of the motion included, mm/s.
     pub largest_velocity_step_mm_per_s: [f64; 2],
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
 }
 

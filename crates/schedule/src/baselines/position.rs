@@ -15,8 +15,8 @@ use crate::{ScheduleError, check_lengths};
 /// the break times. Four roundings. Larger: short dwell times are lost. Smaller: two break times can be equal.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
 
-/// Plans a motion that stands at the dwell points of `path`; segments without dwell time, but for rounding, are left
-/// out.
+/// Plans a motion that stands at each dwell point of `path` for its dwell time. It leaves out points whose dwell time
+/// is zero or rounding.
 ///
 /// # Errors
 ///

@@ -82,14 +82,14 @@ impl Interpolate {
     }
 }
 
-/// Source of the records.
+/// Source of the program records: read from artifacts, or from the text of a program.
 enum Source<'a> {
     Records(Vec<Record>, &'a Path),
     Program(&'a Path),
 }
 
 impl Source<'_> {
-    /// Calls `push` with every record, in order.
+    /// Calls `push` with every record, in order of the program.
     fn for_each_record(
         &self,
         mut push: impl FnMut(&Record) -> Result<(), String>,
@@ -108,8 +108,8 @@ impl Source<'_> {
     }
 }
 
-/// Refuses a file that would be too large. It runs the program without writing, because the duration of the program
-/// decides the size of the file.
+/// Returns an error if the output file would be too large. It runs the program without writing, because the duration of
+/// the program decides the size of the file.
 fn refuse_too_many(source: &Source, tick_s: f64, table: Table) -> Result<(), Failure> {
     let mut whole = Interpolator::new(f64::MAX).map_err(Failure::new)?;
     source.for_each_record(|record| whole.push(record, |_| ()))?;
@@ -123,11 +123,11 @@ fn refuse_too_many(source: &Source, tick_s: f64, table: Table) -> Result<(), Fai
     Ok(())
 }
 
-/// Length of a line of a program above which it is refused, bytes. Larger: a file without line ends takes more
+/// Length of a line of a program above which the command refuses it, bytes. Larger: a file without line ends takes more
 /// memory. Smaller: valid lines are refused. A block of ten words of 30 digits has 300 bytes.
 const LONGEST_LINE: u64 = 1000;
 
-/// Reads a program line by line.
+/// Reads a program line by line and calls `push` with every record.
 fn for_each_line(
     path: &Path,
     mut push: impl FnMut(&Record) -> Result<(), String>,
@@ -159,21 +159,21 @@ fn for_each_line(
     Ok(())
 }
 
-/// Names of the columns of a reference.
+/// Names of the columns of the output table, which has one row per tick.
 const COLUMNS: [&str; 5] = ["time_s", "x_mm", "y_mm", "feed_mm_per_s", "pass_idx"];
 
-/// Format of the references.
+/// File format of the output table.
 #[derive(Clone, Copy)]
 enum Table {
     Csv,
     Npy,
 }
 
-/// Length of the head of an `.npy` file, bytes: room for any number of rows.
+/// Length of the head of an `.npy` file, bytes; the head has room for any number of rows.
 const NPY_HEAD_BYTES: usize = 128;
 
 impl Table {
-    /// Chooses the format by the ending of the file.
+    /// Chooses the format by the extension of the file, `.csv` or `.npy`.
     fn from_path(path: &Path) -> Result<Self, Failure> {
         match path.extension().and_then(OsStr::to_str) {
             Some("csv") => Ok(Self::Csv),
@@ -185,7 +185,7 @@ impl Table {
         }
     }
 
-    /// Estimated size of a row, bytes: five numbers of 8 bytes, or of about 16 characters.
+    /// Returns the estimated size of a row, bytes: five numbers of 8 bytes, or of about 16 characters.
     fn bytes_per_row(self) -> usize {
         match self {
             Self::Csv => 16 * COLUMNS.len(),
@@ -214,7 +214,7 @@ impl Table {
         }
     }
 
-    /// Ends the file: the number of rows, which is known now, goes into the head.
+    /// Ends the file, and writes the number of rows into the head of an `.npy` file.
     fn end(self, mut to: BufWriter<&mut File>, rows: u64) -> Result<(), Failure> {
         to.flush()?;
         if let Self::Npy = self {
@@ -226,7 +226,7 @@ impl Table {
     }
 }
 
-/// Returns the head in format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
+/// Returns the head of an `.npy` file, format version 1.0 of NumPy: magic, version, length of the header, header.
 fn npy_head(rows: u64) -> Vec<u8> {
     let columns = COLUMNS.len();
     let header =

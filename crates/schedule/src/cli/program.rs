@@ -27,7 +27,7 @@ pub struct ProgramCommand {
     output: OutputFileArgs,
 }
 
-/// First lines of a program.
+/// Comment lines at the start of every program.
 const PROGRAM_HEAD: &str = "\
 (Feed of planish-schedule: trigonometric spline of the dwell-time density along the path)
 (X Y end point mm, I J corner of a blend mm, P Q densities at both ends s/mm, R S arc lengths mm)
@@ -54,7 +54,7 @@ impl ProgramCommand {
         Ok(Status::Done)
     }
 
-    /// Returns the height of the part at the end of every record, mm.
+    /// Returns the height of the part at the end of every record, mm; 0 without a form of the part.
     fn heights_mm(&self, records: &[Record], inputs: &mut Inputs) -> Result<Vec<f64>, Failure> {
         let Some(path) = &self.form else { return Ok(vec![0.0; records.len()]) };
         let form = inputs.read_form("form", path)?.form;
@@ -73,7 +73,7 @@ impl ProgramCommand {
     }
 }
 
-/// Returns the records of a dwell-time density, with what lies outside of its passes if the trajectory is given.
+/// Returns the records of a dwell-time density. If the trajectory is given, they include run-up, lifts and brake.
 pub(super) fn read_records(
     inputs: &mut Inputs,
     dwell_density: &Path,

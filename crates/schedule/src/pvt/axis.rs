@@ -1,4 +1,4 @@
-//! The node velocities of one axis: equation (4) of [`super`] under the limits of the machine.
+//! Node velocities of one axis: equation (4) of [`super`] under the limits of the machine.
 //!
 //! The free minimiser is a tridiagonal solution. If it exceeds a limit, a quadratic program is solved.
 //! If that has no solution, the program with the least excess over the limits shows the segments that
@@ -14,18 +14,19 @@ use serde::Serialize;
 use super::{mode::Mode, timing::parallel};
 use crate::hermite::{accelerations, peak_velocity};
 
-/// Part of every limit that the schedule leaves free, relative: room for the tolerance of the interior
-/// point method (1e-7 at the worst) and the rounding of the judge. Larger: motions are slower. Smaller:
-/// the judge can find an excess.
+/// Part of every limit that the schedule leaves free, relative: room for the tolerance of the interior point method
+/// (1e-7 at the worst) and the rounding of `planish-verify`. Larger: motions are slower. Smaller: `planish-verify` can
+/// report an excess.
 const MARGIN: f64 = 1e-6;
 
-/// Solver of (4) for an axis; of several parts, that of the hardest one.
+/// Solver of the least-energy problem, (4) of [`super`], for one axis. If the axis has several parts, the solver of the
+/// hardest one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Solver {
-    /// No bound is active: one tridiagonal solve.
+    /// No bound is active; one tridiagonal solve suffices.
     Tridiagonal,
-    /// Bounds are active: interior point method.
+    /// Bounds are active; the interior point method solved a quadratic program.
     QuadraticProgram,
     /// The interior point method did not converge, and the motion of the least time was taken. It keeps the
     /// limits, but does not have the least energy.
@@ -35,7 +36,7 @@ pub enum Solver {
 /// Form in which the limits of the machine enter the quadratic program.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Bounds {
-    /// The limits hold.
+    /// The limits must hold.
     Hard,
     /// The limits are exceeded as little as possible.
     Elastic {
@@ -44,9 +45,9 @@ enum Bounds {
     },
 }
 
-/// Largest number of quadratic programs until all limits that become active have rows. Every program
-/// reaches four times as many neighbours as the one before, and places of the largest velocity settle
-/// after a few. Larger: an endless case runs longer. Smaller: a solvable program is given up.
+/// Largest number of quadratic programs until all limits that become active have rows. Every program reaches four times
+/// as many neighbours as the one before, and the times of the largest velocity settle after a few. Larger: an endless
+/// case runs longer. Smaller: a solvable program is given up.
 const MAX_PROGRAMS: usize = 24;
 
 /// Weight of the acceleration energy relative to the penalty for exceeding the limits. Larger: limits
@@ -54,12 +55,12 @@ const MAX_PROGRAMS: usize = 24;
 /// motions with the least excess.
 const ELASTIC_ENERGY: f64 = 1e-4;
 
-/// (4) for one axis; N segments.
+/// Least-energy problem, (4) of [`super`], of one axis with N segments.
 #[derive(Debug)]
 pub(super) struct AxisProblem<'a> {
     pub(super) displacement_mm: Cow<'a, [f64]>,
-    /// Smallest and largest velocity of each node (N+1) near its path, mm/s; empty if nothing bounds them. Zero is
-    /// always a motion near the path, whether it is in the range or not.
+    /// Smallest and largest velocity of each node (N+1) that keep the motion near its path, mm/s; empty if nothing
+    /// bounds them. Rest is always near the path, even if zero is outside of the range.
     pub(super) velocity_range: Cow<'a, [[f64; 2]]>,
     mode: Mode,
     pub(super) max_velocity: f64,
@@ -71,20 +72,20 @@ pub(super) struct AxisProblem<'a> {
 /// Motion of an axis that exceeds its limits at the given times.
 #[derive(Debug)]
 pub(super) struct Exceeding {
-    /// Node velocities (N+1), within the limits elsewhere.
+    /// Node velocities (N+1), mm/s; they keep the limits in the segments whose excess is 1.
     pub(super) velocity: Vec<f64>,
     /// Excess of each segment (N): the factor by which its time should grow at least; 1 if it keeps the
     /// limits.
     pub(super) excess: Vec<f64>,
 }
 
-/// Segments of an axis from a node at rest to another. Neither (4) nor a bound couples the two sides of
-/// a node whose velocity is fixed at zero, so the parts are solved one by one. They fit the caches, and
-/// parts whose times do not change are solved once.
+/// Part of an axis: its segments from a node at rest to another. Neither (4) of [`super`] nor a bound couples the two
+/// sides of a node whose velocity is fixed at zero, so the parts are solved one by one. They fit the caches, and a part
+/// whose times do not change is solved once.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) segments: Range<usize>,
-    /// Segments that needed the rows of the machine's limits in the programs before.
+    /// Segments for which earlier programs needed the limits of the machine as rows.
     pub(super) limited: Vec<usize>,
     /// Solution at the present durations, by [`AxisProblem::solve`]; `None` if it is not solved yet.
     pub(super) solved: Option<Result<Solved, Exceeding>>,
@@ -94,7 +95,8 @@ pub(super) struct Part {
 /// segments to solve again. Smaller: parts cost more to set up than to solve.
 const LEAST_PART_SEGMENTS: usize = 64;
 
-/// Returns the excess of each of n segments, the larger of both axes; `None` if no part exceeds the limits.
+/// Returns the excess factor of each of `n` segments, the larger one of both axes; `None` if no part exceeds the
+/// limits.
 pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f64>> {
     let mut all = None;
     for part in parts.iter().flatten() {
@@ -106,7 +108,7 @@ pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f6
     all
 }
 
-/// Returns the node velocities of an axis, whether its parts exceed limits or not.
+/// Returns the node velocities of an axis, mm/s, from its solved parts, including parts that exceed limits.
 pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     let mut all = vec![0.0];
     for part in parts {
@@ -119,7 +121,7 @@ pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     all
 }
 
-/// Returns the solution of all parts of an axis.
+/// Returns the solution of a whole axis, joined from its parts.
 pub(super) fn joined(parts: Vec<Part>) -> Solved {
     let mut parts = parts.into_iter().filter_map(|part| part.solved?.ok());
     let mut all = parts.next().expect("every part is solved");
@@ -131,23 +133,24 @@ pub(super) fn joined(parts: Vec<Part>) -> Solved {
     all
 }
 
-/// Segments and places at which a program has the limits of the machine as rows.
+/// Segments, and times within them, for which a program has the limits of the machine as rows.
 #[derive(Debug)]
 struct Limited {
-    /// True for each segment (N) that has rows.
+    /// True for each segment (N) whose limits are rows of the program.
     segment: Vec<bool>,
-    /// Times, in units of the duration, at which the velocity of a segment is bounded besides the middle.
+    /// Times, as parts of the duration, at which the velocity of a segment is bounded in addition to its middle, by
+    /// segment.
     velocity_at: BTreeMap<usize, Vec<f64>>,
 }
 
 impl Limited {
-    /// Returns the times at which the velocity of segment `i`, which has limits, is bounded.
+    /// Returns the times, as parts of the duration, at which the velocity of segment `i` is bounded.
     fn times(&self, i: usize) -> impl Iterator<Item = f64> {
         std::iter::once(0.5).chain(self.velocity_at.get(&i).into_iter().flatten().copied())
     }
 }
 
-/// Node velocities (N+1) and how they were found.
+/// Node velocities (N+1), mm/s, and the solver that found them.
 #[derive(Debug)]
 pub(super) struct Solved {
     pub(super) velocity: Vec<f64>,
@@ -155,7 +158,7 @@ pub(super) struct Solved {
 }
 
 impl AxisProblem<'_> {
-    /// Returns the problem of an axis with these displacements and limits.
+    /// Returns the problem of an axis with these displacements of its segments, mm, and these limits.
     pub(super) fn new(displacement_mm: Vec<f64>, mode: Mode, limits: &AxisLimits) -> Self {
         Self {
             displacement_mm: Cow::Owned(displacement_mm),
@@ -170,7 +173,7 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Returns the problem of the same axis along other segments.
+    /// Returns the problem of the same axis, with its limits and mode, along other segments.
     pub(super) fn along(&self, displacement_mm: Vec<f64>) -> AxisProblem<'static> {
         AxisProblem {
             displacement_mm: Cow::Owned(displacement_mm),
@@ -179,7 +182,7 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Bounds the velocity of a node.
+    /// Bounds the velocity of a node to a range, mm/s.
     pub(super) fn bound_velocity(&mut self, node: usize, range: [f64; 2]) {
         if self.velocity_range.is_empty() {
             let free = [f64::NEG_INFINITY, f64::INFINITY];
@@ -188,7 +191,7 @@ impl AxisProblem<'_> {
         self.velocity_range.to_mut()[node] = range;
     }
 
-    /// Returns the bounds of the velocity of a node, mm/s, if it has any.
+    /// Returns the smallest and largest velocity of a node, mm/s; `None` if nothing bounds it.
     fn range_of(&self, node: usize) -> Option<[f64; 2]> {
         self.velocity_range.get(node).copied().filter(|range| range[0] > f64::NEG_INFINITY)
     }
@@ -198,8 +201,8 @@ impl AxisProblem<'_> {
         ranges.into_iter().all(|([low, high], v)| low <= v && v <= high)
     }
 
-    /// Parts of the axis: one in *smooth*. In *monotone* the axis is cut at nodes at which the signs of the
-    /// displacements fix the velocity at zero.
+    /// Returns the parts of the axis: one part in *smooth*. In *monotone* it cuts the axis at nodes at which the signs
+    /// of the displacements fix the velocity at zero.
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
         let mut parts = Vec::new();
@@ -215,7 +218,7 @@ impl AxisProblem<'_> {
         parts
     }
 
-    /// Solves the parts whose durations have changed.
+    /// Solves the parts that are not solved yet at the durations `h` (N), s.
     pub(super) fn solve_parts(&self, h: &[f64], parts: &mut [Part]) {
         let price = OnceLock::new();
         parts.par_iter_mut().filter(|part| part.solved.is_none()).for_each(|part| {
@@ -232,7 +235,8 @@ impl AxisProblem<'_> {
         });
     }
 
-    /// Returns the node velocities within the limits at the durations `h`, or those with the least excess.
+    /// Returns the node velocities within the limits at the durations `h`, s. If there are none, the error has those
+    /// with the least excess.
     fn solve(
         &self,
         h: &[f64],
@@ -267,7 +271,7 @@ impl AxisProblem<'_> {
         Err(Exceeding { velocity, excess })
     }
 
-    /// Returns the free minimiser of (4): H v = g by elimination; H is diagonally dominant.
+    /// Returns the minimiser of (4) of [`super`] without limits, by elimination in H v = g; H is diagonally dominant.
     fn clamped_spline(&self, h: &[f64]) -> Vec<f64> {
         let n = h.len();
         let dp = &self.displacement_mm;
@@ -289,8 +293,8 @@ impl AxisProblem<'_> {
         v
     }
 
-    /// Returns the factor by which the time of each segment should grow; up to 1 if it keeps the limits. The velocity
-    /// falls with the time, the acceleration with its square, the jerk with its cube.
+    /// Returns the factor by which the time of each segment (N) should grow; up to 1 if it keeps the limits. The
+    /// velocity falls with the time, the acceleration with its square, the jerk with its cube.
     pub(super) fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
         (0..h.len()).map(|i| self.excess_of(i, v, h)).collect()
     }
@@ -309,7 +313,7 @@ impl AxisProblem<'_> {
         excess.max(((end - start).abs() / (h * self.max_jerk)).cbrt())
     }
 
-    /// Returns the signs that the velocity of each node may have: [negative, positive].
+    /// Returns whether the velocity of node `i` may be [negative, positive].
     pub(super) fn allowed_signs(&self, i: usize) -> [bool; 2] {
         let n = self.displacement_mm.len();
         if i == 0 || i == n {
@@ -344,11 +348,12 @@ impl AxisProblem<'_> {
         self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN
     }
 
-    /// Minimiser of (4) within the bounds of the mode and of the machine; `None` if there is no solution.
+    /// Returns the minimiser of (4) of [`super`] within the bounds of the mode and of the machine; `None` if there is
+    /// no solution.
     ///
-    /// Most segments are far from the machine's limits. A segment gets rows for the limits if the motion
-    /// without them exceeds a limit, with more and more of its neighbours. The largest velocity can lie
-    /// anywhere in the segment: it is bounded at the middle first, then at each place of an excess.
+    /// Most segments are far from the machine's limits. A segment gets rows for the limits if the motion without them
+    /// exceeds a limit, with more and more of its neighbours. The largest velocity can lie anywhere in the segment: the
+    /// program bounds it at the middle first, then at each time of an excess.
     fn quadratic_program(
         &self,
         h: &[f64],
@@ -403,8 +408,9 @@ impl AxisProblem<'_> {
         None
     }
 
-    /// Returns the penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
-    /// the largest mean velocity of the axis, so that the energy hardly counts against it.
+    /// Returns the penalty of elastic bounds for an excess of 1 that lasts 1 s, in units of the acceleration energy. It
+    /// follows from the largest energy and the largest mean velocity of the axis, so that the energy hardly counts
+    /// against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
         let n = h.len();
         let dp = &self.displacement_mm;
@@ -415,7 +421,8 @@ impl AxisProblem<'_> {
         energy * mean * mean / (ELASTIC_ENERGY * mean_s)
     }
 
-    /// Returns the quadratic program of (4), with the penalty for exceeding its bounds.
+    /// Returns the quadratic program of (4) of [`super`]; with elastic bounds it includes the penalty for exceeding
+    /// them.
     ///
     /// Elastic bounds: segment i may exceed its limits by the fraction e_i >= 0, a variable of its own. The
     /// penalty is proportional to h_i e_i, about twice the time that a stretch of the segment would add.
@@ -436,7 +443,8 @@ impl AxisProblem<'_> {
         chain::ChainProgram { diagonal, beside, linear, free, price }
     }
 
-    /// Adds the rows of segment i: its signs, and the limits of the machine if `limited` has the segment.
+    /// Adds the rows of segment `i`: its velocity range, the signs of the mode, and the limits of the machine if
+    /// `limited` has the segment.
     fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::ChainRows) {
         let dp = self.displacement_mm[i];
         if let Some([low, high]) = self.range_of(i) {
@@ -478,8 +486,8 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Moves velocities into their bounds: those that are fixed at zero are zero, and none has a forbidden sign, or
-    /// leaves its range, by the solver's tolerance.
+    /// Moves velocities into their bounds, which the solver can miss by its tolerance. Velocities that are fixed at
+    /// zero become exactly zero; the others get an allowed sign and their range.
     fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
         for (i, v) in v.iter_mut().enumerate() {
             let [negative, positive] = self.allowed_signs(i);
@@ -495,12 +503,12 @@ impl AxisProblem<'_> {
     }
 }
 
-/// Returns the segments beside a node, of `n` in all.
+/// Returns the indices of the segments beside a node, of `n` segments in all.
 fn beside_node(node: usize, n: usize) -> Range<usize> {
     node.saturating_sub(1)..(node + 1).min(n)
 }
 
-/// Adds the rows of `|row . v + constant| <= bound`.
+/// Adds the two rows of `|row . v + constant| <= bound`, with `v` the velocities of two neighbouring nodes.
 fn add_both(rows: &mut chain::ChainRows, row: [f64; 2], constant: f64, bound: f64) {
     rows.add(row, bound, bound - constant);
     rows.add(row.map(|v| -v), bound, bound + constant);
@@ -511,7 +519,7 @@ mod tests {
     use super::*;
     use planish_types::break_times;
 
-    /// A limit that is never active, within a few orders of magnitude of the numbers.
+    /// Limit that is never active, within a few orders of magnitude of the other numbers.
     const FREE: f64 = 1e4;
 
     fn problem(points: &[f64], mode: Mode, max_acceleration: f64) -> AxisProblem<'static> {

@@ -30,13 +30,13 @@ use super::{
 };
 use crate::{ScheduleError, hermite::coefficients};
 
-/// Number of rounds in which only the segments in excess are slowed. After that all segments are
-/// slowed by the same factor k, which divides velocity, acceleration and jerk by k, k^2 and k^3, so
-/// that the loop ends. Larger: hard cases run longer. Smaller: more of them are slowed as a whole.
+/// Number of rounds that slow only the segments in excess. Later rounds slow all segments by the same factor k, which
+/// divides velocity, acceleration and jerk by k, k^2 and k^3, so that the loop ends. Larger: hard cases run longer.
+/// Smaller: more of them are slowed as a whole.
 const MAX_LOCAL_ROUNDS: usize = 200;
 
-/// Returns the motion along the spline of (5), the number of rounds, and the number of cuts. `timing` is stretched
-/// until every limit is kept; without `stretch` an excess is an error.
+/// Returns the motion along the spline of (5) of [`super`], the number of rounds, and the number of cuts. It lengthens
+/// the times in `timing` until every limit is kept; without `stretch` an excess is an error.
 pub(super) fn motion(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -93,11 +93,11 @@ pub(super) fn motion(
     }
 }
 
-/// Cubic pieces of a motion, as the problems of both axes along them.
+/// Cubic pieces of a motion: the segments, of which those at cuts are divided.
 struct CutSegments {
-    /// Segment of every piece (m).
+    /// Index of the segment to which every piece (m) belongs.
     segment: Vec<usize>,
-    /// Times of the breaks (m+1), s, and their differences (m).
+    /// Times of the breaks between pieces (m+1), s; `duration_s` has their differences (m).
     break_time_s: Vec<f64>,
     duration_s: Vec<f64>,
     /// Displacement of every piece (m) along each axis, mm.
@@ -107,7 +107,8 @@ struct CutSegments {
 }
 
 impl CutSegments {
-    /// Returns the motion with durations h (N) that is cut at the nodes `is_cut` (N+1).
+    /// Returns the pieces of the motion with the durations `h` (N), s, that is cut at the nodes for which `is_cut`
+    /// (N+1) is true.
     fn new(axes: &[AxisProblem<'_>; 2], near: &NearPath, h: &[f64], is_cut: &[bool]) -> Self {
         let n = h.len();
         let free = axes.each_ref().map(|axis| match n {
@@ -158,7 +159,8 @@ impl CutSegments {
         pieces
     }
 
-    /// Cuts the motion at both ends of the segments that leave the tolerance. Returns true if there are new cuts.
+    /// Marks a cut at both ends of every segment whose motion leaves the tolerance of the path. Returns true if there
+    /// are new cuts.
     fn cut_far_segments(&self, near: &NearPath, is_cut: &mut [bool]) -> bool {
         let mut more = false;
         let mut first = 0;
@@ -182,7 +184,7 @@ impl CutSegments {
         more
     }
 
-    /// Returns the piece i, which starts at `start`, mm.
+    /// Returns the coefficients of piece `i`, which starts at the point `start`, mm.
     fn cubic(&self, i: usize, start: [f64; 2]) -> [[f64; 4]; 2] {
         [0, 1].map(|a| {
             let v = &self.velocity[a];
@@ -191,7 +193,7 @@ impl CutSegments {
         })
     }
 
-    /// Returns the motion along the segments `timed` of `path`.
+    /// Returns the pieces as a trajectory; `timed` has the indices of their segments in `path`.
     fn trajectory(self, path: &ToolPath, timed: &[usize]) -> Result<Trajectory, ScheduleError> {
         let segment_of = &self.segment;
         let mut position = path.point_mm()[0];
@@ -215,14 +217,16 @@ impl CutSegments {
     }
 }
 
-/// Returns the displacements of the quarters of (5) from rest to rest, and the velocities at their ends.
+/// Returns the displacements of the four quarters of a segment from rest to rest, mm, and the velocities at their ends,
+/// mm/s. The module [`super`] describes them after (5).
 fn quarters(dp: f64, h: f64) -> (Vec<f64>, Vec<f64>) {
     let v = dp / h;
     let parts = [1.0, 5.0, 5.0, 1.0].map(|part| part / 12.0 * dp);
     (parts.to_vec(), vec![v, 2.0 * v, v, 0.0])
 }
 
-/// Returns the displacements of the thirds of (7), and the velocities at their ends.
+/// Returns the displacements of the thirds of a segment between two cuts, mm, and the velocities at their ends, mm/s,
+/// by (7) of the module.
 fn thirds(dp: f64, h: f64, [v0, v1]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let tau = h / 3.0;
     let middle = 3.0 * dp / h - v0 - v1;
@@ -264,16 +268,17 @@ fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     v
 }
 
-/// Returns the displacement of the outer half of an outermost segment by (6), v tau + j tau^3/6, and the velocity at
-/// its inner end, v + j tau^2/2. It has no acceleration at its outer end, where the velocity is `end`.
+/// Returns the displacement of the outer half of the first or last segment, v tau + j tau^3/6, and the velocity at its
+/// inner end, v + j tau^2/2, by (6) of the module. The acceleration is zero at the outer end, where the velocity is
+/// `end`.
 fn outer_half(dp: f64, end: f64, inner: f64, h: f64) -> (f64, f64) {
     let tau = 0.5 * h;
     let change = 0.25 * dp - (5.0 * end + inner) * tau / 12.0;
     (end * tau + change, end + 3.0 * change / tau)
 }
 
-/// Returns the displacements of the pieces of the spline along N > 1 segments: halves of the first and of the last
-/// segment by (6). Velocities at the ends of the pieces, mm/s.
+/// Returns the displacements of the pieces of the spline along N > 1 segments, mm, and the velocities at their ends,
+/// mm/s. The first and the last segment consist of two halves by (6) of the module.
 fn spline(dp: &[f64], h: &[f64], ends: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let n = h.len();
     let v = node_velocities(dp, h, ends);

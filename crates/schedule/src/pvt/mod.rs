@@ -83,12 +83,12 @@ use self::{
 };
 use crate::{Schedule, ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coefficients};
 
-/// Settings of PVT.
+/// Settings of the PVT scheduler.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PvtSettings {
-    /// Objective of the motion: smooth or monotone.
+    /// Objective of the motion: least acceleration energy (smooth), or that without reversal in a segment (monotone).
     pub mode: Mode,
-    /// True: segments get more time if the limits need it. False: such dwell times are refused.
+    /// True: segments get more time if the limits need it. False: the scheduler refuses such dwell times.
     pub stretch: bool,
     /// Largest distance of the motion from its path, mm; the usual tolerance of the path
     /// ([`ToolPath::tolerance_mm`]) when absent. Smaller: slower motions that stop at corners.
@@ -97,29 +97,31 @@ pub struct PvtSettings {
 }
 
 impl PvtSettings {
-    /// Returns the settings of a mode: segments may be stretched, and the path has its usual tolerance.
+    /// Returns the settings of a mode with the defaults: segments may be stretched, and the path has its usual
+    /// tolerance.
     pub fn new(mode: Mode) -> Self {
         Self { mode, stretch: true, max_path_distance_mm: None }
     }
 }
 
-/// Stretched segments and solvers of a schedule.
+/// Stretched segments, held nodes and solvers of a schedule.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PvtReport {
-    /// Segments that were given more time, in order.
+    /// Segments whose time the scheduler lengthened, in order of the path.
     pub stretched: Vec<Stretched>,
-    /// Time that the stretching added with the tool on, s.
+    /// Time by which segments with the tool on were stretched in all, s.
     pub added_tool_on_s: f64,
-    /// Time that the stretching added with the tool lifted, s.
+    /// Time by which segments with the tool off (lifts) were stretched in all, s.
     pub added_tool_off_s: f64,
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
-    /// Number of nodes whose velocity is held, because the motion would leave its path by more than the tolerance.
+    /// Number of nodes whose velocity the scheduler bounds or reduces, because the motion would leave its path by more
+    /// than the tolerance.
     pub held_nodes: usize,
-    /// Solver of (4) for [x, y], at the final times.
+    /// Solver of the least-energy problem, (4) of the module, for [x, y], at the final times.
     pub solver: [Solver; 2],
-    /// Sweeps of the search for the shortest times, or under a limit on jerk rounds of stretching; 0 where the
-    /// machine can follow the dwell times.
+    /// Number of sweeps of the search for the shortest times, or of rounds of stretching under a limit on jerk. 0 if
+    /// the machine can follow the dwell times.
     pub rounds: usize,
 }
 
@@ -144,7 +146,7 @@ impl Scheduler for PvtSettings {
     }
 }
 
-/// Schedules `path` with the times `dwell` within `limits`.
+/// Schedules `path` with the times `dwell` within `limits`, and reports the segments that it stretched.
 ///
 /// # Errors
 ///
@@ -227,7 +229,8 @@ fn schedule_stretched(
     joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [shortest.sweeps, held_nodes])
 }
 
-/// Replaces the solution of the parts that are `chosen` by the velocities of the search for the shortest times.
+/// Replaces the solution of the parts for which `chosen` returns true by the node velocities of the search for the
+/// shortest times.
 fn take_least_times(
     parts: &mut [Vec<Part>; 2],
     velocity: &[Vec<f64>; 2],
@@ -241,9 +244,9 @@ fn take_least_times(
     }
 }
 
-/// Solves the parts of both axes whose durations have changed. Where the motion leaves its path by more than the
-/// tolerance, the velocities of the nodes beside it are bounded, and their parts are solved again. Returns the number of
-/// these nodes.
+/// Solves the parts of both axes that are not solved yet at the durations `h`, s. Where the motion leaves its path by
+/// more than the tolerance, it bounds the velocities of the nodes beside and solves their parts again. Returns the
+/// number of these nodes.
 fn solve_near_path(
     axes: &mut [AxisProblem<'_>; 2],
     near: &NearPath,
@@ -279,7 +282,7 @@ fn solve_near_path(
     }
 }
 
-/// Returns the break times, and the durations as their difference, so that the segments join to rounding.
+/// Returns the break times (N+1), s, and the durations (N) as their differences, so that the segments join to rounding.
 fn differences(duration_s: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let break_time_s = break_times(duration_s);
     let h = parallel(duration_s.len()).map(|k| break_time_s[k + 1] - break_time_s[k]);
@@ -287,13 +290,13 @@ fn differences(duration_s: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (break_time_s, h)
 }
 
-/// Solves the parts of both axes whose durations have changed.
+/// Solves the parts of both axes that are not solved yet at the durations `h`, s.
 fn solve_parts(axes: &[AxisProblem<'_>; 2], h: &[f64], parts: &mut [Vec<Part>; 2]) {
     let [x, y] = parts;
     rayon::join(|| axes[0].solve_parts(h, x), || axes[1].solve_parts(h, y));
 }
 
-/// Returns the motion from the solutions of all parts.
+/// Returns the schedule from the solutions of all parts.
 fn joined_motion(
     path: &ToolPath,
     dwell: &DwellTime,

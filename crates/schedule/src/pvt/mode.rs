@@ -9,9 +9,9 @@ use crate::claim::Claim;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// Least acceleration energy.
+    /// Least acceleration energy (the integral of the squared acceleration).
     Smooth,
-    /// Least acceleration energy without reversal inside a segment.
+    /// Least acceleration energy without reversal of an axis inside a segment.
     Monotone,
 }
 
@@ -28,7 +28,7 @@ pub enum ModeChoice {
 }
 
 impl ModeChoice {
-    /// Chooses the mode for this machine.
+    /// Returns the mode for this machine.
     pub fn on(self, machine: &Limits) -> Mode {
         match self {
             Self::Auto => Mode::within(machine),
@@ -39,7 +39,7 @@ impl ModeChoice {
 }
 
 impl Mode {
-    /// Name in settings and messages.
+    /// Returns the name of the mode in settings and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Smooth => "smooth",
@@ -47,13 +47,13 @@ impl Mode {
         }
     }
 
-    /// Returns the mode that keeps the limit on jerk, if the motion of this mode breaks it.
+    /// Returns the mode that would keep the limit on jerk; `None` if the claim of the motion does not break it.
     pub fn for_jerk(self, claim: &Claim) -> Option<Self> {
         if self == Self::Monotone && claim.jerk == Some(false) { Some(Self::Smooth) } else { None }
     }
 
-    /// Returns the default mode of a machine: monotone, which never leaves the box of a segment. If the machine limits
-    /// jerk: smooth, because the acceleration of monotone motions steps.
+    /// Returns the default mode of a machine: monotone, which never leaves the box spanned by the ends of a segment. It
+    /// is smooth if the machine limits jerk, because the acceleration of monotone motions steps.
     pub fn within(limits: &Limits) -> Self {
         if limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
             Self::Smooth

@@ -30,22 +30,22 @@ use rayon::prelude::*;
 /// are slower.
 const USABLE_PART: f64 = 1.0 - 1e-6;
 
-/// Largest part of a chord that a held velocity may cover in a third of the time. With at most half at both ends, the
-/// motion does not reverse inside of the segment. Larger: it may swing within the tolerance. Smaller: it is slower at
-/// its ends than in the middle.
+/// Largest part of a segment that a held (reduced) velocity may cover in a third of the time. With at most half at both
+/// ends, the motion does not reverse inside of the segment. Larger: it may swing within the tolerance. Smaller: it is
+/// slower at its ends than in the middle.
 const HELD_PART: f64 = 0.5;
 
-/// Halvings of a velocity that leaves the tolerance, which resolve it to 1e-9.
+/// Number of halvings in the search for the largest part of a velocity within the tolerance; 30 resolve it to 1e-9.
 const BISECTIONS: usize = 30;
 
-/// Segments of a path, and how far a motion may leave them.
+/// Segments of a path, and the largest distance of a motion from them.
 #[derive(Debug)]
 pub(super) struct NearPath {
     displacement_mm: Vec<Point>,
     tolerance_mm: f64,
 }
 
-/// Smallest and largest velocity of a node along each axis, mm/s.
+/// Smallest and largest velocity of a node, per axis [x, y], mm/s.
 pub(super) type VelocityRange = [[f64; 2]; 2];
 
 impl NearPath {
@@ -53,19 +53,21 @@ impl NearPath {
         Self { displacement_mm, tolerance_mm: USABLE_PART * tolerance_mm }
     }
 
-    /// Returns true if both middle coefficients (1) of segment `i` are within the tolerance.
+    /// Returns true if both middle coefficients of segment `i`, (1) of the module, are within the tolerance of the
+    /// segment. `from` and `to` are the velocities at its ends, mm/s.
     pub(super) fn hull_is_near(&self, i: usize, from: Point, to: Point, h: f64) -> bool {
         let dp = self.displacement_mm[i];
         self.is_near(i, from.map(|v| v * h / 3.0))
             && self.is_near(i, [0, 1].map(|a| dp[a] - to[a] * h / 3.0))
     }
 
-    /// Returns true if `point`, relative to the start of segment `i`, is within the tolerance of it.
+    /// Returns true if `point`, mm, relative to the start of segment `i`, is within the tolerance of the segment.
     fn is_near(&self, i: usize, point: Point) -> bool {
         from_chord(point, &[[0.0; 2], self.displacement_mm[i]]) <= self.tolerance_mm
     }
 
-    /// Returns true if the Hermite cubic of segment `i` stays within the tolerance.
+    /// Returns true if the Hermite cubic of segment `i` with the end velocities `from` and `to` stays within the
+    /// tolerance.
     fn cubic_is_near(&self, i: usize, from: Point, to: Point, h: f64) -> bool {
         if self.hull_is_near(i, from, to, h) {
             return true;
@@ -77,7 +79,8 @@ impl NearPath {
         )
     }
 
-    /// Returns true if cubics of some durations, relative to the start of segment `i`, stay within the tolerance.
+    /// Returns true if cubics stay within the tolerance of segment `i`. Each one is a pair of coefficients, relative to
+    /// the start of the segment, and duration, s.
     pub(super) fn pieces_are_near(
         &self,
         i: usize,
@@ -92,7 +95,8 @@ impl NearPath {
         })
     }
 
-    /// Returns the segments whose Hermite cubics leave the tolerance, with these node velocities per axis.
+    /// Returns the indices of the segments whose Hermite cubics leave the tolerance, with these node velocities per
+    /// axis, mm/s.
     pub(super) fn far_segments(&self, velocity: [&[f64]; 2], h: &[f64]) -> Vec<usize> {
         let far = parallel(h.len()).filter(|i| {
             let [from, to] = [*i, *i + 1].map(|node| [velocity[0][node], velocity[1][node]]);
@@ -101,8 +105,8 @@ impl NearPath {
         far.collect()
     }
 
-    /// Returns the part of `velocity` at an inner node with which both segments beside it stay within the tolerance: 0 if
-    /// it points back along one of them, and its largest multiple up to 1 otherwise.
+    /// Returns the largest multiple, up to 1, of `velocity` at an inner node with which both segments beside it stay
+    /// within the tolerance. It is 0 if the velocity points back along one of them.
     pub(super) fn held(&self, node: usize, velocity: Point, h: &[f64]) -> Point {
         let ahead = [0, 1].map(|a| self.displacement_mm[node][a]);
         let backwards = [0, 1].map(|a| self.displacement_mm[node - 1][a]);
@@ -126,8 +130,8 @@ impl NearPath {
         velocity.map(|v| low * v)
     }
 
-    /// Returns velocities of an inner node, around `held`, with which the middle coefficients (1) beside it stay within
-    /// the tolerance, whatever the velocities of the other nodes are.
+    /// Returns ranges of the velocity of an inner node around the velocity `held`. Within them the middle coefficients
+    /// beside it, (1) of the module, stay within the tolerance, whatever the velocities of the other nodes are.
     pub(super) fn velocity_range(&self, node: usize, held: Point, h: &[f64]) -> VelocityRange {
         let ahead = self.rectangle(self.displacement_mm[node], held, h[node]);
         let backwards = self.rectangle(self.displacement_mm[node - 1], held, h[node - 1]);
@@ -138,8 +142,9 @@ impl NearPath {
         })
     }
 
-    /// Returns a rectangle of velocities around `held` with which one middle coefficient stays within the tolerance of a
-    /// segment along `dp` of duration `h`. Seen from its end, a segment along -dp is entered with the velocity.
+    /// Returns a rectangle of velocities around `held` with which one middle coefficient stays within the tolerance of
+    /// a segment along `dp` of duration `h`. By symmetry the condition is the same for a segment that starts at the
+    /// node and for one that ends there.
     fn rectangle(&self, dp: Point, held: Point, h: f64) -> VelocityRange {
         let length = dp[0].hypot(dp[1]);
         let point = held.map(|v| v * h / 3.0);
@@ -170,7 +175,7 @@ mod tests {
     use super::*;
     use planish_testkit::numbers;
 
-    /// Segments of random directions and lengths, times over two decades.
+    /// Returns segments of random directions and lengths, and times over two decades, s.
     fn random(seed: u64) -> (NearPath, Vec<f64>) {
         let mut random = numbers(seed);
         let dp = (0..40)

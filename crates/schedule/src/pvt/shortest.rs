@@ -50,24 +50,25 @@ const ROOM: f64 = 1e-3;
 /// uses up [`ROOM`].
 const LEAST_ROUNDINGS: f64 = 1e4;
 
-/// Number of speeds along the path that are tried first, from the largest that any direction allows. Larger: a lower
-/// lowest speed, and more computing time. Smaller: slow speeds are missing. The lowest is 6e-4 of the largest.
+/// Number of speeds along the path that are tried first, from the largest that any direction allows downwards. Larger:
+/// a lower lowest speed, and more computing time. Smaller: slow speeds are missing. The lowest is 6e-4 of the largest.
 const SPEEDS: usize = 42;
-/// Ratio of each of these speeds to the next lower one. Larger: coarser speeds, and a lower lowest one. Smaller: finer
-/// speeds that end at a higher one.
+/// Ratio of each of the [`SPEEDS`] to the next lower one. Larger: coarser speeds, and a lower lowest one. Smaller:
+/// finer speeds that end at a higher one.
 const SPEED_FACTOR: f64 = 1.2;
 
-/// Largest change along one segment, in steps of these speeds, except from and to rest. Larger: more computing
-/// time. Smaller: the search misses accelerations that the machine can do. From rest with constant acceleration the
-/// second of equal segments ends 1.41 times as fast as the first, which is two steps.
+/// Largest change of speed along one segment, in steps of [`SPEED_FACTOR`], except from and to rest. Larger: more
+/// computing time. Smaller: the search misses accelerations that the machine can do. From rest with constant
+/// acceleration the second of equal segments ends 1.41 times as fast as the first, which is two steps.
 const SPEEDS_PER_SEGMENT: usize = 3;
 
-/// Number of candidates that are not such speeds: rest, the velocity before, and that of the [`Search::profile`].
+/// Number of candidates of a node beside its [`SPEEDS`] along the path: rest, the velocity before, and that of
+/// [`Search::profile`].
 const OTHERS: usize = 3;
 
-/// Ratio of the time of a segment at the speeds of a profile to its time at constant acceleration, at most. It
-/// allows for cubics whose acceleration varies where lengths or directions change. Larger: the segment itself may
-/// take longer. Smaller: the profile, and with it the neighbours, become slower.
+/// Largest ratio of the time of a segment between two speeds of a profile to its time at constant acceleration. It
+/// allows for cubics whose acceleration varies where lengths or directions change. Larger: the segment itself may take
+/// longer. Smaller: the profile, and with it the neighbours, become slower.
 const LONGER_THAN_EVEN: f64 = 1.02;
 
 /// Ratio of the largest speed of the profile to the mean speed of a segment in its wanted time. Where neighbours
@@ -75,13 +76,13 @@ const LONGER_THAN_EVEN: f64 = 1.02;
 /// than the dwell times need. Smaller: it is too slow between such neighbours.
 const FASTER_THAN_WANTED: f64 = 1.25;
 
-/// Number of bisections for a speed of the profile, which resolve it to 1e-6 of its upper bound. More: a finer
-/// speed and more computing time.
+/// Number of bisections that find a speed of the profile; 20 resolve it to 1e-6 of its upper bound. More: a finer speed
+/// and more computing time.
 const BISECTIONS: usize = 20;
 
-/// First and last step around the best velocities so far, relative to the velocity at a node or, if that is larger,
-/// to the mean velocity of a segment beside it. A larger first step: a wider search. A smaller last step: a finer
-/// result, and more sweeps.
+/// First and last step of the search around the best velocities so far. They are relative to the velocity at a node or,
+/// if that is larger, to the mean velocity of a segment beside it. A larger first step: a wider search. A smaller last
+/// step: a finer result, and more sweeps.
 const STEPS: [f64; 2] = [0.1, 2e-3];
 
 /// Gain of a sweep below which the steps are halved, relative to the time of the segments that may change. Larger:
@@ -100,10 +101,10 @@ const BRAKING_TIMES: f64 = 2.0;
 /// segments are long.
 const LEAST_REACH: usize = 8;
 
-/// Velocities of a node, mm/s.
+/// Velocity of a node along [x, y], mm/s.
 type Velocity = [f64; 2];
 
-/// Limits of an axis as the search keeps them.
+/// Problem of an axis, with its limits less the part that the search leaves free ([`ROOM`]), mm/s, mm/s^2, mm/s^3.
 #[derive(Debug)]
 struct ShortestAxis<'a> {
     problem: &'a AxisProblem<'a>,
@@ -112,25 +113,25 @@ struct ShortestAxis<'a> {
     jerk: f64,
 }
 
-/// Problem (5).
+/// Problem of the shortest motion, (5) of the module.
 #[derive(Debug)]
 pub(super) struct Search<'a> {
     axes: [ShortestAxis<'a>; 2],
     near: &'a NearPath,
-    /// Wanted time of every segment, s.
+    /// Wanted time of every segment (N), s: the dwell time, or the least time of its mean velocity.
     wanted_s: &'a [f64],
     /// Least time of every segment, s: the wanted time, but not below [`LEAST_ROUNDINGS`].
     least_s: Vec<f64>,
 }
 
-/// Result of the search.
+/// Result of the search: a motion within the limits.
 #[derive(Debug)]
 pub(super) struct Shortest {
-    /// Time of every segment, s.
+    /// Time of every segment (N), s.
     pub(super) duration_s: Vec<f64>,
-    /// Velocities at the nodes of a motion within the limits at these times, axis by axis.
+    /// Velocities at the nodes (N+1) at these times, mm/s, one vector per axis.
     pub(super) velocity: [Vec<f64>; 2],
-    /// Sweeps over the path.
+    /// Number of sweeps over the path.
     pub(super) sweeps: usize,
 }
 
@@ -152,7 +153,8 @@ impl<'a> Search<'a> {
         Self { axes, near, wanted_s, least_s }
     }
 
-    /// Searches from a motion that keeps the limits at the wanted times, except in the segments that `exceed`.
+    /// Searches for the shortest motion. It starts from the node velocities `before`, which keep the limits at the
+    /// wanted times except in the segments for which `exceed` is true.
     pub(super) fn run(&self, before: &[Vec<f64>; 2], exceed: &[bool]) -> Shortest {
         let before: Vec<Velocity> =
             before[0].iter().zip(&before[1]).map(|(x, y)| [*x, *y]).collect();
@@ -191,8 +193,8 @@ impl<'a> Search<'a> {
         Shortest { duration_s, velocity, sweeps }
     }
 
-    /// Returns true for nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment
-    /// that keeps the limits of the search at the wanted time. That segment can keep the velocity at its far end.
+    /// Returns true for each node (N+1) whose velocity may change. These are the nodes within reach of the `wanted`
+    /// segments, and the following ones up to a segment that keeps the limits of the search at its wanted time.
     fn near(&self, wanted: &[bool], velocity: &[Velocity]) -> Vec<bool> {
         let n = wanted.len();
         let [x_s, y_s] =
@@ -230,7 +232,8 @@ impl<'a> Search<'a> {
         self.least_time(i, velocity[i], velocity[i + 1]) <= self.least_s[i]
     }
 
-    /// Returns the times of all segments, s. A segment between two nodes that keep their velocity has its wanted time.
+    /// Returns the times of all segments (N), s, for these node velocities. A segment between two nodes that are not
+    /// `open` has its wanted time.
     fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
         let durations = (0..self.wanted_s.len()).map(|i| {
             let least = self.least_time(i, velocity[i], velocity[i + 1]);
@@ -241,8 +244,8 @@ impl<'a> Search<'a> {
         durations.collect()
     }
 
-    /// Returns the best combination of speeds along the path, rest, and the velocities before; `None` if none keeps the
-    /// limits.
+    /// Returns the node velocities of the best combination of speeds along the path, rest, and the velocities `before`;
+    /// `None` if no combination keeps the limits. Only nodes that are `open` change.
     fn along_the_path(&self, open: &[bool], before: &[Velocity]) -> Option<Vec<Velocity>> {
         let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
         let speeds: Vec<f64> = (0..SPEEDS as i32).map(|k| largest / SPEED_FACTOR.powi(k)).collect();
@@ -254,10 +257,10 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Returns the highest speeds along the path at which every segment takes about the time of a constant
-    /// acceleration. The limits at constant speed come first, then those of accelerating, and backwards those of
-    /// braking (J. E. Bobrow, S. Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of speeds is too
-    /// coarse along segments that are too short to change the speed by one of its steps.
+    /// Returns the node velocities of a profile: the highest speeds along the path at which every segment takes about
+    /// the time of a constant acceleration. The limits at constant speed come first, then those of accelerating, and
+    /// backwards those of braking (J. E. Bobrow, S. Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of
+    /// speeds is too coarse along segments that are too short to change the speed by one of its steps.
     fn profile(&self, open: &[bool], before: &[Velocity]) -> Vec<Velocity> {
         let n = self.wanted_s.len();
         let direction: Vec<Velocity> =
@@ -299,7 +302,8 @@ impl<'a> Search<'a> {
         (0..=n).map(|node| velocity(node, speed[node])).collect()
     }
 
-    /// Returns the best combination of steps up and down from `velocity`.
+    /// Returns the best combination of steps up and down from `velocity` at the open nodes. `step` is relative to the
+    /// velocity at the node or the mean velocity beside it.
     fn stepped(
         &self,
         open: &[bool],
@@ -327,9 +331,9 @@ impl<'a> Search<'a> {
         best.unwrap_or_else(|| velocity.to_vec())
     }
 
-    /// Returns the best of all combinations of candidates at the open nodes; `None` if none keeps the limits. The first
-    /// [`OTHERS`] candidates are combined with all candidates of a neighbour, the others with those at most `apart`
-    /// places away.
+    /// Returns the best of all combinations of candidates at the open nodes; `None` if none keeps the limits. `fill`
+    /// gives the candidates of a node. It combines the first [`OTHERS`] candidates with all candidates of a neighbour,
+    /// the others with those whose index differs by at most `apart`.
     fn best(
         &self,
         open: &[bool],
@@ -399,8 +403,9 @@ impl<'a> Search<'a> {
         x.hypot(y)
     }
 
-    /// Returns the direction of the path at a node: per axis the mean of the slopes beside it, without reversal the
-    /// harmonic one (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300).
+    /// Returns the direction of the path at a node, not normalised: per axis the mean of the slopes beside it. If
+    /// reversal is forbidden, it is the harmonic mean (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984)
+    /// 300).
     fn direction(&self, node: usize) -> Velocity {
         let [before, after] = [node - 1, node].map(|i| self.displacement_mm(i));
         let [l0, l1] = [before, after].map(|d| d[0].hypot(d[1]));
@@ -421,7 +426,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Returns the nearest velocity that the mode and the limits allow.
+    /// Returns the velocity nearest to `velocity` that the mode and the limits allow at the node, mm/s.
     fn allowed(&self, node: usize, velocity: Velocity) -> Velocity {
         [0, 1].map(|a| {
             let axis = &self.axes[a];
@@ -436,8 +441,9 @@ impl<'a> Search<'a> {
         (0..2).all(|a| velocity[a].abs() <= self.axes[a].velocity)
     }
 
-    /// Returns the least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits, or the
-    /// segment near its path. In more time, a segment with the same velocities leaves its path by more.
+    /// Returns the least time of segment `i` between two velocities, s, not below `least_s`. It is infinite if no time
+    /// keeps the limits, or if the segment would leave its path. In more time, a segment with the same velocities
+    /// leaves its path by more.
     fn least_time(&self, i: usize, from: Velocity, to: Velocity) -> f64 {
         let mut h = self.least_s[i];
         loop {
@@ -455,7 +461,8 @@ impl<'a> Search<'a> {
 }
 
 impl ShortestAxis<'_> {
-    /// End of the excluded intervals that contain `h`, or `h` itself, s; infinite if an interval has no end.
+    /// Returns the least time of segment `i` from `h` on that no limit excludes, s; infinite if an excluded interval
+    /// has no end.
     fn least_time(&self, i: usize, v0: f64, v1: f64, mut h: f64) -> f64 {
         /// Excess over a condition that counts as equality, relative. Larger: limits are exceeded by as much. Smaller:
         /// a time at the end of an interval counts as excluded, because of rounding.
@@ -502,7 +509,7 @@ impl ShortestAxis<'_> {
     }
 }
 
-/// Returns the largest h at which `c0 + c1 h = j h^3`.
+/// Returns the largest h at which `c0 + c1 h = j h^3`, the end of an interval excluded by (2) of the module.
 fn end_of_cubic(c0: f64, c1: f64, j: f64) -> f64 {
     // Not below it; from there the steps of Newton descend to it, because the difference is concave.
     let mut h = (2.0 * c0.max(0.0) / j).cbrt().max((2.0 * c1.max(0.0) / j).sqrt());
@@ -517,7 +524,8 @@ fn end_of_cubic(c0: f64, c1: f64, j: f64) -> f64 {
     }
 }
 
-/// Returns the largest value up to `most` that is `good`, by bisection from 0; every value below a good one is good.
+/// Returns the largest value in [0, most] for which `good` is true, by bisection. Every value below a good one must be
+/// good.
 fn highest(most: f64, good: impl Fn(f64) -> bool) -> f64 {
     if good(most) {
         return most;
@@ -556,7 +564,7 @@ mod tests {
         dp.map(|dp| AxisProblem::new(dp, mode, &limits.axes()[0]))
     }
 
-    /// A tolerance that no motion reaches.
+    /// Returns the path of these axes with a tolerance that no motion reaches.
     fn anywhere(axes: &[AxisProblem; 2]) -> NearPath {
         let [x, y] = axes.each_ref().map(|axis| axis.displacement_mm.iter());
         NearPath::new(x.zip(y).map(|(x, y)| [*x, *y]).collect(), 1e9)

@@ -12,30 +12,30 @@ use crate::ScheduleError;
 /// longer. Smaller: times that are orders of magnitude too short end in an error.
 pub(super) const MAX_ROUNDS: usize = 100;
 
-/// A segment that was given more time.
+/// A segment whose time in the motion is longer than its dwell time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stretched {
-    /// Index of the segment (= dwell point).
+    /// Index of the segment in the path, which is also that of its dwell point.
     pub segment: usize,
-    /// True if the tool is on: then the additional time is an error of the dwell time.
+    /// True if the tool is on; the additional time then removes more material than planned.
     pub tool_on: bool,
     /// Dwell time, s.
     pub dwell_s: f64,
-    /// Time in the schedule, s.
+    /// Time of the segment in the schedule, s.
     pub scheduled_s: f64,
 }
 
-/// Segments that take time, and their times.
+/// Segments of a path whose time is above zero, and their times.
 #[derive(Debug)]
 pub(super) struct Timing {
-    /// Segments that take time.
+    /// Indices of the segments with a time above zero in the path.
     pub(super) segments: Vec<usize>,
-    /// Their time, s; > 0.
+    /// Time of each of the `segments`, s; > 0.
     pub(super) duration_s: Vec<f64>,
 }
 
 impl Timing {
-    /// Returns the times by [`durations_s`], without the segments that take no time.
+    /// Returns the times of [`durations_s`], without the segments whose time is zero.
     pub(super) fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
         let mut duration_s = durations_s(path, dwell, limits);
         let segments = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
@@ -43,7 +43,8 @@ impl Timing {
         Self { segments, duration_s }
     }
 
-    /// Returns the error about the segment whose dwell time is the most below its least time; `None` if none is.
+    /// Returns the error for the segment whose dwell time is farthest below its least time; `None` if there is no such
+    /// segment.
     pub(super) fn refusal(
         &self,
         path: &ToolPath,
@@ -67,8 +68,8 @@ impl Timing {
         })
     }
 
-    /// Stretches every segment with an excess above 1: `h <- 1.002 min(excess, 1.5) h`. A time that is k
-    /// times as long divides the velocity by k and the acceleration by k^2.
+    /// Stretches every segment whose excess factor is above 1: `h <- 1.002 min(excess, 1.5) h`. A time that is k times
+    /// as long divides the velocity by k and the acceleration by k^2.
     pub(super) fn stretch(&mut self, excess: &[f64]) {
         for (h, e) in self.duration_s.iter_mut().zip(excess) {
             if *e > 1.0 {
@@ -90,7 +91,7 @@ impl Timing {
             .collect()
     }
 
-    /// Returns the segments of `path` that take no time, in order.
+    /// Returns the indices of the segments of `path` whose time is zero, in order.
     pub(super) fn dropped(&self, path: &ToolPath) -> Vec<usize> {
         let mut timed = self.segments.iter().peekable();
         (0..path.len()).filter(|i| timed.next_if(|k| *k == i).is_none()).collect()
@@ -102,8 +103,8 @@ impl Timing {
 /// digits. 64 roundings leave two digits, enough for a segment whose times and lengths are rounding.
 const LEAST_ROUNDINGS: f64 = 64.0;
 
-/// Returns the duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >=
-/// min_segment_s`, and where that is not zero, not below [`LEAST_ROUNDINGS`].
+/// Returns the duration of every segment of `path`, s: the largest of the dwell time, |dp| / v_max on both axes, and
+/// `min_segment_s`. If that is not zero, it is at least [`LEAST_ROUNDINGS`] of the total time.
 pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Vec<f64> {
     let mut duration_s: Vec<f64> =
         parallel(path.len()).map(|i| dwell.dwell_s()[i].max(least_time(path, limits, i))).collect();
@@ -112,7 +113,7 @@ pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -
     duration_s
 }
 
-/// Returns the least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the
+/// Returns the least time of segment `i`, s, at which its mean velocity keeps the limits and the controller accepts its
 /// duration.
 fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     let dp = path.displacement_mm(i);
@@ -121,13 +122,14 @@ fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     x_s.max(y_s).max(limits.min_segment_s())
 }
 
-/// Returns the segment with the largest excess, and that excess; 1 if no segment exceeds the limits.
+/// Returns the index of the segment with the largest excess factor, and that factor; (0, 1) if no segment exceeds the
+/// limits.
 pub(super) fn worst(excess: &[f64]) -> (usize, f64) {
     let each = excess.iter().copied().enumerate();
     each.fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m })
 }
 
-/// Returns the error about a segment that would have to be stretched by `factor`, which the settings forbid.
+/// Returns the error for a segment that would have to be stretched by `factor`, which the settings forbid.
 pub(super) fn too_short(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -142,7 +144,7 @@ pub(super) fn too_short(
     }
 }
 
-/// Iterator over the segments, on all threads if there are many. With one thread, that thread alone
+/// Returns an iterator over the segment indices, on all threads if there are many. With one thread, that thread alone
 /// would do the system's work for memory that is touched for the first time.
 pub(super) fn parallel(segments: usize) -> impl IndexedParallelIterator<Item = usize> {
     (0..segments).into_par_iter().with_min_len(2048)

@@ -73,10 +73,10 @@ use self::{
 };
 use crate::{ScheduleError, Scheduled, Scheduler, check_lengths};
 
-/// Settings of the trigonometric spline.
+/// Settings of the scheduler `trig-spline`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TrigSplineSettings {
-    /// Repair of the densities that the machine cannot follow.
+    /// Repair of the dwell-time densities that the machine cannot follow: an offset, or local changes.
     pub repair: Repair,
     /// Largest distance of the motion from a corner, mm; > 0. Larger: corners are passed faster, and the
     /// tool is farther from the path. Default 0.02 mm: a hundredth of the smallest tools, and enough to
@@ -109,19 +109,19 @@ impl TrigSplineSettings {
     }
 }
 
-/// Motion, its dwell-time density, and the report.
+/// Motion, its dwell-time density, and the report of the changes.
 #[derive(Clone, Debug)]
 pub struct TrigSplineSchedule {
-    /// Motion.
+    /// Motion of the tool.
     pub trajectory: Trajectory,
-    /// Nodes of the spline; `None` if no pass has a length.
+    /// Nodes of the spline of the dwell-time density; `None` if no pass has a length.
     pub density: Option<DwellDensity>,
     /// Changes of the densities, and errors of the motion.
     pub report: TrigSplineReport,
 }
 
 impl TrigSplineSettings {
-    /// Returns the settings with corners that stay within the usual tolerance of the path.
+    /// Returns the settings with a corner deviation of at most the usual tolerance of the path.
     fn near(&self, path: &ToolPath) -> Result<Self, Invalid> {
         let tolerance_mm = path.tolerance_mm(None)?;
         let corner_deviation_mm = if tolerance_mm > 0.0 {
@@ -152,7 +152,7 @@ impl Scheduler for TrigSplineSettings {
     }
 }
 
-/// Schedules `path` with the times `dwell` within `limits`.
+/// Schedules `path` with the times `dwell` within `limits`; the report has the changes of the densities.
 ///
 /// # Errors
 ///
@@ -229,7 +229,7 @@ mod tests {
         ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
     }
 
-    /// Time of every segment of the path in the motion.
+    /// Returns the time of each of the `n` segments of the path in the motion, s.
     fn times(t: &Trajectory, n: usize) -> Vec<f64> {
         t.served_s(n, |_| true).unwrap()
     }

@@ -14,23 +14,24 @@ use crate::{
     shortest_cubic::{State, shortest_cubic},
 };
 
-/// Trajectory so far.
+/// Trajectory under construction: the segments so far, and the state at their end.
 pub(super) struct Motion<'a> {
     path: &'a ToolPath,
     dwell: &'a DwellTime,
     limits: &'a Limits,
     tolerance_mm: f64,
     pub(super) report: TrigSplineReport,
-    /// Pieces that are not proven: number of the pass, first node.
+    /// Pieces that are not proven within the limits: index of the pass, and index of the first node of the piece.
     pub(super) unproven: Vec<(usize, usize)>,
-    /// The segments so far.
+    /// Segments so far.
     pub(super) made: TrajectoryBuilder,
-    /// Present position and velocity.
+    /// Position and velocity at the end of the segments so far.
     now: State,
 }
 
 impl<'a> Motion<'a> {
-    /// Returns the motion along all passes; `report` has the changes of their densities.
+    /// Returns the motion along all passes. `report` contains the changes of their densities; the motion adds its own
+    /// errors.
     pub(super) fn along(
         path: &'a ToolPath,
         dwell: &'a DwellTime,
@@ -74,7 +75,8 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// Adds the acceleration from rest to the start of the first pass, along its extension backwards.
+    /// Adds the acceleration from rest to the start of the first pass, along its extension backwards, with the tool
+    /// off.
     fn run_up(&mut self, start: State) {
         let (speed, direction) = polar(start.velocity_mm_per_s);
         if speed > 0.0 {
@@ -90,7 +92,7 @@ impl<'a> Motion<'a> {
         self.now = start;
     }
 
-    /// Adds the brake to rest after the end of the last pass.
+    /// Adds the brake to rest after the end of the last pass, with the tool off.
     fn brake(&mut self) {
         let (speed, direction) = polar(self.now.velocity_mm_per_s);
         if speed > 0.0 {
@@ -111,7 +113,8 @@ impl<'a> Motion<'a> {
         (1.0 - MARGIN) * largest_along(direction, self.limits.max_acceleration_mm_per_s2())
     }
 
-    /// Adds a link for every segment with the tool off, at rest in between.
+    /// Adds a link for every segment with the tool off in `run`, at rest between them; the last one ends in the state
+    /// `end`.
     fn lift(&mut self, run: std::ops::Range<usize>, end: State) {
         for i in run.clone() {
             let rest = State::at_rest(self.path.point_mm()[i + 1]);
@@ -165,14 +168,15 @@ impl<'a> Motion<'a> {
         self.now = pass.end();
     }
 
-    /// Adds a constant density from `from` to `to` along a straight.
+    /// Adds a motion of constant density, s/mm, along a straight, between the distances `from` and `to` from its start,
+    /// mm.
     fn plateau(&mut self, s: &Straight, from: f64, to: f64, density: f64) {
         let c = [0, 1]
             .map(|a| [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]);
         self.made.push((to - from) * density, c, true, Some(s.index));
     }
 
-    /// Adds the parabola at corner node k, in two halves.
+    /// Adds the parabola at corner node `k`, in two halves.
     fn blend(&mut self, pass: &Pass, k: usize) {
         let node = &pass.nodes[k];
         let s = &pass.straights[pass.straight_of[k]];
@@ -193,7 +197,8 @@ impl<'a> Motion<'a> {
         self.made.push(half_s, middle, true, Some(next.index));
     }
 
-    /// Adds the piece from node k to the next one, by step 5. Returns true if it is proven within the limits.
+    /// Adds the cubics of the piece from node `k` to the next one, by step 5 of [`super`]. Returns true if the piece is
+    /// proven within the limits.
     fn piece(&mut self, pass: &Pass, k: usize) -> bool {
         let a = &pass.nodes[k];
         let b = &pass.nodes[k + 1];
@@ -243,7 +248,7 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Returns the magnitude and direction.
+/// Returns the magnitude of a vector and its unit vector; the unit vector is zero for the zero vector.
 fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
     let speed = v[0].hypot(v[1]);
     (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
@@ -254,7 +259,7 @@ fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
 /// Smaller: equal steps with rounded coordinates miss the table, and take more computing time.
 const SAME_LENGTH: f64 = 1e-12;
 
-/// Piece to be fitted, its limits and the tolerance.
+/// Piece of the spline to be fitted by cubics, with its limits and the tolerance of the position.
 #[derive(Clone, Copy, Debug)]
 struct CubicFit {
     shape: TrigPiece,
@@ -263,14 +268,14 @@ struct CubicFit {
     tolerance_mm: f64,
 }
 
-/// A cubic in local time for a part of a piece.
+/// Cubic in local time for a part of a piece of the spline.
 #[derive(Clone, Copy, Debug)]
 struct Cubic {
     duration_s: f64,
-    /// Coefficients of the distance from the start of the piece, ascending, mm/s^order.
+    /// Ascending coefficients of the distance from the start of the piece of the spline, mm/s^order.
     coefficient_mm: [f64; 4],
-    /// Error of the position, mm: an upper bound, or, if that exceeds the tolerance, the largest error at
-    /// the places of the stretch.
+    /// Error of the position, mm: an upper bound, or, if that exceeds the tolerance, the largest error at the check
+    /// points of the stretch.
     error_mm: f64,
     /// True if the velocity and the acceleration of the cubic keep the limits, at its own extrema.
     within_limits: bool,
@@ -281,13 +286,13 @@ struct Cubic {
 /// pieces stay unproven that another halving would prove.
 const MAX_HALVINGS: usize = 20;
 
-/// Ratio of the largest error at the places of a stretch to the tolerance. The error of Hermite interpolation has
-/// one hump, u^2 (1-u)^2, which is at most 2 % higher between two places. Larger: the error between them can exceed
-/// the tolerance. Smaller: more cubics.
+/// Ratio of the largest error at the check points of a stretch to the tolerance. The error of Hermite interpolation has
+/// one hump, u^2 (1-u)^2, which is at most 2 % higher between two check points. Larger: the error between them can
+/// exceed the tolerance. Smaller: more cubics.
 const FIT_SAFETY: f64 = 0.95;
 
 impl CubicFit {
-    /// Cubics along a stretch, in order.
+    /// Emits the cubics along a stretch, in order; it halves the stretch where one cubic is not enough.
     fn cubics(&self, stretch: Stretch, halvings: usize, emit: &mut impl FnMut(Cubic)) {
         if let Some(cubic) = self.cubic(&stretch, halvings == MAX_HALVINGS) {
             return emit(cubic);
@@ -297,7 +302,8 @@ impl CubicFit {
         }
     }
 
-    /// Returns the Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and can be halved.
+    /// Returns the Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and the stretch can
+    /// still be halved.
     fn cubic(&self, stretch: &Stretch, is_last: bool) -> Option<Cubic> {
         let piece = &self.shape;
         let ends = piece.ends(stretch);
@@ -328,7 +334,7 @@ impl CubicFit {
         Some(Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits })
     }
 
-    /// Returns the distance of the cubic `c` from the spline at the place `k` of a stretch, mm.
+    /// Returns the distance of the cubic `c` from the spline at the check point `k` of a stretch, mm.
     fn error_mm(&self, stretch: &Stretch, c: &[f64; 4], k: usize) -> f64 {
         let u = self.shape.elapsed_s_to(stretch, k);
         let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));

@@ -1,5 +1,6 @@
 //! Passes of a path: maximal runs of segments with the tool on, their corners, and the densities
-//! that give every segment its dwell time. The numbers of equations and steps are those of [`super`].
+//! that give every segment its dwell time. A straight is a segment of a pass with a length above rounding. The numbers
+//! of equations and steps are those of [`super`].
 
 use std::{f64::consts::PI, ops::Range};
 
@@ -22,77 +23,78 @@ pub(super) const MARGIN: f64 = 1e-4;
 /// step of 1e-7 mm/s at 100 mm/s.
 const SAME_DIRECTION: f64 = 1e-9;
 
-/// Largest distance from the path at which two directions still count as the same, mm, for a tool that
-/// keeps the first direction up to the middle of the second segment. Larger: the position steps at the
-/// node. Smaller: rounded coordinates of a line become corners. The value is a tenth of the position
-/// step that a judge takes for rounding.
+/// Largest distance from the path at which two directions still count as the same, mm, for a tool that keeps the first
+/// direction up to the middle of the second segment. Larger: the position steps at the node. Smaller: rounded
+/// coordinates of a line become corners. The value is a tenth of the position step that `planish-verify` takes for
+/// rounding.
 const SAME_LINE_MM: f64 = 1e-7;
 
-/// Deficit of the time of a straight that counts as rounding, relative to the time. Larger: segments get less than
-/// their dwell time. Smaller: rounding releases held densities without need.
+/// Deficit of the time of a straight segment that counts as rounding, relative to the time. Larger: segments get less
+/// than their dwell time. Smaller: rounding releases held densities without need.
 const SHORT: f64 = 1e-9;
 
-/// Largest number of times that a held density is released. Two that are held in turn would never end. Larger: more
-/// tridiagonal solutions. Smaller: segments can keep less than their dwell time.
+/// Largest number of times that a held density is released. Without a bound, two that are held in turn would never end.
+/// Larger: more tridiagonal solutions. Smaller: segments can keep less than their dwell time.
 const MOST_LET_GO: usize = 3;
 
-/// Largest half length of a blend, relative to the shorter of its two segments. Larger: less of the segment is left
-/// for the change of density. Smaller: corners of short segments are passed more slowly.
+/// Largest half length of a blend (the parabola at a corner), relative to the shorter of its two segments. Larger: less
+/// of the segment is left for the change of density. Smaller: corners of short segments are passed more slowly.
 const LARGEST_BLEND: f64 = 0.25;
 
-/// A blend at the end of a segment.
+/// Blend (parabola) at the end of a segment where the direction of the path changes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Corner {
-    /// Half length b, mm.
+    /// Half length (b), mm: the distance from the corner at which the blend starts and ends.
     half_length_mm: f64,
     /// Change of the unit vector of the direction, u2 - u1.
     turn: [f64; 2],
 }
 
-/// A dwell point or a corner.
+/// Node of the spline: a dwell point or a corner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Node {
     pub(super) density: f64,
-    /// Smallest density that the velocity limit, and the acceleration limit at a corner, allow, s/mm.
+    /// Smallest density that the velocity limit allows, and at a corner also the acceleration limit, s/mm.
     pub(super) least: f64,
     /// Smallest density that the velocity limit alone allows, without the margin, s/mm.
     pub(super) fastest: f64,
-    /// Length on which the density is constant before and after the node, mm: b of a corner, else 0.
+    /// Length on which the density is constant before and after the node, mm: the half length of a corner, 0 at a dwell
+    /// point.
     pub(super) half_length_mm: f64,
 }
 
-/// A straight segment of a pass.
+/// Segment of a pass with a length above rounding.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Straight {
-    /// Index in the path.
+    /// Index of the segment in the path.
     pub(super) index: usize,
     pub(super) start: [f64; 2],
     pub(super) direction: [f64; 2],
     pub(super) length: f64,
     /// Arc length of the whole path up to the start of the straight, mm.
     arc_length: f64,
-    /// Largest acceleration along its direction, mm/s^2, less the margin.
+    /// Largest acceleration along the direction of the segment, less the margin of the repair, mm/s^2.
     max_acceleration: f64,
-    /// Corner at its end.
+    /// Blend at the end of the segment; `None` if the direction does not change there.
     corner: Option<Corner>,
 }
 
-/// A run of segments with the tool on.
+/// Pass: a maximal run of segments with the tool on.
 #[derive(Clone, Debug)]
 pub(super) struct Pass {
-    /// Segments [first, end) of the path.
+    /// Range of the segments in the path.
     pub(super) run: Range<usize>,
     /// Start of the pass [x, y], mm.
     start_mm: [f64; 2],
-    /// Segments with a length above rounding; none if the tool stands.
+    /// Segments with a length above rounding; empty if the tool only stands.
     pub(super) straights: Vec<Straight>,
-    /// Dwell points, and the corners between them.
+    /// Nodes in order: the dwell points, and the corners between them.
     pub(super) nodes: Vec<Node>,
-    /// Index of the straight of each node; a dwell point is at its middle, a corner at its end.
+    /// Index of the straight for each node; a dwell point is at the middle of the straight, a corner at its end.
     pub(super) straight_of: Vec<usize>,
 }
 
-/// Returns the maximal runs of segments with the tool on.
+/// Returns the index ranges of the maximal runs of segments with the tool on.
 pub(super) fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = Range<usize>> + '_ {
     let on = path.tool_on();
     let mut next = 0;
@@ -179,7 +181,7 @@ impl Pass {
         pass
     }
 
-    /// Returns the dwell time of every straight; a segment without length gives its time to the straights before and
+    /// Returns the dwell time of every straight, s. A segment without length gives its time to the straights before and
     /// after it.
     fn times(&self, dwell: &DwellTime, report: &mut TrigSplineReport) -> Vec<f64> {
         let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
@@ -201,8 +203,8 @@ impl Pass {
         times
     }
 
-    /// Returns the densities of the dwell points that give every straight its time: row k holds the time that a density
-    /// of 1 at the dwell points k-1, k, k+1 gives straight k.
+    /// Returns the densities of the dwell points that give every straight its time, s/mm. Row k of the system has the
+    /// time that a density of 1 at the dwell points k-1, k, k+1 gives straight k.
     fn densities(&self, times: &[f64], report: &mut TrigSplineReport) -> Vec<f64> {
         let n = self.straights.len();
         let mut rows = vec![[0.0; 3]; n];
@@ -280,7 +282,7 @@ impl Pass {
         }
     }
 
-    /// Returns the piece from node k to the next one.
+    /// Returns the piece of the spline from node `k` to the next one, with its acceleration limit.
     pub(super) fn piece(&self, k: usize) -> Limited {
         let a = &self.nodes[k];
         let b = &self.nodes[k + 1];
@@ -303,7 +305,7 @@ impl Pass {
         (1..self.nodes.len()).map(|k| self.piece(k - 1))
     }
 
-    /// Returns the arc length of node k from the start of the pass; that of a corner is its middle.
+    /// Returns the arc length of node `k` from the start of the pass, mm; for a corner that of the middle of its blend.
     fn arc_length(&self, k: usize) -> f64 {
         let s = &self.straights[self.straight_of[k]];
         let part = if self.nodes[k].half_length_mm > 0.0 { s.length } else { 0.5 * s.length };
@@ -336,7 +338,7 @@ impl Pass {
         )
     }
 
-    /// Returns the time of the pass, s.
+    /// Returns the duration of the pass, s.
     pub(super) fn duration_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else { return 0.0 };
         let last_straight = &self.straights[self.straights.len() - 1];
@@ -348,19 +350,21 @@ impl Pass {
     }
 }
 
-/// Returns the time of straight k by its row, for the densities `d` of all dwell points.
+/// Returns the time of straight `k`, s, from its row of the system and the densities `d` of all dwell points.
 fn time_of_row([before, own, after]: &[f64; 3], d: &[f64], k: usize) -> f64 {
     let first = if k > 0 { d[k - 1] } else { 0.0 };
     let last = d.get(k + 1).copied().unwrap_or(0.0);
     before * first + own * d[k] + after * last
 }
 
-/// Returns the weights of the dwell points before and after a corner in its density: the nearer one has more.
+/// Returns the weights of the dwell points before and after a corner in its density; the nearer one has more weight.
+/// The arguments are the lengths of the segments.
 fn corner_weights(before: f64, after: f64) -> [f64; 2] {
     [after / (before + after), before / (before + after)]
 }
 
-/// Returns the nodes of all passes that have a length: start, dwell points, three for every corner, end.
+/// Returns the nodes of all passes that have a length, in order: start, dwell points, three nodes for every corner,
+/// end. `None` if no pass has a length.
 pub(super) fn density_of(
     path: &ToolPath,
     passes: &[Pass],

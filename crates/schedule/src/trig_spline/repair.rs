@@ -20,7 +20,7 @@ pub enum Repair {
 }
 
 impl Repair {
-    /// Name in settings and messages.
+    /// Returns the name of the repair in settings and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Offset => "offset",
@@ -29,17 +29,17 @@ impl Repair {
     }
 }
 
-/// Number of rounds of the proof that even out single pieces. Densities that differ by a factor of 1e15
-/// differ by 1.15 after them. Larger: more rounds before the offset. Smaller: an offset lengthens the
-/// whole motion although single pieces would do.
+/// Number of rounds of the proof that even out the densities of single pieces. Densities that differ by a factor of
+/// 1e15 differ by 1.15 after them. Larger: more rounds before the offset. Smaller: an offset lengthens the whole motion
+/// although single pieces would do.
 const EVENING_ROUNDS: usize = 8;
 
-/// Largest number of rounds of the proof. Those after [`EVENING_ROUNDS`] add an offset, which halves
-/// all relative differences. Larger: a hopeless case runs longer. Smaller: dwell times are refused that
-/// another offset would make possible.
+/// Largest number of rounds of the proof. Rounds after [`EVENING_ROUNDS`] add an offset, which halves all relative
+/// differences. Larger: a hopeless case runs longer. Smaller: the scheduler refuses dwell times that another offset
+/// would make possible.
 pub(super) const PROOF_ROUNDS: usize = 16;
 
-/// Repairs the densities by step 2, in O(N): the offset grows piece by piece, and no piece is visited
+/// Repairs the densities by step 2 of [`super`], in O(N): the offset grows piece by piece, and no piece is visited
 /// twice.
 pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
@@ -69,12 +69,12 @@ pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineRe
     report.offset_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
 }
 
-/// Returns the nodes of all passes that are no corners.
+/// Returns the nodes of all passes that are dwell points, not corners.
 fn dwell_points(passes: &[Pass]) -> impl Iterator<Item = &Node> {
     passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0)
 }
 
-/// Raises the densities at corners and beside them, step 3.
+/// Raises the densities at corners and beside them, by step 3 of [`super`].
 pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     for pass in passes.iter_mut() {
@@ -87,9 +87,9 @@ pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut TrigSplineReport
     report.corner_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
 }
 
-/// Raises the smaller density of every piece until its acceleration is kept, along the path and
-/// back; returns how many nodes were raised. Raising the smaller end of a piece keeps a piece that
-/// was kept, so one sweep each way is enough.
+/// Raises the smaller density of every piece until the piece keeps its acceleration limit, along the path and back.
+/// Returns the number of raised nodes. Raising the smaller end of a piece keeps a limit that was kept, so one sweep
+/// each way is enough.
 fn sweep(pass: &mut Pass) -> usize {
     let n = pass.nodes.len();
     let mut raised = 0;
@@ -107,7 +107,8 @@ fn sweep(pass: &mut Pass) -> usize {
     raised
 }
 
-/// Raises densities of the `unproven` pieces (pass, first node), step 6.
+/// Raises densities of the `unproven` pieces (index of the pass, index of the first node), by step 6 of [`super`]. In
+/// later rounds it adds an offset to all densities.
 pub(super) fn ease(
     passes: &mut [Pass],
     unproven: &[(usize, usize)],

@@ -3,26 +3,26 @@
 
 use std::{f64::consts::PI, sync::LazyLock};
 
-/// Number of bisections of a density. 2^-60 of the interval is below rounding. Larger: no change. Smaller: the
-/// increase of a density is larger than needed.
+/// Number of bisections for the increase of a density. 2^-60 of the interval is below rounding. Larger: no change.
+/// Smaller: the increase of a density is larger than needed.
 const BISECTIONS: usize = 60;
 
-/// One piece of the spline, (1).
+/// One piece of the spline, (1) of [`super`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrigPiece {
-    /// Densities at its ends, s/mm; > 0.
+    /// Dwell-time densities at the start and at the end, s/mm; > 0.
     pub density_s_per_mm: [f64; 2],
-    /// Length, mm; > 0.
+    /// Length along the path, mm; > 0.
     pub length_mm: f64,
 }
 
-/// A place along a piece.
+/// Position along a piece, with its density.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PiecePlace {
-    /// Part of the length, 0 to 1.
+    /// Part of the length before this position, 0 to 1.
     x: f64,
     angle: HalfAngle,
-    /// Density (1), s/mm.
+    /// Density at this position by (1) of [`super`], s/mm.
     pub(super) density_s_per_mm: f64,
 }
 
@@ -35,22 +35,22 @@ impl TrigPiece {
         self.density_s_per_mm[1] - self.density_s_per_mm[0]
     }
 
-    /// Returns the eccentricity e = M1/M2, in (-1, 1).
+    /// Returns the eccentricity e = M1/M2: the difference of the densities over their sum, in (-1, 1).
     pub fn eccentricity(&self) -> f64 {
         self.difference() / self.sum()
     }
 
-    /// Returns the duration T = L M2/2, s.
+    /// Returns the duration of the piece, T = L M2/2, s.
     pub fn duration_s(&self) -> f64 {
         0.5 * self.length_mm * self.sum()
     }
 
-    /// Returns the density (1) at the fraction `x` of the length, s/mm.
+    /// Returns the density at the part `x` of the length, by (1) of [`super`], s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
         self.place(x, HalfAngle::new(x)).density_s_per_mm
     }
 
-    /// Ends of a stretch.
+    /// Returns the positions of both ends of a stretch.
     pub(super) fn ends(&self, stretch: &Stretch) -> [PiecePlace; 2] {
         let [from, to] = stretch.angles();
         [self.place(stretch.from, from), self.place(stretch.to, to)]
@@ -64,7 +64,8 @@ impl TrigPiece {
         PiecePlace { x, angle, density_s_per_mm }
     }
 
-    /// Returns the upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
+    /// Returns an upper bound on the fourth time derivative of the position, |d^4 s/dt^4|, between two positions,
+    /// mm/s^4.
     pub(super) fn fourth_derivative_bound(&self, ends: [PiecePlace; 2]) -> f64 {
         // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
         // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
@@ -87,14 +88,15 @@ impl TrigPiece {
         (third + ratio * (10.0 * second + 15.0 * ratio * first)) / (least * least).powi(2) / least
     }
 
-    /// Returns the time (2) between the fractions `from` and `to` of the length, s, to its own rounding. If the
-    /// densities of the ends differ by orders of magnitude, the difference of two times of (2) would leave no digit of
+    /// Returns the time between the parts `from` and `to` of the length, s, to its own rounding. If the densities of
+    /// the ends differ by orders of magnitude, the difference of two times by (2) of [`super`] would leave no digit of
     /// a short one.
     pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
         self.time_s(time_weights(from, to))
     }
 
-    /// Returns the time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
+    /// Returns the time from the start of a stretch to its check point `k`, s; check point [`STRETCH_PLACES`] is its
+    /// end.
     pub(super) fn elapsed_s_to(&self, stretch: &Stretch, k: usize) -> f64 {
         self.time_s(stretch.time_weights(k))
     }
@@ -104,8 +106,8 @@ impl TrigPiece {
         self.length_mm * (d1 * weights[0] + d2 * weights[1])
     }
 
-    /// Returns the fraction of the length at the fraction `m` of the time, the inverse of (2), by Newton's method
-    /// within a bracket that bisection narrows.
+    /// Returns the part of the length that is covered after the part `m` of the duration. It inverts (2) of [`super`]
+    /// by Newton's method within a bracket that bisection narrows.
     pub fn progress(&self, m: f64) -> f64 {
         let e = self.eccentricity();
         let (mut low, mut high) = (0.0, 1.0);
@@ -127,7 +129,7 @@ impl TrigPiece {
         x
     }
 
-    /// Returns the peak acceleration (3), mm/s^2.
+    /// Returns the largest |acceleration| on the piece, by (3) of [`super`], mm/s^2.
     pub fn peak_acceleration(&self) -> f64 {
         let r = self.eccentricity().abs();
         let [d1, d2] = self.density_s_per_mm;
@@ -161,8 +163,8 @@ impl HalfAngle {
     }
 }
 
-/// Returns the time between two parts of the length per mm of length, for a density of 1 s/mm at one end and 0 at the
-/// other, for each end.
+/// Returns the time between two parts of the length per mm of the piece, s/mm, for a density of 1 s/mm at one end and 0
+/// at the other. The two values are for the density at the start and at the end.
 fn time_weights(from: f64, to: f64) -> [f64; 2] {
     // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
     //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
@@ -174,24 +176,25 @@ fn time_weights(from: f64, to: f64) -> [f64; 2] {
         .map(|m| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI)
 }
 
-/// Number of equal steps of a stretch; the fit is checked at their ends. Larger: more computing time, and larger
-/// tables. Smaller: the error can be larger between two places; with 10 steps by at most 2 %.
+/// Number of equal steps of a stretch; the fit is checked at their ends (check points). Larger: more computing time,
+/// and larger tables. Smaller: the error can be larger between two check points; with 10 steps by at most 2 %.
 pub(super) const STRETCH_PLACES: usize = 10;
 
-/// A stretch of a piece, between two parts of its length.
+/// Stretch of a piece: the piece between two parts of its length.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch {
     pub(super) from: f64,
     pub(super) to: f64,
-    /// Number among the halved stretches: 1 is the whole piece, 2 k and 2 k + 1 are the halves of k; 0 for any other.
+    /// Number among the stretches made by halving: 1 is the whole piece, 2 k and 2 k + 1 are the halves of k; 0 for any
+    /// other.
     halved: usize,
 }
 
 impl Stretch {
-    /// The whole piece.
+    /// Stretch that is the whole piece.
     pub(super) const WHOLE: Self = Self { from: 0.0, to: 1.0, halved: 1 };
 
-    /// Returns the stretch between any two parts of the length.
+    /// Returns the stretch between any two parts of the length, 0 to 1.
     pub(super) fn new(from: f64, to: f64) -> Self {
         Self { from, to, halved: 0 }
     }
@@ -206,7 +209,7 @@ impl Stretch {
         ]
     }
 
-    /// Returns the part of the length at the place `k`.
+    /// Returns the part of the length at the check point `k`.
     pub(super) fn part(&self, k: usize) -> f64 {
         if k == STRETCH_PLACES {
             return self.to;
@@ -228,15 +231,16 @@ impl Stretch {
     }
 }
 
-/// Values on a stretch that do not depend on the densities and the length of a piece.
+/// Values on a stretch that depend neither on the densities nor on the length of a piece.
 #[derive(Clone, Copy, Debug)]
 struct Known {
     angles: [HalfAngle; 2],
-    /// Weights of the time from the start of the stretch to every place, the start included.
+    /// Weights of the time, as by [`time_weights`], from the start of the stretch to every check point, the start
+    /// included.
     time_weights: [[f64; 2]; STRETCH_PLACES + 1],
 }
 
-/// Values of the halved stretches, in the order of their numbers, down to 1/128 of a piece.
+/// Values of the stretches made by halving, in the order of their numbers, down to 1/128 of a piece.
 static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     let mut stretches = vec![Stretch::WHOLE];
     for k in 0..127 {
@@ -249,7 +253,7 @@ static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     known.collect()
 });
 
-/// Returns the difference x - sin x for 0 <= x <= pi/2, to its own rounding.
+/// Returns the difference x - sin x for 0 <= x <= pi/2, accurate also for small x.
 fn angle_less_sine(x: f64) -> f64 {
     if x > 0.5 {
         return x - x.sin();
@@ -265,11 +269,11 @@ fn angle_less_sine(x: f64) -> f64 {
     sum
 }
 
-/// Piece with the acceleration that the machine allows along it.
+/// Piece of the spline with the acceleration that the machine allows along it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limited {
     pub(super) shape: TrigPiece,
-    /// Largest acceleration along the path, mm/s^2, less the margin.
+    /// Largest acceleration that the machine allows along the piece, less the margin of the repair, mm/s^2.
     pub(super) max_acceleration: f64,
 }
 
@@ -278,8 +282,8 @@ impl Limited {
         self.shape.raised(by).peak_acceleration() > self.max_acceleration
     }
 
-    /// Returns the smallest offset >= `offset` that keeps the acceleration limit, s/mm. Raising both densities by the
-    /// same amount leaves D' and raises D: |D'|/D^3 falls.
+    /// Returns the smallest offset of both densities, at least `offset`, that keeps the acceleration limit, s/mm.
+    /// Raising both densities by the same amount leaves D' and raises D: |D'|/D^3 falls.
     pub(super) fn offset(&self, offset: f64) -> f64 {
         if !self.is_too_fast([offset; 2]) {
             return offset;
@@ -290,8 +294,8 @@ impl Limited {
         bisect(offset, offset.max(bound), |by| !self.is_too_fast([by; 2]))
     }
 
-    /// Returns the smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
-    /// s/mm. It lowers |D'| and raises D everywhere; at equal densities there is no acceleration.
+    /// Returns the smallest increase of the smaller density that keeps the acceleration limit, s/mm; 0 if it is kept.
+    /// `which` is the end with the smaller density: 0 start, 1 end.
     pub(super) fn raise(&self, which: usize) -> f64 {
         if !self.is_too_fast([0.0; 2]) {
             return 0.0;
@@ -304,7 +308,8 @@ impl Limited {
     }
 }
 
-/// Returns the smallest value in (low, high] that is `good`. `high` is good, and so is every value above a good one.
+/// Returns the smallest value in (low, high] for which `good` is true, by bisection. `high` is good, and so is every
+/// value above a good one.
 fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);

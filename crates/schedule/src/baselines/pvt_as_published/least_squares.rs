@@ -4,10 +4,9 @@
 //! min |J x - r|^2   with   low <= x <= high,   a row of J in the unknowns of two neighbouring nodes
 //! ```
 //!
-//! With some unknowns held at bounds, Givens rotations of the rows solve for the others. The normal
-//! equations would contain the squares of entries, which vanish in rounding. Primal-dual active sets
-//! find the held unknowns. If the sets repeat, the bounds are changed one at a time, from the solution
-//! of an interior point method.
+//! With some unknowns held at bounds, Givens rotations of the rows solve for the others. The normal equations would
+//! contain the squares of entries, which vanish in rounding. Primal-dual active sets find the held unknowns. If the
+//! sets repeat, `descend` changes one bound at a time, starting from the solution of an interior point method.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -22,10 +21,10 @@ use clarabel::{
     },
 };
 
-/// Unknowns per node: v, A, a.
+/// Number of unknowns per node of the path: velocity (v), acceleration of the cubics (A) and acceleration (a).
 pub(super) const PER_NODE: usize = 3;
 
-/// Half bandwidth of the triangle: a row has the unknowns of two neighbouring nodes.
+/// Number of superdiagonals of the triangular factor: a row has the unknowns of two neighbouring nodes.
 const BAND: usize = 5;
 
 /// Largest number of rounds of the active set method. It ends after 4 to 12 on real paths; after 60 it
@@ -33,15 +32,16 @@ const BAND: usize = 5;
 /// the active sets would end are solved by the slower method.
 pub(super) const MAX_ROUNDS: usize = 60;
 
-/// Largest number of changes of one bound each; a random path of 60 segments needs some tens. Larger: a
-/// hopeless case runs longer. Smaller: the method ends before the minimum, and the result is refused.
+/// Largest number of steps of `descend`, which changes one bound per step; a random path of 60 segments needs some
+/// tens. Larger: a hopeless case runs longer. Smaller: the method ends before the minimum, and the caller refuses the
+/// result.
 const MAX_CHANGES: usize = 2000;
 
 /// Gradient that counts as zero, relative to the norm of the right-hand side. Larger: the method ends
 /// before the minimum. Smaller: rounding releases bounds without end.
 const ROUNDING: f64 = 1e-13;
 
-/// Place of an unknown: held at its lower or upper bound, or free.
+/// State of an unknown: held at its lower bound, free, or held at its upper bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Side {
     Low,
@@ -60,7 +60,7 @@ impl Side {
     }
 }
 
-/// Row `value x[first..] = right` of the least squares.
+/// Row of the least-squares matrix with its right-hand side: the terms `value[k] x[first + k]` shall add up to `right`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ResidualRow {
     pub(super) first: usize,
@@ -75,7 +75,7 @@ impl ResidualRow {
     }
 }
 
-/// Problem min |J x - r|^2; the rows ascend in `first`.
+/// Least-squares problem min |J x - r|^2. The rows ascend in their first unknown `first`.
 #[derive(Clone, Debug)]
 pub(super) struct LeastSquares {
     pub(super) rows: Vec<ResidualRow>,
@@ -97,8 +97,8 @@ impl LeastSquares {
         (gradient, square)
     }
 
-    /// Returns the distance from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|; it is 0 at
-    /// the minimum and only there.
+    /// Returns the relative distance of `x` from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| /
+    /// |r|, with J_j the column j of J. It is 0 at the minimum and only there.
     pub(super) fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
         let (gradient, square) = self.gradient(x);
         let scale = self.right_norm();
@@ -111,7 +111,8 @@ impl LeastSquares {
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
 
-    /// Returns the side of every unknown, to which x - gradient / |J_j|^2 points.
+    /// Returns the side of every unknown: the bound that a step to the minimum along this unknown, x_j - gradient_j /
+    /// |J_j|^2, would exceed, or free.
     fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
         let (gradient, square) = self.gradient(x);
         (0..self.unknowns)
@@ -128,9 +129,9 @@ impl LeastSquares {
             .collect()
     }
 
-    /// Returns the solution by primal-dual active sets, and the number of rounds: solve with the unknowns on their
-    /// sides and choose the sides again, until they no longer change. `None` if they keep changing, or if the rows are
-    /// dependent.
+    /// Returns the minimum by primal-dual active sets, and the number of rounds. A round solves with the unknowns held
+    /// on their sides and chooses the sides again, until they no longer change. Returns `None` if they keep changing,
+    /// or if the rows are dependent.
     pub(super) fn active_set(
         &self,
         low: &[f64],
@@ -153,10 +154,10 @@ impl LeastSquares {
         None
     }
 
-    /// Descends from a feasible x to the minimum, and returns it with the number of changes. Each step goes
-    /// to the solution of the free unknowns, or to the first bound on the way, which is then held. At the
-    /// solution of the free unknowns the bound with the largest gradient is released. The sum of squares
-    /// never grows.
+    /// Descends from a feasible `x` to the minimum, and returns it with the number of changes of one bound each; `None`
+    /// if the rows are dependent. Each step goes to the solution of the free unknowns, or to the first bound before it,
+    /// which is then held. At the solution of the free unknowns it releases the bound with the largest gradient. The
+    /// sum of squares never grows.
     pub(super) fn descend(
         &self,
         low: &[f64],
@@ -216,8 +217,9 @@ impl LeastSquares {
         self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
     }
 
-    /// Solves for the unknowns that `fixed` leaves free: Givens rotations of row after row into a
-    /// banded upper triangle, and back substitution.
+    /// Solves for the unknowns for which `fixed` returns `None`; the others keep the value that it returns. Givens
+    /// rotations bring the rows into a banded upper triangle; back substitution follows. Returns `None` if the rows are
+    /// dependent.
     fn solve_with_fixed(&self, fixed: impl Fn(usize) -> Option<f64>) -> Option<Vec<f64>> {
         let n = self.unknowns;
         let value: Vec<Option<f64>> = (0..n).map(fixed).collect();
@@ -263,7 +265,8 @@ impl LeastSquares {
         if x.iter().all(|x| x.is_finite()) { Some(x) } else { None }
     }
 
-    /// Returns the solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
+    /// Returns the minimum by the interior point solver Clarabel, to its tolerance of 1e-8; zeros if the solver cannot
+    /// start. The problem is min |z|^2/2 with J x - z = r.
     pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
         let n = self.unknowns;
         let m = self.rows.len();

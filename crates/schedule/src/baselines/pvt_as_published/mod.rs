@@ -64,7 +64,7 @@ use crate::{
     rounding_mm,
 };
 
-/// Node at which Eq. 16 sets the tool at rest, `v = a = 0`, besides the end.
+/// Nodes at which Eq. 16 of the source sets the tool at rest, `v = a = 0`, in addition to the last node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum RestCondition {
@@ -78,40 +78,40 @@ pub enum RestCondition {
 /// Settings of PVT as published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct AsPublishedSettings {
-    /// Node at which Eq. 16 sets the tool at rest.
+    /// Nodes at which Eq. 16 of the source sets the tool at rest.
     pub rest_condition: RestCondition,
 }
 
-/// Errors of the least squares and of the motion, per axis [x, y].
+/// Errors of the least squares and of the motion; every pair is one value per axis [x, y].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct AsPublishedReport {
     /// Largest distance of the least-squares cubics from their control points, mm.
     pub largest_position_error_mm: [f64; 2],
-    /// RMS of that distance over both ends of every segment, mm.
+    /// RMS of the distance of the least-squares cubics from their control points over both ends of every segment, mm.
     pub rms_position_error_mm: [f64; 2],
-    /// Segments along which the axis rests (no displacement).
+    /// Number of segments in which this axis has no displacement.
     pub resting_segments: [usize; 2],
-    /// Largest |velocity| at a node between two such segments, mm/s.
+    /// Largest |velocity| at a node between two segments without displacement of the axis, mm/s.
     pub largest_resting_velocity_mm_per_s: [f64; 2],
-    /// Largest |velocity| against the displacement of its segment at one of its nodes, mm/s.
+    /// Largest |velocity| at a node of a segment whose sign is opposite to the displacement of that segment, mm/s.
     pub largest_reverse_velocity_mm_per_s: [f64; 2],
-    /// Largest step of the acceleration at an inner node after Eq. 8, mm/s^2.
+    /// Largest step of the acceleration at an inner node of the motion (cubics of Eq. 8 of the source), mm/s^2.
     pub largest_acceleration_step_mm_per_s2: [f64; 2],
-    /// Nodes whose velocity is at a bound of Eq. 18.
+    /// Number of nodes whose velocity is at a bound of Eq. 18 of the source.
     pub velocities_at_a_bound: [usize; 2],
-    /// Factorisations of the active set method. More than 60 if the sets repeated and the bounds were
-    /// changed one at a time, from the solution of the interior point method.
+    /// Number of factorisations of the active set method. It is more than 60 if the sets repeated; the method then
+    /// changed one bound at a time, starting from the solution of the interior point method.
     pub factorisations: [usize; 2],
-    /// Distance of the solution from the minimum, relative. It is the largest step of one unknown to the
-    /// minimum along it, within its bounds: the change of the rows over the norm of the right-hand side.
+    /// Relative distance of the solution from the minimum: the largest step of a single unknown to the minimum along
+    /// it, within its bounds. It is measured as the change of the rows over the norm of the right-hand side.
     pub optimality: [f64; 2],
-    /// Segments without length and dwell time, left out.
+    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
     pub dropped: Vec<usize>,
 }
 
-/// Schedules `path` with the times `dwell`, and stretches nothing.
+/// Schedules `path` with the times `dwell`; no segment gets more time.
 ///
-/// Refuses a dwell time of zero on a segment with a length: its cubic would have no time.
+/// Refuses a dwell time of zero on a segment with a length, because its cubic would have no time.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -211,7 +211,7 @@ impl AsPublishedReport {
     }
 }
 
-/// The problem of one axis; N segments.
+/// Least-squares problem of one axis with N segments.
 #[derive(Debug)]
 struct PublishedAxis {
     displacement_mm: Vec<f64>,
@@ -221,10 +221,10 @@ struct PublishedAxis {
     rest_condition: RestCondition,
 }
 
-/// The solution of one axis.
+/// Solution of the least-squares problem of one axis.
 #[derive(Debug)]
 struct Nodes {
-    /// Unknowns v, A, a of node 0, then of node 1, and so on.
+    /// Unknowns of node 0, then of node 1, and so on: velocity (v), acceleration of the cubics (A), acceleration (a).
     value: Vec<f64>,
     velocities_at_a_bound: usize,
     factorisations: usize,
@@ -242,7 +242,8 @@ impl Nodes {
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
 impl PublishedAxis {
-    /// Returns the distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
+    /// Returns the distances of the least-squares cubic of segment `i` from its start point and its end point, p(0) -
+    /// P0 and p(h) - P1, mm.
     fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
         let h = self.duration_s[i];
         let [_, row] = self.rows(i);
@@ -250,7 +251,7 @@ impl PublishedAxis {
         [error, -error]
     }
 
-    /// Returns the rows (3) of segment i.
+    /// Returns the rows of the least squares for segment `i`, (3) of the module: velocity, then position.
     fn rows(&self, i: usize) -> [ResidualRow; 2] {
         let h = self.duration_s[i];
         let dp = self.displacement_mm[i];
@@ -272,7 +273,8 @@ impl PublishedAxis {
         ]
     }
 
-    /// Returns all rows: `A - a` of every node, once per segment that ends there, and (3), by segments.
+    /// Returns all rows in order of the nodes: the row `A - a` of each node, weighted by the number of its segments,
+    /// then the rows (3) of the module for the segment that starts there.
     fn least_squares(&self) -> LeastSquares {
         let n = self.duration_s.len();
         let mut rows = Vec::with_capacity(3 * n + 1);
@@ -292,7 +294,7 @@ impl PublishedAxis {
         LeastSquares { rows, unknowns: PER_NODE * (n + 1) }
     }
 
-    /// Bounds of the unknowns: Eqs 16-18.
+    /// Returns the lower and upper bounds of the unknowns, by Eqs 16-18 of the source.
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
         let n = self.duration_s.len();
         let (mut low, mut high) = (Vec::new(), Vec::new());
@@ -311,8 +313,8 @@ impl PublishedAxis {
         (low, high)
     }
 
-    /// Returns the solution by active sets, from the free solution. If they repeat, the bounds are changed one at a
-    /// time, from the solution of the interior point method.
+    /// Returns the minimum within the bounds by active sets, starting with all unknowns free. If the sets repeat, it
+    /// changes one bound at a time, starting from the solution of the interior point method.
     fn solve(&self) -> Result<Nodes, NotConverged> {
         let problem = self.least_squares();
         let (low, high) = self.bounds();
@@ -341,7 +343,7 @@ impl PublishedAxis {
     }
 }
 
-/// Returns the error about a solution that is `residual` away from the minimum, relative.
+/// Returns the error for a solution whose relative distance from the minimum is `residual`.
 fn not_converged(iterations: usize, residual: f64) -> NotConverged {
     NotConverged {
         method: "the least squares of PVT as published",
@@ -367,9 +369,9 @@ mod tests {
         }
     }
 
-    /// Solution (v, a) of the nodes 1 .. N-1 by Eqs 9-16 as printed: six unknowns
-    /// (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the absolute time `t` of the source. The matrix is
-    /// dense, and the null space keeps the hard rows. There are no bounds; they must not be active.
+    /// Returns velocity and acceleration (v, a) of the nodes 1 .. N-1 by Eqs 9-16 as printed. There are six unknowns
+    /// (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the absolute time `t` of the source. The matrix is dense, and
+    /// the null space keeps the hard rows. There are no bounds; they must not be active.
     fn as_printed(problem: &PublishedAxis) -> Vec<[f64; 2]> {
         let n = problem.duration_s.len();
         let t = break_times(&problem.duration_s);
@@ -481,9 +483,9 @@ mod tests {
         }
     }
 
-    /// A motion with continuous acceleration, from rest to rest, is its own least-squares solution at all
-    /// times. Here segments of 1e-4 s are among those of seconds; the squares of their rows would vanish in
-    /// the normal equations.
+    /// A motion with continuous acceleration, from rest to rest, must be its own least-squares solution at all times.
+    /// Here segments of 1e-4 s are among those of seconds; the squares of their rows would vanish in the normal
+    /// equations.
     #[test]
     fn a_smooth_motion_is_found_again_at_unequal_times() {
         let h = [2.0, 1e-4, 1e-4, 2e-4, 1e-4, 3e-4, 0.5, 1.0, 1e-3, 1e-4, 1e-4, 2e-4, 1.5, 3.0];
