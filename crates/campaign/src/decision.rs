@@ -30,7 +30,8 @@ use planish_types::{Invalid, text::significant};
 use serde::{Deserialize, Serialize};
 
 /// Number of independent values of a low-order error of the map: the two coefficients of its first degree. Larger: the
-/// standard error of the figure becomes smaller, and the decision too sure. Smaller: a run that would gain is not recommended.
+/// standard error of the figure becomes smaller, and the decision too sure. Smaller: a run that would gain is not
+/// recommended.
 const LOW_ORDER_NUMBERS: f64 = 2.0;
 
 /// Gain that 95 % of the runs must reach, in standard errors of the RMS on the mirror now. Larger: real gains count
