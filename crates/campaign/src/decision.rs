@@ -288,7 +288,8 @@ fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// State with a plan that leaves T1 from 0.9 to 1.1 of `t`, uniform over the runs.
+    /// Returns the state of a mirror with a map of RMS `measured`, and a plan whose T1 is uniform from 0.9 to 1.1 of
+    /// `t`, nm.
     fn known(measured: f64, t: f64) -> Known {
         Known {
             measured_rms_nm: measured,

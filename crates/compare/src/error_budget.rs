@@ -102,7 +102,8 @@ fn words(kind: &str) -> String {
 }
 
 impl ErrorBudget {
-    /// Creates the effect on the motion of `method`, from the settings, the outcome and the arrays of a tolerance artifact.
+    /// Collects the effect of the errors on the motion of `method`, from the settings, outcome and arrays of a
+    /// tolerance artifact.
     pub fn new(
         method: &str,
         settings: ToleranceSettings,

@@ -161,8 +161,8 @@ fn divided(
 /// roles of inputs.
 ///
 /// # Errors
-/// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their records
-/// contradict each other.
+/// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their
+/// records contradict each other.
 pub(crate) fn read_run(
     inputs: &mut Inputs,
     number: usize,

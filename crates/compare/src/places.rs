@@ -372,7 +372,7 @@ mod tests {
         Grid { x: Axis::new(0.5, 1.0, nx).unwrap(), y: Axis::new(0.5, 1.0, ny).unwrap() }
     }
 
-    /// Removes where the centre is within `radius_mm`.
+    /// Returns a tool that removes at the same rate in all pixels whose centre is within `radius_mm`.
     fn top_hat(radius_mm: f64) -> Tif {
         let axis = Axis::new(-5.0, 0.05, 201).unwrap();
         let grid = Grid { x: axis, y: axis };
@@ -382,7 +382,7 @@ mod tests {
         Tif::new(grid, rate).unwrap()
     }
 
-    /// Flat but for 8 nm at column 2, row 1, and -6 nm at column 10, row 4.
+    /// Returns a residual of 0 nm except for 8 nm at column 2, row 1, and -6 nm at column 10, row 4.
     fn residual() -> Surface {
         let mut map = Array2::zeros((6, 12));
         map[[1, 2]] = 8.0;

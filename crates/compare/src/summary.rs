@@ -571,7 +571,7 @@ mod tests {
         Grid { x: Axis::new(-1.0, 1.0, nx).unwrap(), y: Axis::new(5.0, 1.0, ny).unwrap() }
     }
 
-    /// Residual [[1, -1], [-1, 1]] nm plus a tilt of 2 nm per pixel along x and a piston of 7 nm.
+    /// Returns a map of [[1, -1], [-1, 1]] nm plus a tilt of 2 nm per pixel along x and a piston of 7 nm.
     fn desired() -> Surface {
         Surface::new(grid(2, 2), array![[11.0, 11.0], [9.0, 13.0]]).unwrap()
     }

@@ -277,7 +277,7 @@ mod tests {
     use super::*;
     use serde_json::{Value, json};
 
-    /// Plans with these times, residuals and limits.
+    /// Returns a table of plans with these times (s), residuals (nm) and states of the limits (true: kept).
     pub(super) fn table(plans: &[(f64, f64, bool)], max_time_s: Option<f64>) -> Table {
         let row = |(i, (time, rms, kept)): (usize, &(f64, f64, bool))| {
             json!({

@@ -1,11 +1,11 @@
 //! Environment variables by which `planish-run` tells a program that it starts how the user sees its flags.
 //!
-//! [`SETTINGS_OF_FLAGS`] has a line for each flag: the flag, a tab, and the setting that a user gives in its place. A line
-//! without a flag names the setting that takes all other flags of the program. Messages then name the settings.
+//! [`SETTINGS_OF_FLAGS`] has a line for each flag: the flag, a tab, and the setting that a user gives in its place. A
+//! line without a flag names the setting that takes all other flags of the program. Messages then name the settings.
 //!
-//! [`REHEARSAL`] makes the program end with exit code 0 where it would begin its work, or needs an input that is still to
-//! be made. Until then it checks its flags and the inputs that are there. The value is a list of paths as JSON: first the
-//! directory of the run, then the paths in it that are made already.
+//! [`REHEARSAL`] makes the program end with exit code 0 at the point where it would begin its work, or where it needs
+//! an input that has not been made. Until then it checks its flags and the inputs that exist. The value is a list of
+//! paths as JSON: first the directory of the run, then the paths in it that are made already.
 
 use std::{borrow::Cow, env, path::Path, process::exit};
 

@@ -482,7 +482,7 @@ mod tests {
         assert!(hash(Path::new("/")).is_err());
     }
 
-    /// A `.npy` file of version 1 with the header `dictionary` and `data`.
+    /// Returns a `.npy` file of version 1 with the header `dictionary` and the elements `data`.
     fn file(dictionary: &str, data: &[u8]) -> Vec<u8> {
         let mut header = dictionary.to_string();
         header.push('\n');

@@ -472,7 +472,8 @@ fn tell_in_lines(message: String, bar: &ProgressBar) {
     });
 }
 
-/// Returns the line on a run that has worked for the time `after`, when this fraction of the work is done. The rest takes
+/// Returns the line that tells the progress of a run, which has worked for the time `after`. `fraction` of the work
+/// is done. The rest takes
 ///
 /// ```text
 /// after (1 - fraction) / fraction

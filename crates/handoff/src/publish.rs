@@ -317,7 +317,7 @@ mod tests {
         ["a", "b"].map(|name| text(&dir.join(name)))
     }
 
-    /// Two staged files that replace old ones.
+    /// Returns two staged files that replace old ones.
     fn staged(dir: &Path) -> Vec<Staged> {
         for name in ["a", "b"] {
             fs::write(dir.join(name), "old").unwrap();

@@ -17,8 +17,9 @@ pub type Words = BTreeMap<String, Vec<String>>;
 /// Origins of the flags of a command: the settings that give them, so that a message can name what the user wrote.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Origins {
-    /// Flags, each with what a user gives in its place: `pitch_mm` for `--pitch-mm`, or `prepare=--level` for a word of a
-    /// setting that holds flags. A flag that the pipeline itself writes stands for the setting of its name, or for itself.
+    /// Flags, each with what a user gives in its place: `pitch_mm` for `--pitch-mm`, or `prepare=--level` for a word
+    /// of a setting that holds flags. A flag that the pipeline itself writes stands for the setting of its name, or
+    /// for itself.
     pub of_flag: Vec<(String, String)>,
     /// Setting that holds further flags of the command, in which a user can give any other flag; `None` if there is
     /// none.

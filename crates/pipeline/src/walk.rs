@@ -232,7 +232,8 @@ stages:
   two: {optional: '{may}', steps: ['planish-x {label}'], note: 'the end of {label} when may'}
 ";
 
-    /// The steps of the stage `run`; a stage is left at its first command if that may refuse.
+    /// Returns the steps of the stage `run` as text. With `leave`, a stage is left at its first command if that may
+    /// refuse.
     fn steps(settings: &[&str], leave: bool) -> Vec<String> {
         let definition = Definition::read("p", SHARED, "title: T").unwrap();
         let mut walk = Walk::new(Scope::new(&definition, settings).unwrap(), "run").unwrap();

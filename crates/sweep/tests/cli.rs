@@ -1,4 +1,4 @@
-//! `planish-sweep` as the workflow calls it, with the real stages.
+//! Tests of `planish-sweep` as the workflow calls it, with the real stages.
 
 use std::{
     collections::BTreeMap,
@@ -46,7 +46,7 @@ fn ended(code: i32, arguments: &[&str]) -> String {
     said
 }
 
-/// The file of a sweep in `dir`.
+/// Writes the file of a sweep in `dir` and returns its path.
 fn written(dir: &Path, sweep: &str) -> PathBuf {
     let fixtures = workspace().join("fixtures");
     let sweep = sweep
@@ -64,7 +64,8 @@ fn expanded(dir: &Path, name: &str) -> String {
     out
 }
 
-/// Every file below a directory that does not say how it was made: its bytes.
+/// Returns the contents of the result files under a directory, without those that depend on how the results were
+/// made.
 fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![dir.to_path_buf()];

@@ -187,7 +187,8 @@ pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> 
 mod tests {
     use super::*;
 
-    /// p = (u^2, -u) for 2 s, then a jump to (9, 9) where it rests for 1 s, three times.
+    /// Returns a motion p = (u^2, -u) mm for 2 s, which then jumps to (9, 9) mm and rests there for 1 s, `rests`
+    /// times.
     fn motion(rests: usize) -> Trajectory {
         let mut c = vec![[[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]]];
         c.extend(vec![[[9.0, 0.0, 0.0, 0.0]; 2]; rests]);

@@ -149,7 +149,7 @@ mod tests {
     use super::*;
     use crate::on_axes::check_names;
 
-    /// Two seconds of an axis that turns back, x = 2 t - t^2, and of one that stands at 7.
+    /// Returns a motion of 2 s with two axes: one turns back, x = 2 t - t^2, and one rests at 7.
     fn motion() -> AxesMotion {
         let cubics = vec![[0.0, 2.0, -1.0, 0.0], [7.0, 0.0, 0.0, 0.0]];
         AxesMotion::new(vec![5.0, 7.0], cubics, vec![true], vec![None]).unwrap()

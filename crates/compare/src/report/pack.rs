@@ -99,7 +99,7 @@ pub fn base64(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    /// The integers back from the text, by a decoder that shares nothing with the encoder.
+    /// Returns the integers in a packed text, by a decoder that shares nothing with the encoder.
     fn integers(text: &str) -> Vec<i16> {
         let value = |c: u8| match c {
             b'A'..=b'Z' => c - b'A',

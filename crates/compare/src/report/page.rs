@@ -112,8 +112,8 @@ fn axes(views: &[View]) -> String {
     )
 }
 
-/// Returns the content security policy of the page. The browser runs only the program and the style of this page, known by
-/// their hashes, whatever the names and manifests of a run contain.
+/// Returns the content security policy of the page. The browser then runs only the program and the style of this
+/// page, known by their hashes, whatever the names and manifests of a run contain.
 fn policy(style: &str) -> String {
     let [style, script] =
         [style, JS].map(|text| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes()))));

@@ -17,8 +17,8 @@
 //! weight than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of
 //! the rectangle, heights at its edges, and its own plane.
 //!
-//! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its bins
-//! (the mean, the corners of the plane of frequencies) count in the next band.
+//! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its
+//! frequencies (the mean, the corners of the plane of frequencies) count in the next band.
 
 use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::{
