@@ -38,7 +38,7 @@ const LOW_ORDER_NUMBERS: f64 = 2.0;
 /// as noise. Smaller: noise counts as a gain.
 const SEEN: f64 = 2.0;
 
-/// Settings of the decision.
+/// Settings of the decision to run again or to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DecisionSettings {
     /// Least median gain for another run, in percent of the RMS on the mirror now. Larger: fewer runs. Smaller: runs
@@ -112,12 +112,12 @@ impl Verdict {
     }
 }
 
-/// Distribution of a quantity over the runs, nm.
+/// Distribution of the RMS on the mirror over the simulated runs of a plan, nm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Median, nm.
     pub median_nm: f64,
-    /// Interval that contains 95 % of the runs, nm.
+    /// Ends of the interval that contains 95 % of the runs, nm.
     pub interval_95_percent_nm: [f64; 2],
 }
 
@@ -128,29 +128,29 @@ pub struct Decision {
     pub verdict: Verdict,
     /// Reason, in a sentence with the numbers.
     pub reason: String,
-    /// RMS of the map, nm.
+    /// RMS of the measured map, nm (M0 of the module).
     pub measured_rms_nm: f64,
-    /// RMS of the errors of a measurement, nm.
+    /// RMS of the errors of the measured map, nm (sigma of the module).
     pub noise_rms_nm: f64,
-    /// RMS on the mirror now, nm.
+    /// RMS of the figure on the mirror now, without the noise of the map, nm (S0 of the module).
     pub now_rms_nm: f64,
     /// Standard error of `now_rms_nm`, nm.
     pub now_standard_error_nm: f64,
-    /// RMS of the plan's residual on the map without errors, nm.
+    /// Predicted RMS of the plan's residual on the measured map, without errors of the process, nm.
     pub nominal_rms_nm: f64,
-    /// RMS on the mirror after the next run, nm.
+    /// RMS of the figure on the mirror after the next run, nm (S1 of the module).
     pub next: Spread,
     /// Median RMS of the map after the next run, nm: with the errors of its measurement.
     pub measured_next_median_nm: f64,
-    /// Median gain over the runs, nm.
+    /// Median of the gain (decrease of the RMS on the mirror) over the runs, nm (G of the module).
     pub gain_median_nm: f64,
-    /// Gain that 95 % of the runs exceed, nm.
+    /// Gain (decrease of the RMS on the mirror) that 95 % of the runs exceed, nm.
     pub gain_of_95_percent_nm: f64,
     /// Fraction of the runs that lower the RMS on the mirror, 0 to 1.
     pub part_that_gains: f64,
-    /// Time of the plan, s.
+    /// Time of the planned run, s.
     pub total_time_s: f64,
-    /// Median gain per minute of the plan, nm.
+    /// Median gain divided by the time of the planned run, nm per minute.
     pub gain_per_minute_nm: f64,
     /// Compliance with the specification; `None` if there is no specification.
     #[serde(skip_serializing_if = "Option::is_none")]

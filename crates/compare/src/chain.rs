@@ -1,7 +1,7 @@
 //! Check that the artifacts of a run belong together.
 //!
 //! Every artifact that a stage writes records the role and BLAKE3 of each input. That hash must be the one of the
-//! artifact that is there now.
+//! artifact that is in the run now.
 //!
 //! | artifact | records | must be |
 //! |---|---|---|
@@ -10,7 +10,7 @@
 //! | trajectory | tool-path, dwell; of a stage that also chooses the dwell times, surface and tif | the run's |
 //! | dwell of a method | surface, tif, tool-path | the run's |
 //!
-//! A verdict or a removal of something else says nothing about the method: it is not valid. A plan for other dwell
+//! A verdict or a removal of another motion says nothing about the method: it is not valid. A plan for other dwell
 //! times, another path or another surface is a plan, but not of this run: it is out of date. Arrays without a record
 //! cannot be checked, and a remark says so.
 
@@ -48,7 +48,7 @@ pub struct Recorded {
 /// Artifacts that all methods of a run share. A method is one plan: a scheduler or solver with its results.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunRecords {
-    /// Desired removal.
+    /// Map of the desired removal.
     pub surface: Recorded,
     /// Tool path; `None` if the run has none.
     pub tool_path: Option<Recorded>,

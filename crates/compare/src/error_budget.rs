@@ -51,7 +51,7 @@ pub struct ErrorEffect {
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// Distribution of the error over the runs.
+    /// Shape of the distribution of the error over the runs, such as `normal`.
     pub distribution: Distribution,
     /// RMS that this error adds alone, nm.
     pub adds_rms_nm: f64,

@@ -2,16 +2,17 @@
 //!
 //! ```text
 //! dwell error of point i = time with the tool on in its segments - dwell_i
-//! overshoot of point i   = how far its segments leave the interval between their first and last end
+//! overshoot of point i   = distance by which its segments leave the interval between their first and last end
 //! jerk                   = |6 c3|
 //! ```
 //!
-//! A point whose segments all have the tool off has no dwell error. An overshoot counts above 1 nm.
+//! The segments of a point are those that serve it: whose dwell index names it. A point whose segments all have the
+//! tool off has no dwell error. An overshoot counts above 1 nm.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | dwell | `dwell_s` | (n) | s |
-//! | c | `coefficient_mm` | (k, 2, 4) | mm/s^order |
+//! | c3, cubic coefficient | `coefficient_mm[.., .., 3]` | (k, 2) | mm/s^3 |
 
 use planish_numerics::polynomial::{evaluate, range};
 use planish_types::{DwellTime, Invalid, Trajectory};

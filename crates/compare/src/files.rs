@@ -43,7 +43,7 @@ use planish_types::{
 };
 use rayon::prelude::*;
 
-/// Returns the last component of the path of a run.
+/// Returns the name of a run: the last component of the path of its directory.
 pub fn name_of(run: &Path) -> String {
     // A path such as `.` has no last component of its own.
     let whole = if run.file_name().is_none() { run.canonicalize().ok() } else { None };

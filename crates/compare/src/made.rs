@@ -22,17 +22,17 @@ pub struct Made {
 pub struct Shown {
     /// Role of the artifact in the run, such as `trajectory`.
     pub role: String,
-    /// Name of the program.
+    /// Name of the program that made the artifact.
     pub tool: String,
-    /// Version of the program.
+    /// Version of the program that made the artifact.
     pub tool_version: String,
-    /// Subcommand of the program.
+    /// Subcommand of the program that made the artifact.
     pub method: String,
-    /// Command line.
+    /// Command line that made the artifact.
     pub command: String,
-    /// Resolved settings.
+    /// Settings of the stage with their values, defaults included.
     pub settings: Value,
-    /// Inputs with their hashes.
+    /// Inputs that the stage read, with their hashes.
     pub inputs: Value,
     /// Status of the stage at its end; `None` if the manifest does not say.
     pub status: Option<StageStatus>,

@@ -9,7 +9,7 @@
 //! | unconverged | it stagnated, reached a limit, or was solved for something else |
 //! | baseline | made by a stage that exists to compare with the literature: never recommended |
 //! | without-motion | dwell times without a motion: nothing that runs |
-//! | unknown | no manifest says |
+//! | unknown | no manifest states an end |
 
 use planish_types::{
     End,

@@ -9,17 +9,17 @@
 //! so that the squares of the short-wave RMS and of the rest add up to that of the RMS without the plane. S is the
 //! two-dimensional spectrum of the report: of the largest rectangle of valid pixels, plane removed, Hann window.
 //!
-//! The short-wave RMS is a description of a residual, not a bound on it. It contains the ripple of the lines of the
-//! path, and the part that the window spreads from longer waves; other dwell times change both. The map outside of
-//! the rectangle counts as if its spectrum were the same.
+//! The short-wave RMS is a description of a residual, not a bound on it. It contains the ripple that the lines of the
+//! path leave, and the part that the window spreads from longer waves; other dwell times change both. The map outside
+//! of the rectangle counts as if its spectrum were the same.
 //!
 //! The threshold is [`LEAST_TRANSFER`], whose comment has the reason. A Gaussian TIF reaches it at a period of 2.07
 //! sigma; a measured one has side lobes above it at shorter periods.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | T | `tif` | (my, mx) | nm/s |
-//! | S | density of the residual | (ny, nx) | nm^2 mm^2 |
+//! | T, removal rate at the offset u from the tool centre | `tif` | (my, mx) | nm/s |
+//! | S, power spectral density of the residual at the frequency f | `density` | (ny, nx) | nm^2 mm^2 |
 
 use ndarray::{Array2, ArrayView1, s};
 use planish_numerics::spectrum::{
@@ -28,7 +28,7 @@ use planish_numerics::spectrum::{
 use planish_types::{Surface, Tif};
 use serde::Serialize;
 
-/// Report on the waves that a tool can correct.
+/// Limit between the waves that a tool can correct and the short waves, which it cannot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReachReport {
     /// Value of the transfer function, 0 to 1, below which a wave counts as short.

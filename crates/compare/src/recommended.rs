@@ -23,7 +23,7 @@ const TIME_ELASTICITY: f64 = 0.5;
 /// A plan that may be recommended: a motion within the limits of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
-    /// RMS of the residual of the plan, nm.
+    /// RMS of the residual by which the plan is compared with others, nm.
     pub rms_nm: f64,
     /// Duration of the plan, s.
     pub total_time_s: f64,

@@ -130,7 +130,7 @@ pub struct LeftOut {
 /// Statistics of the desired removal before the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Initial {
-    /// RMS, mean removed, nm.
+    /// RMS of the heights, mean removed, nm.
     pub rms_nm: f64,
     /// Largest minus smallest height, nm.
     pub pv_nm: f64,

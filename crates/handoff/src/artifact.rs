@@ -66,37 +66,37 @@ impl Arrays {
     }
 }
 
-/// Content of `manifest.json`.
+/// Content of `manifest.json`: origin and result of an artifact, and the hashes of its files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Name of the kind.
     pub kind: String,
-    /// Version of the kind's layout.
+    /// Version of the layout of the kind, which says which arrays there are.
     pub version: u32,
-    /// Program that wrote the artifact.
+    /// Name of the program that wrote the artifact, such as `planish-dwell`.
     pub tool: String,
     /// Version of the program.
     pub tool_version: String,
-    /// Subcommand of the program.
+    /// Subcommand of the program that wrote the artifact.
     pub method: String,
-    /// Command line.
+    /// Command line that wrote the artifact, quoted for a shell.
     pub command: String,
-    /// BLAKE3 of tool, version, method, settings and inputs.
+    /// BLAKE3 hash of tool, version, method, settings and inputs. An output with the same key is up to date.
     pub key: String,
-    /// Frame that the coordinates refer to.
+    /// Frame that the coordinates refer to, in words.
     pub frame: String,
-    /// Resolved settings.
+    /// Settings of the stage with their values, defaults included.
     pub settings: Value,
-    /// Inputs with their hashes.
+    /// Inputs that the stage read, with their hashes.
     pub inputs: Vec<InputRecord>,
-    /// All artifacts and files that it was made from, inputs of inputs included.
+    /// All artifacts and files that the artifact was made from, inputs of inputs included.
     #[serde(default)]
     pub lineage: BTreeSet<Ancestor>,
     /// Outcome: `status` and the numbers that the method reports.
     pub outcome: Value,
-    /// Arrays by name.
+    /// Records of the arrays, by their names.
     pub arrays: BTreeMap<String, ArrayRecord>,
-    /// BLAKE3 of the files beside the arrays, by name.
+    /// BLAKE3 hashes of the files beside the arrays, by file name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, String>,
 }
@@ -184,9 +184,9 @@ fn seal_of(text: &str) -> Seal {
 /// An artifact or file that an artifact was made from, directly or through others.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Ancestor {
-    /// Kind of artifact, or the role of a file.
+    /// Kind of the artifact, or the role (flag) of a file.
     pub kind: String,
-    /// BLAKE3 of its content.
+    /// BLAKE3 hash of the content.
     pub blake3: String,
 }
 
@@ -195,28 +195,28 @@ pub struct Ancestor {
 pub struct InputRecord {
     /// Name of the flag that gave the input.
     pub role: String,
-    /// Path as given.
+    /// Path of the input as the user gave it.
     pub path: String,
     /// Kind of artifact, or `file`.
     pub kind: String,
-    /// BLAKE3 of its content.
+    /// BLAKE3 hash of the content.
     pub blake3: String,
 }
 
-/// A stored array.
+/// Record of a stored array in the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArrayRecord {
-    /// File name in the directory.
+    /// Name of the file in the directory of the artifact.
     pub file: String,
-    /// NumPy's name of the element type.
+    /// NumPy's name of the element type, such as `<f8`.
     pub dtype: String,
-    /// Sizes along the axes.
+    /// Sizes along the axes, the slowest axis first.
     pub shape: Vec<usize>,
-    /// Names of the axes.
+    /// Names of the axes, the slowest first.
     pub axes: Vec<String>,
-    /// Unit of the elements.
+    /// Unit of the elements, such as `nm`.
     pub unit: String,
-    /// BLAKE3 of the file.
+    /// BLAKE3 hash of the file.
     pub blake3: String,
 }
 

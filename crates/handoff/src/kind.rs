@@ -354,7 +354,7 @@ pub const TOOL: Kind = Kind {
     files: &[],
 };
 
-/// Kind of a tool path.
+/// Kind of a tool path: its segments, dwell points and the state of the tool.
 pub const TOOL_PATH: Kind = Kind {
     name: "tool_path",
     version: 1,
@@ -403,7 +403,7 @@ pub const TOOL_PATH: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the dwell times of a tool path.
+/// Kind of the dwell times of a tool path, s per segment.
 pub const DWELL: Kind = Kind {
     name: "dwell",
     version: 1,
@@ -688,7 +688,7 @@ pub const VERDICT: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the effect of process errors on a residual.
+/// Kind of the effect of process errors on a residual: its distribution over the runs.
 pub const TOLERANCE: Kind = Kind {
     name: "tolerance",
     version: 1,
@@ -813,7 +813,7 @@ pub const CAMPAIGN: Kind = Kind {
     files: &["campaign.html", "campaign.svg"],
 };
 
-/// Kind of the report of one or several runs.
+/// Kind of the report of one or several runs: summary, page and figures.
 pub const REPORT: Kind = Kind {
     name: "report",
     version: 1,

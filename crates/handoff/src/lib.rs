@@ -96,7 +96,7 @@ pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
 pub use stage::{Stage, Subcommands, stage_command, start};
 
-/// A file or directory that cannot be used. The message states the file, the place, the value and
+/// Error about a file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {problem}")]

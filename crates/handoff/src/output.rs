@@ -88,7 +88,7 @@ pub struct Output {
 
 #[derive(Debug)]
 struct Directory {
-    /// Flag that gives the path.
+    /// Flag by which the user gave the path, such as `--out`.
     flag: &'static str,
     path: PathBuf,
     kind: &'static Kind,
@@ -290,7 +290,7 @@ fn key(task: &Task, inputs: &Inputs) -> String {
 /// one is written, directories before files.
 #[derive(Debug)]
 pub struct Writer {
-    /// Keys that all manifests of the run share.
+    /// Manifest with the fields that all artifacts of the run share.
     manifest: Manifest,
     /// Artifact directories that are not written yet. The flag of each is true if it existed when the run began.
     directories: Vec<(Directory, bool)>,
@@ -323,7 +323,7 @@ impl Writer {
     /// manifest.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write<T: Artifact>(
         &mut self,
         value: &T,
@@ -337,7 +337,7 @@ impl Writer {
     /// files in its directory.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write_arrays(
         &mut self,
         kind: &'static Kind,
@@ -378,7 +378,7 @@ impl Writer {
     /// Writes the announced file `path`.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write_file(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
         let index = self.files.iter().position(|p| p == path);
         let index = index.unwrap_or_else(|| panic!("no {} is to be written", path.display()));
@@ -510,7 +510,7 @@ fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
 /// programs that make inputs of their own, such as tests.
 ///
 /// # Errors
-/// Fails if the disk refuses it, or if the place holds something else than an artifact of this kind.
+/// Fails if the disk refuses it, or if `dir` holds something else than an artifact of this kind.
 pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
     let args = OutputArgs { out: dir.into(), force: true, wall_time: None };
     let task = crate::task!("save", json!({}));
@@ -542,7 +542,7 @@ impl OutputFile {
     /// Writes `bytes` as the whole file.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write(self, bytes: &[u8]) -> Result<(), HandoffError> {
         show_file(&self.path, self.force, bytes)
     }
@@ -550,7 +550,8 @@ impl OutputFile {
     /// Writes a file that is too large for memory: `write` gets the open file.
     ///
     /// # Errors
-    /// Fails if `write` fails, if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if `write` fails, if the disk refuses it, or if another program has meanwhile created something at the
+    /// path.
     pub fn write_by(
         self,
         write: impl FnOnce(&mut File) -> Result<(), Failure>,
@@ -563,7 +564,8 @@ impl OutputFile {
     /// Writes several files, given with their contents, which become visible together.
     ///
     /// # Errors
-    /// Fails if the disk refuses one of them, or if another program has taken a place meanwhile. None is visible then.
+    /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. No
+    /// file is then visible.
     pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
         let mut all = Vec::with_capacity(N);
         for (file, bytes) in files {

@@ -69,13 +69,13 @@ pub(crate) struct Staged {
     state: State,
 }
 
-/// State of the rename of a staged output into its place.
+/// State of the rename of a staged output to its final path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     Hidden,
-    /// Renamed to an empty place.
+    /// Renamed to the final path, at which there was nothing.
     Renamed,
-    /// Exchanged with the previous output, which is now the sibling.
+    /// Exchanged with the previous output, which now has the temporary path.
     Exchanged,
 }
 

@@ -42,7 +42,7 @@ const SLACK: f64 = 1e-9;
 /// Power spectral density of a map, averaged over directions, and the RMS of its bands.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Spectrum {
-    /// Lengths of the rectangle along x and y, mm.
+    /// Lengths along x and y of the rectangle whose spectrum it is, mm.
     pub size_mm: [f64; 2],
     /// Pixels of the rectangle divided by the valid pixels of the map.
     pub fraction_of_valid_pixels: f64,

@@ -104,7 +104,7 @@ pub struct Rounds {
     pub best: Option<usize>,
 }
 
-/// Data of a run for the report page.
+/// Data of a run for the report page: down-sampled maps, points of the motion, histograms and spectra.
 #[derive(Debug)]
 pub struct View {
     pub(super) name: String,
@@ -117,7 +117,7 @@ pub struct View {
     pub(super) provenance: Vec<Made>,
 }
 
-/// Data of a method for the report page.
+/// Data of a method for the report page: down-sampled maps, points and ranges of the motion, histogram and spectrum.
 #[derive(Debug)]
 pub(super) struct MethodView {
     pub(super) name: String,
