@@ -109,7 +109,7 @@ pub const QUANTITIES: [&str; 3] = ["velocity", "acceleration", "jerk"];
 pub struct Ranges {
     /// End of each piece from the start of the motion, s.
     pub end_s: Vec<f64>,
-    /// Envelopes [quantity][axis]: velocity mm/s, acceleration mm/s^2, jerk mm/s^3; along x, y.
+    /// Envelopes by quantity (velocity mm/s, acceleration mm/s^2, jerk mm/s^3), then by axis (x, y).
     pub envelope: [[Envelope; 2]; 3],
     /// Number of segments in a piece.
     pub every: usize,
