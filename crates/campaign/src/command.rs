@@ -1,4 +1,4 @@
-//! `planish-campaign`: several runs on one mirror.
+//! `planish-campaign`: measures, decides and reports for a campaign, that is several runs on one mirror.
 
 use std::process::ExitCode;
 

@@ -29,15 +29,16 @@
 use planish_types::{Invalid, text::significant};
 use serde::{Deserialize, Serialize};
 
-/// Number of independent values of a low-order error: that of its first degree. Larger: the standard error of the
-/// figure becomes smaller, and the decision too sure. Smaller: a run that would gain is not recommended.
+/// Number of independent values of a low-order error of the map: the two coefficients of its first degree. Larger: the
+/// standard error of the figure becomes smaller, and the decision too sure. Smaller: a run that would gain is not
+/// recommended.
 const LOW_ORDER_NUMBERS: f64 = 2.0;
 
-/// Least gain of 95 % of the runs, in standard errors of the RMS on the mirror now. Larger: real gains count as
-/// noise. Smaller: noise counts as a gain.
+/// Gain that 95 % of the runs must reach, in standard errors of the RMS on the mirror now. Larger: real gains count
+/// as noise. Smaller: noise counts as a gain.
 const SEEN: f64 = 2.0;
 
-/// Settings of the decision.
+/// Settings of the decision to run again or to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DecisionSettings {
     /// Least median gain for another run, in percent of the RMS on the mirror now. Larger: fewer runs. Smaller: runs
@@ -51,43 +52,43 @@ impl Default for DecisionSettings {
     }
 }
 
-/// An error of the map, as `planish-tolerance` found it.
+/// An error of the measured map, with the RMS that `planish-tolerance` found for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapError {
-    /// RMS that it adds to the map, nm.
+    /// RMS that the error adds to the map, nm.
     pub adds_rms_nm: f64,
-    /// RMS of its part that the tool does not reach, nm.
+    /// RMS of the part of the error that the tool cannot correct, nm (u of the module).
     pub unreached_rms_nm: f64,
     /// True for white noise, false for low-order terms.
     pub is_white: bool,
 }
 
-/// Present state of the mirror, and prediction of the next run.
+/// Data for the decision: present state of the mirror, and prediction of the next run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Known {
-    /// RMS of the map, nm.
+    /// RMS of the map, nm (M0 of the module).
     pub measured_rms_nm: f64,
     /// Number of valid pixels of the map.
     pub pixels: usize,
-    /// Errors of the map.
+    /// Errors of the measurement of the map; empty if none are known.
     pub map_errors: Vec<MapError>,
-    /// Distribution of the RMS T1 over the runs: fractions of the runs, ascending from 0 to 1, and the RMS that each
-    /// does not exceed, nm.
+    /// Distribution of the predicted RMS T1 (see the module), as pairs in ascending order. A pair is a fraction of
+    /// the simulated runs, 0 to 1, and the RMS that this fraction does not exceed, nm.
     pub levels: Vec<(f64, f64)>,
-    /// RMS of the plan's residual on the map without errors, nm.
+    /// Predicted RMS of the plan's residual without any error of the process, nm.
     pub nominal_rms_nm: f64,
-    /// Time of the plan, s.
+    /// Time of the planned run, s.
     pub total_time_s: f64,
-    /// Compliance with the specification; `None` if there is no specification.
+    /// Compliance with the specification before and after the next run; `None` if there is no specification.
     pub specification: Option<SpecificationKept>,
 }
 
 /// Compliance with a specification, before and after the next run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SpecificationKept {
-    /// True if the map keeps the specification.
+    /// True if the present map keeps the specification.
     pub now: bool,
-    /// True if the residual of the plan without errors keeps it.
+    /// True if the plan's residual, predicted without errors, keeps the specification.
     pub by_the_plan: bool,
 }
 
@@ -111,12 +112,12 @@ impl Verdict {
     }
 }
 
-/// Distribution of a quantity over the runs, nm.
+/// Distribution of the RMS on the mirror over the simulated runs of a plan, nm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Median, nm.
     pub median_nm: f64,
-    /// Interval that contains 95 % of the runs, nm.
+    /// Ends of the interval that contains 95 % of the runs, nm.
     pub interval_95_percent_nm: [f64; 2],
 }
 
@@ -127,36 +128,36 @@ pub struct Decision {
     pub verdict: Verdict,
     /// Reason, in a sentence with the numbers.
     pub reason: String,
-    /// RMS of the map, nm.
+    /// RMS of the measured map, nm (M0 of the module).
     pub measured_rms_nm: f64,
-    /// RMS of the errors of a measurement, nm.
+    /// RMS of the errors of the measured map, nm (sigma of the module).
     pub noise_rms_nm: f64,
-    /// RMS on the mirror now, nm.
+    /// RMS of the figure on the mirror now, without the noise of the map, nm (S0 of the module).
     pub now_rms_nm: f64,
     /// Standard error of `now_rms_nm`, nm.
     pub now_standard_error_nm: f64,
-    /// RMS of the plan's residual on the map without errors, nm.
+    /// Predicted RMS of the plan's residual on the measured map, without errors of the process, nm.
     pub nominal_rms_nm: f64,
-    /// RMS on the mirror after the next run, nm.
+    /// RMS of the figure on the mirror after the next run, nm (S1 of the module).
     pub next: Spread,
     /// Median RMS of the map after the next run, nm: with the errors of its measurement.
     pub measured_next_median_nm: f64,
-    /// Median gain over the runs, nm.
+    /// Median of the gain (decrease of the RMS on the mirror) over the runs, nm (G of the module).
     pub gain_median_nm: f64,
-    /// Gain that 95 % of the runs exceed, nm.
+    /// Gain (decrease of the RMS on the mirror) that 95 % of the runs exceed, nm.
     pub gain_of_95_percent_nm: f64,
     /// Fraction of the runs that lower the RMS on the mirror, 0 to 1.
     pub part_that_gains: f64,
-    /// Time of the plan, s.
+    /// Time of the planned run, s.
     pub total_time_s: f64,
-    /// Median gain per minute of the plan, nm.
+    /// Median gain divided by the time of the planned run, nm per minute.
     pub gain_per_minute_nm: f64,
     /// Compliance with the specification; `None` if there is no specification.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub specification: Option<SpecificationKept>,
 }
 
-/// Decides whether to run again.
+/// Decides whether to run again, by the rule of the module.
 ///
 /// # Errors
 /// Fails if the least gain is not between 0 and 100 %.
@@ -213,7 +214,8 @@ pub fn decide(known: &Known, settings: &DecisionSettings) -> Result<Decision, In
     Ok(decision)
 }
 
-/// Recommendation and reason, by the rule: first the specification, then the certainty of the gain, then its size.
+/// Returns the recommendation and its reason. The rule looks first at the specification, then at the certainty of the
+/// gain, then at its size.
 fn verdict(d: &Decision, settings: &DecisionSettings) -> (Verdict, String) {
     let least = 0.01 * settings.least_gain_percent * d.now_rms_nm;
     let seen = SEEN * d.now_standard_error_nm;
@@ -259,7 +261,8 @@ fn verdict(d: &Decision, settings: &DecisionSettings) -> (Verdict, String) {
     (Verdict::RunAgain, reason)
 }
 
-/// Value that a fraction of the runs does not exceed, linear between two levels.
+/// Returns the RMS, nm, that the fraction `part` (0 to 1) of the runs does not exceed. It interpolates linearly
+/// between `levels`, pairs of (fraction, RMS in nm).
 fn level_nm(levels: &[(f64, f64)], part: f64) -> f64 {
     let after = levels.partition_point(|(p, _)| *p < part);
     match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
@@ -270,7 +273,8 @@ fn level_nm(levels: &[(f64, f64)], part: f64) -> f64 {
     }
 }
 
-/// Fraction of the runs that is below a value.
+/// Returns the fraction of the runs whose RMS is below `value`, nm. It interpolates linearly between `levels`, pairs
+/// of (fraction, RMS in nm).
 fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
     let after = levels.partition_point(|(_, v)| *v < value);
     match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
@@ -284,7 +288,8 @@ fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// State with a plan that leaves T1 from 0.9 to 1.1 of `t`, uniform over the runs.
+    /// Returns the state of a mirror with a map of RMS `measured`, and a plan whose T1 is uniform from 0.9 to 1.1 of
+    /// `t`, nm.
     fn known(measured: f64, t: f64) -> Known {
         Known {
             measured_rms_nm: measured,

@@ -1,4 +1,4 @@
-//! Page of a campaign: one HTML page without scripts, and the curve of the residuals.
+//! Report page of a campaign: one HTML page without scripts, with the curve of the residuals over the runs.
 
 use std::fmt::Write;
 
@@ -7,20 +7,20 @@ use planish_types::text::{escaped, significant};
 
 use crate::summary::{Campaign, Chains, LearntParameter};
 
-/// Height of the texts, px. Larger texts need larger margins.
+/// Height of the texts of the picture, px. Larger texts need larger margins.
 const FONT_PX: f64 = 14.0;
 /// Width and height of the frame of the plot, px.
 const SIZE: [f64; 2] = [560.0, 300.0];
 /// Margins to the left of the frame, above, to the right and below it, px: room for numbers and titles.
 const MARGIN: [f64; 4] = [64.0, 34.0, 24.0, 50.0];
 
-/// Names of the chains on the page, in the order of [`Chains::each`].
+/// Names of the chains (series of runs, see `summary`) on the page, in the order of [`Chains::each`].
 const CHAINS: [&str; 3] = ["with learning", "without", "known tool"];
 
-/// The style that the page has beside the shared one.
+/// CSS rules of this page, which follow the style that all pages share.
 const STYLE: &str = "body { max-width: 1000px; }\n";
 
-/// Draws the residual of every chain after every run, as SVG text.
+/// Draws the RMS on the mirror before the first run and after every run, one curve per chain. Returns SVG text.
 pub fn picture(campaign: &Campaign) -> String {
     let mut svg = Svg::new(FONT_PX);
     let mut lines = [(); 3].map(|()| vec![[0.0, campaign.before_rms_nm]]);
@@ -48,7 +48,7 @@ pub fn picture(campaign: &Campaign) -> String {
     svg.finish([SIZE[0] + MARGIN[0] + MARGIN[2], SIZE[1] + MARGIN[1] + MARGIN[3]])
 }
 
-/// Writes the page as HTML.
+/// Returns the report page of the campaign as HTML.
 pub fn page(campaign: &Campaign) -> String {
     let mirror = escaped(&campaign.mirror);
     let mut out = format!("<h1>Campaign on {mirror}</h1>\n<p>{}</p>\n", escaped(&answer(campaign)));
@@ -114,7 +114,8 @@ pub fn page(campaign: &Campaign) -> String {
     page::document(&title, page::WITHOUT_PROGRAM, &page::style(STYLE), &out)
 }
 
-/// A row of the table of residuals.
+/// Appends to `out` a row of the table of residuals: the RMS (nm) and time (min) of each chain, and the ratios to the
+/// known tool.
 fn row(out: &mut String, name: &str, chains: &Chains) {
     let _ = write!(out, "<tr><th>{name}</th>");
     for left in chains.each() {
@@ -124,7 +125,8 @@ fn row(out: &mut String, name: &str, chains: &Chains) {
     let _ = writeln!(out, "<td>{learning:.3}</td><td>{without:.3}</td></tr>");
 }
 
-/// Writes a value with its standard error, and its deviation from the truth in standard errors, as text.
+/// Writes a learnt value with its standard error, and its deviation from the truth in standard errors, as HTML text.
+/// The second text is empty if the truth is unknown. Brackets mark a value from an earlier run.
 pub fn value_and_deviation(parameter: &LearntParameter) -> (String, String) {
     let (Some(value), Some(error)) = (parameter.value, parameter.standard_error) else {
         return ("not determined".into(), String::new());
@@ -136,7 +138,8 @@ pub fn value_and_deviation(parameter: &LearntParameter) -> (String, String) {
     (number, off.unwrap_or_default())
 }
 
-/// Says in a sentence what the runs left with learning, without learning and with a known tool.
+/// Returns a sentence with the RMS on the mirror, nm, after the last run with learning, without learning and with a
+/// known tool. It is empty if there is no run.
 pub fn answer(campaign: &Campaign) -> String {
     let Some(last) = campaign.runs.last() else { return String::new() };
     let count = match campaign.runs.len() {

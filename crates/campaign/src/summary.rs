@@ -1,4 +1,5 @@
-//! A campaign run by run: the residuals of each chain of runs, the learnt parameters, and the decisions.
+//! A campaign run by run: the residuals, the learnt parameters, and the decisions. A chain is a series of runs on one
+//! mirror that treats the errors of the machine in one way.
 //!
 //! Three chains run on machines of the same hidden errors, from the same first map:
 //!
@@ -20,8 +21,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::Verdict;
 
-/// Returns the true value of a parameter in the unit of its [`Estimate`]. The ellipticities of an otherwise round TIF
-/// that is rotated by phi transform as a tensor: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
+/// Returns the true value of `parameter` in the unit of its [`Estimate`]; `None` for an unknown name. The
+/// ellipticities of an otherwise round TIF that is rotated by phi transform as a tensor: (e, d) -> (e cos 2 phi - d
+/// sin 2 phi, e sin 2 phi + d cos 2 phi).
 pub fn true_value(truth: &Truth, parameter: &str) -> Option<f64> {
     let e = truth.tif_ellipticity;
     let d = truth.tif_diagonal_ellipticity;
@@ -39,33 +41,33 @@ pub fn true_value(truth: &Truth, parameter: &str) -> Option<f64> {
     })
 }
 
-/// True result of a run, from the virtual machine.
+/// True result of one run, which only the virtual machine knows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Left {
-    /// RMS on the mirror after the run, nm.
+    /// True RMS of the figure on the mirror after the run, nm.
     pub rms_nm: f64,
-    /// Time of the run, s.
+    /// Time that the run took, s.
     pub total_time_s: f64,
 }
 
-/// True result of a run of each chain.
+/// True results of the run of the same number in each of the three chains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Chains {
-    /// Chain that learns.
+    /// Result of the chain whose plans use the learnt corrections.
     pub learning: Left,
-    /// Chain that does not learn.
+    /// Result of the chain that keeps the tool of the first plan.
     pub without: Left,
-    /// Chain whose tool is known.
+    /// Result of the chain on a machine whose tool is that of the plan.
     pub known: Left,
 }
 
 impl Chains {
-    /// Returns all three results, that of the chain that learns first.
+    /// Returns the results in the order learning, without learning, known tool.
     pub fn each(&self) -> [Left; 3] {
         [self.learning, self.without, self.known]
     }
 
-    /// Returns the ratios of the RMS with and without learning to that of the known tool.
+    /// Returns two ratios of RMS: with learning to known tool, and without learning to known tool.
     pub fn over_known(&self) -> [f64; 2] {
         [self.learning, self.without].map(|left| left.rms_nm / self.known.rms_nm)
     }
@@ -74,63 +76,63 @@ impl Chains {
 /// One run of a campaign, as read from its artifacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunRecord {
-    /// True result of each chain.
+    /// True result of the run in each chain.
     pub left: Chains,
-    /// Parameters that the learning chain found in this run.
+    /// Estimates of the parameters of the tool that the learning chain made from this run.
     pub estimates: Vec<Estimate>,
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
-    /// Decision of the learning chain.
+    /// Recommendation after the run, for the learning chain.
     pub verdict: Verdict,
-    /// Reason for the decision.
+    /// Reason for the recommendation, as a sentence.
     pub reason: String,
     /// Expected RMS on the mirror after the next run, nm: median, and ends of the interval of 95 %.
     pub expected_nm: [f64; 3],
 }
 
-/// Parameter after some runs.
+/// A parameter of the tool or its position, as it is known after some runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LearntParameter {
-    /// Its name.
+    /// Name of the parameter, such as `rate_scale`.
     pub name: String,
-    /// Its unit.
+    /// Unit of the values.
     pub unit: String,
     /// Value from all runs so far, in `unit`; `None` if no run determined it.
     pub value: Option<f64>,
-    /// Its standard error, from the run that determined it last.
+    /// Standard error of the value in `unit`, from the run that determined it last; `None` if no run did.
     pub standard_error: Option<f64>,
-    /// The hidden truth.
+    /// Hidden true value in `unit`; `None` if the virtual machine has no such parameter.
     pub truth: Option<f64>,
     /// True if this run determined it.
     pub is_of_this_run: bool,
-    /// Reason for which this run did not determine it.
+    /// Reason for which this run did not determine the parameter; `None` if it did.
     pub refused: Option<String>,
-    /// The corrections of all runs so far, which the next run has.
+    /// Corrections of all runs so far in `unit`, with which the next run is planned.
     #[serde(default)]
     pub applied: f64,
 }
 
-/// One run of a campaign.
+/// One run of a campaign, with the parameters that are known after it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CampaignRun {
     /// Number of the run, from 1.
     pub number: usize,
-    /// True result of each chain.
+    /// True result of the run in each chain.
     #[serde(flatten)]
     pub left: Chains,
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
-    /// Parameters after the run.
+    /// Parameters as they are known after the run.
     pub parameters: Vec<LearntParameter>,
-    /// Decision.
+    /// Recommendation after the run: run again or stop.
     pub verdict: Verdict,
-    /// Reason for the decision.
+    /// Reason for the recommendation, as a sentence.
     pub reason: String,
     /// Expected RMS on the mirror after the next run, nm: median, and ends of the interval of 95 %.
     pub expected_nm: [f64; 3],
 }
 
-/// A campaign.
+/// Summary of a campaign, which is a series of runs on one mirror.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Campaign {
     /// Name of the mirror.
@@ -139,17 +141,18 @@ pub struct Campaign {
     pub seed: u64,
     /// RMS of the mirror before the first run, nm.
     pub before_rms_nm: f64,
-    /// Its runs.
+    /// Runs in their order.
     pub runs: Vec<CampaignRun>,
-    /// The first run on another mirror like it, after all of them.
+    /// Results of the first run on another mirror that is like the first, after all runs on the first.
     pub alike: Chains,
-    /// Sentence on the machine, if nobody named it; absent otherwise.
+    /// Sentence that says which machine was assumed because the user named none; absent otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub assumed_machine: Option<String>,
 }
 
 impl Campaign {
-    /// Makes a campaign of the records of the runs, in their order.
+    /// Makes the summary of a campaign from the `records` of its runs, in their order. `truth` holds the hidden
+    /// errors of the virtual machine, and `alike` the results on the other mirror.
     pub fn new(
         mirror: &str,
         seed: u64,
@@ -176,7 +179,8 @@ impl Campaign {
     }
 }
 
-/// Returns a parameter after one more run, which has this estimate of it.
+/// Returns the knowledge of a parameter after one more run. `before` are the parameters after the runs so far, and
+/// `estimate` is that of the new run.
 fn after(before: &[LearntParameter], estimate: &Estimate, truth: &Truth) -> LearntParameter {
     let earlier = before.iter().find(|p| p.name == estimate.name);
     let known = earlier.and_then(|p| p.value);
@@ -198,7 +202,8 @@ fn after(before: &[LearntParameter], estimate: &Estimate, truth: &Truth) -> Lear
     }
 }
 
-/// Combines two deviations of a parameter: a factor by the product (1 + a)(1 + b) - 1, in percent, the rest by the sum.
+/// Combines two deviations a and b of a parameter, in its unit. For a factor, in percent, it returns 100 ((1 +
+/// a/100)(1 + b/100) - 1), otherwise the sum.
 fn combined(parameter: &str, a: f64, b: f64) -> f64 {
     let is_factor = ["rate_scale", "magnification", "tif_width"].contains(&parameter);
     if is_factor { a + b + 0.01 * a * b } else { a + b }

@@ -1,4 +1,4 @@
-//! The binary from its flags to its files and exit codes.
+//! Tests of the program `planish-campaign` from its flags to its files and exit codes.
 
 use std::{fs, path::Path, process::Output};
 

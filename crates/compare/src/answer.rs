@@ -20,16 +20,16 @@ use crate::{
     summary::{MethodResult, Summary},
 };
 
-/// Number of digits of a number in a sentence. Larger: sentences that are slow to read. Smaller: plans that differ
-/// look equal. Chosen; the summary has all digits.
+/// Number of significant digits of a number in a sentence. Larger: sentences that are slow to read. Smaller: plans
+/// that differ look equal. Chosen; the summary has all digits.
 const DIGITS: usize = 3;
 
-/// Bounds between durations in seconds, minutes and hours, s. Larger or smaller: numbers above 120, or below 2, in a
-/// sentence. Chosen: the number is then at least 2 in minutes and in hours.
+/// Durations from which a sentence uses minutes and hours instead of seconds, in s. Larger or smaller: numbers above
+/// 120, or below 2, in a sentence. Chosen: the number is then at least 2 in minutes and in hours.
 const MINUTES_FROM_S: f64 = 120.0;
 const HOURS_FROM_S: f64 = 7200.0;
 
-/// Returns the answer of a summary whose methods and best plan are known.
+/// Returns the answer of a run, for which `summary` must name the methods and the best plan.
 pub fn answer(summary: &Summary) -> Answer {
     let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
     let mut problems = summary.remarks.clone();
@@ -55,17 +55,17 @@ pub fn answer(summary: &Summary) -> Answer {
     Answer { method: best.map(|(name, _)| name.clone()), sentence, why, without_motion, problems }
 }
 
-/// Returns one run for other programs and for the page: its answer, then its summary.
+/// Returns one run as JSON for other programs and for the page: its answer, then its summary.
 pub(crate) fn with_answer(summary: &Summary) -> Value {
     json!(AnsweredSummary { answer: answer(summary), summary })
 }
 
-/// The plan to be run, of the recommended ones of several runs on one mirror.
+/// The plan to be run, chosen among the recommended plans of several runs on one mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Winner {
     /// Name of the run; `None` if the runs cannot be compared.
     pub run: Option<String>,
-    /// Name of its method.
+    /// Name of the method (the scheduler or solver of the plan) in that run; `None` if `run` is.
     pub method: Option<String>,
     /// Residual and time in a sentence, or the reason why the runs cannot be compared.
     pub sentence: String,
@@ -78,8 +78,8 @@ impl Winner {
     }
 }
 
-/// Returns the winner of several runs; `None` for a single one, or where no run has a plan. The rule is that of
-/// [`crate::recommended`]. Names no run where the maps before the runs differ, or where the plans are judged
+/// Returns the winner of several runs, by the rule of [`crate::recommended`]; `None` for a single run, or if no run
+/// has a plan. It names no run if the maps before the runs differ. The same holds if the plans are judged
 /// differently: by a specification, or after the servo.
 pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     let (_, first) = runs.first().filter(|_| runs.len() > 1)?;
@@ -118,7 +118,8 @@ pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     Some(Winner { run: Some(run.to_string()), method: Some(method.to_string()), sentence })
 }
 
-/// Returns `summary.json`: the run itself for one; `{"winner": ..., "runs": [...]}` for several.
+/// Returns the content of `summary.json`: the run itself if there is one; `{"winner": ..., "runs": [...]}` for
+/// several.
 pub(crate) fn to_json(runs: &[(&str, &Summary)]) -> Value {
     match runs {
         [(_, one)] => with_answer(one),
@@ -129,7 +130,8 @@ pub(crate) fn to_json(runs: &[(&str, &Summary)]) -> Value {
     }
 }
 
-/// Returns "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst ...; the limits of the machine are kept."
+/// Returns the sentence on the plan `name`, such as "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst
+/// ...; the limits of the machine are kept."
 fn sentence(summary: &Summary, name: &str, m: &MethodResult) -> String {
     let machine = m.machine.as_deref().map_or(String::new(), |machine| format!(" on {machine}"));
     let mut text = format!(
@@ -161,7 +163,7 @@ fn sentence(summary: &Summary, name: &str, m: &MethodResult) -> String {
     text + "."
 }
 
-/// Returns the reasons for the plan that is to be run, in sentences.
+/// Returns sentences with the reasons for the choice of the plan `name`, which is to be run.
 fn why(summary: &Summary, name: &str, m: &MethodResult) -> String {
     let choice = match plan_of_program(summary, name, m) {
         None => format!("{name}, because {}.", reason(summary, name, m, None)),
@@ -189,8 +191,8 @@ fn why(summary: &Summary, name: &str, m: &MethodResult) -> String {
     )
 }
 
-/// Returns the plan of which `name` is the program that was read back; `None` if it is no program, or its plan is not in the
-/// run.
+/// Returns the plan from which the controller program `name` was written, if that program was read back. `None` if
+/// `name` is no program, or its plan is not in the run.
 fn plan_of_program<'a>(
     summary: &'a Summary,
     name: &str,
@@ -201,7 +203,8 @@ fn plan_of_program<'a>(
     Some((base, plan)).filter(|(_, plan)| plan.is_candidate())
 }
 
-/// Returns the reason for the plan `name` in a clause; the row `program` is no rival of it.
+/// Returns the reason for the choice of the plan `name` as a clause. The row `program` holds the program of this plan
+/// and does not count as its rival.
 fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>) -> String {
     let rivals: Vec<&(String, MethodResult)> = summary
         .methods
@@ -236,7 +239,8 @@ fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>
     }
 }
 
-/// Says that the plans are compared after the servo, where the process has one.
+/// Returns the sentence that the plans are compared after the servo of the machine; empty if the process has no
+/// servo.
 fn after_servo(name: &str, m: &MethodResult) -> String {
     m.after_servo_rms_nm.map_or(String::new(), |rms_nm| {
         format!(
@@ -255,7 +259,7 @@ fn why_none(summary: &Summary) -> String {
     exceeding.trim_start().into()
 }
 
-/// Names the plans that a machine cannot follow, with the limits that each breaks.
+/// Returns sentences that name the plans which a machine cannot follow, each with the limits that it breaks.
 fn exceeding(summary: &Summary) -> String {
     let mut text = String::new();
     for (name, m) in &summary.methods {
@@ -270,7 +274,7 @@ fn exceeding(summary: &Summary) -> String {
     text
 }
 
-/// Returns the reasons against the plan that is to be run.
+/// Returns the reasons against the plan `name`, although it is to be run: not optimal, or outside the specification.
 fn against(name: &str, m: &MethodResult) -> Vec<String> {
     let mut reasons = Vec::new();
     if m.plan.state == State::Unconverged {
@@ -282,7 +286,7 @@ fn against(name: &str, m: &MethodResult) -> Vec<String> {
     reasons
 }
 
-/// Names the limits of a specification that a plan does not keep.
+/// Returns a clause that names the limits of a specification which a plan does not keep.
 fn failing(name: &str, judged: &SpecificationReport) -> String {
     let failed = judged.limits.iter().filter(|limit| !limit.passed);
     let limits = failed.map(|l| {
@@ -301,23 +305,24 @@ fn failing(name: &str, judged: &SpecificationReport) -> String {
     format!("{name} does not keep the specification {}: {}", judged.name, limits.join("; "))
 }
 
-/// Largest number of digits of two numbers that are compared. Larger: rounding of a sum looks like a difference. Smaller:
-/// numbers that differ look equal. Chosen below the rounding of a sum of segments.
+/// Largest number of digits in a comparison of two numbers. Larger: the rounding of a sum looks like a difference.
+/// Smaller: numbers that differ look equal. Chosen below the rounding of a sum of segments.
 const MOST_DIGITS: usize = 9;
 
-/// Returns two numbers in words, with as many digits as tell them apart, from [`DIGITS`] to [`MOST_DIGITS`].
+/// Returns two numbers as text, with as many digits as tell them apart, from [`DIGITS`] to [`MOST_DIGITS`].
+/// `in_words` writes a number with a number of digits.
 fn apart([a, b]: [f64; 2], in_words: impl Fn(f64, usize) -> String) -> [String; 2] {
     let digits = (DIGITS..MOST_DIGITS).find(|n| in_words(a, *n) != in_words(b, *n));
     let digits = digits.unwrap_or(if a == b { DIGITS } else { MOST_DIGITS });
     [in_words(a, digits), in_words(b, digits)]
 }
 
-/// Returns a duration in the unit that people plan with, three digits.
+/// Returns the duration `time_s` in seconds, minutes or hours, with three digits and the unit.
 pub fn duration(time_s: f64) -> String {
     duration_of(time_s, DIGITS)
 }
 
-/// Returns a duration in the unit that people plan with.
+/// Returns the duration `time_s` in seconds, minutes or hours, with this number of digits and the unit.
 fn duration_of(time_s: f64, digits: usize) -> String {
     let (time, unit) = match time_s {
         t if t < MINUTES_FROM_S => (t, "s"),

@@ -1,7 +1,7 @@
 //! Check that the artifacts of a run belong together.
 //!
 //! Every artifact that a stage writes records the role and BLAKE3 of each input. That hash must be the one of the
-//! artifact that is there now.
+//! artifact that is in the run now.
 //!
 //! | artifact | records | must be |
 //! |---|---|---|
@@ -10,7 +10,7 @@
 //! | trajectory | tool-path, dwell; of a stage that also chooses the dwell times, surface and tif | the run's |
 //! | dwell of a method | surface, tif, tool-path | the run's |
 //!
-//! A verdict or a removal of something else says nothing about the method: it is not valid. A plan for other dwell
+//! A verdict or a removal of another motion says nothing about the method: it is not valid. A plan for other dwell
 //! times, another path or another surface is a plan, but not of this run: it is out of date. Arrays without a record
 //! cannot be checked, and a remark says so.
 
@@ -18,60 +18,61 @@ use std::collections::BTreeSet;
 
 use serde::Serialize;
 
-/// Record of an artifact: its program and its inputs.
+/// Record of an artifact in its manifest: its program and its inputs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Record {
-    /// Program that made it.
+    /// Name of the program that made the artifact.
     pub tool: String,
-    /// Hash of program, settings and inputs: equal for what one run of a stage made.
+    /// Hash of program, settings and inputs. It is the same for all artifacts of one run of a stage.
     pub key: String,
-    /// Role and BLAKE3 of the inputs.
+    /// Role (flag) and BLAKE3 hash of each input.
     pub inputs: Vec<(String, String)>,
 }
 
 impl Record {
-    /// Returns the BLAKE3 of the input with this role.
+    /// Returns the BLAKE3 hash of the input with this role; `None` if the record has no such input.
     pub fn input(&self, role: &str) -> Option<&str> {
         self.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.as_str())
     }
 }
 
-/// An artifact and its record.
+/// An artifact, as its hash and its record.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recorded {
-    /// BLAKE3 of its content.
+    /// BLAKE3 hash of the content of the artifact.
     pub digest: String,
-    /// Its record; `None` for arrays without a manifest.
+    /// Record in the manifest; `None` for arrays without a manifest.
     pub record: Option<Record>,
 }
 
-/// Artifacts that the methods of a run share.
+/// Artifacts that all methods of a run share. A method is one plan: a scheduler or solver with its results.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunRecords {
-    /// Desired removal.
+    /// Map of the desired removal.
     pub surface: Recorded,
-    /// Path, where the run has one.
+    /// Tool path; `None` if the run has none.
     pub tool_path: Option<Recorded>,
-    /// Dwell times, where the run has them.
+    /// Dwell times; `None` if the run has none.
     pub dwell: Option<Recorded>,
 }
 
-/// Artifacts of a method.
+/// Artifacts of one method of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodRecords {
-    /// Motion.
+    /// Motion along the path.
     pub trajectory: Recorded,
-    /// Prediction.
+    /// Predicted removal and residual.
     pub removal: Recorded,
-    /// Record of the verdict.
+    /// Record of the verdict on the limits of the machine.
     pub verdict: Record,
-    /// True if the verdict finds the limits kept, and the same by the schedule, which may not say.
+    /// True if the verdict finds the limits kept, and the same from the scheduler; `None` if the scheduler does not
+    /// say.
     pub limits_kept: (bool, Option<bool>),
-    /// Dwell times of its own.
+    /// Dwell times of the method's own; `None` if it uses those of the run.
     pub dwell: Option<Recorded>,
-    /// Removal in the course of the run.
+    /// Removal at chosen times of the run; `None` if it was not simulated.
     pub frames: Option<Recorded>,
-    /// Rounds of a refinement.
+    /// Rounds of a refinement; `None` if there was none.
     pub iterations: Option<Recorded>,
 }
 
@@ -79,28 +80,28 @@ pub struct MethodRecords {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Standing {
-    /// It takes part.
+    /// The method takes part in the comparison.
     Valid,
-    /// It is a plan for something else than this run has now, or a run was ended before all of it was made.
+    /// The method is a plan for something else than this run has now, or a run was ended before all of it was made.
     OutOfDate,
-    /// Its verdict or its removal is of something else.
+    /// The verdict or the removal of the method belongs to another motion.
     NotValid,
-    /// Its stage refused to make it.
+    /// The stage of the method refused to make a plan.
     Refused,
 }
 
-/// Result of the check of a method.
+/// Result of the check of a method's artifacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
     /// Validity of the method.
     pub standing: Standing,
-    /// Reasons why it takes no part.
+    /// Reasons why the method takes no part; empty if it is valid.
     pub reasons: Vec<String>,
-    /// Remarks on a method that takes part.
+    /// Remarks on a method that takes part; empty for the others.
     pub remarks: Vec<String>,
 }
 
-/// Checks every method of a run.
+/// Checks the artifacts of every method of a run. Returns one result per method, in the same order.
 pub fn check(run: &RunRecords, methods: &[MethodRecords]) -> Vec<Chain> {
     // The tool of the run: that of its dwell times, else of its path, else of the first prediction.
     let shared = run.dwell.iter().chain(&run.tool_path);
@@ -111,8 +112,8 @@ pub fn check(run: &RunRecords, methods: &[MethodRecords]) -> Vec<Chain> {
     methods.iter().map(|method| context.check(method)).collect()
 }
 
-/// Returns the roles of which the dwell times of `artifact` were solved for another artifact than this run has:
-/// `surface`, `tif`, `tool-path`.
+/// Returns the roles (`surface`, `tif`, `tool-path`) for which the dwell times of `artifact` were solved with another
+/// artifact than this run has.
 pub(crate) fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static str> {
     let path = run.tool_path.as_ref().map(|p| p.digest.as_str());
     let known = [("surface", Some(run.surface.digest.as_str())), ("tool-path", path)];
@@ -120,7 +121,7 @@ pub(crate) fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&
     others.map(|(role, _)| *role).collect()
 }
 
-/// Returns sentences on shared artifacts that are out of date.
+/// Returns sentences on shared artifacts of the run that are out of date; empty if none is.
 pub fn check_run(run: &RunRecords) -> Vec<String> {
     let mut sentences = Vec::new();
     let path = run.tool_path.as_ref();
@@ -137,7 +138,7 @@ pub fn check_run(run: &RunRecords) -> Vec<String> {
     sentences
 }
 
-/// Artifacts of the run that those of a method are compared with.
+/// Artifacts and hashes of the run with which those of a method are compared.
 struct Context<'a> {
     run: &'a RunRecords,
     tif: Option<&'a str>,
@@ -163,7 +164,7 @@ impl Context<'_> {
         Chain { standing, reasons, remarks: self.remarks(m) }
     }
 
-    /// Returns reasons against the method: verdict, prediction or rounds of another motion.
+    /// Returns reasons against the method because its verdict, prediction or rounds belong to another motion.
     fn foreign(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let trajectory = m.trajectory.digest.as_str();
@@ -206,7 +207,7 @@ impl Context<'_> {
         reasons
     }
 
-    /// Returns reasons against the method: predicted with another surface or tool.
+    /// Returns reasons against the method because its removal was predicted with another surface or tool.
     fn elsewhere(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let surface = Some(self.run.surface.digest.as_str());
@@ -224,7 +225,7 @@ impl Context<'_> {
         reasons
     }
 
-    /// Returns reasons against the method: planned for something else.
+    /// Returns reasons against the method because it was planned for another surface, tool, path or dwell times.
     fn stale(&self, m: &MethodRecords) -> Vec<String> {
         let run = self.run;
         let mut others: Vec<&str> = Vec::new();
@@ -259,7 +260,7 @@ impl Context<'_> {
             .collect()
     }
 
-    /// Returns remarks on a method that takes part.
+    /// Returns remarks on a method that takes part, such as artifacts without a record.
     fn remarks(&self, m: &MethodRecords) -> Vec<String> {
         let mut unknown: Vec<&str> = Vec::new();
         let known = |artifact: &Recorded, role: &str| record_input(artifact, role).is_some();
@@ -285,23 +286,23 @@ impl Context<'_> {
         remarks
     }
 
-    /// Returns true if the verdict is about another machine than the motion was scheduled for.
+    /// Returns true if the verdict is about another machine than that for which the motion was scheduled.
     fn machine_differs(&self, m: &MethodRecords) -> bool {
         differs(&m.trajectory, "machine", m.verdict.input("machine"))
     }
 }
 
-/// Returns the BLAKE3 of the input of this role, from the record of an artifact.
+/// Returns the BLAKE3 hash of the input `role` in the record of an artifact; `None` if it is not recorded.
 fn record_input<'a>(artifact: &'a Recorded, role: &str) -> Option<&'a str> {
     artifact.record.as_ref()?.input(role)
 }
 
-/// Returns true if `artifact` was made from something else than `digest`; false if either is not known.
+/// Returns true if the input `role` of `artifact` has another hash than `digest`; false if either is not known.
 fn differs(artifact: &Recorded, role: &str, digest: Option<&str>) -> bool {
     record_input(artifact, role).zip(digest).is_some_and(|(recorded, digest)| recorded != digest)
 }
 
-/// Returns a role as people say it.
+/// Returns the name of a role that people read, such as "tool path" for `tool-path`.
 fn spoken(role: &str) -> &str {
     match role {
         "tif" => "TIF",

@@ -1,4 +1,4 @@
-//! `planish-compare`: the numbers of runs side by side, and the difference of two artifacts.
+//! `planish-compare`: compares the numbers of runs side by side, and the arrays of two artifacts.
 
 use std::process::ExitCode;
 

@@ -9,23 +9,24 @@
 use ndarray::{ArrayD, Dimension};
 use planish_types::Invalid;
 
-/// The elements of an array.
+/// Elements of an array, all of one type.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Elements {
-    /// Floats.
+    /// Floats; NaN equals NaN.
     Float(ArrayD<f64>),
-    /// Integers or flags; compared exactly.
+    /// Integers or flags, which are compared exactly.
     Integer(ArrayD<i64>),
 }
 
-/// Difference of two arrays of one name.
+/// Difference of two arrays that have the same name in two artifacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Largest absolute difference.
+    /// Largest absolute difference of two elements, in the unit of the array.
     pub largest: f64,
-    /// Index of the largest difference (the first of equals), and the two values in words; `None` when equal.
+    /// Index of the largest difference (the first of equals), and the two values as text; `None` if the arrays are
+    /// equal.
     pub at: Option<(Vec<usize>, [String; 2])>,
-    /// RMS difference.
+    /// RMS of the differences over all elements, in the unit of the array.
     pub rms: f64,
 }
 
@@ -42,8 +43,8 @@ impl Difference {
     }
 }
 
-/// Returns the sentence on the differences, each with the name of its arrays, that are larger than `max_difference`; `None`
-/// when none is.
+/// Returns a sentence that names the arrays whose largest difference exceeds `max_difference`; `None` if there is
+/// none. Each difference has the name of its arrays.
 ///
 /// # Errors
 /// Refuses a `max_difference` that is negative or NaN.
@@ -66,7 +67,7 @@ pub fn beyond(
     Ok(Some(format!("above {max_difference:e}: {}", beyond.join(", "))))
 }
 
-/// Compares two arrays.
+/// Compares two arrays element by element.
 ///
 /// # Errors
 /// Refuses arrays of unlike shapes, and floats against integers.
@@ -87,7 +88,7 @@ impl Elements {
     }
 }
 
-/// Returns |a - b|; `None` when both are NaN.
+/// Returns the distance |a - b|; infinite if only one of them is NaN, and `None` if both are.
 fn float_distance(a: f64, b: f64) -> Option<f64> {
     match (a.is_nan(), b.is_nan()) {
         (true, true) => None,
@@ -97,12 +98,12 @@ fn float_distance(a: f64, b: f64) -> Option<f64> {
     }
 }
 
-/// Returns |a - b| without overflow; at least 1 where they differ, also after rounding.
+/// Returns the distance |a - b| without overflow; at least 1 if they differ, also after rounding to a float.
 fn integer_distance(a: i64, b: i64) -> Option<f64> {
     Some(a.abs_diff(b) as f64)
 }
 
-/// Compares two arrays of one element type, element by element.
+/// Compares two arrays of one element type. `distance` returns `None` for elements that do not count.
 fn compare<T: Copy + std::fmt::Display>(
     a: &ArrayD<T>,
     b: &ArrayD<T>,

@@ -20,14 +20,15 @@ use serde::Serialize;
 
 use crate::{plan::PlanStatus, table::align};
 
-/// Result of one solver for a mirror.
+/// Result of one dwell solver on a mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Solver {
-    /// RMS (mean removed) with the dwell times at the dwell points, no dynamics, nm.
+    /// RMS of the residual (mean removed), predicted with the dwell times at the dwell points and without a motion,
+    /// nm.
     pub position_rms_nm: f64,
-    /// RMS (mean removed) of the executed motion, nm.
+    /// RMS of the residual (mean removed) of the executed motion, nm.
     pub executed_rms_nm: f64,
-    /// RMS (plane removed) of the executed motion, nm.
+    /// RMS of the residual (plane removed) of the executed motion, nm.
     pub executed_rms_detilted_nm: f64,
     /// Duration of the executed motion, s.
     pub executed_time_s: f64,
@@ -37,23 +38,23 @@ pub struct Solver {
     pub smallest_dwell_s: f64,
     /// Largest dwell time, s.
     pub largest_dwell_s: f64,
-    /// Roughness (1) of the dwell-time density, dimensionless.
+    /// Roughness of the dwell-time density ((1) of the module), dimensionless.
     pub roughness: f64,
-    /// Seconds that the solver took, `null` when not measured.
+    /// Time that the solver took, s; `null` if it was not measured.
     pub wall_s: Option<f64>,
-    /// Most memory that it held, 2^20 bytes, `null` when not measured.
+    /// Peak memory of the solver, MiB; `null` if it was not measured.
     pub peak_memory_mb: Option<f64>,
-    /// State of its dwell times: certified, converged or not.
+    /// State of the dwell times: certified, converged or not.
     pub plan: PlanStatus,
 }
 
-/// Numbers of a solver, or the reason why it has none.
+/// Row of the table for one solver: its numbers, or the reason why it has none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", untagged)]
 pub enum SolverRow {
-    /// It solved.
+    /// The solver found dwell times.
     Solved(Solver),
-    /// It refused, with this message.
+    /// The solver refused the problem with a message.
     Refused {
         /// Message of the solver.
         refused: String,
@@ -61,7 +62,8 @@ pub enum SolverRow {
 }
 
 impl Solver {
-    /// Returns the numbers of one solver.
+    /// Collects the numbers of one solver. `position` is the removal predicted at the dwell points, and `executed`
+    /// that of the motion, which takes `executed_time_s`.
     ///
     /// # Errors
     /// Refuses dwell times of another path.
@@ -94,7 +96,8 @@ impl Solver {
     }
 }
 
-/// Returns the roughness (1); 0 for a path without neighbours.
+/// Returns the roughness of the dwell-time density ((1) of the module), dimensionless. `t` are the dwell times, s. It
+/// is 0 for a path without neighbours.
 fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     let mut squares = 0.0;
     let mut pairs = 0.0;
@@ -119,7 +122,7 @@ fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     if pairs > 0.0 && sum > 0.0 { f64::sqrt(squares / pairs) / (sum / count) } else { 0.0 }
 }
 
-/// Headings and units of the table.
+/// Headings of the table: the two lines above each column.
 const HEADINGS: [[&str; 2]; 12] = [
     ["", "solver"],
     ["position", "RMS nm"],
@@ -135,7 +138,7 @@ const HEADINGS: [[&str; 2]; 12] = [
     ["memory", "MB"],
 ];
 
-/// Returns the table; it ends with a newline.
+/// Returns the table of the solvers for the mirror `fixture`, with notes below it; it ends with a newline.
 pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> String {
     let mut cells: Vec<Vec<String>> =
         (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();
@@ -170,7 +173,7 @@ pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> 
     text
 }
 
-/// Returns the row of a solver.
+/// Returns the cells of the row of the solver `name`.
 fn line(name: &str, s: &Solver) -> Vec<String> {
     let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| fixed(v, d));
     vec![

@@ -14,30 +14,30 @@ use serde_json::{Value, json};
 
 use crate::report::map::{ScreenMap, block_side, screen_map};
 
-/// Effect of the process on one plan.
+/// Residual that the errors of a process add to one plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ErrorBudget {
-    /// The method whose motion it is.
+    /// Name of the method whose motion is the plan.
     pub method: String,
     /// Terms that are not part of the residual: `piston` or `plane`.
     pub free: String,
-    /// Expected residual, in words.
+    /// Sentence with the expected residual.
     pub sentence: String,
     /// Name of the process.
     pub name: String,
-    /// RMS without errors, nm.
+    /// RMS of the residual without errors, nm.
     pub nominal_rms_nm: f64,
-    /// sqrt of the mean over runs of the mean square, nm.
+    /// Expected RMS with all errors, nm: the square root of the mean square over the runs.
     pub expected_rms_nm: f64,
-    /// The distribution of the RMS over the runs.
+    /// Distribution of the RMS over the runs.
     pub residual: Quantiles,
-    /// True if the distribution is that of simulated runs.
+    /// True if the distribution comes from simulated runs.
     pub simulated: bool,
-    /// Errors of the process, with the RMS that each adds.
+    /// Errors of the process, each with the RMS that it adds.
     pub errors: Vec<ErrorEffect>,
-    /// Error to improve first; none if no error adds anything.
+    /// Error that is best improved first; `null` if no error adds anything.
     pub first: Option<First>,
-    /// The distribution, and the map.
+    /// Distribution of the RMS, and map of the deviation over the part.
     #[serde(skip)]
     pub arrays: ToleranceArrays,
 }
@@ -45,19 +45,19 @@ pub struct ErrorBudget {
 /// An error of the process and its effect.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ErrorEffect {
-    /// Its kind.
+    /// Kind of the error, such as `rate_noise`.
     pub kind: String,
-    /// Its size.
+    /// Size of the error in `unit`.
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// Distribution of the error over the runs.
+    /// Shape of the distribution of the error over the runs, such as `normal`.
     pub distribution: Distribution,
     /// RMS that this error adds alone, nm.
     pub adds_rms_nm: f64,
-    /// The part of it that the tool reaches, nm.
+    /// RMS of the part of it that the tool can correct, nm.
     pub reached_rms_nm: f64,
-    /// The part of it that the tool does not reach, nm.
+    /// RMS of the part of it that the tool cannot correct, nm.
     pub unreached_rms_nm: f64,
 }
 
@@ -69,16 +69,16 @@ impl From<ErrorLine> for ErrorEffect {
     }
 }
 
-/// The error without which the residual that 95 % of the runs are below is least.
+/// The error whose removal lowers the residual most, measured by the RMS that 95 % of the runs are below.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct First {
-    /// Its kind.
+    /// Kind of the error, such as `rate_noise`.
     pub kind: String,
     /// RMS that 95 % of the runs are below without this error, nm.
     pub without_it_95_percent_nm: f64,
 }
 
-/// Data of the page.
+/// Data of the error budget for the report page.
 #[derive(Serialize)]
 struct ErrorBudgetOfPage<'a> {
     #[serde(flatten)]
@@ -88,20 +88,22 @@ struct ErrorBudgetOfPage<'a> {
     deviation: Option<ScreenMap>,
 }
 
-/// Distribution of the RMS: fractions of the runs, and the RMS that each is below, nm.
+/// Distribution of the RMS, as two lists of one length: fractions of the runs, and the RMS that each fraction is
+/// below, nm.
 #[derive(Serialize)]
 struct LevelsOfPage<'a> {
     part: &'a [f64],
     rms_nm: &'a [f64],
 }
 
-/// Returns a kind in words: `rate_noise` is rate noise.
+/// Returns the kind of an error as words: "rate noise" for `rate_noise`.
 fn words(kind: &str) -> String {
     kind.replace('_', " ")
 }
 
 impl ErrorBudget {
-    /// Creates the effect on the motion of `method`, from the settings, the outcome and the arrays of a tolerance artifact.
+    /// Collects the effect of the errors on the motion of `method`, from the settings, outcome and arrays of a
+    /// tolerance artifact.
     pub fn new(
         method: &str,
         settings: ToleranceSettings,
@@ -128,8 +130,8 @@ impl ErrorBudget {
         }
     }
 
-    /// Returns JSON for the page: the numbers of the summary, the distribution, and the map on the screen. The map has at
-    /// most `most_pixels`, and is left out if no pixel is valid.
+    /// Returns JSON for the report page: the numbers of the summary, the distribution, and the map of the deviation.
+    /// The map has at most `most_pixels` pixels, and is left out if no pixel is valid.
     pub(crate) fn for_page(&self, most_pixels: usize) -> Value {
         let ToleranceArrays { part, rms_nm, deviation_nm, grid } = &self.arrays;
         let has_pixels = deviation_nm.iter().any(|v| !v.is_nan());
@@ -145,7 +147,7 @@ impl ErrorBudget {
     }
 }
 
-/// Describes the expected residual of a plan, and the error that costs most.
+/// Returns a sentence on the expected residual of the plan `method`, and on the error that adds most.
 fn sentence(outcome: &ToleranceOutcome, method: &str) -> String {
     let [low, high] = outcome.residual.interval_95_percent_nm.map(|v| significant(v, 3));
     let mut sentence = format!(

@@ -1,43 +1,46 @@
-//! Execution of a plan by a motion: error of the dwell times, overshoot, jerk.
+//! Deviations of a motion from its plan: error of the dwell times, overshoot, jerk.
 //!
 //! ```text
 //! dwell error of point i = time with the tool on in its segments - dwell_i
-//! overshoot of point i   = how far its segments leave the interval between their first and last end
+//! overshoot of point i   = distance by which its segments leave the interval between their first and last end
 //! jerk                   = |6 c3|
 //! ```
 //!
-//! A point whose segments all have the tool off has no dwell error. An overshoot counts above 1 nm.
+//! The segments of a point are those that serve it: whose dwell index names it. A point whose segments all have the
+//! tool off has no dwell error. An overshoot counts above 1 nm.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | dwell | `dwell_s` | (n) | s |
-//! | c | `coefficient_mm` | (k, 2, 4) | mm/s^order |
+//! | c3, cubic coefficient | `coefficient_mm[.., .., 3]` | (k, 2) | mm/s^3 |
 
 use planish_numerics::polynomial::{evaluate, range};
 use planish_types::{DwellTime, Invalid, Trajectory};
 use serde::Serialize;
 
-/// Least excursion that counts as an overshoot, mm. Larger: real overshoots are missed. Smaller: rounding counts.
+/// Smallest excursion that counts as an overshoot, mm. Larger: real overshoots are missed. Smaller: rounding counts.
 /// Chosen: the tolerance of a position in `planish-verify`.
 const OVERSHOOT_MM: f64 = 1e-6;
 
-/// Numbers of the execution.
+/// Numbers that describe how a motion executes its plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Execution {
-    /// RMS of the dwell error over the points, s; `null` without dwell times, or when no segment names one.
+    /// RMS of the dwell error over the points, s; `null` without dwell times, or if no segment names a dwell point.
     pub dwell_error_rms_s: Option<f64>,
-    /// Dwell error of the largest magnitude, s; `null` without dwell times, or when no segment names one.
+    /// Dwell error of the largest magnitude, with its sign, s; `null` without dwell times, or if no segment names a
+    /// dwell point.
     pub dwell_error_worst_s: Option<f64>,
-    /// Dwell points whose segments overshoot by more than 1 nm along [x, y].
+    /// Number of dwell points whose segments overshoot by more than 1 nm along [x, y].
     pub overshoot_points: [usize; 2],
     /// Largest overshoot along [x, y], mm.
     pub max_overshoot_mm: [f64; 2],
-    /// Largest |jerk| inside segments of [x, y], mm/s^3.
+    /// Largest magnitude of the jerk inside segments along [x, y], mm/s^3.
     pub max_jerk_mm_per_s3: [f64; 2],
 }
 
 impl Execution {
-    /// Measures the execution of `dwell` by `trajectory`, which serves its points.
+    /// Measures how `trajectory` executes the dwell times `dwell`; its segments name the dwell points that they
+    /// serve.
     ///
     /// # Errors
     /// Refuses a dwell index beyond the points.
@@ -68,7 +71,7 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Adds the overshoot of the segments [first, end), which serve one point.
+    /// Adds the overshoot of the segments from `first` to `end` (exclusive), which all serve one dwell point.
     fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, end: usize) {
         for axis in 0..2 {
             let last = trajectory.segment(end - 1);
@@ -86,7 +89,7 @@ impl Execution {
     }
 }
 
-/// Returns the dwell errors of the points that are served with the tool on, or not at all, s.
+/// Returns the dwell errors, s, of all points except those that are served with the tool off only.
 fn dwell_errors(trajectory: &Trajectory, dwell: &DwellTime) -> Result<Vec<f64>, Invalid> {
     let n = dwell.dwell_s().len();
     let on_s = trajectory.served_s(n, |segment| segment.tool_on)?;

@@ -1,4 +1,4 @@
-//! Places of the artifacts of a run, and the arrays of a directory.
+//! Reading of runs: the directories of their artifacts, and the arrays in a directory.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -43,7 +43,7 @@ use planish_types::{
 };
 use rayon::prelude::*;
 
-/// Returns the last component of the path of a run.
+/// Returns the name of a run: the last component of the path of its directory.
 pub fn name_of(run: &Path) -> String {
     // A path such as `.` has no last component of its own.
     let whole = if run.file_name().is_none() { run.canonicalize().ok() } else { None };
@@ -51,7 +51,8 @@ pub fn name_of(run: &Path) -> String {
     whole.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// Reads the results of all methods of the run number `number`.
+/// Reads the results of all methods of the run in the directory `run`. `number` distinguishes the runs in the roles
+/// of inputs. Returns the methods, and those that refused.
 fn read_methods(
     inputs: &mut Inputs,
     number: usize,
@@ -96,8 +97,8 @@ fn read_methods(
     Ok((read, refused))
 }
 
-/// Says which artifacts of the method in `dir` are not there, because a run was ended before it made them. `None` if
-/// all are.
+/// Returns a sentence on the artifacts that the method in `dir` lacks because a run was ended before it made them.
+/// `None` if all are there.
 fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
     let mut needed = vec!["trajectory", "removal", "verdict"];
     if after_servo {
@@ -120,10 +121,10 @@ fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
     Some(format!("it has no {}; run the stages again that make it", lacking.join(" and no ")))
 }
 
-/// File that a stage leaves in the place of what it refused to make.
+/// Name of the file with the message of a stage, in place of the artifact that it refused to make.
 const MESSAGE: &str = "message.txt";
 
-/// Reads the reason for which a stage refused to make something, from the file that it has left in a directory.
+/// Returns the reason for which a stage refused to make something, from its message file in `dir`.
 fn message_in(dir: &Path) -> Result<String, Failure> {
     let file = dir.join(MESSAGE);
     let text = read_text(&file)
@@ -134,10 +135,11 @@ fn message_in(dir: &Path) -> Result<String, Failure> {
     Ok(reason.unwrap_or("no message").to_string())
 }
 
-/// A method whose artifacts belong together, with its verdict by the specification and the remarks on it.
+/// A method whose artifacts belong together, with its verdict by the specification (`None` without one) and remarks
+/// on it.
 type Valid = (MethodFiles, Option<SpecificationReport>, Vec<String>);
 
-/// Divides the methods into those whose artifacts belong together, and those that are left out.
+/// Splits the methods into those whose artifacts belong together, and those that are left out with reasons.
 fn divided(
     read: Vec<MethodFiles>,
     chains: Vec<Chain>,
@@ -155,11 +157,12 @@ fn divided(
     (valid, left_out)
 }
 
-/// Reads the run number `number` (its surface, and the results of each method), and sums it up.
+/// Reads and summarises a run: its surface, and the results of each method. `number` distinguishes the runs in the
+/// roles of inputs.
 ///
 /// # Errors
-/// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their records
-/// contradict each other.
+/// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their
+/// records contradict each other.
 pub(crate) fn read_run(
     inputs: &mut Inputs,
     number: usize,
@@ -242,35 +245,35 @@ pub(crate) fn read_run(
     Ok(RunData { name, summary, desired: desired.value, measured, path, tool, methods, provenance })
 }
 
-/// Names and files of the runs on the command line.
+/// Names and files that the command line gives for the runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Names<'a> {
-    /// Pipeline; the name of the run's directory without it.
+    /// Name of the pipeline; `None` for the name of the run's directory.
     pub pipeline: Option<&'a str>,
-    /// Mirror.
+    /// Name of the mirror; may be empty.
     pub fixture: &'a str,
-    /// Map as it was measured [surface artifact].
+    /// Directory of the map as it was measured before the run [surface artifact]; `None` if it is not given.
     pub measured: Option<&'a Path>,
-    /// The tool [tif artifact].
+    /// Directory of the tool [tif artifact]; `None` if it is not given.
     pub tif: Option<&'a Path>,
-    /// Form of the part.
+    /// Form of the part: a form file, or the directory of its height along z; `None` if it is not given.
     pub form: Option<&'a Path>,
-    /// True if the methods have a prediction after the servo of the error budget.
+    /// True if the plans are compared by their predictions after the servo of the machine.
     pub after_servo: bool,
 }
 
-/// Reads the verdicts of `planish-surface spec` on the maps of a run: all by one specification, each of the map that
-/// is there now.
+/// Reader of the verdicts of `planish-surface spec` on the maps of a run. All verdicts must be by one specification,
+/// and each about the map that is there now.
 struct Judge<'a> {
     inputs: &'a mut Inputs,
     role: &'a str,
-    /// BLAKE3 of the specification.
+    /// BLAKE3 hash of the specification of the first verdict; `None` before it is read.
     specification: Option<String>,
     remarks: Vec<String>,
 }
 
 impl Judge<'_> {
-    /// Reads the verdicts on the residuals of the methods.
+    /// Reads the verdicts on the residuals of the methods, in their order; `None` for a method without a verdict.
     fn read_all(
         &mut self,
         methods: &[MethodFiles],
@@ -284,8 +287,9 @@ impl Judge<'_> {
         Ok(verdicts)
     }
 
-    /// Reads the verdict in `run`/specified/`name`/specification on the `judged` artifact, by its role and digest. Returns
-    /// `None`, perhaps with a remark, where there is none, or one on something else.
+    /// Reads the verdict in `run`/specified/`name`/specification. `judged` is the role and the hash of the artifact
+    /// that it must be about. Returns `None`, perhaps with a remark, if there is no verdict or it is about something
+    /// else.
     fn read(
         &mut self,
         name: &str,
@@ -321,8 +325,8 @@ impl Judge<'_> {
     }
 }
 
-/// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. A remark takes
-/// its place if no method has that motion now.
+/// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. If no method has
+/// that motion now, it returns a remark instead.
 fn read_process(
     inputs: &mut Inputs,
     role: &str,
@@ -348,15 +352,15 @@ fn read_process(
     Ok((Some(ErrorBudget::new(&names[method], settings, outcome, arrays)), None))
 }
 
-/// Manifests of the artifacts of a run or of a method.
+/// Manifests of the artifacts of a run or of a method, for the report page.
 type Provenance = Vec<Made>;
 
-/// Returns the manifest of the artifact of this role.
+/// Returns the manifest of the artifact of this role; `None` if there is none.
 fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Made> {
     provenance.iter().find(|made| made.shown.role == role)
 }
 
-/// Adds the manifest of the artifact `name` in `dir` to the provenance.
+/// Adds the manifest of the artifact `name` in the directory `dir` to `provenance`.
 fn add_manifest(
     provenance: &mut Provenance,
     name: &str,
@@ -387,7 +391,8 @@ fn add_manifest(
     Ok(())
 }
 
-/// Returns the name of the machine that a method was judged by: as the verdict states it, or that of its file.
+/// Returns the name of the machine that a verdict is about. It is the name that the verdict states, otherwise that of
+/// the machine file; `None` without either.
 fn machine_of(verdict: &Verdict, manifest: &Manifest) -> Option<String> {
     if verdict.machine.is_some() {
         return verdict.machine.clone();
@@ -396,14 +401,15 @@ fn machine_of(verdict: &Verdict, manifest: &Manifest) -> Option<String> {
     Some(Path::new(&machine.path).file_stem()?.to_string_lossy().into_owned())
 }
 
-/// An artifact, its record and its manifest.
+/// An artifact that was read: its value, its hash and record, and its manifest.
 struct Known<T> {
     value: T,
     recorded: Recorded,
     manifest: Option<Manifest>,
 }
 
-/// Reads the artifact `name` in `dir` and keeps its manifest.
+/// Reads the artifact `name` in `dir` and adds its manifest to `provenance`. `role` is the prefix of its role as an
+/// input.
 fn read_artifact<T: Artifact>(
     inputs: &mut Inputs,
     role: &str,
@@ -428,7 +434,7 @@ fn record_of(manifest: &Manifest) -> Record {
     Record { tool: manifest.tool.clone(), key: manifest.key.clone(), inputs }
 }
 
-/// Reads an artifact if there is one.
+/// Reads the artifact `name` in `dir` as `read_artifact` does; `None` if it does not exist.
 fn read_optional_artifact<T: Artifact>(
     inputs: &mut Inputs,
     role: &str,
@@ -442,14 +448,14 @@ fn read_optional_artifact<T: Artifact>(
     read_artifact(inputs, role, dir, name, provenance).map(Some)
 }
 
-/// Artifacts of one method.
+/// Artifacts of one method of a run.
 struct MethodFiles {
     name: String,
     dir: PathBuf,
     trajectory: Trajectory,
     removal: Removal,
     verdict: Verdict,
-    /// Name of the machine that the verdict is about.
+    /// Name of the machine that the verdict is about; `None` if it is not known.
     machine: Option<String>,
     own_plan: Option<DwellTime>,
     frames: Option<Frames>,
@@ -462,8 +468,9 @@ struct MethodFiles {
 }
 
 impl MethodFiles {
-    /// Returns the planned dwell times: those of the method, or else those of the run; of a program that was read back, those of
-    /// its plan among `methods`, if it is there. A feed along lines has no dwell times.
+    /// Returns the planned dwell times of the method: its own, or otherwise those of the run (`of_run`). A program
+    /// that was read back has those of its plan among `methods`, if that is there. A feed along lines
+    /// (`planish-bspline-feed`) has none.
     fn dwell<'a>(
         &'a self,
         methods: &'a [Self],
@@ -482,7 +489,7 @@ impl MethodFiles {
     }
 }
 
-/// Reads the results of the method `name` in `dir`, and the reasons for which they do not belong together.
+/// Reads the results of the method `name` in `dir`. Also returns the reasons for which they do not belong together.
 fn read_method(
     inputs: &mut Inputs,
     role: &str,
@@ -550,8 +557,8 @@ fn read_method(
     Ok((files, stale))
 }
 
-/// Reads the RMS that the motion in `dir` leaves after the servo of the process, nm; `None` where the process has no servo.
-/// A prediction of another motion, mirror or tool than that of the `removal` without a servo is `stale`.
+/// Reads the RMS of the residual of the motion in `dir` after the servo of the machine, nm; `None` if the process has
+/// no servo. If the prediction is of another motion, mirror or tool than `removal`, it adds a reason to `stale`.
 fn read_after_servo(
     inputs: &mut Inputs,
     role: &str,
@@ -586,7 +593,7 @@ fn read_after_servo(
     }
 }
 
-/// A motion of all axes that runs the plan of a method.
+/// A motion of all axes of the machine that executes the plan of a method, with its verdict and predicted removal.
 struct AxesFiles {
     outcome: MotionReport,
     motion: AxesMotion,
@@ -594,8 +601,9 @@ struct AxesFiles {
     removal: Removal,
 }
 
-/// Reads the motion of all axes in `dir`, with its verdict and what it leaves; `None` where there is none. One of another
-/// plan than the `trajectory` is `stale`, and so is a verdict or a prediction of another motion.
+/// Reads the motion of all axes in `dir`, with its verdict and predicted removal; `None` if there is none. It adds a
+/// reason to `stale` if the motion is of another plan than `trajectory`, or the verdict or prediction of another
+/// motion.
 fn read_on_axes(
     inputs: &mut Inputs,
     role: &str,
@@ -644,30 +652,31 @@ fn read_on_axes(
     Ok(Some(AxesFiles { outcome, motion: motion.value, verdict, removal: removal.value }))
 }
 
-/// Directory of a method with the motion of all axes of the machine.
+/// Name of the directory, in that of a method, with the motion of all axes of the machine.
 const ON_AXES: &str = "on-axes";
 
-/// Directory of a method with the prediction after the servo of the process.
+/// Name of the directory, in that of a method, with the prediction after the servo of the machine.
 const AFTER_SERVO: &str = "removal-after-servo";
 
-/// Measures that the methods of a run share.
+/// Data that all methods of a run share, to compute their numbers.
 struct Shared<'a> {
     desired: &'a Surface,
-    /// Planned dwell times of the methods, where they are known.
+    /// Planned dwell times, by the name of the method; methods without them are missing.
     planned: &'a BTreeMap<String, DwellTime>,
     plan_manifest: Option<&'a Made>,
     plan_is_for_another: Vec<&'static str>,
-    /// Waves that the tool reaches, and the BLAKE3 of the tool.
+    /// Waves that the tool can correct, and the BLAKE3 hash of the tool; `None` if the tool is not known.
     reach: Option<&'a (Reach, String)>,
     division: &'a Division,
     form: Option<&'a Form>,
 }
 
-/// Name and numbers of a method.
+/// Name of a method and its numbers.
 type Numbered = (String, MethodResult);
 
 impl Shared<'_> {
-    /// Returns the numbers of the methods whose artifacts belong together, and the methods, in their order.
+    /// Computes the numbers of the methods whose artifacts belong together. Returns them with the data for the page,
+    /// in the order of `valid`.
     fn methods(&self, valid: Vec<Valid>) -> Result<(Vec<Numbered>, Vec<RunMethod>), Failure> {
         let numbered = valid.into_par_iter().map(|(files, judged, remarks)| {
             let name = files.name.clone();
@@ -679,7 +688,7 @@ impl Shared<'_> {
         numbered.into_iter().collect()
     }
 
-    /// Returns the numbers of a method whose artifacts belong together, and the method.
+    /// Computes the numbers of a method whose artifacts belong together. Returns them with the data for the page.
     fn method(
         &self,
         files: MethodFiles,
@@ -742,7 +751,7 @@ impl Shared<'_> {
     }
 }
 
-/// `kind::FRAMES` as an artifact.
+/// Frames of a run (removal at chosen times) as an artifact of the kind `kind::FRAMES`.
 struct FramesFile(Frames);
 
 impl Artifact for FramesFile {
@@ -765,7 +774,7 @@ impl Artifact for FramesFile {
     }
 }
 
-/// `kind::ITERATIONS` as an artifact; the times of the segments are not read.
+/// Rounds of a refinement as an artifact of the kind `kind::ITERATIONS`; the times of the segments are not read.
 struct RoundsFile(Rounds);
 
 impl Artifact for RoundsFile {
@@ -783,7 +792,8 @@ impl Artifact for RoundsFile {
     }
 }
 
-/// Reads a run of dwell solvers along a tool path: its surface, and the result of each solver but those of `skip`.
+/// Reads a run of several dwell solvers along one tool path: its surface, and the result of each solver except those
+/// in `skip`.
 ///
 /// # Errors
 /// Fails if an artifact cannot be read, or if the run holds no solver.
@@ -814,7 +824,8 @@ pub(crate) fn read_solvers(
     Ok((surface, rows))
 }
 
-/// Reads the result of one solver; of one without dwell times the message that it has left.
+/// Reads the result of the solver `name` in `dir`. For a solver without dwell times it reads the message that it has
+/// left.
 fn read_solver(
     inputs: &mut Inputs,
     name: &str,
@@ -850,7 +861,7 @@ fn read_solver(
     Ok(SolverRow::Solved(solver))
 }
 
-/// Reads the arrays of two directories, by name.
+/// Reads the arrays of two directories that have the same arrays, as pairs by name.
 ///
 /// # Errors
 /// Refuses unlike kinds, unlike sets of arrays, and files that cannot be read.
@@ -878,7 +889,7 @@ pub(crate) fn read_pair(a: &Path, b: &Path) -> Result<BTreeMap<String, [Elements
     Ok(pairs)
 }
 
-/// Reads the kind that the manifest names; `None` without a manifest.
+/// Returns the kind of artifact that the manifest in `dir` names; `None` without a manifest.
 fn kind_of(dir: &Path) -> Result<Option<String>, Failure> {
     let path = dir.join(MANIFEST);
     if !path.exists() {
@@ -890,7 +901,7 @@ fn kind_of(dir: &Path) -> Result<Option<String>, Failure> {
     Ok(Some(head.kind))
 }
 
-/// Reads the text of a regular file. Refuses a pipe, which would never end.
+/// Reads the text of a regular file. Refuses a pipe, because reading it could wait for ever.
 fn read_text(path: &Path) -> std::io::Result<String> {
     if !fs::metadata(path)?.is_file() {
         return Err(std::io::Error::other("is not a file"));
@@ -898,7 +909,7 @@ fn read_text(path: &Path) -> std::io::Result<String> {
     fs::read_to_string(path)
 }
 
-/// Returns the names of the `.npy` files in `dir`, at least one.
+/// Returns the names of the `.npy` files in `dir`, sorted. Refuses a directory without any.
 fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
     let mut names = entries(dir)?;
     names.retain(|name| name.ends_with(".npy"));
@@ -909,7 +920,7 @@ fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Returns the names in `dir`, sorted.
+/// Returns the names of the entries of `dir`, sorted.
 fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", dir.display()));
@@ -925,7 +936,7 @@ fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Reads an array of any element type.
+/// Reads a `.npy` array of any element type that artifacts have.
 fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     Ok(match npy::read(path, dtype_of(path)?)?.array {
         ArrayData::F64(a) => Elements::Float(a.into_owned()),
@@ -934,8 +945,8 @@ fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     })
 }
 
-/// Reads the element type that the header names; floats where it is none that artifacts have, for
-/// [`npy::read`] to say so.
+/// Returns the element type that the header of a `.npy` file names. It is float for a type that artifacts do not
+/// have, so that [`npy::read`] refuses the file with its message.
 fn dtype_of(path: &PathBuf) -> Result<Dtype, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", path.display()));

@@ -1,20 +1,21 @@
-//! Comparison of the results of a run: numbers for programs, tables and a page for people, differences of artifacts.
+//! Comparison of the results of a run: numbers for programs, tables and a report page for people, differences of
+//! artifacts. A method is one plan in a run: a scheduler or solver with its results.
 //!
-//! * [`answer`]: the plan that is to be run, with reasons, in sentences.
-//! * [`summary`]: the numbers of `summary.json`.
+//! * [`answer`]: sentences on the plan that is to be run, with reasons.
+//! * [`summary`]: the numbers in `summary.json`.
 //! * [`table`]: the same numbers as tables, methods side by side.
-//! * [`dwell`]: dwell solvers side by side.
-//! * [`execution`]: error of the dwell times, overshoot, jerk.
-//! * [`on_axes`]: what a plan leaves when all axes of a machine run it.
-//! * [`report`]: a page to look at, and its figures.
-//! * [`typeset`]: a figure as PDF or PNG.
+//! * [`dwell`]: comparison of dwell solvers, side by side.
+//! * [`execution`]: deviations of a motion from its plan: dwell times, overshoot, jerk.
+//! * [`on_axes`]: residual of a plan when all axes of a machine run it.
+//! * [`report`]: the report page for people, and its figures.
+//! * [`typeset`]: conversion of a figure to PDF or PNG.
 //! * [`chain`]: check that the artifacts of a run belong together.
 //! * [`plan`]: state of a plan: certified, converged or not.
 //! * [`error_budget`]: the residual that the errors of a process add to a plan.
-//! * [`reach`]: the part of a residual at wavelengths shorter than the tool corrects.
-//! * [`places`]: residual and time by place.
+//! * [`reach`]: part of a residual at wavelengths that are too short for the tool.
+//! * [`places`]: residual and time by position on the part: worst points, edge zone, regions.
 //! * [`recommended`]: choice of the plan that is to be executed.
-//! * [`specification`]: verdicts on a specification.
+//! * [`specification`]: verdicts on the specification of a mirror.
 //! * [`sweep`]: the plans of a sweep, and the front of residual against time.
 //! * [`diff`]: difference of two arrays.
 

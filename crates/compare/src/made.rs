@@ -1,39 +1,39 @@
-//! Manifest of an artifact, as a report needs it.
+//! Manifest of an artifact: the fields that a report needs.
 
 use planish_types::outcome::{StageStatus, plan::PlanOutcome};
 use serde::Serialize;
 use serde_json::Value;
 
-/// Manifest of an artifact: what made it.
+/// Manifest of an artifact, which says what program made it and from which inputs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Made {
-    /// Keys that the page shows.
+    /// Fields that the report page shows.
     pub shown: Shown,
-    /// Reason of a negative status.
+    /// Reason of a negative status; `None` for a stage that is done.
     pub reason: Option<String>,
-    /// True if the artifact was made from dwell times, or from something that was.
+    /// True if the artifact was made from dwell times, directly or through other artifacts.
     pub is_from_dwell_times: bool,
     /// Outcome of a stage that makes dwell times or a motion; empty for other artifacts.
     pub outcome: PlanOutcome,
 }
 
-/// Keys of a manifest that the page shows.
+/// Fields of a manifest that the report page shows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Shown {
-    /// Role of the artifact in the run.
+    /// Role of the artifact in the run, such as `trajectory`.
     pub role: String,
-    /// Program.
+    /// Name of the program that made the artifact.
     pub tool: String,
-    /// Version of the program.
+    /// Version of the program that made the artifact.
     pub tool_version: String,
-    /// Subcommand of the program.
+    /// Subcommand of the program that made the artifact.
     pub method: String,
-    /// Command line.
+    /// Command line that made the artifact.
     pub command: String,
-    /// Resolved settings.
+    /// Settings of the stage with their values, defaults included.
     pub settings: Value,
-    /// Inputs with their hashes.
+    /// Inputs that the stage read, with their hashes.
     pub inputs: Value,
-    /// Status of the stage at its end.
+    /// Status of the stage at its end; `None` if the manifest does not say.
     pub status: Option<StageStatus>,
 }

@@ -1,4 +1,4 @@
-//! Residual that a plan leaves when all axes of a machine run it.
+//! Residual and time of a plan when all axes of a machine run it.
 
 use planish_form::Form;
 use planish_types::{
@@ -8,7 +8,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// Checks the outcome of a motion of `axes` axes.
+/// Checks that the outcome of a motion names as many axes and units as the motion has, `axes`.
 ///
 /// # Errors
 /// Refuses an outcome that names another number of axes.
@@ -20,10 +20,10 @@ pub fn check_names(outcome: &MotionReport, axes: usize) -> Result<(), Invalid> {
     Err(Invalid::whole("outcome", problem, "run planish-axes motion again"))
 }
 
-/// Residual, time and limits of a plan when all axes of the machine run it.
+/// Residual, time and limits of a plan that all axes of the machine run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OnAxes {
-    /// Names of the axes.
+    /// Names of the axes, in the order of the machine file.
     pub axes: Vec<String>,
     /// RMS of the residual along z, mean removed, nm.
     pub rms_nm: f64,
@@ -31,19 +31,19 @@ pub struct OnAxes {
     pub rms_along_normal_nm: Option<f64>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
-    /// Time for which the tool removes longer than planned, because an axis is slower, s.
+    /// Additional time with the tool on, s, because an axis is slower than planned.
     pub added_tool_on_time_s: f64,
     /// Largest distance of the executed contact point from the path, um.
     pub contact_deviation_um: f64,
     /// Largest distance of the tip of the tool from the surface, along the tool, um.
     pub gap_um: f64,
-    /// True if the verdict found the limits of all axes kept.
+    /// True if the verdict found that all axes keep their limits.
     pub limits_respected: bool,
 }
 
 impl OnAxes {
-    /// Collects the numbers of a motion from its outcome and duration, its verdict, what it removes, and the form of the
-    /// part.
+    /// Collects the numbers of a motion from its outcome, its duration, its verdict, and its predicted removal.
+    /// `form` is the form of the part; without it there is no residual along the normal.
     pub fn new(
         outcome: &MotionReport,
         motion: &AxesMotion,
@@ -64,7 +64,7 @@ impl OnAxes {
         }
     }
 
-    /// Describes the plan `name` on the axes of the machine in one sentence.
+    /// Returns a sentence on the plan `name` when all axes of the machine run it.
     pub fn sentence(&self, name: &str) -> String {
         let mut longer = String::new();
         if self.added_tool_on_time_s > 0.0 {
@@ -88,13 +88,14 @@ impl OnAxes {
     }
 }
 
-/// Returns the RMS of the residual along the normal, nm; pixels beside the form are left out:
+/// Returns the RMS of the residual along the normal of the form, nm. It leaves out pixels beside the form, and uses
+/// the heights (h) along z:
 ///
 /// ```text
 /// RMS of (h - mean of h) cos(slope angle)
 /// ```
 ///
-/// A piston along z is free, as everywhere. It is removed before, because along the normal it is a bowl.
+/// A piston along z is free, as everywhere. It is removed first, because along the normal it would be a bowl.
 fn rms_along_normal_nm(residual: &Surface, form: &Form) -> f64 {
     let grid = residual.grid();
     let on_form: Vec<(f64, f64)> = residual

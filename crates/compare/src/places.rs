@@ -1,4 +1,4 @@
-//! Residual and time of a plan by place: worst places, edge zone, regions, travel.
+//! Residual and time of a plan by position on the part: worst points, edge zone, regions, travel.
 //!
 //! ```text
 //! tool radius      = sqrt(area where T >= max T / 2  /  pi)          width of the edge zone
@@ -25,96 +25,99 @@ use planish_numerics::polynomial::{
 use planish_types::{Axis, Grid, Segment, Surface, Tif, Trajectory};
 use serde::Serialize;
 
-/// Number of the worst places that are listed. Larger: places that are hardly worse than others. Smaller: a bad place
+/// Number of the worst points that are listed. Larger: points that are hardly worse than others. Smaller: a bad point
 /// is missed. Chosen.
 const WORST_COUNT: usize = 5;
 
-/// Least distance of two of them, as a fraction of the longer side of the map. Larger: neighbouring pits are missed.
-/// Smaller: one pit is listed several times. Chosen.
+/// Smallest distance of two listed points, as a fraction of the longer side of the map. Larger: neighbouring pits are
+/// missed. Smaller: one pit is listed several times. Chosen.
 const WORST_APART: f64 = 0.05;
 
-/// Number of regions along each side. Larger: finer regions, in a table that is larger. Smaller: coarser ones.
-/// Chosen.
+/// Number of regions along each side of the map. Larger: finer regions, in a table that is larger. Smaller: coarser
+/// ones. Chosen.
 const REGIONS: usize = 3;
 
-/// Division of a mirror into zones and regions.
+/// Numbers of the division of a mirror into an edge zone and regions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DivisionReport {
-    /// Width of the edge zone, mm: the radius of the tool at half its peak; `null` where the tool is not known.
+    /// Width of the edge zone, mm: the radius of the tool where it removes half of its peak rate; `null` if the tool
+    /// is not known.
     pub edge_width_mm: Option<f64>,
-    /// Fraction of the valid pixels in the edge zone; `null` where the tool is not known.
+    /// Fraction of the valid pixels that lie in the edge zone; `null` if the tool is not known.
     pub edge_fraction: Option<f64>,
-    /// Bounds of the regions along [x, y], ascending, mm.
+    /// Bounds of the regions along [x, y], ascending, mm: the outer edges of pixels.
     pub region_bounds_mm: [[f64; REGIONS + 1]; 2],
-    /// Least distance of two of the worst places, mm.
+    /// Smallest distance of two of the listed worst points, mm.
     pub worst_apart_mm: f64,
 }
 
-/// A mirror divided into an edge zone and its inside, and into regions.
+/// A mirror whose pixels are divided into an edge zone and its inside, and into regions.
 #[derive(Clone, Debug)]
 pub struct Division {
     grid: Grid,
-    /// (ny, nx).
+    /// True for the valid pixels (ny, nx).
     valid: Array2<bool>,
-    /// (ny, nx); the valid pixels of the edge zone, where the tool is known.
+    /// True for the valid pixels of the edge zone (ny, nx); `None` if the tool is not known.
     edge: Option<Array2<bool>>,
     report: DivisionReport,
 }
 
-/// A place and the residual there.
+/// A point of the map with a large residual.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WorstPlace {
     /// Centre of the pixel along x, mm.
     pub x_mm: f64,
     /// Centre of the pixel along y, mm.
     pub y_mm: f64,
-    /// Residual from the mean of the map, nm; positive = material that stays.
+    /// Residual minus the mean of the map, nm; positive = material that stays.
     pub from_mean_nm: f64,
-    /// True if the place lies in the edge zone; `null` where the tool is not known.
+    /// True if the point lies in the edge zone; `null` if the tool is not known.
     pub at_edge: Option<bool>,
 }
 
-/// RMS of the zones of a map.
+/// RMS of a map in the edge zone and inside of it, both about the mean of the whole map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ZoneRms {
-    /// RMS of the edge zone, nm; `null` where the tool is not known.
+    /// RMS of the edge zone, nm; `null` if the tool is not known.
     pub edge_nm: Option<f64>,
-    /// RMS of the other pixels, nm; `null` where there are none or the tool is not known.
+    /// RMS of the other valid pixels, nm; `null` if there are none or the tool is not known.
     pub inside_nm: Option<f64>,
 }
 
-/// Time of a motion by zone, s.
+/// Duration of a motion, divided by the position and the state of the tool, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Times {
-    /// Tool on, above valid pixels of the edge zone; `null` where the tool is not known.
+    /// Time with the tool on above valid pixels of the edge zone; `null` if the tool is not known.
     pub edge_s: Option<f64>,
-    /// Tool on, above the other valid pixels.
+    /// Time with the tool on above the other valid pixels.
     pub inside_s: f64,
-    /// Tool on, beyond the valid pixels: overscan and turn-arounds.
+    /// Time with the tool on beyond the valid pixels: overscan and turn-arounds.
     pub beyond_s: f64,
-    /// Tool off.
+    /// Time with the tool off.
     pub tool_off_s: f64,
 }
 
-/// Residual and time of one plan by place.
+/// Residual and time of one plan by position on the part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Places {
-    /// The places farthest from the mean, the worst first.
+    /// Points whose residual is farthest from the mean of the map, the worst first.
     pub worst: Vec<WorstPlace>,
-    /// RMS of the residual in the zones.
+    /// RMS of the residual in the edge zone and inside.
     pub zone_rms: ZoneRms,
-    /// RMS of the residual in the regions, rows from small y, columns from small x, nm; `null` where none is valid.
+    /// RMS of the residual in each region, nm; rows from small y, columns from small x; `null` for a region without
+    /// valid pixels.
     pub region_rms_nm: [[Option<f64>; REGIONS]; REGIONS],
-    /// Time with the tool on above the valid pixels of the regions, in the same order, s.
+    /// Time with the tool on above the valid pixels of each region, s, in the same order.
     pub region_time_s: [[f64; REGIONS]; REGIONS],
-    /// Time in the zones.
+    /// Time in the edge zone, inside, beyond the part, and with the tool off.
     pub time: Times,
     /// Smallest and largest position of the motion along [x, y], mm.
     pub travel_mm: [[f64; 2]; 2],
 }
 
 impl Division {
-    /// Divides the valid pixels of `surface`, with an edge zone as wide as the radius of `tif`.
+    /// Divides the valid pixels of `surface`. The edge zone is as wide as the radius of `tif`; without a tool there
+    /// is no edge zone.
     pub fn new(surface: &Surface, tif: Option<&Tif>) -> Self {
         let grid = *surface.grid();
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
@@ -130,12 +133,13 @@ impl Division {
         Self { grid, valid, edge, report }
     }
 
-    /// Returns the numbers of the division.
+    /// Returns the numbers that describe the division.
     pub fn report(&self) -> DivisionReport {
         self.report.clone()
     }
 
-    /// Returns residual and time by place for `trajectory` with its `residual`, on the pixels of this mirror.
+    /// Returns residual and time by position for the motion `trajectory` and its `residual`, a map on the pixels of
+    /// this mirror.
     pub fn places(&self, residual: &Surface, trajectory: &Trajectory) -> Places {
         let (time, region_time_s) = self.times(trajectory);
         Places {
@@ -148,20 +152,20 @@ impl Division {
         }
     }
 
-    /// Returns the RMS of a map of this mirror in the edge zone and inside.
+    /// Returns the RMS of `map`, on the pixels of this mirror, in the edge zone and inside.
     pub fn zone_rms(&self, map: &Surface) -> ZoneRms {
         let Some(edge) = &self.edge else { return ZoneRms::default() };
         let [inside_nm, edge_nm] = self.rms_by(map, |index| usize::from(edge[index]));
         ZoneRms { edge_nm, inside_nm }
     }
 
-    /// Returns row and column of the region of a pixel.
+    /// Returns the row and the column of the region that contains the pixel in row r and column c, all from 0.
     fn region(&self, (r, c): (usize, usize)) -> (usize, usize) {
         let (ny, nx) = self.grid.shape();
         ((r * REGIONS / ny).min(REGIONS - 1), (c * REGIONS / nx).min(REGIONS - 1))
     }
 
-    /// Returns the RMS of a map of this mirror in the regions, nm; `None` where a region has no valid pixel.
+    /// Returns the RMS of `map` in each region, nm; `None` for a region without valid pixels.
     fn region_rms_nm(&self, map: &Surface) -> [[Option<f64>; REGIONS]; REGIONS] {
         let flat: [Option<f64>; REGIONS * REGIONS] = self.rms_by(map, |pixel| {
             let (row, column) = self.region(pixel);
@@ -170,7 +174,8 @@ impl Division {
         std::array::from_fn(|row| std::array::from_fn(|column| flat[row * REGIONS + column]))
     }
 
-    /// Returns the RMS about the mean of the whole map, of the valid pixels of each class; `None` where a class has none.
+    /// Returns, for each of `N` classes, the RMS of its valid pixels about the mean of the whole map. `class` returns
+    /// the class of a pixel (row, column). `None` for a class without pixels.
     fn rms_by<const N: usize>(
         &self,
         map: &Surface,
@@ -186,7 +191,7 @@ impl Division {
         sums.map(|(squares, count)| if count > 0.0 { Some((squares / count).sqrt()) } else { None })
     }
 
-    /// Returns the places farthest from the mean, the worst first.
+    /// Returns the points whose residual is farthest from the mean of the map, the worst first.
     fn worst(&self, residual: &Surface) -> Vec<WorstPlace> {
         let mean = residual.statistics().mean;
         let apart_mm = self.report.worst_apart_mm;
@@ -216,7 +221,7 @@ impl Division {
         worst
     }
 
-    /// Returns the time of a motion by zone, and with the tool on by region, s.
+    /// Returns the time of a motion by zone, and the time with the tool on by region, s.
     fn times(&self, trajectory: &Trajectory) -> (Times, [[f64; REGIONS]; REGIONS]) {
         let mut times = Times { edge_s: self.edge.as_ref().map(|_| 0.0), ..Times::default() };
         let mut regions = [[0.0; REGIONS]; REGIONS];
@@ -249,7 +254,8 @@ impl Division {
         (times, regions)
     }
 
-    /// Returns the times at which a segment enters another pixel, from its start on, in order, and its end, s.
+    /// Returns the times, s from the start of the segment, at which the motion enters another pixel, ascending. The
+    /// last one is the end of the segment.
     fn pixel_changes_s(&self, segment: &Segment<'_>) -> Vec<f64> {
         let end_s = segment.duration_s;
         let mut times_s = vec![end_s];
@@ -278,14 +284,15 @@ fn count(map: &Array2<bool>) -> f64 {
     map.iter().filter(|v| **v).count() as f64
 }
 
-/// Returns the radius of the disc whose area is that where the tool removes at least half of its peak rate, mm.
+/// Returns the radius of a disc, mm, with the area in which the tool removes at least half of its peak rate.
 fn tool_radius_mm(tif: &Tif) -> f64 {
     let half = 0.5 * tif.peak_nm_per_s();
     let count = tif.rate_nm_per_s().iter().filter(|rate| **rate >= half).count();
     (count as f64 * tif.grid().pixel_mm2() / PI).sqrt()
 }
 
-/// Returns the valid pixels whose centres are nearer than `width_mm` to that of an invalid pixel, or of one beyond the map.
+/// Returns the edge zone: the valid pixels whose centres are nearer than `width_mm` to the centre of an invalid pixel
+/// or of one beyond the map.
 fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     let (ny, nx) = valid.dim();
     let dx = grid.x.step_mm();
@@ -329,7 +336,8 @@ fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     zone
 }
 
-/// Returns the bounds of the regions along an axis, from the outer edge of its first pixel to that of its last one, mm.
+/// Returns the bounds of the regions along an axis, ascending, mm: from the outer edge of its first pixel to that of
+/// its last one.
 fn bounds_mm(axis: &Axis) -> [f64; REGIONS + 1] {
     // Whole pixels, as a pixel belongs to one region: the first whose i REGIONS / n is k.
     std::array::from_fn(|k| {
@@ -338,7 +346,7 @@ fn bounds_mm(axis: &Axis) -> [f64; REGIONS + 1] {
     })
 }
 
-/// Returns the pixel whose part of the axis holds `mm`; `None` beyond.
+/// Returns the index of the pixel that contains the coordinate `mm`; `None` beyond the axis.
 fn pixel_at(axis: &Axis, mm: f64) -> Option<usize> {
     let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
     if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
@@ -364,7 +372,7 @@ mod tests {
         Grid { x: Axis::new(0.5, 1.0, nx).unwrap(), y: Axis::new(0.5, 1.0, ny).unwrap() }
     }
 
-    /// Removes where the centre is within `radius_mm`.
+    /// Returns a tool that removes at the same rate in all pixels whose centre is within `radius_mm`.
     fn top_hat(radius_mm: f64) -> Tif {
         let axis = Axis::new(-5.0, 0.05, 201).unwrap();
         let grid = Grid { x: axis, y: axis };
@@ -374,7 +382,7 @@ mod tests {
         Tif::new(grid, rate).unwrap()
     }
 
-    /// Flat but for 8 nm at column 2, row 1, and -6 nm at column 10, row 4.
+    /// Returns a residual of 0 nm except for 8 nm at column 2, row 1, and -6 nm at column 10, row 4.
     fn residual() -> Surface {
         let mut map = Array2::zeros((6, 12));
         map[[1, 2]] = 8.0;

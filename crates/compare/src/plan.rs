@@ -1,4 +1,5 @@
-//! State of a plan, from the end that the stage which chose the motion or the dwell times states.
+//! State of a plan: whether its optimality is proven. It follows from the end that is stated by the stage which chose
+//! the motion or the dwell times.
 //!
 //! | state | meaning |
 //! |---|---|
@@ -8,7 +9,7 @@
 //! | unconverged | it stagnated, reached a limit, or was solved for something else |
 //! | baseline | made by a stage that exists to compare with the literature: never recommended |
 //! | without-motion | dwell times without a motion: nothing that runs |
-//! | unknown | no manifest says |
+//! | unknown | no manifest states an end |
 
 use planish_types::{
     End,
@@ -22,10 +23,11 @@ use serde::Serialize;
 
 use crate::made::Made;
 
-/// Name of the scheduler that applies the dwell times at the dwell points, without a motion between them.
+/// Name of the scheduler that applies the dwell times at the dwell points, without a motion between them; its result
+/// is no plan.
 pub const WITHOUT_MOTION: &str = "position";
 
-/// Stages that exist to compare with the literature, by program and method: the files of the folders `baselines`. Their
+/// Stages that exist to compare with the literature (folders `baselines`), as pairs of program and method. Their
 /// plans are shown, and never recommended.
 pub const BASELINES: [(&str, &str); 7] = [
     ("planish-schedule", "average-velocity"),
@@ -37,41 +39,41 @@ pub const BASELINES: [(&str, &str); 7] = [
     ("planish-dwell", "truncated-svd"),
 ];
 
-/// Largest gap, over the objective, that is the rounding of its sum. Larger: a small gap is called optimal to
-/// rounding. Smaller: a gap that is rounding is printed. Chosen: some thousand times the rounding of one number.
+/// Largest gap, relative to the objective, that counts as rounding of its sum. Larger: a small gap is called optimal
+/// to rounding. Smaller: a gap that is rounding is printed. Chosen: some thousand times the rounding of one number.
 const ROUNDING: f64 = 1e-12;
 
-/// Word for the state of a motion that was read back from a controller's program.
+/// Word for the state of a motion that was read back from a controller program.
 pub const PROGRAM: &str = "program";
 
-/// State of a plan.
+/// State of a plan; the table of the module explains the variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
-    /// The motion is proven to be near the optimum.
+    /// The motion is proven to be near the optimum, within a stated gap.
     Certified,
     /// The dwell times are proven to be near their optimum; nothing is proven of the motion.
     DwellOptimal,
-    /// Ended by itself, without a proof.
+    /// The method ended by itself, without a proof.
     Converged,
-    /// Did not end by itself.
+    /// The method did not end by itself: it stagnated or reached a limit.
     Unconverged,
-    /// Made by a stage that exists to compare with the literature.
+    /// The plan was made by a stage that exists to compare with the literature.
     Baseline,
-    /// Dwell times without a motion: not a plan.
+    /// The result is dwell times without a motion, which is no plan.
     WithoutMotion,
     /// No manifest states an end.
     Unknown,
 }
 
-/// State of a plan, in words too.
+/// State of a plan, also as text for people.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlanStatus {
-    /// The state.
+    /// State of the plan.
     pub state: State,
-    /// The state in a word or two.
+    /// State in one or two words, for a table.
     pub word: String,
-    /// The state in a sentence.
+    /// State in a sentence or clause, with its reasons.
     pub text: String,
 }
 
@@ -80,9 +82,9 @@ impl PlanStatus {
         Self { state, word: word.into(), text: text.into() }
     }
 
-    /// Returns the state of the plan of the method `name`, from the manifest of its trajectory and the manifest of the dwell
-    /// times that the trajectory was scheduled from. `solved_for_another` has the roles of which those were solved
-    /// for another artifact.
+    /// Returns the state of the plan of the method `name`. `trajectory` and `dwell` are the manifests of its motion
+    /// and of the dwell times from which the motion was scheduled. `solved_for_another` holds the roles (such as
+    /// `surface`) for which those dwell times were solved with another artifact.
     pub fn of_method(
         name: &str,
         trajectory: Option<&Made>,
@@ -125,7 +127,7 @@ impl PlanStatus {
         Self::of_dwell(dwell)
     }
 
-    /// Returns the state of the dwell times of a solver, from their manifest if they have one.
+    /// Returns the state of the dwell times of a solver. `manifest` is their manifest; `None` if they have none.
     pub fn of_solver(manifest: Option<&Made>) -> Self {
         manifest.map_or_else(Self::without_manifest, Self::of_dwell)
     }
@@ -135,7 +137,7 @@ impl PlanStatus {
         Self::new(State::Unknown, "not known", text)
     }
 
-    /// Returns the state of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
+    /// Returns the state of dwell times from their manifest. A proof of their optimality says nothing of a motion.
     fn of_dwell(manifest: &Made) -> Self {
         match Self::of_manifest(manifest) {
             Self { state: State::Certified, text, .. } => {
@@ -146,7 +148,7 @@ impl PlanStatus {
         }
     }
 
-    /// Returns the state of the artifact of a stage, from the end that its manifest states.
+    /// Returns the state that follows from the end in the manifest of a stage.
     fn of_manifest(manifest: &Made) -> Self {
         let report = manifest.outcome.report.as_ref();
         // A stage that is not ours may end with a word of its own.
@@ -234,7 +236,7 @@ impl PlanStatus {
     }
 }
 
-/// Describes an end that says nothing of an optimum; `None` for one that does, or for a limit.
+/// Returns a clause on an end that proves nothing about an optimum; `None` for the other ends, including limits.
 fn without_proof(end: End) -> Option<&'static str> {
     match end {
         End::Settled => Some("its residual no longer changed"),
@@ -249,13 +251,14 @@ fn without_proof(end: End) -> Option<&'static str> {
     }
 }
 
-/// Returns the method of a stage, by its manifest, if it is a baseline.
+/// Returns the method of the stage that wrote the manifest, if the stage is a baseline; otherwise `None`.
 fn baseline(manifest: &Made) -> Option<&str> {
     let made_by = (manifest.shown.tool.as_str(), manifest.shown.method.as_str());
     if BASELINES.contains(&made_by) { Some(made_by.1) } else { None }
 }
 
-/// Returns the sentence on the proven gap of a stage, if it states one, with the plans that it compares with.
+/// Returns a clause on the optimality gap that a stage has proven, with the plans that it covers; `None` if it states
+/// no finite gap.
 fn proven(manifest: &Made) -> Option<String> {
     let PlanReport { proven, .. } = manifest.outcome.report.as_ref()?;
     let gap = proven.relative_gap.or(proven.gap)?;

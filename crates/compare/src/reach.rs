@@ -1,4 +1,4 @@
-//! The part of a residual at wavelengths shorter than the tool corrects.
+//! Part of a residual at wavelengths that are too short for the tool to correct.
 //!
 //! ```text
 //! G(f) = |sum T exp(-2 pi i f u)| / |sum T|                        transfer function of the TIF
@@ -9,17 +9,17 @@
 //! so that the squares of the short-wave RMS and of the rest add up to that of the RMS without the plane. S is the
 //! two-dimensional spectrum of the report: of the largest rectangle of valid pixels, plane removed, Hann window.
 //!
-//! The short-wave RMS is a description of a residual, not a bound on it. It contains the ripple of the lines of the
-//! path, and the part that the window spreads from longer waves; other dwell times change both. The map outside of
-//! the rectangle counts as if its spectrum were the same.
+//! The short-wave RMS is a description of a residual, not a bound on it. It contains the ripple that the lines of the
+//! path leave, and the part that the window spreads from longer waves; other dwell times change both. The map outside
+//! of the rectangle counts as if its spectrum were the same.
 //!
 //! The threshold is [`LEAST_TRANSFER`], whose comment has the reason. A Gaussian TIF reaches it at a period of 2.07
 //! sigma; a measured one has side lobes above it at shorter periods.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | T | `tif` | (my, mx) | nm/s |
-//! | S | density of the residual | (ny, nx) | nm^2 mm^2 |
+//! | T, removal rate at the offset u from the tool centre | `tif` | (my, mx) | nm/s |
+//! | S, power spectral density of the residual at the frequency f | `density` | (ny, nx) | nm^2 mm^2 |
 
 use ndarray::{Array2, ArrayView1, s};
 use planish_numerics::spectrum::{
@@ -28,30 +28,30 @@ use planish_numerics::spectrum::{
 use planish_types::{Surface, Tif};
 use serde::Serialize;
 
-/// Waves that a tool reaches.
+/// Limit between the waves that a tool can correct and the short waves, which it cannot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReachReport {
-    /// Transfer below which a wave counts as short.
+    /// Value of the transfer function, 0 to 1, below which a wave counts as short.
     pub transfer_threshold: f64,
-    /// Periods along [x, y] that are the longest with less transfer, mm; `null` where all have more.
+    /// Longest period of the short waves along [x, y], mm; `null` if no wave along that axis is short.
     pub period_mm: [Option<f64>; 2],
 }
 
-/// The waves of a map that a tool does not reach.
+/// Waves of a map that are too short for a tool, with the rectangle of the map in which they are measured.
 #[derive(Clone, Debug)]
 pub struct Reach {
     origin: (usize, usize),
     x_mm: Vec<f64>,
     y_mm: Vec<f64>,
     step_mm: [f64; 2],
-    /// (ny, nx), in the order of a [`Density`].
+    /// True for the frequencies of short waves (ny, nx), in the order of a [`Density`].
     is_short: Array2<bool>,
     report: ReachReport,
 }
 
 impl Reach {
-    /// Finds the waves that the tool reaches on maps whose valid pixels are those of `surface`. Returns `None` if their
-    /// largest rectangle is too small for a spectrum.
+    /// Finds the short waves of `tif` on maps with the valid pixels of `surface`. Returns `None` if their largest
+    /// rectangle is too small for a spectrum.
     pub fn new(surface: &Surface, tif: &Tif) -> Option<Self> {
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
         let (origin, (ny, nx)) = largest_rectangle(&valid);
@@ -83,12 +83,12 @@ impl Reach {
         })
     }
 
-    /// Returns the threshold and the periods of these waves.
+    /// Returns the threshold and the longest periods of the short waves.
     pub fn report(&self) -> ReachReport {
         self.report
     }
 
-    /// Returns the RMS of the waves of `surface` that are shorter than the tool corrects, nm.
+    /// Returns the RMS of the waves of `surface` that are too short for the tool, nm.
     pub fn short_wave_rms_nm(&self, surface: &Surface) -> f64 {
         let (ny, nx) = self.is_short.dim();
         let (r, c) = self.origin;
@@ -107,7 +107,7 @@ impl Reach {
     }
 }
 
-/// Returns the period of the first positive frequency that is short, mm.
+/// Returns the period of the first positive frequency that is short, mm; `None` if there is none.
 fn first_period_mm(frequencies: &[f64], is_short: ArrayView1<bool>) -> Option<f64> {
     let mut all = frequencies.iter().zip(is_short);
     all.find(|(f, is_short)| **f > 0.0 && **is_short).map(|(f, _)| 1.0 / f)

@@ -11,33 +11,35 @@
 //! is recommended. One percent more time is taken if it lowers the mean square by at least half a percent, as in
 //! `planish-joint` by default.
 
-/// Largest excess of the RMS of a recommended plan over the least RMS, relative to that. Larger: shorter runs with a
-/// larger residual. Smaller: the plan of least RMS whatever its time. Chosen: less than the errors of a process add.
+/// Largest excess of the RMS of a recommended plan over the smallest RMS, relative to the smallest. Larger: shorter
+/// runs with a larger residual. Smaller: the plan of the smallest RMS whatever its time. Chosen: less than the errors
+/// of a process add.
 const NEGLIGIBLE_RMS: f64 = 0.05;
 
-/// Percentage by which one percent more time must lower the mean square, the exponent of the time in (1). Larger:
-/// shorter runs. Smaller: a smaller residual. Chosen: the default of `planish-joint`.
+/// Exponent of the time in (1) of the module, dimensionless: percentage by which one percent more time must lower the
+/// mean square. Larger: shorter runs. Smaller: a smaller residual. Chosen: the default of `planish-joint`.
 const TIME_ELASTICITY: f64 = 0.5;
 
-/// A motion within the limits of the machine.
+/// A plan that may be recommended: a motion within the limits of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
-    /// RMS of its residual, nm.
+    /// RMS of the residual by which the plan is compared with others, nm.
     pub rms_nm: f64,
-    /// Its time, s.
+    /// Duration of the plan, s.
     pub total_time_s: f64,
-    /// True if its residual keeps the specification, or none was asked.
+    /// True if the residual keeps the specification, or if there is none.
     pub keeps_specification: bool,
 }
 
 impl Candidate {
-    /// Returns the cost (1), nm^2 s^(1/2).
+    /// Returns the cost of the plan, (1) of the module, nm^2 s^(1/2).
     fn cost(&self) -> f64 {
         self.rms_nm * self.rms_nm * self.total_time_s.powf(TIME_ELASTICITY)
     }
 }
 
-/// Returns the plan that is to be executed, the first of equals; a plan is what stands beside its candidate.
+/// Returns the plan that is to be executed, the first of equals; `None` if there are no candidates. Each pair is a
+/// plan and its numbers.
 pub fn recommended<T: Copy>(candidates: &[(T, Candidate)]) -> Option<T> {
     let some_keep = candidates.iter().any(|(_, c)| c.keeps_specification);
     let eligible = candidates.iter().filter(|(_, c)| c.keeps_specification || !some_keep);

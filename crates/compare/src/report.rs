@@ -1,6 +1,6 @@
-//! The page that people look at, and its figures.
+//! The report page that people look at, and its figures.
 //!
-//! [`View`] holds the data of a run for the screen, down-sampled where there are more. [`page()`] puts views into one
+//! [`View`] holds the data of a run for the page, down-sampled if there are too many. [`page()`] puts views into one
 //! HTML file with its own style and program (`report/page.*` and `report/page/`). The program is plain JavaScript and
 //! canvas, without a library, and loads nothing from a network. [`figure`] draws views as SVG, [`sparkline`] in a
 //! terminal.

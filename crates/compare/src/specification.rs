@@ -1,4 +1,4 @@
-//! Verdicts of `planish-surface spec` on the maps of a run: before, predicted, and measured after.
+//! Verdicts of `planish-surface spec` on the maps of a run: before the run, predicted, and measured after it.
 //!
 //! | column | judged |
 //! |---|---|
@@ -9,11 +9,11 @@
 use planish_types::outcome::specification::SpecificationReport;
 use serde::Serialize;
 
-/// Verdicts on the maps that belong to no method.
+/// Verdicts by the specification on the maps that belong to no method.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Around {
-    /// The desired removal.
+    /// Verdict on the desired removal; `null` if there is none.
     pub before: Option<SpecificationReport>,
-    /// The map as it was measured after the run.
+    /// Verdict on the map that was measured after the run; `null` if there is none.
     pub after: Option<SpecificationReport>,
 }

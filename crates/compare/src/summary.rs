@@ -1,4 +1,4 @@
-//! The numbers of a run, method by method.
+//! Numbers of a run, method by method. A method is one plan: a scheduler or solver with its results.
 //!
 //! ```text
 //! RMS       = sqrt(mean((z - mean z)^2))        over the valid pixels of the residual z
@@ -39,7 +39,7 @@ use crate::{
     specification::Around,
 };
 
-/// Order of the methods; others follow by name. A refined method follows its base.
+/// Order of the methods in tables; others follow by name. A refined method follows its base.
 const ORDER: [&str; 9] = [
     WITHOUT_MOTION,
     "average-velocity",
@@ -52,13 +52,13 @@ const ORDER: [&str; 9] = [
     "joint",
 ];
 
-/// Largest difference of the coordinates of two maps that are the same, in pixels. Larger: maps of different pixels
-/// are taken for the same. Smaller: axes that passed through text are refused. Chosen between the two.
+/// Largest difference between the coordinates of two maps that counts as none, in pixels. Larger: maps of different
+/// pixels are taken for the same. Smaller: axes that passed through text are refused. Chosen between the two.
 const SAME_PIXEL: f64 = 1e-4;
 
-/// Largest error of `residual = desired - removal`, over the largest of the three. Larger: a removal of another
-/// surface is accepted. Smaller: maps that passed through 32-bit floats (6e-8) are refused. Chosen far above that
-/// rounding, and far below any residual of interest.
+/// Largest error of `residual = desired - removal` that counts as rounding, relative to the largest of the three.
+/// Larger: a removal of another surface is accepted. Smaller: maps that passed through 32-bit floats (6e-8) are
+/// refused. Chosen far above that rounding, and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
 
 /// Largest difference between a dwell time and the time of the motion that executes it, s. Larger: motions of other
@@ -69,44 +69,45 @@ const SAME_DWELL_S: f64 = 1e-6;
 /// Smaller: more noise in the slopes. Chosen: the length with which mirrors are specified.
 const SLOPE_BASE_MM: f64 = 1.0;
 
-/// Largest difference of two durations that are the same, relative. Larger: different motions are taken for one.
-/// Smaller: rounding is refused. Chosen far above the rounding of a sum of segments.
+/// Largest relative difference between two durations that counts as none. Larger: different motions are taken for
+/// one. Smaller: rounding is refused. Chosen far above the rounding of a sum of segments.
 const SAME_TIME: f64 = 1e-9;
 
-/// One run: a surface, and the result of each method.
+/// Summary of one run: its surface, and the result of each method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the pipeline.
     pub pipeline: String,
     /// Name of the mirror.
     pub fixture: String,
-    /// The desired removal.
+    /// Statistics of the desired removal.
     pub initial: Initial,
-    /// Base length of the slopes along [x, y], mm; `null` along an axis that is shorter.
+    /// Base length of the slopes along [x, y], mm; `null` along an axis that is shorter than the base.
     pub slope_base_mm: [Option<f64>; 2],
-    /// Waves that the tool reaches; `null` where the tool is not known, or the map has no spectrum.
+    /// Waves that the tool can correct; `null` if the tool is not known, or the map has no spectrum.
     pub reach: Option<ReachReport>,
-    /// Division of the mirror, by which residual and time are told.
+    /// Division of the mirror into zones and regions, by which residual and time are reported.
     pub division: DivisionReport,
-    /// Verdicts on the maps that belong to no method.
+    /// Verdicts by the specification on the maps that belong to no method.
     pub specification: Around,
-    /// Effect of the errors of a process on one of the plans; `null` where there is no such prediction.
+    /// Effect of the errors of a process on one of the plans; `null` if there is no such prediction.
     pub error_budget: Option<ErrorBudget>,
-    /// Dwell times at the dwell points, without a motion; `null` when the run has no such method.
+    /// Residual of the dwell times at the dwell points, without a motion; `null` if the run has no such method.
     pub without_motion: Option<WithoutMotion>,
-    /// Methods by scheduler.
+    /// Names of the methods (schedulers or solvers) with their results.
     #[serde(serialize_with = "as_map")]
     pub methods: Vec<(String, MethodResult)>,
     /// Methods that take no part in the comparison.
     pub left_out: Vec<LeftOut>,
-    /// Sentences on shared artifacts that are out of date, and on a machine that nobody named.
+    /// Sentences on shared artifacts that are out of date, and on a machine that was assumed.
     pub remarks: Vec<String>,
-    /// The method that is recommended; `null` when there is none.
+    /// Name of the method that is recommended; `null` if there is none.
     pub best: Option<String>,
 }
 
 impl Summary {
-    /// Returns the names of the mirror and the pipeline; that of the run where the mirror has none.
+    /// Returns the names of the mirror and the pipeline. If the mirror has no name, it returns `run`, that of the
+    /// run.
     pub fn part_and_pipeline(&self, run: &str) -> Vec<String> {
         let part = if self.fixture.is_empty() { run } else { &self.fixture };
         let mut names = vec![part.to_string(), self.pipeline.clone()];
@@ -115,33 +116,33 @@ impl Summary {
     }
 }
 
-/// A method whose artifacts do not belong to this run.
+/// A method that is left out of the comparison, because its artifacts do not belong to this run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LeftOut {
     /// Name of the method.
     pub name: String,
-    /// `not-valid` or `out-of-date`.
+    /// Validity of the method: `not-valid`, `out-of-date` or `refused`.
     pub standing: Standing,
-    /// Reasons why it takes no part.
+    /// Reasons why the method takes no part.
     pub reasons: Vec<String>,
 }
 
-/// The desired removal before the run.
+/// Statistics of the desired removal before the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Initial {
-    /// RMS, mean removed, nm.
+    /// RMS of the heights, mean removed, nm.
     pub rms_nm: f64,
-    /// Largest minus smallest, nm.
+    /// Largest minus smallest height, nm.
     pub pv_nm: f64,
-    /// RMS slope along [x, y], mean removed, nrad; `null` where the base does not fit.
+    /// RMS slope along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of the waves that are shorter than the tool corrects, nm; `null` where the tool is not known.
+    /// RMS of the waves that are too short for the tool to correct, nm; `null` if the tool is not known.
     pub short_wave_rms_nm: Option<f64>,
-    /// RMS of the edge zone and of the inside.
+    /// RMS in the edge zone and inside of it.
     pub zone_rms: ZoneRms,
 }
 
-/// Dwell times at the dwell points.
+/// Result of the dwell times applied at the dwell points, without a motion between them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WithoutMotion {
     /// RMS of the residual, mean removed, nm.
@@ -150,7 +151,7 @@ pub struct WithoutMotion {
     pub total_time_s: f64,
 }
 
-/// Result of one method.
+/// Result of one method of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MethodResult {
     /// RMS of the residual, mean removed, nm.
@@ -159,51 +160,53 @@ pub struct MethodResult {
     pub pv_nm: f64,
     /// RMS of the residual, plane removed, nm.
     pub rms_detilted_nm: f64,
-    /// RMS slope of the residual along [x, y], mean removed, nrad; `null` where the base does not fit.
+    /// RMS slope of the residual along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base
+    /// of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of the waves of the residual that are shorter than the tool corrects, nm; `null` where the tool is not known.
+    /// RMS of the waves of the residual that are too short for the tool to correct, nm; `null` if the tool is not
+    /// known.
     pub short_wave_rms_nm: Option<f64>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
-    /// Largest |velocity| of [x, y], mm/s.
+    /// Largest magnitude of the velocity along [x, y], mm/s.
     pub max_velocity_mm_per_s: [f64; 2],
-    /// Largest |acceleration| inside segments of [x, y], mm/s^2.
+    /// Largest magnitude of the acceleration inside segments along [x, y], mm/s^2.
     pub max_acceleration_mm_per_s2: [f64; 2],
-    /// Largest step in velocity of [x, y], mm/s.
+    /// Largest step in velocity along [x, y] between two segments, mm/s.
     pub max_velocity_step_mm_per_s: [f64; 2],
-    /// Largest step in acceleration of [x, y], mm/s^2.
+    /// Largest step in acceleration along [x, y] between two segments, mm/s^2.
     pub max_acceleration_step_mm_per_s2: [f64; 2],
     /// True if the verdict found every limit of the machine kept.
     pub limits_respected: bool,
-    /// Limits that the verdict found broken: `travel`, `velocity`, `acceleration`, `jerk`, or `jumps`; empty where all are
-    /// kept, or where the verdict does not say.
+    /// Names of the limits that the verdict found broken: `path`, `travel`, `velocity`, `acceleration`, `jerk`, or
+    /// `jumps`. Empty if all are kept, or if the verdict does not say.
     pub broken_limits: Vec<&'static str>,
-    /// RMS of the residual after the servo of the process, mean removed, nm; `null` where the process has none, or nobody
-    /// asked.
+    /// RMS of the residual after the servo of the machine, mean removed, nm; `null` if the process has no servo, or
+    /// it was not asked for.
     pub after_servo_rms_nm: Option<f64>,
-    /// Name of the machine that the verdict is about; `null` where its manifest does not say.
+    /// Name of the machine that the verdict is about; `null` if its manifest does not say.
     pub machine: Option<String>,
-    /// Seconds that the scheduler took, `null` when not measured.
+    /// Time that the scheduler took, s; `null` if it was not measured.
     pub schedule_wall_s: Option<f64>,
-    /// Seconds that the simulation took, `null` when not measured.
+    /// Time that the simulation took, s; `null` if it was not measured.
     pub simulate_wall_s: Option<f64>,
-    /// Execution of the plan by the motion.
+    /// Deviations of the motion from the plan: dwell times, overshoot, jerk.
     pub execution: Execution,
-    /// Residual and time by place.
+    /// Residual and time by position on the part.
     pub places: Places,
-    /// State of the plan.
+    /// State of the plan: certified, converged or not.
     pub plan: PlanStatus,
-    /// Verdict on the residual by a specification; `null` where none was asked.
+    /// Verdict on the residual by a specification; `null` if there is no specification.
     pub specification: Option<SpecificationReport>,
-    /// Result of the plan when all axes of the machine run it; absent where the run has no such motion.
+    /// Result of the plan when all axes of the machine run it; absent if the run has no such motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_axes: Option<OnAxes>,
-    /// Further remarks.
+    /// Further remarks on the method, as sentences.
     pub remarks: Vec<String>,
 }
 
-/// Returns the checks of an axis in a verdict, and the limit of the machine that each of them is about: a step of the
-/// velocity is an infinite acceleration, a step of the acceleration an infinite jerk.
+/// Returns the checks of an axis in a verdict, each with the name of the limit that it belongs to. A step in velocity
+/// is an infinite acceleration, and a step in acceleration an infinite jerk.
 fn checks_and_limits(axis: &AxisVerdict) -> [(&Check, &'static str); 7] {
     [
         (&axis.position_step_mm, "jumps"),
@@ -216,7 +219,7 @@ fn checks_and_limits(axis: &AxisVerdict) -> [(&Check, &'static str); 7] {
     ]
 }
 
-/// Returns the limits that a verdict found broken, each once; empty where it does not say.
+/// Returns the names of the limits that a verdict found broken, each once; empty if the verdict does not say.
 fn broken_limits(verdict: &Verdict) -> Vec<&'static str> {
     let mut broken = Vec::new();
     if verdict.path_distance.is_some_and(|distance| !distance.within) {
@@ -231,46 +234,47 @@ fn broken_limits(verdict: &Verdict) -> Vec<&'static str> {
     broken
 }
 
-/// Seconds that the stages of a method took, where they were measured.
+/// Times that the stages of a method took; `None` if they were not measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WallTimes {
-    /// Scheduler, s.
+    /// Time of the scheduler, s.
     pub schedule_s: Option<f64>,
-    /// Simulation, s.
+    /// Time of the simulation, s.
     pub simulate_s: Option<f64>,
 }
 
-/// Information on a method beside its arrays and its verdict.
+/// Data of a method other than its arrays and its verdict.
 #[derive(Clone, Debug)]
 pub struct MethodFacts {
-    /// Seconds that its stages took.
+    /// Times that the stages of the method took.
     pub wall: WallTimes,
-    /// Name of the machine that its verdict is about.
+    /// Name of the machine that the verdict is about; `None` if it is not known.
     pub machine: Option<String>,
-    /// State of its plan.
+    /// State of the plan: certified, converged or not.
     pub plan: PlanStatus,
-    /// RMS of the waves of its residual that are shorter than the tool corrects, nm, where the tool is known.
+    /// RMS of the waves of the residual that are too short for the tool to correct, nm; `None` if the tool is not
+    /// known.
     pub short_wave_rms_nm: Option<f64>,
-    /// Verdict on its residual by a specification, where one was asked.
+    /// Verdict on the residual by a specification; `None` if there is no specification.
     pub specification: Option<SpecificationReport>,
-    /// RMS of its residual after the servo of the process, nm, where the process has one.
+    /// RMS of the residual after the servo of the machine, nm; `None` if the process has no servo.
     pub after_servo_rms_nm: Option<f64>,
-    /// Result when all axes of the machine run it, where that was asked.
+    /// Result when all axes of the machine run the plan; `None` if the run has no such motion.
     pub on_axes: Option<OnAxes>,
-    /// Further remarks on the method.
+    /// Further remarks on the method, as sentences.
     pub remarks: Vec<String>,
 }
 
 impl MethodResult {
-    /// Returns the RMS that the plans are compared by, nm: after the servo of the process, where it has one; otherwise on all
-    /// axes of the machine, where they run it.
+    /// Returns the RMS by which plans are compared, nm. It is that after the servo if the process has one, otherwise
+    /// that on all axes of the machine if they run the plan, otherwise that of the residual.
     pub(crate) fn compared_rms_nm(&self) -> f64 {
         let on_axes = self.on_axes.as_ref().map_or(self.rms_nm, |o| o.rms_nm);
         self.after_servo_rms_nm.unwrap_or(on_axes)
     }
 
-    /// Returns true if the report may recommend it: a motion that keeps the limits, of all axes where they run it, and no
-    /// baseline.
+    /// Returns true if the report may recommend the method. It must be a motion that keeps the limits, also on all
+    /// axes if they run it, and no baseline.
     pub(crate) fn is_candidate(&self) -> bool {
         let shown_only = matches!(self.plan.state, State::WithoutMotion | State::Baseline);
         self.limits_respected
@@ -278,7 +282,8 @@ impl MethodResult {
             && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
     }
 
-    /// Returns the numbers by which a plan is chosen.
+    /// Returns the numbers of the method by which a plan is chosen: RMS, time, and whether it keeps the
+    /// specification.
     pub(crate) fn candidate(&self) -> Candidate {
         let judged = self.specification.as_ref();
         Candidate {
@@ -288,7 +293,7 @@ impl MethodResult {
         }
     }
 
-    /// Returns the numbers of one method.
+    /// Computes the numbers of one method. `dwell` are the planned dwell times; `None` if they are not known.
     ///
     /// # Errors
     /// Refuses a removal of another surface, a verdict on another trajectory, and dwell times of another path.
@@ -364,7 +369,8 @@ impl MethodResult {
     }
 }
 
-/// Returns the whole pixels of the base of the slopes along x and y, and their length, mm.
+/// Returns the base of the slopes along x and y, as a number of pixels and its length, mm; `None` along an axis that
+/// is shorter.
 fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
     let grid = surface.grid();
     [&grid.x, &grid.y].map(|axis| {
@@ -373,7 +379,8 @@ fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
     })
 }
 
-/// Returns the RMS slope along x and y, without the mean, nrad.
+/// Returns the RMS slope along x and y, mean removed, nrad; `None` along an axis that is shorter than the base of the
+/// slopes.
 fn slope_rms_nrad(surface: &Surface) -> [Option<f64>; 2] {
     let grid = surface.grid();
     let [x, y] = slope_base(surface);
@@ -385,7 +392,8 @@ fn slope_rms_nrad(surface: &Surface) -> [Option<f64>; 2] {
 }
 
 impl Summary {
-    /// Returns the numbers of a run. Brings the methods into the order of the documentation.
+    /// Collects the numbers of a run, and sorts the methods into the order of the documentation. `fixture` is the
+    /// name of the mirror.
     pub fn new(
         pipeline: impl Into<String>,
         fixture: impl Into<String>,
@@ -445,7 +453,8 @@ impl Summary {
         }
     }
 
-    /// Returns the summary with the tool of the run and the specification of the mirror added.
+    /// Returns the summary with the waves that the tool can correct (`reach`) and the verdicts by the specification
+    /// (`around`) added.
     pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
         let short_wave_rms_nm = reach.map(|reach| reach.short_wave_rms_nm(desired));
         Self {
@@ -456,8 +465,8 @@ impl Summary {
         }
     }
 
-    /// Recommends the row `name`, a program that was read back: it is the motion that will run. No row is recommended
-    /// where that program breaks a limit of the machine.
+    /// Recommends the row `name`, a controller program that was read back, because that motion will run. If that
+    /// program breaks a limit of the machine, no row is recommended.
     ///
     /// # Errors
     /// Refuses a row that is not there, with the names of those that are.
@@ -470,7 +479,7 @@ impl Summary {
         Ok(())
     }
 
-    /// Returns the reason for which a run whose plans are all refused has none to recommend.
+    /// Returns the reason why a run has no plan to recommend, for a run whose plans are all unfit.
     pub(crate) fn why_no_plan(&self) -> &'static str {
         let mut methods = self.methods.iter().map(|(_, m)| m);
         if methods.any(|m| m.limits_respected && m.plan.state == State::Baseline) {
@@ -480,7 +489,7 @@ impl Summary {
         }
     }
 
-    /// Returns the reasons why the run has no plan to recommend without reserve; empty when it has one.
+    /// Returns the reasons why the run has no plan that can be recommended without reserve; empty if it has one.
     fn reserves(&self) -> Vec<String> {
         let mut reasons = Vec::new();
         for m in self.left_out.iter().filter(|m| m.standing == Standing::NotValid) {
@@ -498,8 +507,8 @@ impl Summary {
     }
 }
 
-/// Returns the reasons why some of the runs have no plan to recommend without reserve, each with the name of its run; `None`
-/// when each has one.
+/// Returns the reasons why some runs have no plan that can be recommended without reserve, each with the name of its
+/// run. `None` if every run has one.
 pub fn negative(runs: &[(&str, &Summary)]) -> Option<String> {
     let mut reserves = Vec::new();
     for (name, summary) in runs {
@@ -509,7 +518,7 @@ pub fn negative(runs: &[(&str, &Summary)]) -> Option<String> {
     if reserves.is_empty() { None } else { Some(reserves.join("; ")) }
 }
 
-/// Writes the methods as an object whose keys are their names.
+/// Serialises the methods as an object whose keys are their names.
 fn as_map<S: Serializer>(
     methods: &[(String, MethodResult)],
     serializer: S,
@@ -517,7 +526,7 @@ fn as_map<S: Serializer>(
     serializer.collect_map(methods.iter().map(|(name, method)| (name, method)))
 }
 
-/// Refuses a removal that was not predicted on this surface.
+/// Refuses a removal whose pixels or heights do not belong to the surface `desired`.
 fn check_same_surface(desired: &Surface, removal: &Removal) -> Result<(), Invalid> {
     let grid = desired.grid();
     let other = removal.residual().grid();
@@ -562,7 +571,7 @@ mod tests {
         Grid { x: Axis::new(-1.0, 1.0, nx).unwrap(), y: Axis::new(5.0, 1.0, ny).unwrap() }
     }
 
-    /// Residual [[1, -1], [-1, 1]] nm plus a tilt of 2 nm per pixel along x and a piston of 7 nm.
+    /// Returns a map of [[1, -1], [-1, 1]] nm plus a tilt of 2 nm per pixel along x and a piston of 7 nm.
     fn desired() -> Surface {
         Surface::new(grid(2, 2), array![[11.0, 11.0], [9.0, 13.0]]).unwrap()
     }

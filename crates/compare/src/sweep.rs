@@ -1,4 +1,4 @@
-//! The plans of a sweep: the front of the best ones, and the one that is to be run.
+//! Plans of a sweep: the front of the best ones, and the plan that is to be run.
 //!
 //! A plan is a point of residual against time. On the front are the plans that no other plan beats in both. The
 //! residual is that of the plan without errors. If the sweep has a process, there is a second front with the residual
@@ -22,12 +22,12 @@ use crate::{
 
 pub use picture::{page, svg};
 
-/// Table of a sweep.
+/// Table of the plans of a sweep, as `planish-sweep table` writes it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(transparent)]
 pub struct Table(pub SweepTable);
 
-/// Returns quantity and unit of a limit: the heading of its column.
+/// Returns the heading of the column of a limit: its quantity and, in brackets, its unit.
 fn heading(limit: &Limited) -> String {
     if limit.unit.is_empty() {
         return limit.quantity.clone();
@@ -35,24 +35,24 @@ fn heading(limit: &Limited) -> String {
     format!("{} ({})", limit.quantity, limit.unit)
 }
 
-/// Returns words on the specification of a plan; empty without one.
+/// Returns a few words on whether a plan keeps the specification; empty without a specification.
 fn specification_in_words(numbers: &PlanNumbers) -> String {
     let Some(Specified { passed, limits }) = &numbers.specification else { return String::new() };
     let missed = limits.iter().filter(|limit| !limit.passed).count();
     if *passed { "kept".into() } else { format!("{missed} of {} missed", limits.len()) }
 }
 
-/// Kind of the residual.
+/// Choice of the residual by which plans are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Residual {
-    /// RMS without errors.
+    /// RMS of the residual without errors, nm.
     Nominal,
-    /// RMS that 95 % of the runs are below.
+    /// RMS of the residual that 95 % of the runs are below, with the errors of the process, nm.
     Below95,
 }
 
 impl Residual {
-    /// Returns the caption of an axis.
+    /// Returns the caption of the axis that shows this residual.
     fn caption(self) -> &'static str {
         match self {
             Self::Nominal => "RMS of the residual (nm)",
@@ -62,7 +62,8 @@ impl Residual {
 }
 
 impl Table {
-    /// Returns time, s, and residual, nm, of a plan that keeps the constraints.
+    /// Returns the point of a plan on the plane of the front: [time, s; residual, nm]. `None` if it has no numbers or
+    /// does not keep the constraints.
     pub fn point(&self, row: &SweepPlan, residual: Residual) -> Option<[f64; 2]> {
         let numbers = row.numbers.as_ref()?;
         let nm = match residual {
@@ -72,12 +73,12 @@ impl Table {
         nm.filter(|_| numbers.keeps(&self.0.constraints)).map(|nm| [numbers.total_time_s, nm])
     }
 
-    /// Returns the residual by which plans are chosen.
+    /// Returns which residual the plans are chosen by: that with errors if the sweep has a process.
     pub fn judged_by(&self) -> Residual {
         if self.0.has_process { Residual::Below95 } else { Residual::Nominal }
     }
 
-    /// Returns the indices of the plans on the front, the shortest first.
+    /// Returns the indices of the plans on the front of residual against time, the plan of the shortest time first.
     pub fn front(&self, residual: Residual) -> Vec<usize> {
         let none = [f64::NAN; 2];
         let points: Vec<[f64; 2]> =
@@ -85,7 +86,8 @@ impl Table {
         pareto::front(&points)
     }
 
-    /// Returns the index of the plan that is to be run: as the report of a run recommends.
+    /// Returns the index of the plan that is to be run, by the rule of the report of a run; `None` if no plan keeps
+    /// the constraints.
     pub fn recommended(&self) -> Option<usize> {
         let mut candidates: Vec<(usize, Candidate)> = Vec::new();
         for (i, row) in self.0.plans.iter().enumerate() {
@@ -98,7 +100,7 @@ impl Table {
         recommended(&candidates)
     }
 
-    /// Names the plan that is to be run in one sentence, with the command that makes it again.
+    /// Returns a sentence that names the plan to be run, with the command that makes it again.
     pub fn sentence(&self) -> String {
         let count = self.0.plans.len();
         let Some(row) = self.recommended().map(|i| &self.0.plans[i]) else {
@@ -119,7 +121,7 @@ impl Table {
         )
     }
 
-    /// Returns the names of the settings that differ between plans, in their alphabetical order.
+    /// Returns the names of the settings whose values differ between plans, in alphabetical order.
     pub fn varied(&self) -> Vec<&str> {
         let mut keys: Vec<&str> = self.setting_names().into_iter().collect();
         keys.retain(|key| {
@@ -130,12 +132,12 @@ impl Table {
         keys
     }
 
-    /// Returns the names of all settings, in their alphabetical order.
+    /// Returns the names of the settings of all plans, in alphabetical order.
     fn setting_names(&self) -> BTreeSet<&str> {
         self.0.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect()
     }
 
-    /// Returns the limits of the specification with the values of the first plan that has some; none without a
+    /// Returns the limits of the specification, with the values of the first plan that has some. Empty without a
     /// specification.
     fn specified(&self) -> &[Limited] {
         let numbers = self.0.plans.iter().filter_map(|row| row.numbers.as_ref());
@@ -143,8 +145,8 @@ impl Table {
         specified.next().map_or(&[], |specification| &specification.limits)
     }
 
-    /// Writes all plans as comma-separated values, the settings and numbers under their names. Every limit of a
-    /// specification is a column with the value of the plan.
+    /// Returns all plans as comma-separated values, a row per plan; settings and numbers have their names as
+    /// headings. Every limit of a specification is a column with the value of the plan.
     pub fn csv(&self) -> String {
         let keys = self.setting_names();
         let mut out = String::from("id,path,method,");
@@ -198,7 +200,7 @@ impl Table {
         out
     }
 
-    /// Returns the plans on the front as a table for people, the shortest first.
+    /// Returns the plans on the front as a table for people, the plan of the shortest time first.
     pub(crate) fn front_table(&self) -> String {
         let varied = self.varied();
         let mut lines = vec![vec!["time".to_string(), "residual".into(), "95 % below".into()]];
@@ -233,26 +235,26 @@ impl Table {
         align(&lines, 0).trim_end_matches('\n').to_string()
     }
 
-    /// Returns the number of plans without numbers.
+    /// Returns the number of plans that could not be made and have no numbers.
     pub fn failed(&self) -> usize {
         self.0.plans.iter().filter(|row| row.numbers.is_none()).count()
     }
 }
 
-/// Returns path, method and settings of a plan in a line.
+/// Returns path, method and settings of a plan as a phrase.
 fn in_words(row: &SweepPlan) -> String {
     let settings: Vec<String> =
         row.settings.iter().map(|(key, value)| format!("{key}={value}")).collect();
     format!("{}, {}: {}", row.path, row.method, settings.join(" "))
 }
 
-/// Returns the cell of a value; empty if there is none.
+/// Returns a value as the text of a cell; empty if there is none.
 fn cell(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-/// Returns a word as a cell. A spreadsheet evaluates a text that begins with one of these characters as a formula. After an
-/// apostrophe, which it does not show, it takes it as a text.
+/// Returns a word as the text of a cell. A spreadsheet evaluates a text that begins with `=`, `+`, `-` or `@` as a
+/// formula. After an apostrophe, which it does not show, it takes it as a text.
 fn text_cell(word: &str) -> String {
     if word.starts_with(['=', '+', '-', '@', '\t', '\r']) {
         format!("'{word}")
@@ -261,7 +263,7 @@ fn text_cell(word: &str) -> String {
     }
 }
 
-/// Returns a cell as RFC 4180 quotes it.
+/// Returns the text of a cell with quotation marks if RFC 4180 (comma-separated values) requires them.
 fn quoted(cell: &str) -> String {
     if cell.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", cell.replace('"', "\"\""))
@@ -275,7 +277,7 @@ mod tests {
     use super::*;
     use serde_json::{Value, json};
 
-    /// Plans with these times, residuals and limits.
+    /// Returns a table of plans with these times (s), residuals (nm) and states of the limits (true: kept).
     pub(super) fn table(plans: &[(f64, f64, bool)], max_time_s: Option<f64>) -> Table {
         let row = |(i, (time, rms, kept)): (usize, &(f64, f64, bool))| {
             json!({

@@ -1,5 +1,4 @@
-//! The summary of one or several runs as plain aligned tables: the results, and how the motions
-//! execute their plans.
+//! Tables of the summaries of runs as plain aligned text: the results, and how the motions execute their plans.
 
 use std::collections::BTreeSet;
 
@@ -15,7 +14,7 @@ use crate::{
     summary::{MethodResult, Summary},
 };
 
-/// Columns: two lines of heading; the first column is aligned left, the others right.
+/// Headings of the columns, two lines each. The first column is aligned left, the others right.
 const HEADINGS: [[&str; 2]; 15] = [
     ["", "method"],
     ["RMS", "nm"],
@@ -34,15 +33,15 @@ const HEADINGS: [[&str; 2]; 15] = [
     ["", "best"],
 ];
 
-/// Spaces between columns.
+/// Blanks between two columns.
 const GAP: &str = "  ";
 
-/// Returns the table of one run; it ends with a newline.
+/// Returns the table of the results of one run; it ends with a newline.
 pub fn table(summary: &Summary) -> String {
     table_of_runs(&[("", summary)])
 }
 
-/// Returns one table of several runs, each with its name; it ends with a newline.
+/// Returns one table of the results of several runs, each with its name; it ends with a newline.
 pub(crate) fn table_of_runs(runs: &[(&str, &Summary)]) -> String {
     let named = runs.iter().any(|(name, _)| !name.is_empty());
     let mut text = String::new();
@@ -100,8 +99,8 @@ pub(crate) fn table_of_runs(runs: &[(&str, &Summary)]) -> String {
     text
 }
 
-/// Returns remarks for which the columns have no room: the states of the plans, other remarks, and methods that are left
-/// out. Methods with the same remark share a line.
+/// Returns notes below the table, for which its columns have no room: the states of the plans, other remarks, and
+/// methods that are left out. Methods with the same remark share a note.
 fn notes(summary: &Summary) -> Vec<String> {
     let mut remarks: Vec<(String, Vec<&str>)> = Vec::new();
     for (name, method) in &summary.methods {
@@ -127,7 +126,8 @@ fn notes(summary: &Summary) -> Vec<String> {
     notes
 }
 
-/// Returns the RMS of the desired removal, and the RMS that the dwell times leave without a motion.
+/// Returns the text above the table: names of the run, RMS and PV of the desired removal, and the RMS of the dwell
+/// times without a motion.
 fn heading(name: &str, summary: &Summary) -> String {
     let title: Vec<&str> = [name, &summary.pipeline, &summary.fixture]
         .into_iter()
@@ -152,7 +152,7 @@ fn heading(name: &str, summary: &Summary) -> String {
     text + "\n"
 }
 
-/// Returns the row of a method.
+/// Returns the cells of the row of the method `scheduler`. `mark` stands in the last column.
 fn cells(scheduler: &str, m: &MethodResult, mark: &str) -> [String; 15] {
     let wall = |s: Option<f64>| s.map_or("-".to_string(), |s| fixed(s, 3));
     [
@@ -174,7 +174,8 @@ fn cells(scheduler: &str, m: &MethodResult, mark: &str) -> [String; 15] {
     ]
 }
 
-/// Returns a row without numbers: none is known to be of this method.
+/// Returns the row of a method that is left out: a dash in place of each number, and `word` in the column of the
+/// limits.
 fn cells_left_out(scheduler: &str, word: &str) -> [String; 15] {
     std::array::from_fn(|column| match HEADINGS[column][1] {
         "method" => visible(scheduler).into_owned(),
@@ -184,7 +185,7 @@ fn cells_left_out(scheduler: &str, word: &str) -> [String; 15] {
     })
 }
 
-/// Columns of the table of executions: two lines of heading.
+/// Headings of the columns of the table of executions, two lines each.
 const EXECUTION_HEADINGS: [[&str; 2]; 8] = [
     ["", "method"],
     ["dwell error RMS", "ms"],
@@ -196,8 +197,7 @@ const EXECUTION_HEADINGS: [[&str; 2]; 8] = [
     ["limits", "kept"],
 ];
 
-/// Returns the table of the executions of the plans by the methods of one or several runs, each with its name; it ends
-/// with a newline.
+/// Returns the table that says how the motions execute their plans, for one or several runs; it ends with a newline.
 pub(crate) fn execution_table(runs: &[(&str, &Summary)]) -> String {
     let ms = |s: Option<f64>| s.map_or("-".into(), |s| fixed(1e3 * s, 4));
     let mut rows: Vec<Vec<String>> = vec![vec![String::new()], vec!["run".into()]];
@@ -223,7 +223,7 @@ pub(crate) fn execution_table(runs: &[(&str, &Summary)]) -> String {
     align(&rows, 2)
 }
 
-/// Returns the columns that were judged, with their names: before, the methods, after.
+/// Returns the judged maps with the headings of their columns: before, the methods, measured after.
 fn judged_columns(summary: &Summary) -> Vec<(&str, &SpecificationReport)> {
     let Around { before, after } = &summary.specification;
     let methods = summary.methods.iter();
@@ -233,8 +233,8 @@ fn judged_columns(summary: &Summary) -> Vec<(&str, &SpecificationReport)> {
     before.chain(methods).chain(after).collect()
 }
 
-/// Returns the table of the limits of each run that was judged, in rows, and of the judged maps, in columns; exceeded limits
-/// have a mark. Empty if nothing was judged.
+/// Returns the table of the limits of the specification (rows) and the judged maps (columns), run by run. Exceeded
+/// limits have a mark. Empty if nothing was judged.
 pub(crate) fn specification_table(runs: &[(&str, &Summary)]) -> String {
     let mut text = String::new();
     for (name, summary) in runs {
@@ -279,12 +279,12 @@ pub(crate) fn specification_table(runs: &[(&str, &Summary)]) -> String {
     text
 }
 
-/// Returns two numbers in one cell.
+/// Returns the numbers of x and y as the text of one cell, with this number of decimals.
 fn pair([x, y]: [f64; 2], decimals: usize) -> String {
     format!("{}, {}", fixed(x, decimals), fixed(y, decimals))
 }
 
-/// Pads every column to its widest cell; the first `left` columns are aligned left.
+/// Pads every column of `rows` to its widest cell. The first `left` columns are aligned left, the others right.
 pub(crate) fn align(rows: &[Vec<String>], left: usize) -> String {
     let widths: Vec<usize> = (0..rows[0].len())
         .map(|c| rows.iter().map(|r| r[c].chars().count()).max().unwrap_or(0))

@@ -1,4 +1,4 @@
-//! A figure as PDF or PNG, the same bytes on every machine: the font comes with the program.
+//! Conversion of a figure to PDF or PNG, with the same bytes on every machine: the font comes with the program.
 //!
 //! ```text
 //! PDF: 180 mm wide, texts embedded as a subset of the font      PNG: the same, 300 pixels an inch
@@ -32,12 +32,12 @@ pub const PNG_DPI_RANGE: RangeInclusive<f64> = 72.0..=1200.0;
 
 const MM_PER_INCH: f64 = 25.4;
 
-/// Returns the pixels of the drawing an inch of the print.
+/// Returns the scale of the drawing: pixels of the SVG per inch in print.
 fn drawn_per_inch() -> f64 {
     PAPER_PX / PAPER_MM * MM_PER_INCH
 }
 
-/// Converts the figure in `svg` to a PDF of one page that is as large as it.
+/// Converts the figure in `svg` to a PDF whose single page has the size of the figure.
 ///
 /// # Errors
 /// Fails if the figure cannot be converted.
@@ -47,7 +47,7 @@ pub fn pdf(svg: &str) -> Result<Vec<u8>, Invalid> {
     pdf.map(in_order).map_err(|e| unprintable(&e.to_string()))
 }
 
-/// Sorts the entries of the dictionaries of resources of a PDF by their names.
+/// Sorts the entries in the resource dictionaries of a PDF by their names.
 ///
 /// `svg2pdf` 0.13 writes them in the order of a hash table, which differs from run to run. An entry is a line, such
 /// as `/xo1 12 0 R`. Lines that change places within their dictionary move no object, so the table of offsets stays
@@ -60,7 +60,7 @@ fn in_order(pdf: Vec<u8>) -> Vec<u8> {
     lines.join(&b'\n')
 }
 
-/// Returns true if a line of a PDF is an entry of a dictionary of resources.
+/// Returns true if a line of a PDF is an entry of a resource dictionary.
 fn is_entry(line: &[u8]) -> bool {
     let line = line.trim_ascii();
     line.starts_with(b"/")
@@ -68,7 +68,7 @@ fn is_entry(line: &[u8]) -> bool {
         && line.iter().filter(|b| **b == b'/').count() == 1
 }
 
-/// Converts the figure in `svg` to a PNG of `dpi` pixels an inch.
+/// Converts the figure in `svg` to a PNG with a resolution of `dpi` pixels per inch of the print.
 ///
 /// # Errors
 /// Fails if the figure cannot be converted, or if it is too large for the memory.

@@ -24,7 +24,7 @@ fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
         .unwrap()
 }
 
-/// A run as the stages leave it: every manifest records its inputs.
+/// Artifacts of a run as the stages write them, so that every manifest records its inputs.
 struct Lab {
     run: PathBuf,
     tool: PathBuf,
@@ -34,7 +34,8 @@ struct Lab {
 const END_S: f64 = 60.0;
 
 impl Lab {
-    /// Surface, tool, path, dwell times; in `name` under `dir`.
+    /// Creates a run in `dir`/`name` with surface, tool, path and dwell times; all pixels have the height
+    /// `height_nm`.
     fn new(dir: &Path, name: &str, height_nm: f64) -> Self {
         let lab =
             Self { run: dir.join(name), tool: dir.join("tool"), machine: dir.join("machine.json") };
@@ -120,7 +121,7 @@ impl Lab {
         self.run.join("methods").join(name)
     }
 
-    /// A motion that leaves after `away_mm`, so that every method has its own.
+    /// Writes the motion of the method `name`, which moves by `away_mm`, so that every method has its own.
     fn schedule(&self, name: &str, away_mm: f64) {
         let claim = json!({ "claim": { "limits_respected": true } });
         let out = format!("methods/{name}/trajectory");
@@ -128,7 +129,7 @@ impl Lab {
         self.write("planish-schedule", &roles, &out, &motion(away_mm), claim);
     }
 
-    /// Dwell times, motion and rounds as planish-refine writes them.
+    /// Writes the dwell times, motion and rounds of the method `name` as planish-refine does, with this `end`.
     fn refine(&self, name: &str, end: &str) {
         let inputs = self.read(&["surface", "tif", "tool-path", "machine", "dwell"]);
         let parts = [
@@ -150,7 +151,8 @@ impl Lab {
         writer.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &Status::Done).unwrap();
     }
 
-    /// Leaves `left` of the desired removal; the limits are kept or not.
+    /// Writes the prediction and the verdict of the method `name`. The residual is `left` times the desired removal,
+    /// and `kept` says whether the limits are kept.
     fn judge(&self, name: &str, left: f64, kept: bool) {
         let trajectory = format!("methods/{name}/trajectory");
         let desired: Surface = Inputs::new().read("surface", &self.run.join("surface")).unwrap();
@@ -206,7 +208,7 @@ fn motion(away_mm: f64) -> Trajectory {
     Trajectory::new(vec![0.0, END_S], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
-/// A run with two schedules of which the second is the better one.
+/// Creates a run with two methods of which the second is the better one.
 fn lab(dir: &Path) -> Lab {
     let lab = Lab::new(dir, "run", 3.0);
     lab.schedule("constant-acceleration", 1.0);
@@ -450,7 +452,7 @@ fn a_manifest_with_another_unit_is_refused() {
     assert!(!dir.path().join("report").exists());
 }
 
-/// The text of an element of the page.
+/// Returns the text of the page between `open` and the next `close`.
 fn element<'a>(page: &'a str, open: &str, close: &str) -> &'a str {
     let start = page.find(open).expect(open) + open.len();
     &page[start..start + page[start..].find(close).unwrap()]

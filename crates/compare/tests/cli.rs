@@ -1,4 +1,4 @@
-//! The binary from its flags to its files and exit codes.
+//! Tests of the program `planish-compare` from its flags to its files and exit codes.
 
 use std::{
     fs,
@@ -24,7 +24,7 @@ fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
         .unwrap()
 }
 
-/// A verdict as planish-verify writes it.
+/// Writes a verdict with this outcome as planish-verify does.
 fn save_verdict(dir: &Path, outcome: Value) {
     let args = OutputArgs { out: dir.to_path_buf(), force: true, wall_time: None };
     let task = Task::new("test", "0", "test", &outcome);
@@ -39,7 +39,8 @@ fn desired() -> Surface {
     Surface::new(grid, array![[9.0, 5.0, 9.0], [5.0, 9.0, f64::NAN]]).unwrap()
 }
 
-/// A run whose methods remove `desired * fraction` and leave (1 - fraction) of the RMS.
+/// Creates a run. Each method (name, fraction, limits kept) removes `fraction` of the desired removal, so that (1 -
+/// fraction) of the RMS remains.
 fn prepare(run: &Path, methods: &[(&str, f64, bool)]) {
     prepare_of(&desired(), run, methods);
 }
@@ -69,7 +70,7 @@ fn summary(dir: &Path) -> Value {
     serde_json::from_slice(&fs::read(dir.join("summary.json")).unwrap()).unwrap()
 }
 
-/// Words of the row of the table that begins with `start`.
+/// Returns the words of the table row that begins with `start`.
 fn row(table: &str, start: &str) -> Vec<String> {
     let line = table.lines().find(|l| l.starts_with(start)).expect(table);
     line.split_whitespace().map(String::from).collect()
@@ -154,7 +155,7 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert!(near(&summary(&dir.path().join("report"))["methods"]["pvt"]["rms_nm"], 0.2 * rms));
 }
 
-/// The JSON inside the page.
+/// Returns the JSON data in the page of a report.
 fn page_data(report: &Path) -> Value {
     let page = fs::read_to_string(report.join("report.html")).unwrap();
     let start = page.find("id=\"data\">").unwrap() + "id=\"data\">".len();
@@ -264,7 +265,7 @@ fn where_no_plan_keeps_the_limits_the_answer_is_that_nothing_is_to_be_run() {
     assert_eq!(answer["problems"], json!(["no method keeps the limits of the machine"]));
 }
 
-/// Width, height and red, green and blue of every pixel.
+/// Returns the width, the height, and [red, green, blue] of every pixel of a PNG file.
 fn decoded(path: &Path) -> (usize, usize, Vec<[u8; 3]>) {
     let file = std::io::BufReader::new(fs::File::open(path).unwrap());
     let mut reader = png::Decoder::new(file).read_info().unwrap();
@@ -275,7 +276,7 @@ fn decoded(path: &Path) -> (usize, usize, Vec<[u8; 3]>) {
     (info.width as usize, info.height as usize, pixels)
 }
 
-/// Files of a directory, by name.
+/// Returns the names and contents of the files in a directory, sorted by name.
 fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
     let entries = fs::read_dir(dir).unwrap().map(|e| e.unwrap());
     let mut found: Vec<_> = entries
@@ -285,7 +286,8 @@ fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
     found
 }
 
-/// A motion of two axes that runs the plan in `method`, its verdict, the executed contact point and what that leaves.
+/// Writes the artifacts of a motion of two axes that runs the plan in `method`: motion, verdict, executed contact
+/// point and removal.
 fn put_on_axes(method: &Path, trajectory: &str, kept: bool) {
     let on_axes = method.join("on-axes");
     let made = |name: &str,

@@ -1,4 +1,4 @@
-//! A map as rectangles of one colour each, for pictures in a text format.
+//! A surface map drawn as rectangles, each filled with one colour, for pictures in a text format such as SVG.
 
 use ndarray::{Array2, ArrayView2, s};
 
@@ -8,8 +8,8 @@ use crate::{
     svg::{Svg, put},
 };
 
-/// Draws `map` (ny, nx) over the whole of `frame`, row 0 at its lower edge. The map has at most
-/// `most` cells along an axis. Invalid pixels (NaN) stay blank.
+/// Draws `map` (shape ny, nx) over the whole of `frame`, row 0 at the lower edge of the frame. Averages blocks of
+/// pixels so that there are at most `most` rectangles along the longer axis. Invalid pixels (NaN) stay blank.
 pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Bands, most: usize) {
     let (means, block) = block_means(map, most);
     // One path for every band, with a rectangle for every run of its cells, in pixels of the map.
@@ -44,8 +44,9 @@ pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Band
     svg.put(format_args!("</g>"));
 }
 
-/// Returns the means of the valid pixels of square blocks, and the side of a block in pixels. There are at most
-/// `most` blocks along the longer axis. A block is NaN if more than half of its pixels are invalid.
+/// Returns the means of the valid pixels of square blocks of `map`, and the side of a block in pixels of the map.
+/// There are at most `most` blocks along the longer axis. A block is NaN if more than half of its pixels are invalid
+/// (NaN).
 fn block_means(map: ArrayView2<'_, f64>, most: usize) -> (Array2<f64>, usize) {
     let (ny, nx) = map.dim();
     let block = nx.max(ny).div_ceil(most);

@@ -7,22 +7,23 @@ pub const VIRIDIS: [&str; 9] = [
     "#fde725",
 ];
 
-/// Colour map of lines and small marks, from the smallest value to the largest: viridis, with a
-/// darker light end so that a thin line is visible on white.
+/// Colour map of lines and small marks, from the smallest value to the largest. These are the colours of viridis,
+/// with a darker light end so that a thin line is visible on white.
 pub const VIRIDIS_FOR_LINES: [&str; 8] =
     ["#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0b020", "#d8a010"];
 
-/// Colour map of values below and above a middle value, which is white: from blue to brown.
+/// Diverging colour map: blue for values below the middle of the range, white for the middle, brown for values above.
 pub const BLUE_TO_BROWN: [&str; 7] =
     ["#053061", "#3a7db8", "#a6cde3", "#f7f7f7", "#f0b573", "#bd6a11", "#5c2f04"];
 
 /// Colours of lines in one plot: the palette of M. Okabe and K. Ito (2008), with a darker yellow.
 pub const LINES: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b"];
 
-/// Colour of the axes, and of the line that the other lines are compared with.
+/// Colour of the axes, and of the reference curve that the other curves of a plot are compared with.
 pub const INK: &str = "#000000";
 
-/// Returns the colour of the `k`-th of several lines.
+/// Returns the colour of the `k`-th curve of a plot, `k` from 0, written `#rrggbb`. The colours repeat after the last
+/// of [`LINES`].
 pub fn of_line(k: usize) -> &'static str {
     LINES[k % LINES.len()]
 }
@@ -47,7 +48,7 @@ pub fn hex_at(stops: &[&str], fraction: f64) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-/// A range of values in bands of equal width, each of one colour.
+/// A range of values that is divided into bands of equal width. All values in a band have the same colour.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bands {
     range: [f64; 2],
@@ -55,26 +56,27 @@ pub struct Bands {
 }
 
 impl Bands {
-    /// Creates `count` bands from the low to the high end of `range` through `stops`.
+    /// Divides `range` ([smallest, largest value]) into `count` bands. Their colours run from the first to the last
+    /// of `stops`, each stop written `#rrggbb`.
     pub fn new(stops: &[&str], count: usize, range: [f64; 2]) -> Self {
         let middles = (0..count).map(|k| (k as f64 + 0.5) / count as f64);
         Self { range, colours: middles.map(|middle| hex_at(stops, middle)).collect() }
     }
 
-    /// Returns the index of the band of `value`. It is the first or the last band if the value is outside the
-    /// range, and the middle band if the range is a single value.
+    /// Returns the index of the band that contains `value`, from 0. It is the first or the last band if the value is
+    /// outside the range, and the middle band if the range is a single value.
     pub fn index(&self, value: f64) -> usize {
         let [low, high] = self.range;
         let fraction = if high > low { (value - low) / (high - low) } else { 0.5 };
         ((fraction * self.colours.len() as f64).max(0.0) as usize).min(self.colours.len() - 1)
     }
 
-    /// Returns the colours of the bands, the lowest first.
+    /// Returns the colours of the bands as `#rrggbb`, that of the smallest values first.
     pub fn colours(&self) -> &[String] {
         &self.colours
     }
 
-    /// Returns the smallest and the largest value.
+    /// Returns the smallest and the largest value of the range.
     pub fn range(&self) -> [f64; 2] {
         self.range
     }

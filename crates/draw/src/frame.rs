@@ -12,45 +12,44 @@ use crate::{
 /// value is the same along x and y, so that two axes of one scale have the same steps.
 const PX_PER_NUMBER: f64 = 50.0;
 
-/// Significant digits of a number at an axis. Larger: rounding such as 0.30000000000000004 shows.
-/// Smaller: a round number could lose digits. Chosen: more than a round number has, fewer than a
-/// 64-bit float.
+/// Significant digits of the numbers beside an axis. Larger: rounding errors such as 0.30000000000000004 show.
+/// Smaller: a round number could lose digits. Chosen: more than a round number has, fewer than a 64-bit float.
 const AXIS_DIGITS: usize = 10;
 
-/// Significant digits of the ends of a colour bar. Larger: longer texts that need a wider margin.
-/// Smaller: a coarser range.
+/// Significant digits of the two numbers at the ends of a colour bar. Larger: longer texts that need a wider margin.
+/// Smaller: the range is rounded more coarsely.
 const BAR_DIGITS: usize = 4;
 
 /// Length of a tick mark, px. Larger: numbers stand farther from the axis, and need a wider margin.
 const MARK_PX: f64 = 5.0;
 
-/// Smallest height of a colour bar, px. Smaller: the numbers at its ends overlap its unit. Larger:
-/// the bar of a flat plot extends farther below its frame.
+/// Smallest height of a colour bar, px, also beside a plot that is lower. Smaller: the numbers at its ends overlap
+/// its unit. Larger: the bar of a low plot extends farther below its frame.
 const LEAST_BAR_PX: f64 = 100.0;
 
-/// Distance of the baseline of small print from the lower edge of the picture, px. Smaller: its
-/// descenders are cut off. Larger: it comes closer to the title of x. Derived: a fourth of its font
-/// of 11 px, and one pixel of paper.
+/// Distance of the baseline of a note (see `Frame::note`) from the lower edge of the picture, px. Smaller: the
+/// descenders of its letters are cut off. Larger: it comes closer to the title of the x axis. Derived: a fourth of
+/// its font of 11 px, and one pixel of paper.
 const NOTE_DESCENT_PX: f64 = 4.0;
 
-/// Distance of a colour bar from its frame, and width of the bar, px. Larger: less room for its
+/// Distance of a colour bar from the right edge of its frame, and width of the bar, px. Larger: less room for its
 /// numbers in the right margin.
 const BAR_PX: [f64; 2] = [14.0, 12.0];
 
-/// Range of an axis, and the way that values become lengths.
+/// Range of the values on an axis, and the rule (linear or logarithmic) that places them along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
     /// Linear axis from the first value to the second.
     Linear([f64; 2]),
-    /// Linear axis of a count: its numbers are whole.
+    /// Linear axis of a count, from the first value to the second. Only whole numbers stand beside it.
     Counts([f64; 2]),
     /// Logarithmic axis from the first value to the second; both are positive.
     Logarithmic([f64; 2]),
 }
 
 impl Scale {
-    /// Creates a linear axis from `low` to `high`. It is one unit long around the value if both are equal,
-    /// and goes from 0 to 1 if there is no value.
+    /// Creates a linear axis from `low` to `high`, in the unit of the values. It is one unit long around the value if
+    /// both are equal, and goes from 0 to 1 if the range is empty or not finite.
     pub fn linear([low, high]: [f64; 2]) -> Self {
         if low < high {
             Self::Linear([low, high])
@@ -61,8 +60,8 @@ impl Scale {
         }
     }
 
-    /// Creates a logarithmic axis from `low` to `high`, both positive. It goes from half to twice the value
-    /// if both are equal, and from 0.1 to 1 if there is no value.
+    /// Creates a logarithmic axis from `low` to `high`, both positive, in the unit of the values. It goes from half
+    /// to twice the value if both are equal, and from 0.1 to 1 if the range is empty or not positive.
     pub fn logarithmic([low, high]: [f64; 2]) -> Self {
         if 0.0 < low && low < high && high.is_finite() {
             Self::Logarithmic([low, high])
@@ -73,13 +72,14 @@ impl Scale {
         }
     }
 
-    /// Returns the low and the high end.
+    /// Returns the smallest and the largest value on the axis.
     pub fn ends(&self) -> [f64; 2] {
         let (Self::Linear(ends) | Self::Counts(ends) | Self::Logarithmic(ends)) = self;
         *ends
     }
 
-    /// Returns the fraction of the way from the low to the high end.
+    /// Returns the position of `value` along the axis: 0 at the low end, 1 at the high end, outside 0 to 1 beyond
+    /// them.
     fn fraction(&self, value: f64) -> f64 {
         match self {
             Self::Linear([low, high]) | Self::Counts([low, high]) => (value - low) / (high - low),
@@ -87,15 +87,15 @@ impl Scale {
         }
     }
 
-    /// Returns round numbers for an axis of `length_px`. If fewer than two fit, the numbers may stand twice
-    /// as close.
+    /// Returns the round numbers to write beside an axis of `length_px`, ascending. If fewer than two fit at the
+    /// usual distance, they may stand twice as close.
     fn numbers(&self, length_px: f64) -> Vec<f64> {
         let most = (length_px / PX_PER_NUMBER).max(2.0);
         let numbers = self.at_most(most);
         if numbers.len() < 2 { self.at_most(2.0 * most) } else { numbers }
     }
 
-    /// Returns at most about `most` + 1 round numbers on the axis.
+    /// Returns the round numbers on the axis, ascending: at most about `most` + 1 of them.
     fn at_most(&self, most: f64) -> Vec<f64> {
         match self {
             Self::Linear([low, high]) => round_numbers(*low, *high, most),
@@ -115,7 +115,7 @@ pub fn range(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
-/// Writes a number at an axis, short enough for the margin.
+/// Writes a number for an axis: as a decimal from 0.001 to 100000, otherwise with an exponent.
 fn short(value: f64) -> String {
     if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
         significant(value, AXIS_DIGITS)
@@ -124,27 +124,28 @@ fn short(value: f64) -> String {
     }
 }
 
-/// A plot and its place in the picture.
+/// A plot and its position in the picture: a rectangle with an axis along x and one along y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
-    /// Left edge, px.
+    /// Left edge of the rectangle, from the left edge of the picture, px.
     pub left: f64,
-    /// Upper edge, px.
+    /// Upper edge of the rectangle, from the upper edge of the picture, px.
     pub top: f64,
-    /// Width, px.
+    /// Width of the rectangle without margins, px.
     pub width: f64,
-    /// Height, px.
+    /// Height of the rectangle without margins, px.
     pub height: f64,
-    /// The horizontal axis; its values ascend to the right.
+    /// Range and rule of the horizontal axis; its values ascend to the right.
     pub x: Scale,
-    /// The vertical axis; its values ascend upwards.
+    /// Range and rule of the vertical axis; its values ascend upwards.
     pub y: Scale,
-    /// Room for the numbers and titles to the left, above, to the right and below, px.
+    /// Margins for numbers and titles, px: left of the rectangle, above, to the right and below.
     pub margin_px: [f64; 4],
 }
 
 impl Frame {
-    /// Creates a frame of `size_px`. The upper left corner of its margin is at `corner`.
+    /// Creates a frame of `size_px` ([width, height] without margins). The upper left corner of its margin is at
+    /// `corner`, px of the picture; `margin_px` is left, top, right, bottom.
     pub fn new(
         corner: [f64; 2],
         size_px: [f64; 2],
@@ -156,7 +157,8 @@ impl Frame {
         Self { left: corner[0] + left, top: corner[1] + top, width, height, x, y, margin_px }
     }
 
-    /// Returns the place of the point [x, y], given in the units of the axes, in px of the picture.
+    /// Returns the position in the picture, px from its upper left corner, of the point [x, y], given in the units of
+    /// the axes.
     pub fn px(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [
             self.left + self.x.fraction(x) * self.width,
@@ -164,17 +166,18 @@ impl Frame {
         ]
     }
 
-    /// Returns the lower edge, px.
+    /// Returns the lower edge of the rectangle, px from the upper edge of the picture.
     pub fn bottom(&self) -> f64 {
         self.top + self.height
     }
 
-    /// Returns the right edge, px.
+    /// Returns the right edge of the rectangle, px from the left edge of the picture.
     pub fn right(&self) -> f64 {
         self.left + self.width
     }
 
-    /// Draws the rectangle, the numbers along it, and the titles of both axes.
+    /// Draws the rectangle of the frame, tick marks and numbers at its left and lower edge, and the titles of both
+    /// axes.
     pub fn axes(&self, svg: &mut Svg, [x_title, y_title]: [&str; 2]) {
         let left = self.left;
         let bottom = self.bottom();
@@ -199,7 +202,7 @@ impl Frame {
         svg.upward_text(beside, y_title);
     }
 
-    /// Draws grey lines across the frame at the numbers of its axes.
+    /// Draws a grey line across the frame at each number of the two axes.
     pub fn grid(&self, svg: &mut Svg) {
         let mut d = String::new();
         for v in self.x.numbers(self.width) {
@@ -213,15 +216,15 @@ impl Frame {
         svg.path("stroke=\"#dddddd\"", &d);
     }
 
-    /// Writes the title `words` above the frame, at its left edge.
+    /// Writes the title `words` above the frame, at its left edge; nothing if `words` is empty.
     pub fn title(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             svg.text([self.left, self.top - 10.0], "", words);
         }
     }
 
-    /// Writes small print at the right, below the title of x. Its descenders end above the lower
-    /// edge of the picture.
+    /// Writes `words` as a note in small print at the right, below the title of the x axis. The descenders of its
+    /// letters end above the lower edge of the picture.
     pub fn note(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             let [_, _, margin_right, margin_below] = self.margin_px;
@@ -231,7 +234,8 @@ impl Frame {
         }
     }
 
-    /// Draws a line through `points`. A point with a NaN interrupts it.
+    /// Draws a line of `colour` (`#rrggbb`) through `points`, each [x, y] in the units of the axes. A point with a
+    /// NaN interrupts the line.
     pub fn curve(&self, svg: &mut Svg, points: impl IntoIterator<Item = [f64; 2]>, colour: &str) {
         let mut d = String::new();
         let mut letter = 'M';
@@ -247,14 +251,15 @@ impl Frame {
         svg.path(&format!("fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\""), &d);
     }
 
-    /// Draws a vertical line over the height of the frame at the value `x`; `style` is its SVG
-    /// attributes.
+    /// Draws a vertical line over the height of the frame at the value `x`, in the unit of the x axis. `style` holds
+    /// the SVG attributes of the line.
     pub fn upright(&self, svg: &mut Svg, x: f64, style: &str) {
         let x = self.px([x, self.y.ends()[0]])[0];
         svg.path(style, &format!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
     }
 
-    /// Writes the names of curves above the frame, at the right, each after a dash in its colour.
+    /// Writes a legend above the frame, at the right: for each (name, colour) a dash in the colour (`#rrggbb`), and
+    /// the name.
     pub fn legend(&self, svg: &mut Svg, entries: &[(&str, &str)]) {
         let mut words = String::new();
         for (name, colour) in entries {
@@ -274,8 +279,8 @@ impl Frame {
         ));
     }
 
-    /// Draws the colours of `bands` to the right of the frame, with the ends of their range and
-    /// their unit.
+    /// Draws a colour bar to the right of the frame: the colours of `bands`, the two ends of their range, and their
+    /// `unit`.
     pub fn colour_bar(&self, svg: &mut Svg, bands: &Bands, unit: &str) {
         let height = self.height.max(LEAST_BAR_PX);
         let left = self.right() + BAR_PX[0];

@@ -1,4 +1,4 @@
-//! Elements that the pictures and pages of all stages share, as SVG and HTML text.
+//! Elements of SVG pictures and HTML pages that all stages (the programs of Planish) share.
 //!
 //! A picture is one [`Svg`]. Its plots are [`Frame`]s: rectangles with an axis along x and one
 //! along y. A frame draws itself, its curves and its maps into the picture. The stage that draws a
@@ -7,10 +7,10 @@
 //! | module | contents |
 //! |---|---|
 //! | [`svg`] | a document and its elements, every text escaped |
-//! | [`frame`] | axes, titles, curves, legend, bar of colours |
-//! | [`cells`] | a map in rectangles of one colour |
-//! | [`colour`] | maps of colours, and colours of lines |
-//! | `ticks` | the round numbers of an axis |
+//! | [`frame`] | axes, titles, curves, legend, colour bar |
+//! | [`cells`] | a map drawn as rectangles, each filled with one colour |
+//! | [`colour`] | colour maps, and colours of curves |
+//! | `ticks` | the round numbers beside an axis |
 //! | [`page`] | the head and the style of a page |
 
 pub mod cells;

@@ -4,18 +4,19 @@
 
 use planish_types::text::escaped;
 
-/// Rules for texts, tables and pictures, in light and dark.
+/// Shared style sheet (CSS) of texts, tables and pictures, for the light and the dark colour scheme of the browser.
 const STYLE: &str = include_str!("page.css");
 
-/// Content security policy of a page without a program.
+/// Content security policy of a page without scripts: the browser loads nothing and runs nothing.
 pub const WITHOUT_PROGRAM: &str = "default-src 'none'; style-src 'unsafe-inline'";
 
-/// Returns the shared style, followed by the rules that one page has of its own.
+/// Returns the shared style sheet, followed by `own`, the CSS rules of one page.
 pub fn style(own: &str) -> String {
     format!("{STYLE}{own}")
 }
 
-/// Returns the page: `title` is plain text, `style` comes from [`style`], and `body` is HTML.
+/// Returns a complete HTML document. `title` is plain text, `policy` its content security policy, `style` comes from
+/// [`style`], and `body` is HTML.
 pub fn document(title: &str, policy: &str, style: &str, body: &str) -> String {
     let title = escaped(title);
     format!(

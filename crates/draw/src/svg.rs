@@ -4,13 +4,13 @@ use std::fmt::{Arguments, Write};
 
 use planish_types::text::escaped;
 
-/// SVG attribute of a text that is centred at its point.
+/// SVG attribute that centres a text at the point where it is written.
 pub const MIDDLE: &str = "text-anchor=\"middle\"";
 
-/// SVG attribute of a text that ends at its point.
+/// SVG attribute that lets a text end at the point where it is written.
 pub const END: &str = "text-anchor=\"end\"";
 
-/// A picture while it is drawn.
+/// An SVG picture under construction: the elements drawn so far, as text.
 #[derive(Clone, Debug)]
 pub struct Svg {
     font_px: f64,
@@ -18,44 +18,47 @@ pub struct Svg {
 }
 
 impl Svg {
-    /// Creates an empty picture on white. Its texts are `font_px` high unless their attributes differ.
+    /// Creates an empty picture with a white background. Its texts are `font_px` high unless their attributes say
+    /// otherwise.
     pub fn new(font_px: f64) -> Self {
         Self { font_px, elements: String::new() }
     }
 
-    /// Returns the height of the font, px.
+    /// Returns the height of the texts of the picture, px.
     pub(crate) fn font_px(&self) -> f64 {
         self.font_px
     }
 
-    /// Adds one line of markup unchanged; the caller escapes text from a user.
+    /// Adds one line of SVG markup unchanged; the caller escapes text that a user wrote.
     pub fn put(&mut self, markup: Arguments<'_>) {
         put(&mut self.elements, markup);
         self.elements.push('\n');
     }
 
-    /// Adds a rectangle of this width and height, px, whose upper left corner is at [x, y].
+    /// Adds a rectangle of this width and height, px, whose upper left corner is at [x, y]. `attributes` are SVG
+    /// attributes such as its colour.
     pub fn rectangle(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], attributes: &str) {
         self.put(format_args!(
             "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {attributes}/>"
         ));
     }
 
-    /// Adds a path with the data `d`; nothing if `d` is empty.
+    /// Adds a path with SVG `attributes` and the path data `d`; nothing if `d` is empty.
     pub fn path(&mut self, attributes: &str, d: &str) {
         if !d.is_empty() {
             self.put(format_args!("<path {attributes} d=\"{d}\"/>"));
         }
     }
 
-    /// Adds a text that starts at a point, or as `attributes` say; it is escaped.
+    /// Adds the text `words`, escaped. It starts at the point [x, y] (its baseline), unless SVG `attributes` such as
+    /// [`MIDDLE`] change that.
     pub fn text(&mut self, [x, y]: [f64; 2], attributes: &str, words: &str) {
         let space = if attributes.is_empty() { "" } else { " " };
         let words = escaped(words);
         self.put(format_args!("<text x=\"{x:.1}\" y=\"{y:.1}\"{space}{attributes}>{words}</text>"));
     }
 
-    /// Adds a text that is read upwards and centred at a point; it is escaped.
+    /// Adds the text `words`, escaped, rotated so that it reads upwards. It is centred at the point [x, y].
     pub(crate) fn upward_text(&mut self, [x, y]: [f64; 2], words: &str) {
         let words = escaped(words);
         self.put(format_args!(
@@ -63,7 +66,7 @@ impl Svg {
         ));
     }
 
-    /// Returns the document, of [width, height] px rounded up to whole ones.
+    /// Returns the SVG document. Its size is [width, height] px, each rounded up to a whole pixel.
     pub fn finish(self, size_px: [f64; 2]) -> String {
         let [width, height] = size_px.map(f64::ceil);
         format!(
@@ -75,7 +78,7 @@ impl Svg {
     }
 }
 
-/// Appends formatted text to `out`; writing to a string does not fail.
+/// Appends formatted text to `out`. It ignores the result, since writing to a string cannot fail.
 pub fn put(out: &mut String, words: Arguments<'_>) {
     let _ = out.write_fmt(words);
 }

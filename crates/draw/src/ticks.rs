@@ -1,4 +1,4 @@
-//! Round numbers for the axis of a picture.
+//! Round numbers to write beside an axis of a picture.
 
 /// Tolerance by which a number may lie outside the interval, relative to the step (linear axis) or
 /// to the end of the interval (logarithmic axis). Larger: numbers outside the frame. Smaller: the
@@ -22,12 +22,12 @@ pub(crate) fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
     multiples.map(|v| format!("{v:.decimals$}").parse().unwrap_or(v) + 0.0).collect()
 }
 
-/// Smallest number of values at a logarithmic axis. If there are fewer powers of ten, multiples of
-/// them are added. Larger: a denser axis. With 2, an axis of one decade shows its ends only.
+/// Smallest number of values beside a logarithmic axis. If the axis has fewer powers of ten, multiples of them such
+/// as 2 and 5 are added. Larger: a denser axis. With 2, an axis of one decade shows its ends only.
 const FEWEST: usize = 3;
 
-/// Returns the powers of ten from `low` to `high` (0 < `low` < `high`). If there are more than `most`, only
-/// every second, third ... of them. If there are fewer than three, also multiples of them.
+/// Returns the powers of ten from `low` to `high` (0 < `low` < `high`), ascending. If there are more than `most`, it
+/// returns only every second, third ... of them. If there are fewer than three, it adds multiples of them.
 pub(crate) fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
     let powers = multiples_of_powers(low, high, &[1.0]);
     if powers.len() >= FEWEST {
@@ -41,7 +41,8 @@ pub(crate) fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
     multiples_of_powers(low, high, &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 }
 
-/// Returns the products of `mantissas` with powers of ten from `low` to `high`, ascending.
+/// Returns the products of `mantissas` with powers of ten that lie from `low` to `high` (both positive), power by
+/// power in ascending order.
 fn multiples_of_powers(low: f64, high: f64, mantissas: &[f64]) -> Vec<f64> {
     let interval = low * (1.0 - SLACK)..=high * (1.0 + SLACK);
     let mut numbers = Vec::new();

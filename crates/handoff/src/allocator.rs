@@ -1,4 +1,5 @@
-//! The allocator of every binary: mimalloc within the memory budget of the process.
+//! Memory allocator of every binary: mimalloc (a fast general allocator), which keeps the memory budget of the
+//! process.
 //!
 //! If the system grants huge pages, large arrays use them, and the process keeps them for the next
 //! array. With the allocator of the C library, the first access to pages of 4 KiB takes a third of
@@ -27,7 +28,7 @@ use crate::publish;
 /// cores share, each of which can cost more than an allocation.
 const REPORTED_BYTES: i64 = 1 << 16;
 
-/// Bytes that all threads have added to the common counter.
+/// Bytes in use that all threads have added to the common counter.
 static REPORTED: AtomicI64 = AtomicI64::new(0);
 
 /// True once the process is ending. From then on the budget is not checked, so that the end can
@@ -49,8 +50,8 @@ thread_local! {
 pub struct Allocator;
 
 impl Allocator {
-    /// Adds `bytes` (negative if freed) to the count; ends the process if the sum exceeds the
-    /// budget.
+    /// Adds `bytes` (negative if freed) to the count of this thread. It ends the process if the sum over all threads
+    /// exceeds the budget.
     fn count(bytes: i64) {
         // A thread that ends has no counter any more; memory that it frees afterwards is not
         // counted.
@@ -73,7 +74,7 @@ impl Allocator {
         });
     }
 
-    /// Ends the process if the system returned no memory.
+    /// Returns `pointer`; ends the process if it is null, because the system returned no memory.
     fn checked(pointer: *mut u8, layout: Layout) -> *mut u8 {
         if pointer.is_null() && !ENDING.swap(true, Ordering::Relaxed) {
             let mib = layout.size() as f64 / (1u64 << 20) as f64;
@@ -86,8 +87,7 @@ impl Allocator {
     }
 }
 
-/// Prints the message of a stage that could not run, removes its temporary files, and ends with
-/// exit code 2.
+/// Prints the error message `problem`, removes the temporary files of the run, and ends the process with exit code 2.
 fn end(problem: &str) -> ! {
     let _ = writeln!(std::io::stderr(), "error: memory: {problem}");
     publish::remove_all_siblings();

@@ -1,4 +1,4 @@
-//! Command line of the stage that runs.
+//! Command line of the stage that runs, also where `planish` runs the stage as a subcommand.
 
 use std::{env, ffi::OsString, sync::OnceLock};
 
@@ -9,7 +9,7 @@ pub(crate) fn choose(words: Vec<OsString>) {
     CHOSEN.get_or_init(|| words);
 }
 
-/// Returns the command line of the stage that runs; that of the process where no stage was chosen.
+/// Returns the command line of the stage that runs. It is that of the process if `planish` did not choose a stage.
 pub(crate) fn arguments() -> Vec<OsString> {
     CHOSEN.get().cloned().unwrap_or_else(|| env::args_os().collect())
 }

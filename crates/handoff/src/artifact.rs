@@ -1,4 +1,4 @@
-//! A directory of arrays with its manifest: read and checked, written whole or not at all.
+//! Artifacts: directories of arrays with a manifest. They are checked when read, and written whole or not at all.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -26,22 +26,22 @@ use crate::{
 /// for every segment that they stretched.
 const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
 
-/// A type that can be stored as a directory of arrays.
+/// A type that can be stored as an artifact directory: one `.npy` file per array, and a manifest.
 pub trait Artifact: Sized {
-    /// Kind of the directory.
+    /// Kind of the directory, which defines its arrays.
     const KIND: &'static Kind;
-    /// The arrays, in the order of the kind; optional ones may be absent at the end.
+    /// Returns the arrays in the order in which the kind defines them. Optional arrays at the end may be left out.
     fn to_arrays(&self) -> Vec<ArrayData<'_>>;
-    /// The value from its arrays, whose dtypes, shapes and finiteness have been checked.
+    /// Makes the value from its arrays, whose dtypes, shapes and finiteness have been checked.
     fn from_arrays(arrays: Arrays) -> Result<Self, Invalid>;
 }
 
-/// The arrays of one directory, by name.
+/// Arrays that were read from one artifact directory, by name.
 #[derive(Debug, Default)]
 pub struct Arrays(BTreeMap<&'static str, ArrayData<'static>>);
 
 impl Arrays {
-    /// Takes out a float array that the kind promises.
+    /// Removes and returns the float array `name`. Panics if the kind does not define it.
     pub fn take_f64(&mut self, name: &str) -> ArrayD<f64> {
         match self.0.remove(name) {
             Some(ArrayData::F64(a)) => a.into_owned(),
@@ -49,7 +49,7 @@ impl Arrays {
         }
     }
 
-    /// Takes out an integer array that the kind promises.
+    /// Removes and returns the integer array `name`. Panics if the kind does not define it.
     pub fn take_i64(&mut self, name: &str) -> ArrayD<i64> {
         match self.0.remove(name) {
             Some(ArrayData::I64(a)) => a.into_owned(),
@@ -57,7 +57,7 @@ impl Arrays {
         }
     }
 
-    /// Takes out an array of flags that the kind promises.
+    /// Removes and returns the array of flags `name`. Panics if the kind does not define it.
     pub fn take_bool(&mut self, name: &str) -> Vec<bool> {
         match self.0.remove(name) {
             Some(ArrayData::U8(a)) => a.iter().map(|v| *v != 0).collect(),
@@ -66,37 +66,37 @@ impl Arrays {
     }
 }
 
-/// Content of `manifest.json`.
+/// Content of `manifest.json`: origin and result of an artifact, and the hashes of its files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Name of the kind.
     pub kind: String,
-    /// Version of the kind's layout.
+    /// Version of the layout of the kind, which says which arrays there are.
     pub version: u32,
-    /// Program that wrote the artifact.
+    /// Name of the program that wrote the artifact, such as `planish-dwell`.
     pub tool: String,
     /// Version of the program.
     pub tool_version: String,
-    /// Subcommand of the program.
+    /// Subcommand of the program that wrote the artifact.
     pub method: String,
-    /// Command line.
+    /// Command line that wrote the artifact, quoted for a shell.
     pub command: String,
-    /// BLAKE3 of tool, version, method, settings and inputs.
+    /// BLAKE3 hash of tool, version, method, settings and inputs. An output with the same key is up to date.
     pub key: String,
-    /// Frame that the coordinates refer to.
+    /// Frame that the coordinates refer to, in words.
     pub frame: String,
-    /// Resolved settings.
+    /// Settings of the stage with their values, defaults included.
     pub settings: Value,
-    /// Inputs with their hashes.
+    /// Inputs that the stage read, with their hashes.
     pub inputs: Vec<InputRecord>,
-    /// All artifacts and files that it was made from, inputs of inputs included.
+    /// All artifacts and files that the artifact was made from, inputs of inputs included.
     #[serde(default)]
     pub lineage: BTreeSet<Ancestor>,
     /// Outcome: `status` and the numbers that the method reports.
     pub outcome: Value,
-    /// Arrays by name.
+    /// Records of the arrays, by their names.
     pub arrays: BTreeMap<String, ArrayRecord>,
-    /// BLAKE3 of the files beside the arrays, by name.
+    /// BLAKE3 hashes of the files beside the arrays, by file name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, String>,
 }
@@ -117,17 +117,17 @@ impl Manifest {
         Some(hasher.finalize().to_string())
     }
 
-    /// Returns the status of the stage at its end, and the reason of a negative one. A manifest without a status is that
-    /// of a stage that is done.
+    /// Returns the status with which the stage ended, and the reason if it is negative. A manifest without a status
+    /// counts as done.
     pub fn end(&self) -> StageEnd {
         StageEnd::deserialize(&self.outcome).unwrap_or_default()
     }
 
-    /// Returns the outcome as the type that the stage writes.
+    /// Returns the outcome (status and numbers) as the type that the stage writes.
     ///
     /// # Errors
-    ///
-    /// A field that is missing or has another type, with what to do: `remedy`. `path` names the artifact.
+    /// Fails if a field is missing or has another type; the message then ends with `remedy`. `path` names the
+    /// artifact.
     pub fn read_outcome<T: DeserializeOwned>(
         &self,
         path: &Path,
@@ -137,11 +137,10 @@ impl Manifest {
             .map_err(|e| HandoffError::new(path, format!("has no usable outcome ({e}); {remedy}")))
     }
 
-    /// Returns the settings that others read, as their type.
+    /// Returns the settings of the stage as a type of which other stages read some fields.
     ///
     /// # Errors
-    ///
-    /// A setting that is missing or has another type. `path` names the artifact.
+    /// Fails if a setting is missing or has another type. `path` names the artifact.
     pub fn read_settings<T: DeserializeOwned>(&self, path: &Path) -> Result<T, HandoffError> {
         part(&self.settings).map_err(|e| {
             HandoffError::new(path, format!("has no usable settings ({e}); make it again"))
@@ -156,15 +155,15 @@ impl Manifest {
     }
 }
 
-/// Reads a part of a manifest; one that is `null` has no keys.
+/// Reads the settings or the outcome of a manifest as a type; `null` counts as an object without keys.
 fn part<T: DeserializeOwned>(value: &Value) -> serde_json::Result<T> {
     if value.is_null() { T::deserialize(Value::Object(Map::new())) } else { T::deserialize(value) }
 }
 
-/// Text between the body of a manifest and its hash. It is part of the format.
+/// Text between the body of a manifest and its seal, the hash of the body. It is part of the file format.
 const SEAL: &str = ",\n  \"seal\": \"";
 
-/// Agreement between the seal of a manifest and its body.
+/// Result of the comparison of a manifest's seal with its body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Seal {
     /// The seal is the hash of the body.
@@ -175,7 +174,7 @@ pub(crate) enum Seal {
     Absent,
 }
 
-/// Compares the seal of a manifest with its body.
+/// Compares the seal in the text of a manifest with the hash of its body.
 fn seal_of(text: &str) -> Seal {
     let Some((body, rest)) = text.rsplit_once(SEAL) else { return Seal::Absent };
     let seal = rest.trim_end_matches(['\n', '}', '"']);
@@ -185,9 +184,9 @@ fn seal_of(text: &str) -> Seal {
 /// An artifact or file that an artifact was made from, directly or through others.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Ancestor {
-    /// Kind of artifact, or the role of a file.
+    /// Kind of the artifact, or the role (flag) of a file.
     pub kind: String,
-    /// BLAKE3 of its content.
+    /// BLAKE3 hash of the content.
     pub blake3: String,
 }
 
@@ -196,41 +195,41 @@ pub struct Ancestor {
 pub struct InputRecord {
     /// Name of the flag that gave the input.
     pub role: String,
-    /// Path as given.
+    /// Path of the input as the user gave it.
     pub path: String,
     /// Kind of artifact, or `file`.
     pub kind: String,
-    /// BLAKE3 of its content.
+    /// BLAKE3 hash of the content.
     pub blake3: String,
 }
 
-/// A stored array.
+/// Record of a stored array in the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArrayRecord {
-    /// File name in the directory.
+    /// Name of the file in the directory of the artifact.
     pub file: String,
-    /// NumPy's name of the element type.
+    /// NumPy's name of the element type, such as `<f8`.
     pub dtype: String,
-    /// Sizes along the axes.
+    /// Sizes along the axes, the slowest axis first.
     pub shape: Vec<usize>,
-    /// Names of the axes.
+    /// Names of the axes, the slowest first.
     pub axes: Vec<String>,
-    /// Unit of the elements.
+    /// Unit of the elements, such as `nm`.
     pub unit: String,
-    /// BLAKE3 of the file.
+    /// BLAKE3 hash of the file.
     pub blake3: String,
 }
 
 /// An artifact that has been read and checked.
 #[derive(Debug)]
 pub struct Loaded<T> {
-    /// The value.
+    /// Value of the artifact.
     pub value: T,
-    /// BLAKE3 of its content, whether or not it has a manifest.
+    /// BLAKE3 hash of the content of the artifact, with or without a manifest.
     pub digest: String,
-    /// `None` for a directory without a manifest.
+    /// Manifest; `None` if the directory has none.
     pub manifest: Option<Manifest>,
-    /// Warning for the user on standard error, if there is one.
+    /// Warning for the user about the artifact; `None` if there is none.
     pub warning: Option<String>,
 }
 
@@ -246,7 +245,7 @@ pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     })
 }
 
-/// Reads a directory by `read_once`, again where another run replaces it meanwhile.
+/// Reads a directory by `read_once`. It reads again if another run replaces the directory in the meantime.
 pub(crate) fn read_whole<T>(
     dir: &Path,
     read_once: impl Fn() -> Result<T, HandoffError>,
@@ -262,7 +261,7 @@ pub(crate) fn read_whole<T>(
     }
 }
 
-/// Reads the arrays in `dir`, whose manifest has this text.
+/// Reads the arrays in `dir`. `text` is the text of the manifest; `None` if there is none.
 pub(crate) fn read_arrays<T: Artifact>(
     dir: &Path,
     text: Option<&str>,
@@ -329,7 +328,7 @@ pub(crate) fn read_arrays<T: Artifact>(
     Ok(Loaded { value, digest: hasher.finalize().to_string(), manifest, warning })
 }
 
-/// Refuses a path that is not a directory.
+/// Refuses a path that does not exist or is not a directory; the message names the `kind` that is needed.
 pub(crate) fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(()),
@@ -341,7 +340,7 @@ pub(crate) fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffErro
     Err(HandoffError::new(dir, format!("{problem}; {remedy}")))
 }
 
-/// Reads the manifest in `dir`, checked against `kind`; `None` if there is none.
+/// Reads the manifest in `dir` and checks it against `kind`; `None` if there is no manifest.
 ///
 /// # Errors
 /// Fails if the manifest cannot be read, is of another kind or a newer version, or was changed after it was written.
@@ -349,8 +348,8 @@ pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, Handof
     Ok(read_sealed_manifest(dir, kind)?.map(|(manifest, _)| manifest))
 }
 
-/// Reads the manifest in `dir`, checked against `kind`, and the state of its seal; `None` if there is none. A
-/// broken seal is refused.
+/// Reads the manifest in `dir`, checks it against `kind`, and returns it with the state of its seal. It is `None` if
+/// there is no manifest, and a broken seal is refused.
 pub(crate) fn read_sealed_manifest(
     dir: &Path,
     kind: &Kind,
@@ -449,8 +448,8 @@ pub struct ManifestHead {
     version: u32,
 }
 
-/// Number of values of an array that are checked in one pass without an early exit. Larger: a bad
-/// value is found later. Smaller: less work in vectors. It does not change the result.
+/// Number of values of an array that are checked for NaN and infinity in one pass without an early exit. Larger: a
+/// bad value is found later. Smaller: vector instructions help less. It does not change the result.
 const VALUES_PER_LOOK: usize = 1 << 12;
 
 /// Reads an array. Refuses values that its definition does not allow.
@@ -479,7 +478,8 @@ fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> 
     Ok(loaded)
 }
 
-/// Compares `shape` with the definition. A symbol gets its size where it first occurs.
+/// Compares `shape` with the definition. `sizes` holds the size of each symbol such as `n`, which is set where the
+/// symbol first occurs, and the array that set it.
 fn check_shape(
     path: &Path,
     def: &ArrayDef,
@@ -532,7 +532,7 @@ fn split_symbol(symbol: &'static str) -> (&'static str, usize) {
     symbol.strip_suffix("+1").map_or((symbol, 0), |name| (name, 1))
 }
 
-/// Compares an array with its record in the manifest.
+/// Compares an array that was read with its record in the manifest: unit, dtype, shape and hash.
 fn check_record(
     path: &Path,
     def: &ArrayDef,
@@ -577,7 +577,8 @@ fn check_record(
     }
 }
 
-/// Returns the array that stands for an absent one.
+/// Returns the array that replaces an absent optional one: filled with its default, or empty without a default.
+/// `sizes` holds the sizes of the symbols of its shape.
 fn default_array(
     def: &ArrayDef,
     sizes: &BTreeMap<&'static str, (usize, &'static str)>,
@@ -592,8 +593,8 @@ fn default_array(
     }
 }
 
-/// Writes the arrays of an artifact into the directory `dir`; returns their records for the
-/// manifest.
+/// Writes the arrays of an artifact as `.npy` files into the directory `dir`. Returns their records for the manifest,
+/// by name.
 pub(crate) fn write_arrays(
     dir: &Path,
     kind: &Kind,
@@ -635,9 +636,8 @@ pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), HandoffError> 
         .map_err(|e| HandoffError::io(path, "write", &e))
 }
 
-/// Returns true if the directory holds every file that its manifest lists. Refuses a directory with
-/// a file that differs from the manifest, or is not listed. Somebody changed it or put it there,
-/// and it would be lost.
+/// Returns true if the directory holds every file that its manifest lists. It refuses a directory with a file that
+/// differs from the manifest or is not listed. Somebody changed it or put it there, and it would be lost.
 pub(crate) fn is_complete(dir: &Path, manifest: &Manifest) -> Result<bool, HandoffError> {
     let mut known: BTreeMap<&str, &str> = BTreeMap::new();
     known.extend(manifest.arrays.values().map(|r| (r.file.as_str(), r.blake3.as_str())));

@@ -1,4 +1,4 @@
-//! Processes that this one starts, and that end with it.
+//! Child processes, which this process starts and which end with it.
 //!
 //! If SIGINT, SIGTERM or SIGHUP ends this process, its children get SIGTERM first, and it waits for their end: whatever
 //! they have locked is then free. A child that goes on for [`PATIENCE`] is killed.
@@ -13,27 +13,28 @@ use std::{
 
 use crate::system::{self, EndSignal};
 
-/// Time that a child has to end after SIGTERM. Larger: a child that hangs delays the end of this process. Smaller: a
-/// child on a slow disk is killed while it removes its unfinished files. Chosen: a stage ends within milliseconds.
+/// Time that a child has to end after SIGTERM before it is killed. Larger: a child that hangs delays the end of this
+/// process. Smaller: a child on a slow disk is killed while it removes its unfinished files. Chosen: a stage ends
+/// within milliseconds.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Time between two looks at a child that is ending. Larger: the end of this process comes later. Smaller: more looks.
+/// Time between two checks of a child that is ending. Larger: this process ends later. Smaller: more checks.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(2);
 
-/// Numbers of the processes that are running, or that have ended and whose numbers are still theirs.
+/// Process ids of the children that are running, or that have ended while the system still reserves their ids.
 static RUNNING: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
 fn running() -> MutexGuard<'static, Vec<u32>> {
     RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A process that ends with this one.
+/// A running child process, which is ended if this process ends.
 pub struct Running {
     child: Child,
 }
 
 impl Running {
-    /// Starts a command. Not while a signal is ending this process.
+    /// Starts a command as a child. It waits while a signal is ending this process.
     ///
     /// # Errors
     /// Fails if the system cannot start it.
@@ -44,12 +45,12 @@ impl Running {
         Ok(Self { child })
     }
 
-    /// Takes its standard error, if that is piped and was not taken before.
+    /// Returns the pipe of the child's standard error; `None` if it is not piped or was taken before.
     pub fn stderr(&mut self) -> Option<ChildStderr> {
         self.child.stderr.take()
     }
 
-    /// Returns how it ended, after its end.
+    /// Waits for the end of the child and returns its exit status.
     ///
     /// # Errors
     /// Fails if the system does not tell how it ended.
@@ -63,7 +64,8 @@ impl Running {
     }
 }
 
-/// Ends all children, and waits for them. None starts, and none is taken for ended, while the guard is held.
+/// Ends all children and waits for their ends. While the returned guard is held, no child starts and no process id is
+/// released.
 pub(crate) fn end_all() -> MutexGuard<'static, Vec<u32>> {
     let running = running();
     running.iter().for_each(|number| system::send(*number, EndSignal::Term));

@@ -23,7 +23,7 @@ use crate::{
     words,
 };
 
-/// Id and name of the flag that every program has.
+/// Name of the flag for the memory budget, which every program has.
 const MEMORY: &str = "memory-gib";
 
 /// Last paragraph of every help page.
@@ -76,7 +76,7 @@ pub(crate) fn end(error: &clap::Error) -> ! {
     error.exit()
 }
 
-/// Definition of the program, with the flags that every program has.
+/// Returns the definition of the program's command line, with the flags that every program has.
 fn command<C: CommandFactory>() -> clap::Command {
     let memory = Arg::new(MEMORY)
         .long(MEMORY)
@@ -91,7 +91,7 @@ fn command<C: CommandFactory>() -> clap::Command {
     C::command().arg(memory).after_help(after_help::<C>())
 }
 
-/// Command line that started this process, quoted for a shell, with the plain name of the program.
+/// Returns the command line that started this process, quoted for a shell, with `tool` as the name of the program.
 pub(crate) fn as_typed(tool: &str) -> String {
     let arguments = arguments();
     let arguments = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned());
@@ -111,15 +111,15 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
-/// Parser of a flag for a controller, such as `galil`.
+/// Returns the parser of a flag whose value is the name of a motion controller, such as `galil`.
 pub fn controller() -> impl TypedValueParser<Value = ControllerKind> {
     let names = ControllerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.about()));
     PossibleValuesParser::new(names)
         .try_map(|name| ControllerKind::named(&name).ok_or("is no controller"))
 }
 
-/// Returns the message of a library in the words of the command line. A setting that it names in backquotes,
-/// such as `pitch_mm`, becomes the flag of the same name, --pitch-mm.
+/// Returns the message of a library in terms of the command line. A setting in backquotes, such as `pitch_mm`,
+/// becomes the flag of the same name, --pitch-mm.
 pub fn with_flags(message: &str) -> String {
     let mut text = String::new();
     let mut rest = message;
@@ -145,7 +145,7 @@ fn is_name(word: &str) -> bool {
         && word.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }
 
-/// Returns baselines under a heading of their own, the examples of the program, and [`ALSO`].
+/// Returns the end of the help page: the list of baselines, the examples of the program, and [`ALSO`].
 fn after_help<C: CommandFactory>() -> String {
     let command = C::command();
     let examples = command.get_after_help().map(ToString::to_string);
@@ -153,7 +153,8 @@ fn after_help<C: CommandFactory>() -> String {
     paragraphs.chain([ALSO.to_string()]).collect::<Vec<_>>().join("\n\n")
 }
 
-/// Lists the subcommands that exist to compare with the literature, under a heading; `None` where a program has none. They are the hidden ones, so that the list of the other subcommands is without them.
+/// Lists the subcommands that exist to compare with the literature, under a heading; `None` if a program has none.
+/// These are the hidden subcommands, which the list of the others leaves out.
 fn baselines(command: &clap::Command) -> Option<String> {
     let names: Vec<&clap::Command> =
         command.get_subcommands().filter(|c| c.is_hide_set()).collect();
@@ -166,8 +167,8 @@ fn baselines(command: &clap::Command) -> Option<String> {
     Some(text)
 }
 
-/// Returns the text that `arguments` ask to print from the definition of a program; `None` if they are those of a stage.
-/// No subcommand is hidden in it.
+/// Returns the text that `arguments` ask for with `--completions`, `--man` or `--describe`; `None` for other
+/// arguments. The text also shows the hidden subcommands. The error is the message for a wrong value.
 pub(crate) fn generated(
     definition: impl Fn() -> clap::Command,
     arguments: &[OsString],
@@ -195,7 +196,7 @@ pub(crate) fn generated(
     }
 }
 
-/// Returns the manual page: the program, then each subcommand with its flags.
+/// Returns the manual page in roff: the program, then each subcommand with its flags.
 fn man_page(mut command: clap::Command) -> Result<Vec<u8>, String> {
     command.build();
     let mut bytes = Vec::new();

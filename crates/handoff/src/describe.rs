@@ -15,7 +15,7 @@
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
 
-/// Returns the description of a program.
+/// Returns the description of a program's command line as JSON, in the form that the module head shows.
 pub(crate) fn program(mut command: Command) -> Value {
     command.build();
     let mut commands = Vec::new();

@@ -33,7 +33,7 @@ pub struct MirrorArgs {
 }
 
 impl MirrorArgs {
-    /// Reads both artifacts.
+    /// Reads the desired removal and the tool influence function.
     ///
     /// # Errors
     /// Fails if one of them cannot be read or is not valid.
@@ -59,7 +59,8 @@ impl PathArgs {
         inputs.read("tool-path", &self.tool_path)
     }
 
-    /// Reads the tool path, and its overscan in mm if its manifest states one above 0.
+    /// Reads the tool path, and its overscan (distance beyond the clear aperture), mm; `None` unless its manifest
+    /// states one above 0.
     ///
     /// # Errors
     /// Fails if the path cannot be read or is not valid.
@@ -88,8 +89,8 @@ pub struct PlanArgs {
 }
 
 impl PlanArgs {
-    /// Reads both artifacts, and the overscan of the path in mm if it states one above 0. Refuses dwell times that were
-    /// made for another path.
+    /// Reads the tool path, its dwell times, and the overscan of the path, mm; `None` unless the path states one
+    /// above 0. Refuses dwell times that were made for another path.
     pub fn read(
         &self,
         inputs: &mut Inputs,
@@ -99,8 +100,8 @@ impl PlanArgs {
     }
 }
 
-/// Reads the dwell times of `--dwell`, for the path that was read before. Refuses dwell times that
-/// were made for another path.
+/// Reads the dwell times of the flag `--dwell`. The tool path must have been read before; dwell times that were made
+/// for another path are refused.
 pub fn read_dwell(dir: &Path, inputs: &mut Inputs) -> Result<DwellTime, HandoffError> {
     let (dwell, manifest) = inputs.read_with_manifest("dwell", dir)?;
     inputs.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
@@ -116,7 +117,7 @@ pub struct TrajectoryArgs {
 }
 
 impl TrajectoryArgs {
-    /// Reads the motion.
+    /// Reads the motion of the flag `--trajectory`.
     ///
     /// # Errors
     /// Fails if it cannot be read or is not valid.
@@ -124,8 +125,8 @@ impl TrajectoryArgs {
         inputs.read("trajectory", &self.trajectory)
     }
 
-    /// Reads the motion, in the coordinates of the part, and the mirror. Warns if the motion was
-    /// made from another mirror.
+    /// Reads the motion, in the coordinates of the part, and the mirror (tool and desired removal). Warns if the
+    /// motion was made from another mirror.
     ///
     /// # Errors
     /// Fails if one of them cannot be read or is not valid, or if the motion is not in the coordinates of the part.
@@ -138,7 +139,7 @@ impl TrajectoryArgs {
         Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
     }
 
-    /// Reads the motion, in the coordinates of the part or of the machine, and the mirror.
+    /// Reads the motion, in the coordinates of the part or of the machine, and the mirror (tool and desired removal).
     ///
     /// # Errors
     /// Fails if one of them cannot be read or is not valid.
@@ -170,7 +171,7 @@ impl TrajectoryArgs {
         Ok((trajectory, manifest))
     }
 
-    /// Reads a motion and a machine, and transforms the motion to the axes. A motion that
+    /// Reads a motion and a machine, and transforms the motion to the coordinates of the axes. A motion that
     /// planish-register has already transformed to a machine stays as it is.
     ///
     /// Refuses a motion that was made for another machine than that of `machine`, unless
@@ -212,11 +213,11 @@ impl TrajectoryArgs {
 /// Motion in the coordinates of the axes of a machine.
 #[derive(Clone, Debug)]
 pub struct OnAxes {
-    /// The motion.
+    /// Motion in the coordinates of the axes.
     pub motion: Trajectory,
-    /// Manifest of the motion, if it has one.
+    /// Manifest of the motion; `None` if it has none.
     pub manifest: Option<Manifest>,
-    /// The machine.
+    /// Machine whose axes run the motion.
     pub machine: Machine,
     /// True if the input was in machine coordinates already.
     pub was_there: bool,
@@ -245,7 +246,8 @@ pub struct AxesArgs {
 }
 
 impl AxesArgs {
-    /// Reads the machine whose axes run the motion at `path` with the manifest `made`.
+    /// Reads the machine whose axes run the motion at `path`. `made` is the manifest of the motion; `None` if it has
+    /// none.
     ///
     /// Refuses a motion that was made for another machine, unless `--other-machine` accepts it.
     pub fn read(
@@ -270,7 +272,7 @@ impl AxesArgs {
 }
 
 impl MachineArgs {
-    /// Reads the limits along x and y of the part, which a plan has to keep.
+    /// Reads the limits of a motion along x and y of the part, which a plan has to keep.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
         Ok(inputs.read_machine(&self.machine)?.limits_on_part())
     }
@@ -286,12 +288,11 @@ pub struct PathDistanceArgs {
 }
 
 impl PathDistanceArgs {
-    /// Returns the tolerance of a motion along `path`, mm: that of the flag, or the usual one, but not more than the
-    /// overscan of the path.
+    /// Returns the largest allowed distance of a motion from `path`, mm. Without the flag it is the usual one, but
+    /// not more than the overscan of the path.
     ///
     /// # Errors
-    ///
-    /// A tolerance that is negative or not finite.
+    /// Fails if the tolerance is negative or not finite.
     pub fn tolerance_mm(&self, path: &ToolPath, overscan_mm: Option<f64>) -> Result<f64, Invalid> {
         let tolerance_mm = path.tolerance_mm(self.max_path_distance_mm)?;
         Ok(match (self.max_path_distance_mm, overscan_mm) {
@@ -312,12 +313,12 @@ pub struct NearPathArgs {
 }
 
 impl NearPathArgs {
-    /// Returns the distance of a motion in the coordinates of the axes from the path. Without a path it is what the
-    /// maker of the motion states in its manifest; `None` if it states nothing.
+    /// Returns the distance of a motion, in the coordinates of the axes, from the tool path. Without a tool path it
+    /// is the distance that the manifest of the motion states; `None` if it states none.
     ///
     /// # Errors
-    ///
-    /// A path in other coordinates than the motion, or of another motion, and a tolerance that is no length.
+    /// Fails if the path is in other coordinates than the motion or belongs to another motion, or if the tolerance is
+    /// no length.
     pub fn measure(
         &self,
         motion: &OnAxes,
@@ -345,8 +346,8 @@ impl NearPathArgs {
         PathDistance::new(&motion.motion, &path, tolerance_mm).map(Some).map_err(refuse)
     }
 
-    /// Returns the distance that the maker of a motion states in its manifest, judged by the tolerance of the flag if
-    /// there is one.
+    /// Returns the distance from the path that the manifest of a motion states, judged by the tolerance of the flag
+    /// if that is given. `None` if the manifest states none.
     ///
     /// # Errors
     /// Refuses a tolerance that is no length.
@@ -363,7 +364,7 @@ impl NearPathArgs {
     }
 }
 
-/// Returns the distance of a motion from its path as its manifest states it.
+/// Returns the distance of a motion from its path that the manifest `made` states; `None` if it states none.
 pub fn path_distance_of(made: &Manifest) -> Option<PathDistance> {
     PlanOutcome::<NoMore>::deserialize(&made.outcome).ok()?.path_distance
 }
@@ -384,7 +385,8 @@ pub struct FloorArgs {
 }
 
 impl FloorArgs {
-    /// Returns the bound of the flags, per dwell point or per length; 0 s without a flag.
+    /// Returns the smallest dwell time that the flags ask for. `seconds` makes it of a time per dwell point, s, and
+    /// `seconds_per_mm` of a time per length, s/mm. Without a flag it is 0 s.
     ///
     /// # Errors
     /// Fails if the machine file cannot be read or is not valid.
@@ -433,7 +435,7 @@ pub struct OutputFileArgs {
 }
 
 impl OutputFileArgs {
-    /// Refuses, before the work, a file that must not be written.
+    /// Refuses a file that must not be written. Call it before the work of the program.
     pub fn begin(&self, inputs: &Inputs) -> Result<OutputFile, HandoffError> {
         OutputFile::begin("--out", &self.out, self.force, inputs)
     }

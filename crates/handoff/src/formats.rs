@@ -1,14 +1,14 @@
-//! Generator of `docs/formats.md`, the page about the files of Planish.
+//! Generator of `docs/formats.md`, the page that describes the files of Planish.
 
 use planish_types::ControllerKind;
 
 use crate::kind::ALL;
 
-/// Largest width of a paragraph of the page, characters. Larger: lines exceed the 120 characters
-/// that a test allows.
+/// Largest width of a paragraph of the page, characters. Larger: lines exceed the 120 characters that a test allows.
+/// Smaller: more lines.
 const PARAGRAPH_COLUMNS: usize = 110;
 
-/// Wraps a paragraph into lines of at most [`PARAGRAPH_COLUMNS`].
+/// Wraps a paragraph into lines of at most [`PARAGRAPH_COLUMNS`] characters.
 fn wrapped(text: &str) -> String {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
@@ -79,7 +79,7 @@ pub fn formats_markdown() -> String {
     page
 }
 
-/// Keys of a machine file, with their units; those of an axis stand under `axes`.
+/// Keys of a machine file: (key, unit, description). Keys of an axis stand under `axes`.
 const MACHINE_KEYS: [(&str, &str, &str); 34] = [
     ("name", "-", "Name of the machine."),
     (
@@ -235,7 +235,7 @@ makes the motion of all axes ([axes](axes.md)), `planish-verify --axes` judges i
 its program. `planish-export --trajectory` refuses such a machine.
 ";
 
-/// Keys of an error budget, with unit and meaning.
+/// Keys of an error budget: (key, unit, description).
 const PROCESS_KEYS: [(&str, &str, &str); 11] = [
     ("name", "-", "Name of the process."),
     ("errors", "-", "At least one object with the keys below."),

@@ -1,23 +1,23 @@
-//! Environment variables in which `planish-run` tells a program that it starts how a user sees its flags.
+//! Environment variables by which `planish-run` tells a program that it starts how the user sees its flags.
 //!
-//! [`SETTINGS_OF_FLAGS`] has a line for each flag: the flag, a tab, and the setting that a user gives in its place. A line
-//! without a flag names the setting that takes all other flags of the program. Messages then name the settings.
+//! [`SETTINGS_OF_FLAGS`] has a line for each flag: the flag, a tab, and the setting that a user gives in its place. A
+//! line without a flag names the setting that takes all other flags of the program. Messages then name the settings.
 //!
-//! [`REHEARSAL`] makes the program end with exit code 0 where it would begin its work, or needs an input that is still to
-//! be made. Until then it checks its flags and the inputs that are there. The value is a list of paths as JSON: first the
-//! directory of the run, then the paths in it that are made already.
+//! [`REHEARSAL`] makes the program end with exit code 0 at the point where it would begin its work, or where it needs
+//! an input that has not been made. Until then it checks its flags and the inputs that exist. The value is a list of
+//! paths as JSON: first the directory of the run, then the paths in it that are made already.
 
 use std::{borrow::Cow, env, path::Path, process::exit};
 
 use crate::place::is_within;
 
-/// Name of the variable with the settings that give the flags.
+/// Name of the environment variable that lists, for each flag, the setting that a user gives in its place.
 pub const SETTINGS_OF_FLAGS: &str = "PLANISH_SETTINGS_OF_FLAGS";
 
-/// Name of the variable of a rehearsal.
+/// Name of the environment variable that makes the run of a program a rehearsal, which only checks flags and inputs.
 pub const REHEARSAL: &str = "PLANISH_REHEARSAL";
 
-/// Flags of every program, which no setting holds.
+/// Flags that every program has and that no setting stands for.
 const OF_EVERY_PROGRAM: [&str; 2] = ["--help", "--version"];
 
 /// Returns true if `planish-run` started the program as a stage.
@@ -37,7 +37,7 @@ pub(crate) fn before_the_work() {
     }
 }
 
-/// Ends a rehearsal with exit code 0 if the input at `path` is still to be made.
+/// Ends a rehearsal with exit code 0 if the input at `path` lies in the run and has not been made yet.
 pub(crate) fn before_reading(path: &Path) {
     let Ok(text) = env::var(REHEARSAL) else { return };
     let paths: Vec<String> = serde_json::from_str(&text).unwrap_or_default();
@@ -48,7 +48,8 @@ pub(crate) fn before_reading(path: &Path) {
     }
 }
 
-/// Returns a message in which settings stand for the flags, where [`SETTINGS_OF_FLAGS`] names them.
+/// Returns the message with settings in place of the flags, as [`SETTINGS_OF_FLAGS`] states; unchanged if the
+/// variable is absent.
 pub(crate) fn in_settings(message: &str) -> Cow<'_, str> {
     match env::var(SETTINGS_OF_FLAGS) {
         Ok(settings) => Cow::Owned(with_settings(message, &settings)),
@@ -73,7 +74,8 @@ fn with_settings(message: &str, settings: &str) -> String {
     text + rest
 }
 
-/// Returns what a user gives in the place of a flag; `None` if it is the flag of no setting.
+/// Returns the setting that a user gives in place of `flag`; `None` if no setting stands for it. `settings` is the
+/// text of [`SETTINGS_OF_FLAGS`].
 fn setting_of(flag: &str, settings: &str) -> Option<String> {
     let mut lines = settings.lines().filter_map(|line| line.split_once('\t'));
     if let Some((_, setting)) = lines.clone().find(|(known, _)| *known == flag) {

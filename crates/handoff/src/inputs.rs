@@ -1,4 +1,4 @@
-//! Inputs of a command, with the hash of each.
+//! Input files and artifacts of a command, with the hash of each.
 
 use std::{
     collections::BTreeSet,
@@ -34,28 +34,29 @@ pub(crate) const LARGEST_JSON_BYTES: u64 = 1 << 24;
 #[derive(Debug)]
 pub struct Inputs {
     pub(crate) records: Vec<InputRecord>,
-    /// Paths of the records, as they were given: a name that is not UTF-8 has no text.
+    /// Paths of the inputs, in the order of the records and as the user gave them. They keep a name that is not
+    /// UTF-8, which the text of a record cannot.
     paths: Vec<PathBuf>,
     pub(crate) lineage: BTreeSet<Ancestor>,
-    /// Start of the command. The wall time includes reading.
+    /// Time at which the command started. The wall time includes reading.
     pub(crate) started: Instant,
 }
 
-/// The form of a part, as it was given.
+/// The form of a part (its shape along z), as the user gave it.
 #[derive(Clone, Debug)]
 pub struct GivenForm {
-    /// The form.
+    /// Form, ready for calculations.
     pub form: Form,
     /// Content of the form file; `None` if the form is a map that was given as a directory.
     pub file: Option<StatedForm>,
 }
 
-/// Content of a form file.
+/// Content of a form file, and the map that it names.
 #[derive(Clone, Debug)]
 pub struct StatedForm {
     /// The file.
     pub file: FormFile,
-    /// The map of a form of the kind `map`.
+    /// Map to which a form of the kind `map` refers; `None` for other kinds.
     pub map: Option<Surface>,
 }
 
@@ -66,7 +67,7 @@ impl Default for Inputs {
 }
 
 impl Inputs {
-    /// Creates inputs of which none is read yet.
+    /// Creates an empty list of inputs; the readers add to it.
     pub fn new() -> Self {
         Self {
             records: Vec::new(),
@@ -98,7 +99,7 @@ impl Inputs {
         Ok(self.recorded(role, dir, T::KIND, artifact::read::<T>(dir)?))
     }
 
-    /// Records an artifact that was read, and returns its value and its manifest.
+    /// Records an artifact that was read, prints its warning, and returns its value and its manifest.
     fn recorded<T>(
         &mut self,
         role: &str,
@@ -114,8 +115,8 @@ impl Inputs {
         (loaded.value, loaded.manifest)
     }
 
-    /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
-    /// with weights holds a tool that varies.
+    /// Reads a tool: a TIF that is the same everywhere, or a tool that varies over the part. The manifest says which
+    /// it is. Without a manifest, a directory with the array of weights holds a tool that varies.
     ///
     /// # Errors
     /// Fails if the artifact cannot be read or is not valid.
@@ -123,8 +124,8 @@ impl Inputs {
         Ok(self.read_tool_with_manifest(role, dir)?.0)
     }
 
-    /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a
-    /// manifest.
+    /// Reads a tool as [`Self::read_tool`] does. It warns of doubtful samples if the arrays have no manifest, because
+    /// no program has checked them before.
     ///
     /// # Errors
     /// Fails if the artifact cannot be read or is not valid.
@@ -147,12 +148,12 @@ impl Inputs {
         Ok(self.recorded(role, dir, kind, loaded))
     }
 
-    /// Returns the BLAKE3 of the content of the input that was read for this role.
+    /// Returns the BLAKE3 hash of the content of the input `role`; `None` if no such input was read.
     pub fn digest(&self, role: &str) -> Option<&str> {
         self.records.iter().find(|input| input.role == role).map(|input| input.blake3.as_str())
     }
 
-    /// Reads the manifest of an artifact whose readers use the numbers of its outcome.
+    /// Reads the manifest of an artifact, for a command that uses the numbers of its outcome.
     ///
     /// # Errors
     /// Fails if there is no manifest, if it is of another kind, or if its seal is not that of its content.
@@ -177,7 +178,7 @@ impl Inputs {
         Ok(manifest)
     }
 
-    /// Reads a JSON file given by the flag `--role`.
+    /// Reads and parses a JSON file given by the flag `--role`.
     ///
     /// # Errors
     /// Fails if the file cannot be read, is larger than 16 MiB, or is not of this type.
@@ -192,7 +193,7 @@ impl Inputs {
         serde_json::from_slice(&bytes).map_err(|e| HandoffError::new(path, format!("{e}")))
     }
 
-    /// Reads a file of another program, given by the flag `--role`; at most `most` bytes of it.
+    /// Reads a file of another program, given by the flag `--role`, of at most `most` bytes.
     ///
     /// # Errors
     /// Fails if the file cannot be read, or is larger than that.
@@ -208,7 +209,7 @@ impl Inputs {
         Ok(bytes)
     }
 
-    /// Adds the record of a file, given by the flag `--role`, that the command itself reads line by line.
+    /// Records the hash of a file, given by the flag `--role`, that the command itself reads piece by piece.
     ///
     /// # Errors
     /// Fails if it cannot be read.
@@ -223,7 +224,7 @@ impl Inputs {
         Ok(())
     }
 
-    /// Reads the machine file given by `--machine`.
+    /// Reads and checks the machine file given by the flag `--machine`.
     ///
     /// # Errors
     /// Fails if the file cannot be read or describes no machine.
@@ -232,7 +233,8 @@ impl Inputs {
         Machine::new(file).map_err(|e| HandoffError::new(path, e.to_string()))
     }
 
-    /// Reads the form of a part given by the flag `--role`: a form file, or a directory with its height along z.
+    /// Reads the form of a part given by the flag `--role`: a form file, or the directory of a map of its height
+    /// along z.
     ///
     /// # Errors
     /// Fails if the file or the map cannot be read, or describes no form.
@@ -255,7 +257,7 @@ impl Inputs {
         Ok(GivenForm { form, file: Some(StatedForm { file, map }) })
     }
 
-    /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.
+    /// Reads one float map (shape ny, nx) from a `.npy` file given by the flag `--role`; NaN marks an invalid pixel.
     ///
     /// # Errors
     /// Fails if the file cannot be read, or holds no finite or invalid heights along two axes.
@@ -268,7 +270,7 @@ impl Inputs {
         })
     }
 
-    /// Reads one mask (ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`.
+    /// Reads one mask (shape ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`; 1 becomes true.
     ///
     /// # Errors
     /// Fails if the file cannot be read, or holds other values or another number of axes.
@@ -308,9 +310,9 @@ impl Inputs {
         });
     }
 
-    /// Refuses inputs that do not belong together: the input `role`, whose manifest is `made`, was
-    /// made from another artifact than the input `from`. Arrays without a manifest are accepted,
-    /// because nothing states their origin.
+    /// Refuses inputs that do not belong together: the manifest `made` of the input `role` says that it was made from
+    /// another artifact than the input `from`. Arrays without a manifest are accepted, because nothing states their
+    /// origin.
     pub fn refuse_unrelated(
         &self,
         role: &str,
@@ -328,7 +330,7 @@ impl Inputs {
         ))
     }
 
-    /// Warns in the cases in which [`Self::refuse_unrelated`] refuses. It is for combinations that
+    /// Prints a warning in the cases in which [`Self::refuse_unrelated`] refuses. It is for combinations that can
     /// make sense, such as a plan on another map.
     pub fn warn_unrelated(&self, role: &str, made: Option<&Manifest>, from: &str) {
         if let Some(problem) = self.unrelated(role, made, from) {
@@ -347,9 +349,8 @@ impl Inputs {
         Some(format!("--{role} was made from another {kind} than --{flag} {path}"))
     }
 
-    /// Returns a sentence if the motion with the manifest `made` was made for another machine file
-    /// than the one that was read. `None` if it names no machine, such as arrays without a
-    /// manifest.
+    /// Returns a sentence if the motion with the manifest `made` was made for another machine file than the one that
+    /// was read. It is `None` if the machines are the same, or if the motion names no machine.
     pub fn made_for_another_machine(&self, made: Option<&Manifest>) -> Option<String> {
         let is_machine = |i: &&InputRecord| i.role == "machine";
         let here = self.records.iter().find(is_machine)?;
@@ -373,7 +374,7 @@ impl Inputs {
         ))
     }
 
-    /// Refuses an output that is an input, contains one, or lies in one.
+    /// Refuses an output at `path` that is an input, contains one, or lies in one. `flag` gives the output.
     pub(crate) fn refuse_overlap(&self, flag: &str, path: &Path) -> Result<(), HandoffError> {
         for (input, place) in self.records.iter().zip(&self.paths) {
             let how = match (is_within(path, place), is_within(place, path)) {

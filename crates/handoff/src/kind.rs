@@ -7,14 +7,14 @@ pub use spectra::{PSD, SPECIFICATION};
 /// Name of the manifest in an artifact directory.
 pub const MANIFEST: &str = "manifest.json";
 
-/// Element type of a stored array.
+/// Element type of a stored array, with NumPy's name for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dtype {
     /// 64-bit float, `<f8`.
     F64,
     /// 64-bit signed integer, `<i8`.
     I64,
-    /// Unsigned byte that is 0 or 1, `|u1` (`|b1` is read too).
+    /// Unsigned byte that is 0 or 1, `|u1` (`|b1` is read, too).
     U8,
 }
 
@@ -27,7 +27,7 @@ impl Dtype {
         }
     }
 
-    /// Returns NumPy's name of the type.
+    /// Returns NumPy's name of the type, such as `<f8`.
     pub fn numpy(self) -> &'static str {
         match self {
             Self::F64 => "<f8",
@@ -37,42 +37,43 @@ impl Dtype {
     }
 }
 
-/// Definition of an array of a kind.
+/// Definition of one array of a kind of artifact.
 #[derive(Debug)]
 pub struct ArrayDef {
     /// Name of the array; its file is `<name>.npy`.
     pub name: &'static str,
     /// Element type.
     pub dtype: Dtype,
-    /// Sizes along the axes: a number, a symbol shared by the arrays of the kind, or a symbol `+1`.
+    /// Sizes along the axes. Each is a number, a symbol such as `n` that the arrays of the kind share, or a symbol
+    /// with `+1`.
     pub shape: &'static [&'static str],
-    /// Names of the axes.
+    /// Names of the axes, the slowest first.
     pub axes: &'static [&'static str],
-    /// Unit of the elements.
+    /// Unit of the elements, such as `mm`.
     pub unit: &'static str,
-    /// True if NaN may occur (it marks an invalid pixel).
+    /// True if an element may be NaN, which marks an invalid pixel.
     pub nan_allowed: bool,
-    /// Value of all elements if the file is missing in a directory without a manifest.
+    /// Value of all elements if a directory without a manifest lacks the file; `None` if the array has no such value.
     pub default: Option<u8>,
-    /// Version of the kind that introduced an optional array. An artifact without the array has the
-    /// version before, and its elements are `default`; without a default the array is empty.
+    /// Version of the kind that added the array, if the array is optional. An artifact without it has the version
+    /// before, and its elements are `default`; without a default the array is empty.
     pub optional_since: Option<u32>,
     /// Description of the array in one sentence.
     pub doc: &'static str,
 }
 
-/// Definition of a kind of artifact directory.
+/// Definition of a kind of artifact directory: the arrays and files in it.
 #[derive(Debug)]
 pub struct Kind {
-    /// Name in the manifest.
+    /// Name of the kind in the manifest, such as `surface`.
     pub name: &'static str,
     /// Version of the layout; a reader refuses a newer one.
     pub version: u32,
     /// Description of the kind.
     pub doc: &'static str,
-    /// Frame of the coordinates.
+    /// Frame that the coordinates refer to, in words.
     pub frame: &'static str,
-    /// Arrays, in their order.
+    /// Definitions of the arrays, in their order.
     pub arrays: &'static [ArrayDef],
     /// Names of the files beside the arrays and the manifest.
     pub files: &'static [&'static str],
@@ -106,7 +107,8 @@ const MAP_FRAME: &str =
     "part coordinates; arrays are [y, x]; row 0 is the smallest y; x and y ascend uniformly";
 const TIF_FRAME: &str =
     "offset from the tool centre (pixel - tool); arrays are [y, x]; row 0 is the smallest y";
-/// Frame of a path or a motion in the coordinates of the axes of a machine. Its manifest states it.
+/// Frame of a path or a motion in the coordinates of the axes of a machine. The manifest states it in place of the
+/// frame of the kind.
 pub const MACHINE_FRAME: &str = "machine coordinates; the last axis is [x, y]";
 const PATH_FRAME: &str = "part coordinates; the last axis is [x, y]";
 
@@ -143,7 +145,7 @@ const fn optional(def: ArrayDef, value: u8, since: u32) -> ArrayDef {
     ArrayDef { default: Some(value), optional_since: Some(since), ..def }
 }
 
-/// An array that may be absent, without a value in its place.
+/// Makes the definition of an optional array that has no default, added in the version `since`.
 const fn may_be_absent(def: ArrayDef, since: u32) -> ArrayDef {
     ArrayDef { optional_since: Some(since), ..def }
 }
@@ -151,7 +153,7 @@ const fn may_be_absent(def: ArrayDef, since: u32) -> ArrayDef {
 const X: ArrayDef = array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Pixel centres along x.");
 const Y: ArrayDef = array("y_mm", Dtype::F64, &["ny"], &["y"], "mm", "Pixel centres along y.");
 
-/// Kind of a height map: measured surface error, or desired removal.
+/// Kind of a height map, nm: measured surface error, or desired removal.
 pub const SURFACE: Kind = Kind {
     name: "surface",
     version: 2,
@@ -183,10 +185,10 @@ pub const SURFACE: Kind = Kind {
     files: &[FORM_FILE],
 };
 
-/// Name of the form file beside a surface.
+/// Name of the file with the form of the part, beside the arrays of a surface.
 pub const FORM_FILE: &str = "form.json";
 
-/// Kind of a tool influence function.
+/// Kind of a tool influence function, the removal rate in nm/s of a resting tool.
 pub const TIF: Kind = Kind {
     name: "tif",
     version: 1,
@@ -207,7 +209,7 @@ pub const TIF: Kind = Kind {
     files: &[],
 };
 
-/// Kind of a tool that is not the same everywhere.
+/// Kind of a tool influence function that varies over the part.
 pub const TOOL: Kind = Kind {
     name: "tool",
     version: 5,
@@ -352,7 +354,7 @@ pub const TOOL: Kind = Kind {
     files: &[],
 };
 
-/// Kind of a tool path.
+/// Kind of a tool path: its segments, dwell points and the state of the tool.
 pub const TOOL_PATH: Kind = Kind {
     name: "tool_path",
     version: 1,
@@ -401,7 +403,7 @@ pub const TOOL_PATH: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the dwell times of a tool path.
+/// Kind of the dwell times of a tool path, s per segment.
 pub const DWELL: Kind = Kind {
     name: "dwell",
     version: 1,
@@ -411,10 +413,11 @@ pub const DWELL: Kind = Kind {
     files: &[],
 };
 
-/// Name that [`DWELL_DENSITY`] had before: `feed` now means the feedrate only. A reader names the new kind.
+/// Earlier name of the kind [`DWELL_DENSITY`]; `feed` now means the feedrate only. The error message of a reader
+/// names the new kind.
 pub(crate) const FORMER_DWELL_DENSITY: &str = "feed";
 
-/// Kind of the dwell-time density along a path. Its name in files is that of the inverse, the feed.
+/// Kind of the dwell-time density along a path, the time per length. It is the inverse of the feedrate.
 pub const DWELL_DENSITY: Kind = Kind {
     name: "dwell_density",
     version: 1,
@@ -454,7 +457,7 @@ pub const DWELL_DENSITY: Kind = Kind {
     files: &[],
 };
 
-/// Kind of a motion.
+/// Kind of a motion of the tool along x and y over time.
 pub const TRAJECTORY: Kind = Kind {
     name: "trajectory",
     version: 2,
@@ -512,7 +515,7 @@ pub const TRAJECTORY: Kind = Kind {
     files: &[],
 };
 
-/// Kind of a motion of all axes of a machine.
+/// Kind of a motion of all axes of a machine, linear and rotary.
 pub const AXES: Kind = Kind {
     name: "axes",
     version: 1,
@@ -551,7 +554,7 @@ pub const AXES: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the position of a part on a machine.
+/// Kind of the position of a part on a machine, as a transform of coordinates.
 pub const TRANSFORM: Kind = Kind {
     name: "transform",
     version: 1,
@@ -587,7 +590,7 @@ pub const TRANSFORM: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the predicted removal and residual.
+/// Kind of the predicted removal and residual of a motion, as maps.
 pub const REMOVAL: Kind = Kind {
     name: "removal",
     version: 1,
@@ -609,7 +612,7 @@ pub const REMOVAL: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the removal at chosen times of a run.
+/// Kind of the maps of removal at chosen times of a run.
 pub const FRAMES: Kind = Kind {
     name: "frames",
     version: 1,
@@ -638,7 +641,7 @@ pub const FRAMES: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the rounds of a refinement, or the plans of a trade-off.
+/// Kind of the rounds of a refinement of dwell times, or of the plans of a trade-off between residual and time.
 pub const ITERATIONS: Kind = Kind {
     name: "iterations",
     version: 1,
@@ -675,7 +678,7 @@ pub const ITERATIONS: Kind = Kind {
     files: &["pareto.svg"],
 };
 
-/// Kind of the verdict on the limits of a machine.
+/// Kind of the verdict: whether a motion keeps the limits of a machine.
 pub const VERDICT: Kind = Kind {
     name: "verdict",
     version: 1,
@@ -685,7 +688,7 @@ pub const VERDICT: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the effect of process errors on a residual.
+/// Kind of the effect of process errors on a residual: its distribution over the runs.
 pub const TOLERANCE: Kind = Kind {
     name: "tolerance",
     version: 1,
@@ -724,7 +727,7 @@ pub const TOLERANCE: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the parameters of machine and tool that a run determines.
+/// Kind of the parameters of machine and tool that are estimated from the measured removal of a run.
 pub const RECONCILIATION: Kind = Kind {
     name: "reconciliation",
     version: 1,
@@ -798,7 +801,7 @@ pub const DECISION: Kind = Kind {
     files: &[],
 };
 
-/// Kind of a campaign: several runs of a mirror.
+/// Kind of the summary of a campaign, which is several runs on a mirror.
 pub const CAMPAIGN: Kind = Kind {
     name: "campaign",
     version: 1,
@@ -810,7 +813,7 @@ pub const CAMPAIGN: Kind = Kind {
     files: &["campaign.html", "campaign.svg"],
 };
 
-/// Kind of the report of one or several runs.
+/// Kind of the report of one or several runs: summary, page and figures.
 pub const REPORT: Kind = Kind {
     name: "report",
     version: 1,
@@ -833,7 +836,7 @@ pub const REPORT: Kind = Kind {
     ],
 };
 
-/// Kind of the figures of a plan, for papers and lab books.
+/// Kind of the figures of a plan, as image files for papers and lab books.
 pub const FIGURES: Kind = Kind {
     name: "figures",
     version: 1,
@@ -874,7 +877,7 @@ pub const FIGURES: Kind = Kind {
     ],
 };
 
-/// Kind of the results of a sweep.
+/// Kind of the results of a sweep: a table of its plans, and the fronts of residual against time.
 pub const SWEEP: Kind = Kind {
     name: "sweep",
     version: 1,
@@ -886,7 +889,7 @@ pub const SWEEP: Kind = Kind {
     files: &["table.csv", "report.html", "front.svg", "front-95-percent.svg"],
 };
 
-/// All kinds, in the order of the pipeline.
+/// All kinds, in the order in which a pipeline makes them.
 pub const ALL: [&Kind; 22] = [
     &SURFACE,
     &TIF,

@@ -11,7 +11,7 @@
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
 //! * `describe`: the flags as data, for functions of other languages.
 //! * [`flags`]: groups of flags that several programs share.
-//! * [`from_run`]: words of `planish-run` for the programs that it starts.
+//! * [`from_run`]: environment variables by which `planish-run` informs the programs that it starts.
 //! * [`Inputs`]: the inputs of a command, with their hashes.
 //! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
 //! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
@@ -96,7 +96,7 @@ pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
 pub use stage::{Stage, Subcommands, stage_command, start};
 
-/// A file or directory that cannot be used. The message states the file, the place, the value and
+/// Error about a file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {problem}")]

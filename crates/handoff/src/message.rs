@@ -17,7 +17,7 @@ const MOST_CHARACTERS: usize = 4000;
 /// [`MOST_CHARACTERS`].
 const KEPT_CHARACTERS: [usize; 2] = [1200, 800];
 
-/// Prints lines on standard error; a closed pipe is not an error.
+/// Prints a message on standard error, escaped and shortened; a closed pipe is not an error.
 pub(crate) fn complain(message: &str) {
     let message = without_commands(&in_settings(message));
     let _ = writeln!(std::io::stderr(), "{}", shortened(&message));

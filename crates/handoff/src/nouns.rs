@@ -1,4 +1,4 @@
-//! Conversion of the types of `planish_types` to arrays and back.
+//! Conversion of the types of `planish_types` (surface, TIF, path, motion ...) to stored arrays and back.
 
 use std::path::Path;
 
@@ -93,10 +93,10 @@ impl Artifact for Tif {
     }
 }
 
-/// Angles of a turn, degrees, and the factors of every kernel at them.
+/// Dependence of a varying tool on an angle: the angles, degrees, and for every kernel its factors at them.
 type Turn = (Vec<f64>, Vec<Vec<f64>>);
 
-/// A TIF as an artifact of the kind `tool`: one that varies over the part.
+/// Wrapper of a TIF that stores it as an artifact of the kind `tool`, which may vary over the part.
 pub struct Tool(pub Tif);
 
 impl Artifact for Tool {
@@ -180,14 +180,15 @@ impl Artifact for Tool {
     }
 }
 
-/// Returns the factors of every kernel at the angles of a turn, and the angles.
+/// Returns two arrays: the factors of every kernel (row) at every angle (column), and the angles, degrees.
 fn turn_arrays<'a>(turn: &TurnWeights) -> [ArrayData<'a>; 2] {
     let rows = turn.weights();
     let weights = Array2::from_shape_fn((rows.len(), rows[0].len()), |(k, i)| rows[k][i]);
     [ArrayData::F64(weights.into_dyn().into()), floats(turn.angle_deg())]
 }
 
-/// Takes out a turn; `None` where its arrays are absent, or have one factor of 1. Refuses angles without factors.
+/// Removes the factors and angles of a turn from the arrays. Returns `None` if they are absent or are a single factor
+/// of 1. Refuses angles without factors.
 fn take_turn(
     arrays: &mut Arrays,
     weights: &'static str,
@@ -205,15 +206,15 @@ fn take_turn(
     Ok(if is_absent { None } else { Some((angle_deg, rows)) })
 }
 
-/// Maps of one shape, one after the other.
+/// Returns maps of one shape stacked along a new first axis.
 fn stacked<'a>(maps: &[Array2<f64>]) -> ArrayData<'a> {
     let views: Vec<_> = maps.iter().map(|map| map.view()).collect();
     let stack = ndarray::stack(NdAxis(0), &views).expect("maps of one shape");
     ArrayData::F64(stack.into_dyn().into())
 }
 
-/// Reads a tool as [`artifact::read`] does, and returns its kind: a TIF, or one that varies over the part. The manifest
-/// says which it is; without one, a directory with weights holds a tool that varies.
+/// Reads a tool as [`artifact::read`] does, and returns its kind: a TIF, or one that varies over the part. The
+/// manifest says which it is. Without a manifest, a directory with the array of weights holds a tool that varies.
 pub(crate) fn read_tool(dir: &Path) -> Result<(&'static Kind, Loaded<Tif>), HandoffError> {
     artifact::read_whole(dir, || {
         artifact::check_directory(dir, Tif::KIND)?;

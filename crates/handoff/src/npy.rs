@@ -1,4 +1,4 @@
-//! One array from or to a `.npy` file, with messages that a NumPy user understands.
+//! Reads and writes one array as a `.npy` file, with messages that a NumPy user understands.
 
 use std::{
     fs::File,
@@ -25,11 +25,11 @@ const MAX_PREFIX_BYTES: u64 = 12 + MAX_HEADER_BYTES as u64;
 /// copied.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ArrayData<'a> {
-    /// `<f8`.
+    /// 64-bit floats, `<f8`.
     F64(CowArray<'a, f64, IxDyn>),
-    /// `<i8`.
+    /// 64-bit signed integers, `<i8`.
     I64(CowArray<'a, i64, IxDyn>),
-    /// `|u1`.
+    /// Unsigned bytes, `|u1`.
     U8(CowArray<'a, u8, IxDyn>),
 }
 
@@ -52,7 +52,7 @@ impl ArrayData<'_> {
         }
     }
 
-    /// Returns the bytes of a `.npy` file.
+    /// Returns the content of a `.npy` file with this array.
     pub fn to_npy(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.write_npy(&mut bytes).expect("writing to memory cannot fail");
@@ -72,8 +72,8 @@ impl ArrayData<'_> {
     }
 }
 
-/// A file and the BLAKE3 of the bytes read from it or written to it. Hashing needs no second copy
-/// of a large array.
+/// A file together with the BLAKE3 hash of the bytes read from it or written to it. Hashing on the way needs no
+/// second copy of a large array.
 struct Hashed<F> {
     file: F,
     hasher: blake3::Hasher,
@@ -114,8 +114,8 @@ impl<F: Write> Write for Hashed<F> {
     }
 }
 
-/// Writes `array` as the new file `path`; returns its BLAKE3. The file is synchronised with the
-/// disk when the function returns.
+/// Writes `array` as the new file `path` and returns the BLAKE3 hash of the file. The file is on the disk when the
+/// function returns.
 pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffError> {
     let mut file = None;
     File::create_new(path)
@@ -137,22 +137,22 @@ pub(crate) fn hash(path: &Path) -> io::Result<String> {
     Ok(file.finish())
 }
 
-/// An array that has been read.
+/// An array that has been read from a file, with the hash of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Loaded {
     /// The array, in C order.
     pub array: ArrayData<'static>,
-    /// BLAKE3 of the file.
+    /// BLAKE3 hash of the file.
     pub blake3: String,
-    /// Note about an exact conversion, if the file has another element type or order: "holds >f4 in
-    /// Fortran order, converted exactly".
+    /// Note about an exact conversion, such as "holds >f4 in Fortran order, converted exactly". It is `None` if the
+    /// file has the wanted element type and order.
     pub note: Option<String>,
 }
 
-/// Reads `path` as an array of `dtype`. Other element types, byte orders and Fortran order are
-/// converted if no value changes, and refused otherwise.
+/// Reads `path` as an array of `dtype`. Other element types, byte orders and Fortran order are converted if no value
+/// changes, and refused otherwise.
 ///
-/// Whatever the header says, only the elements that the file has are allocated.
+/// The memory that it allocates is limited by the size of the file, whatever the header says.
 pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     let io = |e: io::Error| HandoffError::io(path, "read", &e);
     let invalid = |problem: String| HandoffError::new(path, problem);
@@ -170,7 +170,7 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     Ok(Loaded { array, blake3: whole.finish(), note: stored.note(dtype) })
 }
 
-/// Parses the bytes of a `.npy` file.
+/// Parses the content of a `.npy` file as an array of `dtype`.
 ///
 /// # Errors
 /// Returns the message about the fault of bytes that are no array of this type.
@@ -179,7 +179,7 @@ pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData<'static>, String> {
     array(bytes, dtype, &stored)
 }
 
-/// Reads the array of a file that has been checked.
+/// Reads the array of a file whose header has been checked.
 fn array(
     mut reader: impl Read,
     dtype: Dtype,
@@ -205,7 +205,7 @@ fn array(
     })
 }
 
-/// Content of the header of a file.
+/// Content of the header of a `.npy` file.
 #[derive(Debug)]
 struct Stored {
     descriptor: String,
@@ -216,17 +216,18 @@ struct Stored {
 }
 
 impl Stored {
-    /// Returns true if the elements need no conversion.
+    /// Returns true if the elements need no conversion to be read as `dtype` in C order.
     fn is_as_wanted(&self, dtype: Dtype) -> bool {
         self.descriptor == dtype.numpy() && (!self.is_fortran || self.is_flat())
     }
 
-    /// Returns true if at most one axis is longer than 1, so that both orders are the same.
+    /// Returns true if at most one axis is longer than 1, so that C and Fortran order are the same.
     fn is_flat(&self) -> bool {
         self.shape.iter().filter(|n| **n > 1).count() <= 1
     }
 
-    /// Returns a note about the conversion for the user. Booleans read as 0 and 1 need none.
+    /// Returns a note for the user about the conversion to `dtype`; `None` if none was needed. Booleans read as 0 and
+    /// 1 need no note.
     fn note(&self, dtype: Dtype) -> Option<String> {
         let as_flags = dtype == Dtype::U8 && self.element.class == Class::Bool;
         let reordered = self.is_fortran && !self.is_flat();
@@ -237,8 +238,8 @@ impl Stored {
         Some(format!("holds {}{order}, converted exactly", self.descriptor))
     }
 
-    /// Returns the array of `values` in C order, each converted by `exact`. The error names the first value
-    /// that would change.
+    /// Returns the array of `values` in C order, each converted by `exact`, which returns `None` if the value would
+    /// change. The error names the first such value.
     fn converted<T: Clone>(
         &self,
         values: impl Iterator<Item = Value>,
@@ -262,7 +263,7 @@ impl Stored {
         Ok(standard(array))
     }
 
-    /// Returns the index of the element with this number in the order of the file.
+    /// Returns the index along each axis of the element `number`, counted from 0 in the order of the file.
     fn index(&self, number: usize) -> Vec<usize> {
         let mut fastest_first: Vec<usize> = (0..self.shape.len()).collect();
         if !self.is_fortran {
@@ -278,7 +279,7 @@ impl Stored {
     }
 }
 
-/// Element type of NumPy that can be read as a number.
+/// NumPy element type that can be read as a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Element {
     class: Class,
@@ -294,7 +295,7 @@ enum Class {
     Float,
 }
 
-/// Stored value of an element.
+/// Value of one element, large enough for every type of a file.
 #[derive(Clone, Copy, Debug)]
 enum Value {
     Integer(i128),
@@ -302,7 +303,8 @@ enum Value {
 }
 
 impl Element {
-    /// Parses NumPy's name of an element type: byte order, class, bytes.
+    /// Parses NumPy's name of an element type, such as `<f8`: byte order, class, bytes. `None` for a type that is not
+    /// supported.
     fn parse(descriptor: &str) -> Option<Self> {
         let (order, rest) = descriptor.split_at_checked(1)?;
         let (class, bytes) = rest.split_at_checked(1)?;
@@ -320,7 +322,7 @@ impl Element {
         Some(Self { class, bytes, big_endian: order == ">" })
     }
 
-    /// Returns the value of the bytes of an element.
+    /// Returns the value that the bytes `item` of one element stand for.
     fn value(self, item: &[u8]) -> Value {
         let mut raw = [0; 8];
         raw[..item.len()].copy_from_slice(item);
@@ -373,8 +375,8 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Checks that a file of `file_bytes` holds exactly one array that can be read as `dtype`. `bytes`
-/// is its beginning, with the whole header at least.
+/// Checks that a file of `file_bytes` bytes holds exactly one array that can be read as `dtype`. `bytes` is the
+/// beginning of the file, with at least the whole header.
 fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> {
     if file_bytes == 0 {
         return Err("is empty (0 bytes); write it with numpy.save".into());
@@ -432,14 +434,14 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> 
     Ok(stored)
 }
 
-/// Returns the array in C order.
+/// Returns the array in C order, copied only if its order differs.
 fn standard<T: Clone>(array: ArrayD<T>) -> ArrayD<T> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
-/// Returns the number of bytes up to the end of the header. It is checked before anything is parsed, because
-/// the time of the parser grows exponentially with nested brackets, and it allocates as much as the
-/// length field says.
+/// Returns the number of bytes from the beginning of the file to the end of the header. It limits the header before
+/// anything is parsed. The time of the parser grows exponentially with nested brackets, and it allocates as much as
+/// the length field says.
 fn header_end(bytes: &[u8]) -> Result<usize, String> {
     const MAGIC: &[u8] = b"\x93NUMPY";
     if !bytes.starts_with(MAGIC) {
@@ -480,7 +482,7 @@ mod tests {
         assert!(hash(Path::new("/")).is_err());
     }
 
-    /// A `.npy` file of version 1 with the header `dictionary` and `data`.
+    /// Returns a `.npy` file of version 1 with the header `dictionary` and the elements `data`.
     fn file(dictionary: &str, data: &[u8]) -> Vec<u8> {
         let mut header = dictionary.to_string();
         header.push('\n');

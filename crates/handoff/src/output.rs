@@ -1,4 +1,4 @@
-//! Outputs of a command: directories with manifests, and single files.
+//! Outputs of a command: artifact directories, and single files.
 //!
 //! All outputs of one run appear, whole, when the last of them has been written.
 
@@ -42,12 +42,12 @@ const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
 /// and the remaining time is estimated later.
 const PROGRESS_STEPS: u64 = 1000;
 
-/// Time after which a run tells how long its rest may take, when no terminal shows the bar; it tells so again
-/// whenever this time has doubled. Larger: a long run is silent for longer. Smaller: short runs tell it, too.
+/// Running time after which a run prints its remaining time, when no terminal shows the bar. It prints again whenever
+/// the running time has doubled. Larger: a long run is silent for longer. Smaller: short runs print it, too.
 const FIRST_TOLD_AFTER: Duration = Duration::from_secs(20);
 
-/// Work of a run: the program, its method, and every setting with its resolved value. Together with
-/// the hashes of the inputs, it decides whether an output is up to date.
+/// Description of the work of a run: the program, its method, and every setting with its resolved value. Together
+/// with the hashes of the inputs, it decides whether an output is up to date.
 #[derive(Clone, Debug)]
 pub struct Task {
     tool: &'static str,
@@ -57,8 +57,8 @@ pub struct Task {
 }
 
 impl Task {
-    /// Creates the work of version `tool_version` of `tool` by `method`. The macro [`task!`](crate::task) fills
-    /// in the first two.
+    /// Describes the work of version `tool_version` of the program `tool` by `method` with these `settings`. The
+    /// macro [`task!`](crate::task) fills in the first two.
     pub fn new(
         tool: &'static str,
         tool_version: &'static str,
@@ -88,24 +88,23 @@ pub struct Output {
 
 #[derive(Debug)]
 struct Directory {
-    /// Flag that gives the path.
+    /// Flag by which the user gave the path, such as `--out`.
     flag: &'static str,
     path: PathBuf,
     kind: &'static Kind,
 }
 
-/// Result of the check whether there is work to do.
+/// Result of the check whether the outputs have to be made.
 #[derive(Debug)]
 pub enum Begin {
-    /// The output exists, made from the same inputs and settings, and its run ended with this
-    /// status.
+    /// The output exists and was made from the same inputs and settings. Its run ended with this status.
     Unchanged(Status),
     /// There is work to do; the writer writes the announced outputs.
     Run(Box<Writer>),
 }
 
 impl Begin {
-    /// Returns the writer, if there is work to do.
+    /// Returns the writer of the outputs; `None` if there is no work to do.
     pub fn writer(self) -> Option<Writer> {
         match self {
             Self::Unchanged(_) => None,
@@ -115,13 +114,14 @@ impl Begin {
 }
 
 impl Output {
-    /// Creates an output of one artifact of this kind, in the directory `--out`.
+    /// Announces one artifact of this kind as the output, in the directory `--out`.
     pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
         Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
             .and_directory("--out", &args.out, kind)
     }
 
-    /// Creates an output of several artifacts, in directories of these names in `--out`.
+    /// Announces several artifacts as the output. `parts` are the names of their directories in `--out`, and their
+    /// kinds.
     pub fn directories<const N: usize>(
         args: &OutputArgs,
         parts: [(&str, &'static Kind); N],
@@ -133,7 +133,7 @@ impl Output {
         output
     }
 
-    /// Adds an artifact, in the directory given by `flag`.
+    /// Announces a further artifact, in the directory `path` that the user gave by `flag`.
     pub fn and_directory(mut self, flag: &'static str, path: &Path, kind: &'static Kind) -> Self {
         let is_new = self.directories.iter().all(|d| d.kind.name != kind.name);
         assert!(is_new, "a run writes one {} at most: its kind says where it goes", kind.name);
@@ -141,7 +141,7 @@ impl Output {
         self
     }
 
-    /// Adds a file, given by `flag`, such as a picture of the artifact.
+    /// Announces a further file at `path`, such as a picture of the artifact, that the user gave by `flag`.
     pub fn and_file(mut self, flag: &'static str, path: &Path) -> Self {
         self.files.push((flag, plain(path)));
         self
@@ -171,8 +171,8 @@ impl Output {
         Ok(Begin::Run(Box::new(self.writer(task, inputs))))
     }
 
-    /// Returns the status of the existing artifact in this place, if it is the one that this run would make;
-    /// otherwise `None`. An artifact that must not be replaced is an error.
+    /// Returns the status of the existing artifact if it is the one that this run would make; otherwise `None`. `key`
+    /// is the key of the work. An artifact that must not be replaced is an error.
     fn state_of(
         &self,
         directory: &Directory,
@@ -207,7 +207,7 @@ impl Output {
         Err(HandoffError::new(dir, problem))
     }
 
-    /// Refuses outputs of which one would replace or contain another.
+    /// Refuses two outputs of which one would replace or contain the other.
     fn refuse_overlap_within(&self) -> Result<(), HandoffError> {
         for (i, one) in self.directories.iter().enumerate() {
             for other in &self.directories[..i] {
@@ -230,7 +230,7 @@ impl Output {
         Ok(())
     }
 
-    /// Refuses a file for `--wall-time` that would be lost, or that is in the way of the output.
+    /// Refuses a `--wall-time` file that exists and holds something else, or that lies in an output.
     fn check_wall_time(&self, inputs: &Inputs) -> Result<(), HandoffError> {
         let Some(file) = &self.args.wall_time else { return Ok(()) };
         if self.directories.iter().any(|d| is_within(file, &d.path)) {
@@ -278,8 +278,8 @@ impl Output {
     }
 }
 
-/// Returns the key of the work and its inputs. An existing output with the same key is the one that this run
-/// would make.
+/// Returns the hash of the work and the hashes of its inputs. An existing output with the same key is the one that
+/// this run would make.
 fn key(task: &Task, inputs: &Inputs) -> String {
     let inputs: Vec<_> = inputs.records.iter().map(|i| (&i.role, &i.kind, &i.blake3)).collect();
     let key = json!([task.tool, task.tool_version, task.method, task.settings, inputs]);
@@ -290,21 +290,20 @@ fn key(task: &Task, inputs: &Inputs) -> String {
 /// one is written, directories before files.
 #[derive(Debug)]
 pub struct Writer {
-    /// Keys that all manifests of the run share.
+    /// Manifest with the fields that all artifacts of the run share.
     manifest: Manifest,
-    /// Outputs that are not written yet: directories, each with a flag that it existed when the run
-    /// began, and files.
+    /// Artifact directories that are not written yet. The flag of each is true if it existed when the run began.
     directories: Vec<(Directory, bool)>,
     files: Vec<PathBuf>,
     force: bool,
     wall_time: Option<PathBuf>,
     started: Instant,
-    /// Outputs that are written and not visible yet.
+    /// Outputs that are written to temporary places and not visible yet.
     staged: Vec<Staged>,
     progress: ProgressBar,
-    /// Seconds of every round of the work that has ended.
+    /// Time of every round of the work that has ended, s.
     rounds: Arc<Mutex<Vec<f64>>>,
-    /// Frame of the coordinates, if it is not that of the kind.
+    /// Frame of the coordinates; `None` if it is that of the kind.
     frame: Option<&'static str>,
 }
 
@@ -315,15 +314,16 @@ impl Writer {
         self.frame = Some(frame);
     }
 
-    /// Returns the time of each round of the work, s ([`progress::round_ended`]); empty if it has no rounds.
+    /// Returns the time of each round of the work so far, s ([`progress::round_ended`]); empty if it has no rounds.
     pub fn round_s(&self) -> Vec<f64> {
         self.rounds.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Writes `value` as the artifact of its kind.
+    /// Writes `value` as the announced artifact of its kind, with the `outcome` and `status` of the stage in the
+    /// manifest.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write<T: Artifact>(
         &mut self,
         value: &T,
@@ -333,10 +333,11 @@ impl Writer {
         self.write_arrays(T::KIND, &value.to_arrays(), &[], outcome, status)
     }
 
-    /// Writes the artifact of this kind from its arrays and the files beside them.
+    /// Writes the announced artifact of this kind from its arrays. `beside` are the names and contents of further
+    /// files in its directory.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write_arrays(
         &mut self,
         kind: &'static Kind,
@@ -374,10 +375,10 @@ impl Writer {
         self.show_when_complete()
     }
 
-    /// Writes one of the announced files.
+    /// Writes the announced file `path`.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write_file(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
         let index = self.files.iter().position(|p| p == path);
         let index = index.unwrap_or_else(|| panic!("no {} is to be written", path.display()));
@@ -388,7 +389,7 @@ impl Writer {
         self.show_when_complete()
     }
 
-    /// Makes the outputs visible if this was the last one.
+    /// Makes all outputs visible if the last one has been written.
     fn show_when_complete(&mut self) -> Result<(), HandoffError> {
         if !(self.directories.is_empty() && self.files.is_empty()) {
             return Ok(()); // more is to come
@@ -447,7 +448,7 @@ fn shown_progress(message: String) -> ProgressBar {
     bar
 }
 
-/// Prints the remaining time of a long run, from a thread of its own, until the bar is finished.
+/// Prints the remaining time of a long run at intervals, from a thread of its own, until `bar` is finished.
 fn tell_in_lines(message: String, bar: &ProgressBar) {
     let done = Arc::new(Mutex::new(0.0));
     let reported = done.clone();
@@ -471,7 +472,8 @@ fn tell_in_lines(message: String, bar: &ProgressBar) {
     });
 }
 
-/// Returns the line on a run that has worked for the time `after`, when this fraction of the work is done. The rest takes
+/// Returns the line that tells the progress of a run, which has worked for the time `after`. `fraction` of the work
+/// is done. The rest takes
 ///
 /// ```text
 /// after (1 - fraction) / fraction
@@ -490,7 +492,7 @@ fn line_after(after: Duration, fraction: f64) -> String {
     )
 }
 
-/// Collects the time of every round that ends from now on, s.
+/// Returns a list that receives the time, s, of every round that ends from now on.
 fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
     let rounds = Arc::new(Mutex::new(Vec::new()));
     let to = rounds.clone();
@@ -508,7 +510,7 @@ fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
 /// programs that make inputs of their own, such as tests.
 ///
 /// # Errors
-/// Fails if the disk refuses it, or if the place holds something else than an artifact of this kind.
+/// Fails if the disk refuses it, or if `dir` holds something else than an artifact of this kind.
 pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
     let args = OutputArgs { out: dir.into(), force: true, wall_time: None };
     let task = crate::task!("save", json!({}));
@@ -516,7 +518,7 @@ pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
     writer.write(value, json!({}), &Status::Done)
 }
 
-/// Output of a command that is a single file without a manifest.
+/// Output of a command that is a single file without a manifest, checked and not written yet.
 #[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
@@ -537,18 +539,19 @@ impl OutputFile {
         Ok(Self { path: plain(path), force })
     }
 
-    /// Writes the file.
+    /// Writes `bytes` as the whole file.
     ///
     /// # Errors
-    /// Fails if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write(self, bytes: &[u8]) -> Result<(), HandoffError> {
         show_file(&self.path, self.force, bytes)
     }
 
-    /// Writes a file that is too large for memory.
+    /// Writes a file that is too large for memory: `write` gets the open file.
     ///
     /// # Errors
-    /// Fails if `write` fails, if the disk refuses it, or if another program has taken the place meanwhile.
+    /// Fails if `write` fails, if the disk refuses it, or if another program has meanwhile created something at the
+    /// path.
     pub fn write_by(
         self,
         write: impl FnOnce(&mut File) -> Result<(), Failure>,
@@ -558,10 +561,11 @@ impl OutputFile {
         Ok(publish::publish(vec![staged])?)
     }
 
-    /// Writes several files, which become visible together.
+    /// Writes several files, given with their contents, which become visible together.
     ///
     /// # Errors
-    /// Fails if the disk refuses one of them, or if another program has taken a place meanwhile. None is visible then.
+    /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. No
+    /// file is then visible.
     pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
         let mut all = Vec::with_capacity(N);
         for (file, bytes) in files {
@@ -573,7 +577,8 @@ impl OutputFile {
     }
 }
 
-/// Refuses a place where the file `flag` cannot be written, or would replace something that must stay.
+/// Refuses a path at which the file given by `flag` cannot be written, or would replace something that must stay.
+/// `force` allows it to replace a regular file.
 fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(), HandoffError> {
     let path = &*plain(path);
     inputs.refuse_overlap(flag, path)?;
@@ -594,15 +599,14 @@ fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(
     Ok(())
 }
 
-/// Writes a file and makes it visible.
+/// Writes `bytes` as a file and makes it visible. `replace` allows it to replace a regular file.
 fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffError> {
     let mut staged = Staged::file(path, replace)?;
     staged.write_all(bytes)?;
     publish::publish(vec![staged])
 }
 
-/// Returns the peak memory of this process, in 2^20 bytes; `None` if the system does not report it (other than
-/// Linux).
+/// Returns the peak memory of this process, MiB; `None` if the system does not report it (other than Linux).
 fn peak_memory_mb() -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -640,12 +644,12 @@ fn older_than_this_program(file: &Path) -> bool {
     matches!((modified(file), program), (Some(f), Some(p)) if f < p)
 }
 
-/// Returns the time at which a file was last changed, if the system tells it.
+/// Returns the time at which a file was last changed; `None` if the system does not tell it.
 fn modified(path: &Path) -> Option<SystemTime> {
     fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
 }
 
-/// Returns an outcome as a manifest holds it: after the status of its stage.
+/// Returns the outcome as a manifest stores it: the status of the stage, then the fields of `outcome`.
 fn with_status(outcome: impl Serialize, status: &Status) -> Value {
     let end = match status {
         Status::Done => StageEnd { status: Some(StageStatus::Done), reason: None },

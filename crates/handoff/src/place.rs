@@ -1,4 +1,4 @@
-//! Places on the disk: paths, their parent directories, and their content.
+//! Helpers for paths on the disk: their parent directories, and their content.
 
 use std::{
     fs::{self, File},
@@ -11,14 +11,14 @@ use crate::{
     kind::{Kind, MANIFEST},
 };
 
-/// Returns the path without redundant parts: a `.` within or at its end, and slashes at its end. The system
+/// Returns the path without redundant parts: a `.` within or at its end, and slashes at its end. The operating system
 /// accepts such an end only for an existing directory.
 pub(crate) fn plain(path: &Path) -> PathBuf {
     path.components().collect()
 }
 
-/// Returns the first existing part of `path`, from its root, that is not a directory although the rest is to be
-/// created in it. It is a file, or a link that leads nowhere or to itself.
+/// Returns the nearest existing parent of `path` if it is not a directory, so that `path` cannot be created. It is a
+/// file, or a link that leads nowhere or to itself. `None` if nothing is in the way.
 pub(crate) fn obstacle(path: &Path) -> Option<PathBuf> {
     let mut above = path.ancestors().skip(1).filter(|p| !p.as_os_str().is_empty());
     let there = above.find(|p| fs::symlink_metadata(p).is_ok())?;
@@ -33,7 +33,7 @@ pub(crate) fn parent_of(path: &Path) -> PathBuf {
     }
 }
 
-/// Creates `dir` and its missing parents, each synchronised with the disk.
+/// Creates `dir` and its missing parents. All of them are on the disk when the function returns.
 pub(crate) fn create_directories(dir: &Path) -> io::Result<()> {
     if dir.is_dir() {
         return Ok(());
@@ -48,7 +48,7 @@ pub(crate) fn create_directories(dir: &Path) -> io::Result<()> {
     }
 }
 
-/// Synchronises a directory with the disk.
+/// Writes the entries of a directory through to the disk (fsync).
 pub(crate) fn sync_directory(dir: &Path) -> io::Result<()> {
     match File::open(dir).and_then(|dir| dir.sync_all()) {
         // The file system cannot synchronise directories.
@@ -57,18 +57,18 @@ pub(crate) fn sync_directory(dir: &Path) -> io::Result<()> {
     }
 }
 
-/// Returns the absolute path, which another process can use.
+/// Returns the absolute path, so that a process with another current directory can use it.
 pub(crate) fn absolute(path: &Path) -> PathBuf {
     path.canonicalize().or_else(|_| std::path::absolute(path)).unwrap_or_else(|_| path.into())
 }
 
-/// Returns true if nothing has this name. A broken link or an unreadable file counts as something.
+/// Returns true if nothing exists at `path`. A broken link or an unreadable file counts as something.
 pub(crate) fn is_absent(path: &Path) -> bool {
     fs::symlink_metadata(path).is_err_and(|e| e.kind() == ErrorKind::NotFound)
 }
 
-/// Problem of a path at which something is that no file may replace: a pipe, a device, a socket, or a link that leads
-/// nowhere. `None` for a regular file, for a link to one, and where nothing is.
+/// Returns why a file must not replace what is at `path`: a pipe, a device, a socket, or a link that leads nowhere.
+/// `None` for a regular file, for a link to one, and if nothing is there.
 pub(crate) fn special_file(path: &Path) -> Option<String> {
     match fs::metadata(path) {
         Ok(metadata) if metadata.is_file() => None,
@@ -79,7 +79,7 @@ pub(crate) fn special_file(path: &Path) -> Option<String> {
     }
 }
 
-/// Refuses a directory with a file that no artifact of `kind` has, because it would be lost.
+/// Refuses a directory that holds a file which no artifact of `kind` has, because the file would be lost.
 pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     let is_bare = is_absent(&dir.join(MANIFEST));
     let entries = fs::read_dir(dir).map_err(|e| HandoffError::io(dir, "read", &e))?;
@@ -119,7 +119,7 @@ pub(crate) fn is_within(path: &Path, dir: &Path) -> bool {
     resolved(path).starts_with(resolved(dir))
 }
 
-/// Returns the path without links and `..`. A part that does not exist yet is appended unchanged.
+/// Returns the absolute path without links and `..`. A part that does not exist yet is appended unchanged.
 fn resolved(path: &Path) -> PathBuf {
     if let Ok(whole) = path.canonicalize() {
         return whole;

@@ -1,5 +1,5 @@
-//! Publication of the outputs of a run: each whole, never a mixture of two runs, and safe against power
-//! failures.
+//! Publication of the outputs of a run: it moves finished outputs to their final places. Each appears whole, never as
+//! a mixture of two runs, and survives a power failure.
 //!
 //! A kill, a full disk or a power failure may happen at any moment, and another run may write to
 //! the same place. Therefore nothing is ever written in its final place:
@@ -52,30 +52,30 @@ pub use sibling::is_temporary;
 /// place.
 const MOST_ATTEMPTS_TO_APPEAR: usize = 100;
 
-/// A directory or file that is written and not visible yet. It is removed if it is dropped before
-/// that.
+/// A directory or file that is written to a temporary path and not visible yet. It is removed if it is dropped before
+/// it is published.
 #[derive(Debug)]
 pub(crate) struct Staged {
-    /// Temporary path where it is written.
+    /// Temporary path, beside the final one, where the output is written.
     sibling: PathBuf,
-    /// Final path.
+    /// Final path of the output.
     place: PathBuf,
     what: What,
-    /// Open and locked as long as this process may need the sibling.
+    /// Open file or directory, locked as long as this process may need the temporary path.
     file: File,
-    /// Previous output, set aside as another sibling, with its lock.
+    /// Temporary path of the previous output, which was set aside, with its lock; `None` if there was none.
     previous: Option<(PathBuf, File)>,
-    /// State of the rename.
+    /// State of the rename to the final path.
     state: State,
 }
 
-/// State of the rename of a staged output into its place.
+/// State of the rename of a staged output to its final path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     Hidden,
-    /// Renamed to an empty place.
+    /// Renamed to the final path, at which there was nothing.
     Renamed,
-    /// Exchanged with the previous output, which is now the sibling.
+    /// Exchanged with the previous output, which now has the temporary path.
     Exchanged,
 }
 
@@ -89,7 +89,8 @@ enum What {
 }
 
 impl Staged {
-    /// Creates an empty directory with the final path `place`, which may be a link to a directory.
+    /// Creates an empty temporary directory for the final path `place`, which may be a link to a directory. If
+    /// `replace` is true, it may replace an artifact of this kind.
     pub(crate) fn directory(
         place: &Path,
         kind: &'static Kind,
@@ -100,7 +101,8 @@ impl Staged {
         })
     }
 
-    /// Creates an empty file with the final path `place`.
+    /// Creates an empty temporary file for the final path `place`. If `replace` is true, it may replace a regular
+    /// file.
     pub(crate) fn file(place: &Path, replace: bool) -> Result<Self, HandoffError> {
         Self::new(place, What::File { replace }, |sibling| File::create_new(sibling))
     }
@@ -129,22 +131,22 @@ impl Staged {
         matches!(self.what, What::File { .. })
     }
 
-    /// Returns the path to write to.
+    /// Returns the temporary path to write to.
     pub(crate) fn path(&self) -> &Path {
         &self.sibling
     }
 
-    /// Returns the open file to write to.
+    /// Returns the open temporary file to write to.
     pub(crate) fn open_file(&mut self) -> &mut File {
         &mut self.file
     }
 
-    /// Writes the whole content of a file.
+    /// Writes `bytes` as the whole content of a file.
     pub(crate) fn write_all(&mut self, bytes: &[u8]) -> Result<(), HandoffError> {
         self.file.write_all(bytes).map_err(|e| HandoffError::io(&self.place, "write", &e))
     }
 
-    /// Refuses a place that another program has taken since the run began.
+    /// Refuses the final path if another program has put something there since the run began.
     fn check_place(&self) -> Result<(), HandoffError> {
         let taken = match (self.what, is_absent(&self.place)) {
             (_, true) => false,
@@ -171,7 +173,7 @@ impl Staged {
         Ok(())
     }
 
-    /// Renames the previous output to another sibling, so that the place is empty.
+    /// Renames the previous output to a temporary path, so that the final path is free.
     fn set_aside(&mut self) -> Result<(), HandoffError> {
         let failed = |e: io::Error| HandoffError::io(&self.place, "write", &e);
         if is_absent(&self.place) {
@@ -188,7 +190,7 @@ impl Staged {
         Ok(())
     }
 
-    /// Renames the output into its place, in exchange for what may be there.
+    /// Renames the output to its final path, in exchange for what may be there.
     fn appear(&mut self) -> Result<(), HandoffError> {
         let mut failed = ErrorKind::AlreadyExists.into();
         for _ in 0..MOST_ATTEMPTS_TO_APPEAR {
@@ -219,7 +221,8 @@ impl Staged {
         Err(HandoffError::io(&self.place, "write", &failed))
     }
 
-    /// Undoes the renames of this output. What another program has put into the place meanwhile stays there.
+    /// Undoes the renames of this output. Whatever another program has put at the final path in the meantime stays
+    /// there.
     fn take_back(&mut self) {
         let _ = match self.state {
             State::Hidden => Ok(()),
@@ -247,7 +250,7 @@ impl Drop for Staged {
     }
 }
 
-/// Makes all staged outputs visible, in their order. If one of them cannot be, none is.
+/// Makes all staged outputs visible, in their order. If one of them cannot be made visible, none is.
 pub(crate) fn publish(mut staged: Vec<Staged>) -> Result<(), HandoffError> {
     for s in &staged {
         s.file.sync_all().map_err(|e| HandoffError::io(&s.place, "write", &e))?;
@@ -270,8 +273,8 @@ pub(crate) fn publish(mut staged: Vec<Staged>) -> Result<(), HandoffError> {
     shown
 }
 
-/// Renames the outputs into their places. Of several, no new one is there before all previous ones are
-/// away, also after a power failure.
+/// Renames the outputs to their final paths. If there are several, all previous ones are removed before a new one
+/// appears, also after a power failure. `parents` are their directories.
 fn show(staged: &mut [Staged], parents: &[PathBuf]) -> Result<(), HandoffError> {
     if staged.len() > 1 {
         staged.iter_mut().try_for_each(Staged::set_aside)?;
@@ -281,7 +284,7 @@ fn show(staged: &mut [Staged], parents: &[PathBuf]) -> Result<(), HandoffError> 
     synchronise(parents)
 }
 
-/// Synchronises directories with the disk.
+/// Writes the entries of directories through to the disk.
 fn synchronise(directories: &[PathBuf]) -> Result<(), HandoffError> {
     for directory in directories {
         sync_directory(directory).map_err(|e| HandoffError::io(directory, "write", &e))?;
@@ -289,8 +292,8 @@ fn synchronise(directories: &[PathBuf]) -> Result<(), HandoffError> {
     Ok(())
 }
 
-/// Locks directories by advisory locks, always in the same order, so that no two processes wait for
-/// each other. On a file system without locks, nothing is locked.
+/// Locks directories by advisory locks, always in the same order, so that no two processes wait for each other. The
+/// locks last as long as the returned files. On a file system without locks, nothing is locked.
 fn hold(directories: &[PathBuf]) -> Vec<File> {
     let mut opened: Vec<File> = directories.iter().filter_map(|d| File::open(d).ok()).collect();
     opened.sort_by_key(file_identity);
@@ -314,7 +317,7 @@ mod tests {
         ["a", "b"].map(|name| text(&dir.join(name)))
     }
 
-    /// Two staged files that replace old ones.
+    /// Returns two staged files that replace old ones.
     fn staged(dir: &Path) -> Vec<Staged> {
         for name in ["a", "b"] {
             fs::write(dir.join(name), "old").unwrap();

@@ -1,4 +1,4 @@
-//! Frame of every program: messages and exit codes.
+//! Common frame of every program: it runs the work, prints messages, and returns the exit code.
 
 use std::{
     fmt::Display,
@@ -15,16 +15,16 @@ use crate::{
     publish, system,
 };
 
-/// Status of a stage that ran.
+/// Status of a stage that was able to run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Status {
-    /// Done; exit code 0.
+    /// Done with a positive or no verdict; exit code 0.
     Done,
     /// Done, with a negative verdict for this reason; exit code 1.
     Negative(String),
 }
 
-/// Reason why a stage could not run; exit code 2.
+/// Message that says why a stage could not run; exit code 2.
 #[derive(Debug)]
 pub struct Failure(String);
 
@@ -34,8 +34,8 @@ impl Failure {
         Self(message.into())
     }
 
-    /// Creates a failure from the error of a library, with its settings in the words of the command line
-    /// ([`with_flags`]).
+    /// Creates a failure from the error of a library. Settings that the message names become flags of the command
+    /// line ([`with_flags`]).
     pub fn with_flags(error: impl std::error::Error) -> Self {
         Self(with_flags(&error.to_string()))
     }
@@ -47,7 +47,7 @@ impl Display for Failure {
     }
 }
 
-/// Failure with the message of any error of a library.
+/// Makes a failure of any error of a library, with the message of that error.
 impl<E: std::error::Error> From<E> for Failure {
     fn from(error: E) -> Self {
         Self(error.to_string())
@@ -85,7 +85,7 @@ pub fn warn(message: impl Display) {
     complain(&format!("warning: {message}"));
 }
 
-/// Prints lines on standard output; a closed pipe is not an error.
+/// Prints text on standard output, with control characters escaped; a closed pipe is not an error.
 pub fn say(message: impl Display) {
     let _ = writeln!(std::io::stdout(), "{}", without_commands(&message.to_string()));
 }

@@ -1,4 +1,4 @@
-//! One program of many stages: `planish dwell ARGUMENTS...` is `planish-dwell ARGUMENTS...`.
+//! The program `planish`, which contains all stages: `planish dwell ARGUMENTS...` is `planish-dwell ARGUMENTS...`.
 //!
 //! Each stage program, such as `planish-dwell`, is a small file that starts `planish` beside it (`planish-launch`). So
 //! the code that stages share is compiled and linked once, and users still run, replace and time one stage at a time.
@@ -12,17 +12,17 @@ use std::{
 
 use crate::{Failure, Status, arguments, command_line, message::complain, say};
 
-/// Name of the program that has all stages.
+/// Name of the program that contains all stages.
 const PROGRAM: &str = "planish";
 
-/// A stage as a command of `planish`.
+/// A stage (one step of a pipeline, such as `planish-dwell`) as a command of `planish`.
 #[derive(Clone, Copy)]
 pub struct Stage {
     /// Name of the stage program, such as `planish-dwell`.
     pub name: &'static str,
     /// Runs the stage with the arguments of this process.
     pub main: fn() -> ExitCode,
-    /// Returns the flags of the stage.
+    /// Returns the definition of the stage's command line.
     pub definition: fn() -> clap::Command,
 }
 
@@ -38,17 +38,17 @@ impl Stage {
     }
 }
 
-/// Subcommands that run by themselves. A stage can have them beside its own, under a second name.
+/// Subcommands that can run without the stage that defines them. Another stage can offer them under a second name.
 pub trait Subcommands: clap::Subcommand {
     /// Runs the subcommand that the command line names.
     ///
     /// # Errors
-    ///
-    /// If it cannot run; the message is for the user.
+    /// Fails if the subcommand cannot run; the message is for the user.
     fn run(&self) -> Result<Status, Failure>;
 }
 
-/// The stage that runs pipelines. Its subcommands are commands of `planish`, too: `planish show raster`.
+/// Name of the stage that runs pipelines. Its subcommands are also commands of `planish`, such as `planish show
+/// raster`.
 const RUNNER: &str = "planish-run";
 
 /// Runs the stage that the name of this process or its first argument names, and returns its exit code.
@@ -87,12 +87,12 @@ pub fn start(stages: &[Stage]) -> ExitCode {
     }
 }
 
-/// Returns true if the word after the name of a stage is a flag or a subcommand of this stage, or is absent.
+/// Returns true if `word`, which follows the name of a stage, is a flag or a subcommand of this stage, or is absent.
 fn takes_next_word(stage: &Stage, word: Option<&OsStr>) -> bool {
     word.is_none_or(|word| word.as_encoded_bytes().starts_with(b"-") || stage.has_subcommand(word))
 }
 
-/// Runs a stage with this command line.
+/// Runs a stage with the command line `words`, of which the first is the name of the program.
 fn run(stage: &Stage, words: Vec<OsString>) -> ExitCode {
     arguments::choose(words);
     (stage.main)()
@@ -117,7 +117,7 @@ fn overview(stages: &[Stage], words: &[OsString]) -> ExitCode {
     }
 }
 
-/// Returns the definition of `planish` as a whole, with its stages, and with the subcommands of the stage that runs
+/// Returns the definition of the command line of `planish`: all stages, and the subcommands of the stage that runs
 /// pipelines.
 fn definition(stages: &[Stage]) -> clap::Command {
     let mut command = clap::Command::new(PROGRAM)
@@ -143,8 +143,9 @@ fn definition(stages: &[Stage]) -> clap::Command {
     command
 }
 
-/// Returns the command that runs the stage program `name`: the file of this name in the first of `folders` that has it,
-/// such as a script of the user, or else this program, if it is `planish`, with the name as its first argument.
+/// Returns the command that runs the stage program `name`. It is the file of this name in the first of `folders` that
+/// has it, such as a script of the user. Otherwise it is this program, if it is `planish`, with the name as its first
+/// argument.
 pub fn stage_command(name: &str, folders: impl IntoIterator<Item = PathBuf>) -> Command {
     let file = format!("{name}{}", env::consts::EXE_SUFFIX);
     if let Some(program) =

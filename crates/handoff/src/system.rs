@@ -33,7 +33,7 @@ pub(crate) fn rename_or_exchange(from: &Path, to: &Path) -> io::Result<bool> {
     Ok(exchange)
 }
 
-/// See the one of Linux.
+/// Always fails as unsupported: only Linux can exchange two paths.
 #[cfg(not(target_os = "linux"))]
 pub(crate) fn rename_or_exchange(_: &Path, _: &Path) -> io::Result<bool> {
     Err(io::ErrorKind::Unsupported.into())
@@ -91,12 +91,13 @@ mod calls {
         opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
     }
 
-    /// Identity of an open file or directory: device and inode.
+    /// Returns the identity of an open file or directory: its device and inode.
     pub(crate) fn file_identity(file: &File) -> Option<(u64, u64)> {
         file.metadata().ok().map(|m| (m.dev(), m.ino()))
     }
 
-    /// Identity of a directory, which changes when another directory replaces it.
+    /// Returns a value that changes when another directory replaces `dir`: inode and time of change. `None` if it
+    /// cannot be read.
     pub(crate) fn directory_stamp(dir: &Path) -> Option<impl PartialEq + use<>> {
         let metadata = fs::metadata(dir).ok()?;
         Some((metadata.ino(), metadata.ctime(), metadata.ctime_nsec()))
@@ -136,22 +137,22 @@ mod calls {
         }
     }
 
-    /// Waits until a child has ended. Its number stays its own.
+    /// Waits until the child with this process id has ended. The system does not reuse the id before `reap`.
     pub(crate) fn wait_for_end(child: u32) {
         look_at(child, WaitIdOptions::NOWAIT);
     }
 
-    /// Returns true if a child has ended. Its number stays its own.
+    /// Returns true if the child with this process id has ended. The system does not reuse the id before `reap`.
     pub(crate) fn has_ended(child: u32) -> bool {
         look_at(child, WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG)
     }
 
-    /// Gives the number of a child that has ended back to the system.
+    /// Releases the process id of a child that has ended, so that the system can use it again.
     pub(crate) fn reap(child: u32) {
         look_at(child, WaitIdOptions::NOHANG);
     }
 
-    /// Returns true if the child has ended, or is none.
+    /// Returns true if the process has ended, or is not a child of this one. `how` says whether the call waits.
     fn look_at(child: u32, how: WaitIdOptions) -> bool {
         let Some(child) = process(child) else { return true };
         loop {
@@ -187,37 +188,38 @@ mod calls {
 mod calls {
     use super::*;
 
-    /// Returns true if something is at `path`: whether it is the open `file` is unknown here.
+    /// Returns true if something is at `path`. This system does not tell whether it is the open `file`.
     pub(crate) fn is_at(_: &File, path: &Path) -> bool {
         path.exists()
     }
 
-    /// Identity of an open file or directory, which is unknown here.
+    /// Returns `None`: this system does not tell the identity of an open file.
     pub(crate) fn file_identity(_: &File) -> Option<(u64, u64)> {
         None
     }
 
-    /// Time at which a directory was made, which changes when another directory replaces it.
+    /// Returns the time at which a directory was made, which changes when another directory replaces it. `None` if
+    /// the system does not tell it.
     pub(crate) fn directory_stamp(dir: &Path) -> Option<impl PartialEq + use<>> {
         fs::metadata(dir).ok()?.created().ok()
     }
 
-    /// Does nothing: unfinished files stay until the next run removes them.
+    /// Does nothing on this system: unfinished files stay until the next run removes them.
     pub(crate) fn on_end_signals<T>(_: impl Fn() -> T + Send + 'static) {}
 
-    /// Does nothing: no signal ends a process here.
+    /// Does nothing: no signal ends a process on this system.
     pub(crate) fn fail_beyond_largest_file() {}
 
-    /// Does nothing: no signal ends a process here.
+    /// Does nothing: no signal ends a process on this system.
     pub(crate) fn send(_: u32, _: EndSignal) {}
 
-    /// Does nothing: the wait that follows waits.
+    /// Does nothing: the standard library waits for the child afterwards.
     pub(crate) fn wait_for_end(_: u32) {}
 
-    /// Does nothing.
+    /// Does nothing: the standard library releases the process id.
     pub(crate) fn reap(_: u32) {}
 
-    /// Returns true: no process waits for the end of another one here.
+    /// Returns true: on this system no process has to wait for its children.
     pub(crate) fn has_ended(_: u32) -> bool {
         true
     }

@@ -1,5 +1,4 @@
-//! Conversion between a text of several words, such as `--unit m --variable 'my map'`, and its
-//! words.
+//! Conversion between a text of several words, such as `--unit m --variable 'my map'`, and the list of its words.
 //!
 //! Words are separated by spaces, tabs and line ends. Characters that a shell would evaluate (`$`,
 //! backticks, `*`, `~`, `;`, `#`, ...) have no special meaning. Quoting is that of a POSIX shell:
@@ -13,14 +12,14 @@
 /// Reason why a text cannot be split into words.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfinished {
-    /// A quotation mark, at this byte, that is never closed.
+    /// A quotation mark that is never closed.
     #[error(
         "the quotation mark {mark} at byte {at} is not closed; close it, or write \\{mark} for the mark itself"
     )]
     Quote {
-        /// `'` or `"`.
+        /// The quotation mark, `'` or `"`.
         mark: char,
-        /// Byte of the mark, counted from 0.
+        /// Byte of the mark in the text, counted from 0.
         at: usize,
     },
     /// A backslash at the end.
@@ -66,7 +65,7 @@ pub fn split(text: &str) -> Result<Vec<String>, Unfinished> {
     Ok(words)
 }
 
-/// Returns the word as a shell, or [`split`], reads it. It gets quotation marks only if it needs them.
+/// Returns the word so that a shell, or [`split`], reads it back. It gets quotation marks only if it needs them.
 pub fn quote(word: &str) -> String {
     let mut characters = word.chars();
     let is_plain = characters.all(|c| c.is_ascii_alphanumeric() || "-_./:,+@%".contains(c));
@@ -76,7 +75,7 @@ pub fn quote(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// Joins words into one line, each as [`quote`] writes it.
+/// Joins words into one text, each as [`quote`] writes it.
 pub fn join<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> String {
     let quoted: Vec<String> = words.into_iter().map(|word| quote(word.as_ref())).collect();
     quoted.join(" ")

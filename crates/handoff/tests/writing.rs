@@ -23,7 +23,7 @@ use planish_handoff::{
 use planish_types::{DwellTime, Trajectory};
 use serde_json::{Value, json};
 
-/// One run of a command: the input, the settings, begin, write.
+/// One run of a command: it reads the input, begins the output with the settings, and writes.
 struct Run {
     output: OutputArgs,
     input: PathBuf,
@@ -98,7 +98,7 @@ impl Run {
     }
 }
 
-/// Status of an output that exists already.
+/// Returns the status of an output that exists already; panics if there is work to do.
 fn unchanged(begin: Begin) -> Status {
     match begin {
         Begin::Unchanged(status) => status,
@@ -106,12 +106,12 @@ fn unchanged(begin: Begin) -> Status {
     }
 }
 
-/// The writer of a run with work to do.
+/// Returns the writer of a run; panics if there is no work to do.
 fn writer(begin: Result<Begin, HandoffError>) -> Writer {
     begin.unwrap().writer().expect("there is work to do")
 }
 
-/// Makes an artifact of this kind from the inputs.
+/// Writes an artifact of this kind, made from the inputs.
 fn make(out: &Path, kind: &'static Kind, arrays: &[ArrayData], inputs: &Inputs, outcome: Value) {
     let task = Task::new("test", "0", "make", json!({}));
     let mut output = writer(Output::directory(&output(out), kind).begin(&task, inputs));
@@ -126,7 +126,7 @@ fn value_in(dir: &Path) -> f64 {
     artifact::read::<DwellTime>(dir).unwrap().value.dwell_s()[0]
 }
 
-/// Names in a directory, sorted.
+/// Returns the names of the entries of a directory, sorted.
 fn names(dir: &Path) -> Vec<String> {
     let names = fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name());
     let mut names: Vec<_> = names.map(|n| n.into_string().unwrap()).collect();
@@ -134,7 +134,7 @@ fn names(dir: &Path) -> Vec<String> {
     names
 }
 
-/// Every file under a directory with its bytes.
+/// Returns the path and the content of everything under a directory; the content of a directory is empty.
 fn snapshot(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut files = Vec::new();
     for name in names(dir) {
@@ -747,7 +747,7 @@ fn write_forever(directory: &Path) -> Child {
     child_command("", directory, "forever", "out", 0.0).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// The value of an artifact. Asserts that arrays and manifest are whole and of one run.
+/// Returns the value of an artifact. Asserts that its arrays and its manifest are whole and of one run.
 fn whole(out: &Path) -> f64 {
     let loaded = artifact::read::<DwellTime>(out).unwrap();
     let (values, manifest) = (loaded.value.dwell_s(), loaded.manifest.unwrap());

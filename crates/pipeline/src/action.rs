@@ -1,10 +1,10 @@
-//! Lines of a stage: a command, or another stage.
+//! The two forms of a line in a stage of a pipeline: a command to run, or the call of another stage.
 
 use planish_handoff::words;
 
 use crate::phrase::is_name;
 
-/// Words of earlier pipelines, with what replaces them.
+/// Verbs that earlier versions of the pipelines had, each with the advice for a message on what to write instead.
 const REPLACED: [(&str, &str); 6] = [
     ("quietly", "give the command a flag for it, such as --quiet of planish-compare report"),
     (
@@ -20,25 +20,26 @@ const REPLACED: [(&str, &str); 6] = [
     ("say", "state the text as `note` of a stage"),
 ];
 
-/// A line of a stage, as it is read.
+/// A line of a stage, after it is read: a command, or a call of another stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action<'a> {
-    /// `planish-NAME WORD... [?]`
+    /// Command of the form `planish-NAME WORD... [?]`.
     Command {
-        /// Words of the command.
+        /// Program and arguments of the command, with names in braces still unexpanded.
         text: &'a str,
-        /// True with a question mark.
+        /// True if the line ends with a question mark: a negative verdict (exit code 1) then lets the run go on.
         may_be_negative: bool,
     },
-    /// `STAGE NAME=VALUE...`
+    /// Call of the form `STAGE NAME=VALUE...`: name of the stage, and the names with the values they have in it.
     Stage(String, Vec<(String, String)>),
 }
 
 impl<'a> Action<'a> {
-    /// Reads a line.
+    /// Reads a line of a stage.
     ///
     /// # Errors
-    /// Returns a message if the line is neither a command nor a stage; it names what replaces a word of earlier pipelines.
+    /// Fails with a message if the line is neither a command nor a stage. For a word of earlier pipelines the message
+    /// names its replacement.
     pub fn read(text: &'a str) -> Result<Self, String> {
         let verb = text.split(' ').next().unwrap_or_default();
         if verb.starts_with("planish-") {
@@ -54,7 +55,7 @@ impl<'a> Action<'a> {
         call(text)
     }
 
-    /// Returns the stage that the line names.
+    /// Returns the name of the stage that the line calls; `None` if the line is a command.
     pub fn stage(&self) -> Option<&str> {
         match self {
             Self::Stage(stage, _) => Some(stage),

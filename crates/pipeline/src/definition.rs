@@ -12,7 +12,7 @@ use crate::{
 /// Name of the file that all pipelines share, without its ending.
 pub const SHARED: &str = "shared";
 
-/// Facts that the program finds and no definition states.
+/// Names of the facts: values that the program finds when it runs a pipeline and that no definition file states.
 pub const FACTS: [&str; 12] = [
     "pipeline",
     "repository",
@@ -28,10 +28,11 @@ pub const FACTS: [&str; 12] = [
     "recommended",
 ];
 
-/// Name of the fact that follows from the value `name`: the mirror as the name of a directory.
+/// Name of a further fact: the value `name`, which names the mirror, written so that it can name a directory.
 pub const DIRECTORY_NAME: &str = "directory_name";
 
-/// The file that all pipelines share, and those of the pipelines, as they were when the program was built.
+/// Names and texts of the definition files, embedded when the program was built: the shared file first, then one per
+/// pipeline.
 const FILES: [(&str, &str); 10] = [
     (SHARED, include_str!("../../../pipelines/shared.yaml")),
     ("bspline", include_str!("../../../pipelines/bspline.yaml")),
@@ -45,18 +46,18 @@ const FILES: [(&str, &str); 10] = [
     ("trig-spline", include_str!("../../../pipelines/trig-spline.yaml")),
 ];
 
-/// A setting.
+/// A setting of a pipeline, which a user gives as `NAME=VALUE`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// Name, which ends with the unit.
+    /// Name of the setting, which ends with its unit.
     pub name: String,
-    /// Type, which checks a value.
+    /// Type of its values, which checks what a user gives.
     pub kind: Kind,
-    /// Default: the first line whose condition holds; empty without one.
+    /// Lines of the default: the first line whose condition holds counts. Empty if the setting has no default.
     pub default: Vec<DefinitionLine>,
-    /// True if it has no default, here or among the shared settings: then nothing is a value of it.
+    /// True if the setting may be left empty: it has no default, here or in the shared file.
     pub may_be_empty: bool,
-    /// Meaning.
+    /// Description of the setting for the user.
     pub help: String,
 }
 
@@ -71,33 +72,35 @@ pub struct Definition {
     pub settings: Vec<Setting>,
     /// Shared settings that the pipeline does not have; their defaults still hold in shared stages.
     pub without: Vec<Setting>,
-    /// Messages with the condition under which settings are refused.
+    /// Messages that refuse a combination of settings, each with the condition under which it does.
     pub refuse: Vec<DefinitionLine>,
-    /// Names for what is made of settings and facts.
+    /// Names and their values, which are derived from settings and facts: the first line whose condition holds
+    /// counts.
     pub values: Vec<(String, Vec<DefinitionLine>)>,
-    /// Stages.
+    /// Stages by name. A stage is a list of commands and calls of other stages.
     pub stages: Vec<(String, Stage)>,
 }
 
-/// A stage: its lines, and its properties.
+/// A stage of a pipeline: its steps, and its properties `optional` and `note`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Stage {
     /// Commands and other stages, in their order.
     pub steps: Vec<DefinitionLine>,
-    /// Directory for the message of the first command, which may refuse; the stage then ends. Without one it may not.
+    /// Directory that receives the message of the first command if that refuses; the stage then ends and the run goes
+    /// on. Without a directory, a refusal ends the run.
     pub optional: Option<DefinitionLine>,
-    /// Sentence for the user when the stage has ended.
+    /// Sentence that the user sees when the stage has ended; `None` for no sentence.
     pub note: Option<DefinitionLine>,
 }
 
 impl Stage {
-    /// Returns the steps, and the lines of the properties.
+    /// Returns all lines of the stage: the steps, then the lines of its properties.
     pub fn lines(&self) -> impl Iterator<Item = &DefinitionLine> {
         self.steps.iter().chain(&self.optional).chain(&self.note)
     }
 }
 
-/// Content of one file, as far as it is read.
+/// Content of one definition file before it is joined with the other one.
 #[derive(Default)]
 struct Part {
     title: String,
@@ -108,7 +111,7 @@ struct Part {
     stages: Vec<(String, Stage)>,
 }
 
-/// A setting of which a file may state a part.
+/// A setting as one file states it. The pipeline's file may state a part, and the shared file the rest.
 #[derive(Default)]
 struct Draft {
     line: u64,
@@ -118,7 +121,8 @@ struct Draft {
 }
 
 impl Definition {
-    /// Reads the definition of the pipeline `name` from the text of the shared file and of its own.
+    /// Reads the definition of the pipeline `name`. `shared` is the text of the shared file and `own` that of the
+    /// pipeline's file.
     ///
     /// # Errors
     /// Fails with a message that names the file, the line and the remedy.
@@ -131,14 +135,14 @@ impl Definition {
         Ok(definition)
     }
 
-    /// Returns the definition of a pipeline as it was when the program was built; `None` if there is none of this name.
+    /// Returns the definition of a pipeline that is embedded in the program; `None` if there is none of this name.
     pub fn built_in(name: &str) -> Option<Self> {
         let own = built_in_text(name).filter(|_| name != SHARED)?;
         Some(Self::read(name, built_in_text(SHARED)?, own).expect("a test reads every file"))
     }
 
-    /// Returns the settings on which the commands of a stage depend, also through values and other stages, but not
-    /// through the names in `cut`.
+    /// Returns the names of the settings on which the commands of `stage` depend, also through values and other
+    /// stages. It does not follow the names in `cut`.
     pub fn settings_of(&self, stage: &str, cut: &[&str]) -> BTreeSet<String> {
         let mut seen: BTreeSet<String> = cut.iter().map(|name| name.to_string()).collect();
         let mut names = Vec::new();
@@ -166,7 +170,8 @@ impl Definition {
         settings
     }
 
-    /// The content of both files, in which the own one goes before the shared one.
+    /// Joins the contents of both files. Where both have an entry of the same name, that of the pipeline's file
+    /// counts.
     fn joined(name: &str, shared: Part, own: Part) -> Result<Self, Complaint> {
         let mut base = shared.settings;
         let mut settings = Vec::new();
@@ -210,35 +215,35 @@ impl Definition {
         })
     }
 
-    /// Returns the setting of this name, whether a user can give it or not.
+    /// Returns the setting of this name, also if the user cannot give it in this pipeline; `None` if there is none.
     pub fn setting(&self, name: &str) -> Option<&Setting> {
         self.settings.iter().chain(&self.without).find(|setting| setting.name == name)
     }
 
-    /// Returns the lines of a value.
+    /// Returns the lines of the value of this name; `None` if there is none.
     pub fn value(&self, name: &str) -> Option<&[DefinitionLine]> {
         self.values.iter().find(|(known, _)| known == name).map(|(_, lines)| &lines[..])
     }
 
-    /// Returns the stage of this name.
+    /// Returns the stage of this name; `None` if there is none.
     pub fn stage(&self, name: &str) -> Option<&Stage> {
         self.stages.iter().find(|(known, _)| known == name).map(|(_, stage)| stage)
     }
 
-    /// Returns the stages that a stage names in its lines.
+    /// Returns the names of the stages that the stage `name` calls.
     fn stages_in(&self, name: &str) -> Vec<String> {
         let steps = self.stage(name).into_iter().flat_map(|stage| &stage.steps);
         steps.filter_map(|line| Action::read(&line.text).ok()?.stage().map(String::from)).collect()
     }
 
-    /// Returns the names of which a setting or a value is made.
+    /// Returns the names that occur in the lines of a setting's default or of a value.
     fn made_of(&self, name: &str) -> Vec<String> {
         let default = self.setting(name).map(|setting| &setting.default[..]);
         let lines = default.or(self.value(name)).unwrap_or_default();
         lines.iter().flat_map(|line| names_of(line).unwrap_or_default()).collect()
     }
 
-    /// Returns every line, with the name of the setting, value or stage that has it.
+    /// Returns every line of the definition, with the name of the setting, value or stage that contains it.
     pub fn lines(&self) -> impl Iterator<Item = (&str, &DefinitionLine)> {
         let settings = self.settings.iter().chain(&self.without);
         let defaults = settings.map(|setting| (setting.name.as_str(), &setting.default));
@@ -250,7 +255,8 @@ impl Definition {
             .chain(stages.flat_map(|(name, stage)| stage.lines().map(move |line| (name, line))))
     }
 
-    /// Refuses names that nothing stands for, values that are made of themselves, and lines that are no steps.
+    /// Refuses unknown names, values and stages that refer to themselves, and lines that are neither commands nor
+    /// calls of stages.
     fn check(&self) -> Result<(), String> {
         if self.stage("run").is_none() {
             return Err("there is no stage 'run'; add it to `stages`".into());
@@ -295,7 +301,7 @@ impl Definition {
         }
     }
 
-    /// Returns whether the name is a setting, a value or a fact.
+    /// Returns true if `name` is a setting, a value or a fact.
     fn knows(&self, name: &str) -> bool {
         self.setting(name).is_some()
             || self.value(name).is_some()
@@ -308,7 +314,8 @@ fn built_in_text(name: &str) -> Option<&'static str> {
     FILES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// Returns the names of a circle, the first one also as the last, if `next` leads from one of `starts` into one.
+/// Returns the names of a cycle, its first name also as the last; `None` if there is no cycle. `next` returns the
+/// names to which a name refers, and the search begins at `starts`.
 fn circle<'a>(
     starts: impl IntoIterator<Item = &'a String>,
     next: &dyn Fn(&str) -> Vec<String>,
@@ -317,7 +324,8 @@ fn circle<'a>(
     starts.into_iter().find_map(|start| circle_from(start, next, &mut Vec::new(), &mut done))
 }
 
-/// Returns a circle beyond `name`, to which the names `above` lead; beyond those in `done` there is none.
+/// Returns a cycle that the search finds from `name` on; `None` if there is none. `above` are the names on the way to
+/// `name`, and `done` those that were searched before.
 fn circle_from(
     name: &str,
     next: &dyn Fn(&str) -> Vec<String>,
@@ -336,20 +344,20 @@ fn circle_from(
     circle
 }
 
-/// Names in a line: in its words, and in its condition.
+/// Returns the names in a line: those in braces in its text, and those in its condition.
 fn names_of(line: &DefinitionLine) -> Result<Vec<String>, String> {
     let mut names = names(&line.text)?;
     names.extend(line.condition.iter().map(|term| term.name.clone()));
     Ok(names)
 }
 
-/// The own entries, and the shared ones of other names.
+/// Returns the entries of the pipeline's file, followed by the shared entries of other names.
 fn over<T: Clone>(own: Vec<(String, T)>, shared: Vec<(String, T)>) -> Vec<(String, T)> {
     let others = shared.into_iter().filter(|(name, _)| !own.iter().any(|(known, _)| known == name));
     own.iter().cloned().chain(others.collect::<Vec<_>>()).collect()
 }
 
-/// The setting of a draft, which is complete.
+/// Makes a setting of a draft. Refuses a draft without a type or without a description.
 fn setting(name: String, draft: Draft) -> Result<Setting, Complaint> {
     let missing = if draft.kind.is_none() { "type" } else { "help" };
     let (Some(kind), Some(help)) = (draft.kind, draft.help) else {
@@ -359,7 +367,7 @@ fn setting(name: String, draft: Draft) -> Result<Setting, Complaint> {
     Ok(Setting { kind, may_be_empty: default.is_empty(), default, help, name })
 }
 
-/// Reads one file.
+/// Reads the text of one definition file.
 fn part(text: &str) -> Result<Part, Complaint> {
     let mut part = Part::default();
     for (key, node) in table("the file", &parse(text)?)? {
@@ -393,7 +401,7 @@ fn part(text: &str) -> Result<Part, Complaint> {
     Ok(part)
 }
 
-/// Keys and values of a table.
+/// Returns the keys and values of a YAML table. `what` names the table in messages; another kind of node is refused.
 fn table<'a>(what: &str, node: &'a Node) -> Result<Vec<(String, &'a Node)>, Complaint> {
     match &node.value {
         Value::Map(entries) => {
@@ -434,7 +442,7 @@ fn draft(name: &str, node: &Node) -> Result<Draft, Complaint> {
     Ok(draft)
 }
 
-/// Reads a stage: its steps, or a table with its properties.
+/// Reads the stage `name` from a list of steps, or from a table with the steps and the properties.
 fn stage(name: &str, node: &Node) -> Result<Stage, Complaint> {
     if !matches!(node.value, Value::Map(_)) {
         return Ok(Stage { steps: lines(name, node)?, ..Stage::default() });
@@ -455,7 +463,7 @@ fn stage(name: &str, node: &Node) -> Result<Stage, Complaint> {
     Ok(stage)
 }
 
-/// Lines of a list, or the single line of a text.
+/// Reads the lines of a list, or the single line of a text. `of` names the owner of the lines in messages.
 fn lines(of: &str, node: &Node) -> Result<Vec<DefinitionLine>, Complaint> {
     let line = |(text, line): &(String, u64)| {
         DefinitionLine::read(text).map_err(|e| Complaint::new(*line, format!("{of}: {e}")))
@@ -463,7 +471,7 @@ fn lines(of: &str, node: &Node) -> Result<Vec<DefinitionLine>, Complaint> {
     list(node)?.iter().map(line).collect()
 }
 
-/// Texts of a list, with their lines; a single text is a list of one.
+/// Returns the texts of a list, each with its line number in the file, from 1. A single text counts as a list of one.
 fn list(node: &Node) -> Result<Vec<(String, u64)>, Complaint> {
     match &node.value {
         Value::List(items) => {

@@ -3,37 +3,37 @@
 use planish_handoff::words;
 use planish_types::ControllerKind;
 
-/// Type of a setting, as its definition writes it.
+/// Type of a setting. Each variant quotes the words that name the type in a definition file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kind {
-    /// `word`: any text.
+    /// `word`: any text without further checks.
     Word,
-    /// `path`: a path that begins where the user stands.
+    /// `path`: a path, relative to the directory in which the user works.
     Path,
-    /// `flags`: several words, as a shell separates them.
+    /// `flags`: several words, separated and quoted as in a shell.
     Flags,
     /// `number above 0`, `number from 0`, `number from 0 to 1`: a finite number.
     Number {
-        /// Lower bound.
+        /// Lower bound of the number.
         least: f64,
-        /// True if the lower bound itself is a value.
+        /// True if the lower bound itself is allowed.
         closed: bool,
-        /// Upper bound, which is a value.
+        /// Upper bound, which itself is allowed; `None` for no bound.
         most: Option<f64>,
     },
-    /// `whole number from 1 to 99`: digits alone.
+    /// `whole number from 1 to 99`: an integer without sign, written with digits only.
     Whole {
-        /// Smallest value.
+        /// Smallest allowed value.
         least: u64,
-        /// Largest value.
+        /// Largest allowed value; `None` for no bound.
         most: Option<u64>,
     },
     /// `one of x, y, or a number`: one of these words, or a number if that is allowed. `controller`: one of the
-    /// controllers for which programs are written.
+    /// motion controllers for which Planish writes programs.
     OneOf {
-        /// The words.
+        /// The allowed words.
         words: Vec<String>,
-        /// True if a number is a value, too.
+        /// True if a number is allowed, too.
         number: bool,
     },
 }
@@ -73,7 +73,7 @@ impl Kind {
         }
     }
 
-    /// Describes the values, for `give ...`.
+    /// Describes the allowed values, as a phrase that follows `give` in a message.
     pub fn wanted(&self) -> String {
         match self {
             Self::Word => "a word".into(),
@@ -96,7 +96,7 @@ impl Kind {
         }
     }
 
-    /// Checks a value that is not empty.
+    /// Checks a value of the setting; an empty value must not be passed.
     ///
     /// # Errors
     /// Fails with a message, without the name of the setting, if the value does not fit.
@@ -122,7 +122,7 @@ impl Kind {
     }
 }
 
-/// Units by the end of the name that has them, the longest first.
+/// Endings of the names of settings with the unit that each ending stands for, the longest first.
 const UNITS: [(&str, &str); 9] = [
     ("_nm2_per_s", "nm^2/s"),
     ("_s_per_mm", "s/mm"),
@@ -135,7 +135,7 @@ const UNITS: [(&str, &str); 9] = [
     ("_s", "s"),
 ];
 
-/// Returns the unit of a setting, from the end of its name; empty if it has none.
+/// Returns the unit of the setting `name`, from the ending of the name; empty if it has no unit.
 pub fn unit(name: &str) -> &'static str {
     UNITS.iter().find(|(end, _)| name.ends_with(end)).map_or("", |(_, unit)| unit)
 }

@@ -1,11 +1,12 @@
-//! Definition of a pipeline: its settings, and its stages as commands. `pipelines/shared.yaml` explains the files.
+//! Definition of a pipeline: its settings, and its stages, which are lists of commands. `pipelines/shared.yaml`
+//! explains the format of the definition files.
 //!
-//! * [`node`]: YAML with the line of every value.
+//! * [`node`]: YAML values with the line number of each.
 //! * [`kind`]: types of settings, which check a value.
-//! * [`phrase`]: words with names in braces, and conditions.
-//! * [`action`]: lines of a stage.
+//! * [`phrase`]: texts with names in braces, and conditions.
+//! * [`action`]: lines of a stage: commands, and calls of other stages.
 //! * [`definition`]: reads and checks the two files of a pipeline.
-//! * [`scope`]: words that a name stands for.
+//! * [`scope`]: words that a name in braces stands for.
 //! * [`walk`]: the steps of a stage, one by one.
 //!
 //! Nothing here runs a command or evaluates a text: a step is a program and its arguments.

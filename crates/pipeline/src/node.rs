@@ -1,11 +1,11 @@
-//! YAML with the line of every value, so that a message can name it.
+//! YAML values with the line number of each, so that a message can name the line.
 
 use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::Spanned;
 
-/// Mistake in a file, with its line.
+/// Mistake in a definition file, with its line.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {problem}")]
 pub struct Complaint {
@@ -16,13 +16,13 @@ pub struct Complaint {
 }
 
 impl Complaint {
-    /// Makes a complaint about this line.
+    /// Makes a complaint about `line`, counted from 1; `problem` says the mistake and the remedy.
     pub fn new(line: u64, problem: impl Into<String>) -> Self {
         Self { line, problem: problem.into() }
     }
 }
 
-/// A value and its line.
+/// A YAML value with the number of its line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
     /// Line, counted from 1.
@@ -31,29 +31,29 @@ pub struct Node {
     pub value: Value,
 }
 
-/// Values that a file may have.
+/// YAML values that a definition file may contain. Each variant shows examples.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// `1`, `0.8`, `1e-3`
+    /// Number, such as `1`, `0.8`, `1e-3`
     Number(f64),
-    /// `raster`
+    /// Text, such as `raster`
     Text(String),
-    /// `true` or `false`
+    /// Truth value: `true` or `false`
     Flag(bool),
-    /// Nothing after the colon
+    /// Empty value: nothing stands after the colon
     Nothing,
-    /// `[1, 2]`, or lines with hyphens
+    /// List: `[1, 2]`, or lines with hyphens
     List(Vec<Node>),
-    /// `key: value`, in the order of the file
+    /// Table of `key: value` pairs, in the order of the file
     Map(Vec<(Key, Node)>),
 }
 
-/// A key and its line.
+/// A key of a table with the number of its line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Key {
     /// Line, counted from 1.
     pub line: u64,
-    /// The key.
+    /// Text of the key.
     pub text: String,
 }
 
@@ -70,7 +70,7 @@ impl fmt::Display for Value {
     }
 }
 
-/// Parses a whole text as one value.
+/// Parses the whole text of a file as one YAML value.
 ///
 /// # Errors
 /// Fails if the text is no YAML of [`Value`]s.
@@ -88,7 +88,7 @@ pub fn parse(text: &str) -> Result<Node, Complaint> {
     })
 }
 
-/// [`Value`] with the places of the crate.
+/// [`Value`] with the positions that the YAML parser reports.
 enum Raw {
     Number(f64),
     Text(String),

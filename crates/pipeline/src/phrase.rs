@@ -1,33 +1,34 @@
-//! Words with names in braces, and conditions: the two little languages of a definition.
+//! Texts with names in braces, and conditions: the two small languages of a definition file.
 
-/// A line of a definition: its text, and the condition under which it counts.
+/// A line of a definition: its text, and the condition under which the line counts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DefinitionLine {
-    /// Text before ` when `.
+    /// Text of the line before ` when `, with names in braces unexpanded.
     pub text: String,
-    /// Terms that all have to hold.
+    /// Terms of the condition, all of which must hold; empty if the line always counts.
     pub condition: Vec<Term>,
 }
 
 /// Part of a condition: `NAME`, `not NAME`, `NAME is A or B`, `NAME is not A or B`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Term {
-    /// Name of a setting, a value or a fact.
+    /// Name of a setting, a value or a fact, whose words the term tests.
     pub name: String,
-    /// Words of which one has to be among those of the name; without any, the name only must not be empty.
+    /// Words of which at least one must be among the words of the name. If empty, the term requires that the name has
+    /// any word.
     pub choices: Vec<String>,
-    /// True if the opposite has to hold.
+    /// True if the test must fail for the term to hold (`not`).
     pub negated: bool,
 }
 
-/// Returns whether `text` can be a name in braces.
+/// Returns true if `text` can be a name in braces: small letters, digits and underscores.
 pub fn is_name(text: &str) -> bool {
     !text.is_empty()
         && text.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
 }
 
 impl DefinitionLine {
-    /// Reads a line.
+    /// Reads a line of the form `TEXT` or `TEXT when CONDITION`.
     ///
     /// # Errors
     /// Fails with a message if the condition is none.
@@ -60,7 +61,7 @@ impl Term {
         Ok(Self { name: name.into(), choices, negated })
     }
 
-    /// Returns whether the term holds where the name stands for these words.
+    /// Returns true if the term holds when its name stands for `words`.
     pub fn holds(&self, words: &[String]) -> bool {
         let is_met = match &self.choices[..] {
             [] => !words.is_empty(),
@@ -70,31 +71,32 @@ impl Term {
     }
 }
 
-/// Returns true for `A`, `A or B`, and so on.
+/// Returns true if `words` are alternatives: `A`, `A or B`, `A or B or C`, and so on.
 fn is_list(words: &[&str]) -> bool {
     let is_joined = words.iter().skip(1).step_by(2).all(|word| *word == "or");
     words.len() % 2 == 1 && words[0] != "not" && is_joined
 }
 
-/// Part of a word.
+/// Part of a word: plain characters, or a name in braces.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WordPart {
-    /// Characters as they are.
+    /// Characters that are taken as they are.
     Text(String),
-    /// The value of a name.
+    /// Name in braces, which its value replaces.
     Name(String),
 }
 
-/// Words that stand or fall together.
+/// Words of a text that are kept or left out together: those in one pair of brackets, or words outside of brackets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Group {
-    /// True if the words are left out when a name in them is empty.
+    /// True for words in brackets: all are left out if a name in them has no value.
     pub optional: bool,
-    /// The words, each in its parts.
+    /// The words, each as the list of its parts.
     pub words: Vec<Vec<WordPart>>,
 }
 
-/// Returns the words of a text, which blanks separate; those in brackets are optional together.
+/// Splits a text at blanks into words with their names in braces. The words in one pair of brackets form one optional
+/// group.
 ///
 /// # Errors
 /// Fails with a message if a bracket or a brace has no partner, or if a name in braces is none.
@@ -147,7 +149,7 @@ fn word_parts(word: &str) -> Result<Vec<WordPart>, String> {
     Ok(word_parts)
 }
 
-/// Returns the names in the words of a text.
+/// Returns the names in braces that occur in a text, in their order.
 ///
 /// # Errors
 /// Fails with a message where [`groups`] does.

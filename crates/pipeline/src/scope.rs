@@ -1,4 +1,5 @@
-//! Words that a name of a definition stands for: settings as they were given, their defaults, values and facts.
+//! Words that a name in a definition stands for. A name is a setting (given by the user or by default), a value or a
+//! fact.
 
 use std::collections::BTreeMap;
 
@@ -10,23 +11,26 @@ use crate::{
     phrase::{DefinitionLine, Term, WordPart, groups},
 };
 
-/// Names with their words.
+/// Names of settings, values or facts, each with the words that it stands for.
 pub type Words = BTreeMap<String, Vec<String>>;
 
-/// Settings that give the flags of a command, so that its messages can name the setting that a user gives.
+/// Origins of the flags of a command: the settings that give them, so that a message can name what the user wrote.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Origins {
-    /// Flags, each with what a user gives in its place: `pitch_mm` for `--pitch-mm`, or `prepare=--level` for a word of a
-    /// setting that holds flags. A flag that the pipeline itself writes stands for the setting of its name, or for itself.
+    /// Flags, each with what a user gives in its place: `pitch_mm` for `--pitch-mm`, or `prepare=--level` for a word
+    /// of a setting that holds flags. A flag that the pipeline itself writes stands for the setting of its name, or
+    /// for itself.
     pub of_flag: Vec<(String, String)>,
-    /// Setting that holds flags of the command: any other flag can be given there.
+    /// Setting that holds further flags of the command, in which a user can give any other flag; `None` if there is
+    /// none.
     pub more_flags: Option<String>,
-    /// Settings that are whole words of the command, or the values of its flags.
+    /// Names of the settings that are whole words of the command, or the values of its flags.
     pub settings: Vec<String>,
 }
 
 impl Origins {
-    /// Adds those of further words, which go before: `--surface {surface}` is the setting `surface`.
+    /// Adds the origins of further words of the command, which take precedence. For example, `--surface {surface}` is
+    /// the setting `surface`.
     fn add(&mut self, other: Self) {
         self.of_flag.splice(0..0, other.of_flag);
         self.more_flags = other.more_flags.or(self.more_flags.take());
@@ -34,7 +38,7 @@ impl Origins {
     }
 }
 
-/// A pipeline with its settings.
+/// A pipeline with the settings that the user gave, and the facts that are known so far.
 #[derive(Clone, Debug)]
 pub struct Scope<'a> {
     /// Definition of the pipeline.
@@ -43,7 +47,8 @@ pub struct Scope<'a> {
     fixed: Words,
 }
 
-/// Refuses the second value of a setting, of which the `first` one is there already.
+/// Refuses a setting that is given twice. `first` is its value so far, `None` if it has none, and `second` the
+/// further value.
 ///
 /// # Errors
 /// Fails with a message if there is a first value.
@@ -57,7 +62,7 @@ pub fn refuse_second(first: Option<String>, name: &str, second: &str) -> Result<
 }
 
 impl<'a> Scope<'a> {
-    /// Takes settings for a pipeline as a user gives them, `NAME=VALUE`.
+    /// Creates the scope of a pipeline from the settings of the user, each written `NAME=VALUE`.
     ///
     /// # Errors
     /// Fails with a message if a setting is none of the pipeline, is given twice, or does not fit its type.
@@ -107,17 +112,17 @@ impl<'a> Scope<'a> {
         Ok(Self { definition, given, fixed })
     }
 
-    /// States a fact, or what a name stands for from now on.
+    /// Sets the words of a fact, or replaces those of any other name from now on.
     pub fn set(&mut self, name: &str, words: Vec<String>) {
         self.fixed.insert(name.into(), words);
     }
 
-    /// Returns whether the user gave the setting.
+    /// Returns true if the user gave the setting `name`.
     pub fn is_given(&self, name: &str) -> bool {
         self.given.contains_key(name)
     }
 
-    /// Checks that the settings go together.
+    /// Checks the combination of settings against the `refuse` lines of the definition.
     ///
     /// # Errors
     /// Fails with the message of the definition if they do not.
@@ -131,7 +136,8 @@ impl<'a> Scope<'a> {
         Ok(())
     }
 
-    /// Returns the words that a name stands for; `local` are those of the stages that are running.
+    /// Returns the words that a name stands for. `local` are the words that calls of the running stages gave to
+    /// names; they take precedence.
     ///
     /// # Errors
     /// Fails with a message if it stands for nothing yet, or if its words or conditions cannot be read.
@@ -155,7 +161,7 @@ impl<'a> Scope<'a> {
         self.first(lines, local)
     }
 
-    /// Returns the text that a name stands for: its words, separated by blanks.
+    /// Returns the text that a name stands for outside of any stage: its words, separated by blanks.
     ///
     /// # Errors
     /// Fails with a message where [`Scope::words`] does.
@@ -163,7 +169,7 @@ impl<'a> Scope<'a> {
         Ok(self.words(name, &Words::new())?.join(" "))
     }
 
-    /// The words of the first line whose condition holds; none if there is no such line.
+    /// Returns the expanded words of the first line whose condition holds; empty if no line's condition holds.
     fn first(&self, lines: &[DefinitionLine], local: &Words) -> Result<Vec<String>, String> {
         match self.line_that_holds(lines, local)? {
             Some(line) => self.expand(&line.text, local),
@@ -171,7 +177,7 @@ impl<'a> Scope<'a> {
         }
     }
 
-    /// Returns whether all terms of a condition hold.
+    /// Returns true if all terms of a condition hold. `local` is as in [`Scope::words`].
     ///
     /// # Errors
     /// Fails with a message where [`Scope::words`] does.
@@ -184,8 +190,8 @@ impl<'a> Scope<'a> {
         Ok(true)
     }
 
-    /// Returns the words of a text, with what its names stand for. A name alone is all of its words; within a longer
-    /// word it has to be one.
+    /// Returns the words of a text, with every name in braces replaced. A name that is a whole word becomes all of
+    /// its words; a name within a longer word must stand for one word.
     ///
     /// # Errors
     /// Fails with a message if a name stands for nothing, or if a bracket or a brace has no partner.
@@ -221,8 +227,8 @@ impl<'a> Scope<'a> {
         Ok(expanded)
     }
 
-    /// Returns the settings that give the flags in a text. `local` are the words of the names that stages were given, and
-    /// `local_origins` the settings that give these.
+    /// Returns the settings that give the flags in a text. `local` are the words that calls of stages gave to names,
+    /// and `local_origins` the origins of these words.
     ///
     /// # Errors
     /// Fails with a message where [`Scope::expand`] does.
@@ -275,7 +281,8 @@ impl<'a> Scope<'a> {
         Ok(origins)
     }
 
-    /// Returns the settings that give the words of a setting, which stand after `last_flag`, if that is a flag.
+    /// Returns the origins of the words of the setting `name`. If the word before it is a flag, `last_flag`, the
+    /// setting is the value of that flag.
     fn origins_of_setting(
         &self,
         name: &str,
@@ -294,7 +301,7 @@ impl<'a> Scope<'a> {
         Ok(Origins { of_flag, more_flags: Some(name.into()), settings: vec![name.into()] })
     }
 
-    /// Returns the first line whose condition holds.
+    /// Returns the first line whose condition holds; `None` if there is none.
     fn line_that_holds<'b>(
         &self,
         lines: &'b [DefinitionLine],

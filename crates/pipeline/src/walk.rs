@@ -1,4 +1,5 @@
-//! The steps of a stage, one by one. A later step may depend on what an earlier one found, so they are not a list.
+//! The steps of a stage, made one by one. A later step may depend on what an earlier one found, so they are not a
+//! list.
 
 use std::collections::BTreeMap;
 
@@ -10,52 +11,53 @@ use crate::{
     scope::{Origins, Scope, Words},
 };
 
-/// A program with its arguments.
+/// A command of a stage: a program with its arguments, and how to treat its failure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StageCommand {
     /// Name of the program.
     pub program: String,
-    /// Its arguments.
+    /// Arguments of the program, fully expanded.
     pub arguments: Vec<String>,
     /// True if a negative verdict, exit code 1, lets the run go on.
     pub may_be_negative: bool,
-    /// Directory for its message, if it may refuse: the stage then ends, and the run goes on.
+    /// Directory for the message of the command, if the command may refuse: the stage then ends, and the run goes on.
+    /// `None` if a refusal ends the run.
     pub refusal_dir: Option<String>,
-    /// Settings that give its flags.
+    /// Settings that give the flags of the command.
     pub origins: Origins,
 }
 
 /// Next action of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// A command.
+    /// Run this command.
     Run(StageCommand),
-    /// A line for the user.
+    /// Show this sentence to the user.
     Say(String),
 }
 
-/// A stage that runs: its lines that are left, and the values that it was given.
+/// A running stage: the lines that are left, and the words that its call gave to names.
 #[derive(Clone)]
 struct Frame<'a> {
     lines: std::slice::Iter<'a, DefinitionLine>,
-    /// Directory for the message of the first command, until that command is made.
+    /// Directory for the message of the first command, if that may refuse; taken when that command is made.
     optional: Option<&'a DefinitionLine>,
     note: Option<&'a DefinitionLine>,
     local: Words,
-    /// Settings that give the flags in these words.
+    /// Settings that give the flags in the words of `local`.
     origins: BTreeMap<String, Origins>,
 }
 
-/// The steps of a stage.
+/// Execution state of a stage: the stages that are running, the innermost last, and the settings.
 #[derive(Clone)]
 pub struct Walk<'a> {
-    /// Settings and values; a step may change them for those that follow.
+    /// Settings, values and facts; the caller may change them between two steps, for the steps that follow.
     pub scope: Scope<'a>,
     frames: Vec<Frame<'a>>,
 }
 
 impl<'a> Walk<'a> {
-    /// Begins the steps of this stage.
+    /// Begins the steps of the stage named `stage`.
     ///
     /// # Errors
     /// Fails with a message if there is no such stage.
@@ -65,7 +67,7 @@ impl<'a> Walk<'a> {
         Ok(walk)
     }
 
-    /// Returns the commands of a stage, if no step of it depends on what another one finds.
+    /// Returns all commands of a stage at once. This requires that no step depends on the result of another one.
     ///
     /// # Errors
     /// Fails with a message where [`Walk::new`] or [`Walk::step`] does.
@@ -80,7 +82,7 @@ impl<'a> Walk<'a> {
         Ok(commands)
     }
 
-    /// Makes the next step; returns `None` at the end.
+    /// Makes the next step; returns `None` after the last one.
     ///
     /// # Errors
     /// Fails with a message if a line is no step, or if a name in it stands for nothing.
@@ -116,7 +118,7 @@ impl<'a> Walk<'a> {
         Ok(None)
     }
 
-    /// Ends the stage that runs, without its note; that which named it goes on.
+    /// Ends the innermost running stage without its note. The stage that called it goes on.
     pub fn leave(&mut self) {
         self.frames.pop();
     }
@@ -148,7 +150,7 @@ impl<'a> Walk<'a> {
         self.frames.last().map_or(NONE, |frame| &frame.origins)
     }
 
-    /// Returns the settings that give the flags in a text of the stage that runs.
+    /// Returns the settings that give the flags in a text of the innermost running stage.
     fn origins_of(&self, text: &str) -> Result<Origins, String> {
         self.scope.origins(text, self.local(), self.origins())
     }
@@ -157,7 +159,8 @@ impl<'a> Walk<'a> {
         self.scope.holds(condition, self.local())
     }
 
-    /// Returns the text of a property of the stage that runs; `None` if its condition does not hold, or it is empty.
+    /// Returns the expanded text of a property (`optional` or `note`) of the innermost running stage. It is `None` if
+    /// there is no such property, its condition does not hold, or the text is empty.
     fn text_of(&self, property: Option<&DefinitionLine>) -> Result<Option<String>, String> {
         let Some(DefinitionLine { text, condition }) = property else { return Ok(None) };
         if !self.holds(condition)? {
@@ -167,7 +170,7 @@ impl<'a> Walk<'a> {
         Ok(Some(text).filter(|text| !text.is_empty()))
     }
 
-    /// Makes a command of the stage that runs.
+    /// Makes the command of a line of the innermost running stage. `text` is the line before expansion.
     fn command(&mut self, text: &str, may_be_negative: bool) -> Result<StageCommand, String> {
         let optional = self.frames.last_mut().and_then(|frame| frame.optional.take());
         let mut words = self.scope.expand(text, self.local())?.into_iter();
@@ -182,7 +185,7 @@ impl<'a> Walk<'a> {
 }
 
 impl StageCommand {
-    /// Returns the command as one line that a shell reads back. A value keeps its flag outside of the quotation marks.
+    /// Returns the command as one line for a shell. In `--flag=value`, only the value is in quotation marks.
     pub fn line(&self) -> String {
         let mut line = self.program.clone();
         for argument in &self.arguments {
@@ -229,7 +232,8 @@ stages:
   two: {optional: '{may}', steps: ['planish-x {label}'], note: 'the end of {label} when may'}
 ";
 
-    /// The steps of the stage `run`; a stage is left at its first command if that may refuse.
+    /// Returns the steps of the stage `run` as text. With `leave`, a stage is left at its first command if that may
+    /// refuse.
     fn steps(settings: &[&str], leave: bool) -> Vec<String> {
         let definition = Definition::read("p", SHARED, "title: T").unwrap();
         let mut walk = Walk::new(Scope::new(&definition, settings).unwrap(), "run").unwrap();

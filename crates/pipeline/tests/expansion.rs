@@ -1,4 +1,4 @@
-//! The commands of every pipeline, from its definition.
+//! Tests of the commands that the definition of every pipeline gives.
 
 use planish_pipeline::{
     definition::Definition,
@@ -6,7 +6,8 @@ use planish_pipeline::{
     walk::{StageCommand, Walk},
 };
 
-/// A pipeline with settings, in a repository in which the user stands; the machine has these axes.
+/// Returns the commands of a stage with these settings, for a user in the repository and a machine with these
+/// kinematics.
 fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) -> Vec<StageCommand> {
     let definition = Definition::built_in(pipeline).unwrap();
     let mut scope = Scope::new(&definition, settings).unwrap();
@@ -28,7 +29,8 @@ fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) ->
     Walk::commands(scope, stage).unwrap()
 }
 
-/// Names of the programs without `planish-`, and the artifacts that they write, without the directory of the run.
+/// Returns the names of the programs without `planish-`, each with the artifact that it writes, without the directory
+/// of the run.
 fn outline(commands: &[StageCommand]) -> String {
     let word = |command: &StageCommand| {
         let program = command.program.trim_start_matches("planish-").to_string();
@@ -39,7 +41,7 @@ fn outline(commands: &[StageCommand]) -> String {
     commands.iter().map(word).collect::<Vec<_>>().join(" ")
 }
 
-/// Outline of a plan that was scheduled and judged.
+/// Returns the outline of a plan that was made by `program`, simulated and judged.
 fn judged(program: &str, method: &str) -> String {
     let trajectory = if program == "schedule" { "/trajectory" } else { "" };
     format!(

@@ -1,4 +1,4 @@
-//! Plans that a job runs, and the time and memory that it needs.
+//! Choice of the plans that a job runs, and estimates of the time and memory that a job needs.
 //!
 //! Time and memory are those of the stages, estimated from the size of the map and the path:
 //!
@@ -17,37 +17,37 @@ use serde::{Deserialize, Serialize};
 
 use crate::plan::SweptPlan;
 
-/// Size of a mirror.
+/// Size of a mirror, from which the time and memory of a job are estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Size {
-    /// Pixels of the map.
+    /// Number of pixels of the map.
     pub pixels: f64,
-    /// Their area, mm^2.
+    /// Area of the map, mm^2.
     pub area_mm2: f64,
     /// Width of the tool, mm.
     pub tool_width_mm: f64,
 }
 
-/// Resources that a job asks for.
+/// Time and memory that a job asks the cluster for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Resources {
-    /// Longest time, minutes.
+    /// Time limit of the job, minutes.
     pub runtime: u64,
-    /// Memory, MiB.
+    /// Memory limit of the job, MiB.
     pub mem_mb: u64,
 }
 
-/// Time of a factorisation per multiplication on one core, s. Larger: longer limits of jobs. Smaller: jobs are ended
-/// before they are done.
+/// Time of a factorisation per multiplication on one core, s. Larger: longer time limits of jobs. Smaller: jobs are
+/// ended before they are done.
 const S_PER_MULTIPLICATION: f64 = 1e-9;
 
-/// Time of a closed loop per dwell point on one core, s. Larger: longer limits of jobs. Smaller: jobs are ended
-/// before they are done.
+/// Time of a closed loop (rounds of refinement of the dwell times) per dwell point on one core, s. Larger: longer
+/// time limits of jobs. Smaller: jobs are ended before they are done.
 const S_PER_DWELL_POINT: f64 = 5e-3;
 
-/// Time of a plan of any size, s: programs that start, hashes, disks. Larger: longer limits of jobs. Smaller: jobs
-/// with small plans are ended before they are done.
+/// Smallest time of a plan, s: its programs start, compute hashes and write files. Larger: longer time limits of
+/// jobs. Smaller: jobs with small plans are ended before they are done.
 const S_AT_LEAST: f64 = 1.0;
 
 /// Factor on the estimated time after which a job is ended, dimensionless. The estimate is rough, and a job that is
@@ -63,7 +63,7 @@ const BYTES_PER_PIXEL: f64 = 1000.0;
 /// of memory.
 const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
-/// Estimated seconds of a plan on one core.
+/// Returns the estimated time of a plan on one core, s.
 pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     let pitch_mm = plan.number("pitch_mm").or(plan.number("min_pitch_mm")).unwrap_or(1.0);
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
@@ -84,7 +84,7 @@ pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     S_AT_LEAST + own_s
 }
 
-/// Returns the resources of a job with these plans that runs `jobs` of them at once.
+/// Returns the time and memory of a job that makes `plans`, of which it runs `jobs` at the same time.
 pub fn resources(plans: &[&SweptPlan], size: &Size, jobs: usize) -> Resources {
     let estimated = plans.iter().map(|plan| estimated_s(plan, size));
     let (sum_s, longest_s) =
@@ -97,8 +97,8 @@ pub fn resources(plans: &[&SweptPlan], size: &Size, jobs: usize) -> Resources {
     }
 }
 
-/// Returns the members of job `index` of `jobs`: the most expensive come first, and are dealt out in turn, so that the
-/// jobs take about the same time, and end with what is short.
+/// Returns the members of job `index` (from 0) of `jobs`. The most expensive ones are dealt out first, in turn, so
+/// that the jobs take about the same time. Within a job, `cost` descends.
 pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, jobs: usize) -> Vec<T> {
     // Stable: equal ones stay in the order of the sweep, so that the members are the same everywhere.
     all.sort_by(|a, b| cost(b).total_cmp(&cost(a)));

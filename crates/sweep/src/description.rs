@@ -1,63 +1,63 @@
-//! Contents of the file of a sweep.
+//! Contents of the file of a sweep, which a user writes in YAML.
 
 use planish_pipeline::node::{Complaint, Key, Node, Value, parse};
 use planish_types::outcome::sweep::{Constraints, SettingValue};
 
 use crate::setting::{EXCLUSIVE, METHODS, Owner, PATHS, Setting, default, one_of};
 
-/// A sweep as its file describes it; paths are as they stand there.
+/// A sweep as its file describes it. Paths are as the file gives them, relative to its folder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Description {
-    /// Mirror: map and tool.
+    /// Source of the mirror: its map and its tool.
     pub mirror: Mirror,
-    /// Flags of `planish-surface prepare`.
+    /// Flags of `planish-surface prepare`, with which the map is prepared, as one text.
     pub prepare: String,
-    /// Further tools by name: directories of `tif` artifacts.
+    /// Further tools: a name, and the directory of the tool's artifact.
     pub tools: Vec<(String, String)>,
-    /// File of the machine.
+    /// Path of the machine file.
     pub machine: String,
-    /// File of the process, where the plans are judged by its errors, too.
+    /// Path of the error budget, if the plans are also judged by the errors of the process; otherwise `None`.
     pub process: Option<String>,
-    /// File of the specification of the mirror, where the plans are judged by its limits, too.
+    /// Path of the specification of the mirror, if the plans are also judged by its limits; otherwise `None`.
     pub specification: Option<String>,
     /// Constraints that a plan must keep to be recommended.
     pub constraints: Constraints,
-    /// True if every plan gets its own report.
+    /// True if each plan gets a report page of its own.
     pub reports: bool,
-    /// Settings that are varied.
+    /// Blocks of settings that are varied.
     pub blocks: Vec<Block>,
 }
 
 /// Source of the mirror.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Mirror {
-    /// The recipe of a fixture.
+    /// Path of the recipe of a fixture, which makes an artificial map and its tool.
     Fixture(String),
-    /// A map and a tool: artifacts, or files of instruments.
+    /// A measured map and a tool, each given as an artifact or as the file of an instrument.
     Measured {
-        /// The map.
+        /// Path of the map.
         surface: String,
-        /// The tool.
+        /// Path of the tool.
         tif: String,
-        /// Flags of `planish-import surface`.
+        /// Flags of `planish-import surface`, as one text; used if the map is a file of an instrument.
         surface_settings: String,
-        /// Flags of `planish-tool from-maps`.
+        /// Flags of `planish-tool from-maps`, as one text; used if the tool is a file of an instrument.
         tif_settings: String,
     },
 }
 
-/// Settings that are varied together: every combination is a plan.
+/// Settings that are varied together: every combination of path, method and values is a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
-    /// Families of paths.
+    /// Families of tool paths, such as `raster`.
     pub paths: Vec<String>,
-    /// Methods.
+    /// Methods that make dwell times and motion, such as `joint`.
     pub methods: Vec<String>,
-    /// Settings with their values, in the order of the table.
+    /// Settings with the values that each takes, in the order of the table of settings.
     pub settings: Vec<(String, Vec<SettingValue>)>,
 }
 
-/// Reads the text of a file.
+/// Reads the text of the file of a sweep.
 ///
 /// # Errors
 /// Fails with a complaint about the line that is not understood.
@@ -105,7 +105,7 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
     })
 }
 
-/// The mirror, and the flags that it is prepared with.
+/// Reads the node `mirror`. Returns the source of the mirror, and the flags of `planish-surface prepare`.
 fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
     let mut table = DescriptionTable::new("mirror", node)?;
     let line = table.line;
@@ -223,7 +223,7 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
     Ok(Block { paths, methods, settings })
 }
 
-/// Words of a list, or a single one.
+/// Reads a list of words or a single word, each of which must be one of `known`. `key` names the node in messages.
 fn words(key: &str, node: &Node, known: &[&str]) -> Result<Vec<String>, Complaint> {
     let nodes = match &node.value {
         Value::List(items) if !items.is_empty() => items.clone(),
@@ -247,7 +247,8 @@ fn text_of(key: &str, node: &Node) -> Result<String, Complaint> {
     }
 }
 
-/// The keys of a table, which are taken out one by one; what is left over is not known.
+/// A YAML table while it is read: `take` removes its keys one by one, and a key that is left over is refused as
+/// unknown.
 struct DescriptionTable {
     what: &'static str,
     line: u64,
@@ -284,7 +285,7 @@ impl DescriptionTable {
         self.take(key).map(|node| text_of(key, &node)).transpose()
     }
 
-    /// Every entry as a text.
+    /// Returns every entry of the table as a name and a text.
     fn texts(self) -> Result<Vec<(String, String)>, Complaint> {
         let entries = self.entries.into_iter();
         entries.map(|(key, node)| Ok((key.text.clone(), text_of(&key.text, &node)?))).collect()
@@ -294,7 +295,7 @@ impl DescriptionTable {
         self.entries
     }
 
-    /// Refuses entries that are left over.
+    /// Refuses the first entry that nobody has taken, because its key is unknown.
     fn finish(self) -> Result<(), Complaint> {
         let Some((key, _)) = self.entries.first() else { return Ok(()) };
         let known = self.known.join(", ");

@@ -1,4 +1,4 @@
-//! Every combination of the settings of a sweep, as plans.
+//! Expansion of a sweep: every combination of the settings in its file, as plans.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,8 @@ use crate::{
 /// must be divided.
 const MOST_PLANS: usize = 200_000;
 
-/// Makes the plans of these blocks, each once, in the order of the file.
+/// Makes the plans of the blocks, each plan once, in the order of the file. `ground` holds the hashes of everything
+/// that all plans share.
 ///
 /// A setting that does not concern a path or a method is left out of its plans, so that they are not made twice.
 ///
@@ -45,7 +46,7 @@ fn too_many() -> String {
     format!("the sweep has more than {MOST_PLANS} plans; give shorter lists")
 }
 
-/// Every combination of the settings that concern this path and this method; the last varies fastest.
+/// Returns every combination of the settings that the path and the method depend on; the last setting varies fastest.
 fn combinations(
     block: &Block,
     path: &str,

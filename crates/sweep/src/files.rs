@@ -1,4 +1,4 @@
-//! The files of a sweep's directory.
+//! Files in the directory of a sweep: `sweep.json`, and the rows of the plans.
 
 use std::{
     io::ErrorKind,
@@ -15,7 +15,7 @@ use serde::Serialize;
 /// Version of the layout of `sweep.json`; a file with another version is refused.
 pub const VERSION: u32 = 1;
 
-/// Reads the sweep that stands in this directory.
+/// Reads `sweep.json` in the directory `dir`.
 ///
 /// # Errors
 /// Fails if there is none, if it cannot be read, or if no expansion of this version has written it.
@@ -51,14 +51,14 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
     Ok(sweep)
 }
 
-/// Returns whether the tool of a plan is one of the sweep.
+/// Returns true if the sweep has the tool that a plan names, and the command that varies it.
 fn has_tool(sweep: &Sweep, plan: &SweptPlan) -> bool {
     let varying = &sweep.ground.varying;
     sweep.tools.iter().any(|(name, _)| *name == plan.tool())
         && plan.varying().is_none_or(|text| varying.iter().any(|(known, _)| known == text))
 }
 
-/// Writes the command that makes a plan again, for a shell.
+/// Returns the `just run` command that makes a plan again, quoted for a shell.
 pub fn again(sweep: &Sweep, plan: &SweptPlan) -> String {
     let mut command = "just run".to_string();
     for word in sweep.again(plan) {
@@ -70,7 +70,7 @@ pub fn again(sweep: &Sweep, plan: &SweptPlan) -> String {
     command
 }
 
-/// Reads the row of a plan, where it is there.
+/// Reads the row (the result) of the plan `id` in the sweep `dir`; `None` if it does not exist yet.
 ///
 /// # Errors
 /// Fails if it is there and cannot be read.
@@ -83,12 +83,13 @@ pub fn read_row(dir: &Path, id: &str) -> Result<Option<PlanRow>, Failure> {
     }
 }
 
-/// Returns the path of the row of a plan.
+/// Returns the path of the row (the result) of the plan `id` in the sweep `dir`.
 pub fn row_path(dir: &Path, id: &str) -> PathBuf {
     dir.join("plans").join(id).join("row.json")
 }
 
-/// Writes a value as a JSON file, whole or not at all, in the place of one that stands there.
+/// Writes a value as a JSON file, whole or not at all. It replaces an existing file, unless that has the same
+/// content.
 ///
 /// # Errors
 /// Fails if the file cannot be written.
@@ -101,7 +102,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
     Ok(file.write(text.as_bytes())?)
 }
 
-/// Makes the failure of a file that cannot be read.
+/// Returns the failure that says that the file at `path` cannot be read, because of `problem`.
 pub fn unreadable(path: &Path, problem: &dyn std::fmt::Display) -> Failure {
     Failure::new(format!("{}: cannot read: {problem}", path.display()))
 }

@@ -1,12 +1,12 @@
 //! Many plans of one mirror: the file of a sweep becomes plans, which run in batches and share what they can.
 //!
-//! * [`setting`]: what can be varied: names, units, bounds.
-//! * [`description`]: what the file of a sweep says.
-//! * [`expand`]: every combination of its settings.
-//! * [`plan`]: plans, and the stages that make them.
-//! * [`batch`]: which plans a job runs, and what it needs.
-//! * [`row`]: what came of a plan.
-//! * [`search`]: plans between those of the front.
+//! * [`setting`]: settings that can be varied: names, units, bounds.
+//! * [`description`]: content of the file of a sweep.
+//! * [`expand`]: every combination of the settings in the file.
+//! * [`plan`]: plans, and the stages (runs of a program) that make them.
+//! * [`batch`]: choice of the plans that a job runs, and the time and memory that it needs.
+//! * [`row`]: result of a plan.
+//! * [`search`]: new plans between neighbours on the front of residual against time.
 //! * [`varying`]: commands of tools that vary over the part.
 //!
 //! The binary reads the files, runs the stages, and is called by `workflow/Snakefile`.

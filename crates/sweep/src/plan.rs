@@ -1,7 +1,7 @@
-//! Plans, and the stages that make them.
+//! Plans of a sweep, and the stages that make them. A stage is a run of one program of Planish.
 //!
-//! The name of every result holds the hash of all its inputs. So results that several plans share are made once, and
-//! an existing result is never out of date.
+//! The name of every result holds the hash of all its inputs. So results that several plans share are made once,
+//! and an existing result is never out of date.
 
 use planish_pipeline::{
     scope::Scope,
@@ -16,105 +16,105 @@ use crate::{
     varying,
 };
 
-/// A sweep that is ready to run: its plans, and where what they are made of stands. All paths are relative to the
-/// directory of the sweep, where its stages run, but for those of a mirror of one's own.
+/// A sweep that is ready to run: its plans, and the paths of their inputs. All paths are relative to the directory of
+/// the sweep, where its stages run, except those of a mirror that the user has given.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sweep {
-    /// Version of this layout.
+    /// Version of the layout of `sweep.json`.
     pub version: u32,
-    /// Name of the sweep: that of its file.
+    /// Name of the sweep: the name of its file without the ending.
     pub name: String,
-    /// Name of the mirror, for people.
+    /// Name of the mirror that people read.
     pub mirror: String,
-    /// Stages that make the mirror.
+    /// Stages that make the map and the tools.
     pub mirror_steps: Vec<Step>,
-    /// The desired removal.
+    /// Directory of the desired removal.
     pub surface: String,
-    /// The tools by name; the first, without a name, is the mirror's own.
+    /// Tools: name and directory. The first one has an empty name; it is the mirror's own.
     pub tools: Vec<(String, String)>,
-    /// File of the machine.
+    /// Path of the machine file.
     pub machine: String,
-    /// File of the process.
+    /// Path of the error budget of the process; `None` if the plans are not judged by it.
     pub process: Option<String>,
-    /// File of the specification.
+    /// Path of the specification; `None` if the plans are not judged by it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub specification: Option<String>,
-    /// True if every plan gets its own report.
+    /// True if each plan gets a report page of its own.
     pub reports: bool,
-    /// Constraints that a plan must keep to be on the front.
+    /// Constraints that a plan must keep to be on the front of residual against time.
     pub constraints: Constraints,
-    /// Settings of `just run` that all plans share.
+    /// Settings of `just run` that all plans share, to make a plan again.
     pub again: Vec<String>,
-    /// Hashes of what all plans are made of.
+    /// Hashes of the inputs that all plans share.
     pub ground: Ground,
-    /// The plans of the grid, then those that were proposed round by round.
+    /// Rounds of plans: first the grid of the file, then the plans that each round of the search proposed.
     pub rounds: Vec<Round>,
 }
 
-/// Plans that are made together.
+/// Plans that are made together: the grid of the file, or one round of the search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Round {
-    /// Hash of its plans' names: another grid is another round.
+    /// Hash of the names of its plans, so that another grid is another round.
     pub id: String,
-    /// The plans.
+    /// Plans of the round.
     pub plans: Vec<SweptPlan>,
 }
 
-/// Hashes of what all plans are made of.
+/// Hashes of the inputs that all plans share. They are part of the names of all results.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ground {
     /// Hash of the desired removal.
     pub surface: String,
-    /// Hashes of the tools, by name; the mirror's own has an empty name.
+    /// Hashes of the tools, by name; the mirror's own tool has an empty name.
     pub tools: Vec<(String, String)>,
-    /// Hashes of the commands of tools that vary, with the files that they read, by the text of the setting.
+    /// Hashes of the commands that make varying tools, with the files that they read, by the text of the setting.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub varying: Vec<(String, String)>,
-    /// Command of the plans that do not have the setting: that of the fixture, if it has one.
+    /// Command of a varying tool for the plans without that setting: that of the fixture; `None` if it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own_varying: Option<String>,
-    /// Hash of the machine.
+    /// Hash of the machine file.
     pub machine: String,
-    /// Hash of the process, if there is one.
+    /// Hash of the error budget; `None` if there is none.
     pub process: Option<String>,
-    /// Hash of the specification, if there is one.
+    /// Hash of the specification; `None` if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub specification: Option<String>,
 }
 
-/// A run of a stage.
+/// A stage with its arguments: one run of a program.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Step {
-    /// Name of the program.
+    /// Name of the program, such as `planish-joint`.
     pub program: String,
     /// Arguments of the program.
     pub arguments: Vec<String>,
 }
 
-/// A plan of a sweep.
+/// A plan of a sweep: path, method and settings, and the names of its results.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SweptPlan {
     /// Name of the plan, which ends with the hash of its inputs.
     pub id: String,
-    /// Name of its tool path.
+    /// Name of its tool path, which plans with the same path share.
     pub path_id: String,
-    /// Name of its first dwell times, if the method begins with some.
+    /// Name of its first dwell times, which plans share; `None` if the method does not start from dwell times.
     pub dwell_id: Option<String>,
-    /// Family of the path.
+    /// Family of the tool path, such as `raster`.
     pub path: String,
-    /// Method.
+    /// Method that makes dwell times and motion, such as `joint`.
     pub method: String,
-    /// Settings in the order of the table.
+    /// Settings and their values, in the order of the table of settings.
     pub settings: Vec<(String, SettingValue)>,
 }
 
 impl Step {
-    /// Makes a run of `program`.
+    /// Makes a stage that runs `program` with `arguments`.
     pub fn new(program: &str, arguments: impl IntoIterator<Item = impl Into<String>>) -> Self {
         let arguments = arguments.into_iter().map(Into::into).collect();
         Self { program: program.into(), arguments }
@@ -122,7 +122,7 @@ impl Step {
 }
 
 impl SweptPlan {
-    /// Makes a plan with these settings and the defaults, and names it by the hash of its inputs.
+    /// Makes a plan with these settings and the defaults of the others. Its name contains the hash of its inputs.
     pub fn new(
         path: &str,
         method: &str,
@@ -156,12 +156,12 @@ impl SweptPlan {
         plan
     }
 
-    /// Returns the value of a setting.
+    /// Returns the value of the setting `key`; `None` if the plan does not have it.
     pub fn get(&self, key: &str) -> Option<&SettingValue> {
         value_of(&self.settings, key)
     }
 
-    /// Returns the number that a setting has.
+    /// Returns the value of the setting `key` as a number; `None` if the plan does not have it or it is no number.
     pub fn number(&self, key: &str) -> Option<f64> {
         match self.get(key) {
             Some(SettingValue::Number(number)) => Some(*number),
@@ -169,7 +169,7 @@ impl SweptPlan {
         }
     }
 
-    /// Returns the name of its tool; that of the mirror's own is empty.
+    /// Returns the name of the plan's tool; it is empty for the mirror's own tool.
     pub fn tool(&self) -> &str {
         match self.get("tool") {
             Some(SettingValue::Word(name)) => name,
@@ -177,7 +177,7 @@ impl SweptPlan {
         }
     }
 
-    /// Returns the command that makes its tool of its TIF, if it has one.
+    /// Returns the command that makes the plan's tool vary over the part; `None` if the tool is the same everywhere.
     pub fn varying(&self) -> Option<&str> {
         match self.get("varying") {
             Some(SettingValue::Word(text)) if text != varying::NONE => Some(text),
@@ -185,12 +185,12 @@ impl SweptPlan {
         }
     }
 
-    /// Returns the directory of the plan.
+    /// Returns the directory of the plan in the sweep.
     pub fn dir(&self) -> String {
         format!("plans/{}", self.id)
     }
 
-    /// Returns the directory of its motion.
+    /// Returns the directory of the plan's motion and the results of its method.
     pub fn method_dir(&self) -> String {
         format!("plans/{}/methods/{}", self.id, self.method)
     }
@@ -209,7 +209,7 @@ impl Round {
     }
 }
 
-/// Returns the first 12 digits of the BLAKE3 of a value, and of the version that made it.
+/// Returns the first 12 hexadecimal digits of the BLAKE3 hash of a value together with the version of this program.
 pub fn hash(content: &Value) -> String {
     let versioned = json!([env!("CARGO_PKG_VERSION"), content]);
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
@@ -219,21 +219,21 @@ pub fn hash(content: &Value) -> String {
 const MIRROR_PROGRAMS: [&str; 4] =
     ["planish-fixture", "planish-import", "planish-surface", "planish-tool"];
 
-/// Returns true if `text` is the name of something directly in a directory that a shell keeps in one piece.
+/// Returns true if `text` can be the name of an entry of a directory, in characters that a shell needs no quotes for.
 fn is_name(text: &str) -> bool {
     !text.is_empty()
         && !text.starts_with(['.', '-'])
         && text.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_+.".contains(&b))
 }
 
-/// Returns true if `path` is the path of something in the directory of the sweep.
+/// Returns true if `path` is relative and leads to something in the directory of the sweep.
 fn is_inside(path: &str) -> bool {
     path.split('/').all(is_name)
 }
 
 impl Sweep {
-    /// Checks that an expansion can have written this: its steps run no other programs than those of a mirror, everything
-    /// is written in the directory of the sweep, and every name is that of its content.
+    /// Checks that an expansion can have written this sweep. Its steps run only programs that make a mirror,
+    /// everything is written in the directory of the sweep, and every name contains the hash of its content.
     ///
     /// # Errors
     /// Fails with a message that says what no expansion writes.
@@ -279,29 +279,29 @@ impl Sweep {
             && *plan == SweptPlan::new(path, method, plan.settings.clone(), &self.ground)
     }
 
-    /// Returns the path of the size of the mirror, once it is made.
+    /// Returns the path of the file with the size of the mirror, which exists once the mirror is made.
     pub fn mirror_file(&self) -> String {
         format!("done/mirror-{}.json", self.ground.surface)
     }
 
-    /// Returns every plan, round by round.
+    /// Returns the plans of all rounds, round by round.
     pub fn plans(&self) -> impl Iterator<Item = &SweptPlan> {
         self.rounds.iter().flat_map(|round| &round.plans)
     }
 
-    /// Returns the path of the TIF of a plan, which is the same everywhere, or a tool that varies by itself.
+    /// Returns the path of the tool that a plan names, before the command of the setting `varying` changes it.
     fn given_tif(&self, plan: &SweptPlan) -> &str {
         value_of(&self.tools, plan.tool()).expect("a plan names a tool of its sweep")
     }
 
-    /// Returns the path of the tool of a plan: that which its command makes of its TIF, or its TIF.
+    /// Returns the path of the tool that a plan works with: the result of its command, or the tool that it names.
     pub fn tif(&self, plan: &SweptPlan) -> String {
         let varied = varied_tool(plan.tool(), plan.varying(), &self.ground);
         varied.unwrap_or_else(|| self.given_tif(plan).into())
     }
 
-    /// Adds the stages that make the tools of these plans that vary, each once; `words` are those of the commands, by the
-    /// text of the setting.
+    /// Adds the stages that make the varying tools of these plans, each tool once. `words` are the words of the
+    /// commands, by the text of the setting.
     pub fn add_varying(&mut self, plans: &[SweptPlan], words: &[(String, Vec<String>)]) {
         let mut made: Vec<String> = Vec::new();
         for plan in plans {
@@ -326,7 +326,7 @@ impl Sweep {
         self.steps(plan, "paths")
     }
 
-    /// The commands of a stage of the pipeline of a plan, where what it hands on stands in the sweep.
+    /// Returns the commands of a stage of the plan's pipeline, with the paths of inputs and outputs in the sweep.
     fn steps(&self, plan: &SweptPlan, stage: &str) -> Vec<Step> {
         let mut scope =
             scope(&plan.path, &plan.settings).expect("the settings of a plan were checked");
@@ -358,18 +358,18 @@ impl Sweep {
         commands.into_iter().map(Step::from_command).collect()
     }
 
-    /// Returns the place of the tool path of a plan.
+    /// Returns the directory of the tool path of a plan.
     pub fn tool_path(&self, plan: &SweptPlan) -> String {
         format!("paths/{}/path", plan.path_id)
     }
 
-    /// Returns the stage that makes the first dwell times of a plan, where there is one.
+    /// Returns the stage that makes the first dwell times of a plan; `None` if its method does not start from any.
     pub fn dwell_step(&self, plan: &SweptPlan) -> Option<Step> {
         plan.dwell_id.as_ref()?;
         self.steps(plan, "dwell").pop()
     }
 
-    /// Returns the stages of the plan itself.
+    /// Returns the stages that make the plan, once its path and first dwell times are made.
     pub fn plan_steps(&self, plan: &SweptPlan) -> Vec<Step> {
         let mut steps = self.steps(plan, if plan.dwell_id.is_some() { "refined" } else { "joint" });
         if self.process.is_some() {
@@ -378,7 +378,7 @@ impl Sweep {
         steps
     }
 
-    /// Returns the stage that makes the report of a plan, which stands in a directory like that of a run.
+    /// Returns the stage that makes the report of a plan, whose directory looks like that of a single run.
     pub fn report_step(&self, plan: &SweptPlan) -> Step {
         let dir = plan.dir();
         let out = format!("{dir}/report");
@@ -389,7 +389,7 @@ impl Sweep {
         Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
     }
 
-    /// Returns the settings of `just run` that make a plan again, the pipeline first.
+    /// Returns the settings of `just run` that make a plan again; the first word is the name of the pipeline.
     pub fn again(&self, plan: &SweptPlan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
         // A plan of motion and times as one problem does not depend on the process.
@@ -420,7 +420,8 @@ impl Sweep {
 }
 
 impl Step {
-    /// Makes the step of a command, whose time nobody measures and whose picture nobody sees: the same plan gives the same bytes.
+    /// Makes a step of a command. It leaves out the flags of wall time and picture, so that the same plan gives the
+    /// same bytes.
     fn from_command(command: StageCommand) -> Self {
         let mut arguments = Vec::new();
         let mut words = command.arguments.into_iter();
@@ -434,8 +435,8 @@ impl Step {
     }
 }
 
-/// Returns the commands of a stage that makes the mirror, the same for all pipelines, where these names stand for these
-/// words.
+/// Returns the commands of a stage that makes the mirror, which is the same in all pipelines. `names` are names in
+/// the stage with the words that they stand for.
 pub fn steps_of_mirror<const N: usize>(stage: &str, names: [(&str, Vec<String>); N]) -> Vec<Step> {
     let mut scope = scope(PATHS[0], &[]).expect("a pipeline needs no setting");
     for (name, words) in names {
@@ -445,7 +446,7 @@ pub fn steps_of_mirror<const N: usize>(stage: &str, names: [(&str, Vec<String>);
     commands.into_iter().map(Step::from_command).collect()
 }
 
-/// The pipeline of a path with the settings of a plan.
+/// Returns the pipeline of a path family with the settings of a plan, except for those that name a tool.
 fn scope(path: &str, settings: &[(String, SettingValue)]) -> Result<Scope<'static>, String> {
     let definition = pipeline(path).ok_or_else(|| format!("there is no path '{path}'"))?;
     let settings = settings.iter().filter(|(key, _)| !matches!(key.as_str(), "tool" | "varying"));
@@ -453,7 +454,7 @@ fn scope(path: &str, settings: &[(String, SettingValue)]) -> Result<Scope<'stati
     Scope::new(definition, &settings)
 }
 
-/// Values of the settings of these stages in a plan, given or not.
+/// Returns the settings on which these stages depend, with their values in a plan, given or default.
 fn resolved(
     path: &str,
     settings: &[(String, SettingValue)],
@@ -464,14 +465,14 @@ fn resolved(
     names.map(|name| (name.to_string(), scope.text(name).unwrap_or_default())).collect()
 }
 
-/// Directory of the tool that a command makes of a TIF, in the directory of the sweep; none without a command.
+/// Returns the directory, in the sweep, of the varying tool that a command makes of `tool`; `None` without a command.
 fn varied_tool(tool: &str, text: Option<&str>, ground: &Ground) -> Option<String> {
     let command = value_of(&ground.varying, text?)?;
     let tif = value_of(&ground.tools, tool);
     Some(format!("tool/{}", hash(&json!(["tool", tif, ground.surface, command]))))
 }
 
-/// Returns the value of a key in a list of keys and values.
+/// Returns the value of `key` in a list of pairs; `None` if the key is not in it.
 fn value_of<'a, T>(list: &'a [(String, T)], key: &str) -> Option<&'a T> {
     list.iter().find(|(known, _)| known == key).map(|(_, value)| value)
 }
@@ -502,9 +503,10 @@ fn with_defaults(
     settings
 }
 
-/// A name that begins with a word and ends with the hash of its content.
+/// Returns a name that begins with `word` and ends with the hash of `content`.
 ///
-/// 12 digits: of 1e5 plans two have the same hash with a probability of 2e-5, and their names differ by word, too.
+/// The hash has 12 digits: of 1e5 plans two have the same hash with a probability of 2e-5, and their names differ
+/// by word, too.
 fn name(word: &str, content: &Value) -> String {
     format!("{word}-{}", hash(content))
 }

@@ -1,4 +1,4 @@
-//! Runs of stages, several at once.
+//! Runs of stages as processes of their own, several at the same time.
 
 use std::{
     fs,
@@ -16,30 +16,30 @@ use std::{
 use planish_handoff::{Failure, Running, stage_command};
 use planish_sweep::plan::Step;
 
-/// Ends of a stage.
+/// Result of the process of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum End {
-    /// Exit code 0.
+    /// Done: exit code 0.
     Done,
-    /// Exit code 1, with this reason.
+    /// Done with a negative verdict: exit code 1, with the reason.
     Negative(String),
-    /// Exit code 2, with this message.
+    /// Not able to run: exit code 2, with the message.
     Failed(String),
-    /// End by a signal, or with a code that no stage has.
+    /// Killed by a signal, or ended with a code that no stage has; the text describes which.
     Killed(String),
 }
 
-/// Folder of the stages, and the directory in which they run.
+/// Starter of stages: the folder of their programs, and the directory in which they run.
 #[derive(Clone, Debug)]
 pub struct Stages {
-    /// Folder of the programs: that of this one.
+    /// Folder of the programs, which is that of this program.
     programs: PathBuf,
     /// Directory of the sweep.
     dir: PathBuf,
 }
 
 impl Stages {
-    /// Finds the stages beside this program, which run in `dir`.
+    /// Creates a starter for the programs in the folder of this program; they run in `dir`.
     ///
     /// # Errors
     /// Fails if the system does not tell where this program is.
@@ -50,14 +50,14 @@ impl Stages {
         Ok(Self { programs, dir: dir.into() })
     }
 
-    /// Returns the time at which the newest of these programs, or this one that they start, was built.
+    /// Returns the build time of the newest of these programs and of this one; `None` if the system does not tell it.
     pub fn newest(&self, programs: &[&str]) -> Option<SystemTime> {
         let files = programs.iter().map(|name| self.programs.join(name));
         let files = files.chain(std::env::current_exe().ok());
         files.filter_map(|file| fs::metadata(file).ok()?.modified().ok()).max()
     }
 
-    /// Runs a stage to its end, on one core. It ends with this process.
+    /// Runs a stage to its end, on one core. The stage is ended if this process ends.
     ///
     /// # Errors
     /// Fails if its program cannot be run.
@@ -100,8 +100,8 @@ impl Stages {
         })
     }
 
-    /// Runs stages one after the other; returns the end of the first that failed or was killed, else the first negative
-    /// verdict.
+    /// Runs stages one after the other and stops at the first that failed or was killed. Returns the result of that
+    /// one, otherwise the first negative verdict, otherwise `Done`.
     ///
     /// # Errors
     /// Fails if a program cannot be run.
@@ -119,8 +119,8 @@ impl Stages {
     }
 }
 
-/// Does the work for every item, `at_once` of them at the same time, in their order. The first error ends it when what
-/// is under way has ended.
+/// Does `work` for every item in their order, for `at_once` of them at the same time. After the first error no
+/// further item begins, but those under way are finished.
 ///
 /// # Errors
 /// Fails with the first error of the work.
@@ -149,7 +149,8 @@ pub fn each<T: Sync>(
     error.into_inner().expect("no worker panics with the lock").map_or(Ok(()), Err)
 }
 
-/// Reads the processor seconds of the stages that have ended, where the system tells (Linux).
+/// Returns the processor time of all stages that have ended, s; `None` if the system does not tell it (other than
+/// Linux).
 pub fn processor_s_of_stages() -> Option<f64> {
     let stat = fs::read_to_string("/proc/self/stat").ok()?;
     // After the name, which is in brackets and may hold anything: state is field 3, cutime and cstime are 16 and 17.

@@ -1,4 +1,4 @@
-//! Plans between those of the front.
+//! Search for better plans: proposes new ones between neighbours on the front of residual against time.
 //!
 //! Between two neighbours on the front of residual against time, a plan is proposed with the settings half way: the
 //! geometric mean of numbers above 0, as pitches, floors and prices are compared by ratios. Where the neighbours have
@@ -19,10 +19,11 @@ use crate::{
 /// A larger ratio: the ends of the front decide the area. A smaller one: plans at the ends add nothing to the area.
 const BEYOND: f64 = 1.1;
 
-/// A plan and what came of it.
+/// A plan that was made, with the two coordinates of its point: time and residual.
 pub type Made<'a> = (&'a SweptPlan, [f64; 2]);
 
-/// Proposes the plans to be tried next.
+/// Proposes the plans to try next: two between each pair of neighbours on the front. `made` are the plans that can be
+/// on the front, and `all` those that exist and are not proposed again.
 pub fn proposals(made: &[Made<'_>], all: &[&SweptPlan], ground: &Ground) -> Vec<SweptPlan> {
     let points: Vec<[f64; 2]> = made.iter().map(|(_, point)| *point).collect();
     let front = front(&points);
@@ -40,7 +41,8 @@ pub fn proposals(made: &[Made<'_>], all: &[&SweptPlan], ground: &Ground) -> Vec<
     proposed
 }
 
-/// Returns the relative growth of the area of the front from the first `before` of the points to all of them.
+/// Returns the relative growth of the area that the front dominates, from the first `before` points to all `points`.
+/// It is infinite if the area was 0.
 pub fn growth(points: &[[f64; 2]], before: usize) -> f64 {
     let front = front(points);
     let corner = [0, 1].map(|k| BEYOND * front.iter().map(|&i| points[i][k]).fold(0.0, f64::max));
@@ -49,7 +51,8 @@ pub fn growth(points: &[[f64; 2]], before: usize) -> f64 {
     if old > 0.0 { new / old - 1.0 } else { f64::INFINITY }
 }
 
-/// `own` with its numbers half way to those of the other; seeds and passes are no quantities between which others lie.
+/// Returns `own` with its numbers half way to those of `other`. Whole numbers such as seeds and passes stay, because
+/// no values lie between them.
 fn half_way(own: &SweptPlan, other: &SweptPlan, ground: &Ground) -> SweptPlan {
     let settings = own.settings.iter().map(|(key, value)| {
         let is_whole = SETTINGS.iter().any(|setting| setting.key == *key && setting.is_whole());
@@ -74,12 +77,12 @@ fn mean(a: f64, b: f64) -> f64 {
     }
 }
 
-/// Rounds to 4 digits, which are enough to tell plans apart.
+/// Rounds to 4 significant digits, which are enough to tell plans apart.
 fn rounded(x: f64) -> f64 {
     format!("{x:.3e}").parse().expect("a formatted number is one")
 }
 
-/// Writes the settings as a sentence: the names without settings that the sweep does not vary.
+/// Describes a plan as a phrase: path, method and settings, without those that a sweep does not vary.
 pub fn in_words(plan: &SweptPlan) -> String {
     let settings = plan.settings.iter();
     let settings = settings.filter(|(key, _)| SETTINGS.iter().any(|setting| setting.key == *key));

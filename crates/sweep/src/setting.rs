@@ -1,4 +1,5 @@
-//! The settings that a sweep can vary: those of the pipelines on which its stages depend, and whose they are.
+//! Settings that a sweep can vary: those of the pipelines on which its stages depend, and the paths or methods they
+//! belong to.
 //!
 //! They are called as in the pipelines, with the unit at the end of the name.
 
@@ -14,13 +15,14 @@ use planish_types::outcome::sweep::SettingValue;
 
 use crate::varying;
 
-/// Families of tool paths: pipelines of these names.
+/// Families of tool paths; each has a pipeline of the same name.
 pub const PATHS: [&str; 5] = ["raster", "maze", "random-adaptive", "spiral", "multi-pitch"];
 
-/// Methods that make dwell times and motion of a path.
+/// Methods that make dwell times and motion along a path.
 pub const METHODS: [&str; 2] = ["joint", "pvt+refined"];
 
-/// Names that the sweep gives itself: places of what stages hand on, and what all of its plans share.
+/// Names in the pipelines to which the sweep itself gives values: paths of inputs and outputs, and settings that all
+/// plans share.
 pub const OWN: [&str; 14] = [
     "map",
     "tool",
@@ -38,15 +40,15 @@ pub const OWN: [&str; 14] = [
     "exported",
 ];
 
-/// Settings that name a tool, which no stage of a pipeline has by these names.
+/// Names of the settings that select a tool. They exist in a sweep only, not in the pipelines.
 const TOOLS: [&str; 2] = ["tool", "varying"];
 
-/// The pipelines of [`PATHS`].
+/// Definitions of the pipelines of [`PATHS`], in that order.
 static PIPELINES: LazyLock<Vec<Definition>> = LazyLock::new(|| {
     PATHS.iter().map(|name| Definition::built_in(name).expect("a pipeline")).collect()
 });
 
-/// Every setting, in the order of a table.
+/// All settings that can be varied, in the order of the columns of a table.
 pub static SETTINGS: LazyLock<Vec<Setting>> = LazyLock::new(settings);
 
 /// A setting that can be varied.
@@ -55,43 +57,44 @@ pub struct Setting {
     /// Name of the setting, which ends with its unit.
     pub key: String,
     kind: Kind,
-    /// Owner of the setting.
+    /// Paths or methods to which the setting belongs.
     pub owner: Owner,
 }
 
-/// Paths or methods that have a setting.
+/// Paths or methods to which a setting belongs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Owner {
-    /// Setting of these paths.
+    /// The setting belongs to the tool paths of these families.
     Paths(Vec<&'static str>),
-    /// Setting of these methods.
+    /// The setting belongs to these methods.
     Methods(Vec<&'static str>),
 }
 
-/// Returns the pipeline of a family of paths.
+/// Returns the definition of the pipeline of a path family; `None` for an unknown family.
 pub fn pipeline(path: &str) -> Option<&'static Definition> {
     PIPELINES.iter().find(|definition| definition.name == path)
 }
 
-/// Returns the default of a setting that all pipelines share.
+/// Returns the default, as text, of a setting that all pipelines share.
 pub fn default(name: &str) -> String {
     let scope = Scope::new::<&str>(&PIPELINES[0], &[]).expect("no settings");
     scope.text(name).expect("a setting that all pipelines share")
 }
 
-/// Returns the stages that make the plan of a method, but for its path.
+/// Returns the names of the pipeline's stages that make a plan by `method`, without those of its path.
 pub fn stages(method: &str) -> &'static [&'static str] {
     if method == "joint" { &["joint"] } else { &["dwell", "refined"] }
 }
 
-/// Path, stage, and the settings on which the stage depends. A sweep asks for them for every plan.
+/// Table of (path family, stage, settings on which the stage depends). It is computed once, because a sweep needs it
+/// for every plan.
 static SETTINGS_OF_STAGES: LazyLock<Vec<(&str, &str, BTreeSet<String>)>> = LazyLock::new(|| {
     let stages = ["paths", "dwell", "refined", "joint"];
     let pairs = PIPELINES.iter().flat_map(|p| stages.map(|stage| (p, stage)));
     pairs.map(|(p, stage)| (p.name.as_str(), stage, p.settings_of(stage, &OWN))).collect()
 });
 
-/// Returns the settings of a path on which these stages depend, in the order of their names.
+/// Returns the settings on which these stages depend in the pipeline of `path`, in alphabetical order.
 pub fn settings_of(path: &str, stages: &[&str]) -> BTreeSet<&'static str> {
     let known = SETTINGS_OF_STAGES.iter();
     let known = known.filter(|(p, stage, _)| *p == path && stages.contains(stage));
@@ -130,15 +133,16 @@ fn add(settings: &mut Vec<Setting>, key: &str, kind: &Kind, owner: Owner) {
     }
 }
 
-/// Largest whole number that a number of YAML keeps exactly: 2^53. A larger one would be rounded.
+/// Largest whole number that a YAML number, which is a 64-bit float, keeps exactly: 2^53. A larger one would be
+/// rounded.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
-/// Settings of which a plan has one at most.
+/// Pairs of settings that exclude each other: a plan has at most one of each pair.
 pub const EXCLUSIVE: [[&str; 2]; 2] =
     [["min_dwell_s", "min_dwell_s_per_mm"], ["time_elasticity", "time_weight_nm2_per_s"]];
 
 impl Setting {
-    /// Returns the setting of this name.
+    /// Returns the setting of the name `key`.
     ///
     /// # Errors
     /// Fails with a complaint about `line` that names the remedy if there is none.
@@ -169,17 +173,18 @@ impl Setting {
         }
     }
 
-    /// Returns true if the text is a value of the setting.
+    /// Returns true if `value` is allowed by the type of the setting.
     pub fn fits(&self, value: &str) -> bool {
         self.kind.check(value).is_ok()
     }
 
-    /// Returns true if the setting is a count or a seed, between which no other values lie.
+    /// Returns true if the setting is a count or a seed: no values lie between two of its values.
     pub fn is_whole(&self) -> bool {
         matches!(self.kind, Kind::Whole { .. })
     }
 
-    /// Reads the values of the setting that stand in a node: one, a list, or a range.
+    /// Reads the values of the setting from a YAML node: one value, a list, or a range. `tools` are the names of the
+    /// sweep's tools, which a setting may name.
     ///
     /// # Errors
     /// Fails if one is no value of the setting, or if the list or the range has none.
@@ -260,7 +265,7 @@ impl Setting {
     }
 }
 
-/// Returns the word that stands there, where it is one of these.
+/// Returns the word in the node if it is one of `words`; otherwise `None`.
 pub fn one_of(node: &Node, words: &[&str]) -> Option<SettingValue> {
     match &node.value {
         Value::Text(text) if words.contains(&text.as_str()) => {
@@ -270,7 +275,7 @@ pub fn one_of(node: &Node, words: &[&str]) -> Option<SettingValue> {
     }
 }
 
-/// A name without the unit at its end.
+/// Returns the name of a setting without the unit at its end.
 fn stem(key: &str) -> &str {
     const UNITS: [&str; 12] = [
         "_s_per_mm",
@@ -289,12 +294,12 @@ fn stem(key: &str) -> &str {
     UNITS.iter().find_map(|unit| key.strip_suffix(unit)).unwrap_or(key)
 }
 
-/// Largest number of values of a range; more are refused. Larger: a mistyped step makes too many plans. Smaller: fine
-/// ranges are refused.
+/// Largest number of values of a range in the file of a sweep; more are refused. Larger: a mistyped step makes too
+/// many plans. Smaller: fine ranges are refused.
 const MOST_OF_A_RANGE: f64 = 10_000.0;
 
-/// The numbers of `{from: A, to: B, step: S}` or `{from: A, to: B, count: N}`, the latter in equal ratios with
-/// `spacing: logarithmic`.
+/// Returns the numbers of a range `{from: A, to: B, step: S}` or `{from: A, to: B, count: N}`. With `spacing:
+/// logarithmic`, the latter has equal ratios between neighbours.
 fn range(
     key: &str,
     line: u64,
@@ -372,7 +377,7 @@ fn range(
     }))
 }
 
-/// Rounds to 12 digits, so that 0.8 + 2 * 0.2 is 1.2.
+/// Rounds to 12 significant digits, so that 0.8 + 2 * 0.2 is 1.2.
 fn rounded(x: f64) -> f64 {
     format!("{x:.11e}").parse().expect("a formatted number is one")
 }

@@ -1,26 +1,27 @@
-//! Tools that vary over the part: the commands of the setting `varying`, which the sweep makes with its mirror.
+//! Tools that vary over the part. The setting `varying` holds the command that makes such a tool; the sweep runs it
+//! together with the steps of the mirror.
 
-/// Subcommands of `planish-tool` that make a tool that varies from a TIF and a map.
+/// Subcommands of `planish-tool` that make a varying tool from a TIF and a map.
 const COMMANDS: [&str; 5] = ["incidence", "rate", "footprint", "edge", "turned"];
 
-/// Second names of some of them.
+/// Second names that some of these subcommands have.
 const SECOND_NAMES: [&str; 4] = ["tool-rate", "tool-footprint", "tool-edge", "tool-turned"];
 
-/// The word for a tool that is the same everywhere.
+/// Value of the setting for a tool that is the same everywhere.
 pub const NONE: &str = "none";
 
-/// Flags that the sweep gives itself.
+/// Flags that the sweep itself adds to the command, so that the setting must not contain them.
 const OWN_FLAGS: [&str; 6] = ["--tif", "--surface", "--out", "--force", "--picture", "--wall-time"];
 
-/// Flags whose value is the path of a file or directory.
+/// Flags of the command whose value is the path of a file or directory.
 const PATH_FLAGS: [&str; 2] = ["--form", "--table"];
 
-/// Describes the values that the setting may have.
+/// Describes the allowed values of the setting `varying`, for messages.
 pub fn wanted() -> String {
     format!("{NONE}, or the words of planish-tool {}, with their flags", COMMANDS.join(", "))
 }
 
-/// Checks that a text is a command of the setting.
+/// Checks that `text` is an allowed value of the setting `varying`.
 ///
 /// # Errors
 /// Fails with the values that the setting may have.
@@ -41,14 +42,14 @@ pub fn check(text: &str) -> Result<(), String> {
     }
 }
 
-/// Returns the first flag in a text that the sweep gives itself.
+/// Returns the first flag in a text that the sweep itself adds; `None` if it contains none.
 pub fn own_flag(text: &str) -> Option<&str> {
     let flags =
         text.split_whitespace().map(|word| word.split_once('=').map_or(word, |(flag, _)| flag));
     flags.into_iter().find(|flag| OWN_FLAGS.contains(flag))
 }
 
-/// Replaces every path in the words of a command by what `place` makes of it.
+/// Replaces every path in the words of a command by the path that `place` returns for it.
 ///
 /// # Errors
 /// Fails where `place` does.

@@ -1,4 +1,4 @@
-//! `planish-sweep` as the workflow calls it, with the real stages.
+//! Tests of `planish-sweep` as the workflow calls it, with the real stages.
 
 use std::{
     collections::BTreeMap,
@@ -46,7 +46,7 @@ fn ended(code: i32, arguments: &[&str]) -> String {
     said
 }
 
-/// The file of a sweep in `dir`.
+/// Writes the file of a sweep in `dir` and returns its path.
 fn written(dir: &Path, sweep: &str) -> PathBuf {
     let fixtures = workspace().join("fixtures");
     let sweep = sweep
@@ -64,7 +64,8 @@ fn expanded(dir: &Path, name: &str) -> String {
     out
 }
 
-/// Every file below a directory that does not say how it was made: its bytes.
+/// Returns the contents of the result files under a directory, without those that depend on how the results were
+/// made.
 fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![dir.to_path_buf()];
@@ -165,8 +166,8 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     assert!(said.contains("has no row; make the plans of round 1 first"), "{said}");
 }
 
-/// A tool that varies is made with the mirror, once for each command, and its table begins in the folder of the file. The
-/// command beside the recipe of a fixture is that of the plans without the setting.
+/// A tool that varies is made with the mirror, once for each command, and its table begins in the folder of the file.
+/// The command beside the recipe of a fixture is that of the plans without the setting.
 #[test]
 fn a_tool_that_varies_is_made_with_the_mirror() {
     let dir = tempfile::tempdir().unwrap();
@@ -212,8 +213,8 @@ fn a_tool_that_varies_is_made_with_the_mirror() {
     assert!(of(plans.as_array().unwrap().last().unwrap()).starts_with("incidence "));
 }
 
-/// The residual of every plan is judged by the specification; its limits are columns of the table, and a plan that misses
-/// one counts only where the sweep says so.
+/// The residual of every plan is judged by the specification; its limits are columns of the table, and a plan that
+/// misses one counts only where the sweep says so.
 #[test]
 fn a_specification_is_a_constraint_and_its_limits_are_columns() {
     let dir = tempfile::tempdir().unwrap();

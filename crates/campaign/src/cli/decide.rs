@@ -98,7 +98,7 @@ impl Decide {
     }
 }
 
-/// Text for the terminal.
+/// Returns the decision as text for the terminal: RMS on the mirror now and after the next run, gain, and reason.
 fn words(d: &Decision) -> String {
     let [low, high] = d.next.interval_95_percent_nm;
     let verdict = match d.verdict {
@@ -128,8 +128,8 @@ fn words(d: &Decision) -> String {
     .join("\n")
 }
 
-/// Returns the distribution of a tolerance artifact: fractions of the runs, and the RMS that each does not exceed, nm.
-/// Refuses one that does not ascend.
+/// Returns the distribution of the residual in a tolerance artifact: (fraction of the simulated runs, RMS in nm that
+/// this fraction does not exceed). Refuses a distribution that does not ascend.
 fn levels(arrays: &ToleranceArrays) -> Result<Vec<(f64, f64)>, Invalid> {
     let levels: Vec<(f64, f64)> =
         arrays.part.iter().copied().zip(arrays.rms_nm.iter().copied()).collect();
@@ -141,7 +141,8 @@ fn levels(arrays: &ToleranceArrays) -> Result<Vec<(f64, f64)>, Invalid> {
     Ok(levels)
 }
 
-/// Returns an error of the map; `None` for an error of another kind.
+/// Converts a line of the error budget into an error of the map; `None` unless its kind is `map_noise` or
+/// `map_low_order`.
 fn error_of_the_map(line: &ErrorLine) -> Option<MapError> {
     let is_white = line.kind == "map_noise";
     if !is_white && line.kind != "map_low_order" {
@@ -151,7 +152,8 @@ fn error_of_the_map(line: &ErrorLine) -> Option<MapError> {
     Some(MapError { adds_rms_nm, unreached_rms_nm, is_white })
 }
 
-/// Returns true if a specification is kept; refuses an artifact without a specification.
+/// Returns true if the specification artifact in `dir` reports that its specification is kept. `role` names the input
+/// in messages. Refuses an artifact without a specification.
 fn is_kept(inputs: &mut Inputs, role: &str, dir: &Path) -> Result<bool, Failure> {
     let manifest = inputs.read_manifest(role, dir, &kind::SPECIFICATION)?;
     let outcome: SpecificationOutcome = manifest.read_outcome(dir, "judge it again")?;

@@ -26,7 +26,8 @@ use serde_json::json;
 /// are refused.
 const MOST_RUNS: usize = 100;
 
-/// Directories of the chains.
+/// Names of the directories of the three chains (series of runs, see `summary`): with learning, without, and with a
+/// known tool.
 const CHAINS: [&str; 3] = ["learning", "without", "known"];
 
 #[derive(Args)]
@@ -88,7 +89,8 @@ impl CampaignReport {
         Ok(Status::Done)
     }
 
-    /// Directory and manifest of an artifact of the run at `place`.
+    /// Reads the manifest of the artifact `name` of the run in the directory `place`. Returns the directory of the
+    /// artifact and the manifest.
     fn manifest(
         &self,
         inputs: &mut Inputs,
@@ -101,7 +103,8 @@ impl CampaignReport {
         Ok((dir, manifest))
     }
 
-    /// Reads the true result of run `k` of each of [`CHAINS`], which stand in these places.
+    /// Reads the true result of run `k` of each of [`CHAINS`]. The three paths are their directories of this run.
+    /// `hidden` receives the seed and the true errors of the virtual machine.
     fn chains(
         &self,
         inputs: &mut Inputs,
@@ -116,7 +119,8 @@ impl CampaignReport {
         })
     }
 
-    /// True result of a run of a chain. All runs must be of the same machine: its seed and truth go into `hidden`.
+    /// Reads the true result of run `k` of one chain from the directory `place`. All runs must be of the same virtual
+    /// machine: its seed and its true errors go into `hidden`. `is_known` requires a machine without errors.
     fn left(
         &self,
         inputs: &mut Inputs,
@@ -169,7 +173,8 @@ impl CampaignReport {
     }
 }
 
-/// Writes a row of the residuals for the terminal.
+/// Returns a row of the table of residuals for the terminal: the RMS (nm) and the time (min) of each chain, and the
+/// ratios to the known tool.
 fn row(name: &str, chains: &Chains) -> String {
     let mut line = format!("{name:<22}");
     for left in chains.each() {
@@ -179,7 +184,7 @@ fn row(name: &str, chains: &Chains) -> String {
     line + &format!(" {learning:>10.3} {without:>9.3}")
 }
 
-/// Table for the terminal.
+/// Returns the tables of the report for the terminal: residuals per run, and the learnt parameters beside the truth.
 fn table(campaign: &Campaign) -> String {
     let mut lines = vec![
         format!("{}: {}", campaign.mirror, answer(campaign)),

@@ -35,7 +35,8 @@ impl Spread {
     }
 }
 
-/// Table for the terminal.
+/// Returns the table for the terminal: median, least and largest ratio of the residual to that of the known tool, run
+/// by run.
 fn table(campaigns: &[Campaign]) -> String {
     let runs = campaigns[0].runs.len();
     let mut lines = vec![
@@ -67,13 +68,14 @@ fn table(campaigns: &[Campaign]) -> String {
     lines.join("\n")
 }
 
-/// Writes the median, the least and the largest of values that ascend.
+/// Writes the median, the least and the largest of `values`, which ascend and are not empty.
 fn spread(values: &[f64]) -> String {
     let median = 0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2]);
     format!("{median:>7.3} {:>7.3} {:>7.3}", values[0], values[values.len() - 1])
 }
 
-/// Lines on the results of each next run: ratio to the expected median, and number of results within the interval.
+/// Returns lines of text on the results of each next run: the ratio of the RMS to the expected median, and the number
+/// of results within the expected interval.
 fn expected(campaigns: &[Campaign]) -> Vec<String> {
     let runs = campaigns[0].runs.len();
     let mut lines = Vec::new();
@@ -98,7 +100,8 @@ fn expected(campaigns: &[Campaign]) -> Vec<String> {
     lines
 }
 
-/// Line on the parameters after the last run: number whose truth is within two standard errors of the learnt value.
+/// Returns a line of text on the parameters after the last run: how many true values are within two standard errors
+/// of the learnt value.
 fn parameters(campaigns: &[Campaign]) -> String {
     let mut determined = 0;
     let mut all = 0;

@@ -163,7 +163,8 @@ impl ReportCommand {
     }
 }
 
-/// Recommends the row `program` of the only run, where one is named; refuses it beside several runs.
+/// Makes the row `program` of the only run its recommendation; does nothing for `None`. Refuses a row if there are
+/// several runs.
 fn recommend(program: Option<&str>, read: &mut [RunData]) -> Result<(), Failure> {
     match (program, read) {
         (None, _) => Ok(()),
@@ -180,7 +181,7 @@ fn warn(message: &str) {
     let _ = writeln!(std::io::stderr(), "{}", visible(message));
 }
 
-/// Says the tables of the runs, and the sentences that go with them.
+/// Prints the tables of the runs, and the sentences that go with them.
 fn tell(runs: &[(&str, &Summary)]) {
     say(match runs {
         [(_, one)] => table(one),
@@ -201,7 +202,7 @@ fn tell(runs: &[(&str, &Summary)]) {
     }
 }
 
-/// Warns of the methods that are out of date.
+/// Prints a warning for every method that is out of date.
 fn warn_of_old(runs: &[(&str, &Summary)]) {
     for (name, left) in runs.iter().flat_map(|(n, s)| s.left_out.iter().map(move |l| (n, l))) {
         if left.standing == Standing::OutOfDate {

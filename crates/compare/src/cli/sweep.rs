@@ -77,8 +77,8 @@ impl Sweep {
         Ok(status)
     }
 
-    /// Returns the path from the page to the folder of the table, to which the reports are relative: one step up if the
-    /// page is beside the table, otherwise from the root.
+    /// Returns the path from the page of the sweep to the folder of the table, to which the reports are relative. It
+    /// is one step up if the page is beside the table, otherwise absolute.
     fn to_table(&self) -> String {
         let [table, out] = [&self.table, &self.output.out]
             .map(|path| Path::new(".").join(path.parent()?).canonicalize().ok());
@@ -90,7 +90,7 @@ impl Sweep {
     }
 }
 
-/// Returns the lines without characters that could command a terminal.
+/// Returns the text with control characters escaped, because they could command a terminal.
 fn visible_lines(text: &str) -> String {
     text.lines().map(visible).collect::<Vec<_>>().join("\n")
 }

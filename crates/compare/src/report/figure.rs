@@ -1,4 +1,5 @@
-//! Figures as SVG, for papers and slides: axes with units, and colours for people with colour vision deficiency too.
+//! Figures as SVG for papers and slides: axes with units, and colours that people with a colour vision deficiency can
+//! tell apart. A panel is one plot of a figure; a view is the data of one run.
 
 use planish_draw::{
     Bands, Frame, Scale, Svg,
@@ -18,34 +19,35 @@ use super::{
 };
 use crate::{answer::duration, plan::WITHOUT_MOTION};
 
-/// Number of colours of the lines and squares of a picture. Larger: finer steps, larger files. Smaller: coarser
+/// Number of colours for the lines and squares of a picture. Larger: finer steps, larger files. Smaller: coarser
 /// steps. Chosen.
 const BINS: usize = 24;
 
-/// Number of steps of the bar of colours beside a map. Larger: a smoother bar. Smaller: visible steps. Chosen.
+/// Number of colour steps of the colour bar beside a map. Larger: a smoother bar. Smaller: visible steps. Chosen.
 const BAR_BANDS: usize = 32;
 
-/// Largest number of points of a line in a picture. Larger: larger files. Smaller: a coarser line. Chosen.
+/// Largest number of points of one line in a picture. Larger: larger files. Smaller: a coarser line. Chosen.
 const MAX_POINTS: usize = 20_000;
 
-/// Largest difference of values, over their size, that is their rounding. Larger: small differences are drawn as
-/// none. Smaller: rounding fills the whole scale. Chosen: some thousand times the rounding of one number.
+/// Largest spread of values, relative to their magnitude, that counts as rounding. Larger: small differences are not
+/// drawn. Smaller: rounding fills the whole scale. Chosen: some thousand times the rounding of one number.
 const FLAT: f64 = 1e-12;
 
-/// Number of columns of a picture of ranges. Larger: larger files. Smaller: coarser peaks. Chosen.
+/// Number of time columns of a plot of ranges (smallest to largest value). Larger: larger files. Smaller: coarser
+/// peaks. Chosen.
 const COLUMNS: usize = 900;
 
-/// Colours of the axes x and y.
+/// Colours of the curves of x and of y.
 const AXIS_COLOURS: [&str; 2] = [LINES[0], LINES[1]];
 
 /// Height of the texts, px of the picture.
 const FONT_PX: f64 = 14.0;
 
-/// Left, top, right and bottom of a panel, px.
+/// Margins of a panel, px: left, top, right and bottom.
 const MARGIN_PX: [f64; 4] = [80.0, 34.0, 96.0, 56.0];
 
-/// Panels of a figure side by side: their number, and the width of each, px. The height, px, applies where it is not
-/// that of a mirror.
+/// Arrangement of the panels of a figure: number of columns, and width of each, px. The height, px, applies if the
+/// panel does not take the shape of the mirror.
 #[derive(Clone, Copy, Debug)]
 struct Panels {
     columns: usize,
@@ -58,22 +60,22 @@ impl Panels {
         Self { columns, width_px, height_px }
     }
 
-    /// Creates a sheet of panels of this height.
+    /// Creates an empty sheet for panels of the stated height.
     fn sheet(&self) -> Sheet {
         Sheet::new(self.columns, [self.width_px, self.height_px])
     }
 
-    /// Creates a sheet of panels with this height over width.
+    /// Creates an empty sheet for panels whose height is `shape` times their width.
     fn sheet_of_shape(&self, shape: f64) -> Sheet {
         Sheet::new(self.columns, [self.width_px, self.width_px * shape])
     }
 }
 
-/// Sizes of the panels of a set of figures.
+/// Arrangement of the panels of each figure of a set.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     overview: Panels,
-    /// Panels of a mirror that is much longer than wide.
+    /// Overview of a mirror that is much longer than wide, whose panels stand one below the other.
     overview_narrow: Panels,
     maps: Panels,
     path: Panels,
@@ -85,7 +87,7 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Layout beside the page: many methods, one below the other.
+    /// Layout for figures beside the report page: many methods, one below the other.
     pub const BESIDE_PAGE: Self = Self {
         overview: Panels::new(3, 300.0, 300.0),
         overview_narrow: Panels::new(1, 900.0, 900.0),
@@ -117,21 +119,21 @@ impl Layout {
     };
 }
 
-/// Margins to the left and right of three panels side by side, px. Larger: narrower maps. Smaller: numbers that do
-/// not fit. Chosen for numbers of two digits.
+/// Margins to the left and right, in sum, of each of three panels side by side, px. Larger: narrower maps. Smaller:
+/// numbers that do not fit. Chosen for numbers of two digits.
 const MARGIN_OF_THREE_PX: f64 = 134.0;
 
-/// Height over width of a path below which the panels of an overview are one below the other. Larger: more overviews
-/// of this kind. Smaller: very flat maps side by side. Chosen.
+/// Ratio of height to width of a path below which the panels of its overview stand one below the other. Larger: more
+/// overviews of this kind. Smaller: very flat maps side by side. Chosen.
 const NARROW: f64 = 0.4;
 
-/// Least width of panels that have small print below them, px. Larger: fewer notes. Smaller: notes that do not fit.
-/// Chosen.
+/// Smallest width of a panel that gets a note in small print below it, px. Larger: fewer notes. Smaller: notes that
+/// do not fit. Chosen.
 const NOTED_FROM_PX: f64 = 500.0;
 
-/// Least scale of a residual, over that of the desired removal, at which it is also drawn on the latter. Larger:
-/// fewer such maps. Smaller: maps that look empty. Chosen: below it the map spans less than a colour of the bar to
-/// either side.
+/// Smallest scale of a residual, relative to that of the desired removal, at which it is also drawn on the latter
+/// scale. Larger: fewer such maps. Smaller: maps that look empty. Chosen: below it the map spans less than one colour
+/// of the bar to either side.
 const LEAST_CONTRAST: f64 = 0.05;
 
 /// Largest difference between planned and executed dwell times that is the rounding of a sum of segments, s. Larger:
@@ -142,7 +144,7 @@ const ROUNDING_S: f64 = 1e-6;
 /// Derived: its texts of 14 px are 7.5 pt high when it is printed 180 mm wide.
 pub const PAPER_PX: f64 = 952.0;
 
-/// Draws the figures of a report. Returns names and SVG of those that have something to show.
+/// Draws the figures of a report. Returns the names and the SVG texts of those that have something to show.
 pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
     type Figure = fn(&[View], &Layout) -> Option<String>;
     let figures: [(&str, Figure); 10] = [
@@ -164,8 +166,9 @@ pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
 // ---------------------------------------------------------------------------------------------
 // The figures
 
-/// Draws the maps of every method: desired removal, predicted removal and, where it is visible, residual on one scale; the
-/// residual on its own scale, that of 99 % of its pixels.
+/// Draws the maps of every method: desired removal, predicted removal and residual. All are on one scale, and the
+/// residual also on its own scale, that of 99 % of its pixels. The residual on the common scale is left out if it
+/// would look empty.
 fn maps(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 2.0);
@@ -195,8 +198,8 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Returns the picture of the motion of all axes: that of the recommended plan if it has one, or else of the first plan
-/// that has.
+/// Returns the picture of the motion of all axes: that of the recommended plan if it has one, otherwise of the first
+/// plan that has one.
 fn axes(views: &[View], _: &Layout) -> Option<String> {
     let with_axes: Vec<_> = methods(views).filter(|(_, m)| m.on_axes.is_some()).collect();
     let mut all = with_axes.iter();
@@ -205,7 +208,7 @@ fn axes(views: &[View], _: &Layout) -> Option<String> {
     m.on_axes.clone()
 }
 
-/// Draws the path of every method in colours of its speed.
+/// Draws the path of every method in colours of the speed.
 fn path(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -218,7 +221,8 @@ fn path(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Draws the whole in three panels: the surface before, the path by its speed, the residual on its own scale.
+/// Draws the overview of every method in three panels: surface before the run, path in colours of the speed, residual
+/// on its own scale.
 fn overview(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -254,7 +258,8 @@ fn overview(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Draws a map in colours (`image`, as PNG) over the whole of `frame`, with its axes and its bar of colours.
+/// Draws a map in colours over the whole of `frame`, with axes and colour bar. `image` is the map as PNG, and `scale`
+/// the distance from the mean of the last colours, nm.
 fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
     let corner = [frame.left, frame.top];
     put_image(svg, corner, [frame.width, frame.height], image);
@@ -263,7 +268,7 @@ fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
     note_below(svg, frame, "height from the mean");
 }
 
-/// Draws a map as [`draw_map`] does, in a part of the frame.
+/// Draws a map as [`draw_map`] does, but at its coordinates within a larger frame.
 fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&ScreenMap, f64)) {
     let [x, y] = extent(map);
     let [[left, top], [right, bottom]] = [[x[0], y[1]], [x[1], y[0]]].map(|p| frame.px(p));
@@ -273,14 +278,14 @@ fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&Scree
     note_below(svg, frame, "height from the mean");
 }
 
-/// Adds small print below a panel that has room for it beside the title of its axis.
+/// Adds a note in small print below a panel, if the panel is wide enough for it beside the title of its axis.
 fn note_below(svg: &mut Svg, frame: &Frame, words: &str) {
     if frame.width >= NOTED_FROM_PX {
         frame.note(svg, words);
     }
 }
 
-/// Adds an image (PNG) over a rectangle with this upper left corner, px.
+/// Adds a PNG image with the upper left corner [x, y] and this size, px.
 fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: &[u8]) {
     svg.put(format_args!(
         "<image x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
@@ -290,7 +295,7 @@ fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: 
     ));
 }
 
-/// Draws a path in colours of its speed, with its axes and its bar of colours; jumps are dotted.
+/// Draws a path in colours of the speed, with its axes and its colour bar. Jumps are dotted.
 fn draw_path(svg: &mut Svg, frame: &Frame, line: &SpeedLine) {
     let speeds: Vec<f64> = line.speed_mm_per_s.iter().copied().filter(|v| v.is_finite()).collect();
     let bands = Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, or_one(quantile(&speeds, 0.99))]);
@@ -371,7 +376,7 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Draws the dwell times of every method, and executed minus planned where they differ.
+/// Draws the dwell times of every method, and executed minus planned times if they differ.
 fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
     // Without a difference to show, one panel of a method takes the whole width.
@@ -427,13 +432,13 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Returns executed minus planned time of every dwell point, s; empty where the executed times are not known.
+/// Returns executed minus planned time of every dwell point, s; empty if the executed times are not known.
 fn dwell_errors_s(d: &Dwell) -> Vec<f64> {
     let executed_s = d.executed_s.as_deref().unwrap_or_default();
     executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
 }
 
-/// Draws the histograms of the heights before and after, one panel for a run.
+/// Draws histograms of the heights before and after, one panel per run.
 fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.histogram.sheet();
     for view in views {
@@ -457,7 +462,7 @@ fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws the spectra of the heights before and after, one panel for a run.
+/// Draws power spectral densities of the heights before and after, one panel per run.
 fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.spectrum.sheet();
     for view in views {
@@ -496,7 +501,7 @@ fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws the RMS of every refinement round by round.
+/// Draws the RMS of the residual after every round of each refinement.
 fn refinement(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.refinement.sheet();
     for (view, m) in methods(views) {
@@ -523,7 +528,7 @@ fn refinement(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws curves with their names; the first is the one that the others are compared with.
+/// Draws curves with a legend. The first, in black, is the reference with which the others are compared.
 fn curves_of(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
     let mut names = Vec::new();
     for (k, (name, points)) in curves.iter().enumerate() {
@@ -534,7 +539,7 @@ fn curves_of(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
     frame.legend(svg, &names);
 }
 
-/// Panels of equal size in rows.
+/// A figure under construction: panels of equal size in rows.
 struct Sheet {
     columns: usize,
     size_px: [f64; 2],
@@ -548,13 +553,13 @@ impl Sheet {
         Self { columns, size_px, margin_px: MARGIN_PX, count: 0, svg: Svg::new(FONT_PX) }
     }
 
-    /// Returns width and height of a panel with its margins, px.
+    /// Returns the width and the height of a panel with its margins, px.
     fn cell_px(&self) -> [f64; 2] {
         let [left, top, right, bottom] = self.margin_px;
         [self.size_px[0] + left + right, self.size_px[1] + top + bottom]
     }
 
-    /// Adds a panel to the sheet.
+    /// Adds a panel to the sheet, with these scales of x and y, and returns its frame.
     fn panel(&mut self, scales: [Scale; 2]) -> Frame {
         let [w, h] = self.cell_px();
         let column = self.count % self.columns;
@@ -577,7 +582,7 @@ impl Sheet {
 // ---------------------------------------------------------------------------------------------
 // What they are drawn from
 
-/// Returns every method with its run.
+/// Returns every method of all runs, with the view of its run.
 fn methods(views: &[View]) -> impl Iterator<Item = (&View, &MethodView)> {
     views.iter().flat_map(|v| v.methods.iter().map(move |m| (v, m)))
 }
@@ -593,7 +598,7 @@ fn title<'a>(views: &[View], view: &'a View) -> &'a str {
     if views.len() > 1 { &view.name } else { "" }
 }
 
-/// Returns the outer edges of the pixels along x and y, mm.
+/// Returns the outer edges of the pixels of `map` along x and y, mm.
 fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     [0, 1].map(|a| {
         let low = map.start_mm[a] - 0.5 * map.step_mm[a];
@@ -601,7 +606,7 @@ fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     })
 }
 
-/// Returns height over width of the extent of `points`, within the range that a panel can show.
+/// Returns the ratio of height to width of the extent of `points`, limited to the shapes that a panel can show.
 fn shape_of(points: &[[f64; 2]]) -> f64 {
     let [w, h] = [0, 1].map(|a| {
         let [low, high] = range(points.iter().map(|p| p[a]));
@@ -611,31 +616,32 @@ fn shape_of(points: &[[f64; 2]]) -> f64 {
     if shape.is_finite() { shape.clamp(0.15, 1.2) } else { 1.0 }
 }
 
-/// Returns height over width.
+/// Returns the ratio of height to width of a map.
 fn aspect(map: &ScreenMap) -> f64 {
     let [x, y] = extent(map);
     (y[1] - y[0]) / (x[1] - x[0])
 }
 
-/// Returns the largest distance from the mean, nm; 1 nm for a map that is flat but for rounding.
+/// Returns the largest distance of a height from the mean, nm; 1 nm for a map that is flat but for rounding.
 fn scale_of(map: &ScreenMap) -> f64 {
     let [low, high] = map.range_nm;
     let reach = (high - map.mean_nm).max(map.mean_nm - low);
     if reach > FLAT * low.abs().max(high.abs()) { reach } else { 1.0 }
 }
 
-/// Rounds up to a number of two digits.
+/// Rounds `value` up to two significant digits.
 fn two_digits_up(value: f64) -> f64 {
     let step = 10.0_f64.powf(value.log10().floor() - 1.0);
     (value / step).ceil() * step
 }
 
-/// Returns 1 in place of 0, for the end of a range that must not be empty.
+/// Returns `end`, or 1 if it is 0, because a range must not be empty.
 fn or_one(end: f64) -> f64 {
     if end == 0.0 { 1.0 } else { end }
 }
 
-/// Returns axes about `points` on which a mm is as long along x as along y, for a panel of this height over width.
+/// Returns scales of x and y around `points` on which 1 mm has the same length along both. `shape` is the ratio of
+/// height to width of the panel.
 fn same_scale(points: &[[f64; 2]], shape: f64) -> [Scale; 2] {
     let ends = [0, 1].map(|a| range(points.iter().map(|p| p[a])));
     let [w, h] = ends.map(|[low, high]| high - low);
@@ -648,7 +654,7 @@ fn same_scale(points: &[[f64; 2]], shape: f64) -> [Scale; 2] {
     sides.map(|(middle, size)| Scale::linear([middle - 0.5 * size, middle + 0.5 * size]))
 }
 
-/// Returns the value below which this fraction of `values` is; 1 of none.
+/// Returns the value that the given fraction of `values` does not exceed; 1 if there are none.
 fn quantile(values: &[f64], fraction: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -658,7 +664,8 @@ fn quantile(values: &[f64], fraction: f64) -> f64 {
         .unwrap_or(1.0)
 }
 
-/// Returns the map in colours as PNG, row 0 at the bottom; invalid pixels are clear.
+/// Returns the map in colours as PNG, row 0 at the bottom. `scale` is the distance from the mean of the last colours,
+/// nm; invalid pixels are transparent.
 fn png_of(map: &ScreenMap, scale: f64) -> Vec<u8> {
     let [nx, ny] = map.size;
     let mut palette = vec![255; 3];

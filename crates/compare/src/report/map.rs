@@ -1,4 +1,4 @@
-//! Height maps for the screen: down-sampled where they are large, histogram of all pixels.
+//! Height maps for the report page: down-sampled if they are large, with the histogram of all pixels.
 
 use ndarray::{Array2, ArrayView2};
 use planish_numerics::statistics::statistics;
@@ -7,41 +7,41 @@ use serde::Serialize;
 
 use super::pack::{Packed, pack};
 
-/// A map for the screen.
+/// A map for the report page, with numbers of the map (the array) from which it was made.
 #[derive(Clone, Debug, Serialize)]
 pub struct ScreenMap {
-    /// Centre of the first column and row, mm.
+    /// Coordinates of the centre of the first column and row, mm.
     pub start_mm: [f64; 2],
-    /// Distance of the columns and rows, mm.
+    /// Distances of the columns and of the rows, mm.
     pub step_mm: [f64; 2],
-    /// Columns and rows.
+    /// Numbers of columns and rows.
     pub size: [usize; 2],
-    /// Pixels of the array along the side of one here, whose mean it is.
+    /// Side of the block of the array, in pixels, whose mean one pixel here is.
     pub every: usize,
     /// Mean of the valid pixels of the array, nm.
     pub mean_nm: f64,
-    /// RMS without the mean of the array, nm.
+    /// RMS of the array about its mean, nm.
     pub rms_nm: f64,
     /// Smallest and largest value of the array, nm.
     pub range_nm: [f64; 2],
-    /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm; the largest one where
-    /// it is 0.
+    /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm. If it is 0, it is the
+    /// largest distance.
     pub reach_99_nm: f64,
-    /// Heights (ny, nx), nm.
+    /// Heights (ny, nx), nm, as packed text for the page.
     pub height_nm: Packed,
-    /// Heights (ny, nx), nm, not packed.
+    /// Heights (ny, nx), nm, as numbers.
     #[serde(skip)]
     pub means_nm: Array2<f64>,
 }
 
-/// Returns the smallest side of a block that brings `grid` to at most `most` pixels.
+/// Returns the smallest side, in pixels, of a block that reduces `grid` to at most `most` blocks.
 pub(crate) fn block_side(grid: &Grid, most: usize) -> usize {
     (1..)
         .find(|k| grid.x.len().div_ceil(*k) * grid.y.len().div_ceil(*k) <= most.max(4))
         .expect("a large block leaves one pixel")
 }
 
-/// Returns `map` in means over blocks of `every` x `every` pixels.
+/// Returns `map` (nm, on `grid`) reduced to means over blocks of `every` x `every` pixels.
 pub(crate) fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> ScreenMap {
     let means = block_means(map, every);
     let axes = [&grid.x, &grid.y];
@@ -60,8 +60,8 @@ pub(crate) fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> Scr
     }
 }
 
-/// Returns the distance from `mean` that 99 % of the valid pixels do not exceed, nm: a pit does not decide the colours of
-/// all others. The largest distance where that is 0, and 1 nm where the map is flat.
+/// Returns the distance from `mean` that 99 % of the valid pixels do not exceed, nm, so that one pit does not decide
+/// the colours. If it is 0, it returns the largest distance, and 1 nm for a flat map.
 fn reach_99(map: ArrayView2<f64>, mean: f64) -> f64 {
     let valid = map.iter().filter(|v| !v.is_nan());
     let mut sizes: Vec<f64> = valid.map(|v| (v - mean).abs()).collect();
@@ -71,7 +71,8 @@ fn reach_99(map: ArrayView2<f64>, mean: f64) -> f64 {
     [*reach, largest].into_iter().find(|v| *v > 0.0).unwrap_or(1.0)
 }
 
-/// Returns the means of the valid pixels of each block; NaN where it has none. The last blocks may be smaller.
+/// Returns the means of the valid pixels of blocks of `every` x `every` pixels; NaN for a block without any. The last
+/// blocks may be smaller.
 pub fn block_means(map: ArrayView2<f64>, every: usize) -> Array2<f64> {
     if every == 1 {
         return map.to_owned();
@@ -88,26 +89,26 @@ pub fn block_means(map: ArrayView2<f64>, every: usize) -> Array2<f64> {
     sum / count
 }
 
-/// Fractions of the pixels in equal bins of height, the mean removed.
+/// Histogram of the heights of a map about their mean, in bins of equal width.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
-    /// Lower edge of the first bin, nm.
+    /// Lower edge of the first bin, nm from the mean.
     pub low_nm: f64,
     /// Width of the bins, nm.
     pub width_nm: f64,
-    /// Fraction of the valid pixels per nm in each bin, 1/nm.
+    /// Fraction of the valid pixels in each bin, divided by its width, 1/nm.
     pub density_per_nm: Vec<f64>,
-    /// Fraction of the valid pixels beyond the bins.
+    /// Fraction of the valid pixels whose height is beyond the bins.
     pub outside: f64,
 }
 
 const BINS: usize = 101;
 
-/// Half the range of a histogram, in RMS of the map. Larger: coarser bins. Smaller: more pixels beyond the bins.
-/// Chosen: a Gaussian has 6e-5 of its pixels beyond it.
+/// Half of the range of a histogram, in units of the RMS of the map. Larger: coarser bins. Smaller: more pixels
+/// beyond the bins. Chosen: a Gaussian has 6e-5 of its pixels beyond it.
 const REACH_RMS: f64 = 4.0;
 
-/// Returns bins over four RMS on both sides of the mean.
+/// Returns the histogram of a map, from four RMS below the mean to four RMS above it.
 pub fn histogram(map: ArrayView2<f64>) -> Histogram {
     let s = statistics(map).expect("a map has a valid pixel");
     // A map that is flat but for rounding gets bins of some width all the same.

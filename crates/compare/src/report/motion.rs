@@ -1,4 +1,4 @@
-//! A motion for the screen: points to draw, and exact ranges of velocity, acceleration and jerk.
+//! A motion for the report page: points to draw, and exact ranges of velocity, acceleration and jerk.
 //!
 //! If there are more segments than the screen needs, neighbours form groups. A point is the end of a group, a range
 //! is that of all its segments, so no peak is lost.
@@ -6,28 +6,28 @@
 use planish_numerics::polynomial::{derivative, range};
 use planish_types::{DwellTime, ToolPath, Trajectory};
 
-/// Least gap between two segments that is drawn as a jump, mm. Larger: jumps are drawn as lines. Smaller: rounding is
-/// drawn as a jump. Chosen far above rounding, and far below a pixel.
+/// Smallest gap between the ends of two segments that is drawn as a jump, mm. Larger: jumps are drawn as lines.
+/// Smaller: rounding is drawn as a jump. Chosen far above rounding, and far below a pixel.
 const JUMP_MM: f64 = 1e-6;
 
-/// Largest number of points per segment. Larger: larger pages. Smaller: cubics with visible corners. Chosen: enough
-/// for a cubic on the screen.
+/// Largest number of points that are drawn per segment. Larger: larger pages. Smaller: cubics with visible corners.
+/// Chosen: enough for a cubic on the screen.
 const MOST_PER_SEGMENT: usize = 4;
 
-/// A line through the points of a motion.
+/// Points along a motion, to draw it as a line in colours of the speed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SpeedLine {
     /// Points [x, y], mm.
     pub point_mm: Vec<[f64; 2]>,
-    /// Their times from the start of the motion, s.
+    /// Times of the points from the start of the motion, s.
     pub time_s: Vec<f64>,
-    /// Mean speed on the way to the point, mm/s; NaN after a jump and at the start.
+    /// Mean speed between the previous point and this one, mm/s; NaN after a jump and at the start.
     pub speed_mm_per_s: Vec<f64>,
-    /// Segments between two points, where it is more than one.
+    /// Number of segments between two points; 1 if a segment has one or more points.
     pub every: usize,
 }
 
-/// Returns the line of a motion in about `most` points.
+/// Returns about `most` points along a motion.
 pub fn line(t: &Trajectory, most: usize) -> SpeedLine {
     let every = t.len().div_ceil(most.max(1));
     let per_segment = (most / t.len()).clamp(1, MOST_PER_SEGMENT);
@@ -64,23 +64,24 @@ pub fn line(t: &Trajectory, most: usize) -> SpeedLine {
     line
 }
 
-/// Returns the distance of two points, mm.
+/// Returns the distance of two points in the plane, mm.
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Smallest and largest value of one quantity on one axis, piece by piece (min-max envelope).
+/// Smallest and largest value of one quantity on one axis, for each piece (group of segments) of a motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
-    /// Smallest values.
+    /// Smallest value in each piece.
     pub low: Vec<f64>,
-    /// Largest values.
+    /// Largest value in each piece.
     pub high: Vec<f64>,
 }
 
 impl Envelope {
-    /// Returns ranges over `count` equal lengths of time, of pieces with these ends (s from the start of the motion): middle
-    /// of the time, smallest and largest value of all pieces that reach into it.
+    /// Returns the envelope over `count` columns of equal duration. `end_s` are the ends of the pieces, s from the
+    /// start of the motion. Each column is (middle of its time, s; smallest and largest value of all pieces that
+    /// reach into it).
     pub(crate) fn over_columns(&self, end_s: &[f64], count: usize) -> Vec<(f64, f64, f64)> {
         let total_s = end_s.last().copied().unwrap_or(0.0);
         let mut columns: Vec<(f64, f64, f64)> = (0..count)
@@ -100,21 +101,21 @@ impl Envelope {
     }
 }
 
-/// Names of the quantities of [`Ranges::envelope`] on the page.
+/// Names of the quantities of [`Ranges::envelope`] on the report page.
 pub const QUANTITIES: [&str; 3] = ["velocity", "acceleration", "jerk"];
 
-/// Ranges of a motion.
+/// Ranges of velocity, acceleration and jerk of a motion, for each piece (group of segments).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ranges {
     /// End of each piece from the start of the motion, s.
     pub end_s: Vec<f64>,
-    /// [velocity mm/s, acceleration mm/s^2, jerk mm/s^3][x, y].
+    /// Envelopes by quantity (velocity mm/s, acceleration mm/s^2, jerk mm/s^3), then by axis (x, y).
     pub envelope: [[Envelope; 2]; 3],
-    /// Segments in a piece.
+    /// Number of segments in a piece.
     pub every: usize,
 }
 
-/// Returns the ranges of a motion in at most `most` pieces, exact on each.
+/// Returns the ranges of a motion in at most `most` pieces; they are exact for each piece.
 pub fn ranges(t: &Trajectory, most: usize) -> Ranges {
     let every = t.len().div_ceil(most.max(1));
     let mut ranges = Ranges { every, ..Ranges::default() };
@@ -144,23 +145,23 @@ pub fn ranges(t: &Trajectory, most: usize) -> Ranges {
     ranges
 }
 
-/// Planned and executed time of the dwell points.
+/// Planned and executed times of the dwell points, for the report page.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dwell {
     /// Dwell points [x, y], mm.
     pub point_mm: Vec<[f64; 2]>,
-    /// Planned, s.
+    /// Planned dwell times, s.
     pub planned_s: Vec<f64>,
-    /// Executed: time of the segments that serve the point, s; `None` for a motion that names no points, such as that of a
-    /// program that was read back.
+    /// Executed dwell times, s: duration of the segments that serve the point. `None` for a motion that names no
+    /// dwell points, such as that of a program that was read back.
     pub executed_s: Option<Vec<f64>>,
-    /// Points of the plan per point here.
+    /// Number of dwell points of the plan for each point here.
     pub every: usize,
-    /// Sum of |executed - planned| over all points of the plan, s; `None` as the executed times are.
+    /// Sum of |executed - planned| over all dwell points of the plan, s; `None` if the executed times are not known.
     pub total_error_s: Option<f64>,
 }
 
-/// Returns the times of at most `most` dwell points; `None` where path, plan and motion do not belong together.
+/// Returns the times of at most `most` dwell points; `None` if path, plan and motion do not belong together.
 pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> Option<Dwell> {
     let n = path.len();
     if plan.dwell_s().len() != n {
@@ -186,7 +187,8 @@ pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> 
 mod tests {
     use super::*;
 
-    /// p = (u^2, -u) for 2 s, then a jump to (9, 9) where it rests for 1 s, three times.
+    /// Returns a motion p = (u^2, -u) mm for 2 s, which then jumps to (9, 9) mm and rests there for 1 s, `rests`
+    /// times.
     fn motion(rests: usize) -> Trajectory {
         let mut c = vec![[[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]]];
         c.extend(vec![[[9.0, 0.0, 0.0, 0.0]; 2]; rests]);

@@ -1,4 +1,4 @@
-//! Picture of the motion of all axes of a machine: every axis against its limits, and the form of the part.
+//! Picture of the motion of all axes of a machine: every axis with its limits, and the form of the part.
 
 use planish_draw::{
     Frame, Scale, Svg,
@@ -22,27 +22,27 @@ use super::{
     part::{self, FONT_PX, Look, RIGHT_BOTTOM_PX},
 };
 
-/// Width and height of a panel, px. Larger: the four panels of an axis are wider than a page. Smaller: peaks of a long run
-/// fall together.
+/// Width and height of a panel (one plot), px. Larger: the four panels of an axis are wider than a page. Smaller:
+/// peaks of a long run fall together.
 const PANEL_PX: [f64; 2] = [230.0, 110.0];
 
-/// Left, top, right and bottom of a panel, px. Larger: empty space. Smaller: numbers are cut off.
+/// Margins of a panel, px: left, top, right and bottom. Larger: empty space. Smaller: numbers are cut off.
 const MARGIN_PX: [f64; 4] = [78.0, 30.0, 14.0, 50.0];
 
-/// Number of columns of a panel, each with the smallest and the largest value in its time. Larger: larger pages. Smaller:
-/// coarser peaks.
+/// Number of time columns of a panel; each shows the smallest and the largest value in its time. Larger: larger
+/// pages. Smaller: coarser peaks.
 const COLUMNS: usize = 230;
 
-/// Limit over the largest value of a quantity above which the limit is named and not drawn. Larger: the motion is a flat
-/// line. Smaller: limits that the motion comes near are not drawn.
+/// Ratio of a limit to the largest value of its quantity above which the limit is named and not drawn. Larger: the
+/// motion is a flat line. Smaller: limits that the motion comes near are not drawn.
 const FAR: f64 = 4.0;
 
-/// Names of the quantities of an axis, and their units over the unit of the axis.
+/// Names of the quantities of an axis, with the part of their unit that follows the unit of the axis.
 const QUANTITIES: [(&str, &str); 4] =
     [("position", ""), ("velocity", "/s"), ("acceleration", "/s²"), ("jerk", "/s³")];
 
-/// Draws the picture, as SVG: position, velocity, acceleration and jerk of every axis over the time, with their limits in
-/// the verdict; below, the form of the part where it is known.
+/// Draws the picture as SVG: position, velocity, acceleration and jerk of every axis against time, with the limits in
+/// the verdict. Below, it draws the form of the part on the pixels of the surface; nothing for `None`.
 pub fn picture(
     outcome: &MotionReport,
     motion: &AxesMotion,
@@ -70,8 +70,8 @@ pub fn picture(
     svg.finish([QUANTITIES.len() as f64 * cell[0], height])
 }
 
-/// Returns the ranges of the derivative of this order of an axis over [`COLUMNS`] equal lengths of time: (middle of the time,
-/// s; smallest and largest value). Exact for every cubic piece.
+/// Returns the range of the derivative `order` (0: position) of an axis over [`COLUMNS`] columns of equal duration.
+/// Each column is (middle of its time, s; smallest and largest value), exact for every cubic segment.
 fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Vec<(f64, f64, f64)> {
     let mut envelope = Envelope::default();
     for i in 0..motion.len() {
@@ -88,8 +88,8 @@ fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Vec<(f64, f64, f6
     envelope.over_columns(&end_s, COLUMNS)
 }
 
-/// Returns the limits of a quantity of an axis in its verdict: the travel of the position, and plus and minus the limit of
-/// the others. Empty where the machine states none.
+/// Returns the limits of the derivative `order` (0: position) of an axis: the ends of its travel, otherwise plus and
+/// minus the limit. Empty if the machine states none.
 fn bounds(verdict: Option<&MachineAxisVerdict>, order: usize) -> Vec<f64> {
     let Some(verdict) = verdict else { return Vec::new() };
     match order.checked_sub(1) {
@@ -100,7 +100,8 @@ fn bounds(verdict: Option<&MachineAxisVerdict>, order: usize) -> Vec<f64> {
     }
 }
 
-/// Draws one quantity of one axis; the titles are its name and its unit. The bounds of a position are its travel.
+/// Draws one quantity of one axis in a panel with its upper left corner at `corner`, px. `bounds` are its limits,
+/// which are the travel if `is_position` is true.
 fn panel(
     svg: &mut Svg,
     corner: [f64; 2],
@@ -148,7 +149,7 @@ mod tests {
     use super::*;
     use crate::on_axes::check_names;
 
-    /// Two seconds of an axis that turns back, x = 2 t - t^2, and of one that stands at 7.
+    /// Returns a motion of 2 s with two axes: one turns back, x = 2 t - t^2, and one rests at 7.
     fn motion() -> AxesMotion {
         let cubics = vec![[0.0, 2.0, -1.0, 0.0], [7.0, 0.0, 0.0, 0.0]];
         AxesMotion::new(vec![5.0, 7.0], cubics, vec![true], vec![None]).unwrap()

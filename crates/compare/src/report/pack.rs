@@ -9,14 +9,14 @@
 
 use serde::Serialize;
 
-/// Integers with their scale.
+/// A list of numbers as text: 16-bit integers q with an offset and a scale.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Packed {
-    /// Middle of the range.
+    /// Offset of the values: the middle of their range, in their unit.
     pub offset: f64,
-    /// Step.
+    /// Scale of the values: the step between two neighbouring integers, in their unit.
     pub scale: f64,
-    /// Base64 of little-endian 16-bit integers.
+    /// Integers q of the module, as base64 of little-endian 16-bit numbers.
     pub i16: String,
 }
 
@@ -24,18 +24,18 @@ pub struct Packed {
 /// with both signs; -32768 stands for NaN.
 const LARGEST_STORED_INTEGER: f64 = 32767.0;
 
-/// Direction in which a value between two steps is rounded.
+/// Direction in which a value between two integers is rounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rounding {
     /// Rounds to the nearest step.
     Nearest,
     /// Rounds to the step below, so that a lower end of a range remains a lower bound.
     Down,
-    /// Rounds to the step above.
+    /// Rounds to the step above, so that an upper end of a range remains an upper bound.
     Up,
 }
 
-/// Packs `values` over their own range.
+/// Packs `values` with offset and scale from their own range; NaN stays NaN.
 pub fn pack(values: impl Iterator<Item = f64> + Clone) -> Packed {
     let valid = values.clone().filter(|v| !v.is_nan());
     let (low, high) =
@@ -44,7 +44,7 @@ pub fn pack(values: impl Iterator<Item = f64> + Clone) -> Packed {
     pack_between(values, low, high, Rounding::Nearest)
 }
 
-/// Packs `values`, all in `low` .. `high`.
+/// Packs `values`, which all lie from `low` to `high`, with offset and scale of that range.
 pub fn pack_between(
     values: impl Iterator<Item = f64>,
     low: f64,
@@ -69,17 +69,18 @@ pub fn pack_between(
     Packed { offset, scale, i16: base64(&bytes) }
 }
 
-/// Returns base64 of little-endian 32-bit floats.
+/// Returns `values` as base64 of little-endian 32-bit floats.
 pub fn floats(values: impl Iterator<Item = f64>) -> String {
     base64(&values.flat_map(|v| (v as f32).to_le_bytes()).collect::<Vec<u8>>())
 }
 
-/// Returns base64 of little-endian 64-bit floats: times, of which the last must be the end of the motion.
+/// Returns `values` as base64 of little-endian 64-bit floats. It is for times, because the last one must be exactly
+/// the end of the motion.
 pub fn doubles(values: impl Iterator<Item = f64>) -> String {
     base64(&values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// Returns base64 by RFC 4648, with padding.
+/// Returns `bytes` as base64 by RFC 4648, with padding.
 pub fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
@@ -98,7 +99,7 @@ pub fn base64(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    /// The integers back from the text, by a decoder that shares nothing with the encoder.
+    /// Returns the integers in a packed text, by a decoder that shares nothing with the encoder.
     fn integers(text: &str) -> Vec<i16> {
         let value = |c: u8| match c {
             b'A'..=b'Z' => c - b'A',

@@ -1,4 +1,4 @@
-//! The page: one HTML file with its data, its style and its program.
+//! The report page: one HTML file with its data, its style and its JavaScript program.
 
 use planish_draw::{
     colour::{BLUE_TO_BROWN, VIRIDIS_FOR_LINES},
@@ -20,10 +20,10 @@ use super::{
 };
 use crate::{answer::with_answer, made::Made};
 
-/// Skeleton of the page, and the style that it has of its own.
+/// Skeleton of the page, and the CSS rules that it has beside the shared ones.
 const HTML: &str = include_str!("page.html");
 const CSS: &str = include_str!("page.css");
-/// The program of the page, one subject per file; a file uses the constants of those before it.
+/// JavaScript program of the page, one subject per file; a file uses the constants of those before it.
 const JS: &str = concat!(
     include_str!("page/data.js"),
     include_str!("page/runs.js"),
@@ -47,7 +47,8 @@ const JS: &str = concat!(
     include_str!("page/start.js"),
 );
 
-/// Returns the page: one file, the same for the same views.
+/// Returns the report page as one HTML file. `summaries` is the content of `summary.json`. The same views give the
+/// same bytes.
 pub fn page(views: &[View], summaries: &Value) -> String {
     let names: Vec<String> = match views {
         [one] => one.summary.part_and_pipeline(&one.name),
@@ -73,7 +74,7 @@ pub fn page(views: &[View], summaries: &Value) -> String {
     page::document(&title, &policy(&style), &style, &body)
 }
 
-/// Returns the section of the tools that vary; empty where there is none.
+/// Returns the HTML section with the tools that vary over the part; empty if there is none.
 fn tools(views: &[View]) -> String {
     let pictures: String = views.iter().filter_map(|view| view.tool.as_deref()).collect();
     if pictures.is_empty() {
@@ -86,7 +87,7 @@ fn tools(views: &[View]) -> String {
     )
 }
 
-/// Returns the section of the motions of all axes of a machine; empty where no run has one.
+/// Returns the HTML section with the motions of all axes of a machine; empty if no run has one.
 fn axes(views: &[View]) -> String {
     let mut parts = String::new();
     for view in views {
@@ -111,8 +112,8 @@ fn axes(views: &[View]) -> String {
     )
 }
 
-/// Returns the content security policy of the page. The browser runs only the program and the style of this page, known by
-/// their hashes, whatever the names and manifests of a run contain.
+/// Returns the content security policy of the page. The browser then runs only the program and the style of this
+/// page, known by their hashes, whatever the names and manifests of a run contain.
 fn policy(style: &str) -> String {
     let [style, script] =
         [style, JS].map(|text| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes()))));
@@ -122,7 +123,7 @@ fn policy(style: &str) -> String {
     )
 }
 
-/// Returns JSON for a script element: nothing in it can end the element or open a comment.
+/// Returns JSON that is safe in an HTML script element: nothing in it can end the element or open a comment.
 fn in_script(data: &Value) -> String {
     let text = data.to_string();
     let mut out = String::with_capacity(text.len());
@@ -213,8 +214,8 @@ fn ranges_json(ranges: &Ranges) -> Value {
     json
 }
 
-/// Returns per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
-/// of the worst steps in position and velocity, which no machine can do.
+/// Returns, for each quantity and axis, the limit, the number of times it is exceeded, and the worst points. It also
+/// returns the times of the worst steps in position and velocity, which no machine can execute.
 fn limits_json(verdict: &Verdict) -> Value {
     let mut json = Map::new();
     for (order, name) in QUANTITIES.into_iter().enumerate() {
@@ -257,7 +258,7 @@ fn frames_json(f: &FrameView) -> Value {
     })
 }
 
-/// Returns manifests for the page, without the arrays.
+/// Returns the manifests of the artifacts for the page; they do not contain the arrays.
 fn provenance_json(manifests: &[Made]) -> Value {
     manifests.iter().map(|made| json!(made.shown)).collect()
 }

@@ -1,27 +1,28 @@
-//! Picture of a quantity over the part, as SVG.
+//! Picture of a quantity over the part (a map), as SVG.
 
 use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale, Svg, frame::range};
 use planish_types::{Axis, Surface};
 
-/// Height of the texts, px of the picture.
+/// Height of the texts of the picture, px.
 pub const FONT_PX: f64 = 14.0;
 
-/// Width of the map, px. Larger: the picture does not fit beside the nine footprints of a tool. Smaller: the numbers of
-/// their places overlap.
+/// Width of the map, px. Larger: the picture does not fit beside the nine footprints of a tool. Smaller: the numbers
+/// of the nine positions overlap.
 pub(super) const MAP_PX: f64 = 380.0;
 
-/// Distances from the map to the right and the bottom of its panel, px. Larger: empty space. Smaller: numbers are cut off.
+/// Margins of the map to the right and to the bottom, px. Larger: empty space. Smaller: numbers are cut off.
 pub(super) const RIGHT_BOTTOM_PX: [f64; 2] = [96.0, 56.0];
 
 /// Largest number of cells of a map along an axis. Larger: finer details and a larger file. Smaller: a coarser picture.
 pub const MOST_CELLS: usize = 60;
 
-/// Number of colours. Larger: smoother colours and a larger file. Smaller: visible steps.
+/// Number of colours of the map. Larger: smoother colours and a larger file. Smaller: visible steps.
 pub const BANDS: usize = 32;
 
-/// Returns a quantity at the middle pixels of at most [`MOST_CELLS`] x [`MOST_CELLS`] cells (ny, nx); NaN where that pixel
-/// is not valid. `quantity` takes the place [x, y], mm, and the index [row, column] of the pixel.
+/// Returns a quantity in at most [`MOST_CELLS`] x [`MOST_CELLS`] cells (ny, nx), each with the value at its middle
+/// pixel. NaN if that pixel is not valid. `quantity` takes the position [x, y], mm, and the index [row, column] of
+/// the pixel.
 pub fn cells(surface: &Surface, quantity: impl Fn([f64; 2], [usize; 2]) -> f64) -> Array2<f64> {
     let grid = surface.grid();
     let every = grid.x.len().max(grid.y.len()).div_ceil(MOST_CELLS);
@@ -38,17 +39,18 @@ pub fn cells(surface: &Surface, quantity: impl Fn([f64; 2], [usize; 2]) -> f64) 
     })
 }
 
-/// Colours, unit beside their bar, and title above the map: what [`draw`] takes beside the values.
+/// Appearance of a map that [`draw`] draws: colours, unit and title.
 pub struct Look<'a> {
-    /// Colours from the smallest to the largest value.
+    /// Colours from the smallest to the largest value, each written `#rrggbb`.
     pub colours: &'a [&'a str],
-    /// Unit of the values.
+    /// Unit of the values, which stands beside the colour bar.
     pub unit: &'a str,
-    /// Title.
+    /// Title above the map.
     pub title: &'a str,
 }
 
-/// Draws the cells of a quantity over the part, with their panel at `corner`, and the map [left, top] px from there.
+/// Draws `map`, the cells of a quantity on `surface`. The panel has its upper left corner at `corner`, and the map is
+/// [left, top] px from there. Returns the frame of the map.
 pub fn draw(
     svg: &mut Svg,
     (corner, [left, top]): ([f64; 2], [f64; 2]),
@@ -70,7 +72,7 @@ pub fn draw(
     frame
 }
 
-/// Returns the length between the outer edges, mm.
+/// Returns the length of an axis between the outer edges of its first and last pixel, mm.
 pub fn side_mm(axis: &Axis) -> f64 {
     axis.len() as f64 * axis.step_mm()
 }

@@ -6,10 +6,11 @@ use super::{map::Histogram, motion::Ranges, view::View};
 
 const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Width of a plot, characters. Larger: lines that do not fit into a terminal. Smaller: coarser plots. Chosen.
+/// Width of a plot, characters. Larger: rows that do not fit into a terminal. Smaller: coarser plots. Chosen.
 const WIDTH: usize = 48;
 
-/// Returns one character per value, from 0 to the largest; a blank where there is none.
+/// Returns one block character per value, whose height runs from 0 to the largest value; a blank for a value that is
+/// not finite.
 fn sparkline(values: &[f64]) -> String {
     let top = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
     let mut text = String::new();
@@ -25,7 +26,8 @@ fn sparkline(values: &[f64]) -> String {
     text
 }
 
-/// Plots the heights before and after, and the speed in the course of the run, method by method.
+/// Returns small plots as text, method by method: histograms of the heights before and after, and the speed over the
+/// run.
 pub fn plots(views: &[View]) -> String {
     let mut rows: Vec<[String; 3]> = Vec::new();
     for view in views {
@@ -51,13 +53,13 @@ pub fn plots(views: &[View]) -> String {
         .collect()
 }
 
-/// Returns the caption of a histogram.
+/// Returns the caption of a histogram: the range of its heights.
 fn caption(h: &Histogram) -> String {
     let [low, high] = [h.low_nm, -h.low_nm].map(|nm| fixed(nm, 3));
     format!("heights, {low} to {high} nm about the mean")
 }
 
-/// Plots the means over equal numbers of bins.
+/// Plots a histogram in [`WIDTH`] characters, each the mean of some bins.
 fn heights(h: &Histogram) -> String {
     let n = h.density_per_nm.len();
     let mut means = Vec::with_capacity(WIDTH);
@@ -68,7 +70,8 @@ fn heights(h: &Histogram) -> String {
     sparkline(&means)
 }
 
-/// Plots the largest speed in equal lengths of time, from the ranges of both axes. Returns the largest of all, too, mm/s.
+/// Plots the largest speed in columns of equal duration, from the ranges of both axes. Also returns the largest of
+/// all, mm/s.
 fn speed(ranges: &Ranges) -> (String, f64) {
     let total = ranges.end_s.last().copied().unwrap_or(1.0);
     let column = |t: f64| ((t / total * WIDTH as f64) as usize).min(WIDTH - 1);

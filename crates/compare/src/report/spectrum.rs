@@ -17,8 +17,8 @@
 //! weight than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of
 //! the rectangle, heights at its edges, and its own plane.
 //!
-//! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its bins
-//! (the mean, the corners of the plane of frequencies) count in the next band.
+//! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its
+//! frequencies (the mean, the corners of the plane of frequencies) count in the next band.
 
 use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::{
@@ -28,39 +28,39 @@ use planish_numerics::{
 use planish_types::Grid;
 use serde::Serialize;
 
-/// Periods that separate the bands, mm. Longer or shorter: residual moves from one band to the next. Chosen.
+/// Periods that separate the three bands, mm. Longer or shorter: residual moves from one band to the next. Chosen.
 pub const BAND_PERIOD_MM: [f64; 2] = [10.0, 1.0];
 
-/// Number of rings per decade of frequency. Larger: finer frequencies with more noise. Smaller: a smoother, coarser
-/// spectrum. Chosen.
+/// Number of rings per decade of spatial frequency. A ring is an interval of frequencies over all directions. Larger:
+/// finer frequencies with more noise. Smaller: a smoother, coarser spectrum. Chosen.
 const PER_DECADE: f64 = 20.0;
 
-/// Fraction of a ring by which a frequency may lie below the first one. Larger: frequencies that belong to no ring
-/// are counted. Smaller: rounding loses the first frequency. Chosen far above rounding.
+/// Fraction of the width of a ring by which a frequency may lie below the first ring. Larger: frequencies that belong
+/// to no ring are counted. Smaller: rounding loses the first frequency. Chosen far above rounding.
 const SLACK: f64 = 1e-9;
 
-/// A spectrum and the RMS of its bands.
+/// Power spectral density of a map, averaged over directions, and the RMS of its bands.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Spectrum {
-    /// Lengths of the rectangle along x and y, mm.
+    /// Lengths along x and y of the rectangle whose spectrum it is, mm.
     pub size_mm: [f64; 2],
-    /// Its pixels over the valid pixels of the map.
+    /// Pixels of the rectangle divided by the valid pixels of the map.
     pub fraction_of_valid_pixels: f64,
     /// Mean frequency of each ring, 1/mm.
     pub frequency_per_mm: Vec<f64>,
-    /// Mean of the two-dimensional density over the ring, nm^2 mm^2.
+    /// Mean over each ring of the two-dimensional power spectral density, nm^2 mm^2.
     pub psd_nm2_mm2: Vec<f64>,
     /// RMS of all valid pixels without their plane, nm.
     pub rms_detilted_nm: f64,
-    /// Contributions to it of the periods above 10 mm, between, and of 1 mm and below in the rectangle, nm; `null` where
-    /// the map does not resolve them.
+    /// Contributions to `rms_detilted_nm`, nm, of periods above 10 mm, from 10 mm to 1 mm, and of 1 mm and below in
+    /// the rectangle. `null` for a band that the map does not resolve.
     pub band_rms_nm: [Option<f64>; 3],
-    /// Rest of the RMS beside the bands, nm: pixels outside of the rectangle, and the part that the window and its
-    /// plane hide.
+    /// Rest of the RMS beside the bands, nm: pixels outside of the rectangle, and the part that the window and the
+    /// plane of the rectangle hide.
     pub not_in_spectrum_rms_nm: f64,
 }
 
-/// Returns the spectrum of `map` (ny, nx), nm; `None` where no rectangle of valid pixels is large enough.
+/// Returns the spectrum of `map` (ny, nx), nm; `None` if no rectangle of valid pixels is large enough.
 pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let valid = map.mapv(|v| !v.is_nan());
     let ((row, column), (ny, nx)) = largest_rectangle(&valid);
@@ -106,12 +106,13 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     })
 }
 
-/// Returns the sum of squares of the valid pixels.
+/// Returns the sum of the squares of the valid pixels.
 fn sum_of_squares(z: ArrayView2<f64>) -> f64 {
     z.iter().filter(|v| !v.is_nan()).map(|v| v * v).sum::<f64>()
 }
 
-/// Returns `map` without the plane of its valid pixels, and without their mean.
+/// Returns `map` without the least-squares plane of its valid pixels and without their mean. `x` and `y` are the
+/// pixel centres, mm.
 fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f64> {
     let z = match fit_plane(map, x, y) {
         Some(plane) => subtract_plane(map, x, y, plane),
@@ -121,8 +122,9 @@ fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f
     z - mean
 }
 
-/// Returns the mean squares of the bands in the rectangle, nm^2. Together they do not exceed its own mean square,
-/// `rectangle_nm2`.
+/// Returns the mean squares of the three bands in the rectangle, nm^2; `None` for a band that is not resolved.
+/// Together they do not exceed the mean square of the rectangle, `rectangle_nm2`. `size_mm` is the size of the
+/// rectangle, and `step_mm` that of its pixels.
 fn bands(
     density: &Density,
     size_mm: [f64; 2],

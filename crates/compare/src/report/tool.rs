@@ -1,5 +1,5 @@
-//! Picture of a tool that is not the same everywhere: its rate over the part, its footprint at nine places, and its rate
-//! over the time.
+//! Picture of a tool that varies over the part: its removal rate over the part, its footprint at nine positions, and
+//! its rate over time.
 
 use ndarray::Array2;
 use planish_draw::{
@@ -12,22 +12,24 @@ use planish_types::{Pose, Surface, Tif, Variation, text::significant};
 
 use super::part::{self, BANDS, FONT_PX, Look, MAP_PX, MOST_CELLS, RIGHT_BOTTOM_PX, side_mm};
 
-/// Left, top, right and bottom of a plot with axes, px. Larger: empty space. Smaller: numbers are cut off.
+/// Margins of a plot with axes, px: left, top, right and bottom. Larger: empty space. Smaller: numbers are cut off.
 const MARGIN_PX: [f64; 4] = [70.0, 34.0, RIGHT_BOTTOM_PX[0], RIGHT_BOTTOM_PX[1]];
 
-/// Side of a footprint, px. Larger: the picture is wider than a page. Smaller: its shape cannot be seen.
+/// Side of the drawing of a footprint, px. Larger: the picture is wider than a page. Smaller: its shape cannot be
+/// seen.
 const FOOTPRINT_PX: f64 = 120.0;
 
-/// Distance between two footprints, px. Larger: empty space. Smaller: no room for the number of the place.
+/// Distance between two footprints, px. Larger: empty space. Smaller: no room for the number of the position.
 const GAP_PX: f64 = 26.0;
 
-/// Height of the plot of the rate over the time, px. Larger: a longer picture. Smaller: a flat line.
+/// Height of the plot of the rate against time, px. Larger: a longer picture. Smaller: a flat line.
 const TIME_PX: f64 = 150.0;
 
-/// Places of the footprints along an axis, as fractions of the side of the map. On a disk all nine are on the part.
+/// Positions of the footprints along an axis, as fractions of the side of the map. On a disk all nine are on the
+/// part.
 const PLACES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 
-/// Draws the picture, as SVG, of how the tool varies over the part; none for a tool that is the same everywhere.
+/// Draws, as SVG, how the tool varies over the part; `None` for a tool that is the same everywhere.
 pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let variation = tif.variation()?;
     let mut svg = Svg::new(FONT_PX);
@@ -104,8 +106,8 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     Some(svg.finish([width, height]))
 }
 
-/// Returns the volume that the tool removes per second at the places of a coarse grid over the valid pixels, times the factor
-/// of the pixel there, over the mean of all. NaN beside the part.
+/// Returns the volume removed per second, relative to its mean, in the cells of a coarse map of the part. The factor
+/// of the pixel is included; NaN beside the part.
 fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
     let factor = variation.factor_on(surface.grid());
     let volume: Vec<f64> =

@@ -1,4 +1,5 @@
-//! Data of a run for the screen, down-sampled where there are more.
+//! Data of a run for the report page, down-sampled if there are more than the page can show. A view is the data of
+//! one run.
 
 use std::borrow::Cow;
 
@@ -15,94 +16,95 @@ use super::{
 };
 use crate::{made::Made, summary::Summary};
 
-/// Largest number of pixels of a map, and of all maps together (2 bytes each, 2.7 in base64). Larger: larger, slower
-/// pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a page.
+/// Largest number of pixels of one map, and below it of all maps together (2 bytes each, 2.7 in base64). Larger:
+/// larger, slower pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a page.
 pub const MAX_MAP_PIXELS: usize = 400_000;
 const MAX_ALL_PIXELS: usize = 2_000_000;
 
-/// Largest number of points of the lines of all motions (16 bytes each, 22 in base64). Larger: larger, slower pages.
-/// Smaller: coarser lines. Chosen: at most 1.7 MB of a page.
+/// Largest number of points that draw the motions of all methods (16 bytes each, 22 in base64). Larger: larger,
+/// slower pages. Smaller: coarser lines. Chosen: at most 1.7 MB of a page.
 const MAX_ALL_POINTS: usize = 75_000;
 
-/// Largest number of pieces with ranges of all motions (32 bytes each, 43 in base64). Larger: larger, slower pages.
-/// Smaller: coarser ranges. Chosen: at most 0.9 MB of a page.
+/// Largest number of pieces (groups of segments) with ranges of velocity, acceleration and jerk, of all motions (32
+/// bytes each, 43 in base64). Larger: larger, slower pages. Smaller: coarser ranges. Chosen: at most 0.9 MB of a
+/// page.
 const MAX_ALL_PIECES: usize = 21_000;
 
-/// Largest number of dwell points of all plans (12 bytes each, 16 in base64). Larger: larger, slower pages. Smaller:
-/// fewer points. Chosen: at most 0.64 MB of a page.
+/// Largest number of dwell points of all plans on the page (12 bytes each, 16 in base64). Larger: larger, slower
+/// pages. Smaller: fewer points. Chosen: at most 0.64 MB of a page.
 const MAX_ALL_DWELL: usize = 40_000;
 
-/// Largest number of pixels of all frames (2 bytes each, 2.7 in base64). Larger: larger, slower pages. Smaller: fewer
-/// frames. Chosen: at most 1.2 MB of a page.
+/// Largest number of pixels of all frames (maps at chosen times; 2 bytes each, 2.7 in base64). Larger: larger, slower
+/// pages. Smaller: fewer frames. Chosen: at most 1.2 MB of a page.
 const MAX_ALL_FRAME_PIXELS: usize = 450_000;
 
-/// Everything of one run.
+/// All data of one run, at full resolution.
 #[derive(Debug)]
 pub struct RunData {
-    /// Name.
+    /// Name of the run.
     pub name: String,
-    /// Numbers; its methods are those of `methods`, maybe in another order.
+    /// Numbers of the run. Its methods are those of `methods`, maybe in another order.
     pub summary: Summary,
-    /// Desired removal.
+    /// Map of the desired removal.
     pub desired: Surface,
-    /// The map as it was measured, where it is known.
+    /// Map as it was measured before the run; `None` if it is not known.
     pub measured: Option<Surface>,
-    /// Path, where the run has one.
+    /// Tool path; `None` if the run has none.
     pub path: Option<ToolPath>,
-    /// Picture of the tool as SVG, where it varies.
+    /// Picture of the tool as SVG; `None` for a tool that is the same everywhere.
     pub tool: Option<String>,
-    /// Results of the methods.
+    /// Data of the methods (schedulers or solvers) of the run.
     pub methods: Vec<RunMethod>,
     /// Manifests of the artifacts that the methods share.
     pub provenance: Vec<Made>,
 }
 
-/// Everything of one method.
+/// All data of one method, at full resolution.
 #[derive(Debug)]
 pub struct RunMethod {
-    /// Scheduler.
+    /// Name of the method, which is that of its scheduler.
     pub name: String,
-    /// Motion.
+    /// Motion along the path.
     pub trajectory: Trajectory,
-    /// Prediction.
+    /// Predicted removal and residual.
     pub removal: Removal,
-    /// Verdict on its motion.
+    /// Verdict on the limits of the machine.
     pub verdict: Verdict,
-    /// Planned dwell times, where they are known.
+    /// Planned dwell times; `None` if they are not known.
     pub dwell: Option<DwellTime>,
-    /// Removal in the course of the run, where it was simulated.
+    /// Removal at chosen times of the run; `None` if it was not simulated.
     pub frames: Option<Frames>,
-    /// Rounds of the refinement, where there was one.
+    /// Rounds of the refinement; `None` if there was none.
     pub rounds: Option<Rounds>,
-    /// Picture of the motion of all axes as SVG, where there is one.
+    /// Picture of the motion of all axes as SVG; `None` if there is none.
     pub on_axes: Option<String>,
-    /// Manifests of its artifacts.
+    /// Manifests of the artifacts of the method.
     pub provenance: Vec<Made>,
 }
 
-/// The removal at several times.
+/// Maps of the removal at several times of the run.
 #[derive(Clone, Debug)]
 pub struct Frames {
-    /// Times (m), s.
+    /// Times of the maps from the start of the motion (m), s.
     pub time_s: Vec<f64>,
-    /// Removal until then (m, ny, nx), nm.
+    /// Removal until each time (m, ny, nx), nm.
     pub removal_nm: Array3<f64>,
-    /// Pixel centres.
+    /// Pixel centres of the maps.
     pub grid: Grid,
 }
 
-/// The rounds of a refinement.
+/// Rounds of a refinement of the dwell times.
 #[derive(Clone, Debug)]
 pub struct Rounds {
-    /// RMS of the executed residual (m), nm.
+    /// RMS of the executed residual in each round (m), nm.
     pub rms_nm: Vec<f64>,
-    /// Time of the motion (m), s.
+    /// Duration of the motion in each round (m), s.
     pub total_time_s: Vec<f64>,
-    /// Round that was kept.
+    /// Index of the round that was kept; `None` if it is not known.
     pub best: Option<usize>,
 }
 
-/// Data of a run for the screen.
+/// Data of a run for the report page: down-sampled maps, points of the motion, histograms and spectra.
 #[derive(Debug)]
 pub struct View {
     pub(super) name: String,
@@ -115,7 +117,7 @@ pub struct View {
     pub(super) provenance: Vec<Made>,
 }
 
-/// Data of a method for the screen.
+/// Data of a method for the report page: down-sampled maps, points and ranges of the motion, histogram and spectrum.
 #[derive(Debug)]
 pub(super) struct MethodView {
     pub(super) name: String,
@@ -132,16 +134,16 @@ pub(super) struct MethodView {
     pub(super) provenance: Vec<Made>,
 }
 
-/// The surface in the course of the run.
+/// Maps of the residual at several times of the run.
 #[derive(Debug)]
 pub(super) struct FrameView {
     pub(super) time_s: Vec<f64>,
-    /// Residual at these times, (m) maps of (ny, nx), nm.
+    /// Residual at these times (m, ny, nx), nm.
     pub(super) residual_nm: Array3<f64>,
     pub(super) grid: Grid,
 }
 
-/// Returns the data of `runs` for the screen, the methods in the order of their summaries.
+/// Returns the data of `runs` for the report page, with the methods in the order of their summaries.
 pub fn views(runs: Vec<RunData>) -> Vec<View> {
     let methods: usize = runs.iter().map(|r| r.methods.len()).sum::<usize>().max(1);
     let maps = 2 * methods + runs.len() + runs.iter().filter(|r| r.measured.is_some()).count();
@@ -156,7 +158,7 @@ pub fn views(runs: Vec<RunData>) -> Vec<View> {
     runs.into_iter().map(|run| view(run, &allotment)).collect()
 }
 
-/// Largest numbers of pixels, points, pieces and dwell points of a method.
+/// Largest numbers of pixels, points, pieces and dwell points that the page shows of one method.
 struct Allotment {
     pixels: usize,
     points: usize,
@@ -165,7 +167,8 @@ struct Allotment {
     frame_pixels: usize,
 }
 
-/// Returns the motion that the verdict is about: that of the axes, where they do not read the coordinates of the part.
+/// Returns the motion that the verdict is about: that of the axes, if their coordinates differ from those of the
+/// part.
 fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory> {
     verdict
         .part_to_axes
@@ -173,7 +176,7 @@ fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory>
         .map_or(Cow::Borrowed(motion), Cow::Owned)
 }
 
-/// Returns the data of one run for the screen.
+/// Returns the data of one run for the report page.
 fn view(run: RunData, allotment: &Allotment) -> View {
     let grid = *run.desired.grid();
     let every = block_side(&grid, allotment.pixels);
@@ -210,19 +213,19 @@ fn view(run: RunData, allotment: &Allotment) -> View {
     }
 }
 
-/// Returns a surface for the screen, in means over blocks of `every` x `every` pixels.
+/// Returns a surface for the report page, as means over blocks of `every` x `every` pixels.
 fn on_screen(surface: &Surface, every: usize) -> ScreenMap {
     screen_map(surface.height_nm().view(), surface.grid(), every)
 }
 
-/// Returns the histogram of the heights, and their spectrum if they have one.
+/// Returns the histogram of the heights, and their spectrum; `None` if no rectangle of valid pixels is large enough.
 fn analysed(surface: &Surface) -> (Histogram, Option<Spectrum>) {
     let height_nm = surface.height_nm().view();
     (histogram(height_nm), spectrum(height_nm, surface.grid()))
 }
 
-/// Returns residual(t) = desired - removal(t) on the pixels of the frames; every k-th frame, the last in
-/// any case, where there are too many.
+/// Returns the residual (desired minus removal) at the times of the frames, on their pixels. If they have more than
+/// `most_pixels`, it keeps every second, third ... frame, and always the last.
 fn frame_view(frames: Frames, desired: &Surface, most_pixels: usize) -> FrameView {
     let (m, ny, nx) = frames.removal_nm.dim();
     let every = m.div_ceil((most_pixels / (ny * nx)).max(1));
@@ -237,7 +240,7 @@ fn frame_view(frames: Frames, desired: &Surface, most_pixels: usize) -> FrameVie
     FrameView { time_s, residual_nm, grid: frames.grid }
 }
 
-/// Returns the pixel of `axis` that is nearest to each pixel of `other`.
+/// Returns, for each pixel of `other`, the index of the nearest pixel of `axis`.
 fn nearest_pixels(axis: &Axis, other: &Axis) -> Vec<usize> {
     let positions =
         (0..other.len()).map(|i| (other.coordinate_mm(i) - axis.start_mm()) / axis.step_mm());

@@ -1,4 +1,4 @@
-//! Picture of the front, and the page around it.
+//! Picture of the front of residual against time, and the page of the sweep around it.
 
 use planish_draw::{
     colour,
@@ -13,29 +13,29 @@ use planish_types::{
 
 use super::{Residual, Table, heading, in_words, specification_in_words};
 
-/// Height of the texts, px of the picture.
+/// Height of the texts of the picture, px.
 const FONT_PX: f64 = 14.0;
 
-/// Width and height of the frame, px.
+/// Width and height of the frame of the plot, px.
 const SIZE_PX: [f64; 2] = [760.0, 420.0];
 
-/// Left, top, right and bottom of the frame, px.
+/// Margins of the plot, px: left, top, right and bottom.
 const MARGIN_PX: [f64; 4] = [90.0, 40.0, 30.0, 60.0];
 
 /// Largest number of points that are drawn beside those of the front. Larger: points that cannot be told apart, and a
 /// slow page. Smaller: fewer plans in the picture. Chosen.
 const MOST_POINTS: usize = 4000;
 
-/// Room beside the points, as a factor on the ends of an axis. Larger: empty borders. Smaller: points on the frame.
-/// Chosen.
+/// Factor by which an axis extends beyond the points at its ends. Larger: empty borders. Smaller: points on the
+/// frame. Chosen.
 const ROOM: f64 = 1.1;
 
-/// Least ratio of the ends of an axis that is logarithmic. Larger: small values crowd at one end of a linear axis.
-/// Smaller: few round numbers have a place on a short logarithmic one. Chosen.
+/// Smallest ratio of the ends of an axis at which the axis is logarithmic. Larger: small values crowd at one end of a
+/// linear axis. Smaller: few round numbers fit on a short logarithmic axis. Chosen.
 const DECADES_FROM: f64 = 10.0;
 
-/// Draws the plans that keep the constraints, each a point that is a link to its report; those of the front are joined.
-/// `to_table` leads from the picture to the folder of the table. Empty where there is no point.
+/// Draws the plans that keep the constraints as points, each a link to its report; a line joins those on the front.
+/// `to_table` is the path from the picture to the folder of the table. Empty if there is no point.
 pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     let front = table.front(residual);
     let points = points(table, residual, &front);
@@ -90,7 +90,8 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     svg.finish([MARGIN_PX[0] + SIZE_PX[0] + MARGIN_PX[2], MARGIN_PX[1] + SIZE_PX[1] + MARGIN_PX[3]])
 }
 
-/// Returns the plans that are drawn: the others first, so that those of the front lie over them.
+/// Returns the plans to draw, each with its index and its point [time, s; residual, nm]. Those of the front come
+/// last, so that they lie over the others.
 fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f64; 2])> {
     let all = (0..table.0.plans.len())
         .filter_map(|i| Some((i, table.point(&table.0.plans[i], residual)?)));
@@ -99,7 +100,7 @@ fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f6
     others.into_iter().step_by(every).chain(on_front).collect()
 }
 
-/// Returns the family of a plan, which has a colour of its own: path and method.
+/// Returns the family of a plan (its path and method), which has a colour of its own.
 fn family_of(row: &SweepPlan) -> String {
     format!("{}, {}", row.path, row.method)
 }
@@ -111,16 +112,17 @@ fn families(table: &Table) -> Vec<String> {
     families
 }
 
-/// Returns the text of a point.
+/// Returns the text that describes a point: the plan, its residual and its time.
 fn caption(row: &SweepPlan, [time_s, rms_nm]: [f64; 2]) -> String {
     format!("{}: {} nm in {} s", in_words(row), significant(rms_nm, 4), significant(time_s, 4))
 }
 
-/// The style that the page has beside the shared one: its first column has numbers.
+/// CSS rules of this page, which follow the shared ones: the first column of a table holds numbers.
 const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: right; position: static; font-weight: 700; }\n\
                      tr.best td { font-weight: bold; }\n";
 
-/// Returns the page: the sentence, the pictures, the plans of the front, those that failed, and all others.
+/// Returns the page of the sweep: the sentence, the pictures, the plans of the front, those that failed, and all
+/// others. `to_table` is the path to the folder of the table.
 pub fn page(table: &Table, to_table: &str) -> String {
     let title = format!("sweep {}, {}", table.0.name, table.0.mirror);
     let mut html =
@@ -157,7 +159,7 @@ pub fn page(table: &Table, to_table: &str) -> String {
     page::document(&title, page::WITHOUT_PROGRAM, &page::style(STYLE), &html)
 }
 
-/// Returns the sentence, its command as code.
+/// Returns the sentence on the plan to be run as HTML, with its command set as code.
 fn with_command(table: &Table) -> String {
     let sentence = table.sentence();
     match sentence.split_once("just run ") {
@@ -168,7 +170,7 @@ fn with_command(table: &Table) -> String {
     }
 }
 
-/// Returns the sentence on the constraints of the plans.
+/// Returns a sentence on the constraints that the plans of the front must keep.
 fn constraints(table: &Table) -> String {
     let constraints = &table.0.constraints;
     let mut conditions: Vec<String> = Vec::new();
@@ -193,7 +195,7 @@ fn constraints(table: &Table) -> String {
     )
 }
 
-/// Returns the table of these plans.
+/// Returns the HTML table of the plans with these indices.
 fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     let varied = table.varied();
     let mut html =

@@ -1,4 +1,4 @@
-//! Kinds with spectra: power spectral densities of a map, and the quantities of a specification.
+//! Kinds of artifact with spectra: power spectral densities of a map, and the quantities that a specification limits.
 
 use super::{Dtype, Kind, array, or_nan};
 

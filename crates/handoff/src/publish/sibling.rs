@@ -1,4 +1,4 @@
-//! Siblings: temporary files and directories next to the final place, held by advisory locks.
+//! Siblings: temporary files and directories beside the final path of an output, held by advisory locks.
 
 use std::{
     fs::{self, DirEntry, File, TryLockError},
@@ -9,10 +9,10 @@ use std::{
 
 use crate::{kind, system::is_at};
 
-/// Prefix of all temporary names.
+/// Prefix of the names of all siblings.
 const PREFIX: &str = ".planish-";
 
-/// Suffix of all temporary names.
+/// Suffix of the names of all siblings.
 const TEMPORARY: &str = ".tmp";
 
 /// Largest number of names that are tried for a sibling. Larger: a later message if no name can be
@@ -21,7 +21,7 @@ const TEMPORARY: &str = ".tmp";
 /// sibling for abandoned.
 const MOST_NAMES: u32 = 10_000;
 
-/// Siblings of this process, for the signal handler.
+/// Paths of the siblings of this process, which the signal handler removes.
 static SIBLINGS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// Locks the list of siblings of this process. While it is locked, no other thread can create one.
@@ -43,8 +43,8 @@ pub(crate) fn remove_all_siblings() {
     }
 }
 
-/// Creates a new sibling in `parent`, locked and known to the signal handler. Its number counts up,
-/// because a container gives every run the same process id.
+/// Creates a new sibling in `parent` by the function `create`, locks it, and adds it to the list for the signal
+/// handler. Its name contains a count, because a container gives every run the same process id.
 pub(super) fn create(
     parent: &Path,
     create: impl Fn(&Path) -> io::Result<File>,
@@ -78,8 +78,8 @@ pub(super) fn create(
     }
 }
 
-/// Returns true if this is the name of a temporary file of a run, either running or killed. The
-/// next run into the same directory removes the files of killed runs.
+/// Returns true if `name` is that of a sibling, of a running or a killed run. The next run into the same directory
+/// removes the siblings of killed runs.
 pub fn is_temporary(name: &str) -> bool {
     name.starts_with(PREFIX) && name.ends_with(TEMPORARY)
 }
@@ -98,8 +98,8 @@ pub(crate) fn remove_abandoned(parent: &Path) {
     }
 }
 
-/// Returns true if the entry is neither a file nor a directory. No run makes such a sibling, and to open a pipe
-/// never ends.
+/// Returns true if the entry is neither a file nor a directory. No run makes such a sibling, and opening a pipe could
+/// wait for ever.
 fn is_special(entry: &DirEntry) -> bool {
     !entry.file_type().is_ok_and(|kind| kind.is_file() || kind.is_dir())
 }

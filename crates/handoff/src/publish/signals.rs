@@ -1,4 +1,4 @@
-//! Signal handler that ends a process with its children and removes its siblings.
+//! Signal handler: it ends the child processes, removes the siblings (temporary outputs), and ends the process.
 
 use std::{
     fs,
@@ -14,15 +14,15 @@ use crate::{children, system::on_end_signals};
 /// apart. Larger: the end of the process can take longer. Smaller: a sibling can remain.
 const MOST_REMOVALS: usize = 100;
 
-/// Lock held while the outputs of a run become visible. A signal waits until all of them are.
+/// Lock that is held while the outputs of a run become visible. A signal waits until all of them are visible.
 static APPEARING: Mutex<()> = Mutex::new(());
 
-/// Locks out signals: none ends this process while the guard is held.
+/// Delays signals: none ends this process while the returned guard is held.
 pub(super) fn appearing() -> MutexGuard<'static, ()> {
     APPEARING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns, unless a signal is ending the process; then it waits for that end.
+/// Waits for the end of the process if a signal is ending it; otherwise returns at once.
 pub(crate) fn wait_for_signal_under_way() {
     drop(sibling::known());
 }

@@ -1,4 +1,4 @@
-//! Small nouns, and `.npy` files written by hand.
+//! Small values of the stored types, and `.npy` files written by hand, for the tests.
 #![allow(dead_code)] // every test file uses a part
 
 use std::{fs, path::Path};
@@ -10,7 +10,7 @@ use planish_types::{
     Trajectory, TurnWeights, VaryingTif,
 };
 
-/// 2 rows, 3 columns, exact in binary.
+/// Returns a grid of 2 rows and 3 columns whose coordinates are exact in binary.
 pub fn grid() -> Grid {
     Grid { x: Axis::new(-0.5, 0.5, 3).unwrap(), y: Axis::new(10.0, 0.25, 2).unwrap() }
 }
@@ -24,7 +24,7 @@ pub fn tif() -> Tif {
     Tif::new(grid(), array![[1.0, 2.0, 0.5], [0.0, -0.01, 3.0]]).unwrap()
 }
 
-/// Two kernels that turn, with factors of the pixels and of the time or without them.
+/// Returns a tool with two kernels that turn; `factors` adds factors of the pixels and of the time.
 pub fn varying(factors: bool) -> Tif {
     let azimuth_deg = vec![10.0, 130.0, 250.0];
     let rows = vec![vec![1.0, 1.5, 0.75], vec![0.0, 0.25, -0.25]];
@@ -74,12 +74,12 @@ pub fn output(out: &Path) -> OutputArgs {
     OutputArgs { out: out.to_path_buf(), force: false, wall_time: None }
 }
 
-/// A new artifact.
+/// Writes `value` as a new artifact in `dir`.
 pub fn write<T: Artifact>(dir: &Path, value: &T) {
     planish_handoff::save(dir, value).unwrap();
 }
 
-/// The arrays alone.
+/// Writes only the arrays of `value`, without a manifest.
 pub fn write_bare<T: Artifact>(dir: &Path, value: &T) {
     fs::create_dir_all(dir).unwrap();
     for (def, array) in T::KIND.arrays.iter().zip(value.to_arrays()) {
@@ -95,7 +95,7 @@ pub fn longs(values: &[i64]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// A `.npy` file of version 1.
+/// Returns a `.npy` file of version 1 with this dtype, order, shape (Python text) and elements.
 pub fn npy(descriptor: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
     let order = if fortran { "True" } else { "False" };
     let header =

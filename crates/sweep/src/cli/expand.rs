@@ -22,7 +22,7 @@ use super::super::files::{VERSION, write_json};
 /// given by mistake are read. Smaller: long sweeps are refused.
 const LARGEST_FILE_BYTES: u64 = 1 << 20;
 
-/// Files of instruments, which are imported.
+/// Endings of the names of instrument files, which are imported into artifacts.
 const FILES: [&str; 13] =
     ["dat", "datx", "xyz", "asc", "txt", "csv", "mat", "h5", "hdf5", "fits", "fit", "npy", "sdf"];
 
@@ -64,7 +64,8 @@ impl Expand {
         Ok(Status::Done)
     }
 
-    /// The lock that the workflow holds while it runs, where there was one: its plans are not replaced under it.
+    /// Locks the sweep, if it has the lock file of a running workflow: its plans must not be replaced meanwhile.
+    /// `None` if there is no lock file.
     fn alone(&self) -> Result<Option<File>, Failure> {
         let Ok(lock) = OpenOptions::new().write(true).open(self.out.join("lock")) else {
             return Ok(None);
@@ -78,7 +79,8 @@ impl Expand {
         }
     }
 
-    /// Refuses a directory that has files and no sweep: it belongs to somebody.
+    /// Refuses an output directory that has files but is not the directory of a sweep, because the files belong to
+    /// somebody.
     fn refuse_foreign(&self) -> Result<(), Failure> {
         let out = &self.out;
         if out.join("sweep.json").exists() {
@@ -102,7 +104,8 @@ impl Expand {
     }
 }
 
-/// A mirror and its tool: the stages that make them, where each stands and its hash, and the settings of `just run`.
+/// A mirror and its tool as the sweep makes them. `map` and `tool` are each a path and a hash; `again` are the
+/// settings of `just run` that make the mirror again.
 struct MadeMirror {
     steps: Vec<Step>,
     map: (String, String),
@@ -111,12 +114,12 @@ struct MadeMirror {
     again: Vec<String>,
 }
 
-/// Files from which the plans are made, as they are on the disk.
+/// Reader of the files that a sweep depends on: machine, error budget, specification, map and tools.
 struct Grounds<'a> {
     folder: &'a Path,
     out: &'a Path,
     inputs: Inputs,
-    /// Files that are to be copied, and their places.
+    /// Files to copy into the directory of the sweep: destination and content.
     copies: Vec<(PathBuf, Vec<u8>)>,
 }
 
@@ -193,9 +196,9 @@ impl Grounds<'_> {
         })
     }
 
-    /// The words of every command of a tool that varies, by the text of the setting. Their hashes, with those of the files
-    /// that they read, go to the ground of the plans, and the command of a fixture that has one is that of all plans
-    /// without the setting.
+    /// Returns the words of every command of a tool that varies, by the text of its setting. It adds to the ground of
+    /// the plans the hash of each command with the files that it reads. If the fixture has a command, that becomes
+    /// the command of all plans without the setting.
     fn varying(
         &mut self,
         d: &Description,
@@ -232,7 +235,8 @@ impl Grounds<'_> {
         Ok(commands)
     }
 
-    /// The command beside the recipe of a fixture, if there is one.
+    /// Reads the command in the file beside the recipe of a fixture (ending `.tool`); `None` if there is no such
+    /// file.
     fn command_of_fixture(&mut self, recipe: &str) -> Result<Option<String>, Failure> {
         let path = self.folder.join(recipe).with_extension("tool");
         if !path.exists() {
@@ -248,7 +252,8 @@ impl Grounds<'_> {
         Ok(Some(text))
     }
 
-    /// Adds the steps that make map and tool, and returns the names by which `just run` calls them.
+    /// Returns the map and the tool of the sweep, with the steps that make them and the settings by which `just run`
+    /// gets them.
     fn mirror(&mut self, d: &Description) -> Result<MadeMirror, Failure> {
         match &d.mirror {
             Mirror::Fixture(recipe) => {
@@ -308,7 +313,8 @@ impl Grounds<'_> {
         }
     }
 
-    /// Copies a file of the user's into the sweep, so that all of its jobs read the same; the copy, and its hash.
+    /// Copies a file of the user into the directory of the sweep, so that all jobs read the same content. Returns the
+    /// path of the copy in the sweep and the first 12 digits of its hash.
     fn frozen(&mut self, role: &str, file: &str) -> Result<(String, String), Failure> {
         let path = self.folder.join(file);
         let bytes = self
@@ -322,7 +328,8 @@ impl Grounds<'_> {
         Ok((copy, digest))
     }
 
-    /// An input that is there, from the root.
+    /// Returns the absolute path of an existing input. `path` starts in the folder of the sweep's file, and `role`
+    /// names the input in messages.
     fn existing(&self, role: &str, path: &str) -> Result<PathBuf, Failure> {
         let path = self.folder.join(path);
         path.canonicalize().map_err(|e| {
@@ -331,7 +338,8 @@ impl Grounds<'_> {
         })
     }
 
-    /// The path as a person would write it where the sweep was started.
+    /// Returns `path`, which starts in the folder of the sweep's file, as a path from the directory in which the user
+    /// started the sweep.
     fn plain(&self, path: &str) -> PathBuf {
         let mut plain = PathBuf::new();
         for part in self.folder.join(path).components() {
@@ -349,7 +357,7 @@ impl Grounds<'_> {
     }
 }
 
-/// Hash of the names and bytes of what stands there.
+/// Returns the hash of a file, or of the names and contents of the files in a directory.
 fn content(path: &Path) -> Result<String, Failure> {
     let unreadable = |e: std::io::Error| super::super::files::unreadable(path, &e);
     let mut hasher = blake3::Hasher::new();

@@ -78,20 +78,20 @@ pub enum Layer {
     Plans,
 }
 
-/// Contents of the file of a finished job.
+/// Content of the file that a job writes when it is finished: how many of its results exist, and how many failed.
 #[derive(Serialize, Deserialize)]
 struct Finished {
     made_or_found: usize,
     failed: usize,
 }
 
-/// Reason for which a tool path could not be made.
+/// Content of the file that stands in place of a tool path that could not be made.
 #[derive(Serialize, Deserialize)]
 struct NoPath {
     message: String,
 }
 
-/// Time of a job. It is kept apart from the results, which do not depend on it.
+/// Times of a job. They are kept apart from the results, which do not depend on them.
 #[derive(Serialize)]
 struct JobTime {
     wall_s: f64,
@@ -101,7 +101,8 @@ struct JobTime {
 }
 
 impl Job {
-    /// Returns the plans of the job, the most expensive first; of the paths, one plan for each.
+    /// Returns the plans of the job, the most expensive first. In the layer of the tool paths, it returns one plan
+    /// for each path.
     ///
     /// # Errors
     /// Fails if there is no such job or round.
@@ -119,7 +120,7 @@ impl Job {
         Ok(members(all, |plan| estimated_s(plan, size), job - 1, of))
     }
 
-    /// The round of the job.
+    /// Returns the round of the job: the one that its flag names, or the first one (the grid).
     fn round<'a>(&self, sweep: &'a Sweep) -> Result<&'a Round, Failure> {
         let Some(wanted) = &self.round else { return Ok(&sweep.rounds[0]) };
         let round = sweep.rounds.iter().find(|round| round.id == *wanted);
@@ -129,7 +130,7 @@ impl Job {
         })
     }
 
-    /// The file that says that the job is done.
+    /// Returns the path of the file that marks the job as finished.
     fn finished(&self, sweep: &Sweep, dir: &Path) -> Result<PathBuf, Failure> {
         let Self { job, jobs: of, .. } = self;
         let layer = match self.layer {
@@ -192,7 +193,7 @@ impl RunJob {
     }
 }
 
-/// Reads the size of the mirror, which the job `mirror` has left.
+/// Reads the size of the mirror from the file that the job of the layer `mirror` has written.
 ///
 /// # Errors
 /// Fails if it is not there or cannot be read.
@@ -205,8 +206,9 @@ pub fn read_size(sweep: &Sweep, dir: &Path) -> Result<Size, Failure> {
     serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))
 }
 
-/// Waits until no other process runs the same job: one that was started anew while its first run goes on finds its
-/// results. The file stays, because two processes could lock two files of the same name.
+/// Waits until no other process runs the same job, and returns its lock. A job that is started again while its first
+/// run goes on then finds the results of that run. The lock file stays, because two processes could lock two files of
+/// the same name.
 fn alone(finished: &Path) -> Result<File, Failure> {
     let path = finished.with_extension("lock");
     let failed = |e: std::io::Error| Failure::new(format!("{}: cannot lock: {e}", path.display()));
@@ -228,7 +230,8 @@ fn alone(finished: &Path) -> Result<File, Failure> {
     Ok(file)
 }
 
-/// Makes map, tool and desired removal; their size, and how many stages ran.
+/// Makes the map, the tool and the desired removal. Returns the size of the mirror, and the number of stages that
+/// ran.
 fn mirror(sweep: &Sweep, stages: &Stages, dir: &Path) -> Result<(Size, usize), Failure> {
     for step in &sweep.mirror_steps {
         match stages.run(step)? {
@@ -256,7 +259,8 @@ fn mirror(sweep: &Sweep, stages: &Stages, dir: &Path) -> Result<(Size, usize), F
     Ok((size, sweep.mirror_steps.len()))
 }
 
-/// The plans of a job on their way.
+/// The work of a job: its sweep, its programs, the directory of the sweep, and the number of stages that run at the
+/// same time.
 struct Work<'a> {
     sweep: &'a Sweep,
     stages: &'a Stages,
@@ -265,7 +269,8 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Makes tool paths and first dwell times; how many were made, and how many failed.
+    /// Makes the tool paths of these plans and their first dwell times. Returns how many were made, and how many
+    /// failed.
     fn paths(&self, job: &Job, plans: &[&SweptPlan]) -> Result<(usize, usize), Failure> {
         let made = AtomicUsize::new(0);
         let failed = AtomicUsize::new(0);
@@ -302,7 +307,8 @@ impl Work<'_> {
         self.dir.join("paths").join(&plan.path_id).join("failed.json")
     }
 
-    /// Makes plans and their rows; how many were made, and how many of all failed.
+    /// Makes the plans and writes their rows of the table. Returns how many were made now, and how many of all
+    /// failed.
     fn plans(&self, plans: &[&SweptPlan]) -> Result<(usize, usize), Failure> {
         let newest = self.stages.newest(&[
             "planish-joint",
@@ -378,7 +384,7 @@ impl Work<'_> {
         Ok(read_row(self.dir, &plan.id)?.is_some_and(|row| row.status != PlanStatus::Failed))
     }
 
-    /// Makes a plan; its row, or how a stage was killed.
+    /// Makes a plan. Returns its row of the table, or the message of a stage that was killed.
     fn plan(&self, plan: &SweptPlan) -> Result<Result<PlanRow, String>, Failure> {
         let problem = self.no_path(plan);
         if let Ok(bytes) = read_regular(&problem) {
@@ -405,7 +411,7 @@ impl Work<'_> {
         Ok(Ok(PlanRow { id: plan.id.clone(), status, message, numbers }))
     }
 
-    /// The numbers that the stages have left in their manifests.
+    /// Reads the results of a plan (residual, time, verdict ...) from the manifests that its stages have written.
     fn numbers(&self, plan: &SweptPlan) -> Result<PlanNumbers, Failure> {
         let dir = plan.method_dir();
         let removal: RemovalOutcome = self.outcome(&format!("{dir}/removal"))?;
@@ -443,7 +449,7 @@ impl Work<'_> {
         })
     }
 
-    /// Reads the outcome of the artifact in `dir`, relative to the sweep.
+    /// Reads the outcome from the manifest of the artifact in `dir`, relative to the directory of the sweep.
     fn outcome<T: DeserializeOwned>(&self, dir: &str) -> Result<T, Failure> {
         let path = self.dir.join(dir).join(MANIFEST);
         let bytes = read_regular(&path).map_err(|e| unreadable(&path, &e))?;
@@ -452,8 +458,8 @@ impl Work<'_> {
         Ok(manifest.read_outcome(&path, "run the stage again that makes it")?)
     }
 
-    /// The directory of a plan becomes that of a run, which reports and figures are made of: its map and its path are
-    /// links to those that it shares.
+    /// Adds links to the shared map and tool path to the directory of a plan. The directory then looks like that of a
+    /// single run, from which reports and figures are made.
     fn link(&self, plan: &SweptPlan) -> Result<(), Failure> {
         for (name, target) in
             [("surface", &self.sweep.surface), ("tool_path", &self.sweep.tool_path(plan))]
