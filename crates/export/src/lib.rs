@@ -110,9 +110,9 @@ pub struct Origin {
 /// A program for a controller, with its description.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// The text of the file.
+    /// Text of the program file.
     pub text: String,
-    /// Content of the header, for the file beside the program.
+    /// Description of the program, for the file beside it.
     pub about: About,
 }
 
