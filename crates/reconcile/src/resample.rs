@@ -18,7 +18,7 @@ const SAMPLES: usize = 6;
 /// Name of the method of interpolation, for reports.
 pub const METHOD: &str = "Lagrange interpolation of degree five along each axis";
 
-/// Returns true if both grids have the same pixels, to [`SAME_PLACE`] of a step.
+/// Returns true if both grids have the same pixels, to `SAME_PLACE` of a step.
 pub fn are_same(a: &Grid, b: &Grid) -> bool {
     [(&a.x, &b.x), (&a.y, &b.y)].into_iter().all(|(a, b)| {
         let tolerance = SAME_PLACE * a.step_mm();
