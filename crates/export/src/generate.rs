@@ -833,8 +833,8 @@ impl<const N: usize> ExecutedCubic<N> {
     }
 }
 
-/// Returns the shortest time of a segment, s, in which the rounding of its positions uses at most the fraction
-/// [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
+/// Returns the shortest time of a segment, s, by the rounding of its positions. In it the rounding uses at most the
+/// fraction [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
 ///
 /// ```text
 /// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J

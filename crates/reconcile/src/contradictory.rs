@@ -101,8 +101,8 @@ const LEAST_PAIRS: f64 = 0.25;
 /// in steps has many heights about as often.
 const LEAST_EQUAL: [usize; 2] = [4, 10];
 
-/// Smallest ratios of the RMS of the rest of the fit with which the fit fails: to what the plan missed, to the measured
-/// removal, and to the noise from pixel to pixel. Larger: bad fits pass. Smaller: good fits fail.
+/// Limits of the RMS of the rest of the fit, above all of which the fit fails. They are ratios to what the plan missed,
+/// to the measured removal, and to the noise from pixel to pixel. Larger: bad fits pass. Smaller: good fits fail.
 const OF_MISSED: f64 = 0.5;
 const OF_REMOVAL: f64 = 0.25;
 const OF_NOISE: f64 = 3.0;

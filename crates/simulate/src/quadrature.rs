@@ -52,8 +52,8 @@ const SMALL_WAY: f64 = 1e-5;
 /// points.
 const NEARLY_UNIFORM: f64 = 1e-3;
 
-/// Duration of a piece, as a fraction of that of its segment, below which it is left out: it is rounding where two axes
-/// cross a border at the same time. Larger: short pieces are lost. Smaller: pieces that only rounding makes.
+/// Smallest duration of a piece, as a fraction of that of its segment; a shorter one is left out. It is rounding where
+/// two axes cross a border at the same time. Larger: short pieces are lost. Smaller: pieces that only rounding makes.
 const SHORTEST: f64 = 1e-13;
 
 /// The lattice cells of the tool position along one axis.

@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Departure of an error from its first order, as a fraction of the RMS that it adds, above which the distribution
-/// comes from simulated runs, unless the departure is less than [`SEEN`]. Larger: fewer simulations, less exact
+/// comes from simulated runs. A departure of less than [`SEEN`] does not count. Larger: fewer simulations, less exact
 /// results. Smaller: more simulations.
 pub const LARGEST_DEPARTURE: f64 = 0.1;
 

@@ -343,8 +343,8 @@ impl Sources {
     }
 }
 
-/// Function that returns the weights of the changes of the TIF for an error of size one, at `[x, y]` mm from the middle
-/// of the map and a relative rate g.
+/// Function that returns the weights of the changes of the TIF for an error of size one. Its arguments are the position
+/// `[x, y]`, mm, from the middle of the map, and a relative rate g.
 type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
 
 /// Returns the combination of the changes of the TIF by which an error acts; `None` if its effect depends on more than

@@ -78,9 +78,9 @@ impl Reach {
         reached.map(|(c, _)| c * c).sum::<f64>() / inner.count
     }
 
-    /// Returns the reached part of the mean square of P w. Here w is white noise of variance one on the valid pixels, P
-    /// removes the free terms q, C gives the coefficients of the reached cosines, and m is the number of valid pixels:
-    /// `tr(P C' C P) / m = (sum over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
+    /// Returns the reached part of the mean square of P w. Here w is white noise of variance one on the m valid pixels,
+    /// and P removes the free terms q. With the coefficients C of the reached cosines c it is `tr(P C' C P) / m = (sum
+    /// over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
     pub fn of_white(&self, inner: &Inner) -> f64 {
         let [y, x] = [&self.y, &self.x].map(|a| a.mapv(|v| v * v));
         let on_valid = y.dot(&inner.validity()).dot(&x.t());

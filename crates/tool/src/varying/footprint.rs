@@ -105,8 +105,8 @@ impl ToolFrame {
         self.carrier
     }
 
-    /// Returns the directions of the axes x and y of the TIF (t1 and t2 of the module) by (3), on a part with the unit
-    /// normal `n`, all in coordinates of the part.
+    /// Returns the directions of the axes x and y of the TIF (t1 and t2 of the module) by (3). `n` is the unit normal
+    /// of the part, and all directions are in coordinates of the part.
     fn axes(&self, n: [f64; 3]) -> [[f64; 3]; 2] {
         let Some((there, back)) = &self.to_machine else { return self.axes_on_machine(n) };
         let [nx, ny] = there.direction([n[0], n[1]]);

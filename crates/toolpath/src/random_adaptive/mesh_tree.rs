@@ -43,8 +43,8 @@ const LLOYD_ITERATIONS: usize = 20;
 /// Height of a border triangle, as a fraction of its longest edge, below which it is left out. Larger: gaps at the
 /// border. Smaller: needle-like triangles with short steps.
 const MIN_HEIGHT: f64 = 0.1;
-/// Point at which a step over an edge meets it if it would pass beyond its end: fraction of the distance from `(w V +
-/// M)/(w + 1)` to that end. Larger: nearer to the end of the edge. Smaller: nearer to its middle.
+/// Point at which a step meets an edge that it would otherwise pass beyond its end. It is a fraction of the distance
+/// from `(w V + M)/(w + 1)` to that end. Larger: nearer to the end of the edge. Smaller: nearer to its middle.
 const MEETS_AT: f64 = 0.5;
 
 /// Returns one closed path for each part of the mesh whose triangles are connected by edges. `scale` multiplies the
