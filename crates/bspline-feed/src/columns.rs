@@ -275,7 +275,7 @@ mod tests {
         Axis::new(start, step, n).unwrap()
     }
 
-    /// A lopsided TIF.
+    /// Makes a TIF without symmetry.
     fn tif() -> Tif {
         let grid = Grid { x: axis(-1.0, 0.1, 21), y: axis(-0.8, 0.1, 19) };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {

@@ -671,7 +671,7 @@ mod tests {
 
     use crate::{deconvolution::Refinement, passes::passes};
 
-    /// 5 x 2 mm of random waves.
+    /// Makes a map of 5 x 2 mm with random waves.
     fn surface(seed: u64) -> Surface {
         let axis = |n: usize| Axis::new(0.0, 0.125, n).unwrap();
         let grid = Grid { x: axis(41), y: axis(17) };
@@ -686,7 +686,7 @@ mod tests {
         Surface::new(grid, height).unwrap()
     }
 
-    /// Five lines 0.5 mm apart, and a Gaussian of sigma 0.4 mm.
+    /// Makes the problem of five lines 0.5 mm apart, with a Gaussian TIF of sigma 0.4 mm.
     fn problem(surface: &Surface, limits: &Limits) -> Problem {
         let a = Axis::new(-1.5, 0.125, 25).unwrap();
         let rate = Array2::from_shape_fn((25, 25), |(r, c)| {

@@ -360,7 +360,7 @@ fn quadratic_program(
 mod tests {
     use super::*;
 
-    /// The distance to wanted control values.
+    /// Returns half of the squared distance to the control values `wanted`, as a quadratic objective.
     fn towards(wanted: &[f64]) -> Quadratic {
         Quadratic { p: Array2::eye(wanted.len()), q: wanted.to_vec() }
     }

@@ -190,7 +190,7 @@ mod tests {
         planish_testkit::machine([10.0, 20.0], [100.0, 50.0])
     }
 
-    /// 4 x 4 mm in pixels of 0.5 mm around (0, 0).
+    /// Makes a map of 4 x 4 mm in pixels of 0.5 mm around (0, 0).
     fn square() -> Surface {
         let axis = Axis::new(-2.0, 0.5, 9).unwrap();
         Surface::new(Grid { x: axis, y: axis }, Array2::ones((9, 9))).unwrap()

@@ -588,7 +588,7 @@ mod tests {
 
     const SIZE: usize = 64;
 
-    /// White noise of about this RMS, nm.
+    /// Returns white noise of about this RMS, nm, shape (SIZE, SIZE).
     fn noise(stream: u64, rms_nm: f64) -> Array2<f64> {
         let mut random = case_generator(77, stream, 0);
         // The sum of twelve uniform numbers has the variance 1.
@@ -596,7 +596,7 @@ mod tests {
         Array2::from_shape_fn((SIZE, SIZE), |_| rms_nm * normal())
     }
 
-    /// Noise that is correlated over some pixels, of 0.7 nm RMS: what a tool cannot reach.
+    /// Returns noise that is correlated over some pixels, of 0.7 nm RMS, as a residual that a tool cannot reach.
     fn residual() -> Array2<f64> {
         let fine = noise(9, 1.0);
         let at = |r: usize, c: usize| fine[[r % SIZE, c % SIZE]];

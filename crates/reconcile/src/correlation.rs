@@ -223,7 +223,7 @@ mod tests {
         Grid { x: Axis::new(0.0, 0.5, 120).unwrap(), y: Axis::new(0.0, 0.25, 90).unwrap() }
     }
 
-    /// Uniform numbers, and their means over `side` x `side` pixels, of the variance one.
+    /// Returns means of uniform numbers over `side` x `side` pixels, scaled to the variance one.
     fn noise(seed: u64, side: usize) -> Array2<f64> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (ny, nx) = grid().shape();

@@ -479,7 +479,7 @@ impl ErrorFile {
 mod tests {
     use super::*;
 
-    /// A process with one error of the rate.
+    /// Makes a process with one error of the rate.
     fn process(size: f64, unit: &str) -> Result<ErrorBudget, Invalid> {
         let error = ErrorFile {
             kind: Kind::RateScale,

@@ -170,7 +170,7 @@ mod tests {
         Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((9, 9), rate)).unwrap()
     }
 
-    /// Curved, with a lift and a rest; the frames do not end at its breaks.
+    /// Makes a curved motion with a lift and a rest; the frames do not end at its breaks.
     fn motion() -> Trajectory {
         let c = vec![
             [[0.0, 1.5, 0.2, -0.05], [0.0, 0.3, 0.0, 0.01]],

@@ -181,7 +181,7 @@ mod tests {
     use super::*;
     use planish_numerics::polynomial::shifted;
 
-    /// A command that runs, brakes and turns, in three pieces.
+    /// Makes a command in three pieces: it runs, brakes and rests.
     fn command() -> Vec<MotionPiece> {
         let c = [[0.0, 3.0, 0.5, -0.2], [1.0, 0.0, 1.0, 0.1]];
         let d = [c[0], c[1]].map(|c| shifted(&c, 1.0));

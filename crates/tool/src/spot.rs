@@ -388,7 +388,7 @@ mod tests {
         Grid { x: Axis::new(0.0, STEP, 121).unwrap(), y: Axis::new(0.0, STEP, 101).unwrap() }
     }
 
-    /// A piece with waves that no shift maps to itself, moved by `d` mm.
+    /// Returns the heights of a test piece, nm, moved by `d` mm; its waves have no shift that maps them to themselves.
     fn piece(d: [f64; 2]) -> Array2<f64> {
         let g = grid();
         Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -472,7 +472,8 @@ mod tests {
         assert!(made.outside_rms_nm > 1.0, "{}", made.outside_rms_nm);
     }
 
-    /// Normal noise by the sum of twelve, averaged over `side` x `side` pixels, with this standard deviation.
+    /// Returns normal noise, each a sum of twelve uniform numbers, with the standard deviation `sigma`, averaged over
+    /// `side` x `side` pixels.
     fn noise(
         random: &mut ChaCha8Rng,
         side: usize,

@@ -509,7 +509,7 @@ fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
 mod tests {
     use super::*;
 
-    /// An elliptical Gaussian of 8 nm/s about (cx, cy), samples from -half in `n` steps.
+    /// Returns an elliptical Gaussian TIF of 8 nm/s about `centre`, with `n` samples along x and y.
     fn gaussian(n: [usize; 2], pitch: f64, centre: [f64; 2], sigma: [f64; 2]) -> Tif {
         let axis = |n: usize| Axis::new(-0.5 * (n - 1) as f64 * pitch, pitch, n).unwrap();
         let grid = Grid { x: axis(n[0]), y: axis(n[1]) };

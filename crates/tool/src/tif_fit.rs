@@ -326,7 +326,7 @@ mod tests {
         Tif::new(grid, rate).unwrap()
     }
 
-    /// Elliptical, long axis at 25 degrees.
+    /// Returns the quadratic form q of an elliptical spot with its long axis at 25 degrees.
     fn q(x: f64, y: f64) -> f64 {
         let (cos, sin) = (25.0_f64.to_radians().cos(), 25.0_f64.to_radians().sin());
         let (x, y) = (x - 0.3, y + 0.2);

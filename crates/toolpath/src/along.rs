@@ -240,7 +240,7 @@ mod tests {
         Form::new(&serde_json::from_str(json).unwrap(), None).unwrap()
     }
 
-    /// The report on a path of a part.
+    /// Returns the report on `path`, given along the surface, over the map `part`.
     fn reported(on: &OnForm, path: &ToolPath, part: &Surface) -> AlongReport {
         on.report(path, part, &on.developed(part).unwrap()).unwrap()
     }

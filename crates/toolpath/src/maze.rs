@@ -888,7 +888,7 @@ mod tests {
         }
     }
 
-    /// Largest |dx|, |dy| of a point from its nearest valid pixel, mm.
+    /// Returns the larger of |dx| and |dy| from a point to its nearest valid pixel, mm.
     fn out_of_the_aperture(surface: &Surface, p: [f64; 2]) -> f64 {
         let g = surface.grid();
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());

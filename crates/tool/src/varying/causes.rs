@@ -423,7 +423,7 @@ mod tests {
     use crate::varying::{LowRankSettings, low_rank};
     use planish_types::Surface;
 
-    /// A ring from a hole of this radius to an outer radius, mm, on square pixels.
+    /// Returns the map of a ring between the radius of its hole and its outer radius, mm, on square pixels.
     fn ring([hole_mm, outer_mm]: [f64; 2], pixel_mm: f64) -> Surface {
         let half = (outer_mm / pixel_mm).round();
         let axis = Axis::new(-half * pixel_mm, pixel_mm, 2 * half as usize + 1).unwrap();

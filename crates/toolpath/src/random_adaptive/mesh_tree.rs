@@ -270,7 +270,8 @@ mod tests {
         Field::new(&surface, &settings).unwrap()
     }
 
-    /// Euler: F = 2 V - 2 + 2 holes - B for one part whose border has B edges.
+    /// Returns true if Euler's formula holds: F = 2 V - 2 + 2 holes - B for one part with F triangles, V vertices and B
+    /// edges on its border.
     fn euler(mesh: &Mesh, holes: usize) -> bool {
         let border = mesh.beyond.iter().flatten().filter(|b| b.is_none()).count();
         let mut used: Vec<usize> = mesh.face.iter().flatten().copied().collect();
