@@ -154,7 +154,7 @@ mod tests {
         MotionPiece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
     }
 
-    /// Pieces whose coefficients are wild and whose ends do not join, along x and y.
+    /// Makes pieces with irregular coefficients whose ends do not join, along x and y.
     fn wild() -> Vec<MotionPiece> {
         let wave = |k: usize, j: usize| (1.0 + 7.3 * k as f64 + 2.9 * j as f64).sin();
         (0..40)
@@ -165,7 +165,8 @@ mod tests {
             .collect()
     }
 
-    /// Positions of the carriage of `axis` in the middle of dense steps: q <- the nearest place to q within h of p.
+    /// Returns times, s, and positions q of the carriage of `axis`, mm, in dense steps. In each step q becomes the
+    /// position nearest to q within h of the drive p.
     fn dense(pieces: &[MotionPiece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
         let h = 0.5 * play_mm;
         let mut q = pieces[0].coefficient_mm[axis][0];

@@ -70,7 +70,7 @@ pub struct VirtualRun {
     pub hidden: Hidden,
 }
 
-/// Runs `trajectory` on the mirror that was measured as `before`, with one draw of the errors of `process`.
+/// Runs `trajectory` on the mirror with the measured map `before`, with one draw of the errors of `process`.
 ///
 /// # Errors
 ///

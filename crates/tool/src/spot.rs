@@ -487,8 +487,8 @@ mod tests {
         Array2::from_shape_fn((ny, nx), |at| mean(at) * sigma / side as f64)
     }
 
-    /// Maps before and after a spot of 100 nm on a base with slopes of 0.3 nm per pixel, moved by `pixels`, with noise of
-    /// `sigma` nm over `side` x `side` pixels in each.
+    /// Makes the maps before and after a spot of 100 nm on a base with slopes of 0.3 nm per pixel. The part moves by
+    /// `pixels`, and each map has noise of `sigma` nm over `side` x `side` pixels.
     fn noisy_maps(
         random: &mut ChaCha8Rng,
         side: usize,

@@ -196,7 +196,7 @@ fn continued(axis: &Axis, [low, high]: [f64; 2]) -> Result<Axis, Invalid> {
     Axis::new(start_mm, axis.step_mm(), (after - before) as usize + 1)
 }
 
-/// Centres of the first and the last valid pixel of every row and column, mm.
+/// Returns the centres of the first and the last valid pixel of every row, and of every column, mm.
 fn border_mm(surface: &Surface) -> Vec<[f64; 2]> {
     let z = surface.height_nm();
     let grid = surface.grid();

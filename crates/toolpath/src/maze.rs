@@ -694,7 +694,7 @@ mod tests {
         }
     }
 
-    /// Pixels of 0.5 mm where `inside(x, y)` holds.
+    /// Makes a map with pixels of 0.5 mm, valid where `inside(x, y)` is true.
     fn map(nx: usize, ny: usize, inside: impl Fn(f64, f64) -> bool) -> Surface {
         let grid =
             Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };

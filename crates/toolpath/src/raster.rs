@@ -425,7 +425,7 @@ mod tests {
         RasterSettings::new(pitch_mm, step_mm, overscan_mm)
     }
 
-    /// Pixels of 0.5 mm with the height `z(x, y)`, NaN outside.
+    /// Makes a map with pixels of 0.5 mm and the height `z(x, y)`, nm, NaN outside.
     fn relief(nx: usize, ny: usize, z: impl Fn(f64, f64) -> f64) -> Surface {
         let grid =
             Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
@@ -435,7 +435,7 @@ mod tests {
         Surface::new(grid, height).unwrap()
     }
 
-    /// Pixels of 0.5 mm where `inside(x, y)` holds.
+    /// Makes a map with pixels of 0.5 mm, valid where `inside(x, y)` is true.
     fn map(nx: usize, ny: usize, inside: impl Fn(f64, f64) -> bool) -> Surface {
         let z = |x: f64, y: f64| (0.3 * x).sin() + 2.0 * (0.4 * y).cos();
         relief(nx, ny, |x, y| if inside(x, y) { z(x, y) } else { f64::NAN })
@@ -594,7 +594,7 @@ mod tests {
         assert_eq!(path.point_mm(), [[4.75, 7.5], [5.25, 7.5]]);
     }
 
-    /// Distances of the lines from the first one, in the order in which they are run.
+    /// Returns the distances of the lines from the first one, mm, in the order in which they are run.
     fn line_order(path: &ToolPath, scan: Scan) -> Vec<f64> {
         let across = scan.axes()[1];
         let w = |i: usize| {

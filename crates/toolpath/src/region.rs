@@ -264,7 +264,7 @@ mod tests {
         assert!(inset(&surface, f64::INFINITY).is_err());
     }
 
-    /// Rates in `half` mm around 0, in samples of 0.25 mm.
+    /// Makes a TIF with the rates `rate(x, y)` within `half` mm around 0, in samples of 0.25 mm.
     fn tif(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let n = (8.0 * half) as usize + 1;
         let axis = Axis::new(-half, 0.25, n).unwrap();

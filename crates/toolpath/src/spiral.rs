@@ -134,7 +134,7 @@ mod tests {
     use planish_types::{Axis, Grid};
     use proptest::prelude::*;
 
-    /// Pixels of 0.5 mm over 100 x 100 mm about (10, -5) where `inside(r)` holds.
+    /// Makes a map with pixels of 0.5 mm over 100 x 100 mm about (10, -5), valid where `inside(r)` is true.
     fn round(inside: impl Fn(f64) -> bool) -> Surface {
         let grid =
             Grid { x: Axis::new(-40.0, 0.5, 201).unwrap(), y: Axis::new(-55.0, 0.5, 201).unwrap() };

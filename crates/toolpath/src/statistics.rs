@@ -468,7 +468,7 @@ mod tests {
         Surface::new(grid, Array2::zeros((ny, nx))).unwrap()
     }
 
-    /// Rows at the pitch `p`, each one segment from x = 0 to 10, moved by (dx, dy).
+    /// Makes a path of rows at the pitch `p`, each one segment between x = 0 and 10, moved by (dx, dy).
     fn rows(n: usize, p: f64, [dx, dy]: [f64; 2]) -> ToolPath {
         let ends = |k: usize| if k.is_multiple_of(2) { [0.0, 10.0] } else { [10.0, 0.0] };
         let points = (0..n).flat_map(|k| ends(k).map(|x| [x + dx, k as f64 * p + dy]));
