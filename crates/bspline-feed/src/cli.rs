@@ -1,4 +1,4 @@
-//! The command line, and the run from its flags to its files.
+//! The command line of `planish-bspline-feed`, and the run from its flags to its files.
 
 use clap::Args;
 use planish_bspline_feed::{
@@ -14,8 +14,8 @@ use planish_handoff::{
 };
 use planish_types::{DwellDensity, PathDistance, Trajectory, outcome::plan::PlanOutcome};
 
-/// Way by which turn-arounds may run out beyond the ends of the lines, in widths of the TIF: the usual overscan is half
-/// the size of the tool, which is more. Larger: turn-arounds leave the overscan. Smaller: lines that end fast are
+/// Distance by which turn-arounds may extend beyond the ends of the lines, in widths of the TIF. The usual overscan is
+/// half the size of the tool, which is more. Larger: turn-arounds leave the overscan. Smaller: lines that end fast are
 /// refused. The tolerance of the motion includes it.
 const RUN_OUT_OVER_TIF_WIDTH: f64 = 0.5;
 

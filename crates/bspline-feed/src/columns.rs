@@ -1,4 +1,4 @@
-//! The material-removal basis: what a unit of every control value removes.
+//! The material-removal basis: the removal by a unit of every control value of the feed.
 //!
 //! ```text
 //! G_mi(x) = integral R(x - P_m(s)) B_i(s) ds
@@ -19,17 +19,17 @@ use planish_types::{Surface, Tif};
 
 use crate::passes::Pass;
 
-/// A rectangle of pixels, zero elsewhere.
+/// A map that is zero outside a rectangle of pixels: the removal by one control value.
 #[derive(Clone, Debug)]
 pub struct Column {
-    /// First pixel row and column.
+    /// Row and column of the first pixel of the rectangle.
     pub origin: (usize, usize),
-    /// nm per unit of the control value, so nm mm/s; possibly empty.
+    /// Removal per unit of the control value on the rectangle, nm mm/s; empty if the tool reaches no pixel.
     pub removal: Array2<f64>,
 }
 
 impl Column {
-    /// Returns the first and last row, and the first and last column; none where it is empty.
+    /// Returns the first and last row, and the first and last column, of the rectangle; `None` if it is empty.
     pub fn pixels(&self) -> Option<[usize; 4]> {
         if self.removal.is_empty() {
             return None;
@@ -39,20 +39,20 @@ impl Column {
         Some([r, r + ny - 1, c, c + nx - 1])
     }
 
-    /// Returns the scalar product with a map (ny, nx).
+    /// Returns the scalar product with a map of shape (ny, nx): the sum of the products of the pixels.
     pub fn dot(&self, map: &Array2<f64>) -> f64 {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
         let window = map.slice(s![r..r + ny, c..c + nx]);
         window.rows().into_iter().zip(self.removal.rows()).map(|(a, b)| a.dot(&b)).sum()
     }
 
-    /// Adds `factor * G` to a map (ny, nx).
+    /// Adds the column times `factor` to a map of shape (ny, nx).
     pub fn add_to(&self, map: &mut Array2<f64>, factor: f64) {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
         map.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(factor, &self.removal);
     }
 
-    /// Returns the scalar product with another column.
+    /// Returns the scalar product with another column; 0 if they share no pixel.
     pub fn dot_column(&self, other: &Self) -> f64 {
         let (Some([top, bottom, left, right]), Some([t, b, l, r])) =
             (self.pixels(), other.pixels())
@@ -72,7 +72,7 @@ impl Column {
     }
 }
 
-/// Computes G of one pass, a column per control value.
+/// Computes the columns G of the module for one pass, one per control value.
 pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<Column> {
     let mut columns: Vec<Column> =
         (0..knots.len()).map(|i| window(support_box(pass, knots, i), tif, surface)).collect();
@@ -104,19 +104,19 @@ pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<
     columns
 }
 
-/// Largest change of the removal of a span (RMS, relative) by twice as many parts: 0.1 nm of 50 nm. The change
-/// differs from pixel to pixel, and the many spans that reach a pixel average it to a small part of the residual.
-/// Larger: a larger error of the removal. Smaller: more parts, more time.
+/// Largest relative change (RMS) of the removal by a span with twice as many parts, for which the parts are enough: 0.1
+/// nm of 50 nm. The change differs from pixel to pixel, and the many spans that reach a pixel average it to a small
+/// part of the residual. Larger: a larger error of the removal. Smaller: more parts, more time.
 const PARTS_TOLERANCE: f64 = 2e-3;
 
-/// Largest number of parts of a span. The error at the end of a flat pad falls only with their number. Larger: more
-/// time with such tools. Smaller: a larger error.
+/// Largest number of parts of a span between two knots. The error at the end of a flat pad falls only with their
+/// number. Larger: more time with such tools. Smaller: a larger error.
 const MOST_PARTS: usize = 16;
 
 /// Golden ratio less one, (sqrt(5) - 1)/2: the fractional parts of its multiples are spread evenly over [0, 1).
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Returns the five-point Gauss rule on equal parts of [0, 1]: places and weights.
+/// Returns the five-point Gauss rule on `parts` equal parts of [0, 1], as pairs of node and weight.
 fn composite_rule(parts: usize) -> Vec<(f64, f64)> {
     let n = parts as f64;
     (0..parts)
@@ -124,7 +124,8 @@ fn composite_rule(parts: usize) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// Returns into how many parts a span of `length_mm` along `direction` has to be divided for this TIF.
+/// Returns the number of parts into which a span of `length_mm` along `direction` is divided for the quadrature with
+/// this TIF.
 fn parts(direction: [f64; 2], length_mm: f64, tif: &Tif) -> usize {
     let mut parts = 1;
     let mut coarse = removed(direction, length_mm, tif, 1);
@@ -139,8 +140,9 @@ fn parts(direction: [f64; 2], length_mm: f64, tif: &Tif) -> usize {
     parts
 }
 
-/// Returns `sum_q w_q R(d - t s_q)` at the samples d, with the rule on so many parts of a span. Each sample is passed
-/// by at another part of the span: all of a row or a column would see the end of a TIF at the same one.
+/// Returns `sum_q w_q R(d - t s_q)` at the samples d of the TIF, with the rule on `parts` parts of a span along the
+/// direction t. The tool passes each sample at another part of the span. Otherwise a whole row or column would see the
+/// end of the TIF at the same part.
 fn removed(direction: [f64; 2], length_mm: f64, tif: &Tif, parts: usize) -> Array2<f64> {
     let grid = tif.grid();
     let rule = composite_rule(parts);
@@ -154,12 +156,12 @@ fn removed(direction: [f64; 2], length_mm: f64, tif: &Tif, parts: usize) -> Arra
     })
 }
 
-/// Returns the Euclidean norm.
+/// Returns the Euclidean norm: the root of the sum of squares.
 fn norm(a: &Array2<f64>) -> f64 {
     a.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// Counts the elements of the columns of a pass, without making them.
+/// Returns the number of elements of the columns of a pass, without computing them.
 pub fn elements(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> usize {
     let each = (0..knots.len()).map(|i| {
         let pixels = bounds(support_box(pass, knots, i), tif, surface);
@@ -168,7 +170,7 @@ pub fn elements(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> usi
     each.sum()
 }
 
-/// Returns the least and largest position along x and y at which `B_i` is not zero, mm.
+/// Returns the smallest and largest position along x, and along y, at which the basis function `B_i` is not zero, mm.
 fn support_box(pass: &Pass, knots: &Knots, i: usize) -> [(f64, f64); 2] {
     let (low, high) = knots.support(i);
     let a = pass.position(low);
@@ -176,7 +178,8 @@ fn support_box(pass: &Pass, knots: &Knots, i: usize) -> [(f64, f64); 2] {
     [0, 1].map(|k| (a[k].min(b[k]), a[k].max(b[k])))
 }
 
-/// Returns the first and last pixel along x and y that a tool reaches that stays in a box.
+/// Returns the first and last pixel along x, and along y, that a tool reaches while it stays in the box `place`; `None`
+/// if it reaches none.
 fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usize, usize); 2]> {
     let map = surface.grid();
     let tool = tif.grid();
@@ -193,7 +196,7 @@ fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usiz
     Some([x?, y?])
 }
 
-/// Makes zeros on the pixels that a tool reaches that stays in a box.
+/// Makes a column of zeros on the pixels that a tool reaches while it stays in the box `place`.
 pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Column {
     match bounds(place, tif, surface) {
         Some([x, y]) => {
@@ -203,7 +206,7 @@ pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Co
     }
 }
 
-/// Adds `factor * from` to `to`, `from` within `to`.
+/// Adds `factor * from` to `to`, whose rectangle holds that of `from`.
 fn add_window(to: &mut Column, from: &Column, factor: f64) {
     let (ny, nx) = from.removal.dim();
     if from.removal.is_empty() || factor == 0.0 {
@@ -224,7 +227,7 @@ fn add_window(to: &mut Column, from: &Column, factor: f64) {
     to.removal.slice_mut(s![r - tr..bottom - tr, c - tc..right - tc]).scaled_add(factor, &source);
 }
 
-/// Adds `factor R(x - p)` to a column on its pixels, the TIF being zero outside its rectangle.
+/// Adds the rate of a tool at `p`, `factor R(x - p)`, to a column on its pixels. The TIF is zero outside its rectangle.
 pub(crate) fn add_rate(
     column: &mut Column,
     p: [f64; 2],
@@ -257,7 +260,8 @@ pub(crate) fn add_rate(
     }
 }
 
-/// Returns the cell of the samples of the TIF at an offset along x (0) or y (1), and Keys' weights there.
+/// Returns the cell of the TIF's samples at an offset along x (axis 0) or y (axis 1), and Keys' weights there; `None`
+/// outside of the TIF.
 fn cell_and_weights(tif: &Tif, axis: usize, offset_mm: f64) -> Option<(usize, [f64; 4])> {
     tif.cell(axis, offset_mm).map(|(cell, f)| (cell, keys::weights(f)))
 }
@@ -271,7 +275,7 @@ mod tests {
         Axis::new(start, step, n).unwrap()
     }
 
-    /// A lopsided TIF.
+    /// Makes a TIF without symmetry.
     fn tif() -> Tif {
         let grid = Grid { x: axis(-1.0, 0.1, 21), y: axis(-0.8, 0.1, 19) };
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {

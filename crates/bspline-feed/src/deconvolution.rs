@@ -1,4 +1,4 @@
-//! The control values of all passes for a map, line by line.
+//! The control values of the feed of all passes for a map. A line is a straight pass of the path with its spline.
 //!
 //! ```text
 //! min over d, and a free piston c:
@@ -43,8 +43,8 @@ use crate::{
     passes::Pass,
 };
 
-/// Largest number of elements of the removal basis that are kept in memory (3.2 GB); more are refused. Larger: more
-/// memory. Smaller: fine knots on large maps are refused.
+/// Largest number of elements of the removal basis (3.2 GB of memory); more are refused. Larger: more memory. Smaller:
+/// fine knots on large maps are refused.
 const MAX_ELEMENTS: usize = 400_000_000;
 
 /// Methods to keep the acceleration limit.
@@ -62,71 +62,74 @@ pub enum Refinement {
 pub struct DeconvolutionSettings {
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
-    /// True if a piston is free: the uniform part of the desired removal does not count.
+    /// True if a piston is free: the mean of the desired removal does not count.
     pub free_piston: bool,
-    /// alpha: weight of the distance to the least density; >= 0.
+    /// Weight of the squared distance of the control values from the smallest density (alpha of the module), >= 0.
     pub tikhonov: f64,
-    /// beta: weight of the second differences of the control values; >= 0.
+    /// Weight of the squared second differences of the control values (beta of the module), >= 0.
     pub curvature_weight: f64,
-    /// Largest gap, or fall of the objective in the last sweep, over the objective.
+    /// Largest proven gap of the objective, as a fraction of it, with which the solver ends. For knot removal, smallest
+    /// relative decrease of the objective in a sweep.
     pub tolerance: f64,
-    /// Largest number of sweeps, or of steps of the interior point method.
+    /// Largest number of steps of the interior point method, or of sweeps of knot removal.
     pub max_sweeps: usize,
 }
 
-/// One pass with its basis.
+/// One pass of the path with its spline and its removal basis.
 #[derive(Debug)]
 pub struct PassBasis {
-    /// Knots of the spline on [0, length].
+    /// Knots of the spline over the arc length, from 0 to the length of the pass, mm.
     pub knots: Knots,
     /// Limits of the feed along the pass.
     pub limits: FeedLimits,
     columns: Vec<Column>,
-    /// G'G (n, n).
+    /// Products G'G of the columns, shape (n, n) for n control values.
     gram: Array2<f64>,
 }
 
-/// All lines, and which of them may be solved at the same time.
+/// All lines, and groups of lines that share no pixel and can be solved at the same time.
 #[derive(Debug)]
 pub struct Problem {
     /// Lines in the order of the path.
     pub lines: Vec<PassBasis>,
-    /// K.
+    /// Largest diagonal element of the products G'G of all lines (K of the module).
     strongest: f64,
     groups: Vec<Vec<usize>>,
 }
 
-/// Feed at which the sweeps begin.
+/// Control values and piston at which the solver starts.
 #[derive(Clone, Debug)]
 pub struct Start {
     /// Control values of every line, positive, s/mm.
     pub d: Vec<Vec<f64>>,
-    /// c, nm.
+    /// Uniform removal in addition to the desired one (c of the module), nm.
     pub piston_nm: f64,
 }
 
-/// Control values, and what they leave.
+/// Control values, and the residual that they leave.
 #[derive(Clone, Debug)]
 pub struct State {
     /// Control values of every line, s/mm.
     pub d: Vec<Vec<f64>>,
-    /// c, nm.
+    /// Uniform removal in addition to the desired one (c of the module), nm.
     pub piston_nm: f64,
-    /// r, zero where the map is invalid (ny, nx), nm.
+    /// Residual r of the module, shape (ny, nx), nm; 0 where the map is invalid.
     pub residual_nm: Array2<f64>,
-    /// Objective (1) after every sweep or step, nm^2; the first is that of the start.
+    /// Objective (1) of the module after every sweep or step, nm^2; the first value is that of the start.
     pub objective: Vec<f64>,
-    /// Sweeps, or steps of the interior point method.
+    /// Number of sweeps, or of steps of the interior point method.
     pub steps: usize,
-    /// True if the gap is within the tolerance, or the objective fell by less than that in the last sweep.
+    /// True if the gap is within the tolerance, or the last sweep lowered the objective by less than the tolerance.
     pub converged: bool,
-    /// Part of the objective that no feed within the tangents of the limits saves (`joint`); none for sweeps.
+    /// Fraction of the objective that no feed within the tangents of the acceleration limit can save
+    /// (`joint`); `None` for sweeps, which prove nothing.
     pub gap: Option<f64>,
-    /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
+    /// Objective, nm^2, after a last sweep that raised it and was undone; `None` if there was none.
     pub given_up_nm2: Option<f64>,
-    /// Knots that are left by knot removal.
+    /// Knots of every line that knot removal left.
     pub knots_left: Vec<Knots>,
-    /// Lines on which knot removal ended without an interior knot, and the procedure took over.
+    /// Number of lines on which knot removal removed all interior knots without success, so that the convex-concave
+    /// procedure took over.
     pub fallbacks: usize,
     pub(crate) rows_mm: Vec<Vec<f64>>,
 }
@@ -170,8 +173,8 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Sweeps by knot removal from a start within the limits; `other_nm` (ny, nx) is what is removed beside the passes.
-    /// The result is no worse than the start.
+    /// Runs sweeps of knot removal from a start within the limits. `other_nm` (ny, nx) is the removal by other parts of
+    /// the motion. The objective of the result is not larger than that of the start.
     ///
     /// # Errors
     /// Returns the failure of the quadratic program of a pass.
@@ -212,28 +215,29 @@ impl Problem {
         Ok(state)
     }
 
-    /// Returns alpha K and beta K.
+    /// Returns the weights alpha K and beta K of the penalties in (1) of the module.
     pub(crate) fn weights(&self, settings: &DeconvolutionSettings) -> [f64; 2] {
         // A trace of the identity makes the program definite where the tool reaches nothing.
         [settings.tikhonov.max(1e-12), settings.curvature_weight].map(|w| w * self.strongest)
     }
 
-    /// Returns the basis of line `m`.
+    /// Returns the columns of the removal basis of line `m`.
     pub(crate) fn columns(&self, m: usize) -> &[Column] {
         &self.lines[m].columns
     }
 
-    /// Returns the bases of all lines, in their order.
+    /// Returns the columns of the removal bases of all lines, in their order.
     pub(crate) fn all_columns(&self) -> impl Iterator<Item = &Column> {
         self.lines.iter().flat_map(|line| &line.columns)
     }
 
-    /// Returns the first and last row, and the first and last column that line `m` reaches.
+    /// Returns the first and last row, and the first and last column, of the pixels that line `m` reaches; `None` if it
+    /// reaches none.
     pub(crate) fn pixels(&self, m: usize) -> Option<[usize; 4]> {
         bounding_box(&self.lines[m])
     }
 
-    /// Makes a state of which nothing is known yet, with all knots.
+    /// Makes an empty state, with all knots, before a solver has run.
     pub(crate) fn untouched(&self) -> State {
         State {
             d: Vec::new(),
@@ -250,7 +254,8 @@ impl Problem {
         }
     }
 
-    /// Makes the state at a start, with its residual.
+    /// Makes the state at the start values, with their residual. `other_nm` (ny, nx) is the removal by other parts of
+    /// the motion.
     fn start(&self, surface: &Surface, other_nm: &Array2<f64>, start: Start) -> State {
         let Start { d, piston_nm } = start;
         // r = z + c - other - G d on the valid pixels
@@ -264,7 +269,7 @@ impl Problem {
         State { d, piston_nm, residual_nm, ..self.untouched() }
     }
 
-    /// Does (2) for every line.
+    /// Replaces the control values of every line by the solution of step (2) of the module.
     fn sweep(&self, state: &mut State, settings: &DeconvolutionSettings) -> Result<(), FeedError> {
         state.fallbacks = 0;
         for group in &self.groups {
@@ -287,7 +292,7 @@ impl Problem {
         Ok(())
     }
 
-    /// Solves (2) for line `m`.
+    /// Solves step (2) of the module for line `m`.
     fn line(
         &self,
         m: usize,
@@ -318,7 +323,7 @@ impl Problem {
         Ok(solved)
     }
 
-    /// Returns P_m and q_m of (2).
+    /// Returns the matrix P_m and the vector q_m of step (2) of the module.
     fn line_objective(
         &self,
         m: usize,
@@ -347,7 +352,7 @@ impl Problem {
         Quadratic { p, q }
     }
 
-    /// Returns the value of (1).
+    /// Returns the value of the objective (1) of the module, nm^2.
     fn objective(&self, state: &State, settings: &DeconvolutionSettings) -> f64 {
         let [alpha, beta] = self.weights(settings);
         let mut sum = state.residual_nm.iter().map(|r| r * r).sum::<f64>();
@@ -361,7 +366,7 @@ impl Problem {
     }
 }
 
-/// Result of a step (2).
+/// Solution of step (2) of the module for one line.
 struct Solved {
     d: Vec<f64>,
     rows_mm: Vec<f64>,
@@ -369,7 +374,7 @@ struct Solved {
     fallback: bool,
 }
 
-/// Returns the limits of a pass for its spline.
+/// Returns the limits of the feed along a pass, as its spline needs them.
 pub(crate) fn limits(pass: &Pass) -> FeedLimits {
     FeedLimits {
         min_density_s_per_mm: 1.0 / pass.max_feed_mm_per_s,
@@ -377,7 +382,7 @@ pub(crate) fn limits(pass: &Pass) -> FeedLimits {
     }
 }
 
-/// Takes the piston that leaves no mean residual.
+/// Sets the piston to the value with which the residual has the mean 0.
 fn free_piston(surface: &Surface, state: &mut State) {
     state.piston_nm -= subtract_mean(surface, &mut state.residual_nm);
 }
@@ -395,7 +400,7 @@ pub(crate) fn subtract_mean(surface: &Surface, residual_nm: &mut Array2<f64>) ->
     mean
 }
 
-/// Returns G'G; columns far apart share no pixel.
+/// Returns the products G'G of the columns, shape (n, n).
 fn gram(columns: &[Column]) -> Array2<f64> {
     let n = columns.len();
     let mut gram = Array2::zeros((n, n));
@@ -409,7 +414,7 @@ fn gram(columns: &[Column]) -> Array2<f64> {
     gram
 }
 
-/// Returns groups of lines that share no pixel, each line in the first group that it fits.
+/// Divides the lines into groups of lines that share no pixel; each line is in the first group that it fits.
 fn groups(lines: &[PassBasis]) -> Vec<Vec<usize>> {
     let boxes: Vec<Option<[usize; 4]>> = lines.iter().map(bounding_box).collect();
     let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -430,7 +435,8 @@ pub(crate) fn share_pixels(a: Option<[usize; 4]>, b: Option<[usize; 4]>) -> bool
     }
 }
 
-/// Returns the first and last row, and the first and last column that a line reaches.
+/// Returns the first and last row, and the first and last column, of the pixels that a line reaches; `None` if it
+/// reaches none.
 fn bounding_box(line: &PassBasis) -> Option<[usize; 4]> {
     let boxes = line.columns.iter().filter_map(Column::pixels);
     boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])

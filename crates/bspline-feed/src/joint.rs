@@ -1,4 +1,4 @@
-//! The control values of all passes at once, and a proof of how good they are.
+//! The control values of the feed of all passes at once, and a proof of how close they are to the best ones.
 //!
 //! ```text
 //! min f(d)   subject to   c_j(d) >= 0                                                        (1)
@@ -48,80 +48,83 @@ use crate::{
     limited::{self, ACCEPTED, ASKED},
 };
 
-/// Number of places of rows (2) per knot span at first; others are added where the acceleration exceeds its limit
-/// between them. Larger: larger programs. Smaller: more rounds with added rows.
+/// Initial number of places per knot span at which the acceleration limit is a constraint (2); others are added where
+/// the acceleration exceeds it between them. Larger: larger programs. Smaller: more rounds with added constraints.
 const PLACES: usize = 16;
 
 /// Fraction of the way to the boundary of the slacks and dual variables that a step may take. Larger: iterates close
 /// to the boundary, and short steps after it. Smaller: more steps.
 const STEP_TO_BOUNDARY: f64 = 0.99;
 
-/// Gap at the start over the objective there. Larger: more steps. Smaller: a start near the boundary, and short
-/// steps.
+/// Duality gap at the start, as a fraction of the objective there. Larger: more steps. Smaller: a start near the
+/// boundary, and short steps.
 const FIRST_GAP: f64 = 0.3;
 
-/// Smallest slack at the start, over the density at its place. From an iterate near the boundary the first steps are
-/// short. If a slack is above its c, the steps close the difference. Larger: a larger difference to close. Smaller:
-/// short first steps.
+/// Smallest slack at the start, as a fraction of the density at its place. From an iterate near the boundary the first
+/// steps are short. If a slack is above its c, the steps close the difference. Larger: a larger difference to close.
+/// Smaller: short first steps.
 const FIRST_SLACK: f64 = 0.1;
 
-/// Smallest slack of a row that is added, over the density at its place. Larger: a larger difference to close.
-/// Smaller: short steps after the row is added.
+/// Smallest slack of an added constraint, as a fraction of the density at its place. Larger: a larger difference to
+/// close. Smaller: short steps after the constraint is added.
 const LEAST_SLACK: f64 = 1e-3;
 
 /// Fraction of the tolerance to which a program is solved before its bound is compared; the rest is for the tangents.
 /// Larger: more rounds of tangents. Smaller: more steps per program.
 const PROGRAM_TOLERANCE: f64 = 0.3;
 
-/// Smallest complementarity at which a step aims, over that of a solved program. Closer to the boundary nothing is
-/// gained, and the next tangents would make the steps short. Larger: the program may not reach its tolerance.
-/// Smaller: short steps.
+/// Smallest complementarity at which a step aims, as a fraction of that of a solved program. Closer to the boundary
+/// nothing is gained, and the next tangents would make the steps short. Larger: the program may not reach its
+/// tolerance. Smaller: short steps.
 const CENTRED: f64 = 0.3;
 
-/// Objective over that of no removal below which the feed counts as exact: 1e-5 of the RMS of the map. Larger: an
-/// earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
+/// Objective, as a fraction of that without removal, below which the feed counts as exact: 1e-5 of the RMS of the map.
+/// Larger: an earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
 const EXACT: f64 = 1e-10;
 
-/// Smallest density at the start over its bound, dimensionless: an interior point method starts inside. Larger: the
+/// Smallest ratio of the density at the start to its lower bound: an interior point method starts inside. Larger: the
 /// start is farther from the given feed. Smaller: short first steps.
 const INSIDE: f64 = 1.0 + 1e-3;
 
-/// The program (1) with the parts of (2) that no step changes.
+/// The program (1) of the module, with the parts of (2) that are the same in all steps; n is the number of control
+/// values.
 pub(crate) struct Joint<'a> {
     problem: &'a Problem,
     surface: &'a Surface,
     settings: &'a DeconvolutionSettings,
-    /// First control value of every line, and the end of the last one.
+    /// Index of the first control value of every line, and the end of the last line.
     first: Vec<usize>,
-    /// 1/F of every control value (n).
+    /// Lower bound 1/F of every control value, s/mm, length n.
     least: Vec<f64>,
-    /// Place of every control value in the skyline (n).
+    /// Index of every control value in the skyline matrix, length n.
     place: Vec<usize>,
-    /// G'G and the penalties, in the order of the skyline.
+    /// Products G'G and penalties of the objective, in the order of the skyline.
     normal: Skyline,
-    /// G'1 over the root of the number of valid pixels, in that order, where the piston is free.
+    /// Vector G'1 over the root of the number of valid pixels, in the order of the skyline; `None` if the piston is not
+    /// free.
     uniform: Option<Vec<f64>>,
-    /// alpha K, beta K.
+    /// Weights alpha K and beta K of the penalties.
     weights: [f64; 2],
 }
 
-/// Rows (2) of the acceleration limit.
+/// Constraints of the acceleration limit: tangents at places along the lines.
 struct AccelerationRows {
-    /// Line and arc length, mm.
+    /// Index of the line and arc length on it, mm, of every place.
     places: Vec<(usize, f64)>,
-    /// First control value, coefficients of `c = coefficient d - constant` of both signs, density there.
+    /// For every place: index of the first control value, coefficients of `c = coefficient d - constant` for both
+    /// signs, and density there, s/mm.
     tangent: Vec<(usize, [[f64; 4]; 2], f64)>,
 }
 
-/// State of the method: control values, and slacks and dual variables of the bounds (n), then of both signs of every
-/// row.
+/// Variables of the interior point method: control values d, slacks s and dual variables w. Slacks are first those of
+/// the n lower bounds, then of both signs of every tangent.
 struct Iterate {
     d: Vec<f64>,
     s: Vec<f64>,
     w: Vec<f64>,
 }
 
-/// f, its gradient and what is left of the map.
+/// Objective, its gradient, the residual of the map, and the best piston.
 struct Value {
     objective: f64,
     gradient: Vec<f64>,
@@ -130,7 +133,7 @@ struct Value {
 }
 
 impl<'a> Joint<'a> {
-    /// Prepares the matrix of (2) without its rows.
+    /// Prepares the matrix of (2) of the module without the constraints.
     pub(crate) fn new(
         problem: &'a Problem,
         surface: &'a Surface,
@@ -167,8 +170,8 @@ impl<'a> Joint<'a> {
         Ok(Self { problem, surface, settings, first, least, place, normal, uniform, weights })
     }
 
-    /// Finds the feed of least objective from a start, and its gap; `other_nm` (ny, nx) is what is removed beside the
-    /// passes.
+    /// Computes the feed of the smallest objective from `start`, and its proven gap. `other_nm` (ny, nx) is the removal
+    /// by other parts of the motion.
     pub(crate) fn solve(&self, other_nm: &Array2<f64>, start: Start) -> Result<State, FeedError> {
         let target_nm =
             (self.surface.height_nm() - other_nm).mapv(|z| if z.is_nan() { 0.0 } else { z });
@@ -238,12 +241,12 @@ impl<'a> Joint<'a> {
         })
     }
 
-    /// Returns the control values line by line.
+    /// Splits the unknowns `d` into the control values of every line, s/mm, one vector per line of the raster.
     fn lines(&self, d: &[f64]) -> Vec<Vec<f64>> {
         self.first.windows(2).map(|w| d[w[0]..w[1]].to_vec()).collect()
     }
 
-    /// Returns the control values within the limits next to these.
+    /// Returns control values close to `d` that are within the limits, s/mm.
     fn within(&self, d: &[f64]) -> Result<Vec<f64>, FeedError> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -254,7 +257,7 @@ impl<'a> Joint<'a> {
         Ok(lines.into_iter().collect::<Result<Vec<_>, _>>()?.concat())
     }
 
-    /// Returns the places of the rows: line and arc length, mm.
+    /// Returns the initial places of the acceleration constraints: index of the line and arc length, mm.
     fn places(&self) -> Vec<(usize, f64)> {
         let mut places = Vec::new();
         for (m, line) in self.problem.lines.iter().enumerate() {
@@ -268,7 +271,7 @@ impl<'a> Joint<'a> {
         places
     }
 
-    /// Makes the iterate at the start, inside of the bounds.
+    /// Makes the variables at the start, with slacks and dual variables inside of their bounds.
     fn first_iterate(&self, d: Vec<f64>, rows: &AccelerationRows, objective: f64) -> Iterate {
         let mut s = rows.values(&d, &self.least);
         for (j, s) in s.iter_mut().enumerate() {
@@ -283,7 +286,8 @@ impl<'a> Joint<'a> {
         Iterate { d, s, w }
     }
 
-    /// Draws the tangents at the iterate, with rows at the places of `excess`, too.
+    /// Computes the tangents anew at the control values of the iterate, with further places at those of `excess`.
+    /// Slacks and dual variables are adapted.
     fn renew(&self, iterate: &mut Iterate, rows: &mut AccelerationRows, excess: Vec<(usize, f64)>) {
         let n = iterate.d.len();
         let mu = dot(&iterate.s, &iterate.w) / iterate.s.len() as f64;
@@ -310,7 +314,8 @@ impl<'a> Joint<'a> {
         }
     }
 
-    /// Returns f, f', what is left of the map and the best piston; the target is zero where the map is invalid.
+    /// Returns the objective f, its gradient, the residual and the best piston for the control values `d`. The target
+    /// is 0 where the map is invalid.
     fn value(&self, target_nm: &Array2<f64>, d: &[f64]) -> Value {
         let mut residual_nm = target_nm.clone();
         for (column, d) in self.problem.all_columns().zip(d) {
@@ -346,7 +351,7 @@ impl<'a> Joint<'a> {
         Value { objective: 0.5 * (squares + penalties), gradient, residual_nm, piston_nm }
     }
 
-    /// Returns `w' c + r' P0^-1 r / 2` of (3).
+    /// Returns the open part of the objective, `w' c + r' P0^-1 r / 2` of (3) of the module, nm^2.
     fn open(&self, iterate: &Iterate, rows: &AccelerationRows, now: &Value) -> f64 {
         let c = rows.values(&iterate.d, &self.least);
         let r = self.dual_residual(iterate, rows, now);
@@ -364,14 +369,15 @@ impl<'a> Joint<'a> {
         dot(&iterate.w, &c) + 0.5 * of_lines
     }
 
-    /// Returns r of (3).
+    /// Returns the vector r of (3) of the module: the gradient less the constraints' transpose times the dual
+    /// variables.
     fn dual_residual(&self, iterate: &Iterate, rows: &AccelerationRows, now: &Value) -> Vec<f64> {
         let of_rows = rows.transposed(&iterate.w, iterate.d.len());
         now.gradient.iter().zip(of_rows).map(|(g, w)| g - w).collect()
     }
 
-    /// Does a predictor and a corrector, which aims at a complementarity of `least` or more; false where the matrix
-    /// cannot be factorised.
+    /// Does a predictor step, and a corrector step that aims at a complementarity of at least `least`. Returns false if
+    /// the matrix cannot be factorised.
     fn step(
         &self,
         iterate: &mut Iterate,
@@ -405,7 +411,7 @@ impl<'a> Joint<'a> {
         true
     }
 
-    /// Factorises the matrix of (2); `None` if it is not positive definite to rounding.
+    /// Factorises the matrix of (2) of the module; `None` if it is not positive definite to rounding.
     fn factor(&self, iterate: &Iterate, rows: &AccelerationRows) -> Option<Woodbury> {
         let n = iterate.d.len();
         let theta: Vec<f64> = iterate.w.iter().zip(&iterate.s).map(|(w, s)| w / s).collect();
@@ -429,7 +435,7 @@ impl<'a> Joint<'a> {
         matrix.factorise().and_then(|factor| Woodbury::new(factor, &uniform))
     }
 
-    /// Returns the places at which the acceleration exceeds what is accepted.
+    /// Returns the places (line, arc length in mm) at which the acceleration exceeds the accepted limit.
     fn excess(&self, d: &[f64]) -> Vec<(usize, f64)> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -446,19 +452,20 @@ impl<'a> Joint<'a> {
         lines.into_iter().flatten().collect()
     }
 }
-/// The equations (2) at an iterate.
+/// The factorised equations (2) of the module at an iterate.
 struct System<'a> {
     joint: &'a Joint<'a>,
     rows: &'a AccelerationRows,
     factor: Woodbury,
-    /// r of (3).
+    /// Vector r of (3) of the module.
     r: Vec<f64>,
-    /// c - s.
+    /// Differences c - s between the constraints and their slacks.
     short: Vec<f64>,
 }
 
 impl System<'_> {
-    /// Solves (2) for the step after which s w of constraint j would be `target(j)`, to first order.
+    /// Solves (2) of the module for the step after which the product s w of constraint j would be `target(j)`, to first
+    /// order.
     fn direction(&self, iterate: &Iterate, target: impl Fn(usize) -> f64) -> Iterate {
         let Iterate { d, s, w } = iterate;
         let n = d.len();
@@ -481,25 +488,25 @@ impl System<'_> {
 }
 
 impl Iterate {
-    /// Returns the part of this step, at most 1, that keeps the slacks and dual variables of `iterate` positive.
+    /// Returns the fraction of this step, at most 1, that keeps the slacks and dual variables of `iterate` positive.
     fn longest(&self, iterate: &Self) -> f64 {
         let slack = longest_positive(&iterate.s, &self.s);
         (STEP_TO_BOUNDARY * slack.min(longest_positive(&iterate.w, &self.w))).min(1.0)
     }
 }
 
-/// Returns the largest a at which no element of `v + a dv` is negative.
+/// Returns the largest factor a for which no element of `v + a dv` is negative; infinity if none falls.
 fn longest_positive(v: &[f64], dv: &[f64]) -> f64 {
     let falling = v.iter().zip(dv).filter(|(_, dv)| **dv < 0.0);
     falling.map(|(v, dv)| -v / dv).fold(f64::INFINITY, f64::min)
 }
 
-/// Adds `a dv` to v.
+/// Adds `a dv` to the vector v.
 fn add(v: &mut [f64], a: f64, dv: &[f64]) {
     v.iter_mut().zip(dv).for_each(|(v, dv)| *v += a * dv);
 }
 impl AccelerationRows {
-    /// Draws the tangents at the densities of `d`.
+    /// Computes the tangents at the densities of the control values `d`.
     fn draw(&mut self, joint: &Joint<'_>, d: &[f64]) {
         self.tangent = parallel::map(self.places.len(), &|k| {
             let (m, s) = self.places[k];
@@ -514,7 +521,7 @@ impl AccelerationRows {
         });
     }
 
-    /// Returns `J step`.
+    /// Returns the change of all constraints by `step`, which is J step of the module.
     fn changes(&self, step: &[f64]) -> Vec<f64> {
         let mut c = step.to_vec();
         for (first, coefficient, _) in &self.tangent {
@@ -524,7 +531,7 @@ impl AccelerationRows {
         c
     }
 
-    /// Returns c.
+    /// Returns the values c of all constraints at the control values `d`, s/mm.
     fn values(&self, d: &[f64], least: &[f64]) -> Vec<f64> {
         let mut c = self.changes(d);
         c.iter_mut().zip(least).for_each(|(c, least)| *c -= least);
@@ -535,7 +542,7 @@ impl AccelerationRows {
         c
     }
 
-    /// Returns `J' y`.
+    /// Returns the transpose of the matrix of the constraints times `y`, J' y, for n control values.
     fn transposed(&self, y: &[f64], n: usize) -> Vec<f64> {
         let mut x = y[..n].to_vec();
         for (k, (first, coefficient, _)) in self.tangent.iter().enumerate() {
@@ -548,8 +555,8 @@ impl AccelerationRows {
     }
 }
 
-/// Returns the place of every control value in a skyline, and the first column of every row: line by line, or along
-/// the lines, whichever takes fewer multiplications.
+/// Returns the index of every control value in a skyline matrix, and the first column of each of its rows. The order is
+/// line by line, or along the lines, whichever takes fewer multiplications.
 fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let n = first[first.len() - 1];
     let boxes: Vec<_> = problem.all_columns().map(|c| c.pixels()).collect();
@@ -600,12 +607,13 @@ fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
     if cost(&of_along) < cost(&of_lines) { (along, of_along) } else { (by_line, of_lines) }
 }
 
-/// Returns the number of multiplications of a factorisation, with the first column of every row.
+/// Returns about the number of multiplications of a factorisation of a skyline matrix, from the first column of every
+/// row.
 fn cost(begin: &[usize]) -> f64 {
     begin.iter().enumerate().map(|(i, b)| ((i - b) as f64).powi(2)).sum()
 }
 
-/// Returns G'G and the penalties.
+/// Returns the skyline matrix of the products G'G and the penalties of the objective.
 fn normal(
     problem: &Problem,
     first: &[usize],
@@ -628,7 +636,8 @@ fn normal(
     normal
 }
 
-/// Adds `alpha K + beta K (second differences)'(second differences)` of a line of n control values at these places.
+/// Adds the penalty `alpha K + beta K (second differences)'(second differences)` for a line of n control values, whose
+/// indices in the matrix are `place(i)`.
 fn add_penalties(
     matrix: &mut Skyline,
     n: usize,
@@ -662,7 +671,7 @@ mod tests {
 
     use crate::{deconvolution::Refinement, passes::passes};
 
-    /// 5 x 2 mm of random waves.
+    /// Makes a map of 5 x 2 mm with random waves.
     fn surface(seed: u64) -> Surface {
         let axis = |n: usize| Axis::new(0.0, 0.125, n).unwrap();
         let grid = Grid { x: axis(41), y: axis(17) };
@@ -677,7 +686,7 @@ mod tests {
         Surface::new(grid, height).unwrap()
     }
 
-    /// Five lines 0.5 mm apart, and a Gaussian of sigma 0.4 mm.
+    /// Makes the problem of five lines 0.5 mm apart, with a Gaussian TIF of sigma 0.4 mm.
     fn problem(surface: &Surface, limits: &Limits) -> Problem {
         let a = Axis::new(-1.5, 0.125, 25).unwrap();
         let rate = Array2::from_shape_fn((25, 25), |(r, c)| {

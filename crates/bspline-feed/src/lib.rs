@@ -38,7 +38,7 @@ pub use plan::{FeedPlan, FeedReport, FeedSettings, plan};
 
 use planish_types::Invalid;
 
-/// Reasons for which no feed could be found.
+/// Reasons why no feed can be found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FeedError {
     /// The inputs or settings contradict themselves or each other.
@@ -51,9 +51,9 @@ pub enum FeedError {
          path with `planish-schedule pvt`"
     )]
     CornerInside {
-        /// Segment that does not continue the pass.
+        /// Index of the segment that does not continue the pass.
         segment: usize,
-        /// Place of the corner, mm.
+        /// Position of the corner, mm.
         point_mm: [f64; 2],
     },
     /// The tool does not reach the part.
@@ -68,11 +68,11 @@ pub enum FeedError {
          {limit}; bin the map and the TIF, or raise `knot_spacing_mm`"
     )]
     TooLarge {
-        /// Control values of all passes.
+        /// Number of control values of all passes.
         control_values: usize,
-        /// Pixels of all basis functions.
+        /// Number of pixels of all basis functions.
         elements: usize,
-        /// Largest number of elements.
+        /// Largest allowed number of elements.
         limit: usize,
     },
     /// The quadratic program of a pass was not solved.
@@ -80,7 +80,7 @@ pub enum FeedError {
         "pass {pass}: the quadratic program ended with {status}; raise `tikhonov` or `knot_spacing_mm`"
     )]
     Solver {
-        /// Pass, in the order of the path.
+        /// Index of the pass, in the order of the path.
         pass: usize,
         /// Status that the solver reports.
         status: String,

@@ -1,4 +1,4 @@
-//! A quadratic objective in the control values of one pass, within its feed and acceleration limits.
+//! Minimum of a quadratic objective in the control values of one pass, within the limits of its feed and acceleration.
 //!
 //! ```text
 //! min 1/2 d'P d - q'd   subject to   d_i >= 1/F,   |D'(s)| <= A D(s)^3 for all s              (1)
@@ -40,23 +40,23 @@ use clarabel::{
 use ndarray::{Array2, ArrayView1};
 use planish_numerics::bspline::Knots;
 
-/// `1/2 d'P d - q'd`, P symmetric and positive semidefinite.
+/// Quadratic objective `1/2 d'P d - q'd` of the n control values; P is symmetric and positive semidefinite.
 #[derive(Clone, Debug)]
 pub struct Quadratic {
-    /// P (n, n).
+    /// Matrix P, shape (n, n).
     pub p: Array2<f64>,
-    /// q (n).
+    /// Vector q, length n.
     pub q: Vec<f64>,
 }
 
 impl Quadratic {
-    /// Returns the value of the quadratic at `d`.
+    /// Returns the value of the objective at the control values `d`.
     pub fn value(&self, d: &[f64]) -> f64 {
         let d = ArrayView1::from(d);
         0.5 * d.dot(&self.p.dot(&d)) - d.dot(&ArrayView1::from(&self.q))
     }
 
-    /// Returns the quadratic as a function of c, for `d = K c`.
+    /// Returns the objective as a function of the control values c on coarser knots, with `d = K c`.
     fn of_coarser(&self, k: &Array2<f64>) -> Self {
         Self { p: k.t().dot(&self.p).dot(k), q: k.t().dot(&ArrayView1::from(&self.q)).to_vec() }
     }
@@ -65,38 +65,39 @@ impl Quadratic {
 /// Limits of the feed along one pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedLimits {
-    /// The inverse of the largest feed, s/mm.
+    /// Smallest dwell-time density, s/mm: the inverse of the largest feed.
     pub min_density_s_per_mm: f64,
-    /// Largest acceleration, mm/s^2.
+    /// Largest acceleration along the pass, mm/s^2.
     pub max_acceleration_mm_per_s2: f64,
 }
 
-/// Number of samples of a(s) per span, for the search of its extrema; a has few extrema in a span. Larger: more time.
-/// Smaller: an extremum between two samples may be missed.
+/// Number of samples of the acceleration a(s) per span between two knots, for the search of its extrema. Larger: more
+/// time. Smaller: an extremum between two samples may be missed.
 const SAMPLES: u32 = 40;
 
-/// Fraction of the acceleration limit that rows (2) ask for. The distance to [`ACCEPTED`] is for the tolerance of the
-/// solver and of the search for the extrema. Larger: solutions that are not accepted, and more rounds. Smaller:
-/// slower feeds.
+/// Fraction of the acceleration limit that the constraints (2) of the module ask for. The distance to [`ACCEPTED`] is
+/// for the tolerance of the solver and of the search for the extrema. Larger: solutions that are not accepted, and more
+/// rounds. Smaller: slower feeds.
 pub(crate) const ASKED: f64 = 0.998;
 /// Fraction of the acceleration limit up to which a solution is accepted. The rest is for the cubic pieces that are
 /// fitted to the motion. Larger: the motion may exceed the limit. Smaller: more rounds, or slower feeds.
 pub(crate) const ACCEPTED: f64 = 0.9995;
 
-/// Largest number of rounds of adding rows. After them a slower feed removes the excess that is left. Larger: more
-/// time. Smaller: slower feeds.
+/// Largest number of rounds in which constraints are added. After them a slower feed removes the excess that is left.
+/// Larger: more time. Smaller: slower feeds.
 const MAX_ROUNDS: usize = 60;
 
-/// A local extremum of the acceleration.
+/// A local extremum of the acceleration along a pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Peak {
     /// Arc length from the start of the pass, mm.
     pub s_mm: f64,
-    /// |a|, mm/s^2.
+    /// Magnitude of the acceleration, mm/s^2.
     pub acceleration_mm_per_s2: f64,
 }
 
-/// Returns the local extrema of |a| above `threshold`, in order.
+/// Returns the local extrema of the acceleration's magnitude above `threshold` (mm/s^2), in the order of the arc
+/// length.
 pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
     let mut places: Vec<f64> = Vec::new();
     for span in knots.breaks().windows(2) {
@@ -132,13 +133,14 @@ pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
     peaks
 }
 
-/// Returns |a| = |D'|/D^3.
+/// Returns the magnitude of the acceleration at the arc length `s`, |D'| / D^3, mm/s^2.
 fn acceleration(knots: &Knots, d: &[f64], s: f64) -> f64 {
     let density = knots.value(d, s);
     knots.derivative(d, s).abs() / (density * density * density)
 }
 
-/// Returns the largest |a|.
+/// Returns the extremum with the largest magnitude of the acceleration; 0 at the start if the acceleration is 0
+/// everywhere.
 pub fn highest_peak(knots: &Knots, d: &[f64]) -> Peak {
     let none = Peak { s_mm: 0.0, acceleration_mm_per_s2: 0.0 };
     peaks(knots, d, 0.0)
@@ -146,9 +148,10 @@ pub fn highest_peak(knots: &Knots, d: &[f64]) -> Peak {
         .fold(none, |m, p| if p.acceleration_mm_per_s2 > m.acceleration_mm_per_s2 { p } else { m })
 }
 
-/// Does one step of the convex-concave procedure from the control values `current` (positive).
+/// Does one step of the convex-concave procedure of the module from the control values `current` (positive), s/mm.
 ///
-/// `rows_mm` are the places of rows (2): those of the step before on entry, those that mattered on return.
+/// `rows_mm` are the arc lengths of the constraints (2), mm: on entry those of the step before, on return those that
+/// mattered.
 ///
 /// # Errors
 /// Returns what the solver says.
@@ -182,8 +185,8 @@ pub fn convex_concave_step(
     Ok(slowed(knots, quadratic_program(objective, limits.min_density_s_per_mm, &rows)?, limit))
 }
 
-/// Returns the control values within the limits next to the positive `wanted`: `wanted` itself where it keeps them, and
-/// what the procedure makes of `min |d - wanted|^2` otherwise.
+/// Returns control values within the limits close to the positive `wanted`. They are `wanted` itself if it keeps the
+/// limits, and otherwise the result of the convex-concave procedure for `min |d - wanted|^2`.
 ///
 /// # Errors
 /// Returns the failure of the quadratic program.
@@ -203,7 +206,7 @@ pub fn next_within(
     closest_within(&objective, knots, limits, wanted)
 }
 
-/// Repeats the procedure from `start` to where it settles.
+/// Repeats the convex-concave procedure from `start` until the control values hardly change.
 ///
 /// # Errors
 /// Returns the failure of the quadratic program.
@@ -222,7 +225,7 @@ pub fn closest_within(
 /// more time. Smaller: the feed depends on its start.
 const STEPS_TO_SETTLE: usize = 6;
 
-/// Returns `d` plus the least of the doubled constants that brings |a| within the limit.
+/// Returns `d` plus a constant that brings the acceleration within the limit; the constant is doubled until it does.
 fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
     let mut more = 1e-3 * d.iter().copied().fold(f64::INFINITY, f64::min);
     while highest_peak(knots, &d).acceleration_mm_per_s2 > ACCEPTED * limit {
@@ -232,8 +235,8 @@ fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
     d
 }
 
-/// Returns the solution of (1) by knot removal, on `knots`, and the knots that are left; `None` when the limit is
-/// exceeded without an interior knot.
+/// Solves (1) of the module by knot removal. Returns the control values on `knots`, and the knots that are left; `None`
+/// if the limit is exceeded without an interior knot.
 ///
 /// # Errors
 /// Returns the failure of the quadratic program.
@@ -264,14 +267,15 @@ pub fn knot_removal(
     }
 }
 
-/// `sum_j coefficient_j d_(first + j) <= bound`.
+/// Pair of constraints `sum_j coefficient_j d_(first + j) <= bound`, one for each sign of the acceleration.
 pub(crate) struct TangentRow {
     pub(crate) first: usize,
     pub(crate) coefficient: [[f64; 4]; 2],
     pub(crate) bound: f64,
 }
 
-/// Returns (2) at `s`, over 3 A D_k^2:  +-D'/(3 A D_k^2) - D <= -2/3 D_k.
+/// Returns the constraints (2) of the module at the arc length `s`, divided by 3 A D_k^2: +-D'/(3 A D_k^2) - D <= -2/3
+/// D_k.
 pub(crate) fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> TangentRow {
     let (first, b) = knots.basis(s);
     let (_, slope) = knots.basis_derivative(s);
@@ -281,7 +285,7 @@ pub(crate) fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> Tan
     TangentRow { first, coefficient, bound: -2.0 / 3.0 * now }
 }
 
-/// Minimises the objective under `d >= least` and `rows`, in the variables `d / scale`.
+/// Minimises the objective under `d >= least` and the constraints `rows`; internally the variables are `d / scale`.
 fn quadratic_program(
     objective: &Quadratic,
     least: f64,
@@ -356,7 +360,7 @@ fn quadratic_program(
 mod tests {
     use super::*;
 
-    /// The distance to wanted control values.
+    /// Returns half of the squared distance to the control values `wanted`, as a quadratic objective.
     fn towards(wanted: &[f64]) -> Quadratic {
         Quadratic { p: Array2::eye(wanted.len()), q: wanted.to_vec() }
     }

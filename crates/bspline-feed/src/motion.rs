@@ -1,4 +1,4 @@
-//! The splines as one trajectory.
+//! The motion of the splines of all passes as one trajectory.
 //!
 //! Every pass is run along its line with `t(s) = integral D ds`, fitted by cubic pieces that begin
 //! and end at its control points and knots ([`planish_numerics::motion::timing_law`]). From the end of a pass
@@ -28,49 +28,50 @@ use crate::{
 /// at their ends are within those of a link. Larger: slower links. Smaller: rounding exceeds the limits.
 const MARGIN: f64 = 0.5e-6;
 
-/// Shortest piece of a link, in roundings of the time of the motion; a shorter one vanishes when times are added.
-/// Larger: a lower limit on the acceleration of links. Smaller: pieces without a duration.
+/// Shortest piece of a link, in units of the rounding of the time of the motion; a shorter one vanishes when times are
+/// added. Larger: a lower limit on the acceleration of links. Smaller: pieces without a duration.
 const LEAST_ROUNDINGS: f64 = 4.0;
 
-/// Largest change of the velocity in the time of the shortest piece, mm/s: a tenth of the step that `planish-verify`
-/// takes for rounding. Links use no larger acceleration, whatever the machine allows. Larger: dropped pieces cause
-/// velocity steps that the judge sees. Smaller: slower links on machines with large accelerations.
+/// Largest change of the velocity in the time of the shortest piece, mm/s. It is a tenth of the step that
+/// `planish-verify` takes for rounding. Links use no larger acceleration, whatever the machine allows. Larger: dropped
+/// pieces cause velocity steps that `planish-verify` reports. Smaller: slower links on machines with large
+/// accelerations.
 const LARGEST_STEP_MM_PER_S: f64 = 1e-7;
 
-/// Links between the passes.
+/// Numbers and times of the links, the motions from the end of a pass to the start of the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Links {
-    /// Links with the tool on, in the place of turn-arounds.
+    /// Number of links with the tool on, which replace the turn-arounds of the path.
     pub turn_arounds: usize,
-    /// Links with the tool off, in the place of lifts.
+    /// Number of links with the tool off, which replace the lifts of the path.
     pub lifts: usize,
-    /// Time of all links, start and stop included, s.
+    /// Time of all links, with those at the start and the end of the motion, s.
     pub total_time_s: f64,
-    /// Time of those with the tool on, s.
+    /// Time of the links with the tool on, s.
     pub tool_on_s: f64,
-    /// Links with the tool on that enter the clear aperture; their removal is taken into account.
+    /// Number of links with the tool on that enter the clear aperture; their removal is taken into account.
     pub entering_aperture: usize,
 }
 
-/// Distance of the motion from t(s).
+/// Deviation of the cubic pieces from the motion t(s) of the splines.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FitReport {
-    /// Cubic pieces of all passes.
+    /// Number of cubic pieces of all passes.
     pub pieces: usize,
-    /// Largest distance from the motion of the splines at equal times, mm.
+    /// Largest distance between the pieces and the motion of the splines at equal times, mm.
     pub largest_error_mm: f64,
 }
 
-/// The motion and how it was made.
+/// The motion of all passes, with its links and the error of its fit.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    /// Motion.
+    /// Motion as cubic pieces.
     pub trajectory: Trajectory,
-    /// Links between the passes.
+    /// Numbers and times of the links between the passes.
     pub links: Links,
-    /// Distance of the motion from t(s).
+    /// Deviation of the cubic pieces from the motion t(s) of the splines.
     pub fit: FitReport,
-    /// Segments of the trajectory that are links with the tool on.
+    /// Index ranges of the segments of the trajectory that are links with the tool on.
     links_on: Vec<Range<usize>>,
 }
 
@@ -146,8 +147,8 @@ pub fn motion(
 }
 
 impl Motion {
-    /// Returns the removal by the links with the tool on (ny, nx), nm: 3-point Gauss rule in time on parts that are
-    /// at most a pixel of the TIF long.
+    /// Returns the removal by the links with the tool on, shape (ny, nx), nm. It uses a 3-point Gauss rule in time on
+    /// parts at most as long as a sample step of the TIF.
     pub fn link_removal_nm(&self, tif: &Tif, surface: &Surface) -> Array2<f64> {
         let mut map = Array2::zeros(surface.grid().shape());
         let pixel = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
@@ -174,14 +175,14 @@ impl Motion {
     }
 }
 
-/// Limits of a link.
+/// Limits of the motion of a link, for the axes x and y, and its shortest piece, s.
 struct LinkLimits {
     velocity: [f64; 2],
     acceleration: [f64; 2],
     least_s: f64,
 }
 
-/// Adds a link from one [position, velocity] to another; returns its duration, s.
+/// Adds a link from one state [position, velocity] to another, mm and mm/s; returns its duration, s.
 fn add_link(
     draft: &mut TrajectoryBuilder,
     from: [[f64; 2]; 2],
@@ -203,7 +204,7 @@ fn add_link(
     pieces.iter().map(|p| p.duration).sum()
 }
 
-/// Adds the pieces of a pass.
+/// Adds the cubic pieces of a pass with the control values `d`; returns the error of their fit.
 fn add_pass(
     draft: &mut TrajectoryBuilder,
     pass: &Pass,
@@ -236,7 +237,8 @@ fn add_pass(
     FitReport { pieces: fit.pieces.len(), largest_error_mm: fit.largest_error }
 }
 
-/// Returns true if the motion from segment `begin` on enters the aperture, tested at 9 places of each segment.
+/// Returns true if the motion from the segment `begin` on enters the clear aperture, tested at 9 points of each
+/// segment.
 fn enters(draft: &TrajectoryBuilder, begin: usize, surface: &Surface) -> bool {
     (begin..draft.len()).any(|i| {
         (0..=8).any(|k| {
@@ -248,7 +250,8 @@ fn enters(draft: &TrajectoryBuilder, begin: usize, surface: &Surface) -> bool {
     })
 }
 
-/// Returns the control points of the path and knots, ascending.
+/// Returns the arc lengths of the points of the path and of the knots of a pass, mm, ascending; the cubic pieces end
+/// there.
 fn breaks(pass: &Pass, knots: &Knots) -> Vec<f64> {
     let mut breaks: Vec<f64> = pass.node_mm.iter().chain(knots.breaks()).copied().collect();
     breaks.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! The straight passes of a tool path, what joins them, and what the machine can do on them.
+//! The straight passes of a tool path, what joins them, and the limits of the machine along them.
 //!
 //! A pass is the longest straight stretch with the tool on among the consecutive segments of one
 //! `pass_idx`. The other segments of the path join the passes: turn-arounds with the tool on, lifts
@@ -10,48 +10,49 @@ use planish_types::{Grid, Limits, Surface, ToolPath};
 
 use crate::FeedError;
 
-/// Angle below which two segments continue straight, rad: 0.1 um of a step of 1 mm, above the rounding of coordinates
-/// that passed through 32-bit floats. Larger: bent paths pass as straight. Smaller: rounding divides passes.
+/// Angle between two segments below which they count as straight, rad. It is 0.1 um of a step of 1 mm, above the
+/// rounding of coordinates that passed through 32-bit floats. Larger: bent paths pass as straight. Smaller: rounding
+/// divides passes.
 const STRAIGHT: f64 = 1e-4;
 
 /// Fraction of the machine's limits that is left free for the rounding of the polynomials. Larger: slower feeds.
 /// Smaller: rounding exceeds the limits.
 const MARGIN: f64 = 1e-6;
 
-/// A straight stretch of the path.
+/// A straight part of the path with the tool on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pass {
-    /// First segment of the path on it.
+    /// Index of its first segment in the path.
     pub first_segment: usize,
-    /// Arc length along the path at its start, mm.
+    /// Arc length of the path at the start of the pass, mm.
     pub arc_start_mm: f64,
-    /// Start [x, y], mm.
+    /// Start point [x, y], mm.
     pub start_mm: [f64; 2],
-    /// Unit vector.
+    /// Direction of the pass as a unit vector [x, y].
     pub direction: [f64; 2],
-    /// Distance of the control points of the path from its start, ascending from 0, mm.
+    /// Distances of the points of the path on the pass from its start, ascending from 0, mm.
     pub node_mm: Vec<f64>,
     /// True if the tool stays on until the next pass; false after the last.
     pub tool_on_after: bool,
-    /// Largest feed, mm/s.
+    /// Largest feed along the pass that the limits of the axes allow, mm/s.
     pub max_feed_mm_per_s: f64,
     /// Largest acceleration along the pass, mm/s^2.
     pub max_acceleration_mm_per_s2: f64,
 }
 
 impl Pass {
-    /// Returns the length, mm.
+    /// Returns the length of the pass, mm.
     pub fn length_mm(&self) -> f64 {
         *self.node_mm.last().expect("a pass has a segment")
     }
 
-    /// Returns the position [x, y], mm, at the distance `s_mm` from the start.
+    /// Returns the point [x, y], mm, at the distance `s_mm` from the start of the pass.
     pub fn position(&self, s_mm: f64) -> [f64; 2] {
         [0, 1].map(|k| self.start_mm[k] + s_mm * self.direction[k])
     }
 }
 
-/// Returns the passes of `path` over `surface` in order; never empty.
+/// Returns the straight passes of `path` over `surface` in order; there is at least one.
 ///
 /// # Errors
 /// Refuses a path that turns inside the clear aperture, and one without a straight pass.
@@ -94,7 +95,7 @@ pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec
     Ok(passes)
 }
 
-/// Returns the stretches [first, end) of segments in one direction with the tool on.
+/// Returns the ranges [first, end) of segments between `begin` and `end` that run in one direction with the tool on.
 fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize)> {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     let mut current: Option<[f64; 2]> = None;
@@ -122,7 +123,7 @@ fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize
     runs
 }
 
-/// Makes the pass of a run of segments.
+/// Makes the pass of a range of segments.
 fn pass(path: &ToolPath, limits: &Limits, run: (usize, usize), arc_start_mm: f64) -> Pass {
     let points = &path.point_mm()[run.0..=run.1];
     let start_mm = points[0];
@@ -153,7 +154,7 @@ fn pass(path: &ToolPath, limits: &Limits, run: (usize, usize), arc_start_mm: f64
     }
 }
 
-/// Refuses a segment beside the passes whose ends or middle are inside the aperture.
+/// Refuses segment `i`, which is on no pass, if one of its ends or its middle lies inside the clear aperture.
 fn refuse_inside(path: &ToolPath, surface: &Surface, i: usize) -> Result<(), FeedError> {
     let a = path.point_mm()[i];
     let d = path.displacement_mm(i);
@@ -166,7 +167,7 @@ fn refuse_inside(path: &ToolPath, surface: &Surface, i: usize) -> Result<(), Fee
     Ok(())
 }
 
-/// Returns true if the nearest pixel and its eight neighbours are valid.
+/// Returns true if the pixel nearest to the point and its eight neighbours are valid.
 pub(crate) fn is_inside(surface: &Surface, [x, y]: [f64; 2]) -> bool {
     let Grid { x: ax, y: ay } = surface.grid();
     let c = ((x - ax.start_mm()) / ax.step_mm()).round();
@@ -189,7 +190,7 @@ mod tests {
         planish_testkit::machine([10.0, 20.0], [100.0, 50.0])
     }
 
-    /// 4 x 4 mm in pixels of 0.5 mm around (0, 0).
+    /// Makes a map of 4 x 4 mm in pixels of 0.5 mm around (0, 0).
     fn square() -> Surface {
         let axis = Axis::new(-2.0, 0.5, 9).unwrap();
         Surface::new(Grid { x: axis, y: axis }, Array2::ones((9, 9))).unwrap()

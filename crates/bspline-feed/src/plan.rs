@@ -1,4 +1,4 @@
-//! Plan from the map to the motion.
+//! Plan of the feed and its motion from the map, the TIF and the path.
 //!
 //! ```text
 //! passes -> knots of every pass -> first guess: the VRR feed
@@ -61,29 +61,31 @@ pub enum Piston {
     Keep,
 }
 
-/// Settings of a plan.
+/// Settings of a plan of the feed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FeedSettings {
     /// Source of the feed.
     pub method: FeedSource,
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
-    /// Distance of the knots, mm; a quarter of the TIF's width when absent.
+    /// Distance of the knots of the splines, mm; `None` for a quarter of the TIF's width.
     pub knot_spacing_mm: Option<f64>,
-    /// Distance of neighbouring passes for the VRR feed, mm; measured when absent.
+    /// Distance of neighbouring passes for the VRR feed, mm; `None` for that of the path.
     pub pitch_mm: Option<f64>,
     /// Treatment of the uniform part of the desired removal.
     pub piston: Piston,
-    /// Weight of the distance to the least density, relative to the strongest column; >= 0.
+    /// Weight of the squared distance to the smallest dwell-time density, relative to the largest column of the removal
+    /// basis; >= 0.
     pub tikhonov: f64,
-    /// Weight of the second differences of the control values along a pass, relative to the strongest column; >= 0.
+    /// Weight of the squared second differences of the control values along a pass, relative to the largest column of
+    /// the removal basis; >= 0.
     pub curvature_weight: f64,
-    /// Largest gap between the objective and its proven lower bound, over the objective; of knot removal, fall of the
-    /// objective in the last sweep.
+    /// Largest gap between the objective and its proven lower bound, as a fraction of the objective, with which the
+    /// solver ends. For knot removal, smallest relative decrease of the objective in a sweep.
     pub relative_gap: f64,
     /// Largest number of steps of the interior point method, or of sweeps of knot removal.
     pub max_sweeps: usize,
-    /// Largest distance of the motion from t(s), mm.
+    /// Largest distance of the motion from that of the splines, t(s), at equal times, mm.
     pub fit_tolerance_mm: f64,
 }
 
@@ -105,7 +107,7 @@ impl Default for FeedSettings {
     }
 }
 
-/// Feeds that [`Report::proven`] compares with.
+/// Set of feeds, in words, with which [`FeedReport::proven`] compares the plan.
 const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere \
                        more than 1.5 times as fast; not closer knots, other links, or another feed within the limits \
                        themselves";
@@ -113,83 +115,83 @@ const COVERED: &str = "feeds on these knots, under the tangents of the accelerat
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FeedReport {
-    /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
+    /// Lattice of the map on which the TIF was resampled; left out if the TIF was used as it is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tif_lattice: Option<TifLattice>,
-    /// Straight passes.
+    /// Number of straight passes.
     pub passes: usize,
-    /// Control values of all passes.
+    /// Number of control values of all passes.
     pub control_values: usize,
-    /// Largest distance of neighbouring knots, mm.
+    /// Largest distance between neighbouring knots, mm.
     pub knot_spacing_mm: f64,
-    /// Knots that knot removal left, over all passes; those of the splines otherwise.
+    /// Number of knots that knot removal left, over all passes; for other methods the number of knots of the splines.
     pub knots_left: usize,
-    /// Passes on which knot removal found nothing, and the convex-concave procedure took over.
+    /// Number of passes on which knot removal failed and the convex-concave procedure took over.
     pub fallbacks: usize,
-    /// Uniform removal beside the desired one, nm.
+    /// Uniform removal in addition to the desired one, nm.
     pub piston_nm: f64,
-    /// Steps of the interior point method, or sweeps of knot removal, of all rounds.
+    /// Total number of steps of the interior point method, or of sweeps of knot removal, over all rounds.
     pub sweeps: usize,
-    /// Reason for which it ended. `converged`: the gap is within the tolerance. `settled`: the last sweep of knot
+    /// Reason why the solver ended. `converged`: the gap is within the tolerance. `settled`: the last sweep of knot
     /// removal lowered the objective by less than the tolerance, which proves nothing. `sweep-limit`: the sweeps were
-    /// used up. `stopped`: the next sweep would have raised the objective. `link-limit`: the removal by the links
-    /// still changes. `direct`: the VRR feed, which is not iterated.
+    /// used up. `stopped`: the next sweep would have raised the objective. `link-limit`: the removal by the links still
+    /// changes. `direct`: the VRR feed, which is not iterated.
     pub end: End,
-    /// Part of the objective that no feed within the tangents of the acceleration limit at this feed can save. Absent
-    /// where nothing is proven.
+    /// Fraction of the objective that no feed within the tangents of the acceleration limit at this feed can save.
+    /// Absent if nothing is proven.
     #[serde(flatten)]
     pub proven: ProvenGap,
     /// Objective at the start and after every step or sweep of the last round, nm^2.
     pub objective_nm2: Vec<f64>,
-    /// Objective after the sweep that would have raised it and was given up, nm^2.
+    /// Objective after a last sweep that raised it and was undone, nm^2; left out if there was none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub given_up_nm2: Option<f64>,
-    /// RMS (mean removed) of the residual in the removal model of the solver, nm; absent for VRR.
+    /// RMS of the residual about its mean, in the removal model of the solver, nm; left out for the VRR feed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_rms_nm: Option<f64>,
-    /// RMS of the residual without its best plane, nm.
+    /// RMS of the same residual without its best plane, nm; left out for the VRR feed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_rms_detilted_nm: Option<f64>,
-    /// Largest acceleration along a pass over its limit, from the splines.
+    /// Largest acceleration along a pass as a fraction of its limit, from the splines.
     pub acceleration_use: f64,
-    /// Largest feed over its limit, from the splines.
+    /// Largest feed as a fraction of its limit, from the splines.
     pub feed_use: f64,
-    /// Excess of the motion over the machine's limit on jerk, which the method does not know; absent if the machine
-    /// has no such limit, or the motion keeps it.
+    /// Excess of the motion over the machine's limit on jerk, which this method does not control; left out if the
+    /// machine has no such limit, or the motion keeps it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk: Option<Jerk>,
-    /// Links between the passes.
+    /// Numbers and times of the links between the passes.
     pub links: Links,
-    /// Largest removal by links with the tool on, nm; it is taken into account by the deconvolution.
+    /// Largest removal at a pixel by links with the tool on, nm; the deconvolution takes it into account.
     pub link_removal_nm: f64,
-    /// Distance of the motion from the splines.
+    /// Deviation of the motion from that of the splines.
     pub fit: FitReport,
 }
 
-/// Excess of a motion over a limit on jerk.
+/// Excess of a motion over the machine's limit on jerk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Jerk {
-    /// Largest jerk inside pieces over its limit, the worse axis.
+    /// Largest jerk inside pieces as a multiple of its limit, for the worse axis.
     pub inside: f64,
-    /// Largest step of the acceleration between pieces, which no limit on jerk allows, mm/s^2.
+    /// Largest step of the acceleration between pieces, mm/s^2; no limit on jerk allows a step.
     pub largest_acceleration_step_mm_per_s2: f64,
 }
 
-/// Dwell-time density, motion, and what was done.
+/// The planned dwell-time density, its motion, and the report.
 #[derive(Clone, Debug)]
 pub struct FeedPlan {
-    /// The splines at Greville's abscissae, which determine them.
+    /// Dwell-time density of the splines at Greville's abscissae, which determine the splines.
     pub density: DwellDensity,
-    /// Motion.
+    /// Motion of the plan.
     pub trajectory: Trajectory,
     /// Report of the plan.
     pub report: FeedReport,
 }
 
 impl FeedPlan {
-    /// Returns the reason for which the plan for the desired removal `surface`, made with `settings`, should not be
-    /// executed as it is, or `None`: a limit on jerk is exceeded, the method did not converge, the surface becomes
-    /// worse, or the run takes too long.
+    /// Returns the reason why the plan for the desired removal `surface`, made with `settings`, should not be executed;
+    /// otherwise `None`. Reasons are an exceeded limit on jerk, no convergence, a larger error of the surface, and a
+    /// run that takes too long.
     pub fn drawback(&self, surface: &Surface, settings: &FeedSettings) -> Option<String> {
         let r = &self.report;
         if let Some(jerk) = r.jerk {
@@ -230,7 +232,7 @@ impl FeedPlan {
         }
     }
 
-    /// Returns the message about a sweep that was given up.
+    /// Returns the message about a sweep that raised the objective and was undone.
     fn stopped(&self) -> String {
         let r = &self.report;
         let done = r.objective_nm2.len() - 1;
@@ -249,12 +251,12 @@ impl FeedPlan {
     }
 }
 
-/// Largest number of rounds of sweeps; the removal by the links must be settled then. Larger: more time. Smaller:
-/// plans end with `link-limit`.
+/// Largest number of rounds of the solver, after which the removal by the links must no longer change. Larger: more
+/// time. Smaller: plans end with `link-limit`.
 const MAX_ROUNDS: usize = 5;
 
-/// Change of the removal by the links, over the RMS of the residual, up to which it counts as settled. Larger: the
-/// plan knows the removal by the links less exactly. Smaller: more rounds.
+/// Change of the removal by the links, as a fraction of the RMS of the residual, up to which it counts as settled.
+/// Larger: the plan knows the removal by the links less exactly. Smaller: more rounds.
 const LINK_TOLERANCE: f64 = 1e-3;
 
 /// Plans feed and motion along `path` for the desired removal `surface`.
@@ -343,14 +345,14 @@ pub fn plan(
     Ok(FeedPlan { density, trajectory: solved.motion.trajectory, report })
 }
 
-/// Control values, the motion that they make, and how they were found.
+/// Control values with their motion, and data on the solution.
 struct Solved {
     d: Vec<Vec<f64>>,
     motion: Motion,
     link_removal_nm: f64,
     piston_nm: f64,
     sweeps: usize,
-    /// True if the removal by the links is settled.
+    /// True if the removal by the links no longer changes between rounds.
     settled: bool,
     state: Option<deconvolution::State>,
 }
@@ -389,12 +391,12 @@ fn check(settings: &FeedSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Returns the number of spans of the knots of a pass.
+/// Returns the number of spans between the knots of a pass, a whole number, for knots at most `spacing_mm` apart.
 fn spans(pass: &Pass, spacing_mm: f64) -> f64 {
     (pass.length_mm() / spacing_mm).ceil().max(1.0)
 }
 
-/// Refuses knots that are far closer than the TIF can see, and more than fit into memory.
+/// Refuses knots that are far closer than the TIF can resolve, and more knots than fit into the memory.
 fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), Invalid> {
     let least = width_mm / MOST_KNOTS_PER_WIDTH;
     if spacing_mm < least {
@@ -423,7 +425,7 @@ fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), In
 /// time and memory. Smaller: fine knots are refused. Chosen: ten times the default of four.
 const MOST_KNOTS_PER_WIDTH: f64 = 40.0;
 
-/// Returns the distance of every pass from its neighbours, mm: the one of the settings, or those of the path.
+/// Returns the distance of every pass from its neighbours, mm: that of the settings, or the one measured on the path.
 fn pitches_mm(settings: &FeedSettings, passes: &[Pass], tif: &Tif) -> Result<Vec<f64>, Invalid> {
     let measured = vrr::pitches_mm(passes, tif);
     match settings.pitch_mm {
@@ -435,7 +437,7 @@ fn pitches_mm(settings: &FeedSettings, passes: &[Pass], tif: &Tif) -> Result<Vec
     }
 }
 
-/// Refuses a distance of the passes that has nothing to do with that of the path.
+/// Refuses a given distance of the passes that is far from all distances on the path.
 fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
     let low = measured_mm.iter().copied().fold(f64::INFINITY, f64::min);
     let high = measured_mm.iter().copied().fold(0.0, f64::max);
@@ -452,11 +454,11 @@ fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
 }
 
 /// Largest ratio of a given pitch to those of the path, or of these to the given one; beyond it the pitch is refused.
-/// Two rasters on top of each other are apart by parts of their pitch. Larger: mistakes in the units pass. Smaller:
-/// such rasters are refused.
+/// Two rasters on top of each other are closer than their own pitch. Larger: mistakes in the units pass. Smaller: such
+/// rasters are refused.
 const MOST_PITCH_RATIO: f64 = 30.0;
 
-/// Returns the settings of the deconvolution.
+/// Returns the settings of the deconvolution that follow from those of the plan.
 fn deconvolution_settings(settings: &FeedSettings) -> DeconvolutionSettings {
     DeconvolutionSettings {
         refinement: settings.refinement,
@@ -481,7 +483,7 @@ pub fn width_mm(tif: &Tif) -> f64 {
     ((8.0 * std::f64::consts::LN_2).sqrt() * (0.5 * r2).sqrt()).max(least)
 }
 
-/// Returns the sum of `f(x, y)` over the samples of the TIF, weighted with their rates above 0.
+/// Returns the sum of `f(x, y)` over the samples of the TIF, weighted by their rates; negative rates count as 0.
 fn moment(tif: &Tif, f: impl Fn(f64, f64) -> f64) -> f64 {
     let grid = tif.grid();
     let samples = tif.rate_nm_per_s().indexed_iter();
@@ -490,7 +492,7 @@ fn moment(tif: &Tif, f: impl Fn(f64, f64) -> f64) -> f64 {
         .sum::<f64>()
 }
 
-/// Returns the start next to this one that keeps the limits.
+/// Returns the control values within the limits that are close to those of `start`, with the same piston.
 fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedError> {
     let near = parallel::map(passes.len(), &|m| {
         limited::next_within(&knots[m], deconvolution::limits(&passes[m]), start.d[m].clone())
@@ -499,7 +501,7 @@ fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedE
     Ok(Start { d: near.into_iter().collect::<Result<_, _>>()?, ..start })
 }
 
-/// Inputs of the VRR feed.
+/// Inputs from which the VRR feed is computed; `pitches` are the distances of the passes, mm.
 struct Guess<'a> {
     surface: &'a Surface,
     tif: &'a Tif,
@@ -508,8 +510,8 @@ struct Guess<'a> {
 }
 
 impl Guess<'_> {
-    /// Returns the VRR feed of the map as the TIF sees it, as control values, whatever the acceleration, and the piston
-    /// with which the lowest place gets the largest feed.
+    /// Returns the VRR feed of the map, averaged over the TIF, as control values, whatever the acceleration. The piston
+    /// is the one with which the lowest place gets the largest feed.
     fn start(&self, passes: &[Pass], knots: &[Knots]) -> Start {
         let vrr = self.tif.vrr_nm_mm2_per_s();
         let seen: Vec<Vec<Option<f64>>> = (passes.iter().zip(knots))
@@ -528,8 +530,8 @@ impl Guess<'_> {
         Start { d: d.collect(), piston_nm }
     }
 
-    /// Returns the splines closest to the VRR feed within the limits, and the piston with which the lowest pixel
-    /// gets the largest feed.
+    /// Returns the control values of the splines closest to the VRR feed within the limits. The piston, nm, is the one
+    /// with which the lowest pixel gets the largest feed.
     fn baseline(
         &self,
         passes: &[Pass],
@@ -563,8 +565,8 @@ impl Guess<'_> {
         self.tif.vrr_nm_mm2_per_s() / (passes[0].max_feed_mm_per_s * self.pitches[0])
     }
 
-    /// Returns the desired removal as the tool at `p` sees it: `sum R z / sum R` over the valid pixels;
-    /// `None` where it sees less than a tenth of its volume.
+    /// Returns the desired removal averaged over the TIF at the position `p`, `sum R z / sum R` over the valid pixels,
+    /// nm. `None` if less than a tenth of the TIF's volume is on valid pixels.
     fn average_nm(&self, p: [f64; 2]) -> Option<f64> {
         let mut rate = crate::columns::window(p.map(|v| (v, v)), self.tif, self.surface);
         crate::columns::add_rate(&mut rate, p, 1.0, self.tif, self.surface);
@@ -582,32 +584,32 @@ impl Guess<'_> {
     }
 }
 
-/// Returns the largest magnitude on the valid pixels.
+/// Returns the largest magnitude of `map` on the valid pixels.
 fn largest(map: &Array2<f64>, surface: &Surface) -> f64 {
     let valid = map.iter().zip(surface.height_nm()).filter(|(_, z)| !z.is_nan());
     valid.map(|(v, _)| v.abs()).fold(0.0, f64::max)
 }
 
-/// Returns the RMS (mean removed) over the valid pixels.
+/// Returns the RMS of the residual over the valid pixels about its mean, nm.
 fn rms_nm(residual_nm: &Array2<f64>, surface: &Surface) -> f64 {
     let masked = masked(residual_nm, surface);
     planish_numerics::statistics::statistics(masked.view()).map_or(0.0, |s| s.rms)
 }
 
-/// Returns the RMS of the residual as a map.
+/// Returns the RMS values of the residual as a map; `None` if it makes no valid map.
 fn residual(residual_nm: &Array2<f64>, surface: &Surface) -> Option<Rms> {
     let map = Surface::new(*surface.grid(), masked(residual_nm, surface));
     map.ok().map(|s| Rms::of_surface(&s))
 }
 
-/// Returns the residual with NaN on invalid pixels.
+/// Returns the residual with NaN at invalid pixels.
 fn masked(residual_nm: &Array2<f64>, surface: &Surface) -> Array2<f64> {
     ndarray::Zip::from(residual_nm)
         .and(surface.height_nm())
         .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r })
 }
 
-/// Makes the report of a plan, but for the lattice of its TIF.
+/// Makes the report of a plan; only the lattice of its TIF is added later.
 fn report(
     passes: &[Pass],
     knots: &[Knots],
@@ -663,11 +665,11 @@ fn report(
     }
 }
 
-/// Step of the acceleration, over its limit, up to which it is rounding. Larger: real steps count as kept. Smaller:
-/// rounding counts as an exceeded limit.
+/// Step of the acceleration, as a fraction of its limit, up to which it is rounding. Larger: real steps count as kept.
+/// Smaller: rounding counts as an exceeded limit.
 const STEP_ROUNDING: f64 = 1e-6;
 
-/// Returns the excess of the motion over the limit on jerk; none if there is no limit, or the motion keeps it.
+/// Returns the excess of the motion over the limit on jerk; `None` if there is no limit, or the motion keeps it.
 fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
     let mut jerk = Jerk { inside: 0.0, largest_acceleration_step_mm_per_s2: 0.0 };
     let mut exceeded = false;
@@ -689,7 +691,7 @@ fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
     if exceeded || jerk.inside > 1.0 { Some(jerk) } else { None }
 }
 
-/// Returns the splines at Greville's abscissae.
+/// Returns the dwell-time density of the splines at Greville's abscissae.
 fn density(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Result<DwellDensity, Invalid> {
     let mut nodes = DensityNodes::default();
     for (m, pass) in passes.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The baseline: the feed from the volumetric removal rate alone.
+//! The baseline feed, from the volumetric removal rate (VRR) and the desired removal alone.
 //!
 //! ```text
 //! F(s) = VRR / (z(P(s)) p),   D(s) = z p / VRR >= 1/F_max                                   (1)
@@ -22,17 +22,17 @@ use planish_types::Tif;
 
 use crate::{limited::Quadratic, passes::Pass};
 
-/// Angle up to which two directions are parallel (its sine), rad. Larger: passes in other directions count as
-/// neighbours. Smaller: rounding of the directions hides neighbours.
+/// Largest angle (its sine), rad, between two directions that count as parallel. Larger: passes in other directions
+/// count as neighbours. Smaller: rounding of the directions hides neighbours.
 const PARALLEL: f64 = 1e-3;
 
-/// Returns the distance p of every pass to its nearest parallel neighbour beside it, mm; for a pass without one
-/// the width of a groove of the TIF with its depth and volume.
+/// Returns the distance p of every pass to its nearest parallel neighbour, mm. For a pass without one it is the width
+/// of a groove of the TIF with its depth and volume.
 pub fn pitches_mm(passes: &[Pass], tif: &Tif) -> Vec<f64> {
     passes.iter().map(|p| pitch_mm(p, passes).unwrap_or_else(|| groove_width_mm(p, tif))).collect()
 }
 
-/// Returns the distance of a pass to its nearest parallel neighbour, mm.
+/// Returns the distance of a pass to its nearest parallel neighbour beside it, mm; `None` if there is none.
 fn pitch_mm(pass: &Pass, passes: &[Pass]) -> Option<f64> {
     let [tx, ty] = pass.direction;
     let beside = passes.iter().filter_map(|other| {
@@ -52,7 +52,8 @@ fn pitch_mm(pass: &Pass, passes: &[Pass]) -> Option<f64> {
     beside.reduce(f64::min)
 }
 
-/// Returns VRR over the largest line integral of the TIF along the pass, mm.
+/// Returns the width of the groove that the TIF makes along the pass: VRR over the largest line integral of the TIF,
+/// mm.
 fn groove_width_mm(pass: &Pass, tif: &Tif) -> f64 {
     let [tx, ty] = pass.direction;
     let [hx, hy] = tif.half_size_mm();
@@ -68,12 +69,13 @@ fn groove_width_mm(pass: &Pass, tif: &Tif) -> f64 {
     tif.vrr_nm_mm2_per_s() / depth
 }
 
-/// Returns the density (1) at a desired removal of `z_nm`, s/mm.
+/// Returns the dwell-time density (1) of the module for a desired removal of `z_nm`, s/mm; `least` is its lower bound.
 pub fn density_s_per_mm(z_nm: f64, pitch_mm: f64, vrr_nm_mm2_per_s: f64, least: f64) -> f64 {
     (z_nm * pitch_mm / vrr_nm_mm2_per_s).max(least)
 }
 
-/// Returns (2): half of the mean square distance to `wanted(s)`, as a quadratic of the control values.
+/// Returns the objective (2) of the module, half of the mean square distance of the spline to `wanted(s)`, as a
+/// quadratic of the control values.
 pub fn closest(knots: &Knots, wanted: impl Fn(f64) -> f64) -> Quadratic {
     let n = knots.len();
     let mut p = Array2::zeros((n, n));

@@ -1,4 +1,4 @@
-//! The subcommands: one for each controller, with the flags of every program and those of its own.
+//! The subcommands of `planish-export`: one for each controller, with the flags that all share and its own.
 
 mod near_path;
 
@@ -23,21 +23,21 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// File beside a program.
+/// Content of the JSON file beside a program.
 #[derive(Serialize)]
 struct AboutFile<'a> {
     #[serde(flatten)]
     about: &'a About,
-    /// Distance of the plan from its tool path, if it is known.
+    /// Distance of the plan from its tool path; left out if it is unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     path_distance: Option<PathDistance>,
 }
 
-/// A program to write: a subcommand, which is the name of a [`ControllerKind`], and its flags.
+/// A program to write: the subcommand, which is the name of a [`ControllerKind`], and its flags.
 #[derive(Debug)]
 pub struct Export {
     controller: ControllerKind,
-    /// Clock that is given, s.
+    /// Clock that the flags give, s; `None` for that of the machine's controller.
     tick_s: Option<f64>,
     pmac: pmac::PmacSettings,
     gcode: gcode::GcodeSettings,
@@ -80,7 +80,7 @@ struct GcodeArgs {
     path_tolerance_mm: Option<f64>,
 }
 
-/// Adds the flag of the clock, with the default of the controller in its help.
+/// Adds the flag `--tick-s` of the clock to a subcommand, with the default of this controller in its help.
 fn with_clock(command: Command, kind: ControllerKind) -> Command {
     ClockArgs::augment_args(command).mut_arg("tick_s", |flag| {
         flag.help(format!(
@@ -195,7 +195,7 @@ struct CommonArgs {
 }
 
 impl Export {
-    /// Writes the program, and what is to be known of it beside it.
+    /// Writes the program, and the JSON file beside it that describes the program.
     ///
     /// # Errors
     /// Fails if the motion cannot be read, if no program of it keeps the limits, or if a file cannot be written.
@@ -245,7 +245,7 @@ impl Export {
         Ok(Status::Done)
     }
 
-    /// Returns the settings by the flags.
+    /// Returns the settings of the program that the flags state.
     fn settings(&self) -> ProgramSettings {
         let common = &self.common;
         ProgramSettings {
@@ -299,11 +299,11 @@ impl CommonArgs {
     }
 }
 
-/// Motion for a program.
+/// The motion of which a program is written.
 enum MotionInput {
-    /// Motion of x and y, in the coordinates of the axes, and its directory.
+    /// Directory of a trajectory, and its motion of x and y in the coordinates of the axes.
     Trajectory(PathBuf, Box<OnAxes>),
-    /// Motion of all axes.
+    /// Motion of all axes, with its machine and the form of the part.
     Axes(Box<AxesInput>),
 }
 
@@ -316,7 +316,7 @@ struct AxesInput {
 }
 
 impl MotionInput {
-    /// Makes the program of the motion.
+    /// Makes the program of the motion for a controller. `inputs` gives the hash of the motion for the header.
     fn program(
         &self,
         controller: ControllerKind,
@@ -351,8 +351,8 @@ impl MotionInput {
     }
 }
 
-/// Refuses to replace a file beside the program that no export wrote, whatever `--force` says: its name follows from that of
-/// the program, and the user did not give it.
+/// Refuses to replace the JSON file beside the program if no export wrote it, even with `--force`. Its name follows
+/// from that of the program, so the user did not name it.
 fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
     let Ok(metadata) = fs::metadata(about) else { return Ok(()) };
     // A pipe would never end.

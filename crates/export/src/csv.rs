@@ -8,11 +8,11 @@ use planish_types::Invalid;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 
-/// Number of decimals of all numbers. Larger: longer rows. Smaller: rounding that a controller may notice. Chosen:
-/// counts below 1e-9 mm and clocks below 1e-9 s are refused.
+/// Number of decimals of all numbers of the table. Larger: longer rows. Smaller: rounding that a controller may notice.
+/// Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
 const DIGITS: usize = 9;
 
-/// No controller, so no limit: what an editor shows without folding.
+/// Form of a comment line. The table is for no known controller, so 120 characters are chosen for reading.
 const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {

@@ -30,17 +30,17 @@ const MOST_DISTANCE: i64 = 44_000_000;
 const MOST_VELOCITY: f64 = 22_000_000.0;
 const MOST_SAMPLES: i64 = 2048;
 
-/// Number of samples of a tick. The controller needs an even number of samples per segment for fast hosts, at least
-/// two. Larger: a coarser clock. Smaller: segments that it may not take in time.
+/// Number of samples of a tick, the clock of the program. For fast hosts the controller needs an even number of samples
+/// per segment, at least two. Larger: a coarser clock. Smaller: segments that it may not take in time.
 const SAMPLES_PER_TICK: i64 = 2;
 
-/// Unit of a sample, s (TM 31.25), and the largest sample in these units (TM 20000). Facts of the controller: other
-/// samples are refused.
+/// Unit of the sample time, s (TM 31.25), and the largest sample time in these units (TM 20000). Facts of the
+/// controller: other samples are refused.
 const SAMPLE_UNIT_S: f64 = 1.0 / 32768.0;
 const MOST_SAMPLE_UNITS: f64 = 640.0;
 
-/// Returns the smallest sample of a controller for this number of axes, in units. A fact of the normal firmware (command
-/// reference, TM); the fast firmware has smaller ones and no PVT mode.
+/// Returns the smallest sample time of a controller for this number of axes, in units of [`SAMPLE_UNIT_S`]. A fact of
+/// the normal firmware (command reference, TM); the fast firmware has smaller ones and no PVT mode.
 fn least_sample_units(axes: usize) -> f64 {
     match axes {
         0..=2 => 2.0,
@@ -48,18 +48,19 @@ fn least_sample_units(axes: usize) -> f64 {
         _ => 5.0,
     }
 }
-/// TM of a sample of one second: TM counts 1/1.024e6 s. A fact of the controller.
+/// Value of TM for a sample time of one second: TM counts 1/1.024e6 s. A fact of the controller.
 const TM_PER_S: f64 = 1.024e6;
 
 const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
 
-/// Number of segments of the buffer of an axis, a fact of the controller. The line that ends the motion takes one.
+/// Number of segments that the buffer of an axis holds, a fact of the controller. The line that ends the motion takes
+/// one.
 const BUFFER: usize = 255;
 
-/// Letters of the axes, in their order.
+/// Letters of the axes in the program, in their order in the machine file.
 const LETTERS: [&str; 5] = ["A", "B", "C", "D", "E"];
 
-/// Returns the sample time, s. Refuses one that PVT mode with this number of axes does not have.
+/// Returns the sample time, s. Refuses one that PVT mode does not have with this number of axes.
 pub(crate) fn sample_s(grids: &ControllerModel, axes: usize) -> Result<f64, Invalid> {
     let sample_s = positive("sample_s", grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;

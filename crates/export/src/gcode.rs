@@ -46,11 +46,11 @@ const DIGITS: usize = 9;
 /// are four orders more exact.
 const FEED_DIGITS: i32 = 13;
 
-/// Form of a comment. `rs274` takes lines of up to 252 characters, whatever the documentation says ("Command too
-/// long" at 253).
+/// Form of a comment. The interpreter `rs274` takes lines of up to 252 characters ("Command too long" at 253), although
+/// the documentation says 256.
 const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
 
-/// Least path tolerance, mm, except 0. Larger: sensible tolerances are refused. Smaller: it would be written as 0,
+/// Smallest path tolerance, mm, except 0. Larger: sensible tolerances are refused. Smaller: it would be written as 0,
 /// which means any deviation.
 const LEAST_TOLERANCE_MM: f64 = 1e-6;
 
@@ -66,10 +66,10 @@ pub enum Feed {
 /// Settings of a G-code program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GcodeSettings {
-    /// Convention of the F word.
+    /// Convention of the F word: inverse time or units per minute.
     pub feed: Feed,
-    /// Largest distance of the path from the corners, mm (G64 P); 0 for an exact path (G61). Absent: the path
-    /// deviation.
+    /// Largest distance of the path from the corners between lines, mm (G64 P); 0 for an exact path (G61). `None`: the
+    /// path deviation of the program.
     pub path_tolerance_mm: Option<f64>,
 }
 
@@ -79,8 +79,8 @@ impl Default for GcodeSettings {
     }
 }
 
-/// Returns the largest distance of the path from the corners between lines, mm. Refuses one that means something else, and a
-/// feed for axes that turn (`turns`).
+/// Returns the largest distance of the path from the corners between lines, mm. Refuses a length that G64 P would take
+/// differently, and a feed per minute if an axis is rotary (`turns`).
 pub(crate) fn tolerance_mm(all: &crate::ProgramSettings, turns: bool) -> Result<f64, Invalid> {
     let settings = &all.gcode;
     let tolerance = settings.path_tolerance_mm.unwrap_or(all.path_deviation_mm);

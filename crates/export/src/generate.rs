@@ -1,4 +1,6 @@
-//! Nodes of a program from a plan: on the clock of the controller, in its counts, within the limits of the machine.
+//! Nodes of a program from a plan: on the clock of the controller, in its counts, within the limits of the machine. The
+//! plan is the motion that the program shall execute. A node is an end of a segment of the program; a tick is the unit
+//! of its clock.
 //!
 //! 1. The plan gets its clock (`slowed`): its own, slower only where it uses a limit fully.
 //! 2. `nodes` chooses the times of the nodes, multiples of the tick, and the plan is sampled there.
@@ -33,96 +35,100 @@ use crate::{
     velocities::{Axis, hermite},
 };
 
-/// Largest whole number up to which a float holds every whole number, 2^53. Derived: beyond it counts and ticks would
-/// be wrong.
+/// Largest whole number up to which a float holds every whole number, 2^53. Derived: larger numbers of counts or ticks
+/// would be wrong.
 const LARGEST_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
-/// Least size of a count, mm or deg. Larger: fine encoders are refused. Smaller: positions that nine decimals do not
-/// tell apart. Derived: programs have nine decimals.
+/// Smallest count (unit of position of an axis), mm or deg; a smaller one is refused. Larger: fine encoders are
+/// refused. Smaller: positions that the nine decimals of a program cannot distinguish.
 const SMALLEST_COUNT: f64 = 1e-9;
 
-/// Memory of a segment, bytes, for the check of the memory budget. Larger: programs are refused that fit. Smaller:
-/// the memory may run out. Derived: nodes as floats and as counts, programs, and two lines of text of up to 60 bytes.
+/// Memory that one segment needs, bytes, for the check of the memory budget. Larger: programs are refused that fit.
+/// Smaller: the memory may run out. Derived: nodes as floats and as counts, programs, and two lines of text of up to 60
+/// bytes.
 const BYTES_PER_SEGMENT: usize = 1024;
 
-/// Largest number of rounds; each raises the times where a limit is exceeded. Larger: more time before a plan is
-/// refused. Smaller: plans are refused that could be mended. Chosen: 3 to 15 rounds are usual.
+/// Largest number of rounds of the generator; each lengthens the segments that exceed a limit. Larger: more time before
+/// a plan is refused. Smaller: plans are refused that could be mended. Chosen: 3 to 15 rounds are usual.
 const MOST_ROUNDS: usize = 80;
 
-/// Fraction of a limit that is rounding of the arithmetic. Larger: a program may exceed a limit by it. Smaller:
-/// rounding is mended in further rounds. Chosen: that of the judge.
+/// Excess of a limit, as a fraction of it, that counts as rounding of the arithmetic. Larger: a program may exceed a
+/// limit by it. Smaller: rounding is mended in further rounds. Chosen: that of `planish-verify`.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
-/// Least excess of the travel, over the path deviation, that is mended by shorter segments, which follow the plan
-/// more closely where it turns. A smaller excess is mended by moving the path inwards. Larger: the path moves
-/// further. Smaller: more segments. Chosen.
+/// Smallest excess of the travel, as a fraction of the path deviation, that is mended by shorter segments, which follow
+/// the plan more closely. A smaller excess is mended by moving the path inwards. Larger: the path moves farther.
+/// Smaller: more segments. Chosen.
 const FAR_BEYOND: f64 = 0.2;
 
-/// Factor on the length of a segment in the next round if it leaves the path; below 1. Larger: more rounds. Smaller:
-/// more segments than needed. Chosen.
+/// Factor on the length of a segment in the next round if it leaves the path by too much; below 1. Larger: more rounds.
+/// Smaller: more segments than needed. Chosen.
 const LESS_LONG: f64 = 0.6;
 
 /// Fraction of the path deviation that the choice of the nodes may use; rounding and the velocities use the rest.
 /// Larger: more rounds, because the rest is too small. Smaller: more segments. Chosen.
 const CHOSEN_DEVIATION: f64 = 0.6;
 
-/// Largest factor by which a plan may be slowed down at a place. Larger: programs that hardly move there. Smaller:
+/// Largest factor by which a segment of a plan may be slowed down. Larger: programs that hardly move there. Smaller:
 /// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
-/// Least growth of the time of a segment that exceeds a limit, from round to round. Larger: more time is added than
-/// needed. Smaller: more rounds. Chosen: the excess of lines is rounding alone.
+/// Smallest relative growth of the time of a segment that exceeds a limit, from round to round: for cubics, then for
+/// lines. Larger: more time is added than needed. Smaller: more rounds. Chosen: the excess of lines is rounding alone.
 const LEAST_GROWTH: f64 = 2e-3;
 const LEAST_GROWTH_OF_LINES: f64 = 2e-4;
 
-/// Most that a position of lines is moved along an axis so that rounding keeps the limits, mm. Larger: positions may run
-/// away where the plan leaves no room. Smaller: more places are slowed down. Chosen: nearly all of it is along the path, a
-/// time of milliseconds; the distance from the path has its own limit.
+/// Largest distance by which a position of lines is moved along an axis so that rounding keeps the limits, mm. Larger:
+/// positions may run away where the plan leaves no room. Smaller: more places are slowed down. Chosen: nearly all of it
+/// is along the path, a time of milliseconds; the distance from the path has its own limit.
 const MOST_MOVED_MM: f64 = 0.1;
 
-/// Number of points of every cubic at which the contact point is compared with the plan's.
+/// Number of intervals of every cubic at whose ends the contact point is compared with that of the plan. Larger: more
+/// time. Smaller: a deviation between the points may be missed.
 const CONTACT_POINTS: usize = 7;
 
-/// Part of the path deviation below which its bound is not made tighter.
+/// Fraction of the path deviation up to which the bound of the distance from the path is not made tighter. Larger: less
+/// time. Smaller: a tighter bound that nobody needs.
 const WORTH: f64 = 0.3;
 
-/// Settings of the generator.
+/// Settings of the generator of nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct GeneratorSettings {
-    /// Grids and law of the controller.
+    /// Clock, counts and kind of motion between two nodes of the controller.
     pub controller: ControllerModel,
-    /// Ticks of a segment, most.
+    /// Largest number of ticks of a segment.
     pub most_ticks: i64,
     /// Largest distance of the program's path from the plan's, mm.
     pub path_deviation_mm: f64,
-    /// False if the tool stays on whatever the plan says.
+    /// True if the program switches the tool as the plan does; false if the tool stays on.
     pub follows_tool: bool,
 }
 
-/// Nodes on the grids of a controller.
+/// Nodes of a program, in ticks and counts of a controller; n is the number of segments.
 #[derive(Clone, Debug)]
 pub(crate) struct Nodes<const N: usize> {
-    /// Count of every axis, mm or deg.
+    /// Size of a count of every axis, mm or deg.
     pub count: [f64; N],
-    /// Tick, s.
+    /// Duration of a tick, s.
     pub tick_s: f64,
-    /// Ticks since the start (n+1).
+    /// Ticks from the start to every node, length n+1.
     pub ticks: Vec<i64>,
-    /// Absolute position of every axis in counts (n+1).
+    /// Absolute position of every axis at every node in counts, length n+1.
     pub counts: Vec<[i64; N]>,
-    /// Velocity of every axis (n+1), mm/s or deg/s, a multiple of its resolution; zero for lines.
+    /// Velocity of every axis at every node, mm/s or deg/s, length n+1. It is a multiple of the resolution of the
+    /// controller; zero for lines.
     pub velocity: Vec<[f64; N]>,
-    /// True where the tool removes (n).
+    /// True for the segments in which the tool removes, length n.
     pub tool_on: Vec<bool>,
-    /// Law between two nodes.
+    /// Kind of motion between two nodes: cubics or joined lines.
     pub interpolation: Interpolation,
     /// Largest distance of the executed path from the plan's, mm.
     pub deviation_mm: f64,
-    /// Largest distance of the executed contact point from the plan's, mm; `None` if the plan does not know it.
+    /// Largest distance of the executed contact point from that of the plan, mm; `None` if the plan does not know it.
     pub contact_mm: Option<f64>,
-    /// Time that the program takes longer than the plan, s.
+    /// Difference between the time of the program and that of the plan, s; positive if the program takes longer.
     pub added_s: f64,
-    /// Change of the dwell times of the plan ([`ClockCells::uneven`]).
+    /// Relative change of the dwell times of the plan, root mean square (see [`ClockCells::uneven`]).
     pub uneven: f64,
 }
 
@@ -137,17 +143,17 @@ impl<const N: usize> Nodes<N> {
         self.ticks[k] as f64 * self.tick_s
     }
 
-    /// Returns the distance of segment `k` in counts.
+    /// Returns the signed distance of every axis in segment `k`, in counts.
     pub fn distance(&self, k: usize) -> [i64; N] {
         from_fn(|a| self.counts[k + 1][a] - self.counts[k][a])
     }
 
-    /// Returns the ticks of segment `k`.
+    /// Returns the duration of segment `k` in ticks.
     pub fn duration(&self, k: usize) -> i64 {
         self.ticks[k + 1] - self.ticks[k]
     }
 
-    /// Returns the time of segment `k`, s.
+    /// Returns the duration of segment `k`, s.
     fn segment_s(&self, k: usize) -> f64 {
         self.duration(k) as f64 * self.tick_s
     }
@@ -157,19 +163,21 @@ impl<const N: usize> Nodes<N> {
         self.tool_on.len()
     }
 
-    /// Returns true if segment `k` has no length: a dwell, before which the motion ends.
+    /// Returns true if segment `k` has no length. For lines it is a dwell, before which the motion ends.
     pub fn stands(&self, k: usize) -> bool {
         self.distance(k) == [0; N]
     }
 
-    /// Returns the time of the parabola around node `k`, s: that of the shorter line beside it; 0 between two dwells.
+    /// Returns the duration of the parabola around node `k`, s: that of the shorter line beside it; 0 between two
+    /// dwells.
     fn parabola_s(&self, k: usize) -> f64 {
         let beside = k.saturating_sub(1)..(k + 1).min(self.segments());
         let lines = beside.filter(|i| !self.stands(*i)).map(|i| self.duration(i));
         lines.min().map_or(0.0, |ticks| ticks as f64 * self.tick_s)
     }
 
-    /// Returns the time for which the controller stands in the dwell `k`, s: the parabolas beside it take the rest.
+    /// Returns the time of the G4 command for the dwell `k`, s; the halves of the parabolas beside it take the rest of
+    /// the segment.
     pub fn wait_s(&self, k: usize) -> f64 {
         let parabolas_s = self.parabola_s(k) + self.parabola_s(k + 1);
         (self.segment_s(k) - 0.5 * parabolas_s).max(0.0)
@@ -194,7 +202,7 @@ impl<const N: usize> Nodes<N> {
         nodes_s + first_s + last_s + short_s
     }
 
-    /// Makes one of the lines without length that follow each other, each a dwell.
+    /// Joins consecutive lines without length, with the same state of the tool, to one dwell of at most `most_ticks`.
     fn stand_at_once(&mut self, most_ticks: i64) {
         let mut remaining = vec![0];
         let mut tool_on: Vec<bool> = Vec::new();
@@ -214,7 +222,8 @@ impl<const N: usize> Nodes<N> {
         self.keep(&remaining, tool_on);
     }
 
-    /// Gives a dwell that is shorter than the parabolas beside it to the line before it, or else to the line after it.
+    /// Removes dwells that are shorter than the parabolas beside them. Their time goes to the line before, or else to
+    /// the line after.
     fn drop_short_dwells(&mut self, most_ticks: i64) {
         let mut remaining = vec![0];
         let mut tool_on: Vec<bool> = Vec::new();
@@ -247,7 +256,7 @@ impl<const N: usize> Nodes<N> {
         self.keep(&remaining, tool_on);
     }
 
-    /// Removes all nodes but these, with the tool of the segments between them.
+    /// Keeps only the nodes with these indices; `tool_on` is the state of the tool in the segments between them.
     fn keep(&mut self, nodes: &[usize], tool_on: Vec<bool>) {
         self.ticks = nodes.iter().map(|k| self.ticks[*k]).collect();
         self.counts = nodes.iter().map(|k| self.counts[*k]).collect();
@@ -255,7 +264,7 @@ impl<const N: usize> Nodes<N> {
         self.tool_on = tool_on;
     }
 
-    /// Returns the cubics that the controller runs.
+    /// Returns the cubics that the controller executes, in their order in time.
     pub(crate) fn pieces(&self) -> Vec<ExecutedCubic<N>> {
         match self.interpolation {
             Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
@@ -263,7 +272,7 @@ impl<const N: usize> Nodes<N> {
         }
     }
 
-    /// Returns the cubic of segment `k`, by the positions and velocities at its ends.
+    /// Returns the cubic of segment `k`, given by the positions and velocities at its ends.
     fn cubic(&self, k: usize) -> ExecutedCubic<N> {
         let start_s = self.time_s(k);
         let time_s = self.segment_s(k);
@@ -278,7 +287,7 @@ impl<const N: usize> Nodes<N> {
         ExecutedCubic { segment: k, start_s, time_s, coefficient }
     }
 
-    /// Returns the lines and the parabolas between them.
+    /// Returns the motion of joined lines: straight pieces, and the parabolas between them.
     fn joined(&self) -> Vec<ExecutedCubic<N>> {
         let n = self.segments();
         let mean = |k: usize| -> [f64; N] {
@@ -333,21 +342,21 @@ impl<const N: usize> Nodes<N> {
     }
 }
 
-/// A cubic of the executed motion.
+/// A cubic of the executed motion: its duration `time_s`, and ascending coefficients for every axis from its start.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ExecutedCubic<const N: usize> {
-    /// Segment of the program to which it belongs.
+    /// Index of the segment of the program to which it belongs.
     pub segment: usize,
-    /// Time since the first node, s.
+    /// Start of the cubic since the first node, s.
     pub start_s: f64,
     pub time_s: f64,
     pub coefficient: [[f64; 4]; N],
 }
 
-/// Returns the nodes of `plan`. Refuses settings that no controller has, and a plan of which no program within the limits is
-/// found.
+/// Returns the nodes of a program for `plan`, which is continuous, keeps the limits of the machine and rests at both
+/// ends ([`crate::limits::check_plan`]).
 ///
-/// The plan is continuous, keeps the limits of the machine and rests at both ends ([`crate::limits::check_plan`]).
+/// Refuses settings that no controller has, and a plan for which no program within the limits is found.
 pub(crate) fn generate<const N: usize>(
     plan: &AxesPlan<N>,
     settings: &GeneratorSettings,
@@ -364,13 +373,13 @@ struct Generator<'a, const N: usize> {
     switches_s: Vec<f64>,
 }
 
-/// Faults of a program, which the next round mends.
+/// Faults of a program that the next round has to mend.
 struct Faults<const N: usize> {
-    /// Segment and the factor by which its time has to grow.
+    /// Index of each segment that exceeds a limit, and the factor by which its time has to grow.
     slow: Vec<(usize, f64)>,
-    /// Segments that leave the path, and can be shorter.
+    /// Indices of the segments that leave the path and can be made shorter.
     long: Vec<usize>,
-    /// Largest excess of the travel below and above, mm or deg, along every axis.
+    /// Largest excess of the travel at the lower and the upper end of every axis, mm or deg.
     beyond: [[f64; 2]; N],
     deviation_mm: f64,
 }
@@ -439,7 +448,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         })
     }
 
-    /// Makes programs until one has no faults: mends what the last one had.
+    /// Makes programs until one has no faults; each round mends the faults of the one before. Refuses a plan whose
+    /// faults remain.
     fn run(mut self) -> Result<Nodes<N>, Invalid> {
         let controller = &self.settings.controller;
         let chosen_mm = CHOSEN_DEVIATION * self.settings.path_deviation_mm;
@@ -518,7 +528,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         Err(Invalid::at_index("segment", k, problem, remedy))
     }
 
-    /// Makes a program on the clock of `motion`, not proven yet.
+    /// Makes the nodes of a program on the clock of `motion`, whose limits are not proven yet.
     fn nodes(&self, motion: &Slowed<N>, cells: &ClockCells) -> Result<Nodes<N>, Invalid> {
         let model = &self.settings.controller;
         let choice = Choice {
@@ -592,7 +602,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Ok(nodes)
     }
 
-    /// Returns whether the tool is on from each of `ticks`, with its switches at the ticks `fixed`.
+    /// Returns true for each of `ticks` from which on the tool is on; the switches of the plan are at the ticks
+    /// `fixed`.
     fn tool_states(&self, fixed: &[i64], ticks: &[i64]) -> Vec<bool> {
         let mut on = Vec::with_capacity(ticks.len());
         let mut state = self.plan.tool_on[0];
@@ -607,7 +618,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         on
     }
 
-    /// Moves the positions of lines, in counts, where rounding would exceed a limit.
+    /// Moves the positions of lines, `counts`, where rounding would exceed a limit.
     fn keep_limits(&self, ticks: &[i64], counts: &mut [[i64; N]]) {
         let tick_s = self.settings.controller.tick_s;
         let time_s: Vec<f64> = ticks.windows(2).map(|t| (t[1] - t[0]) as f64 * tick_s).collect();
@@ -638,7 +649,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Returns a position in counts, within the travel.
+    /// Returns a position in counts, moved into the travel. Refuses one that a float cannot hold exactly; `k` is the
+    /// node in the message.
     fn count(&self, k: usize, axis: usize, position: f64) -> Result<i64, Invalid> {
         let count = self.plan.grids[axis].count;
         let counts = position / count;
@@ -650,7 +662,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         Ok((counts.round() as i64).min(high).max(low))
     }
 
-    /// Describes the largest count in mm, and in degrees if an axis turns.
+    /// Returns a text with the largest count in mm, and in degrees if an axis is rotary.
     fn largest_counts(&self) -> String {
         let mut texts = Vec::new();
         for (is_rotary, unit) in [(false, "mm"), (true, "deg")] {
@@ -663,8 +675,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         texts.join(" and ")
     }
 
-    /// Returns the largest distance of the executed contact point from that of the plan where it is nearest, mm, at points
-    /// of every cubic.
+    /// Returns the largest distance of the executed contact point from the one of the plan at the nearest instant, mm,
+    /// at points of every cubic. `None` if the plan knows no contact point.
     fn contact_mm(&self, motion: &Slowed<N>, nodes: &Nodes<N>) -> Result<Option<f64>, Invalid> {
         let Some(contact) = self.plan.contact else { return Ok(None) };
         let mut largest: f64 = 0.0;
@@ -688,7 +700,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Ok(Some(largest))
     }
 
-    /// Finds the velocities of all axes, and where they exceed a limit.
+    /// Computes the velocities of all axes at the nodes, and raises `excess` where a segment exceeds a limit (factor on
+    /// its time).
     fn solve(&self, nodes: &mut Nodes<N>, excess: &mut [f64]) {
         let n = nodes.segments();
         let time_s: Vec<f64> = (0..n).map(|k| nodes.segment_s(k)).collect();
@@ -715,7 +728,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Solves for the velocities. Returns where the program is not good enough.
+    /// Computes the velocities of `nodes`, and returns the faults of the program.
     fn finish(&self, motion: &Slowed<N>, nodes: &mut Nodes<N>) -> Faults<N> {
         let n = nodes.segments();
         let mut excess = vec![1.0_f64; n];
@@ -781,16 +794,17 @@ impl<'a, const N: usize> Generator<'a, N> {
     }
 }
 
-/// Step of the acceleration of an axis at a node.
+/// Step of the acceleration of an axis at a node, in the unit of the axis per s^2.
 pub(crate) struct AccelerationStep {
     pub node: usize,
     pub axis: usize,
     pub value: f64,
-    /// J (T1 + T2) / 2 with the durations beside the node; at rest before and after the motion.
+    /// Step that the limit on jerk J allows: J (T1 + T2) / 2 with the durations beside the node. The axes rest before
+    /// and after the motion.
     pub allowed: f64,
 }
 
-/// Returns the steps of the acceleration of cubics, of the axes with a limit on jerk.
+/// Returns the steps of the acceleration between consecutive cubics, for the axes with a limit on jerk.
 pub(crate) fn acceleration_steps<const N: usize>(
     pieces: &[ExecutedCubic<N>],
     axes: &[MachineAxis; N],
@@ -812,14 +826,15 @@ pub(crate) fn acceleration_steps<const N: usize>(
 }
 
 impl<const N: usize> ExecutedCubic<N> {
-    /// Returns the acceleration of an axis at the time `u` since the start of the cubic.
+    /// Returns the acceleration of an axis at the time `u` since the start of the cubic, in the unit of the axis per
+    /// s^2.
     fn acceleration(&self, axis: usize, u: f64) -> f64 {
         evaluate(&derivative(&derivative(&self.coefficient[axis])), u)
     }
 }
 
-/// Returns the time of a segment, s, in which the rounding of its positions uses [`ROUNDING`] of the acceleration limit or the
-/// jerk limit:
+/// Returns the shortest time of a segment, s, by the rounding of its positions. In it the rounding uses at most the
+/// fraction [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
 ///
 /// ```text
 /// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J
@@ -844,15 +859,15 @@ fn least_for_rounding_s<const N: usize>(plan: &AxesPlan<N>) -> f64 {
 /// Smaller: longer segments. Chosen.
 const ROUNDING: f64 = 0.1;
 
-/// Largest length of the shortest segment that rounding may ask for, s. Larger: long segments on slow axes, which
-/// have less to round. Smaller: rounding may use more of the limits. Chosen.
+/// Upper bound of the shortest segment that follows from rounding, s. Larger: long segments on slow axes, which have
+/// less to round. Smaller: rounding may use more of the limits. Chosen.
 const LONGEST_LEAST_S: f64 = 0.05;
 
-/// Largest excess of the travel that is rounding of a coordinate, mm or deg. Larger: axes may leave their travel by it.
+/// Excess of the travel that counts as rounding of a coordinate, mm or deg. Larger: axes may leave their travel by it.
 /// Smaller: rounding is mended in further rounds. Chosen far below a count.
 const TRAVEL_ROUNDING: f64 = 1e-9;
 
-/// Returns the largest use of a limit by a cubic, as the factor by which its time has to grow; at most 1 where all are kept.
+/// Returns the factor by which the time of a cubic has to grow so that it keeps all limits; at most 1 if it keeps them.
 fn use_of_limits<const N: usize>(
     piece: &ExecutedCubic<N>,
     axes: &[MachineAxis; N],
@@ -876,7 +891,7 @@ fn use_of_limits<const N: usize>(
     most
 }
 
-/// Refuses counts that no program can hold, or that are no encoder's for this motion.
+/// Refuses counts that no program can hold, or that are implausible for this motion.
 fn check_counts<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let extents_mm = (0..N).map(|a| plan.lever[a] * plan.extent(a));
     let extent_mm = extents_mm.fold(f64::NEG_INFINITY, f64::max);
@@ -898,7 +913,7 @@ fn check_counts<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Returns the setting that states the count of an axis.
+/// Returns the name of the setting that states the count of an axis.
 fn name_of_count(axis: &MachineAxis) -> &'static str {
     if axis.is_rotary { "count_deg" } else { "count_mm" }
 }

@@ -1,24 +1,24 @@
-//! The comment at the head of a program: what it is, in lines that the controller accepts.
+//! The comment at the head of a program, which describes it in lines that the controller accepts.
 
 use crate::{About, decimal};
 
-/// Beginning of a line that goes on with the text of the one before. A comment of LinuxCNC that begins with a word
-/// like MSG is a command; one that begins with dots is none.
+/// Beginning of a line that continues the text of the line before. LinuxCNC takes a comment that begins with a word
+/// like MSG as a command, but not one that begins with dots.
 const CONTINUED: &str = "... ";
 
-/// Form of a comment of a controller.
+/// Form of a comment of a controller: the characters that open and close it, and the length of a line.
 pub(crate) struct Comment {
     pub open: &'static str,
     pub close: &'static str,
-    /// Most characters of a line, `open` and `close` included.
+    /// Largest number of characters of a line, with `open` and `close`.
     pub line: usize,
 }
 
 impl About {
-    /// Returns the lines of a header, each a whole comment.
+    /// Returns the lines of a header, each a whole comment. `units` describes the units of the program.
     ///
-    /// Names and paths are a user's: what is not a printable ASCII character, and what ends a comment or a
-    /// command somewhere (brackets, semicolon, the line continuation ` of a Galil), becomes `_`.
+    /// Names and paths come from the user. Each character that is not printable ASCII, or that ends a comment or a
+    /// command on a controller (brackets, semicolon, the backquote of a Galil), becomes `_`.
     pub(crate) fn header(&self, comment: &Comment, units: &str) -> String {
         let starts = self.starts().into_iter();
         let starts = starts.map(|(name, unit, p)| format!("{name} {} {unit}", decimal(p, 9)));
@@ -56,7 +56,8 @@ impl About {
     }
 }
 
-/// Cuts `line` into parts of at most `room` characters, at spaces where there are some.
+/// Cuts `line` into parts of at most `room` characters, at spaces where possible; each part but the first begins with
+/// [`CONTINUED`].
 fn parts(line: &[char], room: usize) -> Vec<String> {
     let mut parts = Vec::new();
     let mut rest = line;

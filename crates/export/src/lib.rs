@@ -1,6 +1,7 @@
 //! A motion as the program of a motion controller: a trajectory for the axes x and y, or a motion of all axes.
 //!
-//! Every program goes the same way, for any number of axes:
+//! Every program is made in the same steps, for any number of axes. The plan is the given motion; a node is an end of a
+//! segment of the program:
 //!
 //! 1. `limits::check_plan`: a motion that does not keep the limits of the machine is refused, and one that
 //!    leaves the travel of its axes.
@@ -58,16 +59,16 @@ use crate::{
 /// Settings of a program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProgramSettings {
-    /// Sizes of the counts. Absent: those of the machine's controller.
+    /// Sizes of the counts, the units of position of the axes. Those left out are the ones of the machine's controller.
     pub counts: Counts,
-    /// Clock, s. Absent: that of the machine's controller.
+    /// Clock to which times are rounded, s; `None` for that of the machine's controller.
     pub tick_s: Option<f64>,
-    /// Longest segment, s. Absent: what the controller allows.
+    /// Longest segment, s; `None` for the longest that the controller allows.
     pub max_step_s: Option<f64>,
     /// Largest distance of the program's path from the plan's, mm. Smaller: more segments.
     pub path_deviation_mm: f64,
-    /// True if a motion that lifts the tool may go to a controller whose program cannot switch it; the tool then
-    /// stays on.
+    /// True if the tool may stay on where the motion lifts it and the program cannot switch it; otherwise such a motion
+    /// is refused.
     pub always_on: bool,
     /// Further settings of a program for a PMAC; other programs do not read them.
     pub pmac: pmac::PmacSettings,
@@ -93,110 +94,112 @@ impl Default for ProgramSettings {
     }
 }
 
-/// Origin of a program, for its header.
+/// Origin of the motion of a program, stated in its header.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
-    /// The trajectory: where it was, and its hash.
+    /// Path of the motion, and its hash.
     pub made_from: String,
-    /// Transform of the motion from the part to the axes, where they read other coordinates.
+    /// Transform of the motion from the coordinates of the part to those of the axes; `None` if both are the same.
     pub part_to_axes: Option<TransformNumbers>,
     /// True if the motion was in the coordinates of the machine before the export.
     pub was_on_axes: bool,
-    /// Program that writes.
+    /// Name and version of the program that writes.
     pub made_by: String,
 }
 
-/// A program.
+/// A program for a controller, with its description.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// The text of the file.
+    /// Text of the program file.
     pub text: String,
-    /// Content of the header, for the file beside the program.
+    /// Description of the program, for the file beside it.
     pub about: About,
 }
 
 /// Description of a program, for the file beside it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct About {
-    /// Controller.
+    /// Name of the controller.
     pub controller: &'static str,
     /// Name of the machine.
     pub machine: String,
-    /// The trajectory.
+    /// Path of the motion, and its hash.
     pub made_from: String,
-    /// Program that wrote it.
+    /// Name and version of the program that wrote it.
     pub made_by: String,
-    /// Transform of the motion from the part to the axes, where they read other coordinates. A reader of the program
-    /// applies its inverse.
+    /// Transform of the motion from the coordinates of the part to those of the axes; left out if both are the same. A
+    /// reader of the program applies its inverse.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
     /// True if the motion was in the coordinates of the machine before the export.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
-    /// Position of the axes (x, y) before the program, mm. Absent in a program of all axes.
+    /// Position of the axes (x, y) before the program, mm; left out in a program of all axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_mm: Option<[f64; 2]>,
-    /// Size of a count of (x, y), mm. Absent in a program of all axes.
+    /// Size of a count of (x, y), mm; left out in a program of all axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub count_mm: Option<[f64; 2]>,
     /// The axes of a program of all axes; empty in a program for x and y.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<AboutAxis>,
-    /// Sample time, s, where the program counts samples.
+    /// Sample time of the controller, s; left out if the program does not count samples.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sample_s: Option<f64>,
-    /// Sentence on the switching of the tool: by the program, or by the host.
+    /// Sentence that says who switches the tool, the program or the host, and how.
     pub tool: String,
-    /// Sentences for the operator before the program runs; at the head of a program that can have comments.
+    /// Sentences for the operator before the program runs. They also stand at the head of a program that can have
+    /// comments.
     pub preamble: Vec<String>,
-    /// Unit of time of the velocities of a PMAC, s.
+    /// Unit of time of the velocities of a PMAC, s; left out for other controllers.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedrate_time_unit_s: Option<f64>,
     /// Clock to which times are rounded, s.
     pub tick_s: f64,
-    /// Segments of the program.
+    /// Number of segments of the program.
     pub segments: usize,
-    /// Total time, s.
+    /// Total time of the program, s.
     pub total_time_s: f64,
-    /// Segments that the controller's buffer holds, where it is small.
+    /// Number of segments that the buffer of the controller holds; left out if the buffer is no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_segments: Option<usize>,
-    /// The least time that a full buffer lasts, s: the host must add lines faster than that.
+    /// Shortest time that a full buffer lasts, s: the host must add lines faster than that.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_lasts_s: Option<f64>,
-    /// Largest distance of the executed path from the plan's, mm. A rotary axis counts with its lever.
+    /// Largest distance of the executed path from that of the plan, mm. A rotary axis counts with its lever, the
+    /// distance that a point at its radius moves per degree.
     pub path_deviation_mm: f64,
     /// Largest distance of the executed contact point from that of the motion of the axes, mm, at eight points of every
     /// segment. Absent in a program for x and y.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_deviation_mm: Option<f64>,
-    /// Time that the program takes longer than the plan, s.
+    /// Difference between the time of the program and that of the plan, s; positive if the program takes longer.
     pub added_time_s: f64,
-    /// Proof for the motion that the controller executes.
+    /// Proof that the motion which the controller executes keeps the limits.
     pub limits: Proof,
     /// Warnings for the user.
     pub warnings: Vec<String>,
-    /// BLAKE3 of the bytes of the program: the reader refuses another program with this file.
+    /// BLAKE3 hash of the bytes of the program. The reader refuses this file with another program.
     pub program_blake3: String,
 }
 
 /// An axis of a program of all axes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AboutAxis {
-    /// Name in the machine file.
+    /// Name of the axis in the machine file.
     pub name: &'static str,
-    /// Unit of the numbers, mm or deg.
+    /// Unit of the numbers of this axis, mm or deg.
     pub unit: &'static str,
-    /// Position before the program.
+    /// Position of the axis before the program, in `unit`.
     pub start: f64,
-    /// Size of a count.
+    /// Size of a count, in `unit`.
     pub count: f64,
-    /// Lowest and highest position on the whole motion.
+    /// Lowest and highest position on the whole motion, in `unit`.
     pub reach: [f64; 2],
 }
 
 impl About {
-    /// Returns the position of every axis before the program, with its name and its unit.
+    /// Returns the name, unit and position before the program of every axis.
     fn starts(&self) -> Vec<(&'static str, &'static str, f64)> {
         match self.start_mm {
             Some([x, y]) => vec![("x", "mm", x), ("y", "mm", y)],
@@ -205,13 +208,15 @@ impl About {
     }
 }
 
-/// Largest time that a program may add without a warning, over the time of the plan. Larger: slower programs without
-/// a warning. Smaller: warnings for what rounding adds. Chosen: a plan that needs more was made for other limits.
+/// Largest time that a program may add without a warning, as a fraction of the time of the plan. Larger: slower
+/// programs without a warning. Smaller: warnings for what rounding adds. Chosen: a plan that needs more was made for
+/// other limits.
 const WARNED_ADDED: f64 = 0.03;
 
-/// Largest change of the dwell times of a plan by lines: the root mean square over the time of the plan, within 2 mm of
-/// each place of the path. Larger: programs whose residual is above 1.02 times that of the plan. Smaller: good programs are
-/// refused. Chosen: of 50 plans at their limits, those above 1.02 have at least 4e-3 (`programs-table.py --at-limits`).
+/// Largest relative change of the dwell times of a plan by lines: root mean square over the time of the plan, of sums
+/// within 2 mm of path. Larger: programs whose residual is above 1.02 times that of the plan. Smaller: good programs
+/// are refused. Chosen: of 50 plans at their limits, those above 1.02 have at least 4e-3 (`programs-table.py
+/// --at-limits`).
 const MOST_UNEVEN: f64 = 2e-3;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
@@ -275,8 +280,8 @@ pub fn program_of_axes(
     }
 }
 
-/// Checks all that does not depend on the motion: the clock, the counts and the further settings of a program, for
-/// `controller` on `machine`.
+/// Checks the settings that do not depend on the motion: the clock, the counts and the further settings of a program,
+/// for `controller` on `machine`.
 ///
 /// # Errors
 /// Refuses what [`program`] and [`program_of_axes`] refuse of these settings.
@@ -297,7 +302,7 @@ pub fn check(
     }
 }
 
-/// Inputs of a program of all axes.
+/// Inputs of a program of all axes; `contact` gives the contact point on the part.
 struct AllAxes<'a> {
     motion: &'a AxesMotion,
     machine: &'a Machine,
@@ -331,12 +336,13 @@ impl AllAxes<'_> {
     }
 }
 
-/// Returns the list with a number for every axis as an array.
+/// Returns the numbers of `list`, one for every axis, as an array.
 fn of_axes<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
     from_fn(|axis| list[axis])
 }
 
-/// Returns the grids of the controller, with the settings.
+/// Returns the clock and counts of the controller, with those of `settings` in place of the machine's. Refuses a
+/// longest segment that is not positive.
 fn grids(
     machine: &Machine,
     controller: ControllerKind,
@@ -365,7 +371,7 @@ fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Pro
     Ok(Program { text, about })
 }
 
-/// Inputs of the modules of the controllers.
+/// Inputs from which the module of a controller writes its program.
 struct Job<'a, const N: usize> {
     plan: &'a AxesPlan<'a, N>,
     settings: &'a ProgramSettings,
@@ -373,30 +379,31 @@ struct Job<'a, const N: usize> {
     grids: ControllerModel,
 }
 
-/// Abilities of a controller.
+/// Properties of a controller that decide about the nodes and the header.
 struct Abilities {
-    /// Most ticks of a segment.
+    /// Largest number of ticks of a segment.
     most_ticks: i64,
     tool: Tool,
     approach: Approach,
 }
 
-/// Way of the axes to the start of the program.
+/// Description of how the axes reach the start of the program.
 enum Approach {
-    /// The program goes there by itself: how.
+    /// The program moves there by itself; the text says how.
     InProgram(&'static str),
-    /// Whoever runs it goes there before: how, and what happens otherwise.
+    /// The operator or the host moves there before; the text says how, and what happens otherwise.
     Before(&'static str),
 }
 
-/// Switching of the tool: by the program, or by the host.
+/// Description of who switches the tool: the program, or the host. The text says how.
 enum Tool {
     Switched(String),
     LeftToTheHost(&'static str),
 }
 
 impl<const N: usize> Job<'_, N> {
-    /// Returns the nodes of the program, within the abilities of the controller, and what the file beside it says.
+    /// Makes the nodes of the program within the abilities `can` of the controller, and the description for the file
+    /// beside it.
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
@@ -470,7 +477,8 @@ impl<const N: usize> Job<'_, N> {
         Ok((nodes, about))
     }
 
-    /// Returns the refusal of lines that change the dwell times of the plan, with the grids that do not.
+    /// Returns the error for lines that change the dwell times of the plan too much; it names counts and a clock that
+    /// are fine enough.
     fn too_uneven(&self, nodes: &Nodes<N>) -> Invalid {
         let fine = self.grids.kind.model();
         let mut finer = Vec::new();
@@ -522,7 +530,7 @@ impl<const N: usize> Job<'_, N> {
         Ok((who, Some(warning.into())))
     }
 
-    /// Returns the axes for the file beside a program of all axes.
+    /// Returns the description of every axis, from its positions `reach` on the motion; empty in a program for x and y.
     fn about_axes(&self, nodes: &Nodes<N>, reach: &[[f64; 2]; N]) -> Vec<AboutAxis> {
         if !self.is_of_all_axes() {
             return Vec::new();
@@ -539,35 +547,37 @@ impl<const N: usize> Job<'_, N> {
         .collect()
     }
 
-    /// Returns the numbers of x and y in a program for these two.
+    /// Returns the numbers of x and y; `None` in a program of all axes.
     fn of_x_and_y(&self, numbers: [f64; N]) -> Option<[f64; 2]> {
         <[f64; 2]>::try_from(&numbers[..]).ok().filter(|_| !self.is_of_all_axes())
     }
 
-    /// Returns true if the motion was one of all axes.
+    /// Returns true if the motion was one of all axes (an [`AxesMotion`]).
     fn is_of_all_axes(&self) -> bool {
         self.plan.contact.is_some()
     }
 
-    /// Returns true if an axis turns.
+    /// Returns true if an axis is rotary.
     fn turns(&self) -> bool {
         self.plan.axes.iter().any(|axis| axis.is_rotary)
     }
 
-    /// Returns the words of a program for positions: the letter of every axis and its number.
+    /// Returns a position as words of a program: the letter of every axis with its number, of at most `digits`
+    /// decimals.
     fn words(&self, position: [f64; N], digits: usize) -> String {
         let axes = self.plan.axes.iter().zip(position);
         let words = axes.map(|(axis, p)| format!("{}{}", letter(axis), decimal(p, digits)));
         words.collect::<Vec<_>>().join(" ")
     }
 
-    /// Returns the tick, s, where a text with nine decimals of a second can hold it.
+    /// Returns the tick (clock of the program), s. Refuses one below 1e-9 s, which nine decimals of a second cannot
+    /// hold.
     fn tick(&self) -> Result<f64, Invalid> {
         tick_s(&self.grids)
     }
 }
 
-/// Returns the tick, s, where a text with nine decimals of a second can hold it.
+/// Returns the tick (clock of the program), s. Refuses one below 1e-9 s, which nine decimals of a second cannot hold.
 fn tick_s(grids: &ControllerModel) -> Result<f64, Invalid> {
     const SMALLEST_S: f64 = 1e-9;
     let tick_s = positive("tick_s", grids.tick_s)?;
@@ -598,7 +608,7 @@ fn decimal(v: f64, digits: usize) -> String {
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// Refuses a number of this setting that is not positive.
+/// Returns `v`; refuses it if it is not positive and finite. `name` is the setting in the message.
 fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 {
         Ok(v)

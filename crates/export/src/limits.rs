@@ -1,6 +1,7 @@
-//! Checks that a motion keeps the limits of the machine: by proof from the polynomials, never from samples.
+//! Checks that a motion keeps the limits of the machine. They are proofs from the polynomials of the motion, not tests
+//! of samples.
 //!
-//! Two motions are looked at.
+//! Two motions are checked.
 //!
 //! 1. The plan ([`check_plan`]): the trajectory as it is. Its velocity, acceleration and jerk on the whole of every
 //!    segment, its steps in position and velocity (from rest, to rest), and with a limit on jerk its steps in
@@ -17,18 +18,18 @@ use crate::{
     plan::AxesPlan,
 };
 
-/// Fraction of a limit that is rounding of the plan's own numbers. Larger: plans may exceed a limit by it. Smaller:
-/// plans at their limits are refused. Chosen: a schedule that uses a limit fully reaches it to some 1e-10, and no
-/// drive resolves 1e-9 of its limit.
+/// Excess of a limit, as a fraction of it, that counts as rounding of the plan's own numbers. Larger: plans may exceed
+/// a limit by it. Smaller: plans at their limits are refused. Chosen: a schedule that uses a limit fully reaches it to
+/// some 1e-10, and no drive resolves 1e-9 of its limit.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
-/// Largest steps in position, mm or deg, and in velocity, mm/s or deg/s, that are rounding; 1e-9 of the largest velocity is added to
-/// the second. Larger: plans with real steps are accepted. Smaller: schedules are refused. Chosen: the accuracy to
-/// which a schedule is fitted by cubics.
+/// Steps that count as rounding: in position, mm or deg, and in velocity, mm/s or deg/s; 1e-9 of the largest velocity
+/// is added to the second. Larger: plans with real steps are accepted. Smaller: schedules are refused. Chosen: the
+/// accuracy to which a schedule is fitted by cubics.
 const STEP: f64 = 1e-6;
 const STEP_PER_S: f64 = 1e-6;
 
-/// Largest excess of the travel that is rounding of a coordinate, mm or deg. Larger: axes may leave their travel by it.
+/// Excess of the travel that counts as rounding of a coordinate, mm or deg. Larger: axes may leave their travel by it.
 /// Smaller: programs at the end of the travel are refused. Chosen far below a count.
 const TRAVEL: f64 = 1e-9;
 
@@ -41,45 +42,45 @@ fn remedy_of_travel<const N: usize>(plan: &AxesPlan<N>) -> &'static str {
     }
 }
 
-/// Largest step in the acceleration that is rounding, over the largest acceleration. Larger: real steps are accepted
-/// on machines with a limit on jerk. Smaller: smooth plans are refused. Chosen.
+/// Step in the acceleration that counts as rounding, as a fraction of the largest acceleration. Larger: real steps are
+/// accepted on machines with a limit on jerk. Smaller: smooth plans are refused. Chosen.
 const ACCELERATION_STEP: f64 = 1e-6;
 
 /// Largest magnitude of a coefficient or a time, in its unit. Larger: products may overflow. Smaller: no motion is
 /// affected. Chosen so that products stay finite.
 const LARGEST_NUMBER: f64 = 1e60;
 
-/// A proof, with the largest values that the program asks for.
+/// Proof that the executed motion keeps the limits, with the largest values that it reaches.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Proof {
-    /// Sentence on what holds for the executed motion.
+    /// Sentence that says what the proof covers.
     pub proven: &'static str,
-    /// Sentence on what this does not say.
+    /// Sentence that says what the proof does not cover.
     pub not_proven: &'static str,
-    /// The largest values that the program asks for, with their limits.
+    /// The largest value of every limited quantity on the motion, with its limit.
     pub largest: Vec<Peak>,
-    /// Lowest and highest position of (x, y) on the whole motion, mm; empty in a program of all axes, whose list of axes
-    /// has it.
+    /// Lowest and highest position of x and of y on the whole motion, mm. Empty in a program of all axes, whose list of
+    /// axes has them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub reach_mm: Vec<[f64; 2]>,
 }
 
-/// The largest magnitude of a quantity.
+/// Largest magnitude of a limited quantity on the motion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peak {
-    /// Quantity and axis.
+    /// Name of the axis and of the quantity, for example "x velocity".
     pub quantity: String,
-    /// Unit of the numbers.
+    /// Unit of value and limit.
     pub unit: &'static str,
-    /// Largest magnitude (the shortest time, for the duration of a segment).
+    /// Largest magnitude, or the shortest time for the duration of a segment.
     pub value: f64,
     /// Limit of the machine.
     pub limit: f64,
-    /// Segment of the program where it occurs.
+    /// Index of the segment of the program in which it occurs.
     pub segment: usize,
 }
 
-/// Refuses a plan that does not keep the limits of the machine or leaves its travel; names the worst place.
+/// Refuses a plan that exceeds the limits of the machine or leaves its travel; the error names the worst excess.
 pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     check_magnitudes(plan)?;
     check_travel(plan)?;
@@ -108,7 +109,7 @@ pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Inval
     worst.verdict(plan.machine.name())
 }
 
-/// Refuses a motion that goes where the axes cannot.
+/// Refuses a plan that leaves the travel of an axis.
 fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     for (axis, limits) in plan.axes.iter().enumerate() {
         let Some([low, high]) = limits.travel else { continue };
@@ -134,7 +135,8 @@ fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
 /// A proof, and the lowest and highest position of every axis on the whole motion.
 type Proven<const N: usize> = (Proof, [[f64; 2]; N]);
 
-/// Proves the limits and the travel of the axes for the motion that the controller executes.
+/// Proves that the motion which the controller executes keeps the limits and the travel. Refuses a program that does
+/// not.
 pub(crate) fn prove<const N: usize>(
     nodes: &Nodes<N>,
     plan: &AxesPlan<N>,
@@ -199,7 +201,7 @@ pub(crate) fn prove<const N: usize>(
     Ok((Proof { proven, not_proven, largest, reach_mm }, reach))
 }
 
-/// Refuses a program that goes where the axes cannot.
+/// Refuses a program that leaves the travel of an axis; `reach` is the lowest and highest position of each.
 fn check_reach<const N: usize>(plan: &AxesPlan<N>, reach: &[[f64; 2]; N]) -> Result<(), Invalid> {
     for (limits, [low, high]) in plan.axes.iter().zip(*reach) {
         let Some([from, to]) = limits.travel else { continue };
@@ -217,7 +219,7 @@ fn check_reach<const N: usize>(plan: &AxesPlan<N>, reach: &[[f64; 2]; N]) -> Res
     Ok(())
 }
 
-/// Refuses steps of the acceleration beyond what a limit on jerk allows.
+/// Refuses steps of the acceleration that exceed what a limit on jerk allows.
 fn check_acceleration_steps<const N: usize>(
     plan: &AxesPlan<N>,
     pieces: &[ExecutedCubic<N>],
@@ -239,7 +241,7 @@ fn check_acceleration_steps<const N: usize>(
     Ok(())
 }
 
-/// Returns p, p', p'', p'''.
+/// Returns the coefficients of the polynomial `c` and of its first, second and third derivative.
 fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
     let v = derivative(c);
     let a = derivative(&v);
@@ -248,7 +250,8 @@ fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
 
 type Limited<'a> = (&'static str, &'static str, f64, &'a [f64; 4]);
 
-/// Returns the quantities that have a limit: name, unit, limit, polynomial; velocity, acceleration, jerk in this order.
+/// Returns the limited quantities of an axis, each as name, unit, limit and polynomial: velocity, acceleration and,
+/// with a limit on it, jerk.
 fn limited<'a>(
     limits: &MachineAxis,
     orders: &'a [[f64; 4]; 4],
@@ -278,12 +281,12 @@ fn exceeds(value: f64, limit: f64) -> bool {
     value > limit || value.is_nan()
 }
 
-/// Returns the largest step of the velocity that is rounding.
+/// Returns the step of the velocity of an axis that counts as rounding, in its unit per s.
 fn velocity_step(limits: &MachineAxis) -> f64 {
     STEP_PER_S + LIMIT_ROUNDING * limits.max_velocity
 }
 
-/// A quantity that has a limit.
+/// Name of a limited quantity, and its index in [`Peaks`].
 struct What<'a> {
     slot: usize,
     axis: &'a str,
@@ -291,13 +294,15 @@ struct What<'a> {
     unit: &'static str,
 }
 
-/// The largest value of every quantity (velocity, acceleration, jerk of every axis), and the shortest duration.
+/// The largest value of velocity, acceleration and jerk of every axis, and the shortest duration of a segment; `None`
+/// where there is no limit.
 struct Peaks(Vec<Option<Peak>>);
 
 const REMEDY_OF_ROUNDING: &str = "give a smaller count or tick, or plan with lower limits";
 
 impl Peaks {
-    /// Takes the `value` of a segment if it is the worst until now. Refuses one that uses more than all of its `limit`.
+    /// Keeps the `value` of a segment if it is the worst so far. Refuses it if `used`, the fraction of its `limit`, is
+    /// above 1.
     fn take(
         &mut self,
         segment: usize,
@@ -326,7 +331,7 @@ impl Peaks {
     }
 }
 
-/// The worst place of a plan: how far beyond, and what to say of it.
+/// The worst excess of a plan so far: its ratio to the limit, and the error that describes it.
 struct WorstExcess {
     fault: Option<(f64, Invalid)>,
     remedy: &'static str,
@@ -338,14 +343,14 @@ const REMEDY_OF_AXES: &str = "make the motion for this machine with planish-axes
                               ends, and see planish-verify --axes";
 
 impl WorstExcess {
-    /// Takes a fault if it is the worst until now.
+    /// Keeps a fault if its `ratio` to the limit is the worst so far; `make` returns the error.
     fn add(&mut self, ratio: f64, make: impl FnOnce() -> Invalid) {
         if self.fault.as_ref().is_none_or(|(worst, _)| exceeds(ratio, *worst)) {
             self.fault = Some((ratio, make()));
         }
     }
 
-    /// Adds the largest value of a quantity of segment `i` if it is beyond its limit.
+    /// Adds the largest value of a quantity of segment `i`, at the time `at_s`, if it is beyond its limit.
     fn most(
         &mut self,
         i: usize,
@@ -365,8 +370,8 @@ impl WorstExcess {
         }
     }
 
-    /// Adds the steps into segment `i` (one beyond the last: into rest). `beside_s` is the duration of both segments if the
-    /// acceleration may step, else 0.
+    /// Adds the steps of position, velocity and acceleration at the start of segment `i`; after the last segment the
+    /// axis rests. `beside_s` is the duration of both segments if the acceleration may step, else 0.
     fn steps(
         &mut self,
         i: usize,
@@ -399,7 +404,7 @@ impl WorstExcess {
         }
     }
 
-    /// Refuses the plan by its worst fault, if it has one.
+    /// Returns the worst fault as an error; `Ok` if the plan has none. `machine` is the name in the message.
     fn verdict(self, machine: &str) -> Result<(), Invalid> {
         match self.fault {
             None => Ok(()),
@@ -412,7 +417,7 @@ impl WorstExcess {
     }
 }
 
-/// Refuses numbers whose products would overflow.
+/// Refuses times and coefficients so large that their products would overflow.
 fn check_magnitudes<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let large = |v: &f64| v.abs() > LARGEST_NUMBER;
     let remedy = "numbers beyond 1e60 are not mm and s; check the units";

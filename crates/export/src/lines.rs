@@ -1,4 +1,5 @@
-//! The nodes of lines that are joined: their times on the clock of the controller, and their positions in its counts.
+//! The nodes of lines that are joined: their times on the clock of the controller, and their positions in its counts. A
+//! line is a straight segment of the program; a place is a point of a grid of times.
 //!
 //! The joined motion has the acceleration a_k near node k. The mean velocities m of a plan P give, for lines of T1 s before
 //! the node and T2 s after it,
@@ -18,51 +19,53 @@
 //! ```
 //!
 //! This is half of what the limit allows; rounding and the whole ticks of a line take the rest. From two nodes that are
-//! fixed the lines are laid towards each other, and share what is left where u is smallest.
+//! fixed the lines are laid towards each other. Where they meet, at the smallest u, is the seam, whose lines share the
+//! rest of the time.
 
 use crate::{
     plan::length_mm,
     slowed::{Choice, Slowed, line_at_limit_s},
 };
 
-/// Distance of the times at which the plan is looked at, s. Larger: a short peak of the acceleration is missed, and mended
-/// in a further round. Smaller: more time. Chosen: a fifth of a line at a usual limit.
+/// Distance of the times at which the plan is sampled, s. Larger: a short peak of the acceleration is missed, and
+/// mended in a further round. Smaller: more time. Chosen: a fifth of a line at a usual limit.
 const GRID_S: f64 = 1e-3;
 
-/// Length of a line within which the speed of the plan may change by more than [`STEADY`], mm, if it takes longer than a
-/// line at the limits. Larger: fewer lines, and a removal that differs over this length. Smaller: more lines. Chosen: no
-/// tool sees it.
+/// Length of a line, mm, above which the speed of the plan may change within it by at most [`STEADY`]. Larger: fewer
+/// lines, and a removal that differs over this length. Smaller: more lines. Chosen: no tool sees it.
 const LONGEST_MM: f64 = 0.25;
 
-/// Relative change of the speed that a line of any length may leave out.
+/// Relative change of the speed that a line of any length may ignore. Larger: fewer lines. Smaller: more lines.
 const STEADY: f64 = 1e-3;
 
-/// Largest relative change of the length from one line to the next. Larger: more of the acceleration where the plan uses
+/// Largest relative change of the length from one line to the next. Larger: more acceleration where the plan uses
 /// little of it. Smaller: shorter lines near a bend.
 const MOST_CHANGE: f64 = 0.25;
 
-/// Use of the acceleration below which lines may change as if it were this use. Larger: lines of few ticks keep their
-/// length. Smaller: lines that are twice as long as their neighbours. Chosen: (1 - u) / u = 2.3 of a line.
+/// Smallest used fraction of the acceleration limit with which the change of the lines is computed. Larger: lines of
+/// few ticks keep their length. Smaller: lines that are twice as long as their neighbours. Chosen: (1 - u) / u = 2.3 of
+/// a line.
 const LITTLE_USE: f64 = 0.3;
 
-/// Use of the acceleration above which the lines at both ends of a program are not made shorter.
+/// Used fraction of the acceleration limit above which the lines at both ends of a program are not made shorter.
 const MUCH_USE: f64 = 0.8;
 
-/// Longest line at both ends of a program, s, unless a line at the limits is longer. Larger: the tool stays longer at the ends,
-/// by half of it. Smaller: more lines.
+/// Longest line at both ends of a program, s, unless a line at the limits is longer. Larger: the tool stays longer at
+/// the ends, by half of the difference. Smaller: more lines.
 const LONGEST_AT_END_S: f64 = 5e-3;
 
-/// Lines beside a node on which its acceleration depends, with the growth of the lines.
+/// Distance from a node, in lines, within which the plan affects its acceleration, the growth of the lines included.
 const LINES_BESIDE: f64 = 1.5;
 
-/// Largest ratio of the lines at the seam to those beside it: the square of it is the ratio of their distances from the
-/// plan, and the choice leaves 40 % of the path deviation.
+/// Largest ratio of the lines at the seam to those beside it. Its square is the ratio of their distances from the plan,
+/// and the choice leaves 40 % of the path deviation.
 const LONGER_AT_SEAM: f64 = 1.2;
 
-/// Most lines of a seam. Larger: more even lines where the plan uses its limit everywhere. Smaller: less time.
+/// Largest number of lines of a seam. Larger: more even lines where the plan uses its limit everywhere. Smaller: less
+/// time.
 const MOST_LINES_OF_SEAM: usize = 400;
 
-/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending), through all of `fixed`.
+/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending); all of `fixed` are nodes.
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
     fixed: &[i64],
@@ -77,15 +80,15 @@ pub(crate) fn choose<const N: usize>(
     ticks
 }
 
-/// The lengths of lines over the time of a program.
+/// The wanted lengths of lines over the time of a program, at places `step` ticks apart.
 struct Lengths {
-    /// Ticks from one place of the grid to the next.
+    /// Distance from one place to the next, ticks.
     step: i64,
-    /// Shortest line, ticks.
+    /// Length of the shortest line, ticks.
     least: i64,
-    /// Length of a line at every place, ticks.
+    /// Wanted length of a line at every place, ticks.
     ticks: Vec<f64>,
-    /// Largest use of an acceleration limit by the plan near every place, at least [`LITTLE_USE`].
+    /// Largest used fraction of an acceleration limit by the plan near every place, at least [`LITTLE_USE`].
     used: Vec<f64>,
 }
 
@@ -141,13 +144,14 @@ impl Lengths {
         lengths
     }
 
-    /// Returns the largest change of lines of `length` ticks from place `k` to the next; none where one tick is too much.
+    /// Returns the largest change of lines of `length` ticks from place `k` to the next, in ticks; 0 if a change by one
+    /// tick is too much.
     fn growth(&self, k: usize, length: f64) -> f64 {
         let change = self.change(self.used[k].max(self.used[k + 1]));
         if change * length < 1.0 { 0.0 } else { change.min(MOST_CHANGE) * self.step as f64 }
     }
 
-    /// Returns the largest relative change of the lengths for a use of the acceleration limit.
+    /// Returns the largest relative change of the length for the used fraction of the acceleration limit.
     fn change(&self, used: f64) -> f64 {
         (1.0 - used) / used
     }
@@ -156,12 +160,13 @@ impl Lengths {
         ((tick / self.step).max(0) as usize).min(self.ticks.len() - 1)
     }
 
-    /// Returns the length of a line that begins or ends at `tick`.
+    /// Returns the length of a line that begins or ends at `tick`, in ticks.
     fn length(&self, tick: i64) -> i64 {
         (self.ticks[self.place(tick)] as i64).max(self.least)
     }
 
-    /// Returns the tick where the plan between two nodes uses least of the acceleration, where the lines are longest.
+    /// Returns the tick between two nodes where the plan uses least of the acceleration limit; there the lines are
+    /// longest.
     fn loosest(&self, start: i64, stop: i64) -> i64 {
         let places = self.place(start) + 1..self.place(stop);
         let loosest = places.min_by(|a, b| {
@@ -171,7 +176,7 @@ impl Lengths {
         loosest.map_or(start + (stop - start) / 2, |k| k as i64 * self.step)
     }
 
-    /// Adds the nodes after `start` up to `stop`.
+    /// Adds the ticks of the nodes after `start` up to `stop` to `ticks`.
     fn lay(&self, start: i64, stop: i64, ticks: &mut Vec<i64>) {
         let seam = self.loosest(start, stop);
         let mut forward = vec![start];
@@ -215,23 +220,23 @@ impl Lengths {
     }
 }
 
-/// Positions of the nodes of one axis, in counts.
+/// Data for the positions of the nodes of one axis, in counts; n is the number of lines.
 pub(crate) struct AxisCounts<'a> {
-    /// Time of every line (n), s.
+    /// Duration of every line, s, length n.
     pub time_s: &'a [f64],
-    /// Limits, counts/s and counts/s^2.
+    /// Limits of velocity and acceleration, counts/s and counts/s^2.
     pub velocity: f64,
     pub acceleration: f64,
     /// Lowest and highest count of the travel.
     pub travel: [i64; 2],
-    /// Most counts by which a position is moved. Larger: positions may run away from the plan where it leaves no room.
-    /// Smaller: more places are slowed down.
+    /// Largest number of counts by which a position is moved. Larger: positions may run away from the plan where it
+    /// leaves no room. Smaller: more places are slowed down.
     pub most_moved: i64,
 }
 
 impl AxisCounts<'_> {
-    /// Moves rounded positions (n+1) as far as the limits of the joined lines need it. Where the plan
-    /// leaves room for a count, a position comes back to its own.
+    /// Moves rounded positions (n+1) as far as the limits of the joined lines require. Where the plan leaves room for a
+    /// count, the position returns to its own value.
     pub fn keep_limits(&self, positions: &mut [i64]) {
         let mut velocity = 0.0;
         let mut before_s = f64::INFINITY;

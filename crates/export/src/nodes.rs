@@ -25,21 +25,21 @@ use crate::{
 /// more time. Smaller: a deviation between the points may be missed. Chosen.
 const POINTS: usize = 7;
 
-/// Largest number of breaks of the plan within a segment that are looked at one by one. Larger: more time for plans
-/// of many short segments. Smaller: a deviation at a break may be missed. Chosen.
+/// Largest number of breaks of the plan within a segment that are checked one by one. Larger: more time for plans of
+/// many short segments. Smaller: a deviation at a break may be missed. Chosen.
 const MOST_BREAKS: usize = 64;
 
-/// Largest distance of a node along the path from the plan at that time, in path deviations. Larger: a removal that
+/// Largest distance of a node along the path from the plan at the same time, in path deviations. Larger: a removal that
 /// differs more in time. Smaller: more segments. Chosen: it is a time of microseconds, which does not change the
 /// removal.
 const ALONG_PATH: f64 = 2.0;
 
-/// Ratio of the lengths of segments that are tried one after the other; above 1. Larger: a good length may be jumped
-/// over. Smaller: more trials. Chosen.
+/// Ratio of the lengths of segments that are tried one after the other; above 1. Larger: a good length may be skipped.
+/// Smaller: more trials. Chosen.
 const GROWTH: f64 = 1.4;
 
-/// Returns the ticks of the nodes, from 0 to the last of `fixed`, through all of `fixed` (ascending, at least the shortest
-/// segment apart).
+/// Returns the ticks of the nodes, from 0 to the last of `fixed`; all of `fixed` are nodes. They ascend and are at
+/// least the shortest segment apart.
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
     cells: &ClockCells,
@@ -62,7 +62,8 @@ pub(crate) fn choose<const N: usize>(
 }
 
 impl<const N: usize> Choice<'_, N> {
-    /// Returns `n` ticks, or what is near it and leaves either nothing or a whole segment until the next fixed node.
+    /// Returns a length near `n` ticks that leaves either nothing or a whole segment until the next fixed node, `rest`
+    /// ticks away.
     fn landing(&self, n: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let n = n.clamp(least, most);
@@ -80,7 +81,7 @@ impl<const N: usize> Choice<'_, N> {
         }
     }
 
-    /// Returns the longest segment of a cubic from the tick `start`, at most `rest` ticks.
+    /// Returns the length in ticks of the longest valid cubic from the tick `start`, at most `rest`.
     fn longest(&self, motion: &Slowed<N>, cells: &ClockCells, start: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let most = most.min(rest);
@@ -137,8 +138,8 @@ impl<const N: usize> Choice<'_, N> {
         good
     }
 
-    /// Returns the worst ratio to its allowance of the cubic that starts at the tick `start` and lasts `n` ticks: deviation
-    /// from the path, acceleration, jerk. Above 1 the segment has to be shorter.
+    /// Returns the largest ratio of deviation from the path, acceleration and jerk to their allowance, for the cubic of
+    /// `n` ticks from the tick `start`. Above 1 the segment must be shorter.
     fn misfit(&self, motion: &Slowed<N>, from: &AxesState<N>, start: i64, n: i64) -> f64 {
         let start_s = start as f64 * self.tick_s;
         let t = n as f64 * self.tick_s;
@@ -176,6 +177,6 @@ impl<const N: usize> Choice<'_, N> {
     }
 }
 
-/// Number of segments without a fit that are tried before the nearest is taken. Larger: more time. Smaller: a fit may
-/// be missed. Chosen.
+/// Number of segment lengths that are tried without success before the nearest to success is taken. Larger: more time.
+/// Smaller: a valid length may be missed. Chosen.
 const TRIES: usize = 8;

@@ -6,40 +6,43 @@
 //! d = sqrt(sum_i (l_i (p_i - q_i))^2)
 //! ```
 //!
-//! with l = 1 for a linear axis. For a rotary axis l is the way of a point at the lever of the axis, mm per degree: the
-//! distance from the contact point to the pivot for a tilt, the largest radius of the motion for a spindle.
+//! with the lever l = 1 for a linear axis. For a rotary axis l is the distance that a point moves per degree of the
+//! axis, mm. The radius of this point is the distance from the contact point to the pivot for a tilt, and the largest
+//! radius of the motion for a spindle.
 
 use planish_numerics::polynomial::range;
 use planish_types::{AxesMotion, AxisGrid, Invalid, Kinematics, Machine, MachineAxis};
 
-/// Least lever of a rotary axis, mm. Larger: tilts about the contact point follow the plan more closely. Smaller: less
-/// closely. Chosen: with the default path deviation such a tilt stays within 0.3 degrees.
+/// Smallest radius from which the lever of a rotary axis follows, mm. Larger: tilts about the contact point follow the
+/// plan more closely. Smaller: less closely. Chosen: with the default path deviation such a tilt stays within 0.3
+/// degrees.
 const LEAST_LEVER_MM: f64 = 1.0;
 
-/// A motion, the axes that run it, and the grids of their controller.
+/// The motion, the axes that run it, and the clock and counts of their controller; k is the number of segments.
 pub(crate) struct AxesPlan<'a, const N: usize> {
-    /// Times of the breaks (k+1), s.
+    /// Times of the ends of the segments, s, length k+1.
     pub break_time_s: &'a [f64],
-    /// Ascending coefficients of every segment (k) and axis, mm or deg per s^order.
+    /// Ascending coefficients of the cubic of every segment (k) and axis, mm or deg per s^order.
     pub coefficient: &'a [[[f64; 4]; N]],
-    /// True where the tool removes (k).
+    /// True for the segments (k) in which the tool removes.
     pub tool_on: &'a [bool],
     pub machine: &'a Machine,
     pub axes: &'a [MachineAxis; N],
     pub grids: [AxisGrid; N],
-    /// l of the module, mm per unit of the axis.
+    /// Lever of every axis (l of the module), mm per mm or per degree.
     pub lever: [f64; N],
-    /// True if a limit on jerk allows the acceleration to step at a node by J (T1 + T2) / 2, as in a motion of
-    /// planish-axes. False if it allows no step in the plan.
+    /// True if the acceleration may step at a node by J (T1 + T2) / 2, as in a motion of planish-axes; J is the limit
+    /// on jerk, T1 and T2 are the durations beside the node. False if the acceleration of the plan may not step.
     pub may_step: bool,
-    /// Contact point of the tool at positions of the axes; `None` where the tool meets no surface.
+    /// Function that returns the contact point of the tool; `None` in a motion for x and y.
     pub contact: Option<&'a Contact<'a>>,
 }
 
-/// Contact point [x, y] on the part, mm, at positions of the axes.
+/// Function from positions of the axes to the contact point [x, y] on the part, mm; its result is `None` where the tool
+/// meets no surface.
 pub(crate) type Contact<'a> = dyn Fn(&[f64]) -> Option<[f64; 2]> + 'a;
 
-/// A segment of a plan.
+/// A segment of a plan: its start and duration, and ascending coefficients of every axis.
 pub(crate) struct Segment<'a, const N: usize> {
     pub start_s: f64,
     pub duration_s: f64,
@@ -48,7 +51,7 @@ pub(crate) struct Segment<'a, const N: usize> {
 }
 
 impl<const N: usize> AxesPlan<'_, N> {
-    /// Returns the number of segments k.
+    /// Returns the number of segments.
     pub fn len(&self) -> usize {
         self.tool_on.len()
     }
@@ -70,12 +73,12 @@ impl<const N: usize> AxesPlan<'_, N> {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }
 
-    /// Returns the length of a difference of positions, mm.
+    /// Returns the length of a difference of positions by the formula of the module, mm.
     pub fn length_mm(&self, difference: [f64; N]) -> f64 {
         length_mm(&self.lever, difference)
     }
 
-    /// Returns the way between the extremes of an axis, in its unit.
+    /// Returns the distance between the lowest and the highest position of an axis, in its unit.
     pub fn extent(&self, axis: usize) -> f64 {
         let reached = self.segments().map(|s| range(&s.coefficient[axis], s.duration_s));
         let [low, high] = reached
@@ -84,7 +87,7 @@ impl<const N: usize> AxesPlan<'_, N> {
     }
 }
 
-/// Returns the length of a difference of positions of axes with these levers, mm.
+/// Returns the length of a difference of positions of axes with the levers `lever`, mm.
 pub(crate) fn length_mm<const N: usize>(lever: &[f64; N], difference: [f64; N]) -> f64 {
     let first = (lever[0] * difference[0]).abs();
     (1..N).fold(first, |sum, a| sum.hypot(lever[a] * difference[a]))
@@ -108,13 +111,13 @@ pub(crate) fn levers(machine: &Machine, motion: &AxesMotion) -> Vec<f64> {
     levers
 }
 
-/// Returns the largest magnitude of the first axis, which is the radius on a machine with a spindle, mm.
+/// Returns the largest magnitude of the first axis in the motion, mm; on a machine with a spindle it is the radius.
 fn largest_radius_mm(motion: &AxesMotion) -> f64 {
     let segments = (0..motion.len()).map(|i| (&motion.segment(i)[0], motion.duration_s(i)));
     segments.map(|(c, duration_s)| range(c, duration_s).peak().0).fold(0.0, f64::max)
 }
 
-/// Returns the coefficients of a motion with the axes of a segment in one array. Refuses a motion of another number of axes.
+/// Returns the coefficients of every segment as an array over the axes. Refuses a motion with another number of axes.
 pub(crate) fn by_segment<const N: usize>(
     motion: &AxesMotion,
 ) -> Result<Vec<[[f64; 4]; N]>, Invalid> {

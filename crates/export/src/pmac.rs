@@ -29,7 +29,7 @@ use crate::{
     Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter, positive, tick_s,
 };
 
-/// Longest segment, s. A fact of the controller: longer ones are refused.
+/// Longest segment, s. A fact of the controller: longer segments are refused.
 const LONGEST_S: f64 = 4.095_999_8;
 
 /// Resolution of a time on a Turbo PMAC, s. A fact of the controller: smaller ticks are refused.
@@ -47,9 +47,9 @@ const DIGITS: usize = 9;
 /// Settings of a motion program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PmacSettings {
-    /// Unit of time of the velocities, s: Isx90 in ms over 1000.
+    /// Unit of time of the velocities, s: the variable Isx90, which is in ms, over 1000.
     pub feedrate_time_unit_s: f64,
-    /// M-variable that switches the tool, 1 being on; absent where the program does not switch it.
+    /// Number of the M-variable that switches the tool, 1 being on; `None` if the program does not switch it.
     pub tool_output: Option<u32>,
 }
 
@@ -59,8 +59,8 @@ impl Default for PmacSettings {
     }
 }
 
-/// Returns the tick and the unit of time of the velocities, s, and the most ticks of a segment. Refuses settings that no PMAC
-/// has.
+/// Returns the tick in s, the unit of time of the velocities in s, and the largest number of ticks of a segment.
+/// Refuses settings that no PMAC has.
 pub(crate) fn checked(
     grids: &ControllerModel,
     settings: &PmacSettings,

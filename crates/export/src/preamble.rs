@@ -1,17 +1,18 @@
 //! Sentences for the operator before a program runs.
 //!
-//! How a part lies on the axes, how far the axes go, how fast, how they come to the start, and what nobody but the
-//! operator can see to. Numbers are those of the rounded motion, which the controller executes.
+//! They state how the part lies on the axes, how far and how fast the axes move, how they reach the start, and what
+//! only the operator can check. Numbers are those of the rounded motion, which the controller executes.
 
 use planish_types::{Kinematics, Machine, Tilt, Transform};
 
 use crate::{Approach, Origin, decimal, limits::Proof, plan::AxesPlan};
 
-/// Number of decimals of a position in mm, for people. Larger: numbers that are slow to read. Smaller: positions that
-/// are too coarse to check. Chosen.
+/// Number of decimals of a position in mm in sentences for people. Larger: numbers that are slow to read. Smaller:
+/// positions that are too coarse to check. Chosen.
 const DIGITS: usize = 4;
 
-/// Returns one sentence per line of a header, without the brackets and semicolons that end a comment somewhere.
+/// Returns the sentences, one per line of a header, without brackets and semicolons, which end a comment on some
+/// controllers.
 pub(crate) fn sentences<const N: usize>(
     plan: &AxesPlan<N>,
     origin: &Origin,
@@ -99,7 +100,7 @@ fn kinematics(machine: &Machine) -> Vec<String> {
     lines
 }
 
-/// Returns the sentence on the position of a part on the axes.
+/// Returns the sentence that says where the origin of the part lies on the axes, and how the part is turned.
 fn place(transform: &Transform) -> String {
     let [x, y] = transform.point([0.0, 0.0]);
     let [[xx, _], [yx, _]] = *transform.matrix();

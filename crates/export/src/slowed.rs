@@ -43,30 +43,30 @@ use planish_types::{AxisGrid, ControllerModel, Interpolation, MachineAxis};
 
 use crate::plan::{AxesPlan, length_mm};
 
-/// Part of the acceleration limit that a count may be in lines at the limit, where longer lines allow it. Larger: slower
-/// programs. Smaller: longer lines, within which the speed changes.
+/// Fraction of the acceleration limit that one count may be in lines at the limit, where longer lines allow it. Larger:
+/// slower programs. Smaller: longer lines, within which the speed changes.
 const ROUNDING: f64 = 2e-3;
 
-/// Shortest lines at the limit, relative to those that leave the plan by the chosen deviation. Larger: a removal that
-/// differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
+/// Shortest lines at the limit, as a fraction of the lines that leave the plan by the chosen deviation. Larger: a
+/// removal that differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
 const SHORTEST: f64 = 0.65;
 
 /// Settings and limits for the choice of nodes.
 pub(crate) struct Choice<'a, const N: usize> {
     pub axes: &'a [MachineAxis; N],
     pub grids: [AxisGrid; N],
-    /// Levers of the axes, mm per unit.
+    /// Levers of the axes, mm per mm or per degree.
     pub lever: [f64; N],
     pub tick_s: f64,
-    /// Ticks of a segment, least and most.
+    /// Smallest and largest number of ticks of a segment.
     pub ticks: [i64; 2],
-    /// Largest distance from the plan's path, mm.
+    /// Largest distance of a segment from the path of the plan, mm.
     pub deviation_mm: f64,
     pub interpolation: Interpolation,
 }
 
-/// Returns the time of the lines of a plan at its acceleration limits, s: at most that of a parabola that leaves the plan by
-/// `deviation_mm`, and no longer than rounding to the counts needs it.
+/// Returns the duration of the lines where a plan is at its acceleration limits, s. It is at most that of a parabola
+/// that leaves the plan by `deviation_mm`, and no longer than rounding to the counts requires.
 pub(crate) fn line_at_limit_s<const N: usize>(
     axes: &[MachineAxis; N],
     grids: &[AxisGrid; N],
@@ -89,16 +89,17 @@ const VELOCITY_MARGIN: f64 = 1e-3;
 /// instead of 0.005 leaves 1.030 instead of 1.016 times the residual of the plan on a Galil.
 const ACCELERATION_MARGIN: f64 = 0.005;
 
-/// Counts that the rounding of lines may add to their second difference at first. Larger: more time where the plan is at
-/// its limit. Smaller: more places are slowed down in later rounds. Chosen: a line whose position is rounded against the
-/// limit moves by a count.
+/// Counts that rounding is first assumed to add to the second difference of the positions of lines. Larger: more time
+/// where the plan is at its limit. Smaller: more places are slowed down in later rounds. Chosen: a line whose position
+/// is rounded against the limit moves by a count.
 const COUNTS_OF_LINES: f64 = 1.0;
 
-/// Largest margin of lines. Larger: coarse counts slow the plan down at once. Smaller: in later rounds. Chosen.
+/// Largest fraction of the acceleration limit that stays unused at first by lines. Larger: coarse counts slow the plan
+/// down at once. Smaller: in later rounds. Chosen.
 const MOST_MARGIN_OF_LINES: f64 = 0.2;
 
-/// Fraction of the acceleration limit that the change of `k` may always use. Larger: the plan is slowed down for shorter,
-/// and needs more rounds. Smaller: it is slowed down for longer. Chosen.
+/// Fraction of the acceleration limit that the change of the clock factor `k` may always use. Larger: the plan is
+/// slowed down for shorter, and needs more rounds. Smaller: it is slowed down for longer. Chosen.
 const FOR_CLOCK: f64 = 0.01;
 
 /// Fraction of the jerk limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: a cubic
@@ -109,27 +110,30 @@ const JERK_MARGIN: f64 = 0.06;
 /// removal is nearer to the plan's. A tool of 5 mm FWHM does not see a time that is moved by half of it.
 const GIVEN_BACK_WITHIN_MM: f64 = 2.0;
 
-/// Least `k` where time is given back. Smaller: more is given back, and the velocities differ more from the plan's.
+/// Smallest clock factor `k` where time is given back. Larger: less is given back. Smaller: more is given back, and the
+/// velocities differ more from the plan's.
 const LEAST_FACTOR: f64 = 0.8;
 
-/// Part of the acceleration that the plan does not use which the change of `k` may use. Larger: the plan is slowed down
-/// for shorter, and its acceleration changes more within a segment.
+/// Fraction of the acceleration that the plan leaves unused which the change of the clock factor `k` may use. Larger:
+/// the plan is slowed down for shorter, and its acceleration changes more within a segment. Smaller: it is slowed down
+/// for longer.
 const UNUSED: f64 = 0.5;
 
-/// Least unit of the delay of a program against its plan, s. Larger: more of the added time is taken back in the next
-/// stretch with room, further away. Smaller: the program takes longer. Chosen: a delay of less than half of it does not
-/// change the removal.
+/// Smallest unit of the delay of a program against its plan, s. Larger: more of the added time is taken back in the
+/// next stretch with room, farther away. Smaller: the program takes longer. Chosen: a delay of less than half of it
+/// does not change the removal.
 const SMALLEST_DELAY_S: f64 = 2e-3;
 
-/// Length of a cell, s: shorter than what a stage feels, and most cells of a plan.
+/// Duration of a cell, s, and largest number of cells of a plan. The duration is shorter than what a stage can follow.
+/// Larger: a coarser clock factor. Smaller: more memory and time.
 const CELL_S: f64 = 2e-3;
 const MOST_CELLS: f64 = 2e6;
 
-/// Largest slope of `k` where the plan stands, 1/s. Larger: the clock may change more abruptly there. Smaller: the
-/// program stays slow for longer. Chosen.
+/// Largest slope of the clock factor `k` where the plan stands, 1/s. Larger: the clock may change more abruptly there.
+/// Smaller: the program stays slow for longer. Chosen.
 const STEEPEST_PER_S: f64 = 2.0;
 
-/// Position, velocity and acceleration of the axes at an instant.
+/// Position, velocity and acceleration of the axes at an instant, mm or deg, and per s and s^2.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AxesState<const N: usize> {
     pub position: [f64; N],
@@ -137,7 +141,8 @@ pub(crate) struct AxesState<const N: usize> {
     pub acceleration: [f64; N],
 }
 
-/// The path moved inwards near the ends of the travel, where the motion between two nodes goes beyond it:
+/// Shift of the path inwards near the ends of the travel, where the motion between two nodes would leave it. A position
+/// p is moved to
 ///
 /// ```text
 /// p - e (d / L)^2      d = p - (end - L) > 0
@@ -145,23 +150,24 @@ pub(crate) struct AxesState<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Inwards<const N: usize> {
     pub travel: [Option<[f64; 2]>; N],
-    /// e at the lower and at the upper end of every axis, mm or deg.
+    /// Largest shift e at the lower and at the upper end of every axis, mm or deg.
     pub by: [[f64; 2]; N],
-    /// Levers of the axes, mm per unit.
+    /// Levers of the axes, mm per mm or per degree.
     pub lever: [f64; N],
 }
 
-/// L, mm: length over which the path is moved inwards. Larger: more of the path is moved. Smaller: more acceleration.
-/// Chosen: the tool reaches the end at a low speed, so a change of micrometres over this adds little acceleration.
+/// Length L over which the path is moved inwards at an end of the travel, mm. Larger: more of the path is moved.
+/// Smaller: more acceleration. Chosen: the tool reaches the end at a low speed, so a change of micrometres over this
+/// adds little acceleration.
 const INWARDS_OVER_MM: f64 = 0.5;
 
 impl<const N: usize> Inwards<N> {
-    /// Returns the largest e, mm.
+    /// Returns the largest shift e of all axes and ends, mm.
     pub fn most_mm(&self) -> f64 {
         (0..N).map(|a| self.lever[a] * self.by[a][0].max(self.by[a][1])).fold(0.0, f64::max)
     }
 
-    /// Moves a state of the plan inwards.
+    /// Moves a position of the plan inwards, and adapts its velocity and acceleration.
     fn apply(&self, state: &mut AxesState<N>) {
         for axis in 0..N {
             let Some([low, high]) = self.travel[axis] else { continue };
@@ -182,39 +188,40 @@ impl<const N: usize> Inwards<N> {
     }
 }
 
-/// A plan and its slower clock.
+/// A plan on the clock of its program.
 pub(crate) struct Slowed<'a, const N: usize> {
     plan: &'a AxesPlan<'a, N>,
     inwards: Inwards<N>,
     cell_s: f64,
-    /// k at the borders of the cells (m+1).
+    /// Clock factor k at the borders of the cells, length m+1.
     factor: Vec<f64>,
-    /// Time of the program at the borders of the cells (m+1), s.
+    /// Time of the program at the borders of the cells, s, length m+1.
     time_s: Vec<f64>,
 }
 
-/// Cells of a plan, with the slowing down that each needs.
+/// Cells of the time of a plan, with the clock factor k that each of them needs; m is their number.
 pub(crate) struct ClockCells {
     cell_s: f64,
-    /// Least k of every cell (m), without the raised factors; below 1 where the plan uses less than its limits.
+    /// Smallest k that keeps the margins in every cell, length m, before the factors `raised`. It is below 1 where the
+    /// plan uses less than its limits.
     need: Vec<f64>,
-    /// False where the tool removes nothing somewhere in the cell (m).
+    /// True for the cells in which the tool removes all the time, length m.
     on: Vec<bool>,
-    /// Length of the path at the borders of the cells (m+1), mm.
+    /// Length of the path up to the borders of the cells, mm, length m+1.
     arc_mm: Vec<f64>,
-    /// Steepest k of every cell (m), 1/s.
+    /// Largest slope of k in every cell, 1/s, length m.
     steepest: Vec<f64>,
-    /// Factors of the need that the generator asks for besides (m); >= 1.
+    /// Factors on `need` that the generator raises where a program exceeds a limit, length m; >= 1.
     pub raised: Vec<f64>,
-    /// Longest segments (m), s.
+    /// Longest segment that may lie in every cell, s, length m.
     pub longest_s: Vec<f64>,
-    /// Unit of the delay of the program against the plan, s.
+    /// Unit of the delay of the program against the plan, s, to whole multiples of which the delay is brought.
     delay_s: f64,
 }
 
 impl ClockCells {
-    /// Creates the cells of `plan` for this controller; the tool is on where the plan says so, or always. Lines may leave
-    /// the plan by `deviation_mm`.
+    /// Creates the cells of `plan` for this controller. If `follows_tool` is false, the tool is taken as always on.
+    /// Lines may leave the plan by `deviation_mm`.
     pub fn new<const N: usize>(
         plan: &AxesPlan<N>,
         follows_tool: bool,
@@ -296,12 +303,13 @@ impl ClockCells {
         cells
     }
 
-    /// Returns the index of the cell of a time of the plan.
+    /// Returns the index of the cell that contains a time of the plan.
     pub fn index(&self, plan_s: f64) -> usize {
         ((plan_s / self.cell_s).max(0.0) as usize).min(self.need.len() - 1)
     }
 
-    /// Returns `k` at the borders: above the need of both cells beside a border, and nowhere steeper than allowed.
+    /// Returns the clock factor `k` at the borders of the cells, length m+1. It is at least what both cells beside a
+    /// border need, and nowhere steeper than allowed.
     fn factor(&self) -> Vec<f64> {
         let m = self.need.len();
         let cells: Vec<f64> = self
@@ -319,7 +327,7 @@ impl ClockCells {
         k
     }
 
-    /// Returns the room of every border (m+1): how much smaller `k` may be. None where the program is slower than the plan.
+    /// Returns by how much `k` may be lowered at every border, length m+1; 0 where the program is slower than the plan.
     fn rooms(&self, k: &[f64]) -> Vec<f64> {
         let m = self.need.len();
         let mut rooms = vec![0.0; m + 1];
@@ -339,13 +347,14 @@ impl ClockCells {
         self.on[b - 1] && self.on[b]
     }
 
-    /// Changes `k` in stretches with room until the delay after each is a multiple of its unit:
+    /// Changes `k` in stretches where it may be lowered, until the delay after each is a multiple of its unit:
     ///
     /// ```text
     /// k_j = k_j - w_j (D - u round(D / u)) / (h sum w_j)        D = h sum (k_j - 1) up to the end of the stretch
     /// ```
     ///
-    /// with the unit u, the cell h and weights w_j up to the room and up to what the slope of `k` leaves.
+    /// with the unit u of the delay, the duration h of a cell, the delay D, and weights w_j. The weights are limited by
+    /// the room and by the slope that `k` may still take.
     fn whole_ticks(&self, k: &mut [f64]) {
         let m = self.need.len();
         if m < 4 {
@@ -394,7 +403,7 @@ impl ClockCells {
         }
     }
 
-    /// Lowers `k` below 1 near the places where it is above.
+    /// Lowers `k` below 1 near the cells where it is above 1, so that the added time is given back.
     fn give_back(&self, k: &mut [f64]) {
         let m = self.need.len();
         if m < 4 {
@@ -422,8 +431,8 @@ impl ClockCells {
         }
     }
 
-    /// Returns the root mean square, over the time of the plan, of the relative time that `k` adds within
-    /// [`GIVEN_BACK_WITHIN_MM`] of the path: about the relative error of the removal.
+    /// Returns the relative time that `k` adds, root mean square over the time of the plan, of sums within
+    /// [`GIVEN_BACK_WITHIN_MM`] along the path. It is about the relative error of the removal.
     pub fn uneven(&self, k: &[f64]) -> f64 {
         let added: Vec<f64> = k.iter().map(|k| k - 1.0).collect();
         let times = self.sums_within(&vec![1.0; k.len()]);
@@ -432,7 +441,8 @@ impl ClockCells {
         (square / k.len() as f64).sqrt()
     }
 
-    /// Returns the sums of `values` at the borders (m+1) over the borders within [`GIVEN_BACK_WITHIN_MM`] of each.
+    /// Returns, for every border (m+1), the sum of `values` over the borders within [`GIVEN_BACK_WITHIN_MM`] of it
+    /// along the path.
     fn sums_within(&self, values: &[f64]) -> Vec<f64> {
         let mut before = vec![0.0];
         for v in values {
@@ -455,7 +465,7 @@ impl ClockCells {
 }
 
 impl<'a, const N: usize> Slowed<'a, N> {
-    /// Creates the plan on the clock of `cells`.
+    /// Creates the plan on the clock of `cells`, with its path moved by `inwards`.
     pub fn new(plan: &'a AxesPlan<'a, N>, cells: &ClockCells, inwards: Inwards<N>) -> Self {
         let factor = cells.factor();
         let mut time_s = Vec::with_capacity(factor.len());
@@ -479,7 +489,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
         Self { plan, inwards, cell_s: cells.cell_s, factor, time_s }
     }
 
-    /// Returns the factors k at the borders of the cells.
+    /// Returns the clock factors k at the borders of the cells.
     pub fn factors(&self) -> &[f64] {
         &self.factor
     }
@@ -489,7 +499,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
         self.time_s[self.time_s.len() - 1]
     }
 
-    /// Returns the time of the plan at a time of the program, s, with k and k'.
+    /// Returns the time of the plan, s, at a time of the program, and the clock factor k with its slope k' there.
     pub fn plan_time(&self, time_s: f64) -> (f64, f64, f64) {
         let i = self.time_s.partition_point(|t| *t <= time_s).clamp(1, self.factor.len() - 1) - 1;
         let dt = (time_s - self.time_s[i]).max(0.0);
@@ -501,7 +511,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
         (plan_s, k + slope * u, slope)
     }
 
-    /// Returns the time of the program at a time of the plan, s.
+    /// Returns the time of the program, s, at a time of the plan.
     pub fn program_time(&self, plan_s: f64) -> f64 {
         let i = ((plan_s / self.cell_s).max(0.0) as usize).min(self.factor.len() - 2);
         let u = plan_s - i as f64 * self.cell_s;
@@ -509,7 +519,7 @@ impl<'a, const N: usize> Slowed<'a, N> {
         self.time_s[i] + self.factor[i] * u + 0.5 * slope * u * u
     }
 
-    /// Returns the state of the motion at a time of the program; at rest beyond its end.
+    /// Returns position, velocity and acceleration at a time of the program; beyond its end the axes rest.
     pub fn state(&self, time_s: f64) -> AxesState<N> {
         let (plan_s, k, slope) = self.plan_time(time_s);
         let mut state = at_plan(self.plan, plan_s);
@@ -525,7 +535,8 @@ impl<'a, const N: usize> Slowed<'a, N> {
         state
     }
 
-    /// Returns the breaks of the plan within a stretch of the program, as times of the program, s.
+    /// Returns the times of the program, s, at which a segment of the plan ends within the stretch from `from_s` to
+    /// `to_s`.
     pub fn breaks_within(&self, from_s: f64, to_s: f64) -> impl Iterator<Item = f64> + '_ {
         let start_s = self.plan.break_time_s[0];
         let [low, high] = [from_s, to_s].map(|t| start_s + self.plan_time(t).0);
@@ -535,8 +546,8 @@ impl<'a, const N: usize> Slowed<'a, N> {
         breaks[first..end].iter().map(move |b| self.program_time(b - start_s))
     }
 
-    /// Returns the shortest distance of `position` from the path near the program's time, mm, and the distance at this time.
-    /// The shortest is that a little earlier or later, where the velocity says that the plan is nearer.
+    /// Returns two distances of `position` from the motion, mm: the shortest one near the program's time, and the one
+    /// at this time. The shortest is looked for at the time where the velocity brings the plan nearest.
     pub fn distance_mm(&self, time_s: f64, position: [f64; N]) -> [f64; 2] {
         let here = self.state(time_s);
         let now_mm = self.plan.length_mm(minus(position, here.position));
@@ -545,8 +556,8 @@ impl<'a, const N: usize> Slowed<'a, N> {
         [now_mm.min(self.plan.length_mm(minus(position, nearer))), now_mm]
     }
 
-    /// Returns the time after which the state `here` comes nearest to `position` at its velocity, s; `None` where it stands
-    /// or is far.
+    /// Returns the time after which the state `here` comes nearest to `position` at its velocity, s; `None` if it
+    /// stands or the time is [`SHIFT_S`] or more.
     fn shift_s(&self, here: &AxesState<N>, position: [f64; N]) -> Option<f64> {
         let e = minus(position, here.position);
         let v = here.velocity;
@@ -562,15 +573,17 @@ impl<const N: usize> Slowed<'_, N> {
     /// Returns an upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of
     /// the plan, mm. A bound below `worth_mm` is not made tighter.
     ///
-    /// Any map u -> s of its time to the plan's gives one: the largest |c(u) - P(s(u))|. Piecewise linear maps, which meet the
-    /// nearest point at their ends, leave a cubic per axis between two breaks of the plan. Its exact extremes along
-    /// the line between the ends and across it are the bound. A stretch is halved until the bound is near what is reached.
+    /// Any function s(u) from the time of the cubic to that of the plan gives a bound: the largest |c(u) - P(s(u))|.
+    /// Piecewise linear functions that meet the nearest point at their ends leave a cubic per axis between two breaks
+    /// of the plan. Its exact extremes along the line between the ends and across it are the bound. A stretch is halved
+    /// until the bound is close to a distance that is reached.
     pub fn bound_mm(&self, start_s: f64, time_s: f64, c: &[[f64; 4]; N], worth_mm: f64) -> f64 {
         let ends = [0.0, time_s].map(|u| (u, self.nearest_plan_s(start_s + u, position(c, u))));
         self.bound_between(start_s, c, ends, worth_mm, MOST_HALVINGS)
     }
 
-    /// Returns the bound between two pairs of times (u, s), mm, after up to `halvings`.
+    /// Returns the bound between two pairs of times (u, s), of the cubic and of the plan, mm, after up to `halvings`
+    /// halvings.
     fn bound_between(
         &self,
         start_s: f64,
@@ -597,7 +610,7 @@ impl<const N: usize> Slowed<'_, N> {
         first.max(second)
     }
 
-    /// Returns the time of the plan at which it is nearest to `position`, near a time of the program, s.
+    /// Returns the time of the plan, s, at which it is nearest to `position`, near the time `time_s` of the program.
     pub fn nearest_plan_s(&self, time_s: f64, position: [f64; N]) -> f64 {
         let plan_s = self.plan_time(time_s.max(0.0)).0;
         let here = at_plan(self.plan, plan_s);
@@ -609,7 +622,8 @@ impl<const N: usize> Slowed<'_, N> {
         if there_mm < here_mm { shifted_s } else { plan_s }
     }
 
-    /// Returns the largest |c(u) - P(s(u))|, mm, with s linear between two pairs (u, s), by the extremes along and across.
+    /// Returns an upper bound of |c(u) - P(s(u))|, mm, with s linear between two pairs (u, s), from the extremes along
+    /// and across.
     fn bound_of_linear(&self, c: &[[f64; 4]; N], from: (f64, f64), to: (f64, f64)) -> f64 {
         let plan_start_s = self.plan.break_time_s[0];
         let lever = &self.plan.lever;
@@ -655,7 +669,8 @@ impl<const N: usize> Slowed<'_, N> {
     }
 }
 
-/// Returns an upper bound of the length of a vector of cubics, by the extremes along a direction and across it.
+/// Returns an upper bound of the length of a vector of cubics over `time_s`, from its extremes along a direction and
+/// across it.
 fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s: f64) -> f64 {
     let peak = |c: [f64; 4]| range(&c, time_s).peak().0;
     let part = |w: [f64; N]| {
@@ -672,26 +687,28 @@ fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s:
     })
 }
 
-/// Returns p - q.
+/// Returns the difference p - q of two positions.
 fn minus<const N: usize>(p: [f64; N], q: [f64; N]) -> [f64; N] {
     from_fn(|a| p[a] - q[a])
 }
 
-/// Returns the positions of cubics at the time `u` since their start.
+/// Returns the positions of the cubics `c` of all axes at the time `u` since their start.
 pub(crate) fn position<const N: usize>(c: &[[f64; 4]; N], u: f64) -> [f64; N] {
     c.each_ref().map(|c| evaluate(c, u))
 }
 
-/// Halvings of a stretch at most; each leaves a quarter of what the linear map of the times adds.
+/// Largest number of halvings of a stretch for the bound; each leaves a quarter of the error of the linear map of the
+/// times. Larger: more time. Smaller: a looser bound.
 const MOST_HALVINGS: usize = 8;
 
-/// A bound this much above what is reached is good.
+/// Ratio of the bound to a distance that is reached below which the bound is good enough. Larger: a looser bound.
+/// Smaller: more halvings.
 const TIGHT: f64 = 1.05;
 
-/// Most that the nearest point of the plan is looked for away in time, s.
+/// Largest shift in time within which the nearest point of the plan is searched, s.
 const SHIFT_S: f64 = 0.01;
 
-/// Returns the state of the plan at a time since its start.
+/// Returns position, velocity and acceleration of the plan at a time since its start, s.
 pub(crate) fn at_plan<const N: usize>(plan: &AxesPlan<N>, plan_s: f64) -> AxesState<N> {
     let time_s = plan.break_time_s[0] + plan_s;
     let i = plan.break_time_s.partition_point(|b| *b <= time_s).clamp(1, plan.len()) - 1;

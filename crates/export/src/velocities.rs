@@ -1,7 +1,8 @@
 //! Velocities of the nodes of one axis, with positions and times fixed.
 //!
-//! The sampled plan v* is taken where it keeps the limits. Elsewhere the velocities are the solution of a quadratic
-//! program on the chain of nodes, whose objective is the integral of the squared difference of the accelerations:
+//! The velocities v* of the plan at the nodes are taken if they keep the limits. Otherwise the velocities are the
+//! solution of a quadratic program over all nodes, whose objective is the integral of the squared difference of the
+//! accelerations:
 //!
 //! ```text
 //! min 1/2 (v - v*)' H (v - v*)      H_kk = 4/T_{k-1} + 4/T_k,  H_{k,k+1} = 2/T_k
@@ -18,36 +19,36 @@ use planish_numerics::{
 };
 use planish_types::MachineAxis;
 
-/// Fraction of a limit that is left to the tolerance of the interior point method. Larger: slower programs. Smaller:
-/// a limit may be exceeded by that tolerance. Chosen.
+/// Fraction of a limit that is left for the tolerance of the interior point method. Larger: slower programs. Smaller: a
+/// limit may be exceeded by that tolerance. Chosen.
 const MARGIN: f64 = 1e-6;
 
-/// Price of an excess of a limit, relative to the largest energy of a node. Larger: a program that is badly
-/// conditioned. Smaller: a larger excess than necessary. Chosen.
+/// Weight of an excess of a limit in the objective, relative to the largest diagonal term of a node. Larger: a program
+/// that is badly conditioned. Smaller: a larger excess than necessary. Chosen.
 const PRICE: f64 = 1e4;
 
-/// Largest number of quadratic programs until the largest velocity within every segment keeps its limit. Larger: more
-/// time. Smaller: velocities that exceed it, so that the plan is slowed down there. Chosen.
+/// Largest number of quadratic programs that are solved until the velocity keeps its limit within every segment too.
+/// Larger: more time. Smaller: velocities that exceed it, so that the plan is slowed down there. Chosen.
 const MOST_PROGRAMS: usize = 12;
 
-/// An axis between fixed nodes.
+/// Data of one axis whose positions and times at the nodes are fixed; n is the number of segments.
 pub(crate) struct Axis<'a> {
-    /// Distance of every segment (n), mm or deg; the other numbers have the same unit.
+    /// Signed distance of every segment, mm or deg, length n; velocities and limits have the same unit.
     pub distance: &'a [f64],
-    /// Time of every segment (n), s.
+    /// Duration of every segment, s, length n.
     pub time_s: &'a [f64],
-    /// Velocity of the plan at every node (n+1); zero at both ends.
+    /// Velocity of the plan at every node, length n+1; zero at both ends.
     pub planned: &'a [f64],
     pub limits: &'a MachineAxis,
-    /// Resolution of a velocity.
+    /// Unit of the velocity in the program, of which velocities are multiples.
     pub unit: f64,
-    /// Nodes at which the axis rests (n+1).
+    /// True for the nodes at which the axis rests, length n+1.
     pub rests: &'a [bool],
 }
 
 impl Axis<'_> {
-    /// Returns the rounded velocities (n+1), and the use of the limits by every segment (n) that exceeds them: the factor by
-    /// which its time has to grow; 1 elsewhere.
+    /// Returns the rounded velocities (n+1), and for every segment (n) the factor by which its time has to grow to keep
+    /// the limits; 1 if it keeps them.
     pub fn velocities(&self) -> (Vec<f64>, Vec<f64>) {
         let (planned, excess) = self.rounded(self.planned);
         if excess.iter().all(|e| *e <= 1.0) {
@@ -60,7 +61,8 @@ impl Axis<'_> {
         }
     }
 
-    /// Rounds velocities (n+1) to their unit, 0 at rests. Returns them with the use of the limits by every segment (n).
+    /// Rounds velocities (n+1) to their unit, with 0 where the axis rests. Returns them and the factor by which the
+    /// time of every segment (n) has to grow.
     fn rounded(&self, v: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let rounded: Vec<f64> = (v.iter().zip(self.rests))
             .map(|(v, rests)| if *rests { 0.0 } else { (v / self.unit).round() * self.unit })
@@ -70,7 +72,8 @@ impl Axis<'_> {
         (rounded, excess)
     }
 
-    /// Returns the use of the limits by segment `k`; 1 where they are kept.
+    /// Returns the factor by which the time of segment `k` has to grow to keep the limits, with the velocities `v` at
+    /// its ends; 1 if they are kept.
     fn excess(&self, k: usize, v: [f64; 2]) -> f64 {
         let t = self.time_s[k];
         let c = hermite(self.distance[k], v, t);
@@ -83,8 +86,8 @@ impl Axis<'_> {
         speed.max(acceleration.sqrt()).max(jerk.cbrt()).max(1.0)
     }
 
-    /// Solves the quadratic program; `elastic`, the limits may be exceeded at a price. Returns the velocities (n+1), `None`
-    /// where it has no solution.
+    /// Solves the quadratic program. If `elastic` is true, limits may be exceeded at a price. Returns the velocities
+    /// (n+1); `None` if there is no solution.
     fn program(&self, elastic: bool) -> Option<Vec<f64>> {
         let n = self.time_s.len();
         let t = self.time_s;
@@ -116,7 +119,8 @@ impl Axis<'_> {
         None
     }
 
-    /// Returns the program without its rows: H, H v*, the nodes that are free, and the price of an excess.
+    /// Returns the program without its constraints: the matrix H, the vector H v*, the free nodes, and the price of an
+    /// excess.
     fn objective(&self, elastic: bool) -> chain::ChainProgram {
         let n = self.time_s.len();
         let t = self.time_s;
@@ -151,7 +155,8 @@ impl Axis<'_> {
         chain::ChainProgram { diagonal, beside, linear, free, price }
     }
 
-    /// Adds the rows of segment `k`.
+    /// Adds the constraints of segment `k`; `within` has the positions in it, as fractions of its time, at which the
+    /// velocity is limited too.
     fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::ChainRows) {
         let t = self.time_s[k];
         let m = self.distance[k] / self.time_s[k];
@@ -180,7 +185,8 @@ impl Axis<'_> {
     }
 }
 
-/// Returns the cubic (position from 0) over `distance` in `time_s` with the velocities `v` at its ends.
+/// Returns the ascending coefficients of the cubic from position 0 over `distance` in `time_s`, with the velocities `v`
+/// at its ends.
 pub(crate) fn hermite(distance: f64, v: [f64; 2], time_s: f64) -> [f64; 4] {
     let mean = distance / time_s;
     [

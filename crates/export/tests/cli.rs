@@ -32,7 +32,7 @@ impl Bench {
         bench
     }
 
-    /// Motion from rest at (1, -2) by 1 mm along x to rest in 0.1 s, then 3 s of standing: v = 15, a = 600.
+    /// Makes a motion from rest at (1, -2) by 1 mm along x to rest in 0.1 s, then 3 s of standing: v = 15, a = 600.
     fn simple() -> Self {
         let x = [1.0, 0.0, 300.0, -2000.0];
         let y = [-2.0, 0.0, 0.0, 0.0];
@@ -45,7 +45,7 @@ impl Bench {
         fs::write(self.path("m.json"), machine.to_string()).unwrap();
     }
 
-    /// A manifest that says which machine file the motion was made with, as a scheduler writes it.
+    /// Writes a manifest that names the machine file of the motion, as a scheduler writes it.
     fn made_for(&self, machine: &[u8]) {
         let array = |name: &str, dtype: &str, shape: &[usize], axes: &[&str], unit: &str| {
             let file = format!("{name}.npy");
@@ -100,7 +100,7 @@ impl Bench {
         (text, serde_json::from_str(&about).unwrap())
     }
 
-    /// Message of a refusal; nothing is written.
+    /// Returns the message with which the export is refused; nothing is written.
     fn refused(&self, controller: &str, more: &[&str]) -> String {
         let (code, said) = self.run(controller, "t", more);
         assert_eq!(code, Some(2), "{controller} {more:?}: {said}");

@@ -23,7 +23,7 @@ fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
     .unwrap()
 }
 
-/// Motion from rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
+/// Makes a motion from rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
 fn rest_to_rest(d: f64, t: f64) -> Trajectory {
     let c = [[0.0, 0.0, 3.0 * d / (t * t), -2.0 * d / (t * t * t)], [0.0; 4]];
     Trajectory::new(vec![0.0, t], vec![c], vec![true], vec![Some(0)]).unwrap()

@@ -22,7 +22,7 @@ fn machine() -> Limits {
     .unwrap()
 }
 
-/// Motion from rest at (1, -2) by 1.00004 mm along x to rest in 0.125 s, then 3 s of standing.
+/// Makes a motion from rest at (1, -2) by 1.00004 mm along x to rest in 0.125 s, then 3 s of standing.
 fn motion(tool_on: [bool; 2]) -> Trajectory {
     let d = 1.00004;
     // 3 d u^2 / T^2 - 2 d u^3 / T^3

@@ -6,7 +6,7 @@ use planish_types::{ControllerKind, Limits, MachineFile, MachineFileAxis, Trajec
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Actions of the axes, each with the state of the tool meanwhile.
+/// Actions of the axes, each with the state of the tool during it.
 type Events = Vec<(String, bool)>;
 
 /// LinuxCNC, M-codes, "M62 - M65 Digital Output Control": M62 and M63 are queued, the change happens at the
@@ -63,7 +63,7 @@ fn pmac(text: &str) -> Events {
     events
 }
 
-/// Whoever sets the output at every row.
+/// Returns the actions for a host that sets the output at every row of the table.
 fn table(text: &str) -> Events {
     let rows = text.lines().filter(|l| l.starts_with(|c: char| c.is_ascii_digit()));
     rows.map(|l| ("row".into(), l.ends_with(",1"))).collect()
@@ -87,7 +87,7 @@ fn limits() -> Limits {
     .unwrap()
 }
 
-/// Moves from rest to rest (true) and stands (false).
+/// Makes a motion that moves from rest to rest (true) or stands (false) in each segment.
 fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
     let mut x = 0.0;
     let coefficients = moves.iter().map(|moves| {

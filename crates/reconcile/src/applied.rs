@@ -1,4 +1,4 @@
-//! The correction that the next run gets, and what is held at the plan.
+//! Corrections that the next plan gets, and parameters that are held at the plan (their value in the plan, which is 0).
 //!
 //! ```text
 //! p_i ~ N(0, (t s_i)^2)                       s_i the scale of parameter i, t one number for the machine
@@ -30,37 +30,38 @@ use crate::{
     parameter::Parameter,
 };
 
-/// Estimate over its standard error from which a parameter matters: correcting it lowers the expected residual.
+/// Ratio of an estimate to its standard error above which correcting the parameter lowers the expected residual.
 const WORTH: f64 = std::f64::consts::SQRT_2;
 
-/// Square of the correlation from which holding one unknown halves the standard error of another.
+/// Square of the correlation of two unknowns above which holding one halves the standard error of the other.
 const HALVES: f64 = 0.75;
 
-/// Least odds of the plan's value from which a parameter is held. Larger: fewer holds, and fewer wrong ones.
+/// Smallest odds of the plan's value with which a parameter is held. Larger: fewer holds, and fewer wrong ones.
+/// Smaller: more of both.
 const FAVOURED: f64 = 20.0;
 
-/// Smallest spread, and the number of spreads that are tried in a decade.
+/// Smallest spread (t of the module) that is tried, and number of tried spreads per decade.
 const SMALLEST_SPREAD: f64 = 1e-3;
 const PER_DECADE: i32 = 20;
 
-/// Variance below this part of the largest one (in scales) is rounding.
+/// Variance, as a fraction of the largest one in units of the scales, below which it is rounding.
 const ROUNDING: f64 = 1e-15;
 
-/// Estimates and their covariance while parameters are taken to the plan.
+/// Estimates and covariance of all unknowns, while some parameters are moved to their value in the plan.
 pub struct Joint {
-    /// Estimates of all unknowns.
+    /// Estimates of all unknowns: the parameters, then the terms of the metrology.
     pub values: DVector<f64>,
-    /// Their covariance.
+    /// Covariance of the estimates.
     pub covariance: DMatrix<f64>,
 }
 
 impl Joint {
-    /// Creates the joint distribution of the parameters of a fit.
+    /// Creates the joint distribution of the unknowns from a fit.
     pub fn new(fit: &LeastSquaresFit) -> Self {
         Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
     }
 
-    /// Makes the first unknowns uncertain by one standard error along this move of all of them together.
+    /// Adds the variance of a common move of the first unknowns: one standard error of it changes them by `along`.
     pub fn widen(&mut self, along: &[f64]) {
         for (i, a) in along.iter().enumerate() {
             for (j, b) in along.iter().enumerate() {
@@ -74,19 +75,20 @@ impl Joint {
         self.covariance[(i, i)].max(0.0).sqrt()
     }
 
-    /// Returns the distance of unknown `i` from the plan, in standard errors.
+    /// Returns the distance of the estimate of unknown `i` from the plan, in standard errors.
     fn over_error(&self, i: usize) -> f64 {
         let variance = self.covariance[(i, i)];
         if variance > 0.0 { self.values[i].abs() / variance.sqrt() } else { f64::INFINITY }
     }
 
-    /// Returns the odds of the plan's value of unknown `i` over a value of this spread.
+    /// Returns the odds of the plan's value of unknown `i` over a value drawn with the standard deviation `spread`
+    /// about it.
     fn odds(&self, i: usize, spread: f64) -> f64 {
         let z = self.over_error(i);
         (spread / self.covariance[(i, i)].sqrt()) * (-0.5 * z * z).exp()
     }
 
-    /// Takes unknown `i` to the plan; the others follow by their correlation with it.
+    /// Sets unknown `i` to its value in the plan; the others change by their correlation with it.
     fn put_at_plan(&mut self, i: usize) {
         let variance = self.covariance[(i, i)];
         if variance > 0.0 {
@@ -97,8 +99,8 @@ impl Joint {
         self.values[i] = 0.0;
     }
 
-    /// Returns the information of the data on the parameters with these indices, in units of their scales: eigenvalues l,
-    /// components b of the estimates times it, eigenvectors.
+    /// Returns the information of the data on the parameters `indices`, in units of their scales. It returns the
+    /// eigenvalues l, the components b of the module, and the eigenvectors.
     fn information(
         &self,
         indices: &[usize],
@@ -120,7 +122,8 @@ impl Joint {
         (information, right, eigen.eigenvectors)
     }
 
-    /// Returns the spread t of the parameters with these indices, by maximum likelihood: at most 1.
+    /// Returns the common spread t of the parameters `indices` in units of their scales, by maximum likelihood; at most
+    /// 1.
     pub fn spread(&self, indices: &[usize], scales: &[f64]) -> f64 {
         if indices.is_empty() {
             return 1.0;
@@ -138,7 +141,7 @@ impl Joint {
         best.unwrap_or(1.0)
     }
 
-    /// Returns the mean p* of the parameters with these indices, for the spread `t`.
+    /// Returns the corrections p* of the module for the parameters `indices`, with the spread `t`.
     pub fn mean(&self, indices: &[usize], scales: &[f64], t: f64) -> Vec<f64> {
         let (information, right, vectors) = self.information(indices, scales);
         let along =
@@ -148,16 +151,17 @@ impl Joint {
     }
 }
 
-/// One parameter that is held automatically.
+/// A parameter that is held at its value in the plan automatically.
 pub struct Held {
-    /// Its place among the parameters.
+    /// Index of the parameter in the fit.
     pub index: usize,
-    /// The reason, for people.
+    /// Reason for the hold, as a sentence for the user.
     pub reason: String,
 }
 
-/// Holds parameters that only inflate the errors of others. Returns them, and all unknowns with them at the plan.
-/// `may_be_held[i]` says whether parameter `i` may be held; `spread[i]` is t s of it.
+/// Holds the parameters that only inflate the standard errors of others. Returns them, and the distribution of all
+/// unknowns with them at the plan. `may_be_held[i]` is true if parameter `i` may be held; `spread[i]` is its spread t
+/// s.
 pub fn hold(fit: &LeastSquaresFit, may_be_held: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
     let mut joint = Joint::new(fit);
     let mut held: Vec<Held> = Vec::new();
@@ -196,7 +200,8 @@ pub fn hold(fit: &LeastSquaresFit, may_be_held: &[bool], spread: &[f64]) -> (Vec
     (held, joint)
 }
 
-/// Returns the corrections of the next run from the estimates of all unknowns, 0 for what stays at the plan.
+/// Returns the corrections of the next plan from the estimates of all unknowns; 0 for unknowns that stay at the plan.
+/// `parts` says how each is treated.
 pub fn applied(mut joint: Joint, parts: &[Part], scales: &[f64]) -> Vec<f64> {
     for i in (0..parts.len()).filter(|i| parts[*i] == Part::AtPlan) {
         joint.put_at_plan(i);

@@ -10,22 +10,22 @@ use ndarray::{Array2, s};
 use planish_numerics::spectrum::{Density, MIN_SAMPLES, hann, largest_rectangle, without_plane};
 use planish_types::{Grid, outcome::reconciliation::Band};
 
-/// Longest periods of the bands over the width of the TIF, from the second band on, dimensionless. More or closer:
-/// narrower bands with more noise. Fewer: less detail. Chosen: octaves, from what a tool removes easily to what it
-/// does not reach.
+/// Longest periods of the bands from the second one on, in widths of the TIF. More or closer: narrower bands with more
+/// noise. Fewer: less detail. Chosen: octaves, from what a tool removes easily to what it does not reach.
 const PERIODS_OVER_WIDTH: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
 
-/// The maps that are compared, (ny, nx), nm.
+/// Maps of removal that are compared, shape (ny, nx), nm.
 pub struct Maps<'a> {
-    /// d - Q c.
+    /// Measured removal: the difference of the maps without the terms of the metrology (d - Q c).
     pub measured: &'a Array2<f64>,
-    /// R(0).
+    /// Removal that the plan predicts without errors (R(0)).
     pub planned: &'a Array2<f64>,
-    /// F(p).
+    /// Removal with the fitted parameters (F(p)).
     pub predicted: &'a Array2<f64>,
 }
 
-/// Returns the bands of maps with these valid pixels (1, else 0); none where their largest rectangle is too small.
+/// Returns the bands of spatial frequency of the maps. `valid` is 1 at valid pixels, else 0, and `width_mm` is the
+/// width of the TIF. Empty if the largest rectangle of valid pixels is too small.
 pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -> Vec<Band> {
     let (origin, (ny, nx)) = largest_rectangle(&valid.mapv(|v| v > 0.5));
     if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
@@ -72,7 +72,7 @@ pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -
     bands
 }
 
-/// Returns the spatial frequency of a period, 1/mm: 0 for the longest (`None`), infinite for 0.
+/// Returns the spatial frequency of a period, 1/mm; 0 for `None`, the longest period, and infinity for a period of 0.
 fn frequency(period_mm: Option<f64>) -> f64 {
     match period_mm {
         None => 0.0,

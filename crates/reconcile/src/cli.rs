@@ -1,4 +1,4 @@
-//! The command line.
+//! The command line of `planish-reconcile`.
 
 use std::path::PathBuf;
 
@@ -150,7 +150,7 @@ impl Reconcile {
         Ok(status)
     }
 
-    /// Writes the corrected tool, transform and error budget that the flags name.
+    /// Writes the corrected tool, transform and error budget, each if its flag names a file.
     fn write_corrected(
         &self,
         reconciled: &Reconciled,
@@ -188,7 +188,7 @@ impl Reconcile {
     }
 }
 
-/// Returns the table for a person.
+/// Returns the table of results that the command prints.
 fn table(outcome: &ReconciliationOutcome) -> String {
     let mut lines =
         vec!["parameter                      found  +- standard error   known beforehand".into()];
@@ -267,7 +267,7 @@ fn table(outcome: &ReconciliationOutcome) -> String {
     lines.join("\n")
 }
 
-/// Returns the line of one band of spatial frequency.
+/// Returns the line of the table for one band of spatial frequency.
 fn line_of_band(band: &Band) -> String {
     let period = match band.period_mm {
         [Some(short), None] => format!("over {short:.1}"),
@@ -281,7 +281,7 @@ fn line_of_band(band: &Band) -> String {
     )
 }
 
-/// Returns the sentence that says what both maps have in common.
+/// Returns the sentence that states what both maps have in common, as evidence that they belong to one run.
 fn line_of_evidence(evidence: &Evidence) -> String {
     let removal = match (evidence.removal_factor, evidence.removal_factor_standard_error) {
         (Some(factor), Some(error)) => format!(
@@ -306,7 +306,7 @@ fn line_of_evidence(evidence: &Evidence) -> String {
     )
 }
 
-/// Returns the line of one unknown, and below it the reasons to hold or to refuse it.
+/// Returns the line of the table for one unknown, and below it the reason if it is held or refused.
 fn line_of_estimate(estimate: &Estimate) -> String {
     // Both end at the second digit of the standard error.
     let decimals = estimate.standard_error.filter(|e| *e > 0.0).map_or(4, |e| {

@@ -1,4 +1,5 @@
-//! Evidence that the map after is that of the run: its sign, its scale, its orientation, its place, and its part.
+//! Evidence that the map after is that of the run: its sign, scale, orientation, position, and part. A reading is one
+//! way to take the map after, for example turned or with the other sign.
 //!
 //! What no tool reaches stays on the part. It is in the map before, less the removal, and it is in the map after,
 //! whatever the run did otherwise. So their common part says whether the map after is of this run, and how it lies:
@@ -54,110 +55,112 @@ use crate::{
     fit::{Data, LeastSquaresFit, Normal, dot},
 };
 
-/// Logarithm of the odds from which one reading is taken and another one is left. Larger: fewer maps are accepted.
-/// Smaller: a wrong map is accepted by chance. Chosen: 3000 to 1; a map of another part then needs four standard errors.
+/// Logarithm of the odds with which one reading is preferred to another. Larger: fewer maps are accepted. Smaller: a
+/// wrong map is accepted by chance. Chosen: 3000 to 1; a map of another part then needs four standard errors.
 const ODDS: f64 = 8.0;
 
-/// Range of the scale that is taken for 1. Wider: mistakes of a factor near 1 pass. Narrower: errors that the model does
-/// not know, and that resemble the residual, are taken for a mistake. Chosen between 1 and the factors of the usual
-/// mistakes, 1/2 and 2.
+/// Range of the scale of the map after that is accepted as 1. Wider: mistakes of a factor near 1 pass. Narrower: errors
+/// that the model does not know, and that resemble the residual, are taken for a mistake. Chosen between 1 and the
+/// factors of the usual mistakes, 1/2 and 2.
 const SCALES: [f64; 2] = [0.7, 1.4];
 
-/// Standard errors by which a factor must be beyond a bound. Larger: mistakes pass on noisy maps. Smaller: right maps are
-/// refused by chance. Chosen.
+/// Number of standard errors by which a factor must be beyond a bound. Larger: mistakes pass on noisy maps. Smaller:
+/// right maps are refused by chance. Chosen.
 const ERRORS: f64 = 4.0;
 
-/// Range of the noise of the map after over that of the map before that is taken for one instrument. Wider: half and twice
-/// the heights pass. Narrower: right maps are refused. Derived: the noise of 1000 pixels is known to 4 %, and 1/2 and 2
-/// are far away.
+/// Range of the ratio of the noise of the map after to that of the map before which one instrument can have. Wider:
+/// half and twice the heights pass. Narrower: right maps are refused. Derived: the noise of 1000 pixels is known to 4
+/// %, and 1/2 and 2 are far away.
 const SAME_NOISE: [f64; 2] = [0.75, 1.33];
 
-/// Range of the planned removal that lies between the maps. Wider: a map that was measured twice passes. Narrower: runs
-/// whose rate is off are refused. Chosen: half way to a map that was measured twice, and as much beyond 1.
+/// Accepted range of the factor of the planned removal in the difference of the maps. Wider: a map that was measured
+/// twice passes. Narrower: runs whose rate is off are refused. Chosen: half way to a map that was measured twice, and
+/// as much beyond 1.
 const REMOVALS: [f64; 2] = [0.5, 1.5];
 
-/// Least part of the mean square of a map that is no noise, where the noise is taken off. Larger: fewer scales are known.
-/// Smaller: the correction for noise is a guess. Chosen.
+/// Smallest fraction of the mean square of a map that must remain when its noise is subtracted. Larger: fewer scales
+/// are known. Smaller: the correction for noise is a guess. Chosen.
 const LEAST_SIGNAL: f64 = 0.2;
 
-/// Cosine of the angle between both maps from which no other reading is the right one. Larger: right maps with an even
+/// Cosine of the angle between both maps above which the given reading is right. Larger: right maps with an even
 /// residual are taken for turned ones. Smaller: mistakes pass. Derived: above it the maps have more than half of their
 /// mean square in common as they are.
 const AS_IT_IS: f64 = 0.71;
 
-/// Displacements that count as another place, over the width of the tool. Larger: displaced maps pass. Smaller: the
-/// flank of the correlation is taken for another place. Chosen: such a displacement changes what a run teaches by a part
-/// of it.
+/// Displacement of the map after, in widths of the tool, from which it counts as another position. Larger: displaced
+/// maps pass. Smaller: the flank of the correlation is taken for another position. Chosen: such a displacement changes
+/// what a run teaches by a part of it.
 const PLACE: f64 = 0.25;
 
-/// Least pairs of pixels of a displacement, over the pixels. Larger: fewer displacements are tried. Smaller: a few pixels
-/// decide. Chosen.
+/// Smallest number of pairs of pixels for a displacement, as a fraction of the pixels. Larger: fewer displacements are
+/// tried. Smaller: a few pixels decide. Chosen.
 const LEAST_PAIRS: f64 = 0.25;
 
-/// Pixels of one height, and their ratio to the pixels of the next frequent one, from which that height stands for no
-/// data. Larger: small holes pass. Smaller: maps in coarse steps are refused. Chosen: a map in steps has many heights
-/// about as often.
+/// Smallest number of pixels of exactly one height, and its smallest ratio to the next frequent height, with which that
+/// height stands for missing data. Larger: small holes pass. Smaller: maps in coarse steps are refused. Chosen: a map
+/// in steps has many heights about as often.
 const LEAST_EQUAL: [usize; 2] = [4, 10];
 
-/// Least rest over what the plan missed, over the measured removal, and over the noise from pixel to pixel.
+/// Limits of the RMS of the rest of the fit, above all of which the fit fails. They are ratios to what the plan missed,
+/// to the measured removal, and to the noise from pixel to pixel. Larger: bad fits pass. Smaller: good fits fail.
 const OF_MISSED: f64 = 0.5;
 const OF_REMOVAL: f64 = 0.25;
 const OF_NOISE: f64 = 3.0;
 
-/// Fourth differences over two pixels relative to those over one, from which a map has more figure than noise between its
-/// pixels. Larger: figures are taken for noise. Smaller: noise that is correlated over some pixels, with 1.5, is no noise.
-/// Chosen.
+/// Ratio of the fourth differences over two pixels to those over one above which they show the figure more than noise.
+/// Larger: figures are taken for noise. Smaller: noise that is correlated over some pixels, with a ratio of 1.5, is no
+/// noise. Chosen.
 const FIGURE: f64 = 3.0;
 
-/// Evidence, and the sentence against the map after, if there is one.
+/// Evidence on the map after, and the sentence against it, if there is one.
 pub(crate) struct Judgement {
-    /// The numbers.
+    /// Numbers of the evidence, for the report.
     pub evidence: Evidence,
-    /// Reason why nothing of the fit is applied.
+    /// Sentence that says why no result of the fit is applied; `None` if the results are applied.
     pub against: Option<String>,
 }
 
-/// Remedy where the maps do not tell.
+/// Remedy in messages if the maps do not decide between readings.
 const REMEDY: &str = "Give maps with less noise or with a mark that no tool reaches, or `same_measurement` if both maps were \
                       measured and read in the same way";
 
-/// Sums that say what both maps have in common beside the fit.
+/// Sums that measure what both maps have in common apart from what the fit explains; symbols are those of the module.
 struct Common {
-    /// p (ny, nx), nm; 0 where invalid.
+    /// Expected part p of the map after, shape (ny, nx), nm; 0 where invalid.
     expected: Array2<f64>,
-    /// a (ny, nx), nm; 0 where invalid.
+    /// Same part a of the measured map after, shape (ny, nx), nm; 0 where invalid.
     after: Array2<f64>,
-    /// X, nm^2.
+    /// Sum X of the products of both, nm^2.
     common: f64,
-    /// sigma, nm^2.
+    /// Standard deviation sigma of X for maps that have nothing in common, nm^2.
     scatter: f64,
-    /// Valid pixels.
+    /// Number of valid pixels.
     pixels: f64,
-    /// X / (|p| |a|).
+    /// Cosine of the angle between both maps, X / (|p| |a|).
     cosine: f64,
 }
 
-/// Another reading of the map after, and X_k.
+/// Another reading of the map after: its name in messages, and its sum X_k of products, nm^2.
 struct Reading {
     name: String,
     common: f64,
 }
 
-/// Other readings of the map after.
+/// Other readings of the map after: turned or mirrored, and displaced.
 struct Readings {
     orientations: Vec<Reading>,
     places: Vec<Reading>,
 }
 
-/// A scale of the map after, from both of its bounds.
+/// Scale of the map after, as a lower and an upper bound.
 struct Scale {
     bounds: [f64; 2],
-    /// Standard error of either.
+    /// Standard error of each bound.
     error: f64,
 }
 
-/// Judges the map after by what the fit of the run leaves of it. `planned` is the removal of the plan (ny, nx), nm. With
-/// `same_measurement`, what the maps do not tell is no reason against them.
+/// Judges whether the map after belongs to the run, from what the fit leaves of it. `planned` is the removal of the
+/// plan (ny, nx), nm. If `same_measurement` is true, missing evidence is no reason against the map.
 pub fn judge(
     before: &Array2<f64>,
     data: &Data<'_>,
@@ -201,7 +204,7 @@ pub fn judge(
     Judgement { evidence, against }
 }
 
-/// Returns the sentence on what the maps do not tell of part, sign and scale. `None` if they tell all.
+/// Returns the sentence that says which of part, sign and scale the maps do not show; `None` if they show all.
 fn untold(evidence: &Evidence) -> Option<String> {
     if evidence.common_standard_errors.powi(2) < 2.0 * ODDS {
         return Some(format!(
@@ -230,7 +233,7 @@ fn untold(evidence: &Evidence) -> Option<String> {
     ))
 }
 
-/// Returns the sentence on a map in which one height stands for pixels without data. `None` if none does.
+/// Returns the sentence against a map in which one height stands for pixels without data; `None` if no height does.
 fn filled(name: &str, map: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
     let pairs = map.iter().zip(valid).filter(|(_, valid)| **valid > 0.5);
     let mut heights: Vec<f64> = pairs.map(|(height, _)| *height).collect();
@@ -257,7 +260,8 @@ fn filled(name: &str, map: &Array2<f64>, valid: &Array2<f64>) -> Option<String> 
     ))
 }
 
-/// Returns the part of the planned removal in before - after, and its standard error. `None` if the plan removes no shape.
+/// Returns the factor of the planned removal in before - after, and its standard error; `None` if the plan removes no
+/// shape.
 ///
 /// ```text
 /// f = <d, R> / <R, R>,   error^2 = <R, C R> / <R, R>^2     R without the terms of the metrology, C of the noise
@@ -275,7 +279,8 @@ fn removal_factor(
     if squares > 0.0 { Some((dot(&data.data, &removal) / squares, error)) } else { None }
 }
 
-/// Returns the sentence on maps between which another part of the planned removal lies. `None` if it can be all of it.
+/// Returns the sentence against maps whose difference has another factor of the planned removal than 1; `None` if it
+/// can be 1.
 fn against_removal((factor, error): (f64, f64)) -> Option<String> {
     let [low, high] = REMOVALS;
     let is_beyond = factor + ERRORS * error < low || factor - ERRORS * error > high;
@@ -299,7 +304,7 @@ fn against_removal((factor, error): (f64, f64)) -> Option<String> {
     ))
 }
 
-/// Returns the sentence on a scale that is not 1. `None` if it can be 1.
+/// Returns the sentence against a map after whose scale is not 1; `None` if it can be 1.
 fn against_scale(scale: &Scale) -> Option<String> {
     let [low, high] = scale.bounds;
     let is_beyond =
@@ -315,7 +320,7 @@ fn against_scale(scale: &Scale) -> Option<String> {
     ))
 }
 
-/// Returns the sentence on a fit that leaves most of what the plan missed. `None` if it explains the run.
+/// Returns the sentence against a fit that leaves most of what the plan missed; `None` if the fit explains enough.
 fn too_large(fitted: &Fitted, rest: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
     let left_nm = fitted.rest_rms_nm;
     let missed_nm = fitted.measured_less_planned_rms_nm;
@@ -362,17 +367,18 @@ impl Common {
         }
     }
 
-    /// Returns X in units of its scatter.
+    /// Returns the common sum X in units of its standard deviation; 0 if that is 0.
     fn standard_errors(&self) -> f64 {
         if self.scatter > 0.0 { self.common / self.scatter } else { 0.0 }
     }
 
-    /// Returns the part of the mean square that the maps do not have in common, which alone scatters.
+    /// Returns the fraction of the mean square that the maps do not have in common; only this part scatters.
     fn apart(&self) -> f64 {
         (1.0 - self.cosine.powi(2)).max(f64::EPSILON)
     }
 
-    /// Returns the bounds of the scale; `None` where the maps have nothing in common.
+    /// Returns the bounds of the scale of the map after; `None` if the maps have too little in common. `noise_nm` is
+    /// the noise of both maps, where it is known.
     fn scale(&self, noise_nm: [Option<f64>; 2]) -> Option<Scale> {
         if self.standard_errors().powi(2) < 2.0 * ODDS || self.common <= 0.0 {
             return None;
@@ -384,14 +390,15 @@ impl Common {
         Some(Scale { bounds, error })
     }
 
-    /// Returns the sum of squares of a map without its noise, where most of it is not noise.
+    /// Returns the sum of squares of a map with its noise subtracted, if at least [`LEAST_SIGNAL`] of it remains;
+    /// otherwise the whole sum.
     fn signal(&self, (map, noise_nm): (&Array2<f64>, Option<f64>)) -> f64 {
         let squares = dot(map, map);
         let left = squares - noise_nm.unwrap_or(0.0).powi(2) * self.pixels;
         if left >= LEAST_SIGNAL * squares { left } else { squares }
     }
 
-    /// Returns the other places of the map after, and X there.
+    /// Returns the readings of the map after at other positions, each with its sum X(h).
     fn other_places(&self, data: &Data<'_>, tool_width_mm: f64) -> Vec<Reading> {
         let all = products(&self.expected, &self.after);
         let pairs = products(&data.valid, &data.valid);
@@ -434,7 +441,8 @@ impl Readings {
         Self { orientations, places: common.other_places(data, tool_width_mm) }
     }
 
-    /// Returns the sentence on the reading that the maps take for the right one. `None` if they take none of these.
+    /// Returns the sentence that names the reading that is clearly right instead of the given one; `None` if there is
+    /// none.
     fn clear(&self, as_it_is: &Common) -> Option<String> {
         let subject = "the part of the maps that the fit cannot explain";
         if as_it_is.standard_errors() < -(2.0 * ODDS).sqrt() {
@@ -458,7 +466,7 @@ impl Readings {
         ))
     }
 
-    /// Returns the sentence on a reading that is as probable as the map as it is. `None` if there is none.
+    /// Returns the sentence that names a reading about as probable as the given one; `None` if there is none.
     fn untold(&self, as_it_is: &Common) -> Option<String> {
         let errors = as_it_is.standard_errors();
         let odds = |reading: &Reading| {
@@ -475,8 +483,8 @@ impl Readings {
 }
 
 impl Reading {
-    /// Returns true if this reading, the best of `many`, is clearly more probable than another part and than the map as
-    /// it is. Of many places one is the best by chance: the logarithm of their number counts against each.
+    /// Returns true if this reading, the best of `many`, is clearly more probable than another part and than the given
+    /// reading. The best of many readings may be good by chance, so the logarithm of their number counts against it.
     fn is_clear(&self, as_it_is: &Common, many: usize) -> bool {
         let errors = self.common / as_it_is.scatter;
         let odds = ODDS + (many as f64).ln();
@@ -484,7 +492,7 @@ impl Reading {
     }
 }
 
-/// Returns the other orientations of a map, each with its name.
+/// Returns a map in its other orientations, each with its name for messages.
 fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
     let mirrored = |y: i32, x: i32| map.slice(s![..;y, ..;x]).to_owned();
     let mut all = vec![
@@ -503,7 +511,8 @@ fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
     all
 }
 
-/// Returns the sums of the products of `one` with `other`, displaced by every lag (padded).
+/// Returns the sums of the products of `one` with `other` displaced by every lag; the lags wrap about, and both maps
+/// are padded with zeros.
 fn products(one: &Array2<f64>, other: &Array2<f64>) -> Array2<f64> {
     let (ny, nx) = one.dim();
     let size = (smooth_size(2 * ny), smooth_size(2 * nx));
@@ -512,19 +521,19 @@ fn products(one: &Array2<f64>, other: &Array2<f64>) -> Array2<f64> {
     transform::inverse(product)
 }
 
-/// Returns the lag of index `k` of a padded axis of length `n`.
+/// Returns the lag, positive or negative, of index `k` of a padded axis of length `n`.
 fn lag(k: usize, n: usize) -> isize {
     if 2 * k < n { k as isize } else { k as isize - n as isize }
 }
 
-/// Returns the map, 0 where it is invalid.
+/// Returns the map with 0 at its invalid pixels.
 fn masked(map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
     let mut map = map.clone();
     map.zip_mut_with(valid, |v, valid| *v = if *valid > 0.5 { *v } else { 0.0 });
     map
 }
 
-/// Returns the map without its part in the orthonormal `fields`; 0 where it is invalid.
+/// Returns the map without its components along the orthonormal `fields`; 0 where it is invalid.
 fn without(fields: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
     let mut left = masked(map, valid);
     for field in fields {
@@ -534,15 +543,16 @@ fn without(fields: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Ar
     left
 }
 
-/// Returns the standard deviation of the white noise of a map, nm. `None` if its fourth differences are more of its figure
-/// than of its noise: over twice the distance, those of a figure are sixteen times as large, those of noise hardly larger.
+/// Returns the standard deviation of the white noise of a map, nm; `None` if its fourth differences show its figure
+/// more than its noise. Over twice the distance those of a figure are sixteen times as large, those of noise hardly
+/// larger.
 fn white_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> Option<f64> {
     let fourth = [1.0, -4.0, 6.0, -4.0, 1.0];
     let [near, far] = [1, 2].map(|lag| noise_by_differences_nm(map, valid, &fourth, lag));
     if near > 0.0 && far < FIGURE * near { Some(near) } else { None }
 }
 
-/// Weights of second differences.
+/// Weights of a second difference of three neighbouring pixels.
 const SECOND: [f64; 3] = [1.0, -2.0, 1.0];
 
 /// Returns the standard deviation of white noise, nm, that has the differences of `map` along x with these weights, on
@@ -578,7 +588,7 @@ mod tests {
 
     const SIZE: usize = 64;
 
-    /// White noise of about this RMS, nm.
+    /// Returns white noise of about this RMS, nm, shape (SIZE, SIZE).
     fn noise(stream: u64, rms_nm: f64) -> Array2<f64> {
         let mut random = case_generator(77, stream, 0);
         // The sum of twelve uniform numbers has the variance 1.
@@ -586,7 +596,7 @@ mod tests {
         Array2::from_shape_fn((SIZE, SIZE), |_| rms_nm * normal())
     }
 
-    /// Noise that is correlated over some pixels, of 0.7 nm RMS: what a tool cannot reach.
+    /// Returns noise that is correlated over some pixels, of 0.7 nm RMS, as a residual that a tool cannot reach.
     fn residual() -> Array2<f64> {
         let fine = noise(9, 1.0);
         let at = |r: usize, c: usize| fine[[r % SIZE, c % SIZE]];

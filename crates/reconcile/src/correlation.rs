@@ -1,4 +1,4 @@
-//! The correlation of what a fit leaves, and what it does to the variance of a sum over the map.
+//! The correlation of the rest of a fit (data minus fit), and the variance that it gives to a sum over the map.
 //!
 //! ```text
 //! C(h) = 1/N(h) sum_x r(x) r(x + h)          over the N(h) pairs of valid pixels that are h apart
@@ -47,30 +47,30 @@ use planish_types::{Grid, outcome::reconciliation::Noise};
 /// has 0.2 % of its integral beyond the flat part of this window.
 const WINDOW_OVER_LENGTH: f64 = 5.0;
 
-/// Standard errors, by noise alone, from which more of the correlation is clear beyond a window, and the least part of
-/// the sum that counts. Larger: a weak correlation over long lags is missed. Smaller: lags that have noise and no
+/// Number of standard errors from which more correlation beyond a window is significant, and smallest fraction of the
+/// sum that it must add. Larger: a weak correlation over long lags is missed. Smaller: lags that have noise and no
 /// signal. Chosen: among thousands of lags noise reaches four of its standard errors now and then.
 const CLEAR: f64 = 5.0;
 const LEAST_MORE: f64 = 0.25;
 
-/// Largest fraction of the spectrum about zero frequency that the fit may have taken; the window is no larger than
-/// that allows. Larger: the spectrum is corrected by a factor that is uncertain. Smaller: windows that cut long
-/// correlations off. Chosen.
+/// Largest fraction of the spectrum near zero frequency that the fit may have removed; it bounds the window. Larger:
+/// the spectrum is corrected by a factor that is uncertain. Smaller: windows that cut long correlations off. Chosen.
 const LARGEST_LOST: f64 = 0.5;
 
-/// The covariance of the noise, ready to be applied.
+/// The covariance of the noise of the data, as a spectrum that can be applied to maps.
 pub struct Covariance {
-    /// Numbers of the noise.
+    /// Numbers of the noise for the report: standard deviation, correlation length and effective pixels.
     pub noise: Noise,
     shape: (usize, usize),
-    /// Transform of C w, never negative, divided by what the fit has left of it (padded).
+    /// Transform of C w of the module, never negative, divided by the fraction that the fit has left of it; of the
+    /// padded size.
     spectrum: Array2<f64>,
 }
 
 impl Covariance {
     /// Estimates the covariance of the noise from the `rest` (ny, nx), nm, of a fit of `terms` unknowns. The fit's
-    /// orthonormal `fields` correct for the part that it took; without them there is no correction. All maps are 0 where
-    /// `valid` is 0; it is 1 elsewhere.
+    /// orthonormal `fields` correct for the part that the fit removed; without them there is no correction. All maps
+    /// are 0 where `valid` is 0; it is 1 elsewhere.
     pub fn new(
         rest: &Array2<f64>,
         valid: &Array2<f64>,
@@ -131,7 +131,7 @@ impl Covariance {
         Self { noise, shape: (ny, nx), spectrum }
     }
 
-    /// Returns C w applied to a field (ny, nx) that is 0 where the map is invalid.
+    /// Returns the covariance C w of the module applied to a field (ny, nx), which is 0 where the map is invalid.
     pub fn apply(&self, field: &Array2<f64>) -> Array2<f64> {
         let mut transformed = transform::forward(padded(field, self.spectrum.dim()).view());
         transformed.zip_mut_with(&self.spectrum, |v, s| *v *= *s);
@@ -140,7 +140,7 @@ impl Covariance {
     }
 }
 
-/// Returns w at a lag that is this part of the radius L.
+/// Returns the weight w of the module at the lag `part`, a fraction of the radius L.
 fn taper(part: f64) -> f64 {
     if part <= 0.5 {
         1.0
@@ -151,7 +151,7 @@ fn taper(part: f64) -> f64 {
     }
 }
 
-/// Returns a map with zeros beyond its last row and column.
+/// Returns a map of the larger shape `size`, with zeros beyond the last row and column of `map`.
 pub(crate) fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let mut large = Array2::zeros(size);
@@ -159,8 +159,8 @@ pub(crate) fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
     large
 }
 
-/// Returns the first L with `L >= 5 l(L)` beyond which the correlation adds nothing that is clear, mm, and true if it would
-/// be beyond the largest.
+/// Returns the radius L of the window, mm: the first with `L >= 5 l(L)` beyond which the correlation adds nothing
+/// significant. Returns also true if it would be larger than `largest_mm`.
 fn window(
     covariance: &Array2<f64>,
     variance: f64,
@@ -223,7 +223,7 @@ mod tests {
         Grid { x: Axis::new(0.0, 0.5, 120).unwrap(), y: Axis::new(0.0, 0.25, 90).unwrap() }
     }
 
-    /// Uniform numbers, and their means over `side` x `side` pixels, of the variance one.
+    /// Returns means of uniform numbers over `side` x `side` pixels, scaled to the variance one.
     fn noise(seed: u64, side: usize) -> Array2<f64> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (ny, nx) = grid().shape();

@@ -1,4 +1,4 @@
-//! Checks that the data determine a parameter.
+//! Checks that the data determine a parameter, so that its estimate is stated.
 //!
 //! Before any of it, what is known beforehand must not contradict the data ([`contradicted`]): such a parameter is
 //! refused, and the others are estimated with its usual scale.
@@ -39,47 +39,47 @@ use crate::{
 /// signal of the parameter, and the models are not better than a percent.
 const LARGEST_INFLATION: f64 = 100.0;
 
-/// Standard error over the scale below which a parameter may share more of its signal.
+/// Ratio of the standard error to the scale below which a parameter may share more of its signal with the others.
 const CLEAR: f64 = 0.1;
 
-/// Largest variance inflation of such a parameter. Its own signal is then 1 % of its column, beside errors of the
-/// derivatives of 3e-4.
+/// Largest variance inflation of a parameter with such a small standard error. Its own signal is then 1 % of its
+/// column, beside errors of the derivatives of 3e-4.
 const LARGEST_CLEAR_INFLATION: f64 = 1e4;
 
-/// Largest last step of an unfinished fit, in standard errors.
+/// Largest last step of an unfinished fit, in standard errors of the parameter.
 const UNFINISHED: f64 = 1.0;
 
-/// Largest correlation of two estimates.
+/// Largest correlation of two estimates with which both are stated.
 const LARGEST_CORRELATION: f64 = 0.99;
 
-/// Largest magnitude of an estimate, over its scale. Larger: numbers are given that take up what the model leaves
-/// out. Smaller: large but true errors are refused. Chosen.
+/// Largest magnitude of an estimate, in units of its scale. Larger: numbers are given that take up what the model
+/// leaves out. Smaller: large but true errors are refused. Chosen.
 const BELIEVABLE: f64 = 3.0;
 
-/// Least move, over its standard error, that is not taken for chance. Larger: parameters that depend on the metrology
-/// are given. Smaller: parameters are refused by chance. Chosen.
+/// Smallest move of an estimate, in its standard errors, that is not taken for chance. Larger: parameters that depend
+/// on the metrology are given. Smaller: parameters are refused by chance. Chosen.
 const SIGNIFICANT: f64 = 3.0;
 
-/// Largest move, over the scale of the parameter, that does not matter, however small the noise is. Larger: moves
+/// Largest move of an estimate, in units of its scale, that does not matter, however small the noise is. Larger: moves
 /// that matter are accepted. Smaller: parameters of low noise are refused for moves that change no plan. Chosen.
 const NEGLIGIBLE: f64 = 0.01;
 
-/// Least orders of the wider metrology along x and y, and least excess over the orders of the fit. Larger: the wider
-/// fit determines less. Smaller: a dependence on the metrology is missed. Chosen.
+/// Smallest orders of the Legendre terms of the wider metrology along x and y, and their smallest excess over the
+/// orders of the fit. Larger: the wider fit determines less. Smaller: a dependence on the metrology is missed. Chosen.
 const WIDER: [usize; 2] = [4, 3];
 const FURTHER: usize = 1;
 
-/// Move of a parameter when more terms of the metrology are free.
+/// Change of an estimate when other terms of the metrology are free.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
-    /// Change of its value.
+    /// Change of the estimate, in the unit of the parameter.
     pub by: f64,
-    /// Standard error of the move.
+    /// Standard error of the change.
     pub standard_error: f64,
 }
 
-/// Returns the moves of every parameter of a fit with the orders `own`: to a wider metrology, and where it has more terms
-/// than piston, tilt and power, back to these (the power as the orders 1 x 1, which it is beyond).
+/// Returns the moves of the estimate of every parameter, each with the orders of the terms. One move is to a wider
+/// metrology. If the fit has the orders `own`, another is back to piston, tilt and power (stated as the orders 1 x 1).
 pub fn all_moves(
     fit: &LeastSquaresFit,
     data: &Data<'_>,
@@ -96,17 +96,18 @@ pub fn all_moves(
     all
 }
 
-/// Returns the orders of the wider metrology of a fit with the orders `own`.
+/// Returns the orders along x and y of the wider metrology, for a fit with the orders `own` (`None`: piston, tilt and
+/// power).
 pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
     let own = own.unwrap_or([0, 0]);
     [0, 1].map(|axis| WIDER[axis].max(own[axis] + FURTHER))
 }
 
-/// A fit with other terms of the metrology, or with other knowledge beforehand, to first order at the minimum of the fit.
+/// A fit with other terms of the metrology, or other prior scales, to first order at the minimum of the given fit.
 struct Another {
     normal: Normal,
     inverse: DMatrix<f64>,
-    /// Changes of its unknowns.
+    /// Changes of its unknowns against the given fit.
     step: DVector<f64>,
 }
 
@@ -132,13 +133,13 @@ impl Another {
     }
 }
 
-/// Returns the standard error of the sum of the data times a field, with the noise of a fit.
+/// Returns the standard error of the sum over the map of data times `field`, with the noise of a fit.
 fn standard_error(fit: &LeastSquaresFit, field: &Array2<f64>) -> f64 {
     dot(field, &fit.noise.apply(field)).max(0.0).sqrt()
 }
 
-/// Returns the moves of the parameters of a fit when the terms of these orders are free in the place of its own (`None`:
-/// piston, tilt and power), to first order at its minimum.
+/// Returns the moves of the parameters, to first order at the minimum, if Legendre terms of these `orders` replace
+/// those of the fit. `None` stands for piston, tilt and power.
 pub fn moves(fit: &LeastSquaresFit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
     let wider = Another::new(fit, data, orders, fit.known.clone());
     let mut moves = Vec::with_capacity(fit.parameters.len());
@@ -149,8 +150,8 @@ pub fn moves(fit: &LeastSquaresFit, data: &Data<'_>, orders: Option<[usize; 2]>)
     moves
 }
 
-/// Returns the value of parameter `i` of a fit with the orders `own` by the data alone, without what is known of it
-/// beforehand, and its standard error, to first order at the minimum.
+/// Returns the estimate of parameter `i` from the data alone, without its prior scale, and its standard error, to first
+/// order at the minimum. `own` are the orders of the fit.
 fn alone(fit: &LeastSquaresFit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> [f64; 2] {
     let mut known = fit.known.clone();
     known[i] = 0.0;
@@ -158,9 +159,9 @@ fn alone(fit: &LeastSquaresFit, data: &Data<'_>, own: Option<[usize; 2]>, i: usi
     [fit.values[i] + freed.step[i], standard_error(fit, &freed.influence(i))]
 }
 
-/// Returns the parameter whose scale contradicts the data most, if there is one: without the scale the data put the
-/// parameter beyond `BELIEVABLE` scales and beyond `SIGNIFICANT` standard errors from the plan. Held near the plan all the
-/// same, it would leave to the others what it does.
+/// Returns the parameter whose prior scale contradicts the data most; `None` if none does. Without the scale the data
+/// put it beyond `BELIEVABLE` scales and `SIGNIFICANT` standard errors from the plan. If the fit held it near the plan,
+/// the other parameters would take up its effect.
 pub fn contradicted(
     fit: &LeastSquaresFit,
     data: &Data<'_>,
@@ -182,43 +183,43 @@ pub fn contradicted(
     all.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
-/// Part of a parameter in the corrections.
+/// Treatment of a parameter in the corrections of the next plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Part {
-    /// It is corrected as far as the data support it.
+    /// The parameter is corrected as far as the data support it.
     Corrected,
-    /// It stays at the plan, and the others are those of a fit with it there.
+    /// The parameter stays at the plan, and the others are those of a fit in which it is at the plan.
     AtPlan,
-    /// It stays at the plan, and the others do not make up for it.
+    /// The parameter stays at the plan, and the others do not change for that.
     Left,
 }
 
-/// Reasons to state no number of a parameter.
+/// Reason why the estimate of a parameter is not stated, and its treatment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
-    /// The reason, for people.
+    /// Sentence for the user.
     pub reason: String,
-    /// Part of it in the corrections of the next run.
+    /// Treatment of the parameter in the corrections of the next plan.
     pub part: Part,
-    /// Index of the move with other terms of the metrology that decided it, if one did.
+    /// Index of the move (fit with other terms of the metrology) that decided it; `None` if none did.
     pub moved: Option<usize>,
 }
 
 impl Refusal {
-    /// Creates the refusal of a parameter that the data do not tell from others. What they say of it together with others
-    /// is corrected where the metrology has no more than its usual terms.
+    /// Creates the refusal of a parameter that the data cannot distinguish from others. If the metrology has its usual
+    /// terms only (`is_usual`), it is corrected together with the others.
     fn weak(reason: String, is_usual: bool) -> Self {
         let part = if is_usual { Part::Corrected } else { Part::AtPlan };
         Self { reason, part, moved: None }
     }
 
-    /// Creates the refusal of a parameter that takes up what the model leaves out.
+    /// Creates the refusal of a parameter whose estimate would take up errors of the model.
     pub(crate) fn of_the_model(reason: String) -> Self {
         Self { reason, part: Part::Left, moved: None }
     }
 }
 
-/// Returns the reason why the data do not determine parameter `i` of a fit; `None` where they do. `scale` is its standard
+/// Returns the reason why the data do not determine parameter `i` of a fit; `None` if they do. `scale` is its standard
 /// deviation as known beforehand, `moved` its moves with other terms of the metrology.
 pub fn refusal(
     fit: &LeastSquaresFit,
@@ -301,13 +302,14 @@ pub fn refusal(
     None
 }
 
-/// Returns a value of a parameter with its unit, for people.
+/// Returns the value of a parameter as a text with its unit, for the user.
 pub fn shown(parameter: Parameter, value: f64) -> String {
     let (unit, factor) = parameter.unit();
     format!("{} {unit}", significant(value / factor, 3))
 }
 
-/// Returns the names of the other unknowns that together do what unknown `i` does, the largest parts first.
+/// Returns the names of the other unknowns that together have the same effect as unknown `i`, the largest contributions
+/// first.
 fn confounded(fit: &LeastSquaresFit, i: usize, names: &[String]) -> String {
     // The regression of a scaled column on the others has the coefficients -inverse_ij / inverse_ii; where it is
     // dependent the null vectors say the same, which the cosines show.

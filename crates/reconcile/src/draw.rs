@@ -1,4 +1,5 @@
-//! The picture of a reconciliation: measured removal, what the plan missed of it, the rest, and the bands.
+//! The picture of a reconciliation: maps of the measured removal, of its difference from the plan, and of the rest of
+//! the fit, and the RMS by band of spatial frequency.
 
 use ndarray::Array2;
 use planish_draw::{
@@ -10,14 +11,14 @@ use planish_types::{Grid, outcome::reconciliation::Band};
 
 use crate::reconcile::Reconciled;
 
-/// Height of the texts, px.
+/// Height of the text, px.
 const FONT_PX: f64 = 14.0;
 
 /// Width of a map, and height of the plot of the bands, px.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 220.0;
 
-/// Left, top, right and bottom of a frame, px.
+/// Left, top, right and bottom margin of a frame, px.
 const MARGIN: [f64; 4] = [64.0, 34.0, 96.0, 50.0];
 
 /// Largest number of cells along an axis of a map, and number of colours. Larger: larger files. Smaller: coarser
@@ -25,7 +26,7 @@ const MARGIN: [f64; 4] = [64.0, 34.0, 96.0, 50.0];
 const MOST_CELLS: usize = 110;
 const COLOURS: usize = 24;
 
-/// Draws the picture. Returns SVG text.
+/// Draws the picture; returns the text of an SVG file.
 pub fn picture(reconciled: &Reconciled, grid: &Grid) -> String {
     let mut svg = Svg::new(FONT_PX);
     let less_planned = &reconciled.measured_nm - &reconciled.planned_nm;
@@ -71,7 +72,8 @@ pub fn picture(reconciled: &Reconciled, grid: &Grid) -> String {
     svg.finish(total)
 }
 
-/// Draws the RMS by band: a step for each, the longest periods at the left.
+/// Draws the RMS in each band of spatial frequency as a step, the longest periods at the left. `top` is the upper edge,
+/// px.
 fn draw_bands(svg: &mut Svg, all: &[Band], top: f64) {
     let lines = [
         ("measured", LINES[0], all.iter().map(|b| b.measured_rms_nm).collect::<Vec<_>>()),

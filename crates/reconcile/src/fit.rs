@@ -1,4 +1,5 @@
-//! Nonlinear least squares of (1) by Gauss and Newton's steps, and the covariance of what they find.
+//! Nonlinear least squares of (1) of the crate's documentation by Gauss and Newton's steps, and the covariance of the
+//! unknowns.
 //!
 //! ```text
 //! minimise |d - F(p) - Q c|^2 + sum_i k_i p_i^2 over the pixels that are valid in both maps
@@ -24,90 +25,92 @@ use planish_types::{End, Grid, Invalid, progress};
 
 use crate::{correlation::Covariance, metrology::Term, model::RemovalModel, parameter::Parameter};
 
-/// Largest step, over the standard errors, that counts as none. Larger: estimates further from the minimum. Smaller:
-/// steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres of
-/// pixels. Chosen: an interval of two standard errors that is off by it covers 3e-4 less.
+/// Largest step, in standard errors, with which the fit has converged. Larger: estimates farther from the minimum.
+/// Smaller: steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres
+/// of pixels. Chosen: an interval of two standard errors that is off by it covers 3e-4 less.
 const SMALL_STEP: f64 = 0.05;
 
-/// Largest step, over the scale of the parameter, that counts as none, however small the noise. Larger: estimates
-/// further from the minimum. Smaller: more steps with data of low noise. Chosen: of 0.5 mm it is 0.05 um.
+/// Largest step, in units of the scale of the parameter, with which the fit has converged however small the noise is.
+/// Larger: estimates farther from the minimum. Smaller: more steps with data of low noise. Chosen: of 0.5 mm it is 0.05
+/// um.
 const NOTHING: f64 = 1e-4;
 
-/// Largest number of steps with the derivatives of one point, and of points at which derivatives are computed.
-/// Larger: more time before a fit ends without a minimum. Smaller: fits end before their minimum. Chosen.
+/// Largest number of steps with the derivatives of one point, and largest number of points at which derivatives are
+/// computed. Larger: more time before a fit ends without a minimum. Smaller: fits end before their minimum. Chosen.
 const MOST_STEPS: usize = 12;
 const MOST_POINTS: usize = 25;
 
-/// Number of points that a fit usually takes, and largest fraction of the progress bar before its end. They change
-/// only the progress that is shown. Chosen.
+/// Number of points that a fit usually needs, and largest fraction that the progress bar shows before the end. They
+/// change only the progress that is shown. Chosen.
 const USUAL_POINTS: f64 = 4.0;
 const BEFORE_LAST: f64 = 0.9;
 
-/// First and largest lambda, relative to the diagonal of the normal matrix. Larger: shorter first steps, and more
-/// trials before the end. Smaller: more trials until a step is short enough. Chosen.
+/// First and largest damping lambda, relative to the diagonal of the normal matrix. Larger: shorter first steps, and
+/// more trials before the end. Smaller: more trials until a step is short enough. Chosen.
 const LAMBDA: [f64; 2] = [1e-3, 1e6];
 
-/// Largest ratio of a way back to the way before that is taken for an oscillation. Larger: steps are divided by up to
-/// 2. Smaller: oscillations die out more slowly. Chosen below 1.
+/// Largest ratio of a step back to the step before it that is taken for an oscillation. Larger: steps are divided by up
+/// to 2. Smaller: oscillations die out more slowly. Chosen below 1.
 const LARGEST_RETURN: f64 = 0.9;
 
-/// Least eigenvalue of an independent direction of the scaled normal matrix, over the largest one. Larger: directions
-/// that the data determine are left out. Smaller: rounding, and the error of 2e-5 of the derivatives, decide the
-/// step. Chosen.
+/// Smallest eigenvalue of an independent direction of the scaled normal matrix, as a fraction of the largest one.
+/// Larger: directions that the data determine are left out. Smaller: rounding, and the error of 2e-5 of the
+/// derivatives, decide the step. Chosen.
 const INDEPENDENT: f64 = 1e-9;
 
 /// The data of a fit.
 pub struct Data<'a> {
-    /// Pixels.
+    /// Pixels of the maps.
     pub grid: &'a Grid,
-    /// before - after (ny, nx), nm; 0 where invalid.
+    /// Difference of the maps before - after, shape (ny, nx), nm; 0 where invalid.
     pub data: Array2<f64>,
     /// 1 where both maps are valid, else 0 (ny, nx).
     pub valid: Array2<f64>,
 }
 
-/// Result of a fit.
+/// Result of a least-squares fit. Its unknowns are the parameters p, followed by the coefficients c of the terms of the
+/// metrology.
 pub struct LeastSquaresFit {
-    /// Parameters, in their order.
+    /// Free parameters, in the order of the unknowns.
     pub parameters: Vec<Parameter>,
-    /// Terms of the metrology, after the parameters.
+    /// Terms of the metrology; their coefficients are the unknowns after the parameters.
     pub terms: Vec<Term>,
-    /// p and c.
+    /// Values of all unknowns, p and c.
     pub values: Vec<f64>,
-    /// Their covariance.
+    /// Covariance of the values of all unknowns.
     pub covariance: DMatrix<f64>,
-    /// The variance inflation of every unknown: how much larger the others make its variance with white noise than
-    /// a free piston alone does; infinite where it lies in a direction that does not change the removal.
+    /// Variance inflation of every unknown: factor by which the other unknowns raise its variance under white noise,
+    /// compared with a free piston alone. Infinite if it lies in a direction that does not change the removal.
     pub inflation: Vec<f64>,
-    /// Scaled normal matrix: the cosines of the angles between the columns.
+    /// Normal matrix of the scaled columns: cosines of the angles between the columns of J.
     pub cosines: DMatrix<f64>,
-    /// Singular values of J with columns of the length one, descending.
+    /// Singular values of the matrix J of derivatives, its columns scaled to length one, descending.
     pub singular_values: Vec<f64>,
-    /// Columns of J, 0 where invalid.
+    /// Columns of the matrix J of derivatives, one map per unknown, nm per unit; 0 where invalid.
     pub columns: Vec<Array2<f64>>,
-    /// Lengths of the columns.
+    /// Lengths of the columns (root of the sum of squares).
     pub lengths: Vec<f64>,
-    /// H^-1 with the scaled columns, along the directions that are independent.
+    /// Inverse of the matrix H of the module for scaled columns, along the independent directions.
     pub inverse: DMatrix<f64>,
-    /// k, 0 for the terms of the metrology.
+    /// Weights k of the prior scales of the unknowns; 0 for the terms of the metrology.
     pub known: Vec<f64>,
-    /// F(p) (ny, nx), nm, on every pixel.
+    /// Removal F(p) with the fitted parameters, shape (ny, nx), nm, at every pixel.
     pub removal: Array2<f64>,
-    /// Q c (ny, nx), nm, on every pixel.
+    /// Sum Q c of the fitted terms of the metrology, shape (ny, nx), nm, at every pixel.
     pub metrology: Array2<f64>,
-    /// d - F - Q c, 0 where invalid.
+    /// Rest of the data, d - F - Q c, nm; 0 where invalid.
     pub rest: Array2<f64>,
-    /// Covariance of the noise.
+    /// Covariance of the noise, estimated from the rest.
     pub noise: Covariance,
-    /// End of the fit.
+    /// Way in which the fit ended: at a minimum or before it.
     pub end: End,
-    /// Length of the last step with new derivatives, in standard errors; 0 where the fit converged.
+    /// Length of the last step of every parameter with new derivatives, in standard errors; 0 if the fit converged.
     pub unfinished: Vec<f64>,
-    /// Points at which derivatives were computed.
+    /// Number of points at which derivatives were computed.
     pub points: usize,
 }
 
-/// F and its derivatives where a fit starts. At the plan they serve many fits of one plan.
+/// Removal and its derivatives at the parameters where a fit starts. Those at the plan serve many fits of one plan.
 pub struct Start {
     values: Vec<f64>,
     removal: Array2<f64>,
@@ -115,7 +118,7 @@ pub struct Start {
 }
 
 impl Start {
-    /// Creates the start of a fit at the plan.
+    /// Creates the start of a fit at the plan, where all parameters are 0.
     ///
     /// # Errors
     /// Fails if the removal cannot be simulated.
@@ -123,7 +126,7 @@ impl Start {
         Self::from_values(model, vec![0.0; model.parameters.len()])
     }
 
-    /// Creates the start of a fit at these parameters.
+    /// Creates the start of a fit at the parameters `values`.
     ///
     /// # Errors
     /// Fails if the removal with them cannot be simulated.
@@ -145,13 +148,14 @@ impl LeastSquaresFit {
         if scale > 0.0 { self.covariance[(i, j)] / scale } else { 0.0 }
     }
 
-    /// Returns the names of the unknowns.
+    /// Returns the names of all unknowns: the parameters, then the terms of the metrology.
     pub fn names(&self) -> Vec<String> {
         let parameters = self.parameters.iter().map(|p| p.name().to_string());
         parameters.chain(self.terms.iter().map(|t| t.name())).collect()
     }
 
-    /// Takes these values of all unknowns, and their covariance.
+    /// Replaces the values of all unknowns and their covariance, and computes the removal and the rest of the data
+    /// anew.
     pub(crate) fn take(
         &mut self,
         model: &RemovalModel<'_>,
@@ -168,14 +172,14 @@ impl LeastSquaresFit {
         Ok(())
     }
 
-    /// Returns the field (ny, nx) by which unknown `i` is estimated: its value is the sum of the data times the field, to
-    /// first order.
+    /// Returns the influence field of unknown `i`, shape (ny, nx): to first order its estimate is the sum of the data
+    /// times the field.
     pub fn influence(&self, i: usize) -> Array2<f64> {
         influence(&self.columns, &self.lengths, &self.inverse, i)
     }
 }
 
-/// See [`LeastSquaresFit::influence`].
+/// Returns the influence field of unknown `i` (see [`LeastSquaresFit::influence`]).
 fn influence(
     columns: &[Array2<f64>],
     lengths: &[f64],
@@ -189,25 +193,26 @@ fn influence(
     field
 }
 
-/// Returns the sum of the products over two maps of one shape.
+/// Returns the sum over all pixels of the products of two maps of one shape.
 pub fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     let rows = a.outer_iter().zip(b.outer_iter());
     rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>()).sum()
 }
 
-/// Normal matrix at one point.
+/// The matrix of derivatives J and its normal matrix at one point of the fit.
 pub(crate) struct Normal {
-    /// Columns of J, 0 where invalid.
+    /// Columns of J, one map per unknown; 0 where invalid.
     pub columns: Vec<Array2<f64>>,
-    /// Their lengths.
+    /// Lengths of the columns.
     pub lengths: Vec<f64>,
     cosines: DMatrix<f64>,
-    /// k, as far as there is one.
+    /// Weights k of the prior scales; unknowns beyond its length have none.
     known: Vec<f64>,
 }
 
 impl Normal {
-    /// Creates the normal matrix of derivatives and terms.
+    /// Creates the matrix from the maps of derivatives by the parameters and of the terms of the metrology. `known` are
+    /// the weights k of the prior scales.
     pub fn new(
         derivatives: &[Array2<f64>],
         terms: &[Array2<f64>],
@@ -233,7 +238,7 @@ impl Normal {
         Self { columns, lengths, cosines, known }
     }
 
-    /// H in scaled columns.
+    /// Returns the matrix H of the module for scaled columns.
     fn matrix(&self) -> DMatrix<f64> {
         let mut matrix = self.cosines.clone();
         for (i, k) in self.known.iter().enumerate() {
@@ -242,7 +247,7 @@ impl Normal {
         matrix
     }
 
-    /// Returns orthonormal fields that span the columns.
+    /// Returns orthonormal fields that span the same space as the columns of J.
     pub fn orthonormal(&self) -> Vec<Array2<f64>> {
         let Some(first) = self.columns.first() else { return Vec::new() };
         let eigen = SymmetricEigen::new(self.cosines.clone());
@@ -259,18 +264,19 @@ impl Normal {
         fields
     }
 
-    /// Returns the inverse of H, of scaled columns, along the independent directions.
+    /// Returns the inverse of the matrix H for scaled columns, along the independent directions.
     pub fn inverse(&self) -> DMatrix<f64> {
         inverted(&self.matrix()).inverse
     }
 
-    /// Returns [`LeastSquaresFit::influence`] of a fit with these unknowns, by their [`Self::inverse`].
+    /// Returns the influence field of unknown `i`, as [`LeastSquaresFit::influence`] does; `inverse` is that of
+    /// [`Self::inverse`].
     pub fn influence(&self, inverse: &DMatrix<f64>, i: usize) -> Array2<f64> {
         influence(&self.columns, &self.lengths, inverse, i)
     }
 
-    /// Returns the step of all unknowns from `values` (at least as many as there are k) with the rest of the data there.
-    /// `lambda` damps it.
+    /// Returns the step of all unknowns from `values`, where the fit leaves `rest` of the data. `inverse` is that of
+    /// [`Self::inverse`], and `lambda` damps the step.
     pub fn step(
         &self,
         rest: &Array2<f64>,
@@ -294,17 +300,17 @@ impl Normal {
     }
 }
 
-/// A symmetric matrix, decomposed.
+/// Inverse and eigenvalues of a symmetric matrix.
 struct Inverted {
-    /// Along the independent directions.
+    /// Inverse along the independent directions.
     inverse: DMatrix<f64>,
     /// Eigenvalues, descending.
     eigenvalues: Vec<f64>,
-    /// True for the unknowns that have a part in a direction that is not independent.
+    /// True for the unknowns that take part in a direction that is not independent.
     is_dependent: Vec<bool>,
 }
 
-/// Inverts a symmetric matrix along its independent directions.
+/// Inverts a symmetric matrix along the directions whose eigenvalue is not negligible.
 fn inverted(matrix: &DMatrix<f64>) -> Inverted {
     let n = matrix.nrows();
     if n == 0 {
@@ -329,24 +335,24 @@ fn inverted(matrix: &DMatrix<f64>) -> Inverted {
     Inverted { inverse, eigenvalues, is_dependent }
 }
 
-/// Values of all unknowns, the removal with them, and what it leaves.
+/// Values of all unknowns, the removal with them, and the rest of the data.
 struct Point {
     values: DVector<f64>,
     removal: Array2<f64>,
     rest: Array2<f64>,
 }
 
-/// Steps with the same derivatives.
+/// Outcome of the steps with the derivatives of one point.
 struct Steps {
-    /// Magnitude of the first one, for every parameter.
+    /// Magnitude of the first step, for every parameter.
     first: Vec<f64>,
     first_was_small: bool,
-    /// True if none was taken.
+    /// True if no step lowered the objective.
     is_stuck: bool,
 }
 
-/// Moves `point` by steps with the derivatives in `normal` while they lower the objective, and tries a shorter one where
-/// one does not. `way` leads here from the point before.
+/// Moves `point` by steps with the derivatives in `normal` while they lower the objective, and shortens a step that
+/// does not. `way` is the step that led to this point, if any.
 fn steps(
     point: &mut Point,
     model: &RemovalModel<'_>,
@@ -413,12 +419,13 @@ fn steps(
     Ok(Steps { first, first_was_small, is_stuck })
 }
 
-/// Returns the product a . b with every unknown in units of its standard error.
+/// Returns the scalar product a . b, with every unknown in units of its standard error `errors`.
 fn scaled_product(a: &DVector<f64>, b: &DVector<f64>, errors: &[f64]) -> f64 {
     (0..a.len()).map(|i| a[i] * b[i] / errors[i].powi(2)).sum::<f64>()
 }
 
-/// Fits `model` and these terms to `data`, from `start`. A fit that ends without a minimum says so by its `end`.
+/// Fits `model` and the coefficients of `terms` to `data`, beginning at `start`. If it ends without a minimum, `end` of
+/// the result says so.
 ///
 /// # Errors
 /// Fails if the removal at parameters near the plan cannot be simulated.
@@ -487,7 +494,7 @@ pub fn fit(
     Ok(finished(model, terms, values, normal, maps, (noise, variance), (end, last), points))
 }
 
-/// Returns the product Q c (ny, nx).
+/// Returns the sum of the terms of the metrology with the coefficients `c`, Q c, shape (ny, nx), nm.
 fn sum_of(maps: &[Array2<f64>], c: &[f64], shape: (usize, usize)) -> Array2<f64> {
     let mut sum = Array2::zeros(shape);
     for (map, c) in maps.iter().zip(c) {
@@ -496,7 +503,7 @@ fn sum_of(maps: &[Array2<f64>], c: &[f64], shape: (usize, usize)) -> Array2<f64>
     sum
 }
 
-/// Returns the finished fit with its covariance.
+/// Returns the result of the fit with its covariance, from the parts that its last point has.
 #[allow(clippy::too_many_arguments)] // the parts of a fit, each made once
 fn finished(
     model: &RemovalModel<'_>,

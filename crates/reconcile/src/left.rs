@@ -1,4 +1,4 @@
-//! The process as it is after what was learnt: the errors of the next run.
+//! The error budget of the next run, after the corrections of this one.
 //!
 //! An error that was learnt is corrected in the next plan, and what is left of it is the standard error of its
 //! estimate. It takes the place of all errors of the process that act on the same quantity; where the TIF's ellipticity
@@ -18,9 +18,9 @@ const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correc
 const FROM_THE_REST: &str =
     "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
 
-/// Returns the errors of the next run. `refused[i]` is true if the data do not determine unknown `i` of the fit,
-/// `estimates[i]` is its value and standard error, and the next plan corrects it by `corrections[i]`. `scale` is the
-/// standard deviation of a parameter as known beforehand.
+/// Returns the error budget of the next run. `refused[i]` is true if the data do not determine unknown `i`,
+/// `estimates[i]` is its value and standard error, and `corrections[i]` its correction in the next plan. `process` is
+/// the error budget of this run, and `scale` the standard deviation of a parameter as known beforehand.
 pub fn left(
     process: Option<&ErrorBudget>,
     fit: &LeastSquaresFit,

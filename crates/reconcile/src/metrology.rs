@@ -1,4 +1,5 @@
-//! Low-order terms of a map that an interferometer does not measure: mean, tilt, power, and more where asked for.
+//! The metrology: low-order terms of a map that an interferometer does not measure, which are mean (piston), tilt,
+//! power, and more where asked for.
 //!
 //! Every term has the RMS one over the rectangle of the map, so that its coefficient is in nm RMS. The Legendre
 //! polynomials P_i(u) P_j(v) times sqrt((2 i + 1)(2 j + 1)), with u and v from -1 to 1 over the rectangle; the power is
@@ -11,17 +12,17 @@ use planish_types::Grid;
 /// A low-order term of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Term {
-    /// x^2 + y^2 without its mean.
+    /// x^2 + y^2 about the middle of the map, without its mean.
     Power,
-    /// P_i along x times P_j along y.
+    /// Legendre polynomials P_i along x times P_j along y, for the orders (i, j).
     Legendre(usize, usize),
 }
 
-/// Names of the terms that are always there.
+/// Names of the terms that every fit has.
 pub const NAMES: [&str; 4] = ["piston", "tilt_x", "tilt_y", "power"];
 
 impl Term {
-    /// Returns its name on the command line and in the manifest.
+    /// Returns the name of the term on the command line and in the manifest.
     pub fn name(self) -> String {
         match self {
             Self::Power => "power".into(),
@@ -32,7 +33,8 @@ impl Term {
         }
     }
 
-    /// Returns its values (ny, nx), of RMS one over the rectangle.
+    /// Returns the values of the term on the pixels, shape (ny, nx), dimensionless, with an RMS of one over the
+    /// rectangle of the map.
     pub fn map(self, grid: &Grid) -> Array2<f64> {
         match self {
             Self::Legendre(i, j) => legendre_terms(grid, &[(i, j)]).swap_remove(0),
@@ -52,8 +54,8 @@ impl Term {
     }
 }
 
-/// Returns piston, tilt and power, and Legendre terms up to the orders [along x, along y] if there are any. Where both
-/// squares are among these the power is their sum, and is left out.
+/// Returns piston, tilt and power, and further Legendre terms up to the orders (along x, along y), if given. If both
+/// orders are at least 2, power is left out, because it is a sum of such terms.
 pub fn terms(order: Option<[usize; 2]>) -> Vec<Term> {
     let [m, n] = order.unwrap_or([0, 0]).map(|k| k.max(1));
     let mut terms = vec![Term::Legendre(0, 0), Term::Legendre(1, 0), Term::Legendre(0, 1)];

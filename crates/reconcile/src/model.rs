@@ -1,4 +1,4 @@
-//! The removal and its derivatives at any parameters.
+//! The removal as a function of the parameters, and its derivatives.
 //!
 //! ```text
 //! F(p) = (1 + a) R(q),   dF/da = R(q),   dF/dq_i = (1 + a) (R(q + h_i) - R(q - h_i)) / (2 h_i)
@@ -15,38 +15,38 @@ use planish_types::{Invalid, Tif};
 
 use crate::parameter::Parameter;
 
-/// Displacement of the tool in the central differences, over the width of the TIF, dimensionless. Larger: an error of
-/// the derivatives that grows with its square. Smaller: kinks of a sampled TIF. Chosen: the error is 3e-4 of the
-/// derivative.
+/// Displacement of the tool in the central differences, in widths of the TIF. Larger: an error of the derivatives that
+/// grows with its square. Smaller: kinks of a sampled TIF. Chosen: the error is 3e-4 of the derivative.
 pub const STEP: f64 = 0.04;
 
-/// Largest displacement by a parameter, in widths of the TIF, and largest relative change of the rate or the TIF.
-/// Larger: parameters at which the plan and the run have nothing in common. Smaller: steps of a fit are refused that
-/// lead to the minimum. Chosen.
+/// Largest displacement of the tool by a parameter, in widths of the TIF, and largest relative change of the rate or
+/// the TIF. Larger: parameters at which the plan and the run have nothing in common. Smaller: steps of a fit are
+/// refused that lead to the minimum. Chosen.
 const LARGEST_IN_WIDTHS: f64 = 20.0;
 const LARGEST_PART: f64 = 0.5;
 
-/// Step of the difference by a drift of the rate. The removal is linear in it, so any step is exact.
+/// Relative drift of the rate by which its difference is taken. The removal is linear in it, so any step is exact.
 const DRIFT_STEP: f64 = 0.1;
 
 /// Removal of the executed plan as a function of the free parameters.
 pub struct RemovalModel<'a> {
-    /// Runs with the TIF of the derivatives.
+    /// Simulated runs with the TIF that gives the derivatives.
     pub runs: &'a Runs<'a>,
-    /// Runs of which the removal itself is taken, where they differ from `runs`.
+    /// Simulated runs that give the removal itself; `None` if they are those of `runs`.
     pub removal_from: Option<&'a Runs<'a>>,
-    /// The TIF that errors move.
+    /// TIF that the parameters change.
     pub tif: &'a Tif,
-    /// Parameters that are free.
+    /// Free parameters of the model.
     pub parameters: Vec<Parameter>,
-    /// Scales: standard deviation of each parameter about the plan, as known beforehand.
+    /// Scale of each parameter: its standard deviation about the plan, as known beforehand.
     pub scales: Vec<f64>,
-    /// Part of the TIF's width by which the differences move the tool: [`STEP`].
+    /// Displacement of the tool in the differences, in widths of the TIF: [`STEP`].
     pub step: f64,
 }
 
 impl<'a> RemovalModel<'a> {
-    /// Creates the model with these parameters free, known beforehand to the standard deviation `scale`.
+    /// Creates the model with the free `parameters`; `scale` returns the standard deviation of each as known
+    /// beforehand.
     pub fn new(
         runs: &'a Runs<'a>,
         tif: &'a Tif,
@@ -57,12 +57,12 @@ impl<'a> RemovalModel<'a> {
         Self { runs, removal_from: None, tif, parameters, scales, step: STEP }
     }
 
-    /// Returns the change of a parameter that moves the tool by `mm`.
+    /// Returns the change of a parameter that displaces the tool by `mm` at most.
     fn per_mm(&self, effect: Scalar, mm: f64) -> f64 {
         mm / self.runs.displacement_per_size(effect)
     }
 
-    /// Returns true if the parameters can be simulated.
+    /// Returns true if a run with these values of the parameters can be simulated: none of them is too large.
     pub(crate) fn is_possible(&self, values: &[f64]) -> bool {
         let width = self.tif.width_mm();
         self.parameters.iter().zip(values).all(|(parameter, value)| {
@@ -81,7 +81,7 @@ impl<'a> RemovalModel<'a> {
         self.removal_from.unwrap_or(self.runs)
     }
 
-    /// Splits the parameters into the factor of the rate, 1 + a, and the deviation q of the run.
+    /// Splits the values of the parameters into the factor 1 + a of the rate and the deviation q of the run.
     fn split(&self, values: &[f64]) -> (f64, Deviation) {
         let mut rate = 0.0;
         let mut drift = 0.0;
@@ -98,7 +98,7 @@ impl<'a> RemovalModel<'a> {
         (1.0 + rate, run)
     }
 
-    /// Returns F (ny, nx), nm.
+    /// Returns the removal F(p) with the values `values` of the parameters, shape (ny, nx), nm.
     ///
     /// # Errors
     /// Fails if the run with these parameters cannot be simulated.
@@ -107,7 +107,8 @@ impl<'a> RemovalModel<'a> {
         Ok(self.removal_runs().removal_nm(&run)? * factor)
     }
 
-    /// Returns F (ny, nx), nm, and its derivatives by every parameter, nm per unit of the parameter.
+    /// Returns the removal F(p), shape (ny, nx), nm, and its derivatives by every parameter, nm per unit of the
+    /// parameter.
     ///
     /// # Errors
     /// Fails if a run with these parameters, or with one of them a step away, cannot be simulated.
@@ -134,7 +135,7 @@ impl<'a> RemovalModel<'a> {
         Ok((removal * factor, derivatives))
     }
 
-    /// Returns `tif` with the rate and the shape that these values of parameters say.
+    /// Returns `tif` with the rate and the shape that the values `known` of the parameters give.
     ///
     /// # Errors
     /// Fails if they make no valid TIF.

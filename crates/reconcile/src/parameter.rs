@@ -1,4 +1,4 @@
-//! Parameters of machine and tool that a run teaches.
+//! Parameters of machine and tool that a run determines.
 
 use planish_simulate::{
     deviation::has_one_ellipse,
@@ -7,32 +7,33 @@ use planish_simulate::{
 use planish_types::{Invalid, Tif};
 use serde::Serialize;
 
-/// A number that machine and tool have; the meaning and the sign are those of the error of the same name in an error
-/// budget.
+/// Parameter of machine or tool. Its meaning and sign are those of the error of the same name in an error budget; 0 is
+/// the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Parameter {
-    /// The rate is larger by this part.
+    /// Relative excess of the removal rate.
     RateScale,
-    /// The tool is displaced along x against the map, mm.
+    /// Displacement of the tool along x against the map, mm.
     OffsetX,
-    /// The tool is displaced along y against the map, mm.
+    /// Displacement of the tool along y against the map, mm.
     OffsetY,
-    /// The axes are rotated against the map, from x to y, about its middle, rad.
+    /// Rotation of the axes against the map about its middle, from x to y, rad.
     Rotation,
-    /// The machine's lengths are larger than those of the map by this part.
+    /// Relative excess of the machine's lengths over those of the map.
     Magnification,
-    /// The TIF is wider by this part, at the same volumetric removal rate.
+    /// Relative excess of the width of the TIF, at the same volumetric removal rate.
     TifWidth,
-    /// The TIF is longer along x by half of this part, and shorter along y.
+    /// Ellipticity of the TIF along x: it is longer along x by half of this fraction, and shorter along y.
     TifEllipticity,
-    /// The TIF is longer along the diagonal (from lower left to upper right) by half of this part, and shorter across.
+    /// Ellipticity of the TIF along the diagonal from lower left to upper right: longer along it by half of this
+    /// fraction, and shorter across.
     TifDiagonalEllipticity,
-    /// The rate rises linearly by this part from the start to the end of the run, about its middle.
+    /// Relative drift of the rate: its linear rise from the start to the end of the run, about the middle of the run.
     RateDrift,
 }
 
-/// All of them, in the order of the report.
+/// All parameters, in the order of the report.
 pub const ALL: [Parameter; 9] = [
     Parameter::RateScale,
     Parameter::OffsetX,
@@ -46,7 +47,7 @@ pub const ALL: [Parameter; 9] = [
 ];
 
 impl Parameter {
-    /// Returns its name on the command line and in the manifest.
+    /// Returns the name of the parameter on the command line and in the manifest.
     pub fn name(self) -> &'static str {
         match self {
             Self::RateScale => "rate_scale",
@@ -61,7 +62,7 @@ impl Parameter {
         }
     }
 
-    /// Returns the unit that people read, and its value in the unit of the calculation.
+    /// Returns the unit in which reports state the parameter, and the size of that unit in the unit of the calculation.
     pub fn unit(self) -> (&'static str, f64) {
         match self {
             Self::OffsetX | Self::OffsetY => ("mm", 1.0),
@@ -70,7 +71,7 @@ impl Parameter {
         }
     }
 
-    /// Returns the effect on a run; `None` for the rate, which is a factor of the removal.
+    /// Returns the effect of the parameter on a simulated run; `None` for the rate, which is a factor of the removal.
     pub fn effect(self) -> Option<Scalar> {
         Some(match self {
             Self::RateScale => return None,
@@ -85,15 +86,16 @@ impl Parameter {
         })
     }
 
-    /// Returns true if a tool has the parameter: an ellipticity along axes of the part is none of a spot that turns.
+    /// Returns true if the parameter is meaningful for the tool `tif`: a spot that turns has no ellipticity along axes
+    /// of the part.
     pub fn is_of(self, tif: &Tif) -> bool {
         let is_ellipse = matches!(self, Self::TifEllipticity | Self::TifDiagonalEllipticity);
         !is_ellipse || has_one_ellipse(tif)
     }
 
-    /// Returns the usual scale of the parameter without knowledge of the machine: a rate off, or drifting, by 10 %, a part
-    /// misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF wider or longer by 10 %. A standard error
-    /// beyond it says less than that.
+    /// Returns the usual scale (standard deviation) of the parameter without knowledge of the machine. It is a rate
+    /// off, or drifting, by 10 %, a part misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF wider
+    /// or longer by 10 %. A larger standard error says less than that.
     pub fn usual_scale(self) -> f64 {
         match self {
             Self::RateScale | Self::TifWidth | Self::TifEllipticity => 0.1,
@@ -104,8 +106,8 @@ impl Parameter {
         }
     }
 
-    /// Returns the scale that an error budget states for it: the root of the sum of squares of its errors; the usual scale
-    /// where it states none.
+    /// Returns the scale of the parameter by an error budget: the root of the sum of squares of its errors. Without
+    /// such errors it is the usual scale.
     pub fn scale_in(self, process: &ErrorBudget) -> f64 {
         let mut sum = sum_of_squares(process, self.scalar());
         // An ellipticity of no stated direction has that size along the diagonal, too.
@@ -115,12 +117,12 @@ impl Parameter {
         if sum > 0.0 { sum.sqrt() } else { self.usual_scale() }
     }
 
-    /// Returns the effect of an error that it is.
+    /// Returns the effect in an error budget that has the meaning of this parameter.
     pub fn scalar(self) -> Scalar {
         self.effect().unwrap_or(Scalar::RateScale)
     }
 
-    /// Returns the kind of error of an error budget that it is.
+    /// Returns the kind of error in an error budget that has the meaning of this parameter.
     pub fn kind(self) -> Kind {
         match self {
             Self::RateScale => Kind::RateScale,
@@ -135,19 +137,19 @@ impl Parameter {
         }
     }
 
-    /// Returns the parameter of this name.
+    /// Returns the parameter with this name; `None` if there is none.
     pub fn named(name: &str) -> Option<Self> {
         ALL.into_iter().find(|p| p.name() == name)
     }
 }
 
-/// Returns the sum of squares of the errors that have this effect.
+/// Returns the sum of squares of the sizes of the errors with this effect.
 fn sum_of_squares(process: &ErrorBudget, scalar: Scalar) -> f64 {
     let errors = process.errors.iter().filter(|e| e.effect == Effect::Scalar(scalar));
     errors.map(|e| e.size * e.size).sum::<f64>()
 }
 
-/// Refuses a name in `setting` that is no parameter and no term of the metrology.
+/// Refuses names in `setting` that are neither a parameter nor a term of the metrology.
 pub(crate) fn check_names(setting: &'static str, names: &[String]) -> Result<(), Invalid> {
     let terms = crate::metrology::NAMES;
     for (i, name) in names.iter().enumerate() {

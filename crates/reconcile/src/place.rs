@@ -1,4 +1,4 @@
-//! Place of the part by the parameters that were learnt: the transform that takes the next plan to the machine.
+//! The transform that takes the next plan to the machine, corrected by the position of the part that was learnt.
 //!
 //! The run displaced the plan: what was to act at p acted at `D(p) = C + s + m R(theta) (p - C)`, with C the middle of
 //! the map, m = 1 + magnification. The plan had been taken to the machine by T (the identity where none is given). So
@@ -16,7 +16,7 @@ use planish_types::{Grid, Invalid, Transform};
 
 use crate::{fit::LeastSquaresFit, parameter::Parameter};
 
-/// Parameters that decide where the tool acts, in the order of the derivatives below.
+/// Parameters that move the points where the tool acts, in the order of the derivatives below.
 const PLACE: [Parameter; 4] =
     [Parameter::OffsetX, Parameter::OffsetY, Parameter::Rotation, Parameter::Magnification];
 

@@ -29,58 +29,59 @@ use crate::{
     settings::ReconcileSettings,
 };
 
-/// Fewest valid pixels for every unknown.
+/// Smallest number of valid pixels per unknown of the fit.
 const LEAST_PIXELS_PER_UNKNOWN: f64 = 20.0;
 
-/// Largest ellipticity without a direction, in standard errors. Larger: directions are left out that are known.
-/// Smaller: directions of noise are given. Chosen.
+/// Largest ellipticity, in standard errors, for which no direction is stated. Larger: directions are left out that are
+/// known. Smaller: directions of noise are given. Chosen.
 const NO_DIRECTION: f64 = 2.0;
 
-/// The maps before and after a run, and what was planned.
+/// Inputs of a reconciliation: the maps before and after a run, and its plan.
 #[derive(Clone, Copy, Debug)]
 pub struct Comparison<'a> {
-    /// Measured before the run.
+    /// Map that was measured before the run.
     pub before: &'a Surface,
-    /// Measured after it. A map on other pixels is resampled on those of `before`.
+    /// Map that was measured after the run. One on other pixels is resampled on those of `before`.
     pub after: &'a Surface,
-    /// The motion, as planned or as it was traced.
+    /// Motion of the run, as planned or as it was traced.
     pub trajectory: &'a Trajectory,
-    /// The TIF of the plan.
+    /// TIF with which the run was planned.
     pub tif: &'a Tif,
-    /// Error budget with what is believed beforehand, where it is known.
+    /// Error budget with the errors that were expected before the run; `None` if there is none.
     pub error_budget: Option<&'a ErrorBudget>,
-    /// Transform that took the plan to the machine, if there was one.
+    /// Transform that took the plan to the machine; `None` if there was none.
     pub transform: Option<&'a Transform>,
 }
 
 /// Result of a reconciliation.
 pub struct Reconciled {
-    /// The numbers.
+    /// Results for the manifest.
     pub outcome: ReconciliationOutcome,
-    /// Correlations of all unknowns, in the order of `outcome.correlation_of`.
+    /// Correlation matrix of all unknowns, in the order of `outcome.correlation_of`.
     pub correlation: Array2<f64>,
-    /// before - after without the terms of the metrology (ny, nx), nm; NaN where a map is invalid.
+    /// Measured removal: before - after without the terms of the metrology, shape (ny, nx), nm; NaN where a map is
+    /// invalid.
     pub measured_nm: Array2<f64>,
-    /// The removal that the plan promised (ny, nx), nm.
+    /// Removal that the plan predicted, shape (ny, nx), nm.
     pub planned_nm: Array2<f64>,
-    /// The removal with all unknowns (ny, nx), nm.
+    /// Removal with the fitted parameters, shape (ny, nx), nm.
     pub predicted_nm: Array2<f64>,
-    /// The terms of the metrology (ny, nx), nm.
+    /// Sum of the fitted terms of the metrology, shape (ny, nx), nm.
     pub metrology_nm: Array2<f64>,
-    /// Rest of the fit (ny, nx), nm; NaN where a map is invalid.
+    /// Rest of the data after the fit, shape (ny, nx), nm; NaN where a map is invalid.
     pub rest_nm: Array2<f64>,
-    /// The TIF with the rate and the shape that are determined.
+    /// TIF of the next plan, with the corrected rate and shape.
     pub tif: Tif,
-    /// Transform that takes the next plan to the machine, by the parameters that are determined.
+    /// Transform that takes the next plan to the machine, with the corrected position.
     pub transform: Transform,
-    /// The errors of the next run.
+    /// Error budget of the next run.
     pub error_budget: ErrorBudgetFile,
-    /// Reason for a negative verdict, if it is one: a parameter that was asked for by name is refused, or all are.
+    /// Reason for a negative verdict: a parameter that was asked for by name is refused, or all are; `None` otherwise.
     pub drawback: Option<String>,
 }
 
 impl<'a> Comparison<'a> {
-    /// Returns the TIF that errors move: smoothed, unless the settings take it as sampled.
+    /// Returns the TIF that the parameters change: smoothed, or as sampled if the settings say so.
     ///
     /// # Errors
     /// Fails if the TIF cannot be smoothed.
@@ -92,7 +93,8 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// Returns before - after on the pixels that are valid in both.
+    /// Returns before - after on the pixels that are valid in both maps; `unknowns` is the number of unknowns of the
+    /// fit.
     ///
     /// # Errors
     /// Fails if the maps have no common pixels, or too few for this number of unknowns.
@@ -115,36 +117,37 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// A tool and the runs with it.
+/// A TIF and the simulated runs with it.
 #[derive(Clone, Copy)]
 struct Tool<'a> {
     runs: &'a Runs<'a>,
     tif: &'a Tif,
 }
 
-/// The tool in the ways in which a fit may take it.
+/// Versions of the tool that a fit may use.
 struct Tools<'a> {
-    /// The tool without its noise, which errors move.
+    /// The tool without its noise, whose TIF the parameters change.
     smooth: Tool<'a>,
-    /// The tool as it was sampled, for the removal itself.
+    /// Runs with the tool as it was sampled, for the removal itself; `None` if they are not needed.
     as_sampled: Option<&'a Runs<'a>>,
-    /// The tool as it goes on beyond samples that end before it has ended: without its noise, and as it is.
+    /// The tool continued beyond its samples, if these end before the tool does: first without its noise, then as it
+    /// is.
     continued: Option<[Tool<'a>; 2]>,
 }
 
-/// A fit of the run, and its model.
+/// A fit of the run with its model.
 struct RunFit<'a> {
     fit: LeastSquaresFit,
     model: RemovalModel<'a>,
-    /// The tool as it goes on beyond its samples, where that explains more of the data.
+    /// TIF that is continued beyond its samples, if it explains more of the data; otherwise `None`.
     continued: Option<&'a Tif>,
-    /// Parameters that contradict what was known beforehand.
+    /// Parameters whose prior scale contradicted the data and was replaced by the usual one.
     released: Vec<Parameter>,
 }
 
 impl<'a> Tools<'a> {
-    /// Fits every version of the tool and returns the fit with the smallest rest. `scale` is the standard deviation of a
-    /// parameter as known beforehand.
+    /// Fits the model with every version of the tool, and returns the fit with the smallest rest. `scale` is the
+    /// standard deviation of a parameter as known beforehand.
     fn best_fit(
         &self,
         parameters: &[Parameter],
@@ -192,26 +195,27 @@ impl<'a> Tools<'a> {
     }
 }
 
-/// Parameters that the data determine, and their corrections in the next plan.
+/// Verdict on every parameter of a fit, and its correction in the next plan.
 struct JudgedFit {
-    /// Reason for which a parameter is not determined.
+    /// Reason why each parameter is not determined; `None` if it is.
     refusals: Vec<Option<String>>,
-    /// Reason for which a parameter is held at the plan.
+    /// Reason why each parameter is held at the plan; `None` if it is not.
     why_held: Vec<Option<String>>,
-    /// Corrections of the next plan.
+    /// Corrections of the next plan, one per unknown.
     corrections: Vec<f64>,
-    /// Values and standard errors; those of held parameters are as they were found with all free.
+    /// Value and standard error of each parameter; those of held parameters are from the fit with all free.
     stated: Vec<[f64; 2]>,
-    /// Estimates with all parameters free.
+    /// Estimates and covariance of the fit with all parameters free.
     with_all: Joint,
-    /// Numbers on whether the map after is that of the run.
+    /// Evidence that the map after is that of the run.
     evidence: Evidence,
-    /// Sentence against the map after.
+    /// Sentence against the map after, because of which nothing is corrected; `None` if there is none.
     nothing: Option<String>,
 }
 
 impl RunFit<'_> {
-    /// Judges every parameter of the fit. Holds the parameters that only inflate the errors of others, in `self.fit` too.
+    /// Judges every parameter of the fit. Parameters that only inflate the errors of others are held at the plan, in
+    /// `self.fit` too.
     fn judge(
         &mut self,
         comparison: &Comparison<'_>,
@@ -294,7 +298,8 @@ impl RunFit<'_> {
 }
 
 impl JudgedFit {
-    /// Returns the estimate of a parameter, free or not, whose standard deviation beforehand is `scale`.
+    /// Returns the estimate of a parameter for the report, free or not; `scale` is its standard deviation as known
+    /// beforehand.
     fn estimate(
         &self,
         fit: &LeastSquaresFit,
@@ -327,7 +332,7 @@ impl JudgedFit {
     }
 }
 
-/// Returns the RMS of the measured removal, of its difference to the plan, and of the rest of a fit.
+/// Returns the RMS values, nm, of the measured removal, of its difference from the plan, and of the rest of the fit.
 fn fitted(fit: &LeastSquaresFit, data: &Data<'_>, runs: &Runs<'_>) -> Fitted {
     let measured = &data.data - &fit.metrology;
     Fitted {
@@ -376,7 +381,7 @@ pub fn reconcile(
     result(comparison, settings, (&data, &runs), (&run_fit, &judged), scale)
 }
 
-/// Collects the numbers and the maps of a fit that was judged, and what the next plan gets of it.
+/// Collects the results of a judged fit: numbers, maps, and the corrections for the next plan.
 fn result(
     comparison: &Comparison<'_>,
     settings: &ReconcileSettings,
@@ -437,14 +442,14 @@ fn result(
     })
 }
 
-/// Returns the map with NaN where it is invalid.
+/// Returns the map with NaN at its invalid pixels.
 fn with_nan(map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
     let mut map = map.clone();
     map.zip_mut_with(valid, |v, valid| *v = if *valid == 0.0 { f64::NAN } else { *v });
     map
 }
 
-/// Returns the RMS over the valid pixels, mean removed.
+/// Returns the RMS over the valid pixels about their mean.
 fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     let count = valid.sum();
     let mean = (map * valid).sum() / count;
@@ -452,7 +457,8 @@ fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     (square / count).sqrt()
 }
 
-/// Returns what the fit says of the unknown at `index`, in units of `factor`; nothing of one that is held (`None`).
+/// Returns the estimate of the unknown at `index` for the report, in units of `factor`; without a value if it is held
+/// (`None`).
 fn estimate(
     fit: &LeastSquaresFit,
     index: Option<usize>,
@@ -476,7 +482,7 @@ fn estimate(
     }
 }
 
-/// Returns the estimates of all terms of the metrology, nm RMS.
+/// Returns the estimates of the coefficients of all terms of the metrology, nm RMS.
 fn metrology_estimates(fit: &LeastSquaresFit, settings: &ReconcileSettings) -> Vec<Estimate> {
     let mut estimates = Vec::new();
     for term in metrology::terms(settings.metrology_order) {
@@ -491,8 +497,8 @@ fn metrology_estimates(fit: &LeastSquaresFit, settings: &ReconcileSettings) -> V
     estimates
 }
 
-/// Returns the ellipticity e = (E^2 + D^2)^1/2 along phi = atan2(D, E) / 2, and their standard errors to first order.
-/// `None` if the data do not determine E and D.
+/// Returns the ellipticity e = (E^2 + D^2)^1/2 and its direction phi = atan2(D, E) / 2, with standard errors to first
+/// order. E and D are the ellipticities along x and along the diagonal; `None` if the data do not determine them.
 fn ellipse(fit: &LeastSquaresFit, refusals: &[Option<String>]) -> Option<Ellipse> {
     let i = determined_index(fit, refusals, Parameter::TifEllipticity)?;
     let j = determined_index(fit, refusals, Parameter::TifDiagonalEllipticity)?;
@@ -519,7 +525,7 @@ fn ellipse(fit: &LeastSquaresFit, refusals: &[Option<String>]) -> Option<Ellipse
     Some(ellipse)
 }
 
-/// Returns the index of a parameter that the data determine.
+/// Returns the index of a parameter in the fit; `None` if it is not free or the data do not determine it.
 fn determined_index(
     fit: &LeastSquaresFit,
     refusals: &[Option<String>],
@@ -528,13 +534,13 @@ fn determined_index(
     fit.parameters.iter().position(|p| *p == parameter).filter(|i| refusals[*i].is_none())
 }
 
-/// Returns the standard error along the unit vector `along`.
+/// Returns the standard error of the component along the unit vector `along`.
 fn error_along(covariance: &Matrix2<f64>, along: [f64; 2]) -> f64 {
     let v = Vector2::from(along);
     (v.transpose() * covariance * v)[0].max(0.0).sqrt()
 }
 
-/// Returns the message on parameter `i`, whose scale contradicts the data.
+/// Returns the message on parameter `i`, whose prior scale contradicts the data.
 fn contradiction(fit: &LeastSquaresFit, i: usize, scale: f64) -> String {
     let parameter = fit.parameters[i];
     format!(
@@ -546,7 +552,7 @@ fn contradiction(fit: &LeastSquaresFit, i: usize, scale: f64) -> String {
     )
 }
 
-/// Returns the reason for a negative verdict, if there is one.
+/// Returns the reason for a negative verdict; `None` for a positive one.
 fn drawback(
     settings: &ReconcileSettings,
     fit: &LeastSquaresFit,

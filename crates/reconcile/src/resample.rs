@@ -8,16 +8,17 @@
 use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Surface};
 
-/// Pixels of both maps are the same where they are no further apart than this part of a step.
+/// Largest difference of two coordinates, in pixel steps, up to which they count as the same. Larger: maps that are
+/// shifted a little are not resampled. Smaller: rounding causes resampling.
 const SAME_PLACE: f64 = 1e-3;
 
-/// Samples along each axis.
+/// Number of samples along each axis from which a value is interpolated.
 const SAMPLES: usize = 6;
 
-/// Name of the method, for people.
+/// Name of the method of interpolation, for reports.
 pub const METHOD: &str = "Lagrange interpolation of degree five along each axis";
 
-/// Returns true if both grids have the same pixels.
+/// Returns true if both grids have the same pixels, to `SAME_PLACE` of a step.
 pub fn are_same(a: &Grid, b: &Grid) -> bool {
     [(&a.x, &b.x), (&a.y, &b.y)].into_iter().all(|(a, b)| {
         let tolerance = SAME_PLACE * a.step_mm();
@@ -27,8 +28,8 @@ pub fn are_same(a: &Grid, b: &Grid) -> bool {
     })
 }
 
-/// Returns the first sample and the weights of the samples from it on, for the coordinate `to_mm`; `None` outside of
-/// `from`.
+/// Returns the index of the first sample, and the weights of it and the following ones, for the coordinate `to_mm`;
+/// `None` outside of the axis `from`.
 fn weights(from: &Axis, to_mm: f64) -> Option<(usize, Vec<f64>)> {
     let position = (to_mm - from.start_mm()) / from.step_mm();
     let nearest = position.round();
@@ -50,7 +51,7 @@ fn weights(from: &Axis, to_mm: f64) -> Option<(usize, Vec<f64>)> {
     Some((first as usize, weights))
 }
 
-/// Returns `map` on the pixels of `grid`, NaN where it has too few samples.
+/// Returns `map` interpolated on the pixels of `grid`; NaN where it has too few samples.
 ///
 /// # Errors
 /// Fails if no pixel of `grid` lies within the valid samples of the map.

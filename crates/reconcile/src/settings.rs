@@ -1,4 +1,4 @@
-//! Settings of a reconciliation: free parameters and terms.
+//! Settings of a reconciliation: which parameters and which terms of the metrology are free.
 
 use planish_simulate::deviation::TURNS;
 use planish_types::Invalid;
@@ -9,8 +9,8 @@ use crate::{
     parameter::{self, Parameter},
 };
 
-/// Largest order of Legendre polynomials along an axis. Larger: the metrology takes up what a map measures. Smaller:
-/// fewer of its errors can be free. Chosen.
+/// Largest order of the Legendre polynomials along an axis. Larger: the metrology takes up shapes that a map does
+/// measure. Smaller: fewer of its errors can be free. Chosen.
 const LARGEST_ORDER: usize = 12;
 
 /// Settings of a reconciliation.
@@ -21,12 +21,13 @@ pub struct ReconcileSettings {
     pub free: Vec<String>,
     /// Names of the parameters and terms that are held at their values in the plan.
     pub hold: Vec<String>,
-    /// Legendre terms of the metrology up to these orders along x and y that are free beside piston, tilt and power.
+    /// Orders along x and y up to which further Legendre terms of the metrology are free, besides piston, tilt and
+    /// power; `None` for no further ones.
     pub metrology_order: Option<[usize; 2]>,
-    /// True if errors move the TIF with the noise and the border of its measurement.
+    /// True if the parameters change the TIF as sampled, with the noise and the border step of its measurement.
     pub tif_as_sampled: bool,
     /// True if the user states that both maps were measured and read in the same way: with one sign, one unit and one
-    /// orientation of the part. What the maps do not tell of that is then no reason against them.
+    /// orientation of the part. Missing evidence in the maps is then no reason against them.
     pub same_measurement: bool,
 }
 

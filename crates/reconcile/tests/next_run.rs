@@ -39,7 +39,7 @@ fn process(errors: &[(&str, f64, &str)]) -> ErrorBudget {
     file.checked().unwrap()
 }
 
-/// A machine with hidden errors of the place and of the tool.
+/// Makes the error budget of a machine with hidden errors of the position and of the tool.
 fn hidden() -> ErrorBudget {
     process(&[
         ("rate_scale", 3.0, "%"),
@@ -52,7 +52,7 @@ fn hidden() -> ErrorBudget {
     ])
 }
 
-/// Run of that machine with a command.
+/// Runs that machine with a command.
 fn executed(command: &Trajectory) -> virtual_machine::VirtualRun {
     let settings = virtual_machine::VirtualMachineSettings {
         seed: 1,

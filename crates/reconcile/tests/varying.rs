@@ -44,7 +44,7 @@ fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
     })
 }
 
-/// Tangent of the slope of the sphere times its direction.
+/// Returns the tangent of the slope of the sphere times its direction.
 fn slope([x, y]: [f64; 2]) -> [f64; 2] {
     let m = middle(&grid());
     let (x, y) = (x - m[0], y - m[1]);
@@ -52,7 +52,7 @@ fn slope([x, y]: [f64; 2]) -> [f64; 2] {
     [x / root, y / root]
 }
 
-/// Factor of a pixel: cos^m of the slope there.
+/// Returns the factor of a pixel: cos^m of the slope there.
 fn of_pixel(at: [f64; 2]) -> f64 {
     let [a, b] = slope(at);
     (1.0 + a * a + b * b).powf(-0.5 * EXPONENT)
@@ -68,7 +68,7 @@ fn rate(u: [f64; 2], p: [f64; 2], width: f64) -> f64 {
     PEAK_NM_PER_S / (w * w) * (-0.5 * square / (SIGMA_MM * SIGMA_MM)).exp()
 }
 
-/// Offsets of the samples of a tool, out to 5.5 sigma.
+/// Returns the offsets of the samples of a tool, out to 5.5 sigma.
 fn offsets() -> Grid {
     let axis = Axis::new(-5.5, PITCH_MM, 45).unwrap();
     Grid { x: axis, y: axis }

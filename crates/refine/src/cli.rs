@@ -1,4 +1,4 @@
-//! Subcommands, one file each, and the code that they share.
+//! The subcommands of `planish-refine`, one file each, and the code that they share.
 
 mod pareto;
 mod refine;
@@ -24,7 +24,8 @@ impl RefineCommand {
     }
 }
 
-/// Returns the arrays of `kind::ITERATIONS`, from at least one iterate.
+/// Returns the arrays of the artifact `kind::ITERATIONS` from at least one iterate: dwell times, RMS values, total
+/// times and stretched segments.
 fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData<'a>> {
     let iterates: Vec<&Iterate> = iterates.collect();
     let shape = (iterates.len(), iterates[0].dwell_s.len());

@@ -1,4 +1,4 @@
-//! The closed loop for a process with errors: the expected square replaces the square of the residual.
+//! The closed loop for a process with errors: the expected mean square of the residual replaces the mean square.
 //!
 //! ```text
 //! E |e|^2 = |P (e - m)|^2 + t'Q t + constant                                             (1)
@@ -23,40 +23,40 @@ use serde::Serialize;
 
 use crate::{RefineError, RefineSettings, Refined, Start, refine, rounds};
 
-/// Residual of a plan under a process.
+/// Distribution of the residual of a plan under the errors of a process, and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PlanRisk {
-    /// RMS without errors, nm.
+    /// RMS of the residual without errors, nm.
     pub nominal_rms_nm: f64,
-    /// Root of the mean over runs of the mean square, nm.
+    /// Root of the mean square of the residual, averaged over runs, nm.
     pub expected_rms_nm: f64,
-    /// Median over the runs, nm.
+    /// Median of the RMS over the runs, nm.
     pub median_nm: f64,
-    /// Value that 95 % of the runs do not exceed, nm.
+    /// RMS that 95 % of the runs do not exceed, nm.
     pub below_95_percent_nm: f64,
-    /// Total time, s.
+    /// Total time of the motion, s.
     pub total_time_s: f64,
 }
 
-/// Residuals and times of the plans without and with the process.
+/// Comparison of the plans made without and with the process.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Price {
     /// Name of the process.
     pub name: String,
-    /// Kinds of its errors in the objective.
+    /// Kinds of errors whose effect is in the objective of the loop.
     pub in_the_objective: Vec<String>,
-    /// Kinds of its errors that are not in the objective: their effect does not depend on the dwell times, or is not
-    /// differentiable by them.
+    /// Kinds of errors that are not in the objective: their effect does not depend on the dwell times, or has no
+    /// derivative by them.
     pub not_in_the_objective: Vec<String>,
-    /// Plan made without the process.
+    /// Risk of the plan made without the process.
     pub without: PlanRisk,
-    /// Plan made for the process; the same as `without` if no error is in the objective.
+    /// Risk of the plan made for the process; the same as `without` if no error is in the objective.
     pub with: PlanRisk,
-    /// True if the plan made for the process is kept.
+    /// True if the plan made for the process is kept, false if the other one is.
     pub kept: bool,
 }
 
-/// Refines by [`refine`], and goes on from there for a process.
+/// Refines the dwell times by [`refine`], and goes on from the result with the expected square for the process.
 ///
 /// # Errors
 ///
@@ -106,7 +106,7 @@ pub fn refine_for(
 }
 
 impl PlanRisk {
-    /// Judges a plan with the whole process.
+    /// Computes the distribution of the residual of a plan with the whole process.
     fn new(
         plan: &Refined,
         tif: &Tif,

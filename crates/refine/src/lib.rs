@@ -77,10 +77,10 @@ use planish_types::{
 use planish_verify::{VerifySettings, verify};
 use serde::{Serialize, Serializer};
 
-/// Settings of the closed loop.
+/// Settings of the closed loop of schedule and correction.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct RefineSettings<'a> {
-    /// Scheduler that makes the motion.
+    /// Scheduler that makes the motion of the dwell times.
     #[serde(serialize_with = "name_and_kind")]
     pub scheduler: &'a dyn Scheduler,
     /// Settings of the dwell solver. The columns are those of the first plan, the smoothness is that of the
@@ -92,12 +92,12 @@ pub struct RefineSettings<'a> {
     pub first_smoothness: f64,
     /// Largest number of rounds of schedule and correction.
     pub max_rounds: usize,
-    /// Improvement on the best round that counts as progress, relative to [`Iterate::merit_nm`]. Larger: the loop ends
-    /// earlier, with a larger residual. Smaller: more rounds for small gains.
+    /// Improvement on the best round that counts as progress, as a fraction of its objective [`Iterate::merit_nm`].
+    /// Larger: the loop ends earlier, with a larger residual. Smaller: more rounds for small gains.
     pub least_improvement: f64,
 }
 
-/// Writes the name of a scheduler, with the kind of its motion if it has several.
+/// Writes the name of a scheduler, with the kind of its motion if it has several kinds.
 fn name_and_kind<S: Serializer>(scheduler: &&dyn Scheduler, to: S) -> Result<S::Ok, S::Error> {
     match scheduler.kind() {
         None => to.serialize_str(scheduler.name()),
@@ -129,16 +129,16 @@ impl Default for RefineSettings<'_> {
     }
 }
 
-/// Reasons for which the loop gives no plan.
+/// Reasons why the loop gives no plan.
 #[derive(Debug, thiserror::Error)]
 pub enum RefineError {
     /// The inputs do not belong together.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The dwell solver refused.
+    /// The dwell solver refused its inputs or failed.
     #[error(transparent)]
     Dwell(#[from] DwellError),
-    /// The scheduler refused.
+    /// The scheduler refused its inputs or failed.
     #[error(transparent)]
     Schedule(#[from] ScheduleError),
     /// The machine needs more time than the upper bound allows.
@@ -147,43 +147,44 @@ pub enum RefineError {
          ({length_mm:.6} mm), its upper bound is {bound_s:.6} s; raise the upper bound or the limits"
     )]
     BoundBelowNeed {
-        /// Index of the segment.
+        /// Index of the segment of the path.
         segment: usize,
-        /// Its length, mm.
+        /// Length of the segment, mm.
         length_mm: f64,
-        /// Time that the machine needs, s.
+        /// Time that the machine needs for the segment, s.
         needed_s: f64,
-        /// Upper bound, s.
+        /// Upper bound of the time of the segment, s.
         bound_s: f64,
     },
 }
 
-/// One round.
+/// Results of one round: a schedule of dwell times and its simulation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Iterate {
     /// Time of every segment of the path in the motion, s.
     pub dwell_s: Vec<f64>,
-    /// RMS (mean removed) of the executed residual, nm.
+    /// RMS of the executed residual about its mean, nm.
     pub rms_nm: f64,
     /// RMS of the executed residual with its best-fit plane removed, nm.
     pub detilted_nm: f64,
-    /// Root of the expected mean square with a process, nm, without its part that does not depend on the dwell
-    /// times ([`error_budget`]); `None` without a process.
+    /// Root of the expected mean square of the residual with a process, nm, without the part that does not depend on
+    /// the dwell times ([`error_budget`]); `None` without a process.
     pub expected_rms_nm: Option<f64>,
-    /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm. The noise replaces an RMS below it, and with a
-    /// process the expected square replaces rms^2. A weight of the slope of the residual adds its square.
+    /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm, with the price lambda and the total time T. The noise
+    /// replaces an RMS below it, and with a process the expected square replaces rms^2. A weight of the slope of the
+    /// residual adds its square.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
-    /// Number of segments that the scheduler stretched.
+    /// Number of segments whose time the scheduler had to lengthen.
     pub stretched: usize,
     /// True if `planish-verify` finds that the motion keeps the limits.
     pub limits_respected: bool,
 }
 
 impl Iterate {
-    /// Returns the rank of the round: the least is the best. A plan that exceeds the limits ranks after all that keep
-    /// them.
+    /// Returns the rank of the round; the round of lowest rank is the best. A plan that exceeds the limits ranks after
+    /// all that keep them.
     fn rank(&self) -> (bool, f64) {
         (!self.limits_respected, self.merit_nm)
     }
@@ -194,28 +195,28 @@ impl Iterate {
 pub struct Refined {
     /// Dwell times of the best round: the times of the segments in `trajectory`.
     pub dwell: DwellTime,
-    /// Its motion.
+    /// Motion of the best round.
     pub trajectory: Trajectory,
-    /// Index of the best round.
+    /// Index of the best round in `iterates`.
     pub best: usize,
     /// All rounds; the first is the plan before any correction.
     pub iterates: Vec<Iterate>,
-    /// Reason for the end of the loop: `no-improvement` or `round-limit`.
+    /// Reason why the loop ended: `no-improvement` or `round-limit`.
     pub end: End,
-    /// Number of dwell times of the best round at a bound: the upper bound, or the least that the floor or the machine
-    /// allows.
+    /// Number of dwell times of the best round at a bound: the upper bound, or the smallest time that the floor or the
+    /// machine allows.
     pub at_bound: usize,
     /// Limits of the machine that the best round exceeds, in words; `None` if it keeps them.
     pub exceeded: Option<String>,
     /// Lower bounds after the best round, s: the floor, or the time that the machine needed.
     pub least_s: Vec<f64>,
-    /// Lattice of the map on which the TIF was sampled anew; `None` where the samples are its own.
+    /// Lattice of the map on which the TIF was resampled; `None` if the TIF was used as it is.
     pub tif_lattice: Option<TifLattice>,
 }
 
 impl Refined {
-    /// Returns the reason for a negative verdict; `None` if the verdict is positive. The largest number of rounds is no
-    /// reason if the user gave that number.
+    /// Returns the reason for a negative verdict; `None` if it is positive. Reaching the largest number of rounds is no
+    /// reason if the user gave that number (`rounds_asked_for`).
     pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
         let best = &self.iterates[self.best];
         if let Some(exceeded) = &self.exceeded {
@@ -233,8 +234,8 @@ impl Refined {
     }
 }
 
-/// Factor on the smoothness from one correction to the next: half a decade. Larger: more rounds until the
-/// last smoothness. Smaller: corrections that are too rough for their operator, and more failed tries.
+/// Factor on the smoothness from one correction to the next: half a decade. Larger: more rounds until the last
+/// smoothness. Smaller: corrections that are too rough for their operator, and more failed tries.
 const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
 /// Fraction of the step below which a correction is given up, dimensionless. Larger: corrections are given
 /// up of which a small part would help. Smaller: more simulations of failed tries.
@@ -243,12 +244,12 @@ const LEAST_STEP_FRACTION: f64 = 0.1;
 /// correction predicted more progress ([`UNKEPT_PROMISE`]). Larger: more rounds for small gains. Smaller: the loop
 /// ends after one short step.
 const PATIENCE: usize = 2;
-/// Excess of the executed RMS over the prediction of the correction, relative, above which a full step does not end
-/// the loop. The machine then needed times that the correction did not know, and the next one has them as lower
-/// bounds. Larger: the loop ends although such a correction would help. Smaller: more rounds.
+/// Relative excess of the executed RMS over the prediction of the correction above which a full step does not end the
+/// loop. The machine then needed times that the correction did not know, and the next one has them as lower bounds.
+/// Larger: the loop ends although such a correction would help. Smaller: more rounds.
 const UNKEPT_PROMISE: f64 = 0.01;
 
-/// Ratio of the RMS that a correction predicts to the best RMS, below which a correction that is given up was too
+/// Ratio of the RMS that a correction predicts to the best RMS, below which a correction that failed counts as too
 /// large: the next one is smoother. Larger: more smoother corrections are tried. Smaller: the loop ends although a
 /// smoother correction would help.
 const LARGE_PROMISE: f64 = 0.9;
@@ -274,7 +275,7 @@ pub fn refine(
     rounds(desired, tif, path, limits, start, settings, None)
 }
 
-/// Start of the loop.
+/// Dwell times and bounds with which the loop starts.
 struct Start {
     /// First dwell times; `None`: those of the dwell solver.
     dwell: Option<DwellTime>,
@@ -282,7 +283,7 @@ struct Start {
     least_s: Option<Vec<f64>>,
 }
 
-/// Runs the loop; with `sources` it lowers the expected square.
+/// Runs the rounds of the loop; if `sources` (the errors of a process) are given, it lowers the expected square.
 fn rounds(
     desired: &Surface,
     tif: &Tif,
@@ -328,13 +329,13 @@ struct LoopInputs<'a> {
     sources: Option<&'a Sources>,
 }
 
-/// Motion of some dwell times and its judgement.
+/// Motion of some dwell times, with its simulated result and its limits.
 struct Executed<'a> {
     iterate: Iterate,
     trajectory: Trajectory,
-    /// Limits that it exceeds, in words.
+    /// Limits that the motion exceeds, in words; `None` if it keeps them.
     exceeded: Option<String>,
-    /// Segments that took longer than their dwell time: index and time, s.
+    /// Segments that took longer than their dwell time: index, and time in the motion, s.
     stretched: Vec<(usize, f64)>,
     quadratic: Option<Quadratic<'a>>,
 }
@@ -347,17 +348,17 @@ struct Best<'a> {
     quadratic: Option<Quadratic<'a>>,
 }
 
-/// The transition after a round.
+/// Transition of the loop after a round.
 enum Next {
     /// The loop ends.
     End,
-    /// The same correction with half of its step.
+    /// The loop tries the same correction with half of its step.
     HalveStep,
-    /// A new correction from the best round.
+    /// The loop makes a new correction from the best round.
     Correct {
-        /// True if the correction before is given up.
+        /// True if the correction before failed and is given up.
         is_given_up: bool,
-        /// True if it was too large, so that the next one is smoother.
+        /// True if that correction was too large, so that the next one is smoother.
         is_smoother: bool,
     },
 }
@@ -366,7 +367,7 @@ enum Next {
 struct Rounds<'a> {
     inputs: LoopInputs<'a>,
     simulation: SimulationPlan<'a>,
-    /// Valid pixels.
+    /// Number of valid pixels of the map.
     pixels: f64,
     /// RMS below which a residual is noise, nm.
     known_nm: f64,
@@ -374,18 +375,20 @@ struct Rounds<'a> {
     last_smoothness: f64,
     /// Settings of the next correction.
     solver: dwell_solver::BoundedSettings,
-    /// Bounds of the dwell times, s; the lower ones rise to what the machine needs.
+    /// Bounds of the dwell times, s; the lower ones rise to the times that the machine needs.
     lo: Vec<f64>,
     hi: Vec<f64>,
     lo_of_best: Vec<f64>,
     iterates: Vec<Iterate>,
     best: Option<Best<'a>>,
-    /// Dwell times that the correction proposes, t^, s, and how far the next round goes there.
+    /// Dwell times that the correction proposes (t^ of the module), s, and the fraction of the step towards them in the
+    /// next round.
     proposed_s: Vec<f64>,
     step_fraction: f64,
-    /// Rounds with this correction.
+    /// Number of rounds with the present correction.
     tries: usize,
-    /// RMS that t^ predicts, nm, and lower bounds from the times that the machine needed at every try of it, s.
+    /// RMS that the correction predicts, nm, and lower bounds from the times that the machine needed at every try of
+    /// it, s.
     promised_nm: f64,
     tried_lo: Vec<f64>,
     without_progress: usize,
@@ -394,7 +397,7 @@ struct Rounds<'a> {
 }
 
 impl<'a> Rounds<'a> {
-    /// Returns the state before the first round, and its dwell times.
+    /// Returns the state before the first round, and the dwell times of that round.
     fn start(inputs: LoopInputs<'a>, start: Start) -> Result<(Self, DwellTime), RefineError> {
         let LoopInputs { desired, tif, path, settings, .. } = inputs;
         let mut solver = settings.dwell;
@@ -437,7 +440,7 @@ impl<'a> Rounds<'a> {
         Ok((state, t))
     }
 
-    /// Makes the motion of dwell times, and simulates and judges it.
+    /// Makes the motion of the dwell times `t`, simulates it and checks its limits.
     fn execute(&self, t: &DwellTime) -> Result<Executed<'a>, RefineError> {
         let LoopInputs { desired, path, limits, settings, sources, .. } = self.inputs;
         let Scheduled { trajectory, mut changed } = settings.scheduler.schedule(path, t, limits)?;
@@ -475,8 +478,8 @@ impl<'a> Rounds<'a> {
         Ok(Executed { iterate, trajectory, exceeded: verdict.reason(), stretched, quadratic })
     }
 
-    /// Keeps the round if it is the best one, and returns true then. A plan that exceeds the limits ranks below all that
-    /// keep them.
+    /// Records the round, and keeps its plan if it is the best one; returns true then. A plan that exceeds the limits
+    /// ranks below all that keep them.
     fn keep(&mut self, round: usize, executed: Executed<'a>) -> Result<bool, RefineError> {
         let Executed { iterate, trajectory, exceeded, stretched, quadratic } = executed;
         let before = self.best.as_ref().map(|b| &self.iterates[b.round]);
@@ -509,7 +512,8 @@ impl<'a> Rounds<'a> {
         Ok(is_better)
     }
 
-    /// Makes the times that the machine needed lower bounds.
+    /// Raises the lower bounds to the times that the machine needed. Refuses a time above the upper bound. `stretched`
+    /// has index and time, s.
     fn raise_bounds(&mut self, stretched: &[(usize, f64)]) -> Result<(), RefineError> {
         for &(segment, needed_s) in stretched {
             let bound_s = self.hi[segment];
@@ -523,12 +527,12 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// Returns true where the corrections have their last smoothness.
+    /// Returns true if the corrections have reached their last smoothness.
     fn is_at_last(&self) -> bool {
         self.solver.slope_weight <= self.last_smoothness || self.has_noise
     }
 
-    /// Chooses the transition after a round that is the best one so far, or is not.
+    /// Decides what the loop does after a round; `is_better` is true if it is the best one so far.
     fn next(&self, is_better: bool) -> Next {
         let is_spent = !is_better && 0.5 * self.step_fraction < LEAST_STEP_FRACTION;
         let best_nm = self.best.as_ref().map_or(f64::INFINITY, |b| self.iterates[b.round].rms_nm);
@@ -568,7 +572,7 @@ impl<'a> Rounds<'a> {
         self.best.as_ref().expect("the first round is the best one so far")
     }
 
-    /// Finds t^ by bounded least squares with the columns B of the best motion.
+    /// Computes the dwell times t^ of the module by bounded least squares with the columns B of the best motion.
     fn correct(&mut self, round: usize) -> Result<(), RefineError> {
         let LoopInputs { desired, tif, path, settings, .. } = self.inputs;
         let Best { round: best, trajectory, quadratic, .. } = self.best();
@@ -599,7 +603,7 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// Returns the dwell times of the next round, t = t* + s (t^ - t*).
+    /// Returns the dwell times of the next round, t = t* + s (t^ - t*) of the module.
     fn proposal(&self) -> Result<DwellTime, Invalid> {
         let best_s = &self.iterates[self.best().round].dwell_s;
         let step = best_s.iter().zip(&self.proposed_s);
@@ -627,7 +631,7 @@ impl<'a> Rounds<'a> {
     }
 }
 
-/// Map minus m, the additional removal by the fixed errors of a process, nm.
+/// Returns the map less the additional removal m by the fixed errors of a process, nm.
 fn less_bias(map: &Surface, quadratic: &Quadratic<'_>) -> Result<Surface, Invalid> {
     let height: Array2<f64> = match &quadratic.bias_nm {
         None => return Ok(map.clone()),

@@ -20,8 +20,8 @@ use serde::Serialize;
 
 use crate::{Iterate, RefineError, RefineSettings, refine};
 
-/// Fraction of the pixels that are below z_min, dimensionless. Larger: a lower bound (1) that deeper parts of the
-/// map may not reach. Smaller: a pit of a few pixels decides the bound.
+/// Fraction of the pixels that are below the height z_min of the module, dimensionless. Larger: a lower bound (1) that
+/// deeper parts of the map may not reach. Smaller: a pit of a few pixels decides the bound.
 pub const IGNORED: f64 = 1e-3;
 
 /// Largest number of prices. Larger: the curve looks the same, and takes days. Smaller: fewer points can be
@@ -39,7 +39,7 @@ pub enum PlanMethod {
 }
 
 impl PlanMethod {
-    /// Name in tables and pictures.
+    /// Returns the name of the method in tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
             Self::ClosedLoop => "closed loop",
@@ -48,16 +48,16 @@ impl PlanMethod {
     }
 }
 
-/// Plan at one price.
+/// A plan at one price of a second, made by one method.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
     /// Method that made the plan.
     pub method: PlanMethod,
-    /// Price of a second, nm^2/s.
+    /// Price of a second in the objective, nm^2/s.
     pub time_weight_nm2_per_s: f64,
-    /// The plan; for the closed loop its best round.
+    /// Results of the plan; for the closed loop those of its best round.
     pub best: Iterate,
-    /// Reason for the end of the method.
+    /// Reason why the method ended.
     pub end: End,
 }
 
@@ -69,7 +69,7 @@ pub fn negative(points: &[Point]) -> Option<String> {
     Some("some plan exceeds the limits of the machine".to_string())
 }
 
-/// Returns the least total time of any plan (1), s.
+/// Returns the lower bound (1) of the module on the total time of any plan, s.
 pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     let mut z: Vec<f64> = desired.height_nm().iter().copied().filter(|z| !z.is_nan()).collect();
     z.sort_by(f64::total_cmp);
@@ -80,7 +80,7 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
 }
 
 /// Returns prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The
-/// largest is 3 % of half the mean square of the map per second of (1).
+/// largest is 3 % of half the mean square of the map per second of the time bound (1).
 ///
 /// # Errors
 ///
@@ -99,21 +99,23 @@ pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, In
     Ok(std::iter::once(0.0).chain(priced).collect())
 }
 
-/// Largest number of passes in which prices begin again with the plan of a neighbour; a pass that finds no better
-/// plan is the last one. Larger: more computing time. Smaller: a better plan reaches fewer neighbours.
+/// Largest number of passes over the prices in which a refinement starts again from the plan of a neighbouring price. A
+/// pass that finds no better plan is the last one. Larger: more computing time. Smaller: a better plan reaches fewer
+/// neighbours.
 const MAX_PASSES: usize = 4;
 
-/// Relative difference of the objective by which the plan of a neighbour must be better for a price to begin again
-/// with it. Larger: prices keep worse plans. Smaller: more refinements for small gains.
+/// Relative difference of the objective by which the plan of a neighbouring price must be better for a refinement to
+/// start again from it. Larger: prices keep worse plans. Smaller: more refinements for small gains.
 const CLEARLY_BETTER: f64 = 1e-3;
 
-/// Returns the rank of a plan by its objective, nm^2; a plan that exceeds the limits ranks after all others.
+/// Returns the rank of a plan by its objective, half the mean square plus price times time, nm^2. A plan that exceeds
+/// the limits ranks after all others.
 fn rank(plan: &Iterate, price_nm2_per_s: f64) -> (bool, f64) {
     let objective = 0.5 * plan.rms_nm.powi(2) + price_nm2_per_s * plan.total_time_s;
     (!plan.limits_respected, objective)
 }
 
-/// Gives every price the best of all plans.
+/// Replaces the plan at every price by the best of all `plans` at that price.
 ///
 /// The best plans of a common set are monotone in the price. Let e be the RMS, and plans 1 and 2 the best ones at
 /// the prices p < q. Then `e1^2 / 2 + p T1 <= e2^2 / 2 + p T2` and `e2^2 / 2 + q T2 <= e1^2 / 2 + q T1` add up to
@@ -200,7 +202,7 @@ pub fn trade_off(
     Ok(points)
 }
 
-/// Makes a joint plan per price; every price gets the best of all of them.
+/// Makes a joint plan of motion and times per price; every price gets the best of all of them.
 ///
 /// # Errors
 ///
@@ -241,7 +243,7 @@ pub fn feed_trade_off(
     Ok(points)
 }
 
-/// Height of the texts, px. Larger: easier to read, but the captions need more room.
+/// Height of the text in the picture, px. Larger: easier to read, but the captions need more room.
 const FONT_PX: f64 = 14.0;
 
 /// Width and height of the frame, px.
@@ -264,11 +266,11 @@ const TIME_AXIS: &str =
 /// Methods in the order of their names from the right, and the colours of their curves.
 const METHODS: [(PlanMethod, &str); 2] =
     [(PlanMethod::ClosedLoop, "#365c8d"), (PlanMethod::Joint, "#b5367a")];
-/// SVG attributes of the line of the bound (1).
+/// SVG attributes of the line of the time bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
-/// Draws a picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the
-/// bound (1) dashed.
+/// Draws the picture as SVG text. It has one curve per method, the total time to the right and the residual upwards
+/// (logarithmic), and the time bound as a dashed line.
 pub fn svg(points: &[Point], least_time_s: f64) -> String {
     let place = |p: &Point| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)];
     let end_s = 1.08 * points.iter().map(|p| place(p)[0]).fold(least_time_s, f64::max);

@@ -17,8 +17,8 @@ use planish_types::{Removal, Segment, Tif, Trajectory, text::significant};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Number of values of the TIF that are read in all; it takes some tenths of a second. Larger: more pixels, a smaller
-/// standard error, and more time. Smaller: fewer pixels.
+/// Number of values of the TIF that the comparison reads in all; it takes some tenths of a second. Larger: more pixels,
+/// a smaller standard error, and more time. Smaller: fewer pixels.
 const READINGS: f64 = 4e6;
 
 /// Smallest and largest number of pixels that are compared. The standard error of a change by c of the RMS is about c
@@ -29,8 +29,8 @@ const PIXELS: [f64; 2] = [64.0, 1000.0];
 /// Larger: maps with few valid pixels are compared on more of them. Smaller: on fewer.
 const PLACES_PER_PIXEL: usize = 8;
 
-/// Length of a step of the midpoint rule along the motion, over a step of the TIF. Larger: less exact. Smaller: more
-/// readings per pixel, and fewer pixels.
+/// Length of a step of the midpoint rule along the motion, as a fraction of the pitch of the TIF. Larger: less exact.
+/// Smaller: more readings per pixel, and fewer pixels.
 const PARTS_OF_A_STEP: f64 = 0.5;
 /// Largest number of steps of the midpoint rule. Larger: more memory. Smaller: long motions are integrated with
 /// longer steps.
@@ -47,24 +47,25 @@ const NAMED: f64 = 0.01;
 /// warning. Smaller: warnings by chance.
 const STANDARD_ERRORS: f64 = 2.0;
 
-/// Plastic number: 1 / g and 1 / g^2 are the steps of the most even sequence of pairs.
+/// Plastic number g, about 1.3247: multiples of 1 / g and 1 / g^2 give the most evenly spread sequence of pairs.
 const GOLDEN: f64 = 1.324_717_957_244_746;
 
-/// The residual by Keys' cubics beside that by straight lines.
+/// Comparison of the residual for two interpolations of the TIF: Keys' cubics and straight lines.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Between {
-    /// Pixels that were compared.
+    /// Number of pixels that were compared.
     pub pixels: usize,
-    /// RMS of the difference between the two removals, mean removed, nm.
+    /// RMS of the difference between the two removals about its mean, nm.
     pub difference_rms_nm: f64,
-    /// RMS of the residual with straight lines over that with Keys' cubics, less 1.
+    /// Relative change of the RMS of the residual with straight lines in place of Keys' cubics.
     pub residual_change: f64,
     /// Standard error of `residual_change`.
     pub standard_error: f64,
 }
 
 impl Between {
-    /// Compares the prediction `removal` of `trajectory` with `tif`; `None` if there is nothing to compare.
+    /// Compares the prediction `removal` of `trajectory` with `tif` to that with straight lines; `None` if no pixel can
+    /// be compared.
     pub fn new(trajectory: &Trajectory, tif: &Tif, removal: &Removal) -> Option<Self> {
         let residual = removal.residual();
         let grid = residual.grid();
@@ -102,7 +103,8 @@ impl Between {
         Self::compared(&before, &difference)
     }
 
-    /// Compares the residual `before` with its change at the same pixels.
+    /// Compares the residual `before`, nm, with its change `difference` at the same pixels; `None` if there is nothing
+    /// to compare.
     fn compared(before: &[f64], difference: &[f64]) -> Option<Self> {
         let n = before.len() as f64;
         let [r, d] = [before, difference].map(|v| -> Vec<f64> {
@@ -127,7 +129,7 @@ impl Between {
         })
     }
 
-    /// Returns the warning that the TIF is sampled too coarsely, or `None`.
+    /// Returns the warning that the TIF is sampled too coarsely; `None` if the change is small or uncertain.
     pub fn warning(&self) -> Option<String> {
         let change = self.residual_change;
         let seen = change.abs() > NAMED && change.abs() > STANDARD_ERRORS * self.standard_error;
@@ -146,8 +148,8 @@ impl Between {
     }
 }
 
-/// Returns the points of the midpoint rule along the motion with the tool on: place, mm, and time at the rate of the
-/// TIF, s.
+/// Returns the points of the midpoint rule along the motion with the tool on. Each has its position, mm, and its time
+/// at the rate of the TIF, s.
 fn quadrature_points(trajectory: &Trajectory, tif: &Tif) -> Vec<([f64; 2], f64)> {
     let step_mm = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
     let on = || trajectory.segments().filter(|s| s.tool_on);
@@ -164,7 +166,7 @@ fn quadrature_points(trajectory: &Trajectory, tif: &Tif) -> Vec<([f64; 2], f64)>
     .collect()
 }
 
-/// Returns the number of steps along a segment for a TIF with samples `step_mm` apart.
+/// Returns the number of steps of the midpoint rule along a segment, for a TIF with samples `step_mm` apart.
 fn steps(s: &Segment<'_>, step_mm: f64) -> f64 {
     let h = s.duration_s;
     // At least as long as the way.
@@ -172,8 +174,8 @@ fn steps(s: &Segment<'_>, step_mm: f64) -> f64 {
     (x.hypot(y) / (PARTS_OF_A_STEP * step_mm)).clamp(1.0, MOST_POINTS)
 }
 
-/// Returns what Keys' cubics remove more than straight lines at the `pixels` (by their x), nm, with the tool at the
-/// `points`.
+/// Returns the difference of the removals by Keys' cubics and by straight lines, nm, at the `pixels` (sorted by x),
+/// with the tool at the `points`.
 fn differences(points: &[([f64; 2], f64)], pixels: &[([f64; 2], f64)], tif: &Tif) -> Vec<f64> {
     let mut sums = vec![0.0; pixels.len()];
     for ([x, y], time_s) in points {
@@ -192,12 +194,13 @@ fn differences(points: &[([f64; 2], f64)], pixels: &[([f64; 2], f64)], tif: &Tif
     sums
 }
 
-/// Returns the mean of the squares.
+/// Returns the mean of the squares of the values.
 fn mean_square(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>() / v.len() as f64
 }
 
-/// Returns the bilinear interpolation of the samples at an offset within them, nm/s.
+/// Returns the bilinear interpolation of the samples of the TIF at the offset `d` (mm) from the tool, within the
+/// samples, nm/s.
 fn bilinear(tif: &Tif, d: [f64; 2]) -> f64 {
     let axes = [tif.grid().x, tif.grid().y];
     let [(i, fx), (j, fy)] = [0, 1].map(|a| {

@@ -1,4 +1,4 @@
-//! The command line.
+//! The command line of `planish-simulate`.
 
 mod virtual_run;
 
@@ -57,7 +57,7 @@ pub struct Simulate {
     output: OutputArgs,
 }
 
-/// Numbers of a prediction beside those of the residual.
+/// Results of a prediction for the manifest, besides the numbers of the residual.
 #[derive(Serialize)]
 struct PredictionReport<'a> {
     numerics: &'a Numerics,
@@ -166,7 +166,8 @@ impl Simulate {
     }
 }
 
-/// Warns of a poor coverage, and returns the status of a run with this coverage and this drawback.
+/// Warns if the motion covers the map poorly. Returns the status of the run, which is negative if there is a
+/// `drawback`.
 fn status(coverage: &Coverage, drawback: Option<String>) -> Status {
     if let Some(warning) = coverage.warning() {
         warn(warning);

@@ -1,4 +1,4 @@
-//! The part of a map that a motion reaches.
+//! Coverage: the part of a map that the tool of a motion reaches.
 //!
 //! A motion in other coordinates, or with its tool switched the wrong way round, is a valid motion: it removes nothing,
 //! and the residual is the map. So every prediction says which part of the map the tool touches.
@@ -8,12 +8,13 @@ use planish_numerics::polynomial;
 use planish_types::{Surface, Tif, Trajectory, text::significant};
 use serde::Serialize;
 
-/// Removal over the largest removal above which a pixel is touched. Larger: the thin rim of a tool does not count.
-/// Smaller: rounding of the transforms (about 1e-15) and far tails of a smooth tool (below 1e-9 of its peak) count.
+/// Removal, as a fraction of the largest removal, above which a pixel counts as touched. Larger: the thin rim of a tool
+/// does not count. Smaller: rounding of the transforms (about 1e-15) and far tails of a smooth tool (below 1e-9 of its
+/// peak) count.
 const TOUCHED: f64 = 1e-9;
 
-/// Removal, over that of the tool at rest for the time of the run, up to which it is rounding of the transforms.
-/// Larger: weak removals do not count. Smaller: rounding counts.
+/// Removal, as a fraction of that of the tool at rest for the time of the run, up to which it is rounding of the
+/// transforms. Larger: weak removals do not count. Smaller: rounding counts.
 const ROUNDING: f64 = 1e-13;
 
 /// Smallest fraction of the valid pixels that a plan for the whole map touches, dimensionless; a run that touches
@@ -26,20 +27,20 @@ const LEAST_TOUCHED: f64 = 0.5;
 /// beside the tool. Larger: warnings about such plans. Smaller: wrong coordinates pass.
 const LEAST_ON_MAP: f64 = 0.1;
 
-/// The part of a map that a motion reaches.
+/// Coverage of a map by a motion: touched pixels, removed volume, and time with the tool on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Coverage {
-    /// Valid pixels from which the tool removes material.
+    /// Number of valid pixels from which the tool removes material.
     pub touched_pixels: usize,
-    /// Valid pixels of the map.
+    /// Number of valid pixels of the map.
     pub valid_pixels: usize,
-    /// Part of the removed volume that falls on valid pixels; 0 where nothing is removed.
+    /// Fraction of the removed volume that falls on valid pixels; 0 if nothing is removed.
     pub volume_on_map: f64,
     /// Time with the tool on, s.
     pub tool_on_s: f64,
     #[serde(skip)]
     total_s: f64,
-    /// Lowest and highest [x, y] of the motion with the tool on, mm; absent where it is never on.
+    /// Lowest and highest point [x, y] of the motion with the tool on, mm; `None` if it is never on.
     #[serde(skip)]
     spans_mm: Option<[[f64; 2]; 2]>,
     #[serde(skip)]
@@ -47,7 +48,8 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Computes the coverage from the removal (ny, nx), in nm, of `trajectory` with `tif` on the pixels of `desired`.
+    /// Computes the coverage of the valid pixels of `desired` from the removal of `trajectory` with `tif`, shape (ny,
+    /// nx), nm.
     pub fn new(
         removal_nm: &Array2<f64>,
         trajectory: &Trajectory,
@@ -93,7 +95,7 @@ impl Coverage {
         }
     }
 
-    /// Returns the reason for which a run that removes nothing is useless; `None` if it removes something.
+    /// Returns the reason why a run that removes nothing is useless; `None` if it removes something.
     pub fn drawback(&self) -> Option<String> {
         if self.touched_pixels > 0 {
             return None;
@@ -111,7 +113,7 @@ impl Coverage {
         ))
     }
 
-    /// Returns the warning about a run that removes something but covers the map poorly, or `None`.
+    /// Returns the warning about a run that covers the map poorly; `None` if it covers it well, or removes nothing.
     pub fn warning(&self) -> Option<String> {
         let touched = self.touched_pixels as f64 / self.valid_pixels.max(1) as f64;
         let few = touched < LEAST_TOUCHED;
@@ -133,7 +135,7 @@ impl Coverage {
     }
 }
 
-/// Returns a rectangle from its lowest and its highest [x, y].
+/// Returns a text for a rectangle from its lowest and its highest point [x, y], mm.
 fn shown([low, high]: &[[f64; 2]; 2]) -> String {
     let [x0, x1, y0, y1] = [low[0], high[0], low[1], high[1]].map(|mm| significant(mm, 5));
     format!("x {x0} .. {x1} mm, y {y0} .. {y1} mm")

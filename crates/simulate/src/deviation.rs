@@ -1,4 +1,5 @@
-//! Deviations of a run from its plan: motion, TIF and map with their errors.
+//! Deviations of a run from its plan: motion, TIF and map with their errors. A piece is a short part of the motion; a
+//! stay is the part that serves one dwell point without interruption.
 //!
 //! A rate that differs from one is time in the place of rate: a piece of the motion that takes r times as
 //! long, along the same curve, removes r times as much. So every deviation of the run is a trajectory that the
@@ -17,14 +18,14 @@ use crate::{
     servo::Servo,
 };
 
-/// All errors of a run; none by default.
+/// All errors of one run; none by default.
 #[derive(Clone, Debug, Default)]
 pub struct Deviation {
-    /// Factor of the rate less 1.
+    /// Relative error of the rate.
     rate: f64,
-    /// Rise of the rate over the run.
+    /// Relative rise of the rate from the start to the end of the run.
     drift: f64,
-    /// Time constant, s, and amount of each warm-up.
+    /// Time constant, s, and relative amount of each warm-up of the rate.
     warm_up: Vec<(f64, f64)>,
     offset_mm: [f64; 2],
     rotation_rad: f64,
@@ -36,27 +37,28 @@ pub struct Deviation {
     tif_rotation_rad: f64,
     servos: Vec<Servo>,
     backlash_mm: f64,
-    /// Deviation of the rate in every piece; empty where there is none.
+    /// Relative deviation of the rate in every piece of the motion; empty if there is none.
     pub rate_of_piece: Vec<f64>,
-    /// Deviation of the place [x, y] of every stay, mm; empty where there is none.
+    /// Displacement [x, y] of the tool in every stay, mm; empty if there is none.
     pub place_of_stay_mm: Vec<[f64; 2]>,
-    /// Deviation of the time of every stay, s; empty where there is none.
+    /// Error of the time of every stay, s; empty if there is none.
     pub time_of_stay_s: Vec<f64>,
-    /// Addition to the residual that the errors of the map cause, nm.
+    /// Residual that the errors of the map add, shape (ny, nx), nm; `None` without such errors.
     pub map_nm: Option<Array2<f64>>,
 }
 
-/// The reason for which a tool has no ellipticity along axes of the part.
+/// Reason why some tools have no ellipticity along axes of the part, for messages.
 pub const TURNS: &str = "turns with the azimuth, and its ellipticity turns with it, which kernels along fixed axes do \
                          not follow";
 
-/// Returns true if an ellipticity along fixed axes of the part is one of the tool: its spot does not turn with the azimuth.
+/// Returns true if the tool can have an ellipticity along fixed axes of the part: its spot does not turn with the
+/// azimuth.
 pub fn has_one_ellipse(tif: &Tif) -> bool {
     tif.variation().is_none_or(|v| v.azimuth_weights().is_none())
 }
 
-/// Refuses a tool that turns with the direction of its motion, which errors change, and ellipticities in the budget of a
-/// tool that has none along axes of the part.
+/// Refuses a tool that turns with the direction of its motion. Refuses an error budget with ellipticities if the tool
+/// has none along axes of the part.
 pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
     tif.same_in_all_directions("a simulation with errors of the process")?;
     for (i, error) in process.errors.iter().enumerate() {
@@ -78,7 +80,8 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
 }
 
 impl Deviation {
-    /// Returns the axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
+    /// Returns the response of the axes that is the same in every run of `process`: its lags of a fixed size, in the
+    /// order of the file.
     pub fn servos_of(process: &ErrorBudget) -> Self {
         let mut run = Self::default();
         for error in &process.errors {
@@ -93,12 +96,12 @@ impl Deviation {
         run
     }
 
-    /// Returns the number of servos that the axes follow through, one after the other.
+    /// Returns the number of servo models through which the commanded motion passes, one after the other.
     pub fn servo_count(&self) -> usize {
         self.servos.len()
     }
 
-    /// Adds an effect of this size.
+    /// Adds an error with this effect; `size` is a fraction, or in mm, rad or s.
     pub fn add(&mut self, effect: Scalar, size: f64) {
         match effect {
             Scalar::RateScale => self.rate += size,
@@ -122,7 +125,7 @@ impl Deviation {
         }
     }
 
-    /// Returns the TIF that runs; `None` where it is `tif` itself.
+    /// Returns the TIF of the tool with these errors; `None` if it is `tif` itself.
     ///
     /// A tool that varies over the part is wider, longer or rotated in the plane of the part, about the centroid of the
     /// mean tool:
@@ -170,7 +173,8 @@ impl Deviation {
         tif.with_kernels(|kernel| Ok((*grid, changed(kernel) * volume))).map(Some)
     }
 
-    /// Computes the motion that the machine executes over a map of `grid`, with the rates there.
+    /// Computes the motion with its errors, in the coordinates of the map with the pixels `grid`. Its rate factors hold
+    /// the errors of the rate.
     ///
     /// # Errors
     ///
@@ -240,7 +244,7 @@ impl Deviation {
         Trajectory::new(breaks, coefficients, tool_on, index)
     }
 
-    /// Returns the errors that act throughout the run, as numbers.
+    /// Returns the errors that act throughout the run, for the record of the truth.
     pub fn truth(&self) -> Truth {
         Truth {
             rate_scale: self.rate,
@@ -256,7 +260,8 @@ impl Deviation {
         }
     }
 
-    /// Returns the mean deviation of the rate over a piece, noise left out.
+    /// Returns the mean relative deviation of the rate over a piece without its noise; `total_s` is the duration of the
+    /// run.
     pub fn rate_at(&self, p: &MotionPiece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;

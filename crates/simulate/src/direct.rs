@@ -1,4 +1,4 @@
-//! Midpoint quadrature, pixel by pixel: slow and simple, the oracle of [`crate::gridded`].
+//! Midpoint quadrature, pixel by pixel: slow and simple, the independent check (oracle) of [`crate::gridded`].
 //!
 //! ```text
 //! removal(x) = sum over segments, sum_{q=0}^{m-1} (h / m) R(x - P((q + 1/2) h / m))
@@ -16,11 +16,11 @@ use rayon::prelude::*;
 
 use crate::{Numerics, Tell};
 
-/// Largest number of quadrature points (2.4 GB); more are refused. Larger: more memory. Smaller:
-/// long motions need fewer steps per segment.
+/// Largest number of quadrature points (2.4 GB); more are refused. Larger: more memory. Smaller: long motions are
+/// refused unless they have fewer steps per segment.
 const MAX_SAMPLES: usize = 100_000_000;
 
-/// The tool in a pose for `time_s`, counted at the rate of its TIF.
+/// Position and direction of the tool at one quadrature point; `time_s` is its time, scaled to the rate of the TIF.
 struct Sample {
     pose: Pose,
     time_s: f64,
@@ -40,7 +40,7 @@ pub fn removal_nm(
     removal_with_progress(trajectory, tif, grid, steps, &|_| ())
 }
 
-/// Computes the removal, and tells `tell` the fraction that is done.
+/// Computes the removal as [`removal_nm`] does, and calls `tell` with the fraction that is done.
 pub(crate) fn removal_with_progress(
     trajectory: &Trajectory,
     tif: &Tif,
@@ -93,7 +93,7 @@ pub fn removal_at_nm(
     sum_nm(&samples(trajectory, tif, steps).iter().collect::<Vec<_>>(), tif, x_mm, y_mm)
 }
 
-/// Returns the removal of the samples at a point, nm.
+/// Returns the removal of the quadrature points at the point (`x_mm`, `y_mm`), nm.
 fn sum_nm(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
     samples
         .iter()

@@ -1,4 +1,4 @@
-//! The errors of a process, as its file states them.
+//! The error budget: the errors of a process, as its file states them.
 //!
 //! ```json
 //! { "name": "ion beam",
@@ -21,58 +21,58 @@ use crate::play;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// The removal rate is larger by a factor throughout the run.
+    /// Relative error of the removal rate throughout the run.
     RateScale,
-    /// The rate rises linearly by this much from the start to the end of the run, about its middle.
+    /// Relative rise of the rate from the start to the end of the run, linear and about the middle of the run.
     RateDrift,
-    /// The rate is too low by this much at the start and approaches its value exponentially.
+    /// Relative lack of the rate at the start of the run, which decays exponentially.
     RateWarmUp,
-    /// The rate fluctuates: an Ornstein-Uhlenbeck process of this standard deviation.
+    /// Relative fluctuation of the rate: an Ornstein-Uhlenbeck process of this standard deviation.
     RateNoise,
-    /// The tool is displaced along x against the map.
+    /// Displacement of the tool along x against the map.
     OffsetX,
-    /// The tool is displaced along y against the map.
+    /// Displacement of the tool along y against the map.
     OffsetY,
-    /// The axes are rotated against the map, from x to y, about its middle.
+    /// Rotation of the axes against the map about its middle, from x to y.
     Rotation,
-    /// The machine's lengths are larger than those of the map.
+    /// Relative excess of the machine's lengths over those of the map.
     Magnification,
-    /// The machine's x grows with the y of the map.
+    /// Shear of the axes: the machine's x grows with the y of the map by this fraction.
     Shear,
-    /// The TIF is wider, at the same volumetric removal rate.
+    /// Relative excess of the width of the TIF, at the same volumetric removal rate.
     TifWidth,
-    /// The TIF is longer along x by half of this, and shorter along y.
+    /// Ellipticity of the TIF along x: it is longer along x by half of this fraction, and shorter along y.
     TifEllipticity,
-    /// The TIF is longer along the diagonal (from lower left to upper right) by half of this, and shorter across.
+    /// Ellipticity of the TIF along the diagonal from lower left to upper right: longer along it by half of this
+    /// fraction, and shorter across.
     TifDiagonalEllipticity,
-    /// The TIF is rotated about the place of the tool, from x to y.
+    /// Rotation of the TIF about the position of the tool, from x to y.
     TifRotation,
-    /// The beam is beside the place of the tool along x.
+    /// Displacement of the TIF along x against the position of the tool.
     TifOffsetX,
-    /// The beam is beside the place of the tool along y.
+    /// Displacement of the TIF along y against the position of the tool.
     TifOffsetY,
     /// Independent displacement of every dwell point, along x and along y.
     PositionNoise,
-    /// The tool is where it should have been this much earlier.
+    /// Delay of the tool: at each time it is where it should have been this time earlier.
     VelocityLag,
-    /// The axes follow as a servo of first order with this time constant.
+    /// Time constant of axes that follow their command as a servo of first order.
     ServoFirstOrder,
-    /// The axes follow as a servo of second order with this lag at constant velocity.
+    /// Lag at constant velocity of axes that follow their command as a servo of second order.
     ServoSecondOrder,
-    /// An axis has this much play when it turns back.
+    /// Play of an axis, which it has when it turns back.
     Backlash,
-    /// The time of every dwell point is off for itself.
+    /// Independent error of the time of every dwell point.
     TimingJitter,
-    /// The controller begins and ends what it does at multiples of a tick.
+    /// Tick of the controller, which begins and ends its actions at multiples of it.
     TimingTick,
     /// Independent noise of every pixel of the map.
     MapNoise,
-    /// The map has an error of low order: Legendre polynomials up to this total degree, piston left out, of this
-    /// RMS together.
+    /// Low-order error of the map: Legendre polynomials up to a total degree, piston left out, of this RMS together.
     MapLowOrder,
 }
 
-/// A process as its file states it, not checked yet.
+/// An error budget as its file states it, not checked yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ErrorBudgetFile {
@@ -82,7 +82,7 @@ pub struct ErrorBudgetFile {
     pub errors: Vec<ErrorFile>,
 }
 
-/// An error as the file states it, not checked yet.
+/// An error as the file of the budget states it, not checked yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ErrorFile {
@@ -94,23 +94,23 @@ pub struct ErrorFile {
     pub unit: String,
     /// Distribution of the error from run to run.
     pub distribution: Distribution,
-    /// Source of the number.
+    /// Note on where the number comes from.
     pub note: String,
-    /// Correlation time of `rate_noise`, s.
+    /// Correlation time of `rate_noise`, s; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlation_s: Option<f64>,
-    /// Time constant of `rate_warm_up`, s.
+    /// Time constant of `rate_warm_up`, s; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_constant_s: Option<f64>,
-    /// Damping ratio of `servo_second_order`.
+    /// Damping ratio of `servo_second_order`; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damping_ratio: Option<f64>,
-    /// Largest total degree of `map_low_order`.
+    /// Largest total degree of `map_low_order`; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
 }
 
-/// The errors of a process, checked.
+/// A checked error budget.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorBudget {
     /// Name of the process.
@@ -119,34 +119,34 @@ pub struct ErrorBudget {
     pub errors: Vec<ProcessError>,
 }
 
-/// One error of a process, checked.
+/// A checked error of a budget.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProcessError {
     /// The error as the file states it.
     pub stated: ErrorFile,
-    /// Size of the error as a fraction, or in mm, rad, s or nm.
+    /// Size of the error in the unit of the calculation: a fraction, or in mm, rad, s or nm.
     pub size: f64,
-    /// Effect of the error.
+    /// Effect of the error on a run.
     pub effect: Effect,
 }
 
-/// Effect of an error, with all numbers that its kind needs.
+/// Effect of an error on a run, with all numbers that its kind needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Effect {
-    /// Effect of one number: [`Scalar`].
+    /// An error that a single number describes.
     Scalar(Scalar),
-    /// Independent numbers along the run: [`Noise`].
+    /// An error of independent random numbers along the run.
     Noise(Noise),
-    /// Legendre polynomials of the map up to a total degree.
+    /// Low-order error of the map: Legendre polynomials up to a total degree.
     MapLowOrder {
-        /// The largest total degree.
+        /// Largest total degree of the polynomials.
         degree: usize,
     },
-    /// White noise of the map.
+    /// White noise of the map, independent in every pixel.
     MapNoise,
 }
 
-/// An effect that one number decides.
+/// Effect of an error that a single number describes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)] // what each is stands at its kind
 pub enum Scalar {
@@ -169,12 +169,13 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Returns true if it makes the axes late.
+    /// Returns true if the error delays the axes.
     pub fn is_a_lag(self) -> bool {
         matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
     }
 
-    /// Returns true if the maps before and after a run can tell it: rate, place, width and shape of the tool.
+    /// Returns true if the maps before and after a run can determine the error: it is one of rate, position, width or
+    /// shape of the tool.
     pub fn is_learnt(self) -> bool {
         match self {
             Self::RateScale
@@ -197,7 +198,7 @@ impl Scalar {
     }
 }
 
-/// An effect of independent numbers along the run.
+/// Effect of an error of independent random numbers along the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)] // what each is stands at its kind
 pub enum Noise {
@@ -207,7 +208,7 @@ pub enum Noise {
     Tick,
 }
 
-/// A unit that a file may state, and its value in the unit of the calculation.
+/// Name of a unit that a file may state, and its size in the unit of the calculation.
 type Unit = (&'static str, f64);
 
 /// Units of a fraction.
@@ -233,7 +234,7 @@ const LARGEST_TIME_S: f64 = 1e3;
 /// Largest size of an error that is a length, mm; a larger one is refused as a wrong unit. Smaller: errors on large
 /// machines are refused.
 const LARGEST_LENGTH_MM: f64 = 1e3;
-/// Largest lag of an axis, s: a servo of 0.2 Hz, which follows no plan.
+/// Largest lag of an axis, s; a larger one is refused. It is that of a servo of 0.2 Hz, which follows no plan.
 const LARGEST_LAG_S: f64 = 1.0;
 const LARGEST_HEIGHT_NM: f64 = 1e6;
 
@@ -241,16 +242,16 @@ const LARGEST_HEIGHT_NM: f64 = 1e6;
 /// drifts are refused.
 const LONGEST_TIME_S: f64 = 3.2e7;
 
-/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first
-/// order.
+/// Smallest and largest damping ratio; others are refused. Structures of steel have some 0.01 to 0.03, and a servo
+/// above 2 is one of first order.
 const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 
-/// Largest degree of a low-order error; higher ones are refused. Higher orders are what a map
-/// measures.
+/// Largest degree of a low-order error; higher ones are refused, because a map measures them.
 const LARGEST_DEGREE: usize = 8;
 
 impl Kind {
-    /// Returns the units of its size, and the largest size.
+    /// Returns the units in which a file may state the size of this kind, and the largest size in the unit of the
+    /// calculation.
     fn units(self) -> (&'static [Unit], f64) {
         use Kind::*;
         match self {
@@ -273,19 +274,20 @@ impl Kind {
         }
     }
 
-    /// Name of the kind in a file.
+    /// Returns the name of the kind in a file.
     pub fn name(self) -> String {
         let value = serde_json::to_value(self).expect("a name serialises");
         value.as_str().expect("an enumeration without contents is a string").into()
     }
 }
 
-/// Size of an error in %, below which it is doubted as a fraction. Larger: good machines are doubted. Smaller:
-/// fractions pass. Chosen: the smallest rates and widths of the fixtures are 0.5 %. Geometric errors may be smaller.
+/// Size of an error in % below which a warning asks whether it is a fraction. Larger: warnings about good machines.
+/// Smaller: fractions pass. Chosen: the smallest rates and widths of the fixtures are 0.5 %. Geometric errors may be
+/// smaller.
 const LEAST_PERCENT: f64 = 0.1;
 
 impl ErrorBudget {
-    /// Returns the doubt about errors in % that are so small that they may be fractions.
+    /// Returns the warning about errors in % that are so small that they may be fractions; `None` if there are none.
     pub fn doubt(&self) -> Option<String> {
         let small: Vec<String> =
             self.errors.iter().filter_map(ProcessError::small_percent).collect();
@@ -295,7 +297,7 @@ impl ErrorBudget {
         Some(format!("{}: fractions? give the size in %, or the unit \"1\"", small.join(", ")))
     }
 
-    /// Returns the sentence on the state in which an axis with play begins, if the process has play.
+    /// Returns the sentence on the state in which an axis with play begins; `None` if the process has no play.
     pub fn play_start(&self) -> Option<&'static str> {
         let mut errors = self.errors.iter();
         let has_play =
@@ -305,7 +307,8 @@ impl ErrorBudget {
 }
 
 impl ProcessError {
-    /// Returns the sentence on an error of the rate or of the shape of the tool that is as small as a fraction.
+    /// Returns a text about an error in % of the rate or of the tool's shape that is so small that it may be a
+    /// fraction; otherwise `None`.
     fn small_percent(&self) -> Option<String> {
         let ErrorFile { kind, size, unit, .. } = &self.stated;
         let is_of_tool = !matches!(kind, Kind::Magnification | Kind::Shear);
@@ -379,8 +382,8 @@ impl ErrorFile {
         Ok(ProcessError { stated: self, size, effect })
     }
 
-    /// Noise along the run is normal, a tick uniform, and a servo's lag, which is not negative, fixed; all else may
-    /// scatter as it likes.
+    /// Refuses a distribution that does not fit the kind. Noise along the run is normal, a tick uniform, and a servo's
+    /// lag, which is not negative, fixed; other errors may have any.
     fn check_distribution(&self, index: usize, name: &str) -> Result<(), Invalid> {
         use Kind::*;
         let only = match self.kind {
@@ -400,7 +403,7 @@ impl ErrorFile {
         Err(Invalid::at_index("errors", index, problem, format!("give {only:?}")))
     }
 
-    /// Returns the effect, with the settings that its kind asks for; refuses any other.
+    /// Returns the effect of the error with the settings that its kind needs. Refuses missing and unneeded settings.
     fn effect(&self, index: usize, name: &str) -> Result<Effect, Invalid> {
         let degree = self.degree.map(|d| d as f64);
         let settings = [
@@ -476,7 +479,7 @@ impl ErrorFile {
 mod tests {
     use super::*;
 
-    /// A process with one error of the rate.
+    /// Makes a process with one error of the rate.
     fn process(size: f64, unit: &str) -> Result<ErrorBudget, Invalid> {
         let error = ErrorFile {
             kind: Kind::RateScale,

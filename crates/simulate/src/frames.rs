@@ -31,18 +31,18 @@ pub const MAX_COUNT: usize = 1000;
 /// Smaller: threads may idle.
 const SIDE_BY_SIDE: usize = 2;
 
-/// The removal at several times.
+/// The removal up to several times of the run.
 #[derive(Clone, Debug)]
 pub struct Frames {
-    /// Times (m) from the start of the motion, s.
+    /// Times from the start of the motion, s, length m.
     pub time_s: Vec<f64>,
-    /// Removal until then (m, ny, nx), nm.
+    /// Removal up to each time, shape (m, ny, nx), nm.
     pub removal_nm: Array3<f64>,
     /// Pixel centres of the frames.
     pub grid: Grid,
-    /// Rows and columns of the map per row and column of a frame, [x, y].
+    /// Distance of the pixels of a frame in pixels of the map, along [x, y].
     pub stride: [usize; 2],
-    /// Part of the map that the whole motion reaches.
+    /// Coverage of the map by the whole motion.
     pub coverage: Coverage,
 }
 
@@ -96,7 +96,8 @@ pub fn frames(
     Ok(Frames { time_s, removal_nm, grid, stride, coverage })
 }
 
-/// Returns the smallest [x, y] that keep at most [`MAX_PIXELS`], and two rows and columns.
+/// Returns the smallest strides along [x, y] with which a frame has at most [`MAX_PIXELS`]; at least two rows and
+/// columns stay.
 fn strides(grid: &Grid) -> [usize; 2] {
     // Two rows or columns stay in any case.
     let mut strides = (1..).map(|s| [&grid.x, &grid.y].map(|axis| s.min(axis.len() - 1)));
@@ -105,12 +106,12 @@ fn strides(grid: &Grid) -> [usize; 2] {
         .expect("a large stride keeps two rows and columns")
 }
 
-/// Returns every `stride`-th pixel of an axis.
+/// Returns the axis of every `stride`-th pixel.
 fn thinned(axis: &Axis, stride: usize) -> Result<Axis, Invalid> {
     Axis::new(axis.start_mm(), axis.step_mm() * stride as f64, axis.len().div_ceil(stride))
 }
 
-/// Returns the motion from `from_s` to `until_s`; `None` where nothing is left of it.
+/// Returns the part of the motion from `from_s` to `until_s`; `None` if it has no duration.
 fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajectory>, Invalid> {
     let breaks = t.break_time_s();
     let first = breaks.partition_point(|b| *b <= from_s).saturating_sub(1);
@@ -138,7 +139,7 @@ fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajector
     Trajectory::new(times, coefficients, on, index)?.with_rate_factor(factor).map(Some)
 }
 
-/// Returns q(u) = p(u + d): q_k = p^(k)(d) / k!
+/// Returns the coefficients of the polynomial q(u) = p(u + d), which are q_k = p^(k)(d) / k!.
 fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     let v = derivative(p);
     let a = derivative(&v);
@@ -169,7 +170,7 @@ mod tests {
         Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((9, 9), rate)).unwrap()
     }
 
-    /// Curved, with a lift and a rest; the frames do not end at its breaks.
+    /// Makes a curved motion with a lift and a rest; the frames do not end at its breaks.
     fn motion() -> Trajectory {
         let c = vec![
             [[0.0, 1.5, 0.2, -0.05], [0.0, 0.3, 0.0, 0.01]],

@@ -67,14 +67,15 @@ use crate::{
     tile::{Tile, Workspace},
 };
 
-/// Largest number of lattice points; more are refused. Larger: more memory. Smaller: large maps are refused.
+/// Largest number of points of the lattice on which map and TIF lie; more are refused. Larger: more memory. Smaller:
+/// large maps are refused.
 const MAX_LATTICE: usize = 1 << 28;
 
 /// Memory of one sample of the TIF on the lattice, bytes, with its part of the padded spectrum (measured: about 60).
 /// Larger: problems that would fit are refused. Smaller: the memory may run out.
 const BYTES_PER_SAMPLE: usize = 64;
 
-/// Data that depend on the TIF and the map only, for many trajectories: those of every kernel of the tool.
+/// Data that depend on the TIF and the map only and serve many trajectories; a varying tool has several kernels.
 ///
 /// ```text
 /// removal(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
@@ -85,23 +86,23 @@ pub struct GriddedPlan {
     kernels: Vec<OfKernel>,
     /// Lattice of the TIF on the map.
     lattice: TifLattice,
-    /// The tool, if it varies.
+    /// The tool, if it varies over the part or in time.
     varying: Option<Tif>,
-    /// Factor of every pixel, if the tool has one.
+    /// Factor of every pixel, shape (ny, nx), if the tool has one.
     factor: Option<Array2<f64>>,
 }
 
-/// The convolution with a kernel of the tool.
+/// Convolution with one kernel of the tool.
 struct OfKernel {
     kernel: Kernel,
-    /// Pixels per strip along x and per band along y.
+    /// Number of pixels per strip along x and per band along y.
     pixels: [usize; 2],
     /// Buffers that no thread uses at the moment.
     idle: Mutex<Vec<Workspace>>,
 }
 
 impl GriddedPlan {
-    /// Plans the removal of `tif` on `grid`.
+    /// Prepares the removal of `tif` on the pixels of `grid`.
     ///
     /// # Errors
     ///
@@ -122,12 +123,12 @@ impl GriddedPlan {
         Ok(Self { kernels, lattice, varying: Some(tif.into_owned()), factor })
     }
 
-    /// Computes the removal (ny, nx) of `trajectory`, nm.
+    /// Computes the removal of `trajectory`, shape (ny, nx), nm.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
         self.removal_with_progress(trajectory, &|_| ())
     }
 
-    /// Computes the removal, and tells `tell` the fraction that is done.
+    /// Computes the removal, and calls `tell` with the fraction that is done.
     pub(crate) fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
@@ -157,7 +158,8 @@ impl GriddedPlan {
 }
 
 impl OfKernel {
-    /// Plans the removal of a kernel of a tool of this peak, nm/s, on `grid`, with so many samples to a pixel.
+    /// Prepares the convolution with one kernel. `peak` is that of the tool, nm/s, and `parts` the number of samples
+    /// per pixel along x and y.
     fn new(tif: &Tif, peak: f64, grid: &Grid, parts: [usize; 2]) -> Result<Self, Invalid> {
         let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, parts[axis], axis));
         if x.source_nodes().saturating_mul(y.source_nodes()) > MAX_LATTICE {
@@ -174,8 +176,8 @@ impl OfKernel {
         Ok(Self { kernel, pixels, idle: Mutex::default() })
     }
 
-    /// Removal (ny, nx) of `trajectory`, nm, with the seconds times a weight, if there is one, and the number of quadrature
-    /// points; tells `tell` the fraction that is done.
+    /// Computes the removal of `trajectory`, shape (ny, nx), nm, and the number of quadrature points. A `weight`
+    /// multiplies the time of the tool. `tell` gets the fraction that is done.
     fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
@@ -218,12 +220,12 @@ impl OfKernel {
         (removal, quadrature_points)
     }
 
-    /// Returns the rows of the map, band by band.
+    /// Returns the rows of each band of the map.
     fn bands(&self) -> Vec<Range<usize>> {
         parts(self.kernel.y.pixels, self.pixels[1])
     }
 
-    /// Returns the columns of the map, two strips for each tile; the last may be empty.
+    /// Returns the columns of the map as two strips for each tile; the second strip of the last tile may be empty.
     fn strips(&self) -> Vec<[Range<usize>; 2]> {
         let n = self.kernel.x.pixels;
         let strips = parts(n, self.pixels[0]);
@@ -253,7 +255,7 @@ impl OfKernel {
     }
 }
 
-/// 0 .. n in parts of `size`.
+/// Returns the range 0 .. n in parts of `size`; the last may be shorter.
 fn parts(n: usize, size: usize) -> Vec<Range<usize>> {
     (0..n).step_by(size).map(|from| from..(from + size).min(n)).collect()
 }
@@ -272,7 +274,7 @@ pub fn removal_nm(
 }
 
 /// Number of cores for which the tiles are laid out. It is fixed, because the result may not depend on the number of
-/// cores. Larger: smaller tiles, and more work in all. Smaller: cores idle. Another value changes the last digits of
+/// cores. Larger: smaller tiles, and more work in total. Smaller: cores idle. Another value changes the last digits of
 /// the result.
 const CORES: usize = 2;
 
@@ -281,8 +283,8 @@ const CORES: usize = 2;
 /// the tiles, and with it the speed.
 const SPILL_WORK: f64 = 4.0;
 
-/// Chooses the pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the
-/// least work for the busiest core.
+/// Chooses the number of pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, with
+/// the least work for the busiest core. `spills` says if the border has to be corrected.
 fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)) {
     let mut best = (f64::INFINITY, [0, 0], (0, 0));
     for &(nx, px) in &choices(x) {
@@ -305,7 +307,7 @@ fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)
     (pixels, best.2)
 }
 
-/// Returns the sizes of a transform along an axis, each with the number of pixels that it holds.
+/// Returns the possible sizes of a transform along an axis, each with the number of pixels for which it suffices.
 fn choices(l: &Lattice) -> Vec<(usize, usize)> {
     // Elements of a transform that holds all, and so for a part of the pixels.
     let whole = field_size(l.source_nodes());
@@ -315,7 +317,7 @@ fn choices(l: &Lattice) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// Returns the work of the transform of a line of `n` elements, for each element across it.
+/// Returns the work of the transform of a line of `n` elements, per element across the line.
 fn line_work(n: usize) -> f64 {
     n as f64 * (n as f64).log2().max(1.0)
 }

@@ -1,11 +1,11 @@
-//! The TIF on the lattice, ready to be convolved with a field of seconds.
+//! The TIF on the lattice, prepared for the convolution with a field of seconds: the dwell time on the nodes.
 
 use ndarray::{ArrayView2, Axis as NdAxis};
 use planish_numerics::fft::{lane_convolution::LaneConvolution, line_convolution::LineConvolution};
 
 use crate::lattice::{BorderNode, Lattice};
 
-/// The TIF on the lattice, for tiles of one size.
+/// The TIF on the lattice, prepared for tiles of one size.
 pub struct Kernel {
     /// The lattice along x.
     pub x: Lattice,
@@ -18,8 +18,8 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// Makes the kernel for transforms of the shape `size`; `spills` says if anything has to be removed at the
-    /// border.
+    /// Makes the kernel from the samples of the TIF on the lattice, for transforms of the shape `size` (ny, nx).
+    /// `spills` says if the border has to be corrected.
     pub fn new(
         x: Lattice,
         y: Lattice,
@@ -39,18 +39,18 @@ pub const MAX_BORDER: usize = 8;
 
 /// Correction of the kernel spill: (2) of [`crate::gridded`].
 pub struct Border {
-    /// Along y.
+    /// Correction beyond the edges along y.
     pub rows: Edge,
-    /// Along x.
+    /// Correction beyond the edges along x.
     pub columns: Edge,
     /// The samples at the corners, by the slots of [`Lattice::border_samples`]; `None` where they are lost in
     /// the rounding of the peak.
     pub corners: Option<Vec<[[f64; MAX_BORDER]; 4]>>,
 }
 
-/// The edges of R along one axis.
+/// Data for the correction beyond the edges of R along one axis.
 pub struct Edge {
-    /// Nodes that get something from beyond the samples.
+    /// Nodes beyond the edges that receive something from Keys' interpolation.
     pub nodes: Vec<BorderNode>,
     /// Convolution with the samples of [`Lattice::border_samples`], along the other axis.
     pub convolution: LineConvolution,
@@ -65,7 +65,7 @@ impl Edge {
 }
 
 impl Border {
-    /// Makes the border for transforms of the shape `size`.
+    /// Makes the correction from the samples `g` on the lattice, for transforms of the shape `size` (ny, nx).
     fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let rows = Edge::new(g, y, size.1);
         let columns = Edge::new(g.t(), x, size.0);

@@ -1,4 +1,5 @@
-//! The lattice of nodes on which the map and the TIF are.
+//! The common lattice of nodes on which the pixels of the map and the samples of the TIF lie. R, g, K and (1) are those
+//! of [`crate::gridded`].
 
 use std::ops::Range;
 
@@ -12,24 +13,25 @@ use crate::quadrature::NodeCells;
 /// (on the lattice) has the offset `low + j step`.
 #[derive(Clone, Debug)]
 pub struct Lattice {
-    /// Lattice steps per pixel.
+    /// Number of lattice steps per pixel of the map.
     pub subdivision: usize,
     /// Distance of the nodes, mm.
     step_mm: f64,
-    /// Pixels of the map.
+    /// Number of pixels of the map along the axis.
     pub pixels: usize,
-    /// Coordinate of node 0 = pixel 0, mm.
+    /// Coordinate of node 0, which is pixel 0, mm.
     start_mm: f64,
-    /// Offset of TIF sample 0 (= the lower edge of R), mm.
+    /// Offset of sample 0 of the TIF from the tool, mm: the lower edge of R.
     tif_start_mm: f64,
-    /// Upper edge of R, in steps from the lower one.
+    /// Position of the upper edge of R, in steps from the lower edge.
     edge: f64,
-    /// Largest j with a sample: samples are j = -1 ..= last.
+    /// Largest index j of a sample: the samples are j = -1 ..= last.
     pub last: isize,
 }
 
 impl Lattice {
-    /// Makes the lattice along x (0) or y (1) for a map and a TIF on its lattice with so many samples to a pixel.
+    /// Makes the lattice along x (axis 0) or y (axis 1), for a map and a TIF on it. `subdivision` is the number of its
+    /// samples per pixel.
     pub fn new(map: &Grid, tif: &Tif, subdivision: usize, axis: usize) -> Self {
         let map = [&map.x, &map.y][axis];
         let samples = [&tif.grid().x, &tif.grid().y][axis];
@@ -48,12 +50,13 @@ impl Lattice {
         }
     }
 
-    /// Returns the nodes between the first and the last pixel.
+    /// Returns the number of nodes from the first to the last pixel.
     fn nodes(&self) -> usize {
         (self.pixels - 1).saturating_mul(self.subdivision).saturating_add(1)
     }
 
-    /// Returns the cells: cell C begins at the tool position at which sample 0 of the TIF is on the node C.
+    /// Returns the cells in which the position of the tool is counted. Cell C begins where the tool has sample 0 of the
+    /// TIF on the node C.
     pub fn cells(&self) -> NodeCells {
         let fraction = keys::split(self.edge).1;
         NodeCells {
@@ -63,18 +66,18 @@ impl Lattice {
         }
     }
 
-    /// Samples of the TIF, j = -1 ..= last.
+    /// Returns the number of samples of the TIF on the lattice, j = -1 ..= last.
     pub fn samples(&self) -> usize {
         (self.last + 2) as usize
     }
 
-    /// Returns the number of nodes of the sources of the whole map: they reach from node -last to node nodes(), one
-    /// more than outputs and samples need.
+    /// Returns the number of nodes that hold the seconds for the whole map. They go from node -last to node nodes(),
+    /// one more than outputs and samples need.
     pub fn source_nodes(&self) -> usize {
         self.nodes().saturating_add(self.last as usize + 1)
     }
 
-    /// Returns the number of nodes of a source from which the tool reaches `pixels`.
+    /// Returns the number of nodes that hold the seconds with which the tool reaches `pixels`.
     pub fn nodes_of(&self, pixels: &Range<usize>) -> usize {
         match pixels.len() {
             0 => 0,
@@ -82,12 +85,13 @@ impl Lattice {
         }
     }
 
-    /// Returns the node of the lattice that is node 0 of the source of `pixels`.
+    /// Returns the lattice node at which the seconds for `pixels` begin.
     pub fn first_node(&self, pixels: &Range<usize>) -> i64 {
         (pixels.start * self.subdivision) as i64 - self.last as i64
     }
 
-    /// Returns the pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
+    /// Returns the index within `pixels` of the pixel at the node `q`, which is counted from pixel 0; `None` if there
+    /// is no such pixel.
     pub fn pixel(&self, q: i64, pixels: &Range<usize>) -> Option<usize> {
         let q = usize::try_from(q).ok()?;
         let i = match self.subdivision {
@@ -98,7 +102,7 @@ impl Lattice {
         if pixels.contains(&i) { Some(i - pixels.start) } else { None }
     }
 
-    /// Returns the cells that spread seconds to the source of `pixels`.
+    /// Returns the cells of the tool from which seconds are spread to the nodes for `pixels`.
     pub fn window(&self, pixels: &Range<usize>) -> Range<i64> {
         let first = self.first_node(pixels);
         match self.nodes_of(pixels) {
@@ -107,20 +111,21 @@ impl Lattice {
         }
     }
 
-    /// Returns true if the node k, with the tool at the offset f in its cell, is beyond R's edges: s = k - f outside
-    /// [0, edge].
+    /// Returns true if the node k lies beyond the edges of R, with the tool at the offset f in its cell: s = k - f is
+    /// outside [0, edge].
     fn is_beyond(&self, k: isize, f: f64) -> bool {
         let s = k as f64 - f;
         s < -keys::SNAP || s > self.edge + keys::SNAP
     }
 
-    /// Returns the samples j from which the nodes beyond the edges get something.
+    /// Returns the indices j of the samples from which nodes beyond the edges get something.
     pub fn border_samples(&self) -> Vec<isize> {
         let upper = self.edge.floor() as isize;
         (-1..=self.last).filter(|j| *j <= 1 || *j >= upper - 2).collect()
     }
 
-    /// Returns the nodes k that may be beyond an edge and still get something from (1).
+    /// Returns the nodes k, counted from the cell of the tool, that can lie beyond an edge of R and still get something
+    /// by (1).
     pub fn border(&self) -> Vec<BorderNode> {
         let samples = self.border_samples();
         let mut bit = 1;
@@ -140,36 +145,36 @@ impl Lattice {
     }
 }
 
-/// A node beyond an edge of R.
+/// A node that lies beyond an edge of R, at least for some positions of the tool.
 #[derive(Clone, Debug)]
 pub struct BorderNode {
-    /// Steps from the tool's cell.
+    /// Position of the node, in steps from the cell of the tool.
     pub k: isize,
-    /// 0 where it is beyond wherever in its cell the tool is; else its bit of [`BorderNode::kind`]: there are at most two,
-    /// the node whose step an edge crosses at either end.
+    /// 0 if the node is beyond the edge wherever in its cell the tool is; otherwise its bit of [`BorderNode::kind`].
+    /// There are at most two such nodes, those in whose step an edge lies.
     at_times: u8,
-    /// Contributions to the node by (1): position in [`Lattice::border_samples`] of the sample j, and the index d + 1
-    /// of the weight with d = k - j.
+    /// Contributions of samples to the node by (1): index of the sample j in [`Lattice::border_samples`], and index d +
+    /// 1 of the weight with d = k - j.
     pub terms: Vec<(usize, usize)>,
 }
 
 impl BorderNode {
-    /// Returns the bits of those `nodes` beyond only at times that are so with the tool at the offset `f` in its
-    /// cell.
+    /// Returns the bits of the `nodes` that are beyond an edge at the offset `f` of the tool in its cell, among those
+    /// that are not always beyond it.
     #[inline]
     pub fn kind(nodes: &[Self], lattice: &Lattice, f: f64) -> u8 {
         let beyond = nodes.iter().filter(|n| n.at_times != 0 && lattice.is_beyond(n.k, f));
         beyond.map(|n| n.at_times).sum()
     }
 
-    /// Returns true if the node is beyond with the tool at offsets of this kind.
+    /// Returns true if the node is beyond an edge for offsets of the tool with the bits `kind`.
     #[inline]
     pub fn is_beyond(&self, kind: u8) -> bool {
         self.at_times == 0 || self.at_times & kind != 0
     }
 }
 
-/// Returns true if anything spills: some sample next to the border is not negligible.
+/// Returns true if the border needs a correction: a sample of `g` next to it is not negligible beside the `peak`.
 pub fn has_border(peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
     let [rows, columns] = [y, x].map(Lattice::border_samples);
     let border = g.indexed_iter().filter(|((r, c), _)| {

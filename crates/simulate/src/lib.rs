@@ -64,31 +64,31 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// Methods for the integral.
+/// Method that computes the integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
 pub enum SimulationSettings {
-    /// Exact quadrature, FFT convolution.
+    /// Exact quadrature and FFT convolution.
     Gridded,
-    /// Midpoint rule with this many equal time steps per segment, pixel by pixel.
+    /// Midpoint rule pixel by pixel, with equal time steps in each segment.
     Direct {
-        /// Time steps per segment; >= 1.
+        /// Number of time steps per segment; >= 1.
         steps: usize,
     },
 }
 
-/// The prediction, and how it was computed.
+/// A predicted removal and residual, and data on the computation.
 #[derive(Clone, Debug)]
 pub struct Prediction {
     /// Removal and residual.
     pub removal: Removal,
-    /// Numbers about the computation of the integral.
+    /// Data on the computation of the integral.
     pub numerics: Numerics,
 }
 
 impl Prediction {
-    /// Returns the reason for which nobody should run the motion, of the length `total_time_s`, on the surface
-    /// `desired`, or `None`. Example: it leaves a larger error than there is.
+    /// Returns the reason why the motion should not be run on the surface `desired`, for example that it increases the
+    /// error; otherwise `None`. `total_time_s` is the duration of the motion.
     pub fn drawback(&self, desired: &Surface, total_time_s: f64) -> Option<String> {
         plausible::drawback(
             Rms::of_surface(desired),
@@ -98,35 +98,35 @@ impl Prediction {
     }
 }
 
-/// Numbers about the computation of an integral.
+/// Data on the computation of an integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Numerics {
-    /// Quadrature points.
+    /// Number of quadrature points.
     pub quadrature_points: usize,
-    /// Lattice steps per pixel along x and y; 1 where the TIF has the pixels of the map.
+    /// Number of lattice steps per pixel along x and y; 1 if the TIF has the pixels of the map.
     pub subdivision: [usize; 2],
-    /// Largest error of the TIF interpolated from the lattice, relative to its peak; 0 where the pitch of the TIF is
-    /// that of the map, or divides it.
+    /// Largest error of the TIF that is interpolated on the lattice, relative to its peak. It is 0 if the pitch of the
+    /// TIF is that of the map, or divides it.
     pub tif_interpolation_error: f64,
 }
 
-/// Data that depend on the TIF and the map only, for many trajectories.
+/// Prepared data that depend on the TIF and the map only and serve many trajectories.
 pub enum SimulationPlan<'a> {
-    /// [`SimulationSettings::Gridded`].
+    /// Data of the method [`SimulationSettings::Gridded`].
     Gridded(Box<gridded::GriddedPlan>),
-    /// [`SimulationSettings::Direct`], which has nothing to plan.
+    /// Inputs of the method [`SimulationSettings::Direct`], which prepares nothing.
     Direct {
-        /// TIF.
+        /// TIF of the tool.
         tif: &'a Tif,
         /// Pixels of the map.
         grid: &'a Grid,
-        /// Time steps per segment.
+        /// Number of time steps per segment.
         steps: usize,
     },
 }
 
 impl<'a> SimulationPlan<'a> {
-    /// Plans the removal of `tif` on `grid`.
+    /// Prepares the removal of `tif` on the pixels of `grid`.
     ///
     /// # Errors
     ///
@@ -144,7 +144,7 @@ impl<'a> SimulationPlan<'a> {
         })
     }
 
-    /// Computes the removal (ny, nx) of `trajectory`, nm.
+    /// Computes the removal of `trajectory`, shape (ny, nx), nm.
     ///
     /// # Errors
     ///
@@ -153,7 +153,7 @@ impl<'a> SimulationPlan<'a> {
         self.removal_with_progress(trajectory, &|_| ())
     }
 
-    /// Computes the removal, and tells `tell` the fraction that is done.
+    /// Computes the removal, and calls `tell` with the fraction that is done.
     fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
@@ -167,7 +167,7 @@ impl<'a> SimulationPlan<'a> {
         }
     }
 
-    /// Predicts the removal of `trajectory` and the residual of `desired`, which is on the planned pixels.
+    /// Predicts the removal of `trajectory` and the residual of `desired`, whose pixels are those of the plan.
     ///
     /// # Errors
     ///
@@ -182,12 +182,12 @@ impl<'a> SimulationPlan<'a> {
     }
 }
 
-/// Receiver of the fraction of a removal that is done. A removal that is a step of other work reports nothing: the
-/// work reports its own progress.
+/// Function that receives the fraction of a computation that is done. A computation that is a step of another reports
+/// nothing; the other reports its own progress.
 type Tell<'a> = &'a (dyn Fn(f64) + Sync);
 
-/// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and says how far it
-/// is ([`progress`]).
+/// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and reports its
+/// progress ([`progress`]).
 ///
 /// # Errors
 ///

@@ -1,48 +1,48 @@
-//! The motion in pieces that are short enough to have one place and one rate.
+//! The motion in pieces so short that each has one position error and one rate.
 
 use planish_numerics::polynomial::{derivative, evaluate, shifted};
 use planish_types::{Invalid, Tif, Trajectory, Variation, budget};
 
-/// Smallest number of parts of equal time into which the run is divided; the rate is constant in each. The error of a
-/// linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time. Smaller: a
-/// larger error.
+/// Smallest number of parts of equal time into which the run is divided; the error of the rate is constant in each. The
+/// error of a linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time.
+/// Smaller: a larger error.
 const TIME_PARTS: f64 = 1000.0;
 
-/// A part of the motion short enough for its rate and its place to be one.
+/// A part of the motion so short that one rate and one position error hold in it.
 #[derive(Clone, Copy, Debug)]
 pub struct MotionPiece {
-    /// Start since the start of the motion, s.
+    /// Start of the piece since the start of the motion, s.
     pub start_s: f64,
-    /// Duration, s.
+    /// Duration of the piece, s.
     pub duration_s: f64,
-    /// Ascending coefficients [x, y], mm/s^k.
+    /// Ascending coefficients of the cubics [x, y] from the start of the piece, mm/s^k.
     pub coefficient_mm: [[f64; 4]; 2],
     /// True if the tool removes.
     pub tool_on: bool,
     /// Removal rate of the tool relative to its TIF: from a log with the beam current, times the factor of the time of a
     /// tool that has one; else 1.
     pub rate_factor: f64,
-    /// Index of the stay it belongs to.
+    /// Index of the stay that the piece belongs to.
     pub stay: usize,
 }
 
-/// A motion in pieces, and in stays: what serves one dwell point without interruption.
+/// A motion in pieces, and in stays. A stay is the part of the motion that serves one dwell point without interruption.
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Pieces in the order of time.
     pub pieces: Vec<MotionPiece>,
-    /// Time of every stay, s.
+    /// Duration of every stay, s.
     pub stay_s: Vec<f64>,
-    /// Index of the dwell point that every stay serves, if any.
+    /// Index of the dwell point that every stay serves; `None` for a stay that serves none.
     pub point_of_stay: Vec<Option<usize>>,
-    /// Duration of the whole, s.
+    /// Duration of the whole motion, s.
     pub total_s: f64,
     /// Time of the run at which the motion starts, s: the first break of the trajectory.
     pub first_s: f64,
 }
 
 impl Motion {
-    /// Cuts `trajectory` so that the tool goes at most `longest_mm` in a piece.
+    /// Cuts `trajectory` into pieces in which the tool moves at most `longest_mm`.
     ///
     /// # Errors
     ///
@@ -89,8 +89,8 @@ impl Motion {
         Ok(Self { pieces, stay_s, point_of_stay, total_s, first_s })
     }
 
-    /// Returns the motion with the rate of a tool whose rate depends on the time of the run: every piece has the mean
-    /// of the factor over its planned time. An error that stretches a piece thus leaves the rate at its planned time.
+    /// Returns the motion with the rate of a tool that depends on the time of the run. Every piece gets the mean of the
+    /// factor over its planned time, even if an error stretches the piece.
     pub fn with_rate_of(mut self, tif: &Tif) -> Self {
         if let Some(time) = tif.variation().and_then(Variation::time_factor) {
             for p in &mut self.pieces {
@@ -112,7 +112,7 @@ impl Motion {
     }
 }
 
-/// Returns the length of the way, by eight chords, mm.
+/// Returns the length of the path of the cubics `c` over `duration_s`, approximated by eight chords, mm.
 fn travel_mm(c: &[[f64; 4]; 2], duration_s: f64) -> f64 {
     let chords = (0..8).map(|k| {
         let [p, q] =

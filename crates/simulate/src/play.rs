@@ -20,27 +20,27 @@ use planish_numerics::polynomial::{
 
 use crate::motion::MotionPiece;
 
-/// Sentence on the state in which a run with play begins.
+/// Sentence for the user on the state in which a run with play begins.
 pub const START: &str = "an axis with play begins in the middle of it, so that its first move is half the play \
                          longer; one that was pressed against a flank before the run removes some percent more or \
                          less of what play adds";
 
-/// Distance of a drive from its flank up to which it touches it, mm: far above the rounding of coordinates, far below
-/// any play. Larger: a small play is ignored in part. Smaller: rounding decides the contact.
+/// Distance between drive and flank up to which they touch, mm. It is far above the rounding of coordinates, and far
+/// below any play. Larger: a small play is ignored in part. Smaller: rounding decides the contact.
 const TOUCHES_MM: f64 = 1e-9;
 
-/// Motion of the carriage of one axis in a part of a piece.
+/// Motion of the carriage of one axis during a part of a piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Carriage {
-    /// The carriage follows the drive at this distance, q - p.
+    /// The carriage follows the drive at this distance, q - p, mm.
     Follows(f64),
     /// The carriage stands at this position, mm.
     Stands(f64),
 }
 
 impl Carriage {
-    /// Returns the motion of the carriage where the drive has the coefficients `c`; the mirror image where the play is
-    /// negative.
+    /// Returns the coefficients of the motion of the carriage while the drive has the coefficients `c`. `mirrored`
+    /// gives the mirror image about the drive, for a negative play.
     fn motion(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
         let q = match self {
             Self::Follows(distance) => [c[0] + distance, c[1], c[2], c[3]],
@@ -50,17 +50,17 @@ impl Carriage {
     }
 }
 
-/// One axis with its play.
+/// State of one axis with play.
 struct AxisPlay {
-    /// h, mm.
+    /// Half the play (h of the module), mm.
     half_mm: f64,
-    /// q, mm; `None` before the motion.
+    /// Position of the carriage (q of the module), mm; `None` before the motion.
     carriage_mm: Option<f64>,
 }
 
 impl AxisPlay {
-    /// Adds the motions of the carriage while the drive moves along `c` for `duration_s`, each with the time at which
-    /// it begins.
+    /// Follows the drive along the cubic `c` for `duration_s`, and fills `parts` with the motions of the carriage and
+    /// the time at which each begins.
     fn follow(&mut self, c: &[f64; 4], duration_s: f64, parts: &mut Vec<(f64, Carriage)>) {
         parts.clear();
         let mut add = |from_s: f64, does: Carriage| {
@@ -102,8 +102,8 @@ impl AxisPlay {
     }
 }
 
-/// Returns the motion of the carriages of axes whose drives move along `pieces`, and for each of its pieces the
-/// `origin` of the piece that it is a part of.
+/// Returns the motion of the carriages, in pieces, if the drives move along `pieces`, with a play of `play_mm`. For
+/// each new piece it returns the value of `origin` of the piece that it is a part of.
 pub fn with_play(
     pieces: &[MotionPiece],
     origin: &[usize],
@@ -154,7 +154,7 @@ mod tests {
         MotionPiece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
     }
 
-    /// Pieces whose coefficients are wild and whose ends do not join, along x and y.
+    /// Makes pieces with irregular coefficients whose ends do not join, along x and y.
     fn wild() -> Vec<MotionPiece> {
         let wave = |k: usize, j: usize| (1.0 + 7.3 * k as f64 + 2.9 * j as f64).sin();
         (0..40)
@@ -165,7 +165,8 @@ mod tests {
             .collect()
     }
 
-    /// Positions of the carriage of `axis` in the middle of dense steps: q <- the nearest place to q within h of p.
+    /// Returns times, s, and positions q of the carriage of `axis`, mm, in dense steps. In each step q becomes the
+    /// position nearest to q within h of the drive p.
     fn dense(pieces: &[MotionPiece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
         let h = 0.5 * play_mm;
         let mut q = pieces[0].coefficient_mm[axis][0];

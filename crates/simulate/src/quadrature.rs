@@ -31,20 +31,20 @@ use std::ops::Range;
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
 use planish_types::{Headings, Segment, Variation};
 
-/// Error of the cuts, in cells. With a border of a nm/s of the TIF, a piece is 1e-11 of the time of a cell too long.
-/// Larger: a larger error at steep borders. Smaller: below the rounding of the cuts.
+/// Error of the position of the cuts, in cells. If the TIF has a border of one nm/s, a piece is 1e-11 of the time of a
+/// cell too long. Larger: a larger error at steep borders. Smaller: below the rounding of the cuts.
 const CUT_TOLERANCE: f64 = 1e-11;
 
-/// Way in a cell, in cells, up to which an axis counts as at rest over a piece; the error of the weights is below
-/// 1e-10. Larger: a larger error. Smaller: more quadrature points.
+/// Distance, in cells, up to which an axis counts as at rest over a piece; the error of the weights is below 1e-10.
+/// Larger: a larger error. Smaller: more quadrature points.
 const STILL: f64 = 1e-11;
 /// Difference from uniform motion over a piece, in cells, up to which the motion counts as uniform; the error of the
 /// weights is below 1e-10. Larger: a larger error. Smaller: more quadrature points.
 const UNIFORM: f64 = 1e-9;
 
-/// Smaller way of the two axes, in cells, up to which a piece has five quadrature points instead of ten. Five points
-/// leave 1.4e-6 of the terms of the 10th degree and above, which all have this way as a factor. Larger: a larger
-/// error. Smaller: more pieces with ten points.
+/// Distance of the slower axis over a piece, in cells, up to which it has five quadrature points instead of ten. Five
+/// points leave 1.4e-6 of the terms of the 10th degree and above, which all have this distance as a factor. Larger: a
+/// larger error. Smaller: more pieces with ten points.
 const SMALL_WAY: f64 = 1e-5;
 
 /// Difference from uniform motion, in cells, up to which a piece has five quadrature points instead of ten. The terms
@@ -52,40 +52,41 @@ const SMALL_WAY: f64 = 1e-5;
 /// points.
 const NEARLY_UNIFORM: f64 = 1e-3;
 
-/// Duration of a piece, over that of its segment, below which it is rounding: two axes that cross a border at the
-/// same time. Larger: short pieces are lost. Smaller: pieces that only rounding makes.
+/// Smallest duration of a piece, as a fraction of that of its segment; a shorter one is left out. It is rounding where
+/// two axes cross a border at the same time. Larger: short pieces are lost. Smaller: pieces that only rounding makes.
 const SHORTEST: f64 = 1e-13;
 
-/// The lattice cells of one axis.
+/// The lattice cells of the tool position along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeCells {
     /// Coordinate at which cell 0 begins, mm.
     pub origin_mm: f64,
     /// Size of a cell, mm; > 0.
     pub step_mm: f64,
-    /// Further cut of the motion in every cell, in (0, 1): the upper edge of the TIF.
+    /// Position in every cell, in (0, 1), of a further cut of the motion, for the upper edge of the TIF; `None` if it
+    /// is not needed.
     pub inner: Option<f64>,
 }
 
-/// The cells `low` .. `high` [x, y].
+/// A rectangle of cells, from `low` up to, but without, `high`, along [x, y].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// First cell.
     pub low: [i64; 2],
-    /// The cell after the last.
+    /// Cell after the last one.
     pub high: [i64; 2],
 }
 
-/// Smallest and largest lattice coordinate [x, y] of a segment.
+/// Range of the lattice coordinates [x, y] of a segment of the motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach {
-    /// Index in the trajectory.
+    /// Index of the segment in the trajectory.
     pub segment: usize,
     range: [[f64; 2]; 2],
 }
 
 impl Reach {
-    /// Returns true if some part may be in the cells `window` along an axis.
+    /// Returns true if some part of the segment may lie in the cells `window` along an axis (0: x, 1: y).
     pub fn is_in(&self, axis: usize, window: &Range<i64>) -> bool {
         let [low, high] = self.range[axis];
         // One cell more than rounding needs.
@@ -93,26 +94,26 @@ impl Reach {
     }
 }
 
-/// Rate of a tool that varies: the weight of one of its kernels, by pose and time.
+/// Weight of one kernel of a tool that varies, as a function of the position, direction and time of the tool.
 #[derive(Clone, Copy)]
 pub struct Weight<'a> {
-    /// The tool.
+    /// The variation of the tool.
     pub variation: &'a Variation,
     /// Index of the kernel.
     pub kernel: usize,
-    /// Directions of the motion.
+    /// Directions of the motion in every segment.
     pub headings: &'a Headings,
 }
 
 impl Weight<'_> {
-    /// Returns the weight at a local time of a segment, which has the index `index`.
+    /// Returns the weight at the time `u_s` since the start of the segment with this `index`.
     fn value(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> f64 {
         let time_s = segment.start_s + u_s;
         let of_time = self.variation.time_factor().map_or(1.0, |time| time.factor_at(time_s));
         of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, u_s))
     }
 
-    /// Returns the mean weight over a segment at rest, which has the index `index`.
+    /// Returns the mean weight over a segment in which the tool rests; `index` is that of the segment.
     fn at_rest(&self, index: usize, segment: &Segment<'_>) -> f64 {
         let from_s = segment.start_s;
         let to_s = segment.start_s + segment.duration_s;
@@ -126,15 +127,15 @@ impl Weight<'_> {
 pub struct CellPiece {
     /// Cell [x, y].
     pub cell: [i64; 2],
-    /// Offset in the cell [x, y] at the middle of the piece; 0 on a line.
+    /// Offset of the tool in the cell [x, y], in cells, at the middle of the piece; 0 on a line of the lattice.
     pub offset: [f64; 2],
-    /// M of the module, `[b][a]` (y, x), s.
+    /// Integrals M of Keys' weights of the module, `[b][a]` for (y, x), s.
     pub seconds: [[f64; 4]; 4],
-    /// Quadrature points.
+    /// Number of quadrature points of the piece.
     pub points: usize,
 }
 
-/// Cuts motions at the cells of a lattice.
+/// Cuts motions at the borders of the cells of a lattice.
 pub struct Cutter {
     cells: [NodeCells; 2],
     rules: Rules,
@@ -147,7 +148,7 @@ impl Cutter {
         Self { cells, rules: Rules::new(), cuts: Vec::new() }
     }
 
-    /// Returns the range on the lattice of `segment`, which has the index `index`.
+    /// Returns the range of lattice coordinates of `segment`, which has this `index` in the trajectory.
     pub fn reach(&self, index: usize, segment: &Segment<'_>) -> Reach {
         let range = self.on_lattice(segment).map(|c| {
             let r = polynomial::range(&c, segment.duration_s);
@@ -156,8 +157,8 @@ impl Cutter {
         Reach { segment: index, range }
     }
 
-    /// Calls `each` with the pieces of `segment`, which has the index `index`, in the window, in the order of time. With a
-    /// weight, the seconds of the pieces are those times the weight.
+    /// Calls `each` with the pieces of `segment` in the cells of `window`, in the order of time; `index` is that of the
+    /// segment. A `weight` multiplies the seconds of the pieces.
     pub fn pieces(
         &mut self,
         (index, segment): (usize, &Segment<'_>),
@@ -206,7 +207,7 @@ impl Cutter {
         }
     }
 
-    /// Returns the motion in lattice coordinates.
+    /// Returns the coefficients of the motion [x, y] in lattice coordinates, in cells.
     fn on_lattice(&self, segment: &Segment<'_>) -> [[f64; 4]; 2] {
         [0, 1].map(|axis| {
             let NodeCells { origin_mm, step_mm, .. } = self.cells[axis];
@@ -215,7 +216,8 @@ impl Cutter {
         })
     }
 
-    /// Local times at which the motion turns back on an axis, crosses a line, and ends.
+    /// Computes the times since the start of the segment at which the motion turns back on an axis, crosses a line of
+    /// the lattice, or ends.
     fn cut(&mut self, c: &[[f64; 4]; 2], end: f64, window: &Window) {
         self.cuts.clear();
         for axis in 0..2 {
@@ -242,7 +244,8 @@ impl Cutter {
 }
 
 impl Window {
-    /// Returns the cell of two split coordinates, if it is inside.
+    /// Returns the cell [x, y] of two coordinates that are split into whole and fraction; `None` if it is not in the
+    /// window.
     fn cell(&self, at: [(isize, f64); 2]) -> Option<[i64; 2]> {
         let cell = [at[0].0 as i64, at[1].0 as i64];
         let is_inside = (0..2).all(|a| cell[a] >= self.low[a] && cell[a] < self.high[a]);
@@ -250,7 +253,7 @@ impl Window {
     }
 }
 
-/// The Gauss rules of the module's table.
+/// Gauss rules with the numbers of points of the table of the module: pairs of node (0 to 1) and weight.
 struct Rules {
     two: [(f64, f64); 2],
     four: [(f64, f64); 4],
@@ -268,7 +271,8 @@ impl Rules {
         }
     }
 
-    /// Returns the piece in a cell; `offset` at its middle, `motion` [x, y] by [`within`].
+    /// Returns the integrals over a piece in a cell. `offset` is that at its middle, `motion` the cubics [x, y] of
+    /// [`within`], and `seconds` its duration.
     fn piece(
         &self,
         cell: [i64; 2],
@@ -294,7 +298,7 @@ impl Rules {
         CellPiece { cell, offset, seconds, points }
     }
 
-    /// Returns the mean weights of a motion along one axis, and the number of points of the rule.
+    /// Returns the mean of Keys' four weights over a motion along one axis, and the number of points of the rule.
     fn weights_along(&self, p: &[f64; 4]) -> ([f64; 4], usize) {
         if bend(p) <= UNIFORM {
             (mean_weights(&self.two, p), 2)
@@ -303,7 +307,7 @@ impl Rules {
         }
     }
 
-    /// Returns the piece times a weight at the fraction of it, from 0 to 1.
+    /// Returns the integrals over a piece with a weight, which is a function of the fraction of the piece, 0 to 1.
     fn weighted_piece(
         &self,
         cell: [i64; 2],
@@ -323,24 +327,25 @@ impl Rules {
     }
 }
 
-/// Returns the largest difference of a cubic on 0..1 from uniform motion.
+/// Returns an upper bound of the difference of a cubic on 0..1 from uniform motion.
 fn bend(p: &[f64; 4]) -> f64 {
     p[2].abs() + p[3].abs()
 }
 
-/// Returns the largest way of a cubic on 0..1.
+/// Returns an upper bound of the distance that a cubic on 0..1 covers.
 fn way(p: &[f64; 4]) -> f64 {
     p[1].abs() + bend(p)
 }
 
-/// Returns the cubic p of the time as one of the fraction of the piece from `start`, less its cell.
+/// Returns the cubic p as a function of the fraction, 0 to 1, of the piece that begins at `start`, counted from its
+/// cell.
 fn within(p: &[f64; 4], cell: i64, start: f64, duration: f64) -> [f64; 4] {
     let [p0, p1, p2, p3] = polynomial::shifted(p, start);
     let square = duration * duration;
     [p0 - cell as f64, p1 * duration, p2 * square, p3 * square * duration]
 }
 
-/// Returns the mean of Keys' weights along a motion.
+/// Returns the mean of Keys' four weights over the motion `p`, by the Gauss rule `rule`.
 #[inline]
 fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4] {
     let mut mean = [0.0; 3];
@@ -355,7 +360,8 @@ fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4
     keys::mean_weights(mean)
 }
 
-/// Returns the mean of the products of Keys' weights along a motion [x, y] and of a factor, times `seconds`.
+/// Returns the mean, over a motion [x, y], of the products of Keys' weights along both axes and a factor, times
+/// `seconds`.
 #[inline]
 fn products<const N: usize>(
     rule: &[(f64, f64); N],
@@ -376,14 +382,14 @@ fn products<const N: usize>(
     sums
 }
 
-/// `[b][a]` of the weights along x and y.
+/// Returns the products `[b][a]` of the weights along x and y, times `seconds`.
 #[inline]
 fn outer(wx: [f64; 4], wy: [f64; 4], seconds: f64) -> [[f64; 4]; 4] {
     wy.map(|wy| wx.map(|wx| seconds * wy * wx))
 }
 
-/// Appends the times in `between` at which the monotone p crosses i + `inner` for the integers i
-/// of the closed range `levels`; `d` is p'.
+/// Appends the times in `between` at which p, monotone there, crosses i + `inner`. The integers i are those of the
+/// closed range `levels`; `d` is the derivative of p.
 fn crossings(
     p: &[f64; 4],
     d: &[f64; 4],
@@ -412,7 +418,8 @@ fn crossings(
     }
 }
 
-/// Returns the time in `between` at which p, there monotone, is `level`; p is `at` at its start.
+/// Returns the time in `between` at which p, monotone there, has the value `level`. `at` is its value at the start, `d`
+/// its derivative, and `rising` its direction.
 fn crossing(
     p: &[f64; 4],
     d: &[f64; 4],

@@ -1,4 +1,4 @@
-//! A plan, and what runs of it remove whose motion and TIF are not those of the plan.
+//! A plan, and the removal of runs whose motion and TIF deviate from it.
 //!
 //! ```text
 //! R(run) = R + (S(run) - S(no error))
@@ -30,32 +30,32 @@ use crate::{
     motion::Motion,
 };
 
-/// Largest displacement of the tool, over the size of the TIF; a larger one is refused as no error of a process.
+/// Largest displacement of the tool by an error, in sizes of the TIF; a larger one is refused as no error of a process.
 /// Larger: mistakes in the units pass. Smaller: large but real errors are refused.
 const LARGEST_DISPLACEMENT: f64 = 1.0;
 
-/// Largest length of a piece of the motion, over the width of the TIF, so that one place stands for each. Larger: a
-/// larger error. Smaller: more pieces, and more time.
+/// Largest length of a piece of the motion, in widths of the TIF; each piece has one position error. Larger: a larger
+/// error. Smaller: more pieces, and more time.
 const LONGEST_OVER_WIDTH: f64 = 0.5;
 
-/// A plan on the pixels of a map, ready for runs with errors.
+/// A plan on the pixels of a map, prepared for runs with errors.
 pub struct Runs<'a> {
-    /// The TIF that errors move, without its factor of the time, which the motion has.
+    /// The TIF that errors change, without its factor of the time, which the motion holds.
     tif: Cow<'a, Tif>,
     grid: Grid,
     plan: gridded::GriddedPlan,
-    /// Its motion in pieces.
+    /// Motion of the plan in pieces.
     pub motion: Motion,
-    /// R (ny, nx), nm.
+    /// Removal of the plan with its own TIF (R of the module), shape (ny, nx), nm.
     pub executed: Array2<f64>,
-    /// S(no error) (ny, nx), nm.
+    /// Removal without errors with the TIF that errors change (S(no error)), shape (ny, nx), nm.
     pub unchanged: Array2<f64>,
     width_mm: f64,
 }
 
 impl<'a> Runs<'a> {
-    /// Prepares runs of `trajectory` with `tif` on `grid`. Errors are computed with `moved`, which may be `tif`
-    /// itself.
+    /// Prepares runs of `trajectory` with `tif` on the pixels of `grid`. The changes by errors are computed with the
+    /// TIF `moved`, which may be `tif` itself.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
@@ -73,8 +73,8 @@ impl<'a> Runs<'a> {
         Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
     }
 
-    /// Returns the removal S(run) of the motion with the deviations of one run, by the TIF that errors move (ny, nx),
-    /// nm.
+    /// Returns the removal S(run) of the module, with the deviations of one run and the TIF that errors change, shape
+    /// (ny, nx), nm.
     ///
     /// # Errors
     ///
@@ -87,7 +87,7 @@ impl<'a> Runs<'a> {
         })
     }
 
-    /// Returns the removal R(run) of one run (ny, nx), nm.
+    /// Returns the removal R(run) of the module for one run, shape (ny, nx), nm.
     ///
     /// # Errors
     ///
@@ -102,7 +102,8 @@ impl<'a> Runs<'a> {
         0.5 * size[0].hypot(size[1])
     }
 
-    /// Returns the displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
+    /// Returns the largest displacement of the tool on the map, mm, per unit of the size of an effect. For a change of
+    /// the TIF it is the width of the TIF.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         match effect {
             Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => 0.0,
@@ -118,8 +119,8 @@ impl<'a> Runs<'a> {
         }
     }
 
-    /// Refuses displacements that are no errors, fixed sizes of which the first order has no meaning, and ellipticities of a
-    /// spot that turns.
+    /// Refuses displacements that are too large for errors, fixed sizes that have no first order, and ellipticities of
+    /// a spot that turns.
     pub fn check_sizes(&self, process: &ErrorBudget) -> Result<(), Invalid> {
         check_tool(process, &self.tif)?;
         let [x, y] = self.tif.grid().size_mm();

@@ -1,4 +1,4 @@
-//! Random numbers of a run: what each error of a process is this time.
+//! Random numbers of a run, from which the errors of a process are drawn.
 //!
 //! An error that one number decides draws that number; noise along the run draws one for every piece of the motion
 //! or every stay. The rate of the Ornstein-Uhlenbeck process is drawn exactly: the mean over a piece and the value
@@ -17,7 +17,7 @@ use crate::{
     motion::Motion,
 };
 
-/// Draws a standardised number: with a standard deviation of one, with half a width of one, or one itself.
+/// Draws a number for an error of size one: normal with the standard deviation 1, uniform in -1 .. 1, or 1 itself.
 pub fn draw(distribution: Distribution, rng: &mut impl Rng) -> f64 {
     match distribution {
         Distribution::Normal => StandardNormal.sample(rng),
@@ -29,14 +29,14 @@ pub fn draw(distribution: Distribution, rng: &mut impl Rng) -> f64 {
     }
 }
 
-/// Returns the random numbers of stream `index` of a seed.
+/// Returns the generator of the random numbers of stream `index` of a seed.
 pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(index);
     rng
 }
 
-/// Draws the errors of a kind for a run.
+/// Draws noise of a kind and a standard deviation `size` along `motion`, and adds it to the deviations `run`.
 pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run: &mut Deviation) {
     let mut normal = || -> f64 { StandardNormal.sample(rng) };
     let stays = motion.stay_s.len();
@@ -81,7 +81,7 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
     }
 }
 
-/// Draws the part of a tick by which an event is off, s.
+/// Draws the time by which an event is rounded to a tick, s: uniform within half a tick to both sides.
 fn part_of_tick(tick_s: f64, rng: &mut impl Rng) -> f64 {
     let part: f64 = StandardUniform.sample(rng);
     tick_s * (part - 0.5)
@@ -95,7 +95,8 @@ pub fn white(sigma_nm: f64, shape: (usize, usize), rng: &mut impl Rng) -> Array2
     })
 }
 
-/// Returns Legendre polynomials of the orders (along x, along y) over the rectangle of `grid`, of RMS one there.
+/// Returns the Legendre polynomials of these orders (along x, along y) over the rectangle of `grid`, each with an RMS
+/// of one there, shape (ny, nx).
 pub fn legendre_terms(grid: &Grid, orders: &[(usize, usize)]) -> Vec<Array2<f64>> {
     let largest = orders.iter().map(|(i, j)| *i.max(j)).max().unwrap_or(0);
     let [px, py] = [&grid.x, &grid.y].map(|axis| legendre_table(axis, largest));
@@ -106,7 +107,7 @@ pub fn legendre_terms(grid: &Grid, orders: &[(usize, usize)]) -> Vec<Array2<f64>
     terms.collect()
 }
 
-/// Returns the Legendre polynomials of degree 0 to `largest` at every pixel of an axis.
+/// Returns the values of the Legendre polynomials of degree 0 to `largest` at every pixel of an axis.
 fn legendre_table(axis: &Axis, largest: usize) -> Vec<Vec<f64>> {
     let half = 0.5 * (axis.end_mm() - axis.start_mm());
     let pixels = (0..axis.len()).map(|i| {
@@ -124,16 +125,17 @@ pub fn low_orders(degree: usize) -> Vec<(usize, usize)> {
     (1..=degree).flat_map(|d| (0..=d).map(move |i| (d - i, i))).collect()
 }
 
-/// The mean of an Ornstein-Uhlenbeck process of variance 1 over a piece of x = h / tau.
+/// Weights for the mean of an Ornstein-Uhlenbeck process of variance 1 over a piece; x is its duration h over the
+/// correlation time tau.
 pub struct Mean {
-    /// a = (1 - exp(-x)) / x: its covariance with the value at the start.
+    /// Covariance of the mean with the value at the start, a = (1 - exp(-x)) / x.
     pub weight: f64,
-    /// 2 (x - 1 + exp(-x)) / x^2: its variance.
+    /// Variance of the mean, 2 (x - 1 + exp(-x)) / x^2.
     pub variance: f64,
 }
 
 impl Mean {
-    /// Returns the averages over a time of x correlation times.
+    /// Computes the weights for a piece of x correlation times.
     pub fn over(x: f64) -> Self {
         let gone = -(-x).exp_m1();
         // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.

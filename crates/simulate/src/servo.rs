@@ -1,4 +1,4 @@
-//! Axes that follow their command: where they are when they should be at r(t).
+//! Models of axes that follow their command r(t) with a lag; q(t) is their position.
 //!
 //! ```text
 //! lag             q(t) = r(t) - tau r'(t)
@@ -14,7 +14,7 @@ use planish_numerics::polynomial::{derivative, evaluate};
 
 use crate::motion::MotionPiece;
 
-/// Models of the axes' response.
+/// Model of the response of the axes to their command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)] // the lag at constant velocity, s, of each; the equations are above
 pub enum Servo {
@@ -23,24 +23,25 @@ pub enum Servo {
     SecondOrder { lag_s: f64, damping_ratio: f64 },
 }
 
-/// First step between the times at which the transient is exact, in units of its fastest time. A cubic between two of
-/// them errs by 0.5^4 / 384 of it. The steps grow as the fourth root of what is left falls, so that the error stays.
-/// Larger: a larger error. Smaller: more pieces.
+/// First step between the times at which the transient is exact, in units of its fastest time constant. A cubic between
+/// two of them errs by 0.5^4 / 384 of it. The steps grow as the fourth root of the remaining transient falls, so that
+/// the error stays the same. Larger: a larger error. Smaller: more pieces.
 const STEP: f64 = 0.5;
 
-/// Time over which the transient is followed, in units of its slowest time; then exp(-16) of it is left. Larger: more
-/// pieces. Smaller: a step where the transient is dropped.
+/// Time over which the transient is followed, in units of its slowest time constant; then exp(-16) of it is left.
+/// Larger: more pieces. Smaller: a step where the transient is dropped.
 const FOLLOWED: f64 = 16.0;
 
 /// Size of a transient below which it is not followed, mm. The TIF is a thousand times wider than the smallest counts
 /// of machines. Larger: a larger error. Smaller: more pieces without effect.
 const LEAST_TRANSIENT_MM: f64 = 1e-7;
 
-/// Position and velocity of an axis.
+/// Position, mm, and velocity, mm/s, of an axis.
 type State = [f64; 2];
 
 impl Servo {
-    /// Returns the motion of the axes under the command `pieces`; each new piece with the origin of its command.
+    /// Returns the motion of the axes under the command `pieces`. For each new piece it returns the value of `origin`
+    /// of the command it belongs to.
     pub fn follow(
         self,
         pieces: &[MotionPiece],
@@ -106,7 +107,8 @@ impl Servo {
         (motion, from)
     }
 
-    /// Returns the cubic that solves the equation: with D = d/dt, q = r / (1 + A D + B D^2).
+    /// Returns the coefficients of the steady solution for the cubic command r: with D = d/dt, q = r / (1 + A D + B
+    /// D^2).
     fn steady(self, r: &[f64; 4]) -> [f64; 4] {
         let (a, b) = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, 0.0),
@@ -121,7 +123,7 @@ impl Servo {
         std::array::from_fn(|k| r[k] - a * d1[k] + (a * a - b) * d2[k] - third * d3[k])
     }
 
-    /// Returns the fastest and slowest time of the transient, s.
+    /// Returns the fastest and the slowest time constant of the transient, s.
     fn times_s(self) -> (f64, f64) {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, lag_s),
@@ -133,7 +135,7 @@ impl Servo {
         }
     }
 
-    /// Returns the transient after the time u.
+    /// Returns position and velocity of the transient, given at the time 0, after the time `u`.
     fn decayed(self, [h, dh]: State, u: f64) -> State {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => {
@@ -162,13 +164,13 @@ impl Servo {
     }
 }
 
-/// r - tau r'
+/// Returns the coefficients of r - tau r' for a lag tau of `lag_s`.
 fn lagging(r: &[f64; 4], lag_s: f64) -> [f64; 4] {
     let v = derivative(r);
     std::array::from_fn(|k| r[k] - lag_s * v[k])
 }
 
-/// Returns the cubic over the time h from one state to the next.
+/// Returns the cubic that leads from one state to the next in the time h.
 fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
     let mean = (q - p) / h;
     [p, v, (3.0 * mean - 2.0 * v - w) / h, (v + w - 2.0 * mean) / (h * h)]
@@ -179,7 +181,7 @@ mod tests {
     use super::*;
     use planish_numerics::polynomial::shifted;
 
-    /// A command that runs, brakes and turns, in three pieces.
+    /// Makes a command in three pieces: it runs, brakes and rests.
     fn command() -> Vec<MotionPiece> {
         let c = [[0.0, 3.0, 0.5, -0.2], [1.0, 0.0, 1.0, 0.1]];
         let d = [c[0], c[1]].map(|c| shifted(&c, 1.0));

@@ -22,71 +22,72 @@ use crate::{
     lattice::{BorderNode, Lattice},
 };
 
-/// Number of lines of cells whose pieces are visited in the order of time. The sources of so many lines stay in the
-/// cache, and the motion is read in runs. Larger: cache misses. Smaller: the motion is read in shorter runs. Changes
-/// the speed only.
+/// Number of lines of cells whose pieces are processed together, in the order of time. The data of so many lines stay
+/// in the cache, and the motion is read in runs. Larger: cache misses. Smaller: the motion is read in shorter runs. It
+/// changes the speed only.
 const BLOCK: usize = 8;
 
-/// Number of blocks that are transformed before they are used, by the threads that share them; the lines that they
-/// spill on stay in the cache. Larger: cache misses. Smaller: threads idle.
+/// Number of blocks that are transformed before they are used, by the threads that share them. The lines of pixels that
+/// they affect stay in the cache. Larger: cache misses. Smaller: threads idle.
 const BLOCKS: usize = 2;
 
-/// Number of weights across a line: the four of Keys' convolution.
+/// Number of Keys' weights across a line.
 pub const WEIGHTS: usize = 4;
 
-/// The lines of a tile, of both its strips.
+/// Lines of pixels of a tile, of both its strips, from which spill is subtracted.
 pub struct Lines<'a> {
-    /// The edges that they spill over.
+    /// Edges of the TIF over which the kernel spills.
     pub edge: &'a Edge,
-    /// The axis across the lines.
+    /// Lattice of the axis across the lines.
     pub across: &'a Lattice,
-    /// True if the blocks are shared among the threads.
+    /// True if the threads share the blocks of lines.
     pub parallel: bool,
 }
 
-/// The pieces of the lines of cells, of which 0 is the first that spreads seconds to the tile.
+/// Pieces of the motion by lines of cells; line 0 is the first one that spreads seconds to the tile.
 pub trait LinePieces: Sync {
-    /// Returns the pieces of each strip in a block of lines, the line of each in the block, and which of the nodes that
-    /// are beyond only at times are so for it: [`crate::lattice::BorderNode::kind`].
+    /// Returns the pieces of each strip in a block of lines. Each comes with its line in the block and with its
+    /// [`crate::lattice::BorderNode::kind`].
     fn in_block(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2];
 
-    /// Adds the seconds of a piece to what the `F_d` have of the given strip, at `(d + 1) step` and after.
+    /// Adds the seconds of a piece to the sources `F_d` of a strip; that of the weight d begins at `(d + 1) step` in
+    /// `f`.
     fn add(&self, piece: u32, strip: usize, f: &mut [f64], step: usize);
 }
 
-/// Spectra of what is subtracted from lines of pixels, of both strips together.
+/// Spectra of the spill that is subtracted from lines of pixels, of both strips together.
 #[derive(Default)]
 pub struct Spilt {
     /// Spectra in whole groups of lines.
     pub spectra: Vec<Run>,
-    /// True for the groups of lines on which anything spills.
+    /// True for the groups of lines that receive spill.
     pub touched: Vec<bool>,
 }
 
-/// Buffers of a thread.
+/// Buffers of a thread: the sources of some blocks of lines.
 #[derive(Default)]
 pub struct Sources {
     blocks: [Source; BLOCKS],
 }
 
-/// The sources of a block of lines.
+/// The sources `F_d` of a block of lines.
 #[derive(Default)]
 struct Source {
     groups: Vec<Group>,
-    /// Spectra of the four F_d of each group.
+    /// Spectra of the four sources `F_d` of each group.
     spectra: Vec<Run>,
     work: Vec<f64>,
 }
 
-/// Pieces of one line that spill on the same nodes.
+/// Pieces of one line of cells that spill on the same nodes.
 struct Group {
-    /// Line in the block.
+    /// Index of the line in the block.
     line: usize,
     kind: u8,
 }
 
 impl Lines<'_> {
-    /// Subtracts the spill on the lines of pixels 0 .. `count`.
+    /// Subtracts the spill on the lines of pixels 0 .. `count` from the spectra `spilt`.
     pub fn subtract(
         &self,
         pieces: &impl LinePieces,
@@ -116,12 +117,12 @@ impl Lines<'_> {
         }
     }
 
-    /// Returns the least number of items that a thread takes.
+    /// Returns the smallest number of items that one thread takes.
     pub fn least(&self) -> usize {
         if self.parallel { 1 } else { usize::MAX }
     }
 
-    /// Subtracts what spills from the blocks whose first line is `from`.
+    /// Subtracts the spill of the blocks `sources`, whose first line is `from`.
     fn subtract_blocks(
         &self,
         from: usize,
@@ -171,14 +172,14 @@ impl Lines<'_> {
     }
 }
 
-/// Sets `runs` to `count` runs of zeros.
+/// Sets `runs` to `count` runs that are all zero.
 fn zeros(runs: &mut Vec<Run>, count: usize) {
     runs.resize(count, Run::default());
     runs.as_flattened_mut().fill(0.0);
 }
 
 impl Source {
-    /// The spectra of a block.
+    /// Computes the spectra of the sources of a block.
     fn transform(&mut self, edge: &Edge, pieces: &impl LinePieces, block: usize) {
         let Self { groups, spectra, work } = self;
         let runs = edge.convolution.runs();
@@ -209,7 +210,8 @@ impl Source {
         edge.convolution.forward(spectra, work);
     }
 
-    /// The terms of (3) from a line of the block to its node.
+    /// Adds the terms of (3) of the module from a line of the block to one node: the weight, and the spectrum of the
+    /// source.
     fn terms<'a>(
         &'a self,
         line: usize,
@@ -226,20 +228,20 @@ impl Source {
     }
 }
 
-/// Pieces by blocks of cells along one axis; in the order of time within one.
+/// Pieces of the motion, sorted into blocks of cells along one axis; in the order of time within a block.
 pub struct Blocks<'a> {
-    /// Cell and kind of the pieces.
+    /// Cells [x, y] of the pieces, and their kinds.
     cells: &'a [[i32; 2]],
     kinds: &'a [[u8; 2]],
     axis: usize,
     lowest: i32,
-    /// Index in `order` at which the pieces of each block start; one more at the end.
+    /// Index in `order` at which the pieces of each block start, with one more value at the end.
     start: Vec<u32>,
     order: Vec<u32>,
 }
 
 impl<'a> Blocks<'a> {
-    /// Makes the blocks for the pieces whose cells are within `window` along the axis.
+    /// Sorts the pieces whose cells are within `window` along the axis (0: x, 1: y) into blocks.
     pub fn new(
         cells: &'a [[i32; 2]],
         kinds: &'a [[u8; 2]],
@@ -267,7 +269,7 @@ impl<'a> Blocks<'a> {
         Self { cells, kinds, axis, lowest, start, order }
     }
 
-    /// Returns the pieces of a block, the line of each in it, and its kind.
+    /// Returns the indices of the pieces of a block, each with its line in the block and its kind.
     pub fn in_block(&self, block: usize) -> impl Iterator<Item = (u32, usize, u8)> {
         let order = match self.start.get(block..block + 2) {
             Some(&[from, to]) => &self.order[from as usize..to as usize],

@@ -1,4 +1,4 @@
-//! A tool beyond the samples of its TIF.
+//! Tail of a tool: its removal beyond the samples of its TIF.
 //!
 //! A measured spot is cut where it still removes something. What it removes beyond moves with the tool, so a run with a
 //! displaced tool has a removal that no displacement of the cut TIF has. The tail continues the samples as a Gaussian
@@ -15,23 +15,24 @@ use planish_types::{Axis, Grid, Invalid, Tif};
 
 use crate::tool::{ends_by_itself, inside, smoothed};
 
-/// Mean rate of the last samples over the peak, from which a tail is worth a look. Larger: more of a removal that the
-/// tail explains is taken for an error of the machine. Smaller: more time for tails that no map shows. Chosen.
+/// Smallest mean rate of the outermost samples, as a fraction of the peak, with which a tail is added. Larger: more of
+/// a removal that the tail explains is taken for an error of the machine. Smaller: more time for tails that no map
+/// shows. Chosen.
 const LEAST_AT_END: f64 = 2e-3;
 
-/// Rate over the peak at which the tail ends. Larger: a step at its end. Smaller: more samples. Chosen.
+/// Rate, as a fraction of the peak, at which the tail ends. Larger: a step at its end. Smaller: more samples. Chosen.
 const END: f64 = 1e-5;
 
-/// Largest half size of the TIF with its tail, over that without. Larger: more samples of a tail that falls slowly.
-/// Smaller: such a tail ends with a step. Chosen.
+/// Largest ratio of the half size of the TIF with its tail to that without. Larger: more samples of a tail that falls
+/// slowly. Smaller: such a tail ends with a step. Chosen.
 const LARGEST_OVER_HALF: f64 = 2.0;
 
-/// Largest volume of the tail over that of the samples. Larger: a baseline that is left in the TIF becomes a tail.
-/// Smaller: a spot that is cut close keeps its cut. Chosen.
+/// Largest volume of the tail as a fraction of that of the samples. Larger: a baseline that is left in the TIF becomes
+/// a tail. Smaller: a spot that is cut close keeps its cut. Chosen.
 const MOST_VOLUME: f64 = 0.3;
 
-/// Continues the TIF by a tail beyond its samples; `None` if it ends by itself, or if its samples do not tell how it
-/// goes on.
+/// Returns the TIF continued by a tail beyond its samples. `None` if it falls to zero within its samples, if these do
+/// not show a fall, or if it varies.
 ///
 /// # Errors
 ///
@@ -95,7 +96,7 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     }
 }
 
-/// Returns true if a sample of the TIF is at its border, or beside one that is outside of it.
+/// Returns true if a sample of the TIF is at the border of its array, or beside a sample outside of the tool.
 fn is_beside_end(inside: &Array2<bool>, r: usize, c: usize) -> bool {
     let (ny, nx) = inside.dim();
     let at_border = r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
@@ -103,7 +104,8 @@ fn is_beside_end(inside: &Array2<bool>, r: usize, c: usize) -> bool {
         || !(inside[[r - 1, c]] && inside[[r + 1, c]] && inside[[r, c - 1]] && inside[[r, c + 1]])
 }
 
-/// Extends an axis to both sides up to `end` mm, and returns the number of samples more on each side with it.
+/// Extends an axis to both sides up to `end` mm. Returns the number of samples that are added on each side, and the new
+/// axis.
 fn extended(axis: &Axis, end: f64) -> Result<(usize, Axis), Invalid> {
     let half = axis.start_mm().abs().max(axis.end_mm().abs());
     let more =
@@ -118,7 +120,7 @@ fn nearest_sample(axis: &Axis, mm: f64) -> Option<usize> {
     if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
 }
 
-/// Returns 2 s^2 of samples (|p|^2, R), mm^2; `None` if they do not fall.
+/// Returns 2 s^2 of the module from samples (|p|^2, R), mm^2; `None` if they do not fall.
 fn fall(samples: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     // Weighted sums of 1, |p|^2, ln R, |p|^4, |p|^2 ln R
     let mut sums = [0.0; 5];

@@ -1,7 +1,7 @@
 //! A tile of the map: the work of one thread.
 //!
-//! Its two strips of columns are the real and the imaginary part of every transform here. Node 0 of a
-//! strip, or of the band of rows, is the first from which the tool reaches it.
+//! The two strips of columns of a tile are the real and the imaginary part of every transform here. Node 0 of a strip,
+//! or of the band of rows, is the first from which the tool reaches it.
 
 use std::ops::Range;
 
@@ -20,26 +20,26 @@ use crate::{
     spill::{Blocks, LinePieces, Lines, Sources, Spilt, WEIGHTS},
 };
 
-/// Buffers of a thread.
+/// Buffers that a thread uses for one tile after the other.
 pub struct Workspace {
-    /// The seconds on the nodes of each strip, in rows as long as those of the transform.
+    /// Seconds on the nodes of each strip, in rows of the length of the transform.
     seconds: [Vec<f64>; 2],
     transform: lane_convolution::Workspace<f64>,
     cutter: Cutter,
     border_pieces: BorderPieces,
-    /// Spill from the rows or the columns.
+    /// Spill of the kernel on the rows or the columns.
     spilt: Spilt,
     sources: Sources,
 }
 
-/// The pieces of a tile, kept for the border.
+/// Pieces of the motion in a tile, kept for the correction of the border.
 #[derive(Default)]
 struct BorderPieces {
-    /// [`crate::quadrature::CellPiece::seconds`].
+    /// Integrals of each piece: [`crate::quadrature::CellPiece::seconds`].
     seconds: Vec<[[f64; 4]; 4]>,
-    /// Their cells [x, y].
+    /// Cell [x, y] of each piece.
     cells: Vec<[i32; 2]>,
-    /// Their kind [x, y]: [`BorderNode::kind`].
+    /// Kind of each piece along [x, y]: [`BorderNode::kind`].
     kinds: Vec<[u8; 2]>,
 }
 
@@ -63,20 +63,20 @@ impl BorderPieces {
     }
 }
 
-/// Rows and two strips of columns of the map.
+/// A band of rows and two strips of columns of the map, the work of one thread.
 pub struct Tile<'a> {
     kernel: &'a Kernel,
     rows: Range<usize>,
     strips: [Range<usize>; 2],
-    /// Cells that spread seconds to the tile.
+    /// Cells of the tool from which seconds are spread to the tile.
     window: Window,
-    /// First node of the rows, and of the columns of each strip.
+    /// First node of the rows, and first node of the columns of each strip.
     first_y: i64,
     first_x: [i64; 2],
 }
 
 impl<'a> Tile<'a> {
-    /// Returns the tile of `kernel` with these pixels.
+    /// Returns the tile of `kernel` with these ranges of rows and of columns of both strips.
     pub fn new(kernel: &'a Kernel, rows: Range<usize>, strips: [Range<usize>; 2]) -> Self {
         let [left, right] = [0, 1].map(|s| kernel.x.window(&strips[s]));
         let y = kernel.y.window(&rows);
@@ -89,8 +89,8 @@ impl<'a> Tile<'a> {
         Self { kernel, rows, strips, window, first_y, first_x }
     }
 
-    /// Adds the removal of the `segments` to `out`, the pixels of the tile; returns the number of
-    /// quadrature points. With `alone` its lines are shared among the threads.
+    /// Adds the removal of the `segments` to `out`, the pixels of the tile; returns the number of quadrature points. If
+    /// it runs `alone`, the threads share its lines.
     pub fn run(
         &self,
         (trajectory, weight): (&Trajectory, Option<&Weight<'_>>),
@@ -144,8 +144,8 @@ impl<'a> Tile<'a> {
         points
     }
 
-    /// Spreads the seconds of the motion over `work.field` and keeps the pieces for the border;
-    /// the number of quadrature points, and whether there are any pieces.
+    /// Spreads the seconds of the motion over the nodes in `work`, and keeps the pieces for the border. Returns the
+    /// number of quadrature points, and true if there are any pieces.
     fn spread(
         &self,
         (trajectory, weight): (&Trajectory, Option<&Weight<'_>>),
@@ -200,26 +200,27 @@ impl<'a> Tile<'a> {
         (points, reached)
     }
 
-    /// Returns true if the points of this cell are counted in this tile: every cell is counted in one tile.
+    /// Returns true if this tile counts the quadrature points of the cell; every cell is counted in one tile.
     fn owns(&self, cell: [i64; 2]) -> bool {
         let overlap = [self.kernel.x.samples(), self.kernel.y.samples()].map(|n| n as i64 + 2);
         let first = [self.strips[0].start, self.rows.start];
         (0..2).all(|a| first[a] == 0 || cell[a] >= self.window.low[a] + overlap[a])
     }
 
-    /// Returns the node of a cell along y.
+    /// Returns the node along y of a cell, counted from the first of the tile.
     fn row(&self, cell_y: i64) -> i64 {
         cell_y - self.first_y
     }
 
-    /// Returns the node of a cell in a strip along x, if it spreads seconds there.
+    /// Returns the node along x of a cell, counted from the first of the strip `part`; `None` if it spreads no seconds
+    /// there.
     fn column(&self, cell_x: i64, part: usize) -> Option<i64> {
         let c = cell_x - self.first_x[part];
         let nodes = self.kernel.x.nodes_of(&self.strips[part]) as i64;
         if nodes > 0 && c >= -2 && c <= nodes { Some(c) } else { None }
     }
 
-    /// Adds the valid parts of the rows of both strips.
+    /// Transforms the spill on the rows of both strips back, and adds it to the pixels `out`.
     fn add_rows(&self, lines: &Lines, rows: &mut Spilt, mut out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
         let x = &self.kernel.x;
@@ -244,7 +245,7 @@ impl<'a> Tile<'a> {
             });
     }
 
-    /// Adds the valid parts of the `columns` of both strips.
+    /// Transforms the spill on the `columns` of both strips back, and adds it to the pixels `out`.
     fn add_columns(&self, lines: &Lines, columns: &Spilt, out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
         let y = &self.kernel.y;
@@ -277,7 +278,7 @@ impl<'a> Tile<'a> {
             });
     }
 
-    /// Adds `E ly lx`: the pixels diagonally beyond the corners of the TIF.
+    /// Adds the term `E ly lx` of (2) of [`crate::gridded`]: the pixels diagonally beyond the corners of the TIF.
     fn add_corners(
         &self,
         border: &Border,
@@ -331,9 +332,9 @@ impl<'a> Tile<'a> {
 struct Seconds<'a> {
     seconds: &'a [Vec<f64>; 2],
     width: usize,
-    /// Pixels of a row in the left strip.
+    /// Number of pixels of a row in the left strip.
     left: usize,
-    /// Nodes for each pixel along [x, y].
+    /// Number of nodes per pixel along [x, y].
     subdivision: [usize; 2],
     out: ArrayViewMut2<'a, f64>,
 }
@@ -364,7 +365,7 @@ impl Strips<f64> for Seconds<'_> {
     }
 }
 
-/// Adds what is on the nodes of pixels, one in `subdivision`.
+/// Adds the values on every `subdivision`-th node of `from` to the pixels `to`.
 #[inline(always)]
 fn add_pixels(to: &mut [f64], from: &[f64], subdivision: usize) {
     if subdivision == 1 {
@@ -374,10 +375,10 @@ fn add_pixels(to: &mut [f64], from: &[f64], subdivision: usize) {
     }
 }
 
-/// The pieces by rows of cells, for `E ly`.
+/// The pieces by rows of cells, for the term `E ly` of [`crate::gridded`].
 struct RowPieces<'a> {
     tile: &'a Tile<'a>,
-    /// Nodes of a line.
+    /// Number of nodes of a line.
     size: usize,
     border_pieces: &'a BorderPieces,
     blocks: Blocks<'a>,
@@ -398,13 +399,13 @@ impl LinePieces for RowPieces<'_> {
     }
 }
 
-/// The pieces by columns of cells, for `E lx`.
+/// The pieces by columns of cells, for the term `E lx` of [`crate::gridded`].
 struct ColumnPieces<'a> {
     tile: &'a Tile<'a>,
-    /// Nodes of a line.
+    /// Number of nodes of a line.
     size: usize,
     border_pieces: &'a BorderPieces,
-    /// Blocks of each strip.
+    /// Blocks of pieces of each strip.
     blocks: [Blocks<'a>; 2],
 }
 
@@ -423,7 +424,7 @@ impl LinePieces for ColumnPieces<'_> {
     }
 }
 
-/// Adds seconds to the nodes c-1 .. c+2 of a line, as far as it has them.
+/// Adds four seconds to the nodes c-1 .. c+2 of a line; those that the line does not have are left out.
 #[inline(always)]
 fn add_to(line: &mut [f64], c: i64, seconds: [f64; 4]) {
     let first = usize::try_from(c - 1).unwrap_or(usize::MAX - 4);

@@ -1,4 +1,4 @@
-//! The TIF that errors move: a measured one without its noise, and without a step where its samples end.
+//! The TIF that errors change: the measured one without its noise, and without a step where its samples end.
 //!
 //! A tool that moves by a fraction of a pixel moves the noise of its TIF, and the steps at its border, over the
 //! pixels' centres, with every pass: a change without a derivative, which no mirror would show, because it is the
@@ -12,8 +12,8 @@ use ndarray::Array2;
 use planish_types::{Grid, Invalid, OnLattice, Tif, Variation};
 use rayon::prelude::*;
 
-/// Radius over which a TIF is smoothed, in its widths. A quadratic is off by 1e-3 from a Gaussian there. Larger: the
-/// shape of the tool is smoothed away. Smaller: more noise remains.
+/// Radius over which a TIF is smoothed, in widths of the TIF. A quadratic is off by 1e-3 from a Gaussian there. Larger:
+/// the shape of the tool is smoothed away. Smaller: more noise remains.
 const SMOOTHED: f64 = 0.5;
 
 /// Largest radius over which a TIF is smoothed, in samples. Larger: more time, without need against noise. Smaller:
@@ -24,24 +24,24 @@ const MOST_SAMPLES: f64 = 9.0;
 /// is. Larger: noise at the border stays. Smaller: the fit follows the noise.
 const LEAST_SAMPLES: usize = 12;
 
-/// Distance over which a TIF falls to zero at its border, in its widths. Larger: more of the tool is weakened.
+/// Distance over which a TIF falls to zero at its border, in widths of the TIF. Larger: more of the tool is weakened.
 /// Smaller: a steep border, whose displacement causes large errors.
 const FADED: f64 = 1.0;
-/// Largest distance over which a TIF falls to zero at its border, over its extent. Larger: more of the tool is
-/// weakened. Smaller: a steep border, whose displacement causes large errors.
+/// Largest distance over which a TIF falls to zero at its border, as a fraction of its extent. Larger: more of the tool
+/// is weakened. Smaller: a steep border, whose displacement causes large errors.
 const MOST_FADED: f64 = 0.2;
 
-/// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak. It equals the error of Keys'
-/// convolution for a Gaussian whose standard deviation is two samples, and errors are a small part of the removal.
-/// Larger: less exact errors. Smaller: a finer lattice, and more time for every run.
+/// Largest error of a TIF that is resampled on the pixels of the map, as a fraction of its peak. It equals the error of
+/// Keys' convolution for a Gaussian whose standard deviation is two samples, and errors are a small part of the
+/// removal. Larger: less exact errors. Smaller: a finer lattice, and more time for every run.
 const RESAMPLED: f64 = 2e-3;
 
-/// Size of a sample, over the peak, up to which it is outside of the TIF. Larger: the rim of the tool is cut.
+/// Rate, as a fraction of the peak, up to which a sample is outside of the tool. Larger: the rim of the tool is cut.
 /// Smaller: rounding counts as part of the tool.
 const NOTHING: f64 = 1e-9;
 
-/// Returns the TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies,
-/// the same linear operation acts on every kernel, and so on the tool at every place.
+/// Returns the TIF smoothed, and faded to zero at its border, with the same volumetric removal rate. `width_mm` is its
+/// width. If the tool varies, the same linear operation acts on every kernel, and so on the tool at every place.
 ///
 /// # Errors
 ///
@@ -56,17 +56,17 @@ pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     tif.with_kernels(|kernel| Ok((*tif.grid(), smooth(kernel) * volume)))
 }
 
-/// The TIF that errors move.
+/// The TIF that errors change.
 #[derive(Clone, Debug)]
 pub struct Moved<'a> {
-    /// The TIF.
+    /// The smooth TIF, or the given one.
     pub tif: Cow<'a, Tif>,
-    /// Largest error of its samples anew on the pixels of the map, over its peak; 0 where it was not sampled anew.
+    /// Largest error of its samples on the pixels of the map, as a fraction of its peak; 0 if it was not resampled.
     pub resampling_error: f64,
 }
 
-/// Returns the TIF that errors move over a map: smooth, and on the pixels of the map where they hold it; or `tif` as it
-/// is.
+/// Returns the TIF that errors change over a map: smooth, and resampled on the pixels of the map if these suffice. If
+/// `as_sampled` is true it is `tif` itself.
 pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>, Invalid> {
     if as_sampled {
         return Ok(Moved { tif: Cow::Borrowed(tif), resampling_error: 0.0 });
@@ -76,7 +76,8 @@ pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>
     Ok(Moved { tif: Cow::Owned(tif.into_owned()), resampling_error: lattice.error })
 }
 
-/// Samples that are part of the tool: those of the mean tool, or of any kernel, above [`NOTHING`].
+/// Returns true for the samples that are part of the tool: the rate of the mean tool, or of any kernel, is above
+/// [`NOTHING`] of the peak.
 pub(crate) fn inside(tif: &Tif) -> Array2<bool> {
     let least = NOTHING * tif.peak_nm_per_s();
     let mut inside = tif.rate_nm_per_s().mapv(|v| v.abs() > least);
@@ -87,7 +88,7 @@ pub(crate) fn inside(tif: &Tif) -> Array2<bool> {
     inside
 }
 
-/// Smooths a kernel: every sample inside of the tool gets the value of the quadratic through those around it.
+/// Smooths a kernel: every sample inside of the tool gets the value of the quadratic through the samples around it.
 pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Array2<f64> {
     let rate = kernel.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -128,7 +129,8 @@ fn rows_in_parallel(
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
-/// Returns the places just outside of the tool, in samples (column, row), and true if the tool ends there by itself.
+/// Returns the points just outside of the tool, in samples (column, row), and true if the rate of the tool falls to
+/// zero there.
 fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -168,8 +170,9 @@ pub(crate) fn ends_by_itself(tif: &Tif, inside: &Array2<bool>) -> bool {
     end_of(tif, inside).1
 }
 
-/// Returns the weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1
-/// everywhere if the TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
+/// Returns the weight of every sample: 1 inside the TIF, 0 just outside, and smooth between over `over_mm`. It is 1
+/// everywhere if the TIF falls to zero within its samples, because that edge is one of the tool and not of its
+/// measurement.
 fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     let (ny, nx) = inside.dim();
     let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];

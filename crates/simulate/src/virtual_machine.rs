@@ -34,8 +34,8 @@ use crate::{
     tool::moved,
 };
 
-/// Number of streams of random numbers of one error; used are those of the run, and of the measurements of even and
-/// of odd number. With fewer than three, two errors share a stream.
+/// Number of streams of random numbers reserved for one error. It uses one for the run, and one each for the
+/// measurements of even and of odd number. With fewer than three, two errors share a stream.
 const STREAMS_PER_ERROR: u64 = 4;
 
 /// Distance between the streams of consecutive runs, and of consecutive pairs of measurements, of one machine.
@@ -45,31 +45,32 @@ const STREAMS_PER_RUN: u64 = 1 << 32;
 /// Largest number of a run of one machine; larger ones are refused. It keeps the number of the stream within 64 bits.
 const MOST_RUNS: u64 = 1_000_000;
 
-/// Settings of the machine.
+/// Settings of the virtual machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VirtualMachineSettings {
-    /// Random seed of what is hidden.
+    /// Random seed of the hidden errors.
     pub seed: u64,
-    /// Number of the run of this machine, from 1.
+    /// Number of the run of the machine with this seed, from 1.
     pub run: u64,
-    /// True if rate, place, width and shape of the tool are known and corrected exactly; all other errors stay.
+    /// True if rate, position, width and shape of the tool are known and corrected exactly; all other errors stay.
     pub known: bool,
-    /// True if errors move the TIF with the noise and the border of its measurement, and not that of [`crate::tool`].
+    /// True if errors change the TIF as sampled, with the noise and the border of its measurement, and not that of
+    /// [`crate::tool`].
     pub tif_as_sampled: bool,
 }
 
-/// A run and its measurement.
+/// A run of the virtual machine and its measurement.
 #[derive(Clone, Debug)]
 pub struct VirtualRun {
-    /// Map measured after the run; invalid where the map before is.
+    /// Map that is measured after the run; invalid where the map before is.
     pub measured: Surface,
-    /// True removal and true residual.
+    /// True removal, and true residual after the run.
     pub removal: Removal,
-    /// Errors of the run.
+    /// Hidden errors of the run.
     pub hidden: Hidden,
 }
 
-/// Runs `trajectory` on the mirror that was measured as `before`, with one draw of the errors of `process`.
+/// Runs `trajectory` on the mirror with the measured map `before`, with one draw of the errors of `process`.
 ///
 /// # Errors
 ///
@@ -97,7 +98,7 @@ fn check_run(run: u64) -> Result<(), Invalid> {
     Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}")))
 }
 
-/// Returns the process with the sizes of what can be learnt from maps at zero, each error at its place.
+/// Returns the process with size 0 for the errors that maps can determine; every error keeps its index.
 fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     let mut process = process.clone();
     for error in &mut process.errors {
@@ -109,7 +110,7 @@ fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     process
 }
 
-/// Draws the map that is measured of `mirror` before run `run` of the machine of `seed`.
+/// Draws the map that is measured of `mirror` before run number `run` of the machine with the seed `seed`.
 ///
 /// # Errors
 ///
@@ -128,7 +129,7 @@ pub fn measure(
     )
 }
 
-/// Executes a plan as [`run`] does, with what is the same for all seeds prepared.
+/// Executes a plan as [`run`] does; `runs` holds the preparation that is the same for all seeds.
 ///
 /// # Errors
 ///
@@ -169,7 +170,7 @@ pub fn draw_run(
     Ok(VirtualRun { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
 }
 
-/// Returns the error of the measurement `number` of the machine of a seed, nm.
+/// Returns the error of measurement `number` of the machine with this seed, shape (ny, nx), nm.
 fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u64) -> Array2<f64> {
     let mut wrong = Array2::zeros(map.grid().shape());
     for (i, error) in process.errors.iter().enumerate() {
@@ -182,7 +183,7 @@ fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u6
     wrong
 }
 
-/// Returns the error of one measurement by one error of the map, nm.
+/// Draws the error of one measurement that one error of the budget causes, shape (ny, nx), nm.
 fn map_error(effect: Effect, size: f64, map: &Surface, rng: &mut impl Rng) -> Array2<f64> {
     let shape = map.grid().shape();
     match effect {

@@ -19,12 +19,12 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
 }
 
-/// 10 x 6 mm in pixels of 0.2 mm.
+/// Returns the grid of the map: 10 x 6 mm in pixels of 0.2 mm.
 fn map_grid() -> Grid {
     Grid { x: axis(0.0, 0.2, 51), y: axis(0.0, 0.2, 31) }
 }
 
-/// Gaussian out to 6 sigma: 1.5e-8 of the peak is cut.
+/// Makes a Gaussian TIF out to 6 sigma: 1.5e-8 of the peak is cut.
 fn tif() -> Tif {
     let a = axis(-6.0, 0.2, 61);
     let g = Grid { x: a, y: a };
@@ -52,7 +52,7 @@ fn pass() -> Trajectory {
         .unwrap()
 }
 
-/// Asymmetric about both axes, with an invalid pixel.
+/// Makes a map that is asymmetric about both axes, with an invalid pixel.
 fn desired() -> Surface {
     let g = map_grid();
     let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -99,7 +99,8 @@ fn largest(a: &Array2<f64>, f: impl Fn(usize, usize) -> f64) -> f64 {
     a.indexed_iter().map(|((r, c), v)| (v - f(r, c)).abs()).fold(0.0, f64::max)
 }
 
-/// An infinite straight pass: A sigma sqrt(2 pi) / v exp(-y^2 / 2 sigma^2).
+/// Returns the removal by an infinite straight pass at the distance `y_mm`: A sigma sqrt(2 pi) / v exp(-y^2 / 2
+/// sigma^2).
 fn trough(y_mm: f64) -> f64 {
     let dy = y_mm - 2.53;
     PEAK * SIGMA * (2.0 * PI).sqrt() / 4.0 * (-dy * dy / (2.0 * SIGMA * SIGMA)).exp()

@@ -28,7 +28,7 @@ fn tif_from(grid: Grid, f: impl Fn(f64, f64) -> f64) -> Tif {
     Tif::new(grid, rate).unwrap()
 }
 
-/// Gaussian of [`PEAK`] and [`SIGMA`] on `step` mm, out to 6 sigma: 1.5e-8 of the peak is cut.
+/// Makes a Gaussian TIF of [`PEAK`] and [`SIGMA`] on samples of `step` mm, out to 6 sigma: 1.5e-8 of the peak is cut.
 fn gaussian(step: f64) -> Tif {
     let n = (6.0 * SIGMA / step).ceil() as usize;
     let a = axis(-(n as f64) * step, step, 2 * n + 1);
@@ -42,7 +42,7 @@ fn rough_tif(step: [f64; 2]) -> Tif {
     tif_from(g, |x, y| 5.0 + 2.0 * x - y + (37.0 * x).sin() * (29.0 * y).cos())
 }
 
-/// Stands at each position for the given time.
+/// Makes a motion that stands at each position for the given time.
 fn resting(positions: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
     let mut breaks = vec![0.0];
     for s in seconds {
@@ -53,7 +53,7 @@ fn resting(positions: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
     Trajectory::new(breaks, c, vec![true; n], (0..n).map(Some).collect()).unwrap()
 }
 
-/// Straight line from `a` to `b` at constant velocity.
+/// Makes a straight motion from `a` to `b` at constant velocity.
 fn pass(a: [f64; 2], b: [f64; 2], seconds: f64) -> Trajectory {
     let c = [0, 1].map(|k| [a[k], (b[k] - a[k]) / seconds, 0.0, 0.0]);
     Trajectory::new(vec![0.0, seconds], vec![c], vec![true], vec![Some(0)]).unwrap()
@@ -156,7 +156,7 @@ fn a_tif_on_other_pixels_is_accurate_to_what_is_reported_and_ends_where_it_ends(
     }
 }
 
-/// `erf` by the Maclaurin series; |x| < 5.
+/// Returns `erf` by the Maclaurin series; |x| < 5.
 fn erf(x: f64) -> f64 {
     let mut term = x;
     let mut sum = x;
@@ -208,7 +208,7 @@ fn the_removed_volume_is_the_vrr_times_the_time_for_any_motion_inside() {
     assert!((volume / expected - 1.0).abs() < 1e-9, "{volume} {expected}");
 }
 
-/// Cubic motions in all directions and rests, with lifts, every one of them within `half` mm of the origin.
+/// Makes cubic motions in all directions and rests, with lifts, all within `half` mm of the origin.
 fn random_motion(rng: &mut ChaCha8Rng, half: [f64; 2]) -> Trajectory {
     let n = rng.random_range(1..40);
     let (mut breaks, mut c, mut on) = (vec![rng.random_range(-5.0..5.0)], vec![], vec![]);
@@ -292,7 +292,7 @@ fn parallel_lines_leave_the_ripple_of_the_poisson_sum() {
     assert!((removal.mean().unwrap() / mean - 1.0).abs() < 2e-3);
 }
 
-/// A wavy path over the map.
+/// Makes a wavy path over the map.
 fn wavy() -> Trajectory {
     let mut breaks = vec![0.0];
     let mut c = Vec::new();
@@ -438,7 +438,7 @@ fn the_remainder_of_the_quadrature_is_far_below_the_goal() {
     }
 }
 
-/// Ends with steps of a third of its peak.
+/// Makes a TIF that ends with steps of a third of its peak.
 fn border_tif() -> Tif {
     tif_from(grid([-2.2, -1.6], [0.2; 2], [23, 17]), |x, y| {
         5.0 + x - 0.5 * y + (7.0 * x).sin() * (9.0 * y).cos()

@@ -19,7 +19,7 @@ fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
     })
 }
 
-/// Three kernels on one grid: a bell, its change with the width, and one that leans.
+/// Makes three kernels on one grid: a bell, its change with the width, and one that leans.
 fn kernels(offsets: &Grid) -> Vec<Array2<f64>> {
     let bell = |x: f64, y: f64| 20.0 * (-(x * x + 1.2 * y * y) / 0.6).exp();
     vec![
@@ -29,7 +29,8 @@ fn kernels(offsets: &Grid) -> Vec<Array2<f64>> {
     ]
 }
 
-/// A tool that varies smoothly over 12 x 9 mm, with a factor of every pixel and of the time.
+/// Makes a tool that varies smoothly over 12 x 9 mm. If `factors` is true it has a factor of every pixel and of the
+/// time.
 fn varying(seed: u64, pitch_mm: f64, factors: bool) -> Tif {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let n = (6.0 / pitch_mm).round() as usize + 1;
@@ -64,7 +65,7 @@ fn varying(seed: u64, pitch_mm: f64, factors: bool) -> Tif {
     .unwrap()
 }
 
-/// Pieces with a rest, uniform and bent motion over the map and beyond.
+/// Makes a motion with rests, uniform and bent pieces over the map and beyond.
 fn motion(seed: u64) -> Trajectory {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut builder = TrajectoryBuilder::default();

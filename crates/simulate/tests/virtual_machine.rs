@@ -28,7 +28,7 @@ fn before() -> Surface {
     Surface::new(grid, height).unwrap()
 }
 
-/// Round, out to 6 sigma.
+/// Makes a round TIF out to 6 sigma.
 fn tif() -> Tif {
     let axis = Axis::new(-6.0, 0.125, 97).unwrap();
     let grid = Grid { x: axis, y: axis };
@@ -40,7 +40,7 @@ fn tif() -> Tif {
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }
 
-/// Lines 1 mm apart whose feeds differ, displaced by `by_mm`.
+/// Makes a raster of lines 1 mm apart whose feeds differ, displaced by `by_mm`.
 fn raster(by_mm: [f64; 2]) -> Trajectory {
     let mut motion = TrajectoryBuilder::default();
     for line in 0..13 {
@@ -73,7 +73,7 @@ fn removal(trajectory: &Trajectory) -> Array2<f64> {
     found.removal.removal_nm().clone()
 }
 
-/// Largest difference over the pixels that are valid in both.
+/// Returns the largest difference over the pixels that are valid in both maps.
 fn apart(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).filter(|d| !d.is_nan()).fold(0.0, f64::max)
 }

@@ -1,4 +1,5 @@
-//! The budget of the errors, from the plan to the table, the distribution, and what to improve first.
+//! Computes the effect of an error budget on a plan: the table of the errors, the distribution of the residual, and the
+//! error to improve first.
 
 use planish_types::{
     Invalid, Surface, Tif, Trajectory,
@@ -19,45 +20,47 @@ use crate::{
     work::Work,
 };
 
-/// Departure of an error from its first order, over what it adds, above which the error is simulated, unless the
-/// departure is less than [`SEEN`]. Larger: fewer simulations, less exact lines. Smaller: more simulations.
+/// Departure of an error from its first order, as a fraction of the RMS that it adds, above which the distribution
+/// comes from simulated runs. A departure of less than [`SEEN`] does not count. Larger: fewer simulations, less exact
+/// results. Smaller: more simulations.
 pub const LARGEST_DEPARTURE: f64 = 0.1;
 
-/// Departure of an error from its first order, over the expected RMS, up to which the departure is ignored; it
-/// changes that RMS by at most 5e-5. Larger: less exact results. Smaller: more simulations.
+/// Departure of an error from its first order, as a fraction of the expected RMS, up to which it is ignored; it changes
+/// that RMS by at most 5e-5. Larger: less exact results. Smaller: more simulations.
 pub const SEEN: f64 = 0.01;
 
-/// Departure of an error of one number from its first order, over what it adds, above which its line is that of
-/// simulated runs, whether the departure is seen in the distribution or not. The first order of a sharp TIF that turns
-/// is up to twice its effect: an edge that moves by more than its width adds no more. Larger: less exact lines.
-/// Smaller: more simulations.
+/// Departure of an error of one number from its first order, as a fraction of the RMS that it adds, above which its
+/// line of the table comes from simulated runs. That holds whether the departure is visible in the distribution or not.
+/// The first order of a sharp TIF that turns is up to twice its effect: an edge that moves by more than its width adds
+/// no more. Larger: less exact lines. Smaller: more simulations.
 pub const LARGEST_DEPARTURE_OF_LINE: f64 = 0.02;
 
-/// Number of simulated runs that give the distribution if the first order is not enough. Larger: more time. Smaller:
-/// larger standard errors of the quantiles.
+/// Number of simulated runs from which the distribution comes if the first order is not enough. Larger: more time.
+/// Smaller: larger standard errors of the quantiles.
 const RUNS_OF_ALL: usize = 200;
 
-/// Largest number of draws for the 95 % level of the runs without one of the errors. Larger: more time per error.
+/// Largest number of draws for the 95 % quantile of the runs without one of the errors. Larger: more time per error.
 /// Smaller: the error to improve first is less certain.
 const DRAWS_WITHOUT_ONE: usize = 10_000;
 
-/// Number of parts of the work that count alike in the estimate of the time: derivatives, second order, and runs.
+/// Number of parts of the work that have equal shares of the progress bar: derivatives, second order, and runs.
 const PARTS: usize = 3;
 
-/// Returns the RMS of runs in ascending order.
+/// Returns the RMS values of runs, nm, in ascending order.
 fn sorted(mut rms: Vec<f64>) -> Vec<f64> {
     rms.sort_unstable_by(f64::total_cmp);
     rms
 }
 
-/// Returns the quantiles of sorted RMS.
+/// Returns the quantiles of RMS values in ascending order, nm.
 fn quantiles(sorted_rms: &[f64]) -> Quantiles {
     let [low, median, below, high] =
         [0.025, 0.5, 0.95, 0.975].map(|part| quantile(sorted_rms, part));
     Quantiles { median_nm: median, below_95_percent_nm: below, interval_95_percent_nm: [low, high] }
 }
 
-/// Computes the errors that `process` adds to the residual of `trajectory` on `desired`.
+/// Computes the contribution of each error of `process` to the residual of `trajectory` on `desired`, and the
+/// distribution of the residual.
 ///
 /// # Errors
 /// Refuses settings out of range, a log with the rate of its beam, errors that the tool cannot have, and a motion or a
@@ -141,14 +144,14 @@ pub fn tolerance(
     })
 }
 
-/// Returns true if the departure of an error from its first order is seen in what all errors add together.
+/// Returns true if the departure of an error from its first order is visible in the sum of all errors.
 fn departs(line: &ErrorLine, expected_rms_nm: f64) -> bool {
     line.departs_by_rms_nm > LARGEST_DEPARTURE * line.adds_rms_nm
         && line.departs_by_rms_nm > SEEN * expected_rms_nm
 }
 
-/// Simulates the errors whose first order is not enough for their lines. Returns true if it is not enough for the
-/// distribution either.
+/// Replaces the lines of the table whose first order is not enough by those of simulated runs. Returns true if the
+/// first order is not enough for the distribution either.
 fn simulate_departing(
     work: &Work<'_>,
     lines: &mut [ErrorLine],
@@ -168,8 +171,8 @@ fn simulate_departing(
     Ok(simulated)
 }
 
-/// Returns the error without which the residual that 95 % of the runs are below is least; none if it is not less
-/// without any of them.
+/// Returns the error without which the 95 % quantile of the residual is smallest; `None` if no error lowers it when
+/// left out.
 fn first(errors: &Errors<'_>, lines: &[ErrorLine], settings: &ToleranceSettings) -> Option<First> {
     // With the same random numbers for all: what differs is the error that is left out.
     let draws = settings.draws.min(DRAWS_WITHOUT_ONE);

@@ -1,4 +1,4 @@
-//! The command line.
+//! The command line of `planish-tolerance`.
 
 use std::path::PathBuf;
 
@@ -92,13 +92,13 @@ impl Tolerance {
         Ok(status)
     }
 
-    /// Reads the error budget, and refuses one that contradicts itself.
+    /// Reads and checks the error budget; refuses one that is not valid.
     fn process(&self, inputs: &mut Inputs) -> Result<ErrorBudget, Failure> {
         let file: ErrorBudgetFile = inputs.read_json("error-budget", &self.error_budget)?;
         file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))
     }
 
-    /// Checks the error budget, and the tool if it is there, before a motion exists.
+    /// Checks the error budget and the tool before the other inputs exist.
     fn rehearse(&self) -> Result<(), Failure> {
         let process = self.process(&mut Inputs::new())?;
         let tif = Inputs::new().read_tool("tif", &self.mirror.tif)?;
@@ -106,7 +106,7 @@ impl Tolerance {
     }
 }
 
-/// Returns the table for a reader.
+/// Returns the table of results that the command prints; `free` says which terms of the map do not count.
 fn table(report: &planish_tolerance::Tolerance, free: Free) -> String {
     let without = match free {
         Free::Piston => "",
@@ -175,7 +175,8 @@ fn table(report: &planish_tolerance::Tolerance, free: Free) -> String {
     lines.join("\n")
 }
 
-/// Returns the end of a line of the table: whether the line is that of simulated runs.
+/// Returns the note at the end of a line of the table: that the line comes from simulated runs, and its standard error.
+/// Empty if it does not.
 fn simulated_note(simulated: bool, standard_error_nm: Option<f64>) -> String {
     match standard_error_nm {
         _ if !simulated => String::new(),

@@ -1,5 +1,5 @@
-//! The distribution of the residual: all errors in an orthonormal basis of e0 and the f_i, and what of the noise is
-//! outside of it.
+//! The model for the distribution of the residual: coordinates of e0 and the f_i in an orthonormal basis, and the noise
+//! that is orthogonal to all of them. Symbols are those of [`crate::draws`].
 
 use nalgebra::DMatrix;
 use ndarray::Array2;
@@ -15,20 +15,20 @@ use crate::{
 };
 use planish_numerics::parallel;
 
-/// Number of fields from which trace(S_perp^2) is estimated, with 1128 pairs. Larger: more time. Smaller: a less
-/// exact variance of the rest.
+/// Number of drawn noise fields from which trace(S_perp^2) is estimated, by 1128 pairs. Larger: more time. Smaller: a
+/// less exact variance of the orthogonal noise.
 const POOL: usize = 48;
 
-/// e0 and the f_i in an orthonormal basis of their span.
+/// The residual of the plan (e0) and the fields of the errors (f_i) in an orthonormal basis of their span.
 pub struct Span {
-    /// Coordinates of e0, then of the f_i, one column each.
+    /// Coordinates in the basis: of e0 in the first column, then of each f_i.
     coordinates: DMatrix<f64>,
-    /// The basis on the cells.
+    /// Fields of the basis on the cells.
     pub basis: Vec<Vec<f64>>,
 }
 
 impl Span {
-    /// Makes the span of the residual of the plan and the fields of the errors.
+    /// Computes the basis from the residual of the plan and the fields `linear` of the errors.
     pub fn new(work: &Work<'_>, linear: &[Linear]) -> Self {
         let maps: Vec<&Array2<f64>> =
             [&work.nominal].into_iter().chain(linear.iter().map(|l| &l.field)).collect();
@@ -53,19 +53,20 @@ impl Span {
     }
 }
 
-/// All errors of a process.
+/// Results for all errors of a process, from which models are made.
 pub struct Errors<'a> {
     work: &'a Work<'a>,
     linear: &'a [Linear],
-    /// Index of the error, size, and what it adds at size one.
+    /// For each noise along the run: index of the error, size, and response at size one.
     responses: &'a [(usize, f64, Response)],
     span: &'a Span,
-    /// trace(S_perp^2) of all the noise along the run, nm^4.
+    /// Estimate of trace(S_perp^2) of all the noise along the run, nm^4.
     noise_squares: f64,
 }
 
 impl<'a> Errors<'a> {
-    /// Collects the results for each error.
+    /// Collects the results for all errors, and estimates the trace of the squared covariance from noise drawn with
+    /// `seed`. `columns` is absent without noise along the run.
     pub fn new(
         work: &'a Work<'a>,
         linear: &'a [Linear],
@@ -78,7 +79,7 @@ impl<'a> Errors<'a> {
         Self { work, linear, responses, span, noise_squares }
     }
 
-    /// Returns the model that is drawn from, without the error `without` if one is named.
+    /// Returns the model from which residuals are drawn; the error with the index `without` is left out.
     pub fn model(&self, without: Option<usize>) -> ResidualModel {
         let coordinates = &self.span.coordinates;
         let dimension = coordinates.nrows();
@@ -120,7 +121,7 @@ impl<'a> Errors<'a> {
         }
     }
 
-    /// Returns the variance of a pixel of the map by its noise, nm^2.
+    /// Returns the variance of a pixel of the map by its white noise, nm^2; the error `without` is left out.
     fn white(&self, without: Option<usize>) -> f64 {
         let each = self.work.process.errors.iter().enumerate();
         each.filter(|(i, e)| e.effect == Effect::MapNoise && Some(*i) != without)
@@ -129,8 +130,8 @@ impl<'a> Errors<'a> {
     }
 }
 
-/// Estimates trace(S_perp^2) of the noise along the run, from products of independent draws of it:
-/// E <n, n'>^2 = trace(S^2).
+/// Returns an estimate of trace(S_perp^2) of the noise along the run, nm^4, from inner products of independent draws: E
+/// <n, n'>^2 = trace(S^2).
 fn noise_squares(work: &Work<'_>, columns: &Columns<'_>, basis: &[Vec<f64>], seed: u64) -> f64 {
     let noises = work.noises();
     let inner = &work.inner;

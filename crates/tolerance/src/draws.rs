@@ -1,4 +1,4 @@
-//! The distribution of the residual, from draws in the few dimensions in which its errors are.
+//! The distribution of the residual, from draws in the few dimensions that the errors span.
 //!
 //! ```text
 //! e    = e0 - sum_i eta_i f_i - n         n: all that is noise, of covariance S
@@ -21,48 +21,48 @@ use crate::error_budget::Distribution;
 /// Another value draws other numbers.
 const DRAWS_PER_STREAM: usize = 1000;
 
-/// First stream of the runs with one error, among the streams of a seed. The uses follow each other: runs with one
-/// error, fields of the noise, runs with all errors, runs in the place of a line, draws.
+/// First stream of random numbers of the runs with one error, among the streams of a seed. The other uses have the
+/// streams after it: fields of the noise, runs with all errors, runs for a line of the table, draws.
 pub const DEPARTURE_STREAM: u64 = 0;
-/// First stream of the fields of the noise.
+/// First stream of random numbers of the fields of the noise.
 pub const POOL_STREAM: u64 = 1 << 20;
-/// First stream of the runs with all errors.
+/// First stream of random numbers of the runs with all errors.
 pub const RUN_STREAM: u64 = 1 << 24;
-/// First stream of the runs in the place of a line.
+/// First stream of random numbers of the simulated runs for a line of the table.
 pub const LINE_STREAM: u64 = 1 << 30;
-/// First stream of the draws, which have all streams from here on.
+/// First stream of random numbers of the draws, which use all streams from here on.
 const FIRST_STREAM: u64 = 1 << 32;
 
-/// Eigenvalue of a Gram matrix, over the largest, up to which its direction is left out. Larger: weak errors are left
-/// out. Smaller: rounding makes directions.
+/// Eigenvalue of a Gram matrix, as a fraction of the largest, up to which its direction is left out. Larger: weak
+/// errors are left out. Smaller: rounding makes directions.
 const INDEPENDENT: f64 = 1e-12;
 
-/// Number that a run draws, and its effect.
+/// An error that a single random number describes: the distribution of the number, and its effect.
 #[derive(Clone, Debug)]
 pub struct Term {
     /// Distribution of the number about zero, at size one.
     pub distribution: Distribution,
-    /// a_i at its size.
+    /// Coordinates of the field of the error at its size (a_i of the module), nm.
     pub coordinates: DVector<f64>,
 }
 
-/// Model of the residual that is drawn from.
+/// Model of the residual from which its RMS is drawn.
 #[derive(Clone, Debug)]
 pub struct ResidualModel {
-    /// a0.
+    /// Coordinates of the residual of the plan (a0 of the module), nm.
     pub nominal: DVector<f64>,
-    /// The f_i.
+    /// Errors that a single number describes, with their fields f_i.
     pub terms: Vec<Term>,
-    /// Covariance of z.
+    /// Covariance of the noise in the span of the fields (z of the module), nm^2.
     pub noise: DMatrix<f64>,
-    /// trace(S_perp), nm^2.
+    /// Mean square of the noise outside the span, trace(S_perp), nm^2.
     pub rest: f64,
-    /// 2 trace(S_perp^2), nm^4.
+    /// Variance of that mean square, 2 trace(S_perp^2), nm^4.
     pub rest_variance: f64,
 }
 
-/// Returns the coordinates (columns) of vectors with this Gram matrix in an orthonormal basis of their span, and the
-/// basis as combinations (columns) of the vectors.
+/// Orthonormalises vectors with the Gram matrix `gram`. Returns their coordinates in an orthonormal basis of their
+/// span, as columns, and the basis as combinations of the vectors, as columns.
 pub fn orthonormal(gram: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
     let eigen = SymmetricEigen::new(gram.clone());
     let largest = eigen.eigenvalues.iter().fold(0.0_f64, |m, v| m.max(*v));
@@ -77,7 +77,7 @@ pub fn orthonormal(gram: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
 }
 
 impl ResidualModel {
-    /// Returns the mean over the runs of the mean square, nm^2.
+    /// Returns the mean over the runs of the mean square of the residual, nm^2.
     pub fn mean_square(&self) -> f64 {
         let mut e = self.nominal.clone();
         let mut square = self.noise.trace() + self.rest;
@@ -91,14 +91,14 @@ impl ResidualModel {
         e.norm_squared() + square
     }
 
-    /// Draws the RMS, nm, of `count` runs, ascending.
+    /// Draws the RMS of the residual of `count` runs, nm, in ascending order.
     pub fn sorted(&self, count: usize, seed: u64) -> Vec<f64> {
         let mut rms = self.draw(count, seed);
         rms.sort_unstable_by(f64::total_cmp);
         rms
     }
 
-    /// Draws the RMS, nm, of `count` runs.
+    /// Draws the RMS of the residual of `count` runs, nm.
     pub fn draw(&self, count: usize, seed: u64) -> Vec<f64> {
         // noise = root root'; a map of one pixel has no residual, and no dimension
         let root = if self.noise.is_empty() {
@@ -140,7 +140,8 @@ impl ResidualModel {
     }
 }
 
-/// Returns the value below which this part of the `sorted` values lies, interpolated between two of them.
+/// Returns the quantile of the ascending values `sorted` for the fraction `part`, 0 to 1, interpolated between two of
+/// them.
 pub fn quantile(sorted: &[f64], part: f64) -> f64 {
     let place = part * (sorted.len() - 1) as f64;
     let below = place.floor() as usize;

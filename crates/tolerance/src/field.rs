@@ -1,4 +1,5 @@
-//! Fields on a box of the cells: what a piece of the motion removes.
+//! Fields on a box of the cells: the removal by a piece of the motion, or its change. A cell is a block of pixels
+//! ([`crate::inner`]).
 
 use std::ops::Range;
 
@@ -7,29 +8,29 @@ use planish_types::{Pose, Tif};
 
 use crate::{inner::Inner, motion::MotionPiece as Piece};
 
-/// Number of Gauss points of a piece, over which the tool goes half the width of the TIF at most. Larger: more time.
-/// Smaller: a larger error of the fields.
+/// Number of Gauss points of a piece, over which the tool moves by at most half the width of the TIF. Larger: more
+/// time. Smaller: a larger error of the fields.
 const POINTS: usize = 3;
 
-/// A field on a box of the cells.
+/// Values on a rectangle (box) of the cells; 0 elsewhere.
 #[derive(Clone, Debug, Default)]
 pub struct Field {
-    /// Rows of cells.
+    /// Range of the rows of cells.
     pub rows: Range<usize>,
-    /// Columns of cells.
+    /// Range of the columns of cells.
     pub columns: Range<usize>,
-    /// Row by row.
+    /// Values, row by row.
     pub value: Vec<f64>,
 }
 
 impl Field {
-    /// Makes a field that is 0 on a box.
+    /// Makes a field of zeros on a box.
     pub fn on(rows: Range<usize>, columns: Range<usize>) -> Self {
         let value = vec![0.0; rows.len() * columns.len()];
         Self { rows, columns, value }
     }
 
-    /// Returns the index on the cells of each row's first value, and its values.
+    /// Returns the rows of the field: for each the index of its first cell, and its values.
     pub fn lines(&self, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
         let first = self.rows.start * cells_per_row + self.columns.start;
         let width = self.columns.len().max(1);
@@ -37,7 +38,7 @@ impl Field {
         lines.map(move |(r, line)| (first + r * cells_per_row, line))
     }
 
-    /// Returns the sum of fields times numbers, on a box that holds them all.
+    /// Returns the sum of fields, each times a number, on a box that holds them all.
     pub fn sum(parts: &[(&Self, f64)]) -> Self {
         let filled: Vec<_> = parts.iter().filter(|(f, _)| !f.value.is_empty()).collect();
         let rows = hull(filled.iter().map(|(f, _)| &f.rows));
@@ -56,17 +57,17 @@ impl Field {
     }
 }
 
-/// Returns the least range that holds all of these; an empty one if there is none.
+/// Returns the smallest range that holds all `ranges`; an empty one if there are none.
 fn hull<'a>(ranges: impl Iterator<Item = &'a Range<usize>>) -> Range<usize> {
     let all = ranges.cloned().reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
     all.unwrap_or_default()
 }
 
-/// The TIF that errors move, on the cells of a map, without its factor of the time, which the motion has.
+/// The TIF that errors change, on the cells of a map. It has no factor of the time, which the motion holds.
 pub struct Tool {
-    /// The TIF.
+    /// TIF without the factor of the time.
     pub tif: Tif,
-    /// Mean factor of the pixels of every cell, if the tool has one.
+    /// Mean factor of the pixels in every cell; `None` if the tool has no such factor.
     factor: Option<Vec<f64>>,
 }
 
@@ -79,7 +80,8 @@ impl Tool {
         Self { tif, factor }
     }
 
-    /// Returns the weights of the kernels of a tool at a place; none of a tool that is the same everywhere.
+    /// Returns the weights of the kernels of the tool at a place of the part; empty for a tool that is the same
+    /// everywhere.
     pub fn weights(&self, place_mm: [f64; 2]) -> Vec<f64> {
         let Some(v) = self.tif.variation() else { return Vec::new() };
         // Tools that turn with their motion are refused: every heading is as good.
@@ -87,12 +89,13 @@ impl Tool {
         (0..v.components().len()).map(|k| v.weight(k, pose)).collect()
     }
 
-    /// Returns the factor of the pixels of a cell.
+    /// Returns the mean factor of the pixels in a cell; 1 if the tool has none.
     pub fn factor(&self, cell: usize) -> f64 {
         self.factor.as_ref().map_or(1.0, |factor| factor[cell])
     }
 
-    /// Returns the rate of a tool with these weights at an offset, nm/s, without the factor of the pixels.
+    /// Returns the rate of a tool with these weights of its kernels at the offset (x, y) mm, nm/s, without the factor
+    /// of the pixels.
     fn rate(&self, weights: &[f64], x: f64, y: f64) -> f64 {
         let Some(v) = self.tif.variation() else { return self.tif.rate_at(x, y) };
         let each = v.components().iter().zip(weights);
@@ -100,23 +103,23 @@ impl Tool {
     }
 }
 
-/// The rate of a tool, or its change with the place of the tool.
+/// Quantity of the tool that is integrated: its rate, or the change of the rate with its position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Change {
-    /// The rate, nm/s.
+    /// The rate itself, nm/s.
     AsItIs,
-    /// The derivative of the rate at a fixed pixel by the place of the tool along the axis 0 (x) or 1 (y), nm/s/mm.
+    /// The derivative of the rate at a fixed pixel by the position of the tool along the axis 0 (x) or 1 (y), nm/s/mm.
     Along(usize),
 }
 
-/// A tool at one place.
+/// A tool at one position, prepared for the values of its rate or of the change.
 struct PlacedChange<'a> {
     tool: &'a Tool,
     place_mm: [f64; 2],
     change: Change,
     /// Half a sample of the TIF along the axis of the change, mm.
     half_mm: f64,
-    /// Weights at the place; of a change, half a sample before and after it.
+    /// Weights of the kernels at the position; for a change, half a sample before it and after it.
     weights: [Vec<f64>; 2],
 }
 
@@ -136,7 +139,7 @@ impl<'a> PlacedChange<'a> {
         Self { tool, place_mm, change, half_mm, weights }
     }
 
-    /// Returns the value at a point of the part.
+    /// Returns the rate or its change at the point (x, y) mm of the part, in the unit of the change.
     fn value(&self, x: f64, y: f64) -> f64 {
         let Self { tool, half_mm: h, weights: [before, after], .. } = self;
         let x = x - self.place_mm[0];
@@ -150,7 +153,7 @@ impl<'a> PlacedChange<'a> {
     }
 }
 
-/// Returns the number of cells that a resting tool reaches, at most.
+/// Returns an upper bound of the number of cells that a resting tool reaches.
 pub fn cells_of_tif(inner: &Inner, tif: &Tif) -> usize {
     let tool = tif.grid();
     let [px, py] = inner.cells.pixels;
@@ -162,7 +165,7 @@ pub fn cells_of_tif(inner: &Inner, tif: &Tif) -> usize {
     x * y
 }
 
-/// Returns the rows and columns of the cells whose pixels are within the TIF of a tool at any of the places, and one
+/// Returns the rows and columns of the cells whose pixels are within the TIF of a tool at any of the `places`, and one
 /// more on every side.
 pub fn reached(
     places: impl Iterator<Item = [f64; 2]> + Clone,
@@ -185,7 +188,8 @@ pub fn reached(
     (rows, columns)
 }
 
-/// Returns the integral of a tool, or of its change, over a piece, on the cells it reaches.
+/// Returns the integral over a piece of the rate of the tool, or of its change, on the cells that it reaches; empty if
+/// the tool is off.
 pub fn field(piece: &Piece, inner: &Inner, tool: &Tool, change: Change) -> Field {
     if !piece.tool_on {
         return Field::default();

@@ -1,4 +1,5 @@
-//! The inner product in which residuals are judged: the mean over the valid pixels, without the free terms.
+//! The inner product of residuals: the mean over the valid pixels, after the free terms (low-order terms that need not
+//! be removed) are taken off.
 //!
 //! ```text
 //! <f, g> = 1/m sum f g over the m valid pixels,    |f|^2 = <f, f>
@@ -13,44 +14,45 @@ use planish_types::{Grid, Surface};
 
 use crate::settings::Free;
 
-/// Width of the TIF over that of a cell. The product of two Gaussians of this width is summed over cells with an
-/// error of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of the part there. Larger: more
-/// cells, more time. Smaller: a larger error.
+/// Number of cells per width of the TIF. The product of two Gaussians of this width is summed over cells with an error
+/// of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of the part there. Larger: more cells, more
+/// time. Smaller: a larger error.
 const CELLS_PER_WIDTH: f64 = 3.0;
 
-/// Part of a free term that must remain after the terms before it; a term with less is left out, for example a plane
-/// on one row of pixels. Larger: tilts on narrow maps are not free. Smaller: rounding passes as a free term.
+/// Fraction of a free term that must remain after the terms before it are taken off; a term with less is left out, for
+/// example a plane on one row of pixels. Larger: tilts on narrow maps are not free. Smaller: rounding passes as a free
+/// term.
 const INDEPENDENT: f64 = 1e-9;
 
-/// The valid pixels of a map, its free terms, and its cells.
+/// The valid pixels of a map, its free terms, and its cells (blocks of pixels).
 pub struct Inner {
     /// Pixels of the map.
     pub grid: Grid,
     valid: Array2<bool>,
-    /// Valid pixels.
+    /// Number of valid pixels.
     pub count: f64,
-    /// Orthonormal free terms (ny, nx); 0 where invalid.
+    /// Orthonormal free terms, shape (ny, nx); 0 where invalid.
     free: Vec<Array2<f64>>,
-    /// Its cells.
+    /// Cells of the map.
     pub cells: CellGrid,
 }
 
-/// Blocks of pixels, row by row.
+/// Blocks of pixels (cells), numbered row by row.
 pub struct CellGrid {
-    /// Pixels per cell [x, y].
+    /// Number of pixels per cell [along x, along y].
     pub pixels: [usize; 2],
-    /// Cells (rows, columns).
+    /// Number of cells (rows, columns).
     pub shape: (usize, usize),
-    /// Valid pixels of each.
+    /// Number of valid pixels of each cell.
     pub weight: Vec<f64>,
-    /// Centroid of the valid pixels of each, mm.
+    /// Centroid [x, y] of the valid pixels of each cell, mm.
     pub centre_mm: Vec<[f64; 2]>,
-    /// Orthonormal free terms.
+    /// Orthonormal free terms on the cells.
     pub free: Vec<Vec<f64>>,
 }
 
 impl Inner {
-    /// Makes the cells of the map `desired` for a TIF of this width.
+    /// Makes the cells of the map `desired` for a TIF of the width `width_mm`; `free` says which terms do not count.
     pub fn new(desired: &Surface, free: Free, width_mm: f64) -> Self {
         let grid = *desired.grid();
         let valid = desired.height_nm().mapv(|z| !z.is_nan());
@@ -94,7 +96,7 @@ impl Inner {
         inner
     }
 
-    /// Returns the map with 0 where it is invalid.
+    /// Returns the map with 0 at its invalid pixels.
     pub fn masked(&self, mut map: Array2<f64>) -> Array2<f64> {
         map.zip_mut_with(&self.valid, |v, valid| {
             if !valid {
@@ -104,7 +106,7 @@ impl Inner {
         map
     }
 
-    /// Returns the map with NaN where it is invalid.
+    /// Returns the map with NaN at its invalid pixels.
     pub fn with_nan(&self, mut map: Array2<f64>) -> Array2<f64> {
         map.zip_mut_with(&self.valid, |v, valid| {
             if !valid {
@@ -119,12 +121,12 @@ impl Inner {
         self.valid.mapv(|valid| if valid { 1.0 } else { 0.0 })
     }
 
-    /// Returns the orthonormal free terms (ny, nx); 0 where the map is invalid.
+    /// Returns the orthonormal free terms, shape (ny, nx); 0 where the map is invalid.
     pub fn free(&self) -> &[Array2<f64>] {
         &self.free
     }
 
-    /// Removes the free terms of a masked map.
+    /// Removes the free terms from a map that is 0 at invalid pixels.
     pub fn project(&self, map: &mut Array2<f64>) {
         for q in &self.free {
             let c = self.dot(q, map);
@@ -132,21 +134,22 @@ impl Inner {
         }
     }
 
-    /// Returns a map without its invalid pixels and its free terms.
+    /// Returns a map as the RMS judges it: 0 at invalid pixels, and without the free terms.
     pub fn judged(&self, map: Array2<f64>) -> Array2<f64> {
         let mut map = self.masked(map);
         self.project(&mut map);
         map
     }
 
-    /// Returns the inner product of two masked maps.
+    /// Returns the inner product of two maps that are 0 at invalid pixels: the mean of their product over the valid
+    /// pixels.
     pub fn dot(&self, f: &Array2<f64>, g: &Array2<f64>) -> f64 {
         let rows = f.outer_iter().zip(g.outer_iter());
         rows.map(|(f, g)| f.iter().zip(g).map(|(f, g)| f * g).sum::<f64>()).sum::<f64>()
             / self.count
     }
 
-    /// Returns the means of a masked map over the valid pixels of the cells.
+    /// Returns the mean over the valid pixels of each cell, for a map that is 0 at invalid pixels.
     pub fn to_cells(&self, map: &Array2<f64>) -> Vec<f64> {
         let CellGrid { pixels, shape, weight, .. } = &self.cells;
         let mut sum = vec![0.0; weight.len()];
@@ -157,7 +160,7 @@ impl Inner {
         sum
     }
 
-    /// Returns the map that is constant on every cell.
+    /// Returns the map with the value of its cell at every valid pixel, and 0 elsewhere.
     pub fn from_cells(&self, of_cell: &[f64]) -> Array2<f64> {
         let CellGrid { pixels, shape, .. } = &self.cells;
         self.masked(Array2::from_shape_fn(self.grid.shape(), |(r, c)| {
@@ -165,13 +168,13 @@ impl Inner {
         }))
     }
 
-    /// Returns the inner product of two fields on the cells.
+    /// Returns the inner product of two fields on the cells: the mean of their product, weighted by the valid pixels.
     pub fn dot_on_cells(&self, f: &[f64], g: &[f64]) -> f64 {
         let each = f.iter().zip(g).zip(&self.cells.weight);
         each.map(|((f, g), w)| w * f * g).sum::<f64>() / self.count
     }
 
-    /// Removes the free terms of a field on the cells.
+    /// Removes the free terms from a field on the cells.
     pub fn project_on_cells(&self, field: &mut [f64]) {
         for q in &self.cells.free {
             let c = self.dot_on_cells(q, field);

@@ -1,4 +1,5 @@
-//! The table: what every error adds alone, to first order, and how far a run with it is from that.
+//! The table of the errors: the RMS that each adds alone, to first order, and the departure of a run with it from the
+//! first order.
 
 use ndarray::Array2;
 use planish_numerics::parallel;
@@ -14,25 +15,25 @@ use crate::{
     work::Work,
 };
 
-/// Displacement of the tool in a pair of simulated deviations, or change of its width, over the width of the TIF. The
-/// third order, which does not cancel, is 1e-4 / 6 of the first. Larger: more of the third order. Smaller: more
-/// rounding.
+/// Displacement of the tool, or change of its width, in a pair of simulated deviations, in widths of the TIF. The third
+/// order, which does not cancel, is 1e-4 / 6 of the first. Larger: more of the third order. Smaller: more rounding.
 pub const STEP: f64 = 0.01;
 
-/// A field that one number decides, and what it belongs to.
+/// First-order field of an error that a single number describes. An error can have several.
 pub struct Linear {
-    /// Index of the error.
+    /// Index of the error in the error budget.
     pub error: usize,
     /// Distribution of the error from run to run.
     pub distribution: Distribution,
-    /// Field of the error at size one, nm.
+    /// Change of the residual at size one, nm.
     pub field: Array2<f64>,
-    /// Size of the error.
+    /// Size of the error, in the unit of the calculation.
     pub size: f64,
 }
 
 impl Work<'_> {
-    /// Returns the fields of all errors that one number decides, at size one.
+    /// Returns the first-order fields, at size one, of all errors that a single number describes. `width` is that of
+    /// the TIF, mm.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -43,7 +44,7 @@ impl Work<'_> {
         Ok(each.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
-    /// Returns the fields of one error, the `error`-th.
+    /// Returns the first-order fields of the error `e`, whose index is `error`.
     fn linear_of(
         &self,
         error: usize,
@@ -88,7 +89,7 @@ impl Work<'_> {
         }
     }
 
-    /// Returns, for every error, the RMS difference of the run with its size alone from its first order, nm.
+    /// Returns, for every error, the RMS difference between a simulated run with it alone and its first order, nm.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -104,7 +105,7 @@ impl Work<'_> {
         departures.into_iter().collect()
     }
 
-    /// Returns the departure of one error, the `i`-th.
+    /// Returns the departure from the first order of the error `e` with the index `i`, nm.
     fn departure(
         &self,
         i: usize,
@@ -139,7 +140,7 @@ impl Work<'_> {
         }
     }
 
-    /// Returns the table, to first order.
+    /// Returns the lines of the table, to first order. `departures` are those of every error, nm.
     pub fn lines(
         &self,
         linear: &[Linear],
@@ -186,7 +187,7 @@ impl Work<'_> {
         lines.collect()
     }
 
-    /// Returns the standard deviation over the runs of every pixel of the residual, nm.
+    /// Returns the standard deviation of the residual over the runs at every pixel, nm.
     pub fn deviation_map(
         &self,
         linear: &[Linear],

@@ -1,4 +1,4 @@
-//! Variances that independent errors along the run add, without a draw.
+//! Variance that independent errors along the run add to the residual, computed without random draws.
 //!
 //! A piece k of the motion removes b_k(x), the integral of the TIF over it. With the deviation g_k of the rate
 //! the residual changes by `-sum g_k b_k`, and for a zero-mean g of covariance C the mean square that is added is
@@ -38,39 +38,40 @@ use crate::{
     sample::Mean,
 };
 
-/// Effect of the errors of one kind at size one.
+/// Effect on the residual of the errors of one kind at size one.
 pub struct Response {
-    /// Variance on the cells, free terms removed, nm^2.
+    /// Variance on every cell without the free terms, nm^2.
     pub variance: Vec<f64>,
-    /// Mean square that is added, free terms removed, nm^2.
+    /// Mean square that the errors add, without the free terms, nm^2.
     pub mean_square: f64,
-    /// The part of it that the tool reaches.
+    /// Part of the mean square at the wavelengths that the tool corrects, nm^2.
     pub reached: f64,
-    /// Covariance of the inner products with the basis that was asked for.
+    /// Covariance of the inner products with the fields of the basis, nm^2.
     pub covariance: DMatrix<f64>,
 }
 
-/// The removal of every piece and stay of a motion on the cells of a map.
+/// Removal by every piece and every stay of a motion, on the cells of a map. A stay is the part of the motion that
+/// serves one dwell point.
 pub struct Columns<'a> {
     motion: &'a Motion,
     inner: &'a Inner,
-    /// Field of every piece.
+    /// Removal by every piece, nm.
     piece: Vec<Field>,
-    /// Field of every stay.
+    /// Removal by every stay, nm.
     stay: Vec<Field>,
-    /// Field of every stay per displacement along x and y; empty if it was not asked for.
+    /// Change of the removal by every stay per displacement along x and y, nm/mm; empty if it was not requested.
     displaced: [Vec<Field>; 2],
-    /// Rows of the functionals of a field: free terms, basis, cosines.
+    /// Linear functionals that are evaluated for the fields: free terms, basis, cosines.
     functionals: Functionals,
 }
 
-/// Linear functionals of fields: inner products with the free terms and a basis, and cosines.
+/// Linear functionals of fields: inner products with the free terms and with a basis, and coefficients of cosines.
 struct Functionals {
-    /// Free terms, then the basis, on the cells.
+    /// Free terms, then the fields of the basis, on the cells.
     fields: Vec<Vec<f64>>,
     free: usize,
     cosines: CosinesOnCells,
-    /// Cosines of the free terms.
+    /// Coefficients of the cosines of every free term.
     of_free: Vec<Vec<f64>>,
 }
 
@@ -80,7 +81,7 @@ impl Functionals {
         self.fields.len() + self.cosines.pairs.len()
     }
 
-    /// Returns all functionals of a field; the cosines are those of P f.
+    /// Returns the values of all functionals of a field; the cosines are those of the field without its free terms.
     fn values(&self, field: &Field, inner: &Inner) -> Vec<f64> {
         let per_row = inner.cells.shape.1;
         let weight = &inner.cells.weight;
@@ -102,7 +103,7 @@ impl Functionals {
         all
     }
 
-    /// Returns `sum over the cells of w f cos(y) cos(x) / sqrt(m)` of every pair of cosines.
+    /// Returns the coefficient of every pair of cosines: `sum over the cells of w f cos(y) cos(x) / sqrt(m)`.
     fn cosines_of(&self, field: &Field, inner: &Inner) -> Vec<f64> {
         let CosinesOnCells { y, x, pairs } = &self.cosines;
         let ny = y.ncols();
@@ -127,8 +128,8 @@ impl Functionals {
 }
 
 impl<'a> Columns<'a> {
-    /// Makes the fields of a motion; with `displaced`, also their change with the place. `basis` are fields on the
-    /// cells without free terms.
+    /// Computes the fields of a motion, and if `displaced` is true also their change with the position of the tool.
+    /// `basis` are fields on the cells without free terms.
     ///
     /// # Errors
     /// Refuses a motion of so many pieces that its fields take too much memory.
@@ -173,7 +174,7 @@ impl<'a> Columns<'a> {
         Ok(Self { motion, inner, piece, stay, displaced, functionals })
     }
 
-    /// Returns the effect of the errors of a kind at size one.
+    /// Returns the effect on the residual of the errors of a kind at size one.
     pub fn response(&self, noise: Noise) -> Response {
         match noise {
             Noise::Rate { correlation_s } => self.of_rate(correlation_s),
@@ -199,7 +200,7 @@ impl<'a> Columns<'a> {
         stays.map(|(f, t)| Field::sum(&[(f, 1.0 / t)])).collect()
     }
 
-    /// Returns the response to independent errors of this variance, each times its field.
+    /// Returns the response to independent errors of this variance, each of which multiplies its field.
     fn of_independent(&self, fields: impl Iterator<Item = Field>, variance: f64) -> Response {
         let fields: Vec<Field> = fields.collect();
         let all: Vec<Vec<f64>> =
@@ -225,7 +226,8 @@ impl<'a> Columns<'a> {
         self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
-    /// Returns the response to the Ornstein-Uhlenbeck process of standard deviation one.
+    /// Returns the response to a relative rate that is an Ornstein-Uhlenbeck process of standard deviation one and
+    /// correlation time `tau`, s.
     fn of_rate(&self, tau: f64) -> Response {
         let all: Vec<Vec<f64>> = parallel::map(self.piece.len(), &|k| {
             self.functionals.values(&self.piece[k], self.inner)
@@ -294,15 +296,15 @@ impl<'a> Columns<'a> {
         self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
-    /// Returns the mean square without the free terms, from the variance on the cells and the squares of the free
-    /// terms, nm^2.
+    /// Returns the mean square without the free terms, nm^2. `variance` is that on the cells, `free` the mean squares
+    /// of the coefficients of the free terms.
     fn mean_square(&self, variance: &[f64], free: &[f64]) -> f64 {
         let weight = &self.inner.cells.weight;
         let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
         (all - free.iter().sum::<f64>()).max(0.0)
     }
 
-    /// Removes the free terms from the variance on the cells; c_kq are `carried`.
+    /// Removes the free terms from the variance on the cells. `carried` are the numbers c_kq of the module.
     fn remove_free(
         &self,
         variance: &mut [f64],
@@ -338,7 +340,7 @@ impl<'a> Columns<'a> {
         (0..f.free, f.free..f.fields.len())
     }
 
-    /// Makes the response; `cosines` are the mean squares of the reached cosines.
+    /// Makes the response from its parts; `cosines` are the mean squares of the coefficients of the reached cosines.
     fn finish(
         &self,
         variance: Vec<f64>,
@@ -351,7 +353,7 @@ impl<'a> Columns<'a> {
         Response { variance, mean_square, reached, covariance }
     }
 
-    /// Returns the change of the removal by the errors of a run, to first order, on the cells.
+    /// Returns the change of the removal by the errors of a run, to first order, on the cells, nm.
     pub fn change(&self, run: &Deviation) -> Vec<f64> {
         let mut change = vec![0.0; self.inner.cells.weight.len()];
         for (field, g) in self.piece.iter().zip(&run.rate_of_piece) {
@@ -369,7 +371,7 @@ impl<'a> Columns<'a> {
         change
     }
 
-    /// Adds a field times a number to a sum on the cells.
+    /// Adds a field times the number `by` to `sum` on the cells.
     fn add(&self, sum: &mut [f64], field: &Field, by: f64) {
         for (first, line) in field.lines(self.inner.cells.shape.1) {
             let into = &mut sum[first..first + line.len()];
@@ -378,7 +380,7 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// Returns the sums of the fields of the pieces of every stay.
+/// Returns, for every stay, the sum of the fields of its pieces.
 fn by_stay(motion: &Motion, of_piece: &[Field]) -> Vec<Field> {
     let mut rest = of_piece;
     let mut stays = Vec::with_capacity(motion.stay_s.len());
@@ -394,7 +396,7 @@ fn by_stay(motion: &Motion, of_piece: &[Field]) -> Vec<Field> {
 /// Variance of a time that is uniform in a tick, in squared ticks: 1/12.
 const TICK_VARIANCE: f64 = 1.0 / 12.0;
 
-/// Adds `by a b'` to m.
+/// Adds `by` times the outer product `a b'` to the matrix m.
 fn add_outer(m: &mut DMatrix<f64>, a: &[f64], b: &[f64], by: f64) {
     for (mut column, b) in m.column_iter_mut().zip(b) {
         column.iter_mut().zip(a).for_each(|(m, a)| *m += by * a * b);

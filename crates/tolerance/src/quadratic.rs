@@ -54,7 +54,7 @@ use crate::{
     tool::smooth,
 };
 
-/// Number of changes of the TIF by errors; the constants below are their indices.
+/// Number of changes of the TIF from which the effects of errors are combined; the constants below are their indices.
 const KERNELS: usize = 7;
 const AS_IT_IS: usize = 0;
 const ALONG_X: usize = 1;
@@ -64,36 +64,36 @@ const ELLIPTICAL: usize = 4;
 const ROTATED: usize = 5;
 const DIAGONAL: usize = 6;
 
-/// Number of Gauss points of a piece, over which the tool goes half the width of the TIF at most. For a Gaussian the
-/// integral errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4. Larger: more time. Smaller: a larger
-/// error.
+/// Number of Gauss points of a piece, over which the tool moves by at most half the width of the TIF. For a Gaussian
+/// the integral errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4. Larger: more time. Smaller: a
+/// larger error.
 const POINTS: usize = 2;
 
-/// The errors of a process that matter to the dwell times, on one mirror.
+/// The errors of a process whose effect depends on the dwell times, prepared for one mirror.
 pub struct Sources {
     inner: Inner,
-    /// The TIF that errors move.
+    /// The TIF that errors change.
     moved: Tif,
-    /// The same on the cells, without its factor of the time.
+    /// The same TIF on the cells, without its factor of the time.
     tool: Tool,
     width_mm: f64,
     kernels: Kernels,
-    /// Errors of one number each, and their variances.
+    /// Errors that a single number describes, with their variances.
     scalars: Vec<(Scalar, f64)>,
-    /// Variance of the place of every dwell point along each axis, mm^2.
+    /// Variance of the position error of every dwell point along each axis, mm^2.
     place_mm2: f64,
     /// Correlation time, s, and variance of every noise of the rate.
     rates: Vec<(f64, f64)>,
-    /// Errors that are fixed, if there are any.
+    /// Errors of a fixed size; `None` if there are none.
     fixed: Option<Deviation>,
-    /// Kinds of the errors that are in Q or in m, in the order of the process.
+    /// Names of the errors that are in Q or in m of the module, in the order of the process.
     pub included: Vec<String>,
-    /// Kinds of the errors that are in neither.
+    /// Names of the errors that are neither in Q nor in m of the module.
     pub left_out: Vec<String>,
 }
 
 impl Sources {
-    /// Makes the sources of `process` on the map `desired` with `tif`; errors of size zero are left out.
+    /// Prepares the errors of `process` on the map `desired` with `tif`; errors of size zero are left out.
     ///
     /// # Errors
     /// Refuses errors that the tool cannot have, and changes of the TIF that cannot be made.
@@ -156,12 +156,12 @@ impl Sources {
         Ok(sources)
     }
 
-    /// Returns true if the dwell times decide nothing of the errors of the process.
+    /// Returns true if no error of the process has an effect that depends on the dwell times.
     pub fn is_empty(&self) -> bool {
         self.included.is_empty()
     }
 
-    /// Makes m and Q of a motion that serves `points` dwell points.
+    /// Computes m and Q of the module for a motion that serves `points` dwell points.
     ///
     /// # Errors
     /// Refuses a motion or a map that takes too much memory, and errors that cannot be simulated.
@@ -216,7 +216,8 @@ impl Sources {
         Ok(Quadratic { sources: self, bias_nm, columns, place, pieces, total_s: motion.total_s })
     }
 
-    /// Prepares a piece that serves dwell point j, for the noise of the rate; `part` is 1 over the time of the point.
+    /// Prepares a piece that serves dwell point `j`, for the noise of the rate; `part` is 1 over the time of the point,
+    /// 1/s.
     fn carried(&self, j: usize, piece: &Piece, part: f64) -> Carried {
         let field = field(piece, &self.inner, &self.tool, Change::AsItIs);
         let free = self.inner.cells.free.iter().map(|q| self.dot(q, &field)).collect();
@@ -224,7 +225,8 @@ impl Sources {
         Carried { point: j, part, start_s, duration_s, field, free }
     }
 
-    /// Returns the scalars, and the displacements where the places are noisy, at no variance of their own.
+    /// Returns the errors of `scalars`. If positions are noisy, displacements along x and y are included, with the
+    /// variance 0 if no error has them.
     fn combined(&self) -> Vec<(Scalar, f64)> {
         let mut all = self.scalars.clone();
         for axis in [Scalar::OffsetX, Scalar::OffsetY] {
@@ -235,12 +237,12 @@ impl Sources {
         all
     }
 
-    /// Returns the difference of the removals of a run with these errors and one without, nm.
+    /// Returns the difference of the removals of a run with these errors and of one without, shape (ny, nx), nm.
     fn change(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
         Ok(self.removal_nm(run, motion)? - self.removal_nm(&Deviation::default(), motion)?)
     }
 
-    /// Simulates the removal of a run with these errors, nm.
+    /// Simulates the removal of a run with these errors, shape (ny, nx), nm.
     fn removal_nm(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
         let grid = &self.inner.grid;
         let other = run.tif(&self.tool.tif)?;
@@ -249,7 +251,8 @@ impl Sources {
         Ok(plan.removal_nm(&run.trajectory(motion, grid)?)?.0)
     }
 
-    /// Computes c_kj of a dwell point, which these pieces serve.
+    /// Computes c_kj of the module for a dwell point, which the pieces `own` of the motion serve for `served_s`
+    /// seconds. `rates` are the relative rates of the errors in the pieces.
     fn column(&self, motion: &Motion, own: &[usize], rates: &[Vec<f64>], served_s: f64) -> Column {
         let grid = &self.inner.grid;
         let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
@@ -301,7 +304,8 @@ impl Sources {
         Column { rows, columns, value }
     }
 
-    /// Returns |P db/dx|^2 + |P db/dy|^2; takes away what only this needs.
+    /// Returns |P db/dx|^2 + |P db/dy|^2 of the module for a dwell point, and removes the values that only this needs
+    /// from the column.
     fn displaced(&self, column: &mut Column) -> f64 {
         let size = column.rows.len() * column.columns.len();
         let all = self.combined();
@@ -316,7 +320,7 @@ impl Sources {
         sum
     }
 
-    /// Returns <q, f> of a field on all cells and one on some.
+    /// Returns the inner product <q, f> of a field `q` on all cells and a field `f` on a box.
     fn dot(&self, q: &[f64], f: &Field) -> f64 {
         let cells = &self.inner.cells;
         let lines = f.lines(cells.shape.1).map(|(first, line)| -> f64 {
@@ -327,7 +331,7 @@ impl Sources {
         lines.sum::<f64>() / self.inner.count
     }
 
-    /// Returns |P f|^2.
+    /// Returns the mean square of a field without its free terms, |P f|^2.
     fn square(&self, f: &Field) -> f64 {
         let cells = &self.inner.cells;
         let lines = f.lines(cells.shape.1).map(|(first, line)| -> f64 {
@@ -339,11 +343,12 @@ impl Sources {
     }
 }
 
-/// Weights of the kernels for an error of size one, at `[x, y]` mm from the middle of the map, for a rate deviation
-/// g. None if the effect depends on more than the place and the time.
+/// Function that returns the weights of the changes of the TIF for an error of size one. Its arguments are the position
+/// `[x, y]`, mm, from the middle of the map, and a relative rate g.
 type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
 
-/// Returns the combination of the kernels by which an error acts.
+/// Returns the combination of the changes of the TIF by which an error acts; `None` if its effect depends on more than
+/// position and time.
 fn combination(effect: Scalar) -> Option<Combination> {
     fn one(kernel: usize, value: f64) -> [f64; KERNELS] {
         let mut all = [0.0; KERNELS];
@@ -375,23 +380,24 @@ fn combination(effect: Scalar) -> Option<Combination> {
     })
 }
 
-/// The changes of a kernel on its samples, with a ring of zeros around them.
+/// All changes of a kernel at each of its samples, with a ring of zeros around them.
 type Samples = Vec<[f64; KERNELS]>;
 
-/// The TIF, or every kernel of one that varies, and its derivatives on its samples; Keys' convolution between.
+/// The TIF, or every kernel of a varying one, and its changes by errors, at its samples; Keys' convolution interpolates
+/// between them.
 struct Kernels {
     grid: Grid,
     samples: Vec<Samples>,
 }
 
-/// A place of the tool, with the weight of every kernel there and its derivatives along x and y, 1/mm.
+/// Position of the tool, with the weight of every kernel there and its derivatives along x and y, 1/mm.
 struct Placed {
     place_mm: [f64; 2],
     weights: Vec<[f64; 3]>,
 }
 
 impl Kernels {
-    /// Makes the changes of a tool whose rate does not depend on the time.
+    /// Computes the changes of the TIF of a tool whose rate does not depend on the time.
     fn new(tif: &Tif) -> Result<Self, Invalid> {
         let width = changed(tif, Scalar::TifWidth)?;
         let mut shapes = vec![(WIDER, width), (ROTATED, changed(tif, Scalar::TifRotation)?)];
@@ -404,7 +410,7 @@ impl Kernels {
         Ok(Self { grid: *tif.grid(), samples })
     }
 
-    /// Prepares the tool at a place.
+    /// Prepares the tool at the position `place_mm`.
     fn placed(&self, tool: &Tool, place_mm: [f64; 2]) -> Placed {
         let half = [self.grid.x.step_mm(), self.grid.y.step_mm()].map(|step| 0.5 * step);
         let slopes = [0, 1].map(|axis| -> Vec<f64> {
@@ -420,7 +426,7 @@ impl Kernels {
         Placed { place_mm, weights }
     }
 
-    /// Returns all changes at a point of the part; none beyond the samples.
+    /// Returns all changes of the rate at a point of the part; `None` beyond the samples.
     fn values(&self, placed: &Placed, x_mm: f64, y_mm: f64) -> Option<[f64; KERNELS]> {
         let Grid { x, y } = &self.grid;
         let [dx, dy] = [x_mm - placed.place_mm[0], y_mm - placed.place_mm[1]];
@@ -451,13 +457,13 @@ impl Kernels {
     }
 }
 
-/// Returns the node of a coordinate in steps from the first of n samples, and Keys' weights there; none beyond them.
+/// Returns the node and Keys' weights for a coordinate `s`, in steps from the first of n samples; `None` beyond them.
 fn node_and_weights(s: f64, n: usize) -> Option<(usize, [f64; 4])> {
     let (i, f) = keys::split(s);
     if (0..n as isize - 1).contains(&i) { Some((i as usize, keys::weights(f))) } else { None }
 }
 
-/// Returns the TIF with an error of a step up and of a step down.
+/// Returns the TIF with an error of plus and of minus [`STEP`].
 fn changed(tif: &Tif, effect: Scalar) -> Result<[Tif; 2], Invalid> {
     let [up, down] = [STEP, -STEP].map(|step| {
         let mut run = Deviation::default();
@@ -467,7 +473,8 @@ fn changed(tif: &Tif, effect: Scalar) -> Result<[Tif; 2], Invalid> {
     Ok([up?, down?])
 }
 
-/// Returns the changes of kernel `k` of a tool; `shapes` are those of the tool by a step up and down.
+/// Returns the changes of kernel `k` of a tool at its samples; `shapes` are the tools with each error of shape by a
+/// step up and down.
 fn samples_of(k: usize, tif: &Tif, shapes: &[(usize, [Tif; 2])]) -> Samples {
     fn kernel(tif: &Tif, k: usize) -> &Tif {
         tif.variation().map_or(tif, |v| v.components()[k].kernel())
@@ -497,7 +504,8 @@ fn samples_of(k: usize, tif: &Tif, shapes: &[(usize, [Tif; 2])]) -> Samples {
     samples
 }
 
-/// c_kj of a dwell point j for every error k, on a box of the cells: error by error, row by row.
+/// The numbers c_kj of the module for a dwell point j and every error k, on a box of the cells: error by error, row by
+/// row.
 #[derive(Default)]
 struct Column {
     rows: Range<usize>,
@@ -506,7 +514,7 @@ struct Column {
 }
 
 impl Column {
-    /// Returns the index on the cells of each row's first value, and its values, of error k.
+    /// Returns the rows of the values of error `k`: for each the index of its first cell, and its values.
     fn lines(&self, k: usize, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
         let size = self.rows.len() * self.columns.len();
         let width = self.columns.len().max(1);
@@ -517,33 +525,33 @@ impl Column {
     }
 }
 
-/// A piece of the motion, for the noise of the rate.
+/// A piece of the motion, prepared for the noise of the rate.
 struct Carried {
     point: usize,
     /// 1 over the time of its dwell point, 1/s.
     part: f64,
     start_s: f64,
     duration_s: f64,
-    /// Removal of the piece at the rate of the plan.
+    /// Removal by the piece at the rate of the plan, nm.
     field: Field,
     /// Inner products of the field with the free terms.
     free: Vec<f64>,
 }
 
-/// m and Q of one motion.
+/// Additional removal m by fixed errors, and quadratic form Q of the scattering errors, for one motion.
 pub struct Quadratic<'a> {
     sources: &'a Sources,
-    /// m: what the fixed errors remove more, (ny, nx), nm; none where nothing is fixed.
+    /// Additional removal by the fixed errors (m of the module), shape (ny, nx), nm; `None` if no error is fixed.
     pub bias_nm: Option<Array2<f64>>,
     columns: Vec<Column>,
-    /// |P db/dx|^2 + |P db/dy|^2 of every dwell point, (nm/s/mm)^2.
+    /// Mean square of the change by a displacement, |P db/dx|^2 + |P db/dy|^2, of every dwell point, (nm/s/mm)^2.
     place: Vec<f64>,
     pieces: Vec<Carried>,
     total_s: f64,
 }
 
 impl Quadratic<'_> {
-    /// Returns Q t (n), nm^2/s: half the derivative of t'Q t.
+    /// Returns Q t for the dwell times `time_s`, length n, nm^2/s: half the derivative of t'Q t by each of them.
     pub fn product(&self, time_s: &[f64]) -> Vec<f64> {
         let Sources { scalars, place_mm2, rates, .. } = self.sources;
         let mut product: Vec<f64> =
@@ -564,7 +572,7 @@ impl Quadratic<'_> {
         product
     }
 
-    /// Returns the part of Q t by scalar error k of this variance: `s_k^2 <c_kj, f>` of f = P sum_j t_j c_kj.
+    /// Returns the part of Q t of error k with this variance: `s_k^2 <c_kj, f>` with f = P sum_j t_j c_kj.
     fn scalar_product(&self, k: usize, variance: f64, time_s: &[f64]) -> Vec<f64> {
         let inner = &self.sources.inner;
         let per_row = inner.cells.shape.1;
@@ -587,12 +595,13 @@ impl Quadratic<'_> {
         products.collect()
     }
 
-    /// Returns t'Q t, nm^2: what the errors that scatter add to the mean square on average.
+    /// Returns t'Q t for the dwell times `time_s`, nm^2: the mean square that the scattering errors add on average.
     pub fn variance_nm2(&self, time_s: &[f64]) -> f64 {
         self.product(time_s).iter().zip(time_s).map(|(q, t)| q * t).sum()
     }
 
-    /// Returns sum_l C_kl x_l <P b_k, P b_l> of every piece k, x = t over the time of the plan.
+    /// Returns sum_l C_kl x_l <P b_k, P b_l> for every piece k. C is the covariance for the correlation time `tau`, and
+    /// x the dwell time of a piece's point over its time in the plan.
     fn correlated(&self, tau: f64, time_s: &[f64]) -> Vec<f64> {
         let part = |p: &Carried| p.part * time_s[p.point];
         let (earlier, later) = rayon::join(
@@ -613,8 +622,8 @@ impl Quadratic<'_> {
         each.collect()
     }
 
-    /// Returns `a_k <P b_k, P s_k>` with `s_k = sum_l a_l x_l b_l exp(-gap / tau)` of the pieces before, each with
-    /// the time at which it begins and its x.
+    /// Returns `a_k <P b_k, P s_k>` for every piece k, with `s_k = sum_l a_l x_l b_l exp(-gap / tau)` over the pieces
+    /// before it. Each of `pieces` comes with the time at which it begins, and its x.
     fn carry<'p>(
         &self,
         pieces: impl Iterator<Item = (&'p Carried, f64, f64)>,

@@ -1,4 +1,4 @@
-//! The parts of a residual at wavelengths that the tool corrects, and at shorter ones.
+//! Split of a residual into wavelengths that the tool corrects (the reached part) and shorter ones.
 //!
 //! ```text
 //! f(x, y) = sum over j, k of f_jk cos(pi j (x - x0) / Lx) cos(pi k (y - y0) / Ly)
@@ -17,32 +17,32 @@ use planish_types::{Axis, Tif};
 
 use crate::inner::Inner;
 
-/// Largest frequency that is considered, times the width of the TIF, dimensionless. The transfer function of a
+/// Largest spatial frequency that is considered, times the width of the TIF, dimensionless. The transfer function of a
 /// Gaussian is exp(-2 pi^2) there. Larger: more time. Smaller: frequencies that the tool reaches are left out.
 const LARGEST_FREQUENCY: f64 = 1.0;
 
-/// The cosines that the tool reaches.
+/// The cosines over the map that the tool reaches: those with a transfer function of at least [`LEAST_TRANSFER`].
 pub struct Reach {
     /// Cosines along y (rows k) on the pixels, orthonormal.
     y: Array2<f64>,
     /// Cosines along x (rows j) on the pixels, orthonormal.
     x: Array2<f64>,
-    /// True for the pairs (k, j) that the tool reaches.
+    /// True for the pairs (k, j) of cosines along y and x that the tool reaches.
     reached: Array2<bool>,
-    /// The reached pairs.
+    /// The reached pairs (k, j).
     pairs: Vec<(usize, usize)>,
     x_axis: Axis,
     y_axis: Axis,
 }
 
-/// Returns the orthonormal cosine j of n at the place i, which is the pixel i or between two.
+/// Returns the value of the orthonormal cosine j of n at the position `i` in pixels, which may lie between two pixels.
 fn cosine(j: usize, n: usize, i: f64) -> f64 {
     let scale = if j == 0 { 1.0 } else { 2.0_f64.sqrt() };
     scale / (n as f64).sqrt() * (PI * j as f64 * (i + 0.5) / n as f64).cos()
 }
 
 impl Reach {
-    /// Makes the cosines for maps on the pixels of `inner`.
+    /// Computes the reached cosines for maps on the pixels of `inner`; `width_mm` is the width of the TIF.
     pub fn new(inner: &Inner, tif: &Tif, width_mm: f64) -> Self {
         let x_axis = inner.grid.x;
         let y_axis = inner.grid.y;
@@ -71,16 +71,16 @@ impl Reach {
         Self { y, x, reached, pairs, x_axis, y_axis }
     }
 
-    /// Returns the part of the mean square of a map that the tool reaches; the map is 0 at invalid pixels.
+    /// Returns the reached part of the mean square of a map, which is 0 at invalid pixels.
     pub fn mean_square(&self, inner: &Inner, map: &Array2<f64>) -> f64 {
         let coefficients = self.y.dot(map).dot(&self.x.t());
         let reached = coefficients.iter().zip(&self.reached).filter(|(_, r)| **r);
         reached.map(|(c, _)| c * c).sum::<f64>() / inner.count
     }
 
-    /// Returns the part of the mean square of P w that the tool reaches, with w white noise of variance one on the
-    /// valid pixels:
-    /// `tr(P C' C P) / m = (sum over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
+    /// Returns the reached part of the mean square of P w. Here w is white noise of variance one on the m valid pixels,
+    /// and P removes the free terms q. With the coefficients C of the reached cosines c it is `tr(P C' C P) / m = (sum
+    /// over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
     pub fn of_white(&self, inner: &Inner) -> f64 {
         let [y, x] = [&self.y, &self.x].map(|a| a.mapv(|v| v * v));
         let on_valid = y.dot(&inner.validity()).dot(&x.t());
@@ -89,8 +89,8 @@ impl Reach {
         ((all - free) / inner.count).max(0.0)
     }
 
-    /// Returns the cosines as fields on the cells, so that their inner products with fields there are the coefficients
-    /// over sqrt(m): cosines along y and x at the centres, and the scale.
+    /// Returns the reached cosines at the centres of the cells. The inner products of fields on the cells with them are
+    /// the coefficients over sqrt(m).
     pub fn on_cells(&self, inner: &Inner) -> CosinesOnCells {
         let cells = &inner.cells;
         let (ny, nx) = self.reached.dim();
@@ -116,18 +116,18 @@ impl Reach {
     }
 }
 
-/// Returns the first n of `len` cosines (columns) at these places (rows).
+/// Returns the values of the first n of `len` cosines (columns) at the positions `places`, in pixels (rows).
 fn cosines(n: usize, len: usize, places: &[f64]) -> Array2<f64> {
     Array2::from_shape_fn((places.len(), n), |(i, j)| cosine(j, len, places[i]))
 }
 
-/// The reached cosines at the rows and columns of the cells.
+/// The reached cosines at the centres of the rows and columns of the cells.
 pub struct CosinesOnCells {
-    /// (rows, k)
+    /// Cosines along y, shape (rows of cells, k).
     pub y: Array2<f64>,
-    /// (columns, j)
+    /// Cosines along x, shape (columns of cells, j).
     pub x: Array2<f64>,
-    /// The reached (k, j).
+    /// The reached pairs (k, j).
     pub pairs: Vec<(usize, usize)>,
 }
 

@@ -1,4 +1,4 @@
-//! Runs with errors as they are, not to first order.
+//! Simulated runs, in which errors act as they are and not to first order.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::Array2;
@@ -17,7 +17,7 @@ use crate::{
     work::Work,
 };
 
-/// Number of runs that give the line of a noise if the first order is not enough; their standard error is stated.
+/// Number of simulated runs for the line of a noise whose first order is not enough; their standard error is stated.
 /// Larger: more time. Smaller: a larger standard error.
 const RUNS_OF_NOISE: usize = 32;
 
@@ -28,8 +28,8 @@ const RUNS_OF_NOISE: usize = 32;
 /// Larger: more time, and farther nodes. Smaller: less exact.
 const NODES: usize = 6;
 
-/// Returns numbers of a distribution at size one, and weights that sum to one, so that the weighted sum of a function
-/// of them is its mean: Gauss and Hermite's rule, Gauss and Legendre's, or the one number.
+/// Returns values of an error of size one and their weights, which sum to one: the weighted sum of a function at them
+/// is its mean. The rule is that of Gauss and Hermite, of Gauss and Legendre, or the single value of a fixed error.
 fn quadrature(distribution: Distribution) -> Vec<(f64, f64)> {
     match distribution {
         // Golub and Welsch: the Jacobi matrix of the polynomials orthogonal under the normal density has sqrt(k)
@@ -50,7 +50,7 @@ fn quadrature(distribution: Distribution) -> Vec<(f64, f64)> {
 }
 
 impl Work<'_> {
-    /// Makes the line of an error from simulated runs.
+    /// Replaces the line of the error `index` in the table by the result of simulated runs.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -104,7 +104,7 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Simulates `count` runs with all errors.
+    /// Simulates `count` runs with all errors, and computes the same runs to first order.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -124,7 +124,7 @@ impl Work<'_> {
         runs.into_iter().collect()
     }
 
-    /// Simulates the k-th run with all errors.
+    /// Simulates run number `k` with all errors, and computes the same run to first order.
     fn run_with_all(
         &self,
         k: u64,

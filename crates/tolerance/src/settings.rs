@@ -14,14 +14,14 @@ const MOST_SIMULATED_RUNS: usize = 100_000;
 /// Settings of the tolerance analysis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ToleranceSettings {
-    /// Low-order terms that are not part of the residual.
+    /// Low-order terms of the map that are not part of the residual.
     pub free: Free,
-    /// Runs that are drawn to first order.
+    /// Number of runs that are drawn to first order, for the distribution.
     pub draws: usize,
-    /// Runs that are simulated, to check the first order.
+    /// Number of runs that are simulated, to check the first order.
     pub simulated_runs: usize,
-    /// True if the TIF that errors move is that of the plan, with its noise and its border, and not that of
-    /// [`crate::tool`].
+    /// True if errors change the TIF of the plan as sampled, with its noise and its border. False for the smoothed TIF
+    /// of [`crate::tool`].
     pub tif_as_sampled: bool,
     /// Random seed.
     pub seed: u64,

@@ -1,4 +1,4 @@
-//! The plan and the errors: what a run with any of them leaves, by simulation.
+//! A plan with the errors of its process: the residual of a run with any of them, by simulation.
 
 use ndarray::Array2;
 use planish_simulate::{
@@ -16,19 +16,20 @@ use crate::{
     settings::Free,
 };
 
-/// Plan, process, and the means to compute the effect of errors.
+/// Plan, process, and the prepared data from which the effects of errors are computed.
 pub struct Work<'a> {
     runs: Runs<'a>,
     pub inner: Inner,
     pub process: &'a ErrorBudget,
-    /// P (h - R).
+    /// Residual of the plan without errors, P (h - R) of the crate's documentation, shape (ny, nx), nm.
     pub nominal: Array2<f64>,
-    /// Part of the map that the plan reaches.
+    /// Coverage of the map by the plan.
     pub coverage: Coverage,
 }
 
 impl<'a> Work<'a> {
-    /// Prepares a plan with the TIF `tif`, whose errors are computed with `moved`, both of this width.
+    /// Prepares a plan with the TIF `tif`. The effects of errors are computed with the TIF `moved`; `width` is the
+    /// width of both, mm.
     ///
     /// # Errors
     /// Refuses a log with the rate of its beam, and errors of a size that the tool cannot have.
@@ -51,22 +52,23 @@ impl<'a> Work<'a> {
         Ok(Self { runs, inner, process, nominal, coverage })
     }
 
-    /// Returns the motion in pieces.
+    /// Returns the motion of the plan in pieces.
     pub fn motion(&self) -> &Motion {
         &self.runs.motion
     }
 
-    /// Returns the RMS of a masked map, nm.
+    /// Returns the RMS of a map that is 0 at invalid pixels, nm.
     pub fn rms(&self, judged: &Array2<f64>) -> f64 {
         self.inner.dot(judged, judged).sqrt()
     }
 
-    /// Returns the displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
+    /// Returns the largest displacement of the tool, mm, per unit of the size of an effect. For a change of the TIF it
+    /// is the width of the TIF.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         self.runs.displacement_per_size(effect)
     }
 
-    /// Simulates the residual of a run, nm.
+    /// Simulates the residual of a run without its free terms, shape (ny, nx), nm.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -78,12 +80,13 @@ impl<'a> Work<'a> {
         Ok(&self.nominal + &self.inner.judged(more))
     }
 
-    /// Returns the Legendre polynomials up to a total degree, the constant left out, of RMS one over the rectangle.
+    /// Returns the Legendre polynomials of total degree 1 to `degree` on the map, each with an RMS of one over its
+    /// rectangle.
     pub fn low_order(&self, degree: usize) -> Vec<Array2<f64>> {
         legendre_terms(&self.inner.grid, &low_orders(degree))
     }
 
-    /// Returns the index, the kind and the size of each noise along the run.
+    /// Returns the index, the kind and the size of each noise along the run in the error budget.
     pub fn noises(&self) -> Vec<(usize, Noise, f64)> {
         let each = self.process.errors.iter().enumerate();
         each.filter_map(|(i, e)| match e.effect {

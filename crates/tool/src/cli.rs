@@ -9,7 +9,7 @@ use planish_handoff::{Failure, Status, Subcommands, Task};
 use planish_tool::varying::Parameter;
 use serde::Serialize;
 
-/// Program and method that a command records in its manifest.
+/// Name of the program and of its subcommand, as the command records them in its manifest (the record of the run).
 #[derive(Clone, Copy, Debug)]
 pub struct Name {
     /// Program, which also begins each line that the command prints.
@@ -19,7 +19,7 @@ pub struct Name {
 }
 
 impl Name {
-    /// Returns the work of the command with these settings.
+    /// Returns the description of the run for the manifest: this program, its version, the subcommand and `settings`.
     fn task(self, settings: impl Serialize) -> Task {
         Task::new(self.program, env!("CARGO_PKG_VERSION"), self.method, settings)
     }
@@ -70,7 +70,7 @@ impl ToolCommand {
     }
 }
 
-/// Returns the name of a subcommand of `planish tool`.
+/// Returns the name that the subcommand `method` of `planish tool` records.
 fn tool(method: &'static str) -> Name {
     Name { program: env!("CARGO_PKG_NAME"), method }
 }
@@ -108,7 +108,7 @@ impl Subcommands for SurfaceNames {
     }
 }
 
-/// Returns the name of a subcommand of `planish surface`.
+/// Returns the name that the subcommand `method` of `planish surface` records.
 fn surface(method: &'static str) -> Name {
     Name { program: "planish-surface", method }
 }

@@ -55,33 +55,33 @@ const FREE_STEPS: usize = 6;
 /// shift by its standard error changes the removal by less than its noise.
 const MOST_ERROR_PIXELS: f64 = 1.0;
 
-/// Half sizes of the windows of a slope, pixels: along the slope and across it. More: more time. Fewer: a window
-/// that is further from the best one. Chosen: each has four times the pixels of the one before.
+/// Half sizes of the windows in which the slope is measured, pixels: along the slope and across it. More: more time.
+/// Fewer: a window that is farther from the best one. Chosen: each has about four times the pixels of the one before.
 const WINDOWS: [[usize; 2]; 5] = [[1, 0], [1, 1], [2, 2], [4, 4], [8, 8]];
 
-/// Radius of the window of the correlation over the correlation length, and largest radius, pixels. Larger: lags
-/// that have noise and no signal. Smaller: a part of the correlation is cut off, and standard errors are too
-/// small. Chosen: a Gaussian correlation has 0.2 % of its integral beyond the flat part.
+/// Radius of the window of the noise correlation in correlation lengths, and largest radius, pixels. Larger: lags that
+/// have noise and no signal. Smaller: a part of the correlation is cut off, and standard errors are too small. Chosen:
+/// a Gaussian correlation has 0.2 % of its integral beyond the flat part.
 const WINDOW_OVER_LENGTH: f64 = 5.0;
 const LARGEST_LAG: isize = 16;
 
-/// Number of pixels from which the correlation is summed over a part of them. Larger: more time on large maps.
+/// Number of pixels above which only a part of them is used for the noise correlation. Larger: more time on large maps.
 /// Smaller: a less certain standard error. Chosen: a tenth of a second.
 const MOST_IN_CORRELATION: usize = 20_000;
 
-/// The shift of `after` against `before` in pixels (x, y), its standard error, and the steps that it took.
+/// Shift of `after` against `before`, (x, y) in pixels, with its standard error and the number of steps.
 #[derive(Default)]
 pub(crate) struct Shift {
-    /// Shift, pixels.
+    /// Shift along x and y, pixels.
     pub px: [f64; 2],
-    /// Standard error of the shift, pixels.
+    /// Standard error of the shift along x and y, pixels.
     pub error_px: [f64; 2],
-    /// Steps of the alignment.
+    /// Number of Gauss-Newton steps of the alignment.
     pub steps: usize,
 }
 
-/// Returns `map` at every pixel moved by `d` pixels (x, y), and its slopes per pixel along x and y; NaN where a pixel
-/// that is needed is invalid or beyond the map.
+/// Returns `map` interpolated at every pixel moved by `d` pixels (x, y), and its slopes along x and y, nm per pixel.
+/// NaN where a pixel that is needed is invalid or beyond the map.
 pub(crate) fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f64>; 2]) {
     let (ny, nx) = map.dim();
     let [(ix, fx), (iy, fy)] = d.map(|d| (d.floor() as isize, d - d.floor()));
@@ -111,8 +111,8 @@ pub(crate) fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f
     (sum(wy, wx), [sum(wy, sx), sum(sy, wx)])
 }
 
-/// Slopes of a map along x and y, per pixel: those of the least-squares plane over a window with these half sizes
-/// along the slope and across it. NaN where the window reaches an invalid pixel or beyond the map.
+/// Returns the slopes of a map along x and y, nm per pixel: those of the least-squares plane over a window with these
+/// half sizes. NaN where the window reaches an invalid pixel or beyond the map.
 fn slopes(map: &Array2<f64>, [along, across]: [usize; 2]) -> [Array2<f64>; 2] {
     let odd: Vec<f64> = (0..=2 * along).map(|k| k as f64 - along as f64).collect();
     let squares: f64 = odd.iter().map(|k| k * k).sum();
@@ -124,7 +124,7 @@ fn slopes(map: &Array2<f64>, [along, across]: [usize; 2]) -> [Array2<f64>; 2] {
     })
 }
 
-/// Weighted sums over windows along the rows; NaN where the window reaches beyond the map.
+/// Returns weighted sums over a window along the rows of `map`; NaN where the window reaches beyond the map.
 fn weighted_in_rows(map: &Array2<f64>, weights: &[f64]) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let half = weights.len() / 2;
@@ -141,8 +141,8 @@ fn turned(map: Array2<f64>) -> Array2<f64> {
     map.reversed_axes().as_standard_layout().into_owned()
 }
 
-/// Pixels outside the spot whose slopes of `before` are known, with these, per pixel, and around which
-/// `after` is valid wherever a shift within a pixel of `d` looks.
+/// Returns the pixels outside the spot where `slopes` of `before` are known, with these slopes. Around each, `after` is
+/// valid wherever a shift within a pixel of `d` looks.
 fn pixels_for_shift(
     slopes: &[Array2<f64>; 2],
     after: &Array2<f64>,
@@ -168,10 +168,10 @@ fn pixels_for_shift(
     pixels
 }
 
-/// Terms of the equations at one pixel.
+/// Terms of the equations for the shift at one pixel; the symbols are those of the module.
 struct ShiftEquation {
     pixel: [usize; 2],
-    /// Coordinates from -1 to 1 over the map.
+    /// Coordinates of the pixel, scaled to -1 .. 1 over the map.
     place: [f64; 2],
     h: [f64; 2],
     g: [f64; 2],
@@ -179,17 +179,17 @@ struct ShiftEquation {
 }
 
 impl ShiftEquation {
-    /// Its row of H.
+    /// Returns the row (h, 1, x, y) of the matrix H of the module.
     fn h_row(&self) -> Vector5<f64> {
         Vector5::new(self.h[0], self.h[1], 1.0, self.place[0], self.place[1])
     }
-    /// Its row of G.
+    /// Returns the row (grad after, 1, x, y) of the matrix G of the module.
     fn g_row(&self) -> Vector5<f64> {
         Vector5::new(self.g[0], self.g[1], 1.0, self.place[0], self.place[1])
     }
 }
 
-/// The rows at the pixels `used` where `after` is moved by `d`.
+/// Returns the terms of the equations at the pixels `used`, with `after` moved by `d` pixels.
 fn rows(
     before: &Array2<f64>,
     after: &Array2<f64>,
@@ -209,12 +209,13 @@ fn rows(
     rows.filter(|row| !row.e.is_nan() && row.g.iter().all(|v| !v.is_nan())).collect()
 }
 
-/// (H'G)^-1, where the maps have structure.
+/// Returns the matrix (H'G)^-1 of the module; `None` if the maps have no structure to align by.
 fn inverse(rows: &[ShiftEquation]) -> Option<Matrix5<f64>> {
     rows.iter().map(|r| r.h_row() * r.g_row().transpose()).sum::<Matrix5<f64>>().try_inverse()
 }
 
-/// The slopes of `before` over the window that gives the least covariance of the shift by white noise.
+/// Returns the slopes of `before` over the window that gives the least covariance of the shift for white noise; `None`
+/// if no window determines the shift.
 fn best_slopes(
     before: &Array2<f64>,
     after: &Array2<f64>,
@@ -233,7 +234,8 @@ fn best_slopes(
     all.filter(|(v, _)| v.is_finite()).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, slopes)| slopes)
 }
 
-/// H'C H, with the correlation of what `change` leaves of e.
+/// Returns the matrix H'C H of the module, with the correlation of the residual e after the step `change`. `shape` is
+/// that of the map.
 fn squares(rows: &[ShiftEquation], shape: (usize, usize), change: &Vector5<f64>) -> Matrix5<f64> {
     let mut row_at = Array2::from_elem(shape, usize::MAX);
     for (k, row) in rows.iter().enumerate() {
@@ -288,7 +290,8 @@ fn squares(rows: &[ShiftEquation], shape: (usize, usize), change: &Vector5<f64>)
     sum
 }
 
-/// Returns the shift of `after` against `before` by what is outside the spot.
+/// Returns the shift of `after` against `before`, in pixels, from the structure at the pixels where `outside` is true.
+/// Refuses maps that do not determine it.
 pub(crate) fn align(
     grid: &Grid,
     before: &Surface,
@@ -336,7 +339,7 @@ pub(crate) fn align(
     Err(lost("the shift does not settle"))
 }
 
-/// Refusal of maps that do not determine the shift.
+/// Returns the error for maps that do not determine the shift; `problem` says why.
 fn lost(problem: &str) -> Invalid {
     let remedy = "give `align` none, or maps with structure outside the spot";
     Invalid::whole("align", problem, remedy)

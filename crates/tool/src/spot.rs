@@ -36,9 +36,9 @@ use crate::shift::{Shift, align, shifted};
 /// 4 times its RMS.
 const LEAST_CONTRAST: f64 = 5.0;
 
-/// Number of squares, each about the centroid of the one before. Larger: more time, hardly a change.
-/// Smaller: the centroid may belong to a square that is off. Chosen: the spot has fallen to its noise at
-/// the edge of a square, so a square that is off by less than a pixel has the same centroid.
+/// Number of times that the square is centred anew on the centroid of the removal in it. Larger: more time, hardly a
+/// change. Smaller: the centroid may belong to a square that is off. Chosen: the spot has fallen to its noise at the
+/// edge of a square, so a square that is off by less than a pixel has the same centroid.
 const CENTRE_ROUNDS: usize = 3;
 
 /// Motion of the part between the two measurements.
@@ -63,45 +63,45 @@ pub enum Baseline {
     Plane,
 }
 
-/// Settings of the conversion of a spot to a TIF.
+/// Settings for the conversion of a measured spot to a TIF.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SpotSettings {
     /// Time that the tool rested, s.
     pub dwell_s: f64,
     /// Half the side of the square that becomes the TIF, mm. Outside the square nothing was removed.
     pub half_size_mm: f64,
-    /// Place of the spot, mm; if it is absent, the place of the deepest removal.
+    /// Position of the spot [x, y], mm, in the coordinates of the map; `None` for the position of the deepest removal.
     pub spot_mm: Option<[f64; 2]>,
-    /// Motion of the part between the two measurements.
+    /// Treatment of a part that may have moved between the two measurements.
     #[serde(rename = "alignment")]
     pub align: Alignment,
-    /// Function that is subtracted from the removal.
+    /// Function that is fitted outside the spot and subtracted from the removal.
     pub baseline: Baseline,
-    /// Negative rates (noise) become zero, and the others are scaled so that the volume stays.
+    /// True if negative rates (noise) become zero; the others are then scaled so that the volume stays.
     pub clip_negative: bool,
 }
 
-/// A TIF, and the numbers of its measurement.
+/// The TIF of a spot, and numbers of its measurement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Spot {
     /// The TIF.
     #[serde(skip)]
     pub tif: Tif,
-    /// Shift of `after` against `before`, mm.
+    /// Shift of the part [x, y] in `after` against `before`, mm.
     pub shift_mm: [f64; 2],
-    /// Standard error of the shift, mm; 0 without an alignment.
+    /// Standard error of the shift [x, y], mm; 0 without an alignment.
     pub shift_error_mm: [f64; 2],
-    /// Steps of the alignment.
+    /// Number of steps of the alignment; 0 without one.
     pub steps: usize,
-    /// Centre of the spot in the coordinates of the map, mm.
+    /// Centre of the spot [x, y] in the coordinates of the map, mm.
     pub centre_mm: [f64; 2],
-    /// RMS (mean removed) of the removal outside the spot: the noise of the measurement, nm.
+    /// RMS of the removal outside the spot, its mean removed, nm: the noise of the measurement.
     pub outside_rms_nm: f64,
-    /// Pixels outside the spot.
+    /// Number of pixels outside the spot.
     pub outside_pixels: usize,
-    /// Largest depth, nm.
+    /// Largest depth of the removal in the spot, nm.
     pub depth_nm: f64,
-    /// Negative removed volume that became zero, relative to the positive removed volume.
+    /// Removed volume that was negative and became zero, as a fraction of the positive volume.
     pub clipped_share: f64,
 }
 
@@ -186,7 +186,7 @@ fn no_ring() -> Invalid {
     Invalid::whole("half_size_mm", "leaves no pixels outside the spot", remedy)
 }
 
-/// Refuses maps of different numbers of pixels, or pitches.
+/// Refuses two maps with different numbers of pixels or different pitches.
 fn refuse_other_pixels(before: &Grid, after: &Grid) -> Result<(), Invalid> {
     // Both pitches may have passed through 32-bit floats.
     let is_alike = [(&before.x, &after.x), (&before.y, &after.y)].iter().all(|(a, b)| {
@@ -218,8 +218,8 @@ fn masked(map: &Array2<f64>, mask: &Array2<bool>) -> Array2<f64> {
     out
 }
 
-/// Middle of the square with the largest mean removal; the side of the square is a quarter of that of the
-/// TIF.
+/// Returns the middle of the square with the largest mean removal, mm; the side of the square is a quarter of that of
+/// the TIF.
 fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2], Invalid> {
     let (ny, nx) = removal.dim();
     // Sums over all pixels above and to the left, of values and of valid pixels.
@@ -256,8 +256,8 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
     })
 }
 
-/// Centroid of the removal within the half size of itself. The search starts from the centroid of the
-/// removal above half of the peak, within the half size of `near`.
+/// Returns the centroid of the removal, mm, in a square of the half size around the centroid itself. The search starts
+/// at the centroid of the removal above half of the peak, in the square around `near`.
 fn centroid(
     grid: &Grid,
     removal: &Array2<f64>,
@@ -287,8 +287,8 @@ fn centroid(
     Ok(centre)
 }
 
-/// Centroid of what is at least `least_nm`, within the half size of a place: that of the noise is its distance from
-/// there.
+/// Returns the centroid, mm, of the removal of at least `least_nm` in the square of the half size around (x, y),
+/// weighted by depth. `None` if there is none.
 fn centroid_about(
     grid: &Grid,
     removal: &Array2<f64>,
@@ -307,7 +307,7 @@ fn centroid_about(
     if sums[2] > 0.0 { Some([x + sums[0] / sums[2], y + sums[1] / sums[2]]) } else { None }
 }
 
-/// Refuses maps of two windows of a camera, if nobody aligns them.
+/// Refuses maps whose origins differ by more than half a pixel, if no alignment was asked for.
 fn refuse_another_window(before: &Grid, after: &Grid) -> Result<(), Invalid> {
     let is_moved = [(&before.x, &after.x), (&before.y, &after.y)]
         .iter()
@@ -322,7 +322,7 @@ fn refuse_another_window(before: &Grid, after: &Grid) -> Result<(), Invalid> {
     Err(Invalid::whole("before", problem, remedy))
 }
 
-/// The square around the centre as a TIF, its depth, and the fraction that was clipped.
+/// Returns the square around the centre as a TIF, its largest depth in nm, and the clipped fraction of its volume.
 fn cut(
     grid: &Grid,
     removal: &Array2<f64>,
@@ -362,7 +362,8 @@ fn cut(
     Ok((tif, depth_nm, clipped_share))
 }
 
-/// The first and the last pixel within half the size of the centre, and the offsets of these pixels from it.
+/// Returns the indices of the first and the last pixel within `half` mm of `centre`, and the axis of their offsets from
+/// it. Refuses a square without a pixel.
 fn window(axis: &Axis, centre: f64, half: f64) -> Result<(usize, usize, Axis), Invalid> {
     let mut inside = (0..axis.len()).filter(|i| (axis.coordinate_mm(*i) - centre).abs() <= half);
     let Some(first) = inside.next() else {
@@ -387,7 +388,7 @@ mod tests {
         Grid { x: Axis::new(0.0, STEP, 121).unwrap(), y: Axis::new(0.0, STEP, 101).unwrap() }
     }
 
-    /// A piece with waves that no shift maps to itself, moved by `d` mm.
+    /// Returns the heights of a test piece, nm, moved by `d` mm; its waves have no shift that maps them to themselves.
     fn piece(d: [f64; 2]) -> Array2<f64> {
         let g = grid();
         Array2::from_shape_fn(g.shape(), |(r, c)| {
@@ -471,7 +472,8 @@ mod tests {
         assert!(made.outside_rms_nm > 1.0, "{}", made.outside_rms_nm);
     }
 
-    /// Normal noise by the sum of twelve, averaged over `side` x `side` pixels, with this standard deviation.
+    /// Returns normal noise, each a sum of twelve uniform numbers, with the standard deviation `sigma`, averaged over
+    /// `side` x `side` pixels.
     fn noise(
         random: &mut ChaCha8Rng,
         side: usize,
@@ -485,8 +487,8 @@ mod tests {
         Array2::from_shape_fn((ny, nx), |at| mean(at) * sigma / side as f64)
     }
 
-    /// Maps before and after a spot of 100 nm on a base with slopes of 0.3 nm per pixel, moved by `pixels`, with noise of
-    /// `sigma` nm over `side` x `side` pixels in each.
+    /// Makes the maps before and after a spot of 100 nm on a base with slopes of 0.3 nm per pixel. The part moves by
+    /// `pixels`, and each map has noise of `sigma` nm over `side` x `side` pixels.
     fn noisy_maps(
         random: &mut ChaCha8Rng,
         side: usize,

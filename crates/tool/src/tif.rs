@@ -46,27 +46,26 @@ use planish_numerics::keys;
 use planish_types::{Axis, Grid, Invalid, Tif, doubts};
 use serde::Serialize;
 
-/// Largest number of samples along an axis of a new lattice; more are refused. Larger: more memory and time
-/// for a pitch that was mistyped. Smaller: refuses fine pitches.
+/// Largest number of samples along an axis of a resampled TIF; more are refused. Larger: more memory and time for a
+/// pitch that was mistyped. Smaller: refuses fine pitches.
 const MAX_SAMPLES: f64 = 5000.0;
 
 /// Rate on the border, relative to the peak, above which the report has a note, because the border would
 /// show on the part. Larger: does not notice a step at the border. Smaller: notes for usual noise.
 const NOTEWORTHY_BORDER: f64 = 0.01;
 
-/// Settings of the preparation.
+/// Settings of the preparation; the defaults change nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TifSettings {
-    /// Subtract the least-squares plane through the border samples; negative noise stays.
+    /// True if the least-squares plane through the border samples is subtracted; negative noise stays.
     pub subtract_border: bool,
     /// Point from which the offsets are counted.
     pub centre: Centre,
-    /// Turn counterclockwise about the centre, degrees.
+    /// Angle by which the TIF is turned counterclockwise about its centre, degrees.
     pub rotate_deg: f64,
-    /// Pitch of the new lattice, mm; `None` keeps the samples.
+    /// Pitch of the resampled TIF, mm; `None` keeps the samples.
     pub pixel_mm: Option<f64>,
-    /// Outer fraction of the half size in which the TIF goes to zero, in (0, 1]; `None` keeps the
-    /// border.
+    /// Outer fraction of the half size in which the TIF goes to zero, in (0, 1]; `None` leaves the border as it is.
     pub taper_fraction: Option<f64>,
 }
 
@@ -83,54 +82,56 @@ pub enum Centre {
     Peak,
 }
 
-/// Numbers of the preparation.
+/// Report on the preparation of a TIF.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TifReport {
-    /// The TIF as given.
+    /// Numbers of the TIF as given.
     pub before: TifStatistics,
-    /// The result.
+    /// Numbers of the prepared TIF.
     pub after: TifStatistics,
     /// Mean of the plane through the border samples that was subtracted, nm/s.
     pub subtracted_nm_per_s: f64,
-    /// Place of the new centre in the given TIF [x, y], mm.
+    /// Position of the new centre [x, y] in the offsets of the given TIF, mm.
     pub centre_mm: [f64; 2],
-    /// Factor - 1 by which the samples were scaled to keep the VRR in rotation and resampling.
+    /// Relative change of the samples that keeps the volumetric removal rate (VRR) in rotation and resampling; 0 for
+    /// none.
     pub volume_correction: f64,
     /// Probable mistakes in the result.
     pub doubts: Vec<String>,
-    /// Note for the user of the TIF; absent if there is none.
+    /// Note on a rate on the border that would show on the part; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// A TIF in numbers.
+/// Main numbers of a TIF.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TifStatistics {
-    /// Samples (rows, columns).
+    /// Number of samples (rows, columns).
     pub shape: (usize, usize),
-    /// Distance of the samples [x, y], mm.
+    /// Distance between the samples [x, y], mm.
     pub pitch_mm: [f64; 2],
     /// Smallest and largest offset along x, mm.
     pub x_mm: [f64; 2],
     /// Smallest and largest offset along y, mm.
     pub y_mm: [f64; 2],
-    /// True if a sample stands at the centre, as one does in the middle of an odd number.
+    /// True if a sample lies at the centre, the offset 0, as in the middle of an odd number of samples.
     pub sample_at_centre: bool,
-    /// Largest sample, nm/s.
+    /// Largest rate, nm/s.
     pub peak_nm_per_s: f64,
-    /// Place of the largest sample [x, y], mm.
+    /// Offset of the largest sample from the centre [x, y], mm.
     pub peak_at_mm: [f64; 2],
-    /// Centroid [x, y], mm.
+    /// Offset of the centroid from the centre [x, y], mm.
     pub centroid_mm: [f64; 2],
     /// Volumetric removal rate, nm mm^2/s.
     pub vrr_nm_mm2_per_s: f64,
-    /// Full width at half of the peak along x and y through it, mm; absent if the samples end before.
+    /// Full width at half maximum along x and y through the peak, mm; absent if the samples end before half of the
+    /// peak.
     pub fwhm_mm: [Option<f64>; 2],
-    /// Largest rate on the border over the peak.
+    /// Largest rate on the border as a fraction of the peak.
     pub border_to_peak: f64,
 }
 
-/// Applies the steps to `tif`.
+/// Applies the steps of the module that `settings` ask for to `tif`. Returns the prepared TIF and the report.
 ///
 /// # Errors
 /// Refuses settings out of their range, pixels that leave less than 2 samples or too many, and a taper about a centre
@@ -208,7 +209,7 @@ impl TifSettings {
     }
 }
 
-/// Describes `tif`.
+/// Computes the main numbers of `tif`.
 pub fn tif_statistics(tif: &Tif) -> TifStatistics {
     let g = tif.grid();
     let (r, c) = peak_place(tif);
@@ -236,20 +237,21 @@ pub fn tif_statistics(tif: &Tif) -> TifStatistics {
     }
 }
 
-/// (row, column) of the largest sample; of equal ones the first.
+/// Returns the (row, column) of the largest sample; the first one of equal samples.
 fn peak_place(tif: &Tif) -> (usize, usize) {
     let first = ((0, 0), f64::NEG_INFINITY);
     let all = tif.rate_nm_per_s().indexed_iter();
     all.fold(first, |best, (place, v)| if *v > best.1 { (place, *v) } else { best }).0
 }
 
-/// Samples between the half-maximum points on both sides of `peak`, linear between samples.
+/// Returns the full width at half maximum about the sample `peak`, in samples, linear between them; `None` if the line
+/// ends before half of the peak.
 fn width_at_half(line: &[f64], peak: usize) -> Option<f64> {
     let right = samples_to_half(line[peak], line[peak + 1..].iter())?;
     Some(right + samples_to_half(line[peak], line[..peak].iter().rev())?)
 }
 
-/// Samples from the peak outwards to its half.
+/// Returns the distance from the peak to its half along `outwards`, in samples; `None` if the samples end before.
 fn samples_to_half<'a>(peak: f64, outwards: impl Iterator<Item = &'a f64>) -> Option<f64> {
     let half = 0.5 * peak;
     let mut before = peak;
@@ -262,7 +264,7 @@ fn samples_to_half<'a>(peak: f64, outwards: impl Iterator<Item = &'a f64>) -> Op
     None
 }
 
-/// Vertex of the paraboloid through the largest sample and its neighbours.
+/// Returns the vertex of the paraboloid through the largest sample and its neighbours, as an offset [x, y], mm.
 ///
 /// ```text
 /// R(u, v) = R0 + g u + h v + (a u^2 + b v^2) / 2 + c u v,   u, v in samples from the largest one
@@ -297,8 +299,8 @@ fn vertex_mm(tif: &Tif) -> [f64; 2] {
     in_mm(if within { vertex } else { on_lines })
 }
 
-/// Slope and bend along a line about its largest sample, per sample. If the line ends at that sample, nothing is known
-/// but that it is the largest.
+/// Returns the first and second difference along a line about its largest sample, per sample. `None` if the line ends
+/// there or does not bend down.
 fn slope_and_bend(line: ArrayView1<f64>, peak: usize) -> Option<(f64, f64)> {
     let before = line.get(peak.checked_sub(1)?)?;
     let after = line.get(peak + 1)?;
@@ -306,14 +308,14 @@ fn slope_and_bend(line: ArrayView1<f64>, peak: usize) -> Option<(f64, f64)> {
     if bend < 0.0 { Some((0.5 * (after - before), bend)) } else { None }
 }
 
-/// The grid with its origin at `centre_mm`.
+/// Returns the grid with its coordinates counted from `centre_mm`.
 fn shifted(grid: &Grid, centre_mm: [f64; 2]) -> Result<Grid, Invalid> {
     let [x, y] = [(&grid.x, centre_mm[0]), (&grid.y, centre_mm[1])]
         .map(|(axis, by)| Axis::new(axis.start_mm() - by, axis.step_mm(), axis.len()));
     Ok(Grid { x: x?, y: y? })
 }
 
-/// Turned counterclockwise: R'(p) = R(turned back p).
+/// Returns the TIF turned counterclockwise about its centre: R'(p) = R(p turned back).
 fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
     let (quarters, rest_deg) = quarters_and_rest(degrees);
     let mut turned = tif.clone();
@@ -350,13 +352,13 @@ fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
     Tif::new(grid, rate)
 }
 
-/// The smallest sample, or 0: beside a steep edge the interpolation swings below it, and no tool
-/// adds material.
+/// Returns the smallest sample or 0, whichever is smaller. Interpolation beside a steep edge gives values below it,
+/// which are clipped, because no tool adds material.
 fn least_rate(tif: &Tif) -> f64 {
     tif.rate_nm_per_s().iter().copied().fold(0.0, f64::min)
 }
 
-/// An angle as 0 to 3 quarter turns and at most 45 degrees more or less.
+/// Splits an angle into 0 to 3 quarter turns and a rest from -45 to 45 degrees.
 fn quarters_and_rest(degrees: f64) -> (usize, f64) {
     let quarters = (degrees / 90.0).round();
     (quarters.rem_euclid(4.0) as usize, degrees - 90.0 * quarters)
@@ -371,7 +373,7 @@ fn quarter_turn(tif: &Tif) -> Result<Tif, Invalid> {
     Tif::new(grid, rate)
 }
 
-/// Multiples of `step` from `low` to `high`.
+/// Returns the axis of the multiples of `step` from `low` to `high`, mm. Refuses more than [`MAX_SAMPLES`] of them.
 fn lattice(low: f64, high: f64, step: f64) -> Result<Axis, Invalid> {
     let first = (low / step - keys::SNAP).ceil();
     let last = (high / step + keys::SNAP).floor();
@@ -392,7 +394,7 @@ fn lattice(low: f64, high: f64, step: f64) -> Result<Axis, Invalid> {
     Axis::new(first * step, step, (last - first) as usize + 1)
 }
 
-/// Resamples a TIF on multiples of `pitch_mm`, within the rectangle of the samples.
+/// Resamples a TIF on multiples of `pitch_mm`, within the rectangle of its samples.
 fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
     let [x, y] = [g.x, g.y].map(|axis| lattice(axis.start_mm(), axis.end_mm(), pitch_mm));
@@ -403,7 +405,8 @@ fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
     Tif::new(grid, wy.dot(tif.rate_nm_per_s()).dot(&wx.t()).mapv(|v| v.max(least)))
 }
 
-/// Weights of samples `i` of the old axis in samples `k` of the new one, (new, old).
+/// Returns the weights with which the samples `i` of the old axis make the samples `k` of the new one, shape (new,
+/// old).
 fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
     let n = old.len();
     let mut out = Array2::zeros((new.len(), n));
@@ -433,10 +436,11 @@ fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
     out
 }
 
-/// Weights of samples 0 .. n about the coordinate `place`: Keys' kernel, stretched.
+/// Returns the weights of the samples 0 .. n for a value at the index `place`: Keys' kernel, stretched by the factor
+/// `stretch`.
 ///
-/// On the samples its moments are not quite 1, 0, 0 any more; a small parabola under a bell makes
-/// them so, and the weights are exact for quadratics again.
+/// On the samples the moments of the kernel are not exactly 1, 0, 0. A small parabola under a bell corrects this, so
+/// that the weights are exact for quadratics.
 fn averaging(n: usize, place: f64, stretch: f64) -> Array1<f64> {
     let t: Vec<f64> = (0..n).map(|i| (i as f64 - place) / stretch).collect();
     let bell: Vec<f64> = t.iter().map(|t| (1.0 - 0.25 * t.powi(2)).max(0.0).powi(2)).collect();
@@ -459,12 +463,12 @@ fn averaging(n: usize, place: f64, stretch: f64) -> Array1<f64> {
     }
 }
 
-/// sum over the samples of value t^k
+/// Returns the sum of value * t^k over the samples.
 fn moment(values: &[f64], t: &[f64], k: usize) -> f64 {
     values.iter().zip(t).map(|(v, t)| v * t.powi(k as i32)).sum()
 }
 
-/// Keys' kernel, a = -1/2.
+/// Returns Keys' kernel with a = -1/2 at the distance `t` in samples.
 fn kernel(t: f64) -> f64 {
     let t = t.abs();
     if t < 1.0 {
@@ -476,9 +480,9 @@ fn kernel(t: f64) -> f64 {
     }
 }
 
-/// Tapered TIF R (1 + cos(pi t)) / 2, on quarters of ellipses about the centre that touch the borders. If
-/// the centre is not the middle of the samples, a single ellipse would end at the nearest border, and cut
-/// off samples at the same distance on the other side.
+/// Returns the tapered TIF R (1 + cos(pi t)) / 2, on quarters of ellipses about the centre that touch the borders. If
+/// the centre is not the middle of the samples, a single ellipse would end at the nearest border. It would cut off
+/// samples at the same distance on the other side.
 fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
     if ![&g.x, &g.y].iter().all(|axis| axis.start_mm() < 0.0 && axis.end_mm() > 0.0) {
@@ -505,7 +509,7 @@ fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
 mod tests {
     use super::*;
 
-    /// An elliptical Gaussian of 8 nm/s about (cx, cy), samples from -half in `n` steps.
+    /// Returns an elliptical Gaussian TIF of 8 nm/s about `centre`, with `n` samples along x and y.
     fn gaussian(n: [usize; 2], pitch: f64, centre: [f64; 2], sigma: [f64; 2]) -> Tif {
         let axis = |n: usize| Axis::new(-0.5 * (n - 1) as f64 * pitch, pitch, n).unwrap();
         let grid = Grid { x: axis(n[0]), y: axis(n[1]) };

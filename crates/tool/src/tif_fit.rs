@@ -24,7 +24,7 @@ use ndarray::Array2;
 use planish_types::{Invalid, Tif};
 use serde::Serialize;
 
-/// Largest number of steps; a fit that needs more is reported as not converged. Larger: more time on a TIF
+/// Largest number of steps of the fit; one that needs more is reported as not converged. Larger: more time on a TIF
 /// that the formula does not describe. Smaller: reports slow fits.
 const MAX_STEPS: usize = 200;
 
@@ -53,33 +53,33 @@ pub enum TifModel {
     Mixture,
 }
 
-/// The fitted formula and how well it describes the samples.
+/// The fitted formula, and how well it describes the samples of the TIF.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FitReport {
-    /// The formula.
+    /// Kind of formula that was fitted.
     pub model: TifModel,
-    /// Centre [x, y], mm.
+    /// Centre of the formula [x, y], mm.
     pub centre_mm: [f64; 2],
-    /// The ellipses: one, or core and halo.
+    /// Elliptical parts of the formula: one, or the core and the halo.
     pub components: Vec<Component>,
-    /// Exponent p; 2 but for the super-Gaussian.
+    /// Exponent p of the module; 2 unless the formula is a super-Gaussian.
     pub order: f64,
     /// RMS of samples minus formula, nm/s.
     pub residual_rms_nm_per_s: f64,
     /// Largest |sample - formula|, nm/s.
     pub residual_max_nm_per_s: f64,
-    /// RMS of the residual over the peak of the samples.
+    /// RMS of the residual as a fraction of the largest sample.
     pub residual_rms_to_peak: f64,
     /// VRR of the formula over that of the samples, on the same samples.
     pub vrr_ratio: f64,
-    /// Steps taken.
+    /// Number of steps of the fit.
     pub steps: usize,
-    /// True if the last step was below the tolerance.
+    /// True if the largest change of a parameter in the last step was below the tolerance.
     pub converged: bool,
 }
 
 impl FitReport {
-    /// Returns the reason of a negative verdict, if the fit did not converge.
+    /// Returns the reason why the fit is not valid, if it did not converge; otherwise `None`.
     pub fn negative(&self) -> Option<String> {
         if self.converged {
             return None;
@@ -88,19 +88,19 @@ impl FitReport {
     }
 }
 
-/// One ellipse.
+/// One elliptical part of the formula.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Component {
-    /// A, nm/s.
+    /// Peak rate (A of the module), nm/s.
     pub peak_nm_per_s: f64,
     /// Standard deviation along the long and the short axis, mm.
     pub sigma_mm: [f64; 2],
-    /// Direction of the long axis from +x towards +y, in (-90, 90], degrees; 0 when round.
+    /// Direction of the long axis from +x towards +y, degrees, in (-90, 90]; 0 if it is round.
     pub angle_deg: f64,
 }
 
-/// Fits `model` to the samples; returns the TIF of the formula on the same samples, and the report. Refuses less than
-/// two samples per parameter.
+/// Fits `model` to the samples of `tif`. Returns the TIF of the formula on the same samples, and the report. Refuses
+/// fewer than two samples per parameter.
 pub fn fit(tif: &Tif, model: TifModel) -> Result<(Tif, FitReport), Invalid> {
     let g = tif.grid();
     let mut theta = start(tif, model);
@@ -182,12 +182,12 @@ pub fn fit(tif: &Tif, model: TifModel) -> Result<(Tif, FitReport), Invalid> {
     Ok((fitted, report))
 }
 
-/// Samples minus formula.
+/// Returns sample minus formula with the parameters `p`, nm/s, for `samples` [x, y, rate].
 fn residual(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> Vec<f64> {
     samples.iter().map(|[x, y, v]| v - value(model, p, *x, *y)).collect()
 }
 
-/// Sum of the squared residuals; infinite where the parameters describe no spot.
+/// Returns the sum of the squared residuals; infinity if the parameters `p` describe no spot.
 fn cost(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> f64 {
     if !is_sound(model, p) {
         return f64::INFINITY;
@@ -195,8 +195,8 @@ fn cost(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> f64 {
     residual(model, p, samples).iter().map(|e| e * e).sum()
 }
 
-/// First guess and scale of every parameter: A, centre x, y, then
-/// a, b, c; a, b, c, p; or s_1, A_2, s_2.
+/// Returns the start value and the scale of every parameter: A, centre x, centre y, then a, b, c (Gaussian); a, b, c, p
+/// (super-Gaussian); or s_1, A_2, s_2 (mixture).
 fn start(tif: &Tif, model: TifModel) -> Vec<(f64, f64)> {
     let g = tif.grid();
     let peak = tif.peak_nm_per_s();
@@ -237,7 +237,7 @@ fn value(model: TifModel, p: &[f64], x: f64, y: f64) -> f64 {
     }
 }
 
-/// Returns true if the parameters describe a spot.
+/// Returns true if the parameters `p` describe a spot of finite size.
 fn is_sound(model: TifModel, p: &[f64]) -> bool {
     match model {
         TifModel::Gaussian => p[3] > 0.0 && p[3] * p[5] > p[4] * p[4],
@@ -246,7 +246,8 @@ fn is_sound(model: TifModel, p: &[f64]) -> bool {
     }
 }
 
-/// J'J and J' residual with J = dR / d(parameter / scale) by central differences.
+/// Returns J'J and J' times the residual, where J holds the derivatives dR / d(parameter / scale) by central
+/// differences.
 fn linearised(
     model: TifModel,
     p: &[f64],
@@ -325,7 +326,7 @@ mod tests {
         Tif::new(grid, rate).unwrap()
     }
 
-    /// Elliptical, long axis at 25 degrees.
+    /// Returns the quadratic form q of an elliptical spot with its long axis at 25 degrees.
     fn q(x: f64, y: f64) -> f64 {
         let (cos, sin) = (25.0_f64.to_radians().cos(), 25.0_f64.to_radians().sin());
         let (x, y) = (x - 0.3, y + 0.2);

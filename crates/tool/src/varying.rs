@@ -1,8 +1,8 @@
-//! Tools that are not the same everywhere, from their causes.
+//! Tools that vary over the part or in time, computed from the cause of the variation.
 //!
-//! A cause says which tool acts at every place: a function K(p) of the place p whose value is a TIF on one grid of
-//! offsets. [`low_rank`] turns it into kernels and weights, `K(u; p) = sum_k a_k(p) phi_k(u)`, the form in which
-//! every program takes it ([`planish_types::Variation`]).
+//! A cause says which tool acts at every place: a function K(p) of the position p of the tool whose value is a TIF on
+//! one grid of offsets u. [`low_rank`] turns it into kernels and weights, `K(u; p) = sum_k a_k(p) phi_k(u)`. Every
+//! program takes a varying tool in this form ([`planish_types::Variation`]).
 //!
 //! | cause | function | rank |
 //! |---|---|---|

@@ -122,7 +122,7 @@ fn a_spot_with_noise_becomes_a_tif_without_bias() {
     assert!((clipped / plain - 1.0).abs() < 1e-12, "{clipped} {plain}");
 }
 
-/// Rates of 5 nm/s, sigma 2 mm, in a field of 41 mm, with a baseline; as CSV.
+/// Returns a map of rates as CSV: a spot of 5 nm/s and sigma 2 mm in a field of 41 mm, with a baseline.
 fn rates(baseline: impl Fn(f64, f64) -> f64) -> String {
     let mut text = String::from("# unit: nm\n# pixel size: 1 mm\n");
     for r in -20..=20 {

@@ -36,7 +36,7 @@ pub fn grid() -> Grid {
     Grid { x: axis, y: axis }
 }
 
-/// A disk of 36 mm; `nm` of [x, y].
+/// Makes the map of a disk of 36 mm diameter; `nm` gives the height, nm, at [x, y].
 pub fn disk(nm: impl Fn(f64, f64) -> f64) -> Surface {
     let grid = grid();
     let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
@@ -126,7 +126,7 @@ fn an_invalid_pixel_of_the_form_is_refused_where_the_part_has_one() {
     assert!(said.contains("sphere_radius_mm: is 17 mm, but the map reaches 18 mm"), "{said}");
 }
 
-/// Vector from `a` to `b`.
+/// Returns the vector from `a` to `b`.
 fn between(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|k| b[k] - a[k])
 }
@@ -135,7 +135,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|k| a[k] * b[k]).sum()
 }
 
-/// The point of the sphere over [x, y], and its normal: towards the centre (0, 0, R), which lies above.
+/// Returns the point of the sphere over [x, y], and its normal towards the centre (0, 0, R), which lies above.
 fn on_sphere([x, y]: [f64; 2]) -> ([f64; 3], [f64; 3]) {
     let point = [x, y, sphere_mm(x, y)];
     let normal = between(point, [0.0, 0.0, RADIUS_MM]).map(|v| v / RADIUS_MM);
@@ -303,7 +303,7 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
     assert!(said.contains("source_distance_mm: is 5, and the part falls by"), "{said}");
 }
 
-/// A ring of 36 mm outside and 12 mm inside.
+/// Makes the map of a ring with an outer diameter of 36 mm and a hole of 12 mm diameter.
 fn ring() -> Surface {
     let grid = grid();
     let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {

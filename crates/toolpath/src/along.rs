@@ -22,15 +22,16 @@ use crate::{
     statistics::{PathStatistics, statistics},
 };
 
-/// Ratio of two lengths above which a warning says so. Larger: users are not told of wider lines. Smaller: warnings for
-/// parts where nothing can be seen.
+/// Ratio of a length along the surface to its projection, or the inverse, above which a warning is given. Larger: users
+/// are not told of wider lines. Smaller: warnings for parts where nothing can be seen.
 const NOTEWORTHY: f64 = 1.05;
 
-/// Largest number of pixels at which the stretches are computed; they change slowly over a part. Larger: more time.
-/// Smaller: the largest is missed.
+/// Largest number of pixels at which the ratios of lengths (`stretches`) are computed; they change slowly over a part.
+/// Larger: more time. Smaller: the extreme ratios may be missed.
 const MOST_PLACES: usize = 400;
 
-/// The surface of a part, along which a path is made.
+/// The surface of a curved part, along which a path is made. The coordinates (u, v) along it are unrolled about the
+/// middle of the valid pixels.
 #[derive(Clone, Debug)]
 pub struct OnForm {
     form: Form,
@@ -38,10 +39,10 @@ pub struct OnForm {
     size_mm: f64,
 }
 
-/// A path along a surface, in numbers.
+/// Report on a path that was made along a surface.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AlongReport {
-    /// Numbers about the path along the surface.
+    /// Lengths, steps and turns of the path in the coordinates (u, v) along the surface.
     pub along_surface: PathStatistics,
     /// Smallest and largest ratio of a length along the surface to the same length in the coordinates in which the path
     /// was made, over the valid pixels.
@@ -51,7 +52,7 @@ pub struct AlongReport {
 }
 
 impl AlongReport {
-    /// Returns a sentence for each ratio above 5 %.
+    /// Returns one sentence for each ratio of lengths that differs from 1 by more than 5 %; empty if none does.
     pub fn warnings(&self) -> Vec<String> {
         let [low, high] = self.stretches;
         let mut warnings = Vec::new();
@@ -73,8 +74,8 @@ impl AlongReport {
 }
 
 impl OnForm {
-    /// Makes the form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist at one of
-    /// them, or in their middle.
+    /// Makes the surface with the height `form` of a part whose valid pixels are those of `surface`. Refuses a form
+    /// that is undefined at one of them, or in the middle of their extent.
     pub fn new(form: Form, surface: &Surface) -> Result<Self, Invalid> {
         form.check_over(surface)?;
         let [x, y] = bounding_box(&valid_mm(surface));
@@ -96,7 +97,8 @@ impl OnForm {
         1.0 / cosines.fold(1.0, f64::min)
     }
 
-    /// Returns a sentence on a path in projection over a part with this form, if lengths differ by more than 5 %.
+    /// Returns a warning for a path that was made in projection over a part with this form; `None` if lengths differ by
+    /// at most 5 %.
     pub fn warning_of_projection(&self, surface: &Surface) -> Option<String> {
         let ratio = self.largest_over_projection(surface);
         if ratio <= NOTEWORTHY {
@@ -109,8 +111,8 @@ impl OnForm {
         ))
     }
 
-    /// Returns the map in the coordinates along the surface, on pixels of the same pitch. Refuses a part without a
-    /// valid pixel there.
+    /// Returns the map of the heights in the coordinates (u, v) along the surface, on pixels of the same pitch; NaN
+    /// where a pixel does not lie on a valid one. Refuses a map without a valid pixel there.
     pub fn developed(&self, surface: &Surface) -> Result<Surface, Invalid> {
         let development = self.development()?;
         let grid = surface.grid();
@@ -129,20 +131,21 @@ impl OnForm {
         Surface::new(wide, heights)
     }
 
-    /// Projects a path in the coordinates along the surface along z. Refuses points that are no path there.
+    /// Moves the points of a path from the coordinates (u, v) along the surface to (x, y) of the part, along z. Refuses
+    /// a result that is no valid path.
     pub fn projected(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
         let development = self.development()?;
         moved(path, |uv| development.projected(uv))
     }
-    /// Converts a path of the part to the coordinates along the surface: the inverse of [`Self::projected`]. Refuses
-    /// points that are no path there.
+    /// Converts a path of the part to the coordinates along the surface: the inverse of [`Self::projected`]. Refuses a
+    /// result that is no valid path.
     pub fn unrolled(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
         let development = self.development()?;
         moved(path, |p| development.along(p))
     }
 
-    /// Describes a path in the coordinates along the surface, over the map `surface` of the part, which is `developed`
-    /// in these coordinates. Refuses a form that does not exist in the middle of the part.
+    /// Describes `path`, given in the coordinates (u, v) along the surface. `surface` is the map of the part in
+    /// projection, `developed` the same map in (u, v). Refuses a form that is undefined in the middle of the part.
     pub fn report(
         &self,
         path: &ToolPath,
@@ -168,14 +171,15 @@ impl OnForm {
     }
 }
 
-/// A path with all its points moved.
+/// Returns the path with its points and dwell points moved by the function `to`. Refuses a result that is no valid
+/// path.
 fn moved(path: &ToolPath, to: impl Fn([f64; 2]) -> [f64; 2] + Sync) -> Result<ToolPath, Invalid> {
     let [points, dwell_points] = [path.point_mm(), path.dwell_point_mm()]
         .map(|points| points.par_iter().map(|p| to(*p)).collect());
     ToolPath::new(points, dwell_points, path.tool_on().to_vec(), path.pass_idx().to_vec())
 }
 
-/// Smallest and largest x, and y, of the points.
+/// Returns the smallest and largest x, and the smallest and largest y, of the points, mm.
 fn bounding_box(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
     [0, 1].map(|k| {
         let values = points.iter().map(|p| p[k]);
@@ -183,7 +187,8 @@ fn bounding_box(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
     })
 }
 
-/// The axis with its pixels continued to both sides, as far as the part reaches.
+/// Returns the axis with pixels added on both sides, at the same pitch, so that it covers the coordinates from `low` to
+/// `high`, mm.
 fn continued(axis: &Axis, [low, high]: [f64; 2]) -> Result<Axis, Invalid> {
     let before = ((low - axis.start_mm()) / axis.step_mm() - 0.5).floor();
     let after = ((high - axis.start_mm()) / axis.step_mm() + 0.5).ceil();
@@ -191,7 +196,7 @@ fn continued(axis: &Axis, [low, high]: [f64; 2]) -> Result<Axis, Invalid> {
     Axis::new(start_mm, axis.step_mm(), (after - before) as usize + 1)
 }
 
-/// Centres of the first and the last valid pixel of every row and column, mm.
+/// Returns the centres of the first and the last valid pixel of every row, and of every column, mm.
 fn border_mm(surface: &Surface) -> Vec<[f64; 2]> {
     let z = surface.height_nm();
     let grid = surface.grid();
@@ -235,7 +240,7 @@ mod tests {
         Form::new(&serde_json::from_str(json).unwrap(), None).unwrap()
     }
 
-    /// The report on a path of a part.
+    /// Returns the report on `path`, given along the surface, over the map `part`.
     fn reported(on: &OnForm, path: &ToolPath, part: &Surface) -> AlongReport {
         on.report(path, part, &on.developed(part).unwrap()).unwrap()
     }

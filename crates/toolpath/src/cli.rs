@@ -1,4 +1,5 @@
-//! The subcommands, one file each, and what the methods have in common.
+//! The subcommands of `planish-toolpath`, one file each. Most of them are a method to make a path; this file has what
+//! these methods have in common.
 
 mod draw;
 mod inspect;
@@ -84,7 +85,8 @@ struct RegionArgs {
 }
 
 impl RegionArgs {
-    /// Reads the machine, if its travel is limited or its limits are in doubt, and adds its doubts.
+    /// Reads the file of the machine; `None` without the flag, or if neither its travel nor its limits can lead to a
+    /// warning. Adds probable mistakes in its values to `doubts`.
     fn machine(
         &self,
         surface: &Surface,
@@ -119,7 +121,7 @@ struct FormArgs {
 }
 
 impl FormArgs {
-    /// The surface of a part with these valid pixels; `None` without the flag.
+    /// Reads the form of a part with the valid pixels of `surface`; `None` without the flag.
     fn read(&self, surface: &Surface, inputs: &mut Inputs) -> Result<Option<OnForm>, Failure> {
         let Some(path) = &self.form else { return Ok(None) };
         let form = inputs.read_form("form", path)?.form;
@@ -127,7 +129,8 @@ impl FormArgs {
             .map(Some)
             .map_err(|e| Failure::new(format!("{}: {e}", path.display())))
     }
-    /// Doubt about the vertex of a curved form.
+    /// Returns a warning if the vertex of a curved form lies at an unlikely position relative to the map; `None` for a
+    /// plane, or without the flag.
     fn doubt(&self, surface: &Surface) -> Result<Option<String>, Failure> {
         let Some(path) = &self.form else { return Ok(None) };
         let read = Inputs::new().read_form("form", path)?;
@@ -138,36 +141,40 @@ impl FormArgs {
     }
 }
 
-/// Outcome in the manifest.
+/// Results of a method as the manifest (the record of the run) states them.
 #[derive(Serialize)]
 struct PathOutcome<'a, R> {
     #[serde(flatten)]
     report: &'a PathReport<R>,
-    /// The path along the form of the part, if there is one.
+    /// Report on the path along the surface; left out without a form of the part.
     #[serde(skip_serializing_if = "Option::is_none")]
     form: Option<&'a AlongReport>,
 }
 
-/// Run of a method: the region of the path and its inputs.
+/// Inputs of a run that makes a path, and the region that the path shall cover.
 struct Region {
     inputs: Inputs,
     output: OutputArgs,
-    /// The map where the tool stands when it removes there; along the surface if there is a form.
+    /// Map of the tool positions: the clear aperture, moved by minus the offset of the TIF's centroid. It is in the
+    /// coordinates along the surface if there is a form.
     surface: Surface,
-    /// The form of the part, and the same map in projection.
+    /// Form of the part with the same map in projection; `None` without a form.
     on_form: Option<(OnForm, Surface)>,
     tif: Option<Tif>,
     off_centre_mm: [f64; 2],
     overscan_mm: f64,
-    /// Distance of the path from the edge of the aperture where it stays inside, mm; else 0.
+    /// Distance of the path from the edge of the aperture, mm, if the overscan is negative and the path stays inside;
+    /// else 0.
     inset_mm: f64,
-    /// Machine, if its travel is limited or its limits are in doubt; the report depends on it only then.
+    /// Machine, if its travel is limited or its limits are doubtful; otherwise `None`, so that the report does not
+    /// depend on it.
     machine: Option<Machine>,
     /// Probable mistakes in the inputs.
     doubts: Vec<String>,
 }
 
-/// Returns the warning of a path in projection where a form, which `planish-surface prepare` wrote, is beside the map.
+/// Returns a warning for a path in projection if a form file, written by `planish-surface prepare`, lies beside the map
+/// in the folder `dir`.
 fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>, Failure> {
     let beside = dir.join(kind::FORM_FILE);
     if !beside.exists() {
@@ -178,7 +185,8 @@ fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>
     Ok(warning.map(|w| w.replace("give `form`", &format!("give `form` {}", beside.display()))))
 }
 
-/// Settings of a method as the manifest has them.
+/// Settings of a method as the manifest (the record of the run) states them, with the distance from the edge if it is
+/// not 0.
 #[derive(Serialize)]
 struct StatedSettings<'a, S> {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -249,7 +257,7 @@ impl Region {
         })
     }
 
-    /// Settings of a method with what the aperture has become.
+    /// Returns the settings of a method together with the distance of the path from the edge of the aperture.
     fn stated<'a, S: Serialize>(&self, settings: &'a S) -> StatedSettings<'a, S> {
         StatedSettings { inset_mm: Some(self.inset_mm).filter(|mm| *mm > 0.0), settings }
     }
@@ -258,7 +266,7 @@ impl Region {
         Ok(Output::directory(&self.output, ToolPath::KIND).begin(task, &self.inputs)?)
     }
 
-    /// Writes the path and its report; `own` and `warnings` are those of its method.
+    /// Writes the path and its report. `own` holds the results and `warnings` the warnings that only its method has.
     fn write<R: Serialize>(
         &self,
         output: &mut Writer,

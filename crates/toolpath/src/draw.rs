@@ -11,13 +11,13 @@ use planish_types::{Surface, ToolPath};
 
 use crate::region::Aperture;
 
-/// Height of the texts, in pixels of the picture.
+/// Height of the text, in pixels of the picture.
 const FONT_PX: f64 = 16.0;
 
-/// Larger side of the region, in pixels of the picture.
+/// Larger side of the region that is drawn, in pixels of the picture. Larger: a larger picture with smaller text.
 const SIZE_PX: f64 = 1000.0;
 
-/// Left, top, right, bottom of the region, in pixels of the picture.
+/// Margins left, above, right and below the region, in pixels of the picture; they hold the axes and their labels.
 const MARGIN_PX: [f64; 4] = [70.0, 40.0, 20.0, 60.0];
 
 /// Draws a picture of `path`, over the valid pixels of `surface` where it is given.
@@ -34,7 +34,7 @@ pub fn svg(path: &ToolPath, surface: Option<&Surface>) -> String {
     svg.finish([left + frame.width + right, top + frame.height + bottom])
 }
 
-/// Makes the frame around the path and the aperture, with a rim.
+/// Returns the frame around the path and the aperture, in mm, with a margin.
 fn frame_around(path: &ToolPath, aperture: Option<&Aperture>) -> Frame {
     let half = aperture.map_or([0.0; 2], |a| a.pixel_mm.map(|h| 0.5 * h));
     let beyond = [aperture.map(|a| a.along(half[0])), aperture.map(|a| a.across(half[1]))];
@@ -55,7 +55,7 @@ fn frame_around(path: &ToolPath, aperture: Option<&Aperture>) -> Frame {
     Frame::new([0.0; 2], size, MARGIN_PX, [Scale::linear(x), Scale::linear(y)])
 }
 
-/// One rectangle for every run of valid pixels.
+/// Draws one rectangle for every run of valid pixels in a row of the map.
 fn draw_aperture(svg: &mut Svg, frame: &Frame, aperture: &Aperture) {
     let [hx, hy] = aperture.pixel_mm.map(|h| 0.5 * h);
     let mut d = String::new();

@@ -1,4 +1,4 @@
-//! Tool paths: where the tool goes, before anyone decides how long it stays.
+//! Tool paths: the lines along which the tool moves, before the dwell times are computed.
 //!
 //! One file per method, all of one shape: `XxxSettings`, and a function from the map (whose valid
 //! pixels are the clear aperture) to a [`planish_types::ToolPath`].
@@ -95,7 +95,7 @@ pub enum ToolPathError {
          ({low_mm} .. {high_mm} mm); give another origin or a smaller pitch"
     )]
     NoLine {
-        /// Coordinate of one line, mm.
+        /// Given coordinate of one line across the lines, mm.
         origin_mm: f64,
         /// Distance between the lines, mm.
         pitch_mm: f64,

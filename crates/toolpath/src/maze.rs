@@ -74,13 +74,14 @@ pub struct MazeSettings {
 }
 
 impl MazeSettings {
-    /// Returns the usual longest segment, mm: a side of a cell, or the radius of rounded corners.
+    /// Returns the default of the longest segment, mm: the side of a cell, or the radius of the corners if they are
+    /// rounded.
     pub fn usual_step_mm(pitch_mm: f64, corner_radius_mm: f64) -> f64 {
         if corner_radius_mm > 0.0 { corner_radius_mm } else { pitch_mm }
     }
 }
 
-/// A random spanning tree.
+/// Method that draws the random spanning tree of the blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tree {
@@ -94,14 +95,14 @@ pub enum Tree {
     Wilson,
 }
 
-/// A maze and what it left out.
+/// A maze, and the number of cells that its path does not pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Maze {
-    /// The path.
+    /// The path; each connected part of the region is a pass of its own.
     pub path: ToolPath,
-    /// Cells of the region.
+    /// Number of cells of the region.
     pub cells: usize,
-    /// Cells that the path does not pass.
+    /// Number of cells of the region that the path does not pass.
     pub cells_left_out: usize,
 }
 
@@ -155,14 +156,14 @@ fn check(settings: &MazeSettings) -> Result<(), Invalid> {
     }
 }
 
-/// East, north, west, south: the sides of a block in the order of its loop.
+/// Number of sides of a block; 0 to 3 stand for east, north, west and south, the order of its loop.
 const SIDES: usize = 4;
 
 /// Number of columns and rows outside the region on every side, so that a neighbour always has an
 /// index. Larger: more memory. Smaller: neighbours of the border have no index.
 const MARGIN: usize = 2;
 
-/// Cells, row by row from the smallest y.
+/// Lattice of square cells, numbered row by row from the smallest y; `inside` is true for the cells of the region.
 struct Lattice {
     /// Centre of cell 0, which lies in the margin, mm.
     origin_mm: [f64; 2],
@@ -223,24 +224,26 @@ impl Lattice {
         Ok(lattice)
     }
 
-    /// Centre of a cell, mm.
+    /// Returns the centre of a cell, mm.
     fn centre(&self, cell: usize) -> [f64; 2] {
         let index = [cell % self.width, cell / self.width];
         [0, 1].map(|a| self.origin_mm[a] + index[a] as f64 * self.pitch_mm)
     }
 
-    /// The index of the next cell to the east, north, west, south is larger by this.
+    /// Returns the number to add to the index of a cell for its neighbour on that side (0 to 3: east, north, west,
+    /// south).
     fn offset(&self, side: usize) -> isize {
         let w = self.width as isize;
         [1, w, -1, -w][side]
     }
 
-    /// The block beside a block, by their south-western cells.
+    /// Returns the neighbour of a block on that side; blocks are given by the index of their south-western cell.
     fn beside(&self, block: usize, side: usize) -> usize {
         block.wrapping_add_signed(2 * self.offset(side))
     }
 
-    /// The cell from which the loop of a block runs along that side.
+    /// Returns the cell of a block from which its counter-clockwise loop runs along that side (0 to 3: east, north,
+    /// west, south).
     fn side_of(&self, block: usize, side: usize) -> usize {
         block + [1, self.width + 1, self.width, 0][side]
     }
@@ -257,15 +260,15 @@ impl Lattice {
     }
 }
 
-/// The 2 x 2 blocks, by their south-western cells.
+/// The blocks of 2 x 2 cells, each given by the index of its south-western cell.
 struct Blocks {
     /// South-western cells of the blocks, in ascending order.
     corners: Vec<usize>,
     /// True for the cells that are the south-western one of a block.
     is_corner: Vec<bool>,
-    /// Connected part of the region that a cell belongs to.
+    /// Number of the connected part of the region that each cell belongs to; `u32::MAX` outside the region.
     part: Vec<u32>,
-    /// Parity of (column, row) of the south-western cells, for each part.
+    /// Parity of (column, row) of the south-western cells of the blocks, for each connected part.
     phase: Vec<[usize; 2]>,
     width: usize,
 }
@@ -297,14 +300,15 @@ impl Blocks {
         Self { corners, is_corner, part, phase, width }
     }
 
-    /// Returns true if two cells, the first of them `low`, would be in one block.
+    /// Returns true if two neighbouring cells would be in one block of their part. `low` has the smaller index, and
+    /// `side_by_side` says that they lie in one row.
     fn in_phase(&self, low: usize, side_by_side: bool) -> bool {
         let [x, y] = self.phase[self.part[low] as usize];
         if side_by_side { low % self.width % 2 == x } else { low / self.width % 2 == y }
     }
 }
 
-/// The connected part of every cell of the region, and how many parts there are.
+/// Returns the number of the connected part of every cell (`u32::MAX` outside the region), and the number of parts.
 fn parts_of(lattice: &Lattice) -> (Vec<u32>, usize) {
     let mut part = vec![u32::MAX; lattice.inside.len()];
     let mut count = 0;
@@ -329,7 +333,8 @@ fn parts_of(lattice: &Lattice) -> (Vec<u32>, usize) {
     (part, count as usize)
 }
 
-/// Edges (block, side) of a spanning tree of every connected part of the blocks.
+/// Returns the edges (block, side) of a random depth-first spanning tree in every connected part of the blocks.
+/// `straightness` is the chance to keep the direction, 0 to 1.
 fn depth_first(
     lattice: &Lattice,
     blocks: &Blocks,
@@ -365,7 +370,8 @@ fn depth_first(
     tree
 }
 
-/// Edges (block, side) of a uniformly distributed spanning tree of every connected part.
+/// Returns the edges (block, side) of a spanning tree in every connected part of the blocks, by Wilson's algorithm:
+/// every tree is equally likely.
 fn wilson(lattice: &Lattice, blocks: &Blocks, rng: &mut ChaCha8Rng) -> Vec<(usize, usize)> {
     let mut tree = Vec::with_capacity(blocks.corners.len());
     let mut in_tree = vec![false; blocks.is_corner.len()];
@@ -393,7 +399,7 @@ fn wilson(lattice: &Lattice, blocks: &Blocks, rng: &mut ChaCha8Rng) -> Vec<(usiz
     tree
 }
 
-/// The first block of every connected part of the blocks.
+/// Returns the first block of every connected part of the blocks.
 fn roots(lattice: &Lattice, blocks: &Blocks) -> Vec<usize> {
     let mut fresh = blocks.is_corner.clone();
     let mut roots = Vec::new();
@@ -415,7 +421,7 @@ fn roots(lattice: &Lattice, blocks: &Blocks) -> Vec<usize> {
     roots
 }
 
-/// Marks a cell without a successor.
+/// Value of `next` for a cell that no loop passes.
 const NONE: u32 = u32::MAX;
 
 /// Closed loops of steps between neighbouring cells, each cell in at most one.
@@ -426,7 +432,7 @@ struct Loops<'a> {
 }
 
 impl<'a> Loops<'a> {
-    /// A loop of four cells, counter-clockwise, for every block.
+    /// Makes one loop of four cells, counter-clockwise, for every block.
     fn around(lattice: &'a Lattice, blocks: &Blocks) -> Self {
         let mut loops = Self { lattice, next: vec![NONE; lattice.inside.len()] };
         for block in &blocks.corners {
@@ -442,7 +448,8 @@ impl<'a> Loops<'a> {
         self.next[from] = to as u32;
     }
 
-    /// The cells on the right of the step from `a`: beside `a`, and beside the next one.
+    /// Returns the two cells on the right of the step a -> b that begins at `a`: the one beside `a`, then the one
+    /// beside b.
     fn on_the_right(&self, a: usize) -> [usize; 2] {
         let b = self.next[a] as usize;
         let w = self.lattice.width as isize;
@@ -455,7 +462,7 @@ impl<'a> Loops<'a> {
         [a, b].map(|k| k.wrapping_add_signed(right))
     }
 
-    /// a -> b and the facing c -> d become a -> d, c -> b.
+    /// Joins two loops: the step a -> b and the facing, antiparallel step c -> d become a -> d and c -> b.
     fn join(&mut self, a: usize) {
         let b = self.next[a] as usize;
         let [d, c] = self.on_the_right(a);
@@ -464,7 +471,7 @@ impl<'a> Loops<'a> {
         self.link(c, b);
     }
 
-    /// Takes in free cells two by two where `allowed`.
+    /// Adds free cells to the loops, two neighbouring ones at a time, where `allowed` returns true for them.
     fn absorb(&mut self, allowed: impl Fn(usize, usize) -> bool) {
         let mut queue: VecDeque<usize> =
             (0..self.next.len()).filter(|k| self.next[*k] != NONE).collect();
@@ -504,7 +511,7 @@ impl<'a> Loops<'a> {
         }
     }
 
-    /// The loops, each from its first cell, in the order of these.
+    /// Returns the cells of every loop in the order of the path; each loop starts at its cell of smallest index.
     fn tours(&self) -> Vec<Vec<usize>> {
         let mut seen = vec![false; self.next.len()];
         let mut tours = Vec::new();
@@ -524,7 +531,7 @@ impl<'a> Loops<'a> {
     }
 }
 
-/// The last in the chain that begins at `i`; shortens the chain.
+/// Returns the root of the tree of joined loops that `i` belongs to (union-find), and shortens the path to it.
 fn last_in_chain(whole: &mut [usize], mut i: usize) -> usize {
     while whole[i] != i {
         whole[i] = whole[whole[i]];
@@ -533,7 +540,7 @@ fn last_in_chain(whole: &mut [usize], mut i: usize) -> usize {
     i
 }
 
-/// All nodes in order; `None` when there are too many.
+/// Returns the path along all loops, with lifts between them; `None` if it has more than [`MAX_SEGMENTS`] segments.
 fn walk(lattice: &Lattice, tours: &[Vec<usize>], settings: &MazeSettings) -> Option<Draft> {
     let step = settings.step_mm.min(settings.pitch_mm);
     let mut path = Draft::default();
@@ -581,13 +588,13 @@ fn walk(lattice: &Lattice, tours: &[Vec<usize>], settings: &MazeSettings) -> Opt
     Some(path)
 }
 
-/// A piece of a line with rounded corners.
+/// Part of a path with rounded corners: a straight line or a quarter circle, mm.
 enum PathPiece {
     Line {
         from: [f64; 2],
         to: [f64; 2],
     },
-    /// `centre + cos(phi) begin + sin(phi) end`, phi = 0 .. 90 degrees.
+    /// Quarter circle `centre + cos(phi) begin + sin(phi) end`, phi = 0 .. 90 degrees.
     Arc {
         centre: [f64; 2],
         begin: [f64; 2],
@@ -603,7 +610,7 @@ impl PathPiece {
         }
     }
 
-    /// The point at the fraction `f` of the length.
+    /// Returns the point at the fraction `f` of the length, 0 to 1.
     fn point(&self, f: f64) -> [f64; 2] {
         match self {
             Self::Line { from, to } => [0, 1].map(|a| from[a] + f * (to[a] - from[a])),
@@ -615,7 +622,8 @@ impl PathPiece {
     }
 }
 
-/// The line through `corners` (all straight or at a right angle) with quarter circles.
+/// Returns the path through `corners`, mm (all straight or at a right angle), with quarter circles of the radius
+/// `radius_mm`.
 fn pieces(corners: &[[f64; 2]], radius_mm: f64) -> Vec<PathPiece> {
     let r = radius_mm;
     let mut pieces = Vec::with_capacity(2 * corners.len());
@@ -641,7 +649,8 @@ fn pieces(corners: &[[f64; 2]], radius_mm: f64) -> Vec<PathPiece> {
     pieces
 }
 
-/// Nodes at equal arc length along the pieces; `None` when there are too many.
+/// Adds nodes at equal arc length along the pieces to `path`; `None` if it would have more than [`MAX_SEGMENTS`]
+/// segments.
 fn follow(path: &mut Draft, pieces: &[PathPiece], step_mm: f64, pass: usize) -> Option<()> {
     let total: f64 = pieces.iter().map(PathPiece::length_mm).sum();
     // L / ceil(L/s)
@@ -685,7 +694,7 @@ mod tests {
         }
     }
 
-    /// Pixels of 0.5 mm where `inside(x, y)` holds.
+    /// Makes a map with pixels of 0.5 mm, valid where `inside(x, y)` is true.
     fn map(nx: usize, ny: usize, inside: impl Fn(f64, f64) -> bool) -> Surface {
         let grid =
             Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
@@ -879,7 +888,7 @@ mod tests {
         }
     }
 
-    /// Largest |dx|, |dy| of a point from its nearest valid pixel, mm.
+    /// Returns the larger of |dx| and |dy| from a point to its nearest valid pixel, mm.
     fn out_of_the_aperture(surface: &Surface, p: [f64; 2]) -> f64 {
         let g = surface.grid();
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());

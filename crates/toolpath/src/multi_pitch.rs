@@ -67,13 +67,14 @@ const MAX_CLASSES: usize = 100;
 /// Settings for the regions of the aperture and for their scan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MultiPitchSettings {
-    /// Classes of depth m; from 1 to 100.
+    /// Number of depth classes m, from 1 to 100.
     pub classes: usize,
-    /// Feed that no class but the first shall exceed, mm/s; > 0.
+    /// Largest feed, mm/s; > 0. Only the class of the smallest depth may need more.
     pub max_velocity_mm_per_s: f64,
-    /// Smallest pitch, what the machine can position, mm; > 0.
+    /// Smallest pitch, mm; > 0: the finest that the machine can position.
     pub min_pitch_mm: f64,
-    /// Largest pitch, mm; at least the smallest. [`crate::pitch_limit`] says what hides the lines.
+    /// Largest pitch, mm; at least the smallest. [`crate::pitch_limit`] gives the largest one that leaves no visible
+    /// lines.
     pub max_pitch_mm: f64,
     /// Least area of a region, mm^2; >= 0. `None` for 25 pitches squared, and at least 50 mm^2.
     pub min_area_mm2: Option<f64>,
@@ -101,22 +102,22 @@ pub enum Links {
 /// A multi-pitch path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MultiPitch {
-    /// The path; `pass_idx` is the region.
+    /// The path; `pass_idx` is the index of the region.
     pub path: ToolPath,
-    /// Region of every pixel of the map (ny, nx); -1 where it is not valid.
+    /// Index of the region of every pixel of the map, shape (ny, nx); -1 where the pixel is not valid.
     pub region_idx: Array2<i64>,
-    /// Decisions on classes and regions.
+    /// Classes and regions into which the aperture was divided.
     pub report: MultiPitchReport,
 }
 
-/// Decisions on classes and regions.
+/// Classes and regions into which the aperture was divided.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MultiPitchReport {
     /// Volumetric removal rate of the TIF, nm mm^2/s.
     pub vrr_nm_mm2_per_s: f64,
-    /// Standard deviation of the Gaussian that the depth was smoothed with, mm.
+    /// Standard deviation of the Gaussian that smoothed the depth, mm.
     pub smoothing_mm: f64,
-    /// Classes from the smallest depth to the largest; classes of equal pitch are one.
+    /// Classes from the smallest depth to the largest; classes of equal pitch are merged.
     pub classes: Vec<DepthClass>,
     /// Regions in the order of the path: region i has the `pass_idx` i.
     pub regions: Vec<PitchRegion>,
@@ -139,35 +140,35 @@ impl MultiPitchReport {
     }
 }
 
-/// A class of depth.
+/// A range of removal depths whose regions have the same pitch.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DepthClass {
-    /// Least and largest depth, nm.
+    /// Smallest and largest depth of the class, nm.
     pub edge_nm: [f64; 2],
     /// Distance between the lines, mm.
     pub pitch_mm: f64,
-    /// Feed that removes the least depth, mm/s; left out where that is 0 and any feed removes more.
+    /// Feed that removes the smallest depth, mm/s; left out where that depth is 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub least_depth_velocity_mm_per_s: Option<f64>,
-    /// Feed that removes the largest depth, mm/s; left out as the other.
+    /// Feed that removes the largest depth, mm/s; left out where that depth is 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub largest_depth_velocity_mm_per_s: Option<f64>,
     /// Area of its regions, mm^2.
     pub area_mm2: f64,
-    /// Part of that area where the depth asks for more than the largest feed, mm^2.
+    /// Part of that area where the depth would need more than the largest feed, mm^2.
     pub too_fast_mm2: f64,
-    /// Number of regions.
+    /// Number of regions of the class.
     pub components: usize,
 }
 
-/// A region of one pitch.
+/// A connected region that is scanned at one pitch.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PitchRegion {
-    /// Index of its class.
+    /// Index of its class in the report.
     pub class: usize,
     /// Area within the aperture, mm^2.
     pub area_mm2: f64,
-    /// Cells: stretches of the path without a lift.
+    /// Number of its cells: stretches of the path without a lift.
     pub cells: usize,
 }
 
@@ -242,9 +243,10 @@ pub fn multi_pitch(
     Ok(MultiPitch { path, region_idx, report })
 }
 
-/// Returns the pitches of the classes between the depths `edge_nm` (m+1, ascending): (m), mm.
+/// Returns the pitches (d_k of the module) of the m classes between the m+1 ascending depths `edge_nm`, nm, in mm.
 ///
-/// `vrr_per_velocity` is VRR / v_max in nm mm.
+/// `vrr_per_velocity` is the VRR over the largest feed, VRR / v_max, nm mm. `limits_mm` are the smallest and the
+/// largest pitch.
 pub fn class_pitches_mm(edge_nm: &[f64], vrr_per_velocity: f64, limits_mm: [f64; 2]) -> Vec<f64> {
     let lower = edge_nm.windows(2).enumerate().map(|(k, e)| match k {
         // r_1 = max(e_0, (e_1 - e_0) / 2)
@@ -285,7 +287,7 @@ fn check(settings: &MultiPitchSettings) -> Result<(), Invalid> {
     }
 }
 
-/// Refuses an aperture without room for two lines.
+/// Refuses an aperture that is smaller in y than the smallest pitch, and so has no room for two lines.
 fn check_size(surface: &Surface, pitches: &[f64]) -> Result<(), Invalid> {
     let grid = surface.grid();
     let aperture = Aperture::new(&grid.x, &grid.y, surface.height_nm().view());
@@ -310,7 +312,7 @@ fn too_many(surface: &Surface, settings: &MultiPitchSettings, pitches: &[f64]) -
     }
 }
 
-/// Classes of depth with their pitches, before anything is known of their areas.
+/// Returns the classes of depth with their pitches; areas and numbers of regions are still 0.
 fn classes(depth_nm: &Array2<f64>, vrr: f64, settings: &MultiPitchSettings) -> Vec<DepthClass> {
     let [low, high] = range(depth_nm);
     let m = settings.classes;
@@ -346,7 +348,8 @@ fn classes(depth_nm: &Array2<f64>, vrr: f64, settings: &MultiPitchSettings) -> V
     classes
 }
 
-/// Diameter of the disc that is as large as the part of the TIF above half its peak, mm.
+/// Returns the full width at half maximum of the TIF, mm: the diameter of the disc with the area where it is above half
+/// its peak.
 fn full_width_mm(tif: &Tif) -> f64 {
     let half = 0.5 * tif.peak_nm_per_s();
     let count = tif.rate_nm_per_s().iter().filter(|r| **r >= half).count();

@@ -11,9 +11,9 @@ use crate::{MAX_SEGMENTS, draft::Draft};
 /// Number and direction of the passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct PassesSettings {
-    /// Passes; >= 2.
+    /// Number of passes over the path; >= 2.
     pub passes: usize,
-    /// True if every other pass runs backwards; otherwise the tool is lifted back to the start.
+    /// True if every second pass runs backwards; otherwise the tool is lifted back to the start.
     #[serde(rename = "return")]
     pub back: bool,
 }

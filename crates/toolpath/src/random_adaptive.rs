@@ -1,7 +1,7 @@
 //! The random-adaptive path: closed, random in direction, denser where more is to be removed.
 //!
-//! The local distance d between neighbouring strands follows the desired removal r, smoothed over
-//! two pitches and continued beyond the aperture by its nearest value:
+//! The local distance d between neighbouring strands of the path (the spacing) follows the desired removal r, smoothed
+//! over two pitches and continued beyond the aperture by its nearest value:
 //!
 //! ```text
 //! rho = (clamp(r, mean r / 4, 4 mean r) / mean r)^b,     d = p / sqrt(rho)
@@ -55,17 +55,17 @@ use serde::Serialize;
 use crate::{MAX_SEGMENTS, ToolPathError, region::check_length};
 use field::Field;
 
-/// Smallest area of the largest island, in squared pitches; a smaller region is refused. Larger: more parts are
-/// refused. Smaller: regions without room for a random path are accepted.
+/// Smallest area of the largest island (connected part of the region), in squared pitches; a smaller region is refused.
+/// Larger: more parts are refused. Smaller: regions without room for a random path are accepted.
 const MIN_AREA: f64 = 16.0;
 /// Largest number of passes of rounding that the settings accept. Each doubles the number of points. Larger: paths
 /// with more points. Smaller: sharper corners.
 const MAX_ROUNDING_PASSES: u32 = 4;
-/// Relative difference between wanted and reached pitch below which the spacing is not scaled again. Larger: the
-/// pitch is less exact. Smaller: more trials.
+/// Relative difference between wanted and reached pitch up to which the spacing is not scaled again. Larger: the pitch
+/// is less exact. Smaller: more trials.
 const PITCH_TOLERANCE: f64 = 0.02;
-/// Largest number of trials of a path. Larger: more time if the pitch is not reached. Smaller: the pitch may miss its
-/// tolerance.
+/// Largest number of times that the path is made anew with a scaled spacing. Larger: more time if the pitch is not
+/// reached. Smaller: the pitch may miss its tolerance.
 const TRIALS: usize = 5;
 /// Mesh edge over the spacing of the path, dimensionless. With this value the length per area of a uniform path with
 /// one rounding pass is that of its spacing (measured, to 2 %). Another value: more trials until the pitch is
@@ -77,20 +77,21 @@ type Point = [f64; 2];
 /// Settings of a random-adaptive path.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RandomAdaptiveSettings {
-    /// Area of the aperture over the length of the path within it, mm; > 0.
+    /// Wanted mean pitch, mm; > 0: the area of the aperture over the length of the path within it.
     pub pitch_mm: f64,
     /// Distance that the region goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the removal at
     /// the edge equal to that inside.
     pub overscan_mm: f64,
-    /// Wanted length of a step, mm; > 0. `None` keeps the nodes of the construction.
+    /// Wanted length of a step (segment), mm; > 0. `None` keeps the nodes of the construction.
     pub step_mm: Option<f64>,
-    /// Exponent b of the density law, 0 ..= 1: 0 is uniform.
+    /// Exponent b of the density law of the module, 0 ..= 1: 0 is a uniform path, 1 a density proportional to the
+    /// removal.
     pub contrast: f64,
-    /// Construction of the nodes and of their order.
+    /// Method that makes the nodes and their order.
     pub construction: Construction,
-    /// Passes of corner cutting, 0 ..= 4.
+    /// Number of passes of corner cutting, 0 ..= 4; each about halves the turning angles.
     pub rounding_passes: u32,
-    /// Start of the random numbers; the same seed gives the same path.
+    /// Seed of the random numbers; the same seed gives the same path.
     pub seed: u64,
 }
 
@@ -105,44 +106,48 @@ pub enum Construction {
     Tour,
 }
 
-/// A path and what is known of its making.
+/// A random-adaptive path and its report.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RandomAdaptive {
-    /// One pass per island, lifts between them; closed, unless it jumps over a hole.
+    /// The path: one pass per island (connected part of the region), with lifts between them. Each is closed, unless a
+    /// step leaves the region.
     pub path: ToolPath,
     /// Report on the path.
     pub report: RandomAdaptiveReport,
 }
 
-/// Numbers of a random-adaptive path beyond its statistics.
+/// Results of a random-adaptive path beyond its statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RandomAdaptiveReport {
-    /// Number of closed paths.
+    /// Number of closed paths, usually one per island (connected part of the region).
     pub islands: usize,
-    /// Small triangles (6 per triangle) or random points, each visited once.
+    /// Number of nodes before rounding, each visited once: small triangles (6 per triangle of the mesh) or random
+    /// points.
     pub visits: usize,
-    /// Smallest local spacing in the region, mm.
+    /// Smallest local distance between strands (spacing) in the region, mm.
     pub smallest_spacing_mm: f64,
-    /// Largest local spacing in the region, mm.
+    /// Largest local distance between strands (spacing) in the region, mm.
     pub largest_spacing_mm: f64,
-    /// Largest step with the tool on, as a multiple of the local spacing at its middle.
+    /// Length of the longest step with the tool on, as a multiple of the local spacing at its middle.
     pub longest_step_per_spacing: f64,
-    /// Steps that would leave the region: the tool is off there, and the path open.
+    /// Number of steps that would leave the region; the tool is off there, and the path is open.
     pub steps_off: usize,
-    /// Corners that were not cut, because the cut would have crossed another step.
+    /// Number of corners that were not cut, because the cut would have crossed another step.
     pub corners_kept: usize,
-    /// Points that stand closer than the wanted step, because the step would have crossed another.
+    /// Number of additional points, closer than the wanted step, that were kept because a longer step would have
+    /// crossed another.
     pub points_kept: usize,
 }
 
 impl RandomAdaptiveReport {
-    /// Returns the pitch where the path is least dense, in whole micrometres, mm.
+    /// Returns the largest local spacing, which is the pitch where the path is least dense, mm; rounded up to whole
+    /// micrometres.
     pub fn largest_pitch_mm(&self) -> f64 {
         (1e3 * self.largest_spacing_mm).ceil() / 1e3
     }
 }
 
-/// A closed path, its first node not repeated.
+/// A closed path, its first node not repeated, with the number of nodes of its construction (`visits`).
 #[derive(Clone, Debug, Default)]
 struct Loop {
     node_mm: Vec<Point>,
@@ -217,11 +222,11 @@ fn check(settings: &RandomAdaptiveSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Closed paths at one scale of the spacing.
+/// The closed paths that one scale factor of the spacing gives.
 struct Trial {
     loops: Vec<Vec<Point>>,
-    /// Factor of d that gives the spacing of this path: the mean of 1/d over the aperture is its length over the
-    /// area.
+    /// Factor that turns the wanted spacing d into the spacing of this path: mean of 1/d over the aperture, times the
+    /// aperture's area, over the length within it.
     pitch_scale: f64,
     visits: usize,
     corners_kept: usize,
@@ -229,7 +234,7 @@ struct Trial {
 }
 
 impl Trial {
-    /// `None` where the steps would be more than [`MAX_SEGMENTS`].
+    /// Makes the paths with the spacing multiplied by `scale`; `None` if they have more than [`MAX_SEGMENTS`] segments.
     fn new(field: &Field, settings: &RandomAdaptiveSettings, scale: f64) -> Option<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
         let made = match settings.construction {
@@ -251,7 +256,8 @@ impl Trial {
         Some(Self { loops, pitch_scale: scale, visits, corners_kept, points_kept })
     }
 
-    /// Area over length, within the aperture; of everything when nothing lies within.
+    /// Returns the area of the aperture over the length of the path within it, mm. If no step lies within it, it is the
+    /// area of the region over the whole length.
     fn effective_pitch_mm(&self, field: &Field) -> f64 {
         let mut inside = 0.0;
         let mut all = 0.0;
@@ -296,9 +302,8 @@ impl Trial {
         }
     }
 
-    /// The loops one after the other: first the one that reaches farthest towards small x + y,
-    /// from there; then always the nearest node that is left.
-    /// Steps that leave the region have the tool off.
+    /// Joins the closed paths to one with lifts between them. The first starts at the node of smallest x + y, each next
+    /// one at the node nearest to the last end. Steps that leave the region have the tool off.
     fn path(mut self, field: &Field) -> Result<ToolPath, Invalid> {
         let mut point_mm = Vec::new();
         let mut tool_on = Vec::new();

@@ -64,15 +64,15 @@ use crate::{
 };
 use runs::Runs;
 
-/// Smallest number of chords of a semicircle: 45 degrees between neighbours. Larger: rounder turns, and more
+/// Smallest number of chords of a semicircular turn: 45 degrees between neighbours. Larger: rounder turns, and more
 /// segments. Smaller: sharper corners.
 const MIN_CHORDS: usize = 4;
 
 /// Settings of a raster.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RasterSettings {
-    /// Distance between the lines, mm; > 0. With a `pitch_range_mm` that where the map has its
-    /// mean.
+    /// Distance between the lines, mm; > 0. With a `pitch_range_mm` it is the distance where the map has its mean
+    /// value.
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0.
     pub step_mm: f64,
@@ -83,14 +83,14 @@ pub struct RasterSettings {
     pub scan: Scan,
     /// Turns between consecutive lines.
     pub turn: Turn,
-    /// Coordinate w of one line (y for lines along x), mm; `None` centres the lines.
+    /// Coordinate w across the lines of one line (y for lines along x), mm; `None` centres the lines on the region.
     pub line_origin_mm: Option<f64>,
     /// Order of the lines.
     pub order: LineOrder,
-    /// True if all lines run towards larger u; needs [`Turn::Lift`].
+    /// True if all lines run towards larger u, the coordinate along them; needs [`Turn::Lift`].
     pub one_directional: bool,
-    /// Least and largest distance between lines that follow the desired removal, mm;
-    /// 0 < least <= largest. `None` for one pitch.
+    /// Smallest and largest distance between lines, mm, if it follows the desired removal; 0 < smallest <= largest.
+    /// `None` for one pitch.
     pub pitch_range_mm: Option<[f64; 2]>,
 }
 
@@ -141,13 +141,13 @@ pub enum Scan {
     Y,
     /// Lines turned from x towards y.
     Angle {
-        /// Angle, degrees; 0 and 90 are the scans along x and y.
+        /// Angle from x towards y, degrees; 0 and 90 are the scans along x and y.
         angle_deg: f64,
     },
 }
 
 impl Scan {
-    /// Returns the unit vectors along and across the lines.
+    /// Returns the unit vectors (x, y) along and across the lines.
     pub fn axes(self) -> [[f64; 2]; 2] {
         match self {
             Self::X => [[1.0, 0.0], [0.0, 1.0]],
@@ -170,14 +170,14 @@ impl Scan {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LineOrder {
-    /// The next one.
+    /// Each line is followed by its neighbour.
     #[default]
     Sequential,
     /// Every other line, then back over the lines between them.
     BiStep,
-    /// A random one; needs [`Turn::Lift`].
+    /// A random order of the lines; needs [`Turn::Lift`].
     Random {
-        /// Start of the random numbers; the same seed gives the same order.
+        /// Seed of the random numbers; the same seed gives the same order.
         seed: u64,
     },
 }
@@ -196,7 +196,7 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// Returns the usual link: lines in one direction or in random order need a lift between them.
+    /// Returns the default turn: a lift for lines in one direction or in random order, otherwise a square turn.
     pub fn usual(order: LineOrder, one_directional: bool) -> Self {
         let lifts = one_directional || matches!(order, LineOrder::Random { .. });
         if lifts { Self::Lift } else { Self::Square }
@@ -268,26 +268,27 @@ fn too_many(runs: &Runs, settings: &RasterSettings) -> ToolPathError {
     }
 }
 
-/// One stretch of one line with the tool on.
+/// One interval of one line with the tool on: coordinate `across` of the line and interval `along` it, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Pass {
-    /// Place of its line in the order.
+    /// Position of its line in the order in which the lines are run.
     place: usize,
     across: f64,
     along: Interval,
-    /// Towards larger coordinates.
+    /// True if it runs towards larger coordinates along the line.
     forward: bool,
 }
 
 impl Pass {
-    /// Start and end of the pass, as coordinates along the line.
+    /// Returns the start and the end of the pass, as coordinates along the line, mm.
     fn ends(&self) -> (f64, f64) {
         let Interval { low, high } = self.along;
         if self.forward { (low, high) } else { (high, low) }
     }
 }
 
-/// The passes in the order in which they are run; `None` when there are too many segments.
+/// Returns the passes in the order in which they are run; `None` if they have too many segments. `lines` has the
+/// coordinates of the lines across.
 fn passes(runs: &Runs, lines: &[f64], settings: &RasterSettings) -> Option<Vec<Pass>> {
     let mut passes = Vec::new();
     let mut segments = 0.0;
@@ -308,7 +309,7 @@ fn passes(runs: &Runs, lines: &[f64], settings: &RasterSettings) -> Option<Vec<P
     Some(passes)
 }
 
-/// Intervals of a line with the tool on, ascending and disjoint.
+/// Returns the intervals of a line with the tool on, mm, ascending and disjoint. `line` is its index in `lines`.
 fn intervals(runs: &Runs, lines: &[f64], line: usize, settings: &RasterSettings) -> Vec<Interval> {
     let o = settings.overscan_mm;
     let [pixel_along, pixel_across] = runs.pixel_mm;
@@ -334,14 +335,15 @@ fn intervals(runs: &Runs, lines: &[f64], line: usize, settings: &RasterSettings)
     merged
 }
 
-/// Way of the tool from a pass to the next.
+/// Connection of a pass to the next one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Link {
     TurnAround,
     Lift,
 }
 
-/// Decides every link (one fewer than passes) and extends the passes to their turn-arounds.
+/// Decides how each pass is connected to the next (one value fewer than passes), and extends passes to their
+/// turn-arounds.
 fn link(passes: &mut [Pass], turn: Turn) -> Vec<Link> {
     let own: Vec<Interval> = passes.iter().map(|p| p.along).collect();
     (1..passes.len())
@@ -366,7 +368,8 @@ fn link(passes: &mut [Pass], turn: Turn) -> Vec<Link> {
         .collect()
 }
 
-/// All nodes in order; `None` when there are too many.
+/// Returns the path along all passes and links, in (u, w) along and across the lines; `None` if it has too many
+/// segments.
 fn walk(passes: &[Pass], links: &[Link], settings: &RasterSettings) -> Option<Draft> {
     let s = settings.step_mm;
     let mut path = Draft::default();
@@ -422,7 +425,7 @@ mod tests {
         RasterSettings::new(pitch_mm, step_mm, overscan_mm)
     }
 
-    /// Pixels of 0.5 mm with the height `z(x, y)`, NaN outside.
+    /// Makes a map with pixels of 0.5 mm and the height `z(x, y)`, nm, NaN outside.
     fn relief(nx: usize, ny: usize, z: impl Fn(f64, f64) -> f64) -> Surface {
         let grid =
             Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
@@ -432,7 +435,7 @@ mod tests {
         Surface::new(grid, height).unwrap()
     }
 
-    /// Pixels of 0.5 mm where `inside(x, y)` holds.
+    /// Makes a map with pixels of 0.5 mm, valid where `inside(x, y)` is true.
     fn map(nx: usize, ny: usize, inside: impl Fn(f64, f64) -> bool) -> Surface {
         let z = |x: f64, y: f64| (0.3 * x).sin() + 2.0 * (0.4 * y).cos();
         relief(nx, ny, |x, y| if inside(x, y) { z(x, y) } else { f64::NAN })
@@ -591,7 +594,7 @@ mod tests {
         assert_eq!(path.point_mm(), [[4.75, 7.5], [5.25, 7.5]]);
     }
 
-    /// Distances of the lines from the first one, in the order in which they are run.
+    /// Returns the distances of the lines from the first one, mm, in the order in which they are run.
     fn line_order(path: &ToolPath, scan: Scan) -> Vec<f64> {
         let across = scan.axes()[1];
         let w = |i: usize| {

@@ -20,13 +20,13 @@ use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 /// lengths are taken as equal. Smaller: rounding of coordinates adds a segment.
 pub(crate) const SLACK: f64 = 1e-9;
 
-/// Fraction of the volume of a TIF that may lie beyond its support. Half of it is missing at an edge of the part.
-/// Larger: the edge is left higher. Smaller: noise in the margin of a measured TIF counts, and the path spends time
-/// beyond the part.
+/// Fraction of the volume of a TIF that may lie beyond its support, the square that sets the usual overscan. About half
+/// of it is missing at an edge of the part. Larger: the edge is left higher. Smaller: noise in the margin of a measured
+/// TIF counts, and the path spends time beyond the part.
 const BEYOND_SUPPORT: f64 = 5e-4;
 
-/// Returns the usual overscan: half the size of the square around `off_centre_mm`, where the TIF removes, that holds
-/// its volume but for 5e-4 of it. It keeps the removal at the edge equal to that inside, mm.
+/// Returns the usual overscan, mm: half the side of the square around the TIF's centroid `off_centre_mm` beyond which
+/// lies at most 5e-4 of the TIF's volume. It keeps the removal at the edge equal to that inside.
 pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
     let [cx, cy] = off_centre_mm;
     let grid = tif.grid();
@@ -94,7 +94,7 @@ pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
     Surface::new(*grid, left)
 }
 
-/// Returns true if a pixel has an invalid or no neighbour.
+/// Returns true if a pixel (row, column) has an invalid neighbour, or lies at the edge of the map.
 fn is_border(z: &Array2<f64>, (r, c): (usize, usize)) -> bool {
     let neighbours = [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
     neighbours.iter().any(|n| z.get(*n).is_none_or(|z| z.is_nan()))
@@ -107,7 +107,7 @@ pub(crate) fn valid_mm(surface: &Surface) -> Vec<[f64; 2]> {
     valid.map(|((r, c), _)| [grid.x.coordinate_mm(c), grid.y.coordinate_mm(r)]).collect()
 }
 
-/// Returns the pixel (row, column) whose centre is nearest to a point; `None` beyond the map.
+/// Returns the pixel (row, column) whose centre is nearest to the point (x, y), mm; `None` beyond the map.
 pub(crate) fn nearest_pixel(grid: &Grid, [x, y]: [f64; 2]) -> Option<(usize, usize)> {
     let [row, column] = [(&grid.y, y), (&grid.x, x)].map(|(axis, mm)| {
         let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
@@ -118,13 +118,14 @@ pub(crate) fn nearest_pixel(grid: &Grid, [x, y]: [f64; 2]) -> Option<(usize, usi
 
 /// The clear aperture as runs of valid pixels, in coordinates along and across the lines.
 pub(crate) struct Aperture {
-    /// Across the lines, mm: (coordinate of a pixel row, its runs), rows without a run left out.
+    /// Rows of pixels: coordinate across the lines, mm, and the runs of valid pixels in the row. Rows without a run are
+    /// left out.
     pub rows: Vec<(f64, Vec<Interval>)>,
-    /// Pixel along and across, mm.
+    /// Pixel pitch along and across the lines, mm.
     pub pixel_mm: [f64; 2],
 }
 
-/// A stretch of a line, mm; `low <= high`.
+/// An interval on a line: its smallest and largest coordinate, mm; `low <= high`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Interval {
     pub low: f64,
@@ -132,7 +133,7 @@ pub(crate) struct Interval {
 }
 
 impl Aperture {
-    /// Returns the valid pixels of `map` (across, along).
+    /// Finds the runs of valid pixels of `map`, whose rows lie at the coordinates `across` and columns at `along`.
     pub fn new(along: &Axis, across: &Axis, map: ArrayView2<f64>) -> Self {
         let mut rows = Vec::new();
         for (r, row) in map.outer_iter().enumerate() {
@@ -154,14 +155,14 @@ impl Aperture {
         Self { rows, pixel_mm: [along.step_mm(), across.step_mm()] }
     }
 
-    /// Returns the extent across the lines, overscan included, mm. A surface has a valid pixel.
+    /// Returns the extent of the aperture across the lines, widened by the overscan on both sides, mm.
     pub fn across(&self, overscan_mm: f64) -> Interval {
         let first = self.rows[0].0;
         let last = self.rows[self.rows.len() - 1].0;
         Interval { low: first - overscan_mm, high: last + overscan_mm }
     }
 
-    /// Returns the extent along the lines, overscan included, mm.
+    /// Returns the extent of the aperture along the lines, widened by the overscan on both sides, mm.
     pub fn along(&self, overscan_mm: f64) -> Interval {
         let runs = self.rows.iter().flat_map(|(_, runs)| runs);
         Interval {
@@ -187,7 +188,7 @@ impl Aperture {
     }
 }
 
-/// Joins the intervals that are at most `bridge_mm` apart; ascending.
+/// Joins the intervals that are at most `bridge_mm` apart; the result is ascending.
 pub(crate) fn join(mut all: Vec<Interval>, bridge_mm: f64) -> Vec<Interval> {
     all.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then_with(|| a.high.total_cmp(&b.high)));
     let mut joined: Vec<Interval> = Vec::new();
@@ -202,11 +203,12 @@ pub(crate) fn join(mut all: Vec<Interval>, bridge_mm: f64) -> Vec<Interval> {
     joined
 }
 
-/// Largest length that a setting may have, mm; a larger one is refused. Larger: mistakes in the units pass. Chosen:
-/// no path has points beyond it.
+/// Largest length that a setting may have, mm; a longer one is refused. Larger: mistakes in the units pass. Smaller:
+/// paths that are allowed are refused. No point of a path may lie farther from the origin.
 const LONGEST_MM: f64 = 1e7;
 
-/// Refuses what is not a length > 0, or >= 0 where `zero` allows it.
+/// Refuses `mm` unless it is a finite length > 0 (>= 0 if `zero` is true) of at most 1e7 mm; `name` is the setting in
+/// the message.
 pub(crate) fn check_length(name: &'static str, mm: f64, zero: bool) -> Result<(), Invalid> {
     if mm > LONGEST_MM && mm.is_finite() {
         let remedy = "give mm, at most 1e7: no point of a path may be farther from the origin";
@@ -262,7 +264,7 @@ mod tests {
         assert!(inset(&surface, f64::INFINITY).is_err());
     }
 
-    /// Rates in `half` mm around 0, in samples of 0.25 mm.
+    /// Makes a TIF with the rates `rate(x, y)` within `half` mm around 0, in samples of 0.25 mm.
     fn tif(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {
         let n = (8.0 * half) as usize + 1;
         let axis = Axis::new(-half, 0.25, n).unwrap();

@@ -54,7 +54,8 @@ pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) ->
     warnings
 }
 
-/// Smallest and largest position of an axis of the machine at points of the part, mm.
+/// Returns the smallest and largest position of a machine axis (0: x, 1: y), mm, at points given in coordinates of the
+/// part.
 fn range_on_axis(points: &[[f64; 2]], machine: &Machine, axis: usize) -> [f64; 2] {
     let positions = points
         .iter()
@@ -62,23 +63,23 @@ fn range_on_axis(points: &[[f64; 2]], machine: &Machine, axis: usize) -> [f64; 2
     positions.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
-/// Names of the axes.
+/// Names of the machine axes in warnings.
 const AXES: [&str; 2] = ["x", "y"];
 
-/// Distance beyond the travel up to which a place counts as within it, mm. Larger: real violations pass without a
+/// Distance beyond the travel up to which a point counts as within it, mm. Larger: real violations pass without a
 /// warning. Smaller: rounding of a rotation (1e-13 mm) causes warnings.
 const TRAVEL_NOISE_MM: f64 = 1e-9;
 
-/// Report on a path.
+/// Report on a path: statistics, limits of the pitch, results of its method (`R`) and warnings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PathReport<R> {
-    /// Numbers about the path.
+    /// Lengths, steps, turns, crossings and coverage of the path.
     #[serde(flatten)]
     pub statistics: PathStatistics,
-    /// Bounds of the pitch; left out without a TIF.
+    /// Upper limits of the pitch for this TIF; left out without a TIF.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pitch_limit: Option<PitchLimit>,
-    /// Numbers that only the method of this path reports.
+    /// Results that only the method of this path has.
     #[serde(flatten)]
     pub own: R,
     /// Warnings for the user.

@@ -17,7 +17,7 @@ fn boxes_overlap(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
     })
 }
 
-/// 1 with `p` on the left of the line through `a`, -1 on its right, 0 on it.
+/// Returns 1 if `p` is on the left of the line through `a`, -1 on its right, 0 on it.
 fn side(a: &[[f64; 2]; 2], p: [f64; 2]) -> i32 {
     let [a, b, p] = [a[0], a[1], p].map(|[x, y]| Coord { x, y });
     match orient2d(a, b, p) {

@@ -36,8 +36,8 @@ use crate::{
     region::{Aperture, check_length},
 };
 
-/// Longest chord, in pitches. On the radius at which it spans 45 degrees it is 0.4 pitches from its
-/// arc. Larger: sharper turns near the centre. Smaller: more segments.
+/// Longest chord (segment), in pitches. On the radius at which it spans 45 degrees it is 0.4 pitches from its arc.
+/// Larger: sharper turns near the centre. Smaller: more segments.
 const LONGEST_CHORD: f64 = 4.0;
 
 /// Settings of a spiral.
@@ -83,7 +83,8 @@ pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, 
     Ok(path.finish()?)
 }
 
-/// Angles of the nodes, radians; `None` when there are too many.
+/// Returns the angles of the nodes from the radius `inner` to `outer` (mm), radians, with chords of at most `step`;
+/// `None` if there are too many.
 fn angles(pitch: f64, step: f64, inner: f64, outer: f64) -> Option<Vec<f64>> {
     let [first, last, change] = [inner, outer, step / FRAC_PI_4].map(|r| 2.0 * PI * r / pitch);
     let change = change.clamp(first, last);
@@ -103,13 +104,13 @@ fn angles(pitch: f64, step: f64, inner: f64, outer: f64) -> Option<Vec<f64>> {
     Some(angles)
 }
 
-/// Arc length from the pole to an angle, mm.
+/// Returns the arc length of the spiral from the pole (radius 0) to the angle `theta`, mm.
 fn arc_length(pitch: f64, theta: f64) -> f64 {
     // S = (p / 4 pi) (theta sqrt(1 + theta^2) + asinh theta)
     pitch / (4.0 * PI) * (theta * theta.hypot(1.0) + theta.asinh())
 }
 
-/// The angle at an arc length from the pole, radians.
+/// Returns the angle at the arc length `length` from the pole, radians.
 fn angle_at(pitch: f64, length: f64) -> f64 {
     // (p / 4 pi) theta^2 is less than S: this is too large, and Newton goes down.
     let mut theta = (4.0 * PI * length / pitch).sqrt();
@@ -133,7 +134,7 @@ mod tests {
     use planish_types::{Axis, Grid};
     use proptest::prelude::*;
 
-    /// Pixels of 0.5 mm over 100 x 100 mm about (10, -5) where `inside(r)` holds.
+    /// Makes a map with pixels of 0.5 mm over 100 x 100 mm about (10, -5), valid where `inside(r)` is true.
     fn round(inside: impl Fn(f64) -> bool) -> Surface {
         let grid =
             Grid { x: Axis::new(-40.0, 0.5, 201).unwrap(), y: Axis::new(-55.0, 0.5, 201).unwrap() };

@@ -1,4 +1,4 @@
-//! Numbers of a tool path that do not depend on the dwell time.
+//! Statistics of a tool path that do not depend on the dwell times.
 //!
 //! ```text
 //! length            sum of |P_{i+1} - P_i| over the segments with the tool on
@@ -50,10 +50,10 @@ const MAX_CELLS: f64 = 1024.0;
 /// memory for long segments. Smaller: larger cells, and longer searches.
 const TOUCHED: f64 = 8.0;
 
-/// Numbers about a path.
+/// Statistics of a path that do not depend on the dwell times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PathStatistics {
-    /// Velocity control points (segments + 1).
+    /// Number of points of the path, at which the velocity is controlled (segments + 1).
     pub points: usize,
     /// Length with the tool on, mm.
     pub length_mm: f64,
@@ -61,28 +61,28 @@ pub struct PathStatistics {
     pub lift_length_mm: f64,
     /// Number of passes.
     pub passes: usize,
-    /// Runs of segments with the tool lifted.
+    /// Number of lifts: runs of consecutive segments with the tool lifted.
     pub lifts: usize,
     /// Shortest segment with the tool on, mm.
     pub shortest_step_mm: f64,
-    /// Half of the segments with the tool on are at most so long, mm.
+    /// Median length of the segments with the tool on, mm.
     pub median_step_mm: f64,
-    /// 99 % of the segments with the tool on are at most so long, mm.
+    /// 99th percentile of the length of the segments with the tool on, mm.
     pub p99_step_mm: f64,
     /// Longest segment with the tool on, mm.
     pub longest_step_mm: f64,
-    /// Mean turn between neighbouring segments, degrees; 0 without neighbours.
+    /// Mean change of direction between consecutive segments with the tool on, degrees; 0 without such a pair.
     pub mean_turn_deg: f64,
-    /// 90 % of the turns are at most so large, degrees.
+    /// 90th percentile of the changes of direction, degrees.
     pub p90_turn_deg: f64,
-    /// 99 % of the turns are at most so large, degrees.
+    /// 99th percentile of the changes of direction, degrees.
     pub p99_turn_deg: f64,
-    /// Largest turn, degrees.
+    /// Largest change of direction, degrees.
     pub largest_turn_deg: f64,
-    /// Pairs of segments that meet without being neighbours.
+    /// Number of pairs of segments with the tool on that meet without being neighbours.
     pub crossings: usize,
-    /// Area of the valid pixels over the length within them, mm; left out when no dwell point lies
-    /// in a valid pixel.
+    /// Effective pitch: area of the valid pixels over the length of the path within them, mm; left out when no dwell
+    /// point lies in a valid pixel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub effective_pitch_mm: Option<f64>,
     /// Largest distance of a valid pixel's centre from a segment with the tool on, mm; left out
@@ -91,10 +91,10 @@ pub struct PathStatistics {
     pub coverage_mm: Option<f64>,
 }
 
-/// Bounds of the pitch.
+/// Upper limits of the pitch that a TIF sets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PitchLimit {
-    /// A sixth of the TIF's smaller size, mm; larger pitches leave visible lines.
+    /// A sixth of the smaller side of the TIF's array, mm; larger pitches leave visible lines.
     pub tif_size_sixth_mm: f64,
     /// Pitch at which a Gaussian TIF of the same peak and volume leaves a ripple of 0.1 % of the
     /// mean removal, peak to valley, mm. A TIF that ends abruptly leaves more.
@@ -102,7 +102,7 @@ pub struct PitchLimit {
 }
 
 impl PitchLimit {
-    /// Returns the largest pitch that keeps both bounds, mm.
+    /// Returns the largest pitch within both limits, mm.
     pub fn pitch_mm(&self) -> f64 {
         self.tif_size_sixth_mm.min(self.ripple_mm)
     }
@@ -158,7 +158,8 @@ fn sorted(mut values: Vec<f64>) -> Vec<f64> {
     values
 }
 
-/// The value number ceil(q n) of n sorted values, the first for q = 0; 0 without any.
+/// Returns the percentile of n ascending values for the fraction `q`: value number ceil(q n), the first for q = 0.
+/// Returns 0 without values.
 fn percentile(sorted: &[f64], q: f64) -> f64 {
     let rank = (q * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.max(1) - 1).copied().unwrap_or(0.0)
@@ -184,7 +185,7 @@ fn turns_deg(path: &ToolPath) -> Vec<f64> {
     turns
 }
 
-/// Returns the bounds of the pitch for this TIF.
+/// Returns the upper limits of the pitch for this TIF.
 pub fn pitch_limit(tif: &Tif) -> PitchLimit {
     let [x, y] = tif.grid().size_mm();
     let sigma_mm = (tif.vrr_nm_mm2_per_s() / (2.0 * PI * tif.peak_nm_per_s())).sqrt();
@@ -243,11 +244,11 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     Some(farthest.reduce(|| 0.0, f64::max))
 }
 
-/// Number of rows of the map that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more
+/// Number of pixel rows of the map that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more
 /// overhead.
 const BAND: usize = 64;
 
-/// The outermost valid pixels in eight directions, as (row, column).
+/// Returns the outermost valid pixels in eight directions, as (row, column).
 fn outermost(surface: &Surface) -> Vec<(usize, usize)> {
     let grid = surface.grid();
     let pixels = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
@@ -280,8 +281,8 @@ fn crossings(path: &ToolPath) -> usize {
     cell_numbers.map(|k| crossings_in_cell(&cells, k, &closes)).sum()
 }
 
-/// Number of crossings whose boxes share their lowest corner in cell `k`. `closes` has, for the segment with which a
-/// closed line ends, the one with which it began.
+/// Returns the number of crossing pairs of segments whose common bounding box begins in cell `k`. For the last segment
+/// of a closed line `closes` has its first one, with which it does not cross.
 fn crossings_in_cell(cells: &SegmentCells, k: usize, closes: &[usize]) -> usize {
     let segments = cells.segments;
     let size = [0, 1].map(|c| {
@@ -324,13 +325,14 @@ struct SegmentCells<'a> {
     origin_mm: [f64; 2],
     side_mm: f64,
     count: [usize; 2],
-    /// Cell (i, j) holds `member[start[k]..start[k + 1]]`, k = j * count[0] + i.
+    /// Start of each list in `member`: cell (i, j), k = j * count[0] + i, holds the segments `member[start[k]..start[k
+    /// + 1]]`.
     start: Vec<u32>,
     member: Vec<u32>,
 }
 
 impl<'a> SegmentCells<'a> {
-    /// `None` without segments.
+    /// Sorts the segments into cells; `None` if there are none, or none has a length.
     fn new(segments: &'a [[[f64; 2]; 2]]) -> Option<Self> {
         let ends = segments.iter().flatten();
         let low = [0, 1].map(|a| ends.clone().map(|p| p[a]).fold(f64::MAX, f64::min));
@@ -381,7 +383,7 @@ impl<'a> SegmentCells<'a> {
         [0, 1].map(|a| ((p[a] - self.origin_mm[a]) / self.side_mm).floor() as isize)
     }
 
-    /// Distance of a point from the grid, mm; 0 within it.
+    /// Returns the distance of a point from the rectangle of cells, mm; 0 within it.
     fn beside(&self, p: [f64; 2]) -> f64 {
         let [x, y] = [0, 1].map(|a| {
             let end = self.origin_mm[a] + self.count[a] as f64 * self.side_mm;
@@ -398,7 +400,7 @@ impl<'a> SegmentCells<'a> {
             .flat_map(move |j| columns.clone().map(move |i| (j * width + i) as usize))
     }
 
-    /// Distance of a point from the nearest segment, mm.
+    /// Returns the distance of a point from the nearest segment, mm.
     fn distance_mm(&self, p: [f64; 2]) -> f64 {
         // Rings of cells outwards from the cell of the grid that is nearest to the point.
         let count = self.count.map(|n| n as isize);
@@ -429,12 +431,12 @@ impl<'a> SegmentCells<'a> {
         best.sqrt()
     }
 
-    /// Segments that touch a cell, ascending.
+    /// Returns the indices of the segments that touch cell `k`, ascending.
     fn members(&self, k: usize) -> &[u32] {
         &self.member[self.start[k] as usize..self.start[k + 1] as usize]
     }
 
-    /// Square of the distance from the nearest segment of a cell.
+    /// Returns the square of the distance of `p` from the nearest segment of cell `k`, mm^2; infinity in an empty cell.
     fn nearest_in(&self, k: usize, p: [f64; 2]) -> f64 {
         self.members(k)
             .iter()
@@ -443,7 +445,7 @@ impl<'a> SegmentCells<'a> {
     }
 }
 
-/// Square of the distance of `p` from the segment `a b`.
+/// Returns the square of the distance of `p` from the segment `a b`, mm^2.
 fn square_of_distance(p: [f64; 2], [a, b]: &[[f64; 2]; 2]) -> f64 {
     let d = [b[0] - a[0], b[1] - a[1]];
     let q = [p[0] - a[0], p[1] - a[1]];
@@ -466,7 +468,7 @@ mod tests {
         Surface::new(grid, Array2::zeros((ny, nx))).unwrap()
     }
 
-    /// Rows at the pitch `p`, each one segment from x = 0 to 10, moved by (dx, dy).
+    /// Makes a path of rows at the pitch `p`, each one segment between x = 0 and 10, moved by (dx, dy).
     fn rows(n: usize, p: f64, [dx, dy]: [f64; 2]) -> ToolPath {
         let ends = |k: usize| if k.is_multiple_of(2) { [0.0, 10.0] } else { [10.0, 0.0] };
         let points = (0..n).flat_map(|k| ends(k).map(|x| [x + dx, k as f64 * p + dy]));

@@ -15,7 +15,7 @@ fn save_axis(dir: &Path, name: &str, start: f64, step: f64, n: usize) {
     save(dir, name, Array1::from_iter((0..n).map(|i| start + step * i as f64)));
 }
 
-/// A map of 20 x 10 mm, and a Gaussian TIF of 6 x 6 mm.
+/// Writes the inputs: a map of 20 x 10 mm, and a Gaussian TIF of 6 x 6 mm.
 fn write_inputs(dir: &Path) {
     let surface = dir.join("surface");
     save(&surface, "height_nm", Array2::zeros((21, 41)));

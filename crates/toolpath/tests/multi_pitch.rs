@@ -13,7 +13,7 @@ use planish_toolpath::{
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
 use proptest::prelude::*;
 
-/// Pixels of `pixel` mm; `depth(x, y)` is NaN outside.
+/// Makes a map with pixels of `pixel` mm; `depth(x, y)` is NaN outside.
 fn map(size: [f64; 2], pixel: f64, depth: impl Fn(f64, f64) -> f64) -> Surface {
     let [x, y] = size.map(|s| Axis::new(0.0, pixel, (s / pixel).round() as usize + 1).unwrap());
     let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
@@ -22,7 +22,7 @@ fn map(size: [f64; 2], pixel: f64, depth: impl Fn(f64, f64) -> f64) -> Surface {
     Surface::new(Grid { x, y }, height).unwrap()
 }
 
-/// A Gaussian TIF of standard deviation `sigma` mm, 12 sigma wide, with the VRR 2 pi sigma^2.
+/// Makes a Gaussian TIF of standard deviation `sigma` mm, 12 sigma wide, with the VRR 2 pi sigma^2.
 fn tif(sigma: f64) -> Tif {
     let axis = Axis::new(-6.0 * sigma, 0.1 * sigma, 121).unwrap();
     let g = |d: f64| (-0.5 * (d / sigma).powi(2)).exp();
@@ -45,7 +45,7 @@ fn settings(classes: usize, max_velocity_mm_per_s: f64) -> MultiPitchSettings {
     }
 }
 
-/// Length of the lines (segments along x) of every region, mm.
+/// Returns the length of the lines (segments along x) of every region, mm.
 fn line_length_mm(made: &MultiPitch) -> Vec<f64> {
     let mut length = vec![0.0; made.report.regions.len()];
     for i in 0..made.path.len() {
@@ -57,7 +57,7 @@ fn line_length_mm(made: &MultiPitch) -> Vec<f64> {
     length
 }
 
-/// Pairs of lines that lie on each other, to 1e-9 mm.
+/// Returns the number of pairs of lines that coincide to 1e-9 mm.
 fn coincident(path: &ToolPath) -> usize {
     let mut by_line: BTreeMap<i64, Vec<[f64; 2]>> = BTreeMap::new();
     for (i, p) in path.point_mm().windows(2).enumerate() {
@@ -413,7 +413,7 @@ proptest! {
     }
 }
 
-/// A ramp of 40 nm over 40 mm, and the Gaussian TIF.
+/// Writes the inputs: a ramp of 40 nm over 40 mm, and the Gaussian TIF.
 fn write_inputs(dir: &Path) {
     let surface = map([40.0, 20.0], 0.5, |x, _| x);
     save(&dir.join("surface"), "height_nm", surface.height_nm().clone());

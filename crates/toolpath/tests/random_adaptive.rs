@@ -26,7 +26,7 @@ fn settings(construction: Construction) -> RandomAdaptiveSettings {
     }
 }
 
-/// Pixels of `pixel` mm; `removal(x, y)` is NaN outside.
+/// Makes a map of the desired removal, nm, with pixels of `pixel` mm; `removal(x, y)` is NaN outside.
 fn map(size: [f64; 2], pixel: f64, removal: impl Fn(f64, f64) -> f64) -> Surface {
     let [x, y] = size.map(|s| Axis::new(0.0, pixel, (s / pixel).round() as usize + 1).unwrap());
     let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
@@ -39,7 +39,7 @@ fn only(inside: bool) -> f64 {
     if inside { 1.0 } else { f64::NAN }
 }
 
-/// Pairs of steps with the tool on that meet, by integers; neighbours do not count.
+/// Returns the number of pairs of steps with the tool on that meet; neighbours do not count.
 ///
 /// Coordinates are rounded to 2^-30 mm, so that every determinant is exact in 128 bits.
 fn crossings(path: &ToolPath) -> usize {
@@ -66,7 +66,7 @@ fn crossings(path: &ToolPath) -> usize {
     count
 }
 
-/// Closed passes, lifts only between them.
+/// Returns true if all passes are closed, with lifts between them only.
 fn is_closed(path: &ToolPath) -> bool {
     let (point, pass) = (path.point_mm(), path.pass_idx());
     let on: Vec<usize> = (0..path.len()).filter(|i| path.tool_on()[*i]).collect();
@@ -344,7 +344,7 @@ proptest! {
     }
 }
 
-/// Runs `random-adaptive --surface surface` and the arguments: exit code and what it said.
+/// Runs `random-adaptive --surface surface` with `arguments`; returns the exit code and the printed text.
 fn run(dir: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let surface = dir.join("surface");
     let axis = |n| Array1::from_iter((0..n).map(|i| 0.5 * f64::from(i))).into_dyn();

@@ -5,11 +5,12 @@ use planish_types::PathDistance;
 
 use super::MotionInput;
 
-/// Returns the distance of the plan from its path; `None` if neither a path nor the maker of the plan states it.
+/// Returns the distance of the plan from its path; `None` if no path is given and the manifest of the plan does not
+/// state it.
 ///
 /// # Errors
 ///
-/// A plan that leaves its path by more than the tolerance, and a path of another plan.
+/// Fails for a plan that leaves its path by more than the tolerance, and for a path of another plan.
 pub(super) fn checked(
     flags: &NearPathArgs,
     motion: &MotionInput,
@@ -35,7 +36,7 @@ pub(super) fn checked(
     }
 }
 
-/// Says how far the plan is from its path.
+/// Prints the distance of the plan from its path, or warns that it is unknown.
 pub(super) fn tell(distance: Option<&PathDistance>) {
     match distance {
         Some(distance) => say(format!("the plan is {distance}")),

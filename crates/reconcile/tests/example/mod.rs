@@ -5,7 +5,7 @@
 use ndarray::Array2;
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
 
-/// 18 x 12 mm in pixels of 0.3 mm.
+/// Returns the grid of the map: 18 x 12 mm in pixels of 0.3 mm.
 pub fn grid() -> Grid {
     Grid { x: Axis::new(-2.0, 0.3, 61).unwrap(), y: Axis::new(1.0, 0.3, 41).unwrap() }
 }
@@ -23,13 +23,13 @@ const WAVES: [(f64, f64, f64); 8] = [
     (1.5, -0.2, 1.5),
 ];
 
-/// Desired removal of the raster, nm.
+/// Returns the desired removal of the raster, nm.
 fn wanted_nm(x: f64, y: f64) -> f64 {
     let wave = |(k, (a, kx, ky)): (usize, &(f64, f64, f64))| a * (kx * x + ky * y + k as f64).sin();
     30.0 + WAVES.iter().enumerate().map(wave).sum::<f64>()
 }
 
-/// The map before the run, with two invalid pixels.
+/// Makes the map before the run, with two invalid pixels.
 pub fn before() -> Surface {
     let grid = grid();
     let height =
@@ -54,7 +54,7 @@ pub fn gaussian(scale: f64, along: f64, across: f64, angle_rad: f64) -> Tif {
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }
 
-/// Place of the machine for every point of the plan.
+/// Function from a point of the plan to the position at which the machine executes it, mm.
 pub type Place<'a> = &'a dyn Fn([f64; 2]) -> [f64; 2];
 
 /// Lines 0.8 mm apart from 3 mm before the map to 3 mm beyond, in pieces of 0.8 mm; every point where `place` says.
@@ -75,7 +75,7 @@ pub fn raster(place: Place<'_>) -> Trajectory {
     motion.build().unwrap()
 }
 
-/// The raster as planned.
+/// Returns the raster as planned.
 pub fn planned() -> Trajectory {
     raster(&|p| p)
 }

@@ -16,7 +16,7 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// Places along each piece at which the direct sum puts its time (Gauss's rule of two points on each half).
 pub const NODES: [f64; 4] = [0.105_662_433, 0.394_337_567, 0.605_662_433, 0.894_337_567];
 
-/// Part and tool of a kind of case.
+/// Part and tool of one kind of test case.
 #[derive(Clone, Copy, Debug)]
 struct Kind {
     name: &'static str,
@@ -48,7 +48,7 @@ const HALF_MM: f64 = 5.0;
 /// Rounds of the multiplicative planner.
 const ROUNDS: usize = 25;
 
-/// True errors of machine and tool.
+/// True errors of machine and tool, in the units of the parameters.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Truth {
     pub rate: f64,
@@ -62,7 +62,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// The errors of the machine of a seed: half of the machines have no magnification, and half no drift.
+    /// Draws the errors of the machine of a seed: half of the machines have no magnification, and half no drift.
     fn random(rng: &mut ChaCha8Rng, seed: u64) -> Self {
         Self {
             rate: rng.random_range(-0.05..0.05),
@@ -104,7 +104,7 @@ impl Tool {
         self.sampled_to(errors, 5.5 * self.sigma_mm)
     }
 
-    /// The tool at the pitch of the map, at which a simulation is fastest, out to `half_mm` along x and y.
+    /// Samples the tool at the pitch of the map, at which a simulation is fastest, out to `half_mm` along x and y.
     fn sampled_to(&self, errors: &Truth, half_mm: f64) -> Tif {
         let step = self.pitch_mm;
         let n = (half_mm / step).ceil() as usize;
@@ -117,7 +117,7 @@ impl Tool {
     }
 }
 
-/// One run.
+/// One run with known errors, and its maps.
 pub struct Case {
     seed: u64,
     pub kind: &'static str,
@@ -166,14 +166,14 @@ impl Figure {
     }
 }
 
-/// A normal number from two uniform ones (Box and Muller).
+/// Draws a normal number from two uniform ones (Box and Muller).
 pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random_range(0.0..1.0));
     (-2.0 * u.ln()).sqrt() * (2.0 * std::f64::consts::PI * v).cos()
 }
 
 impl Case {
-    /// The case of a seed: part, tool and path change with it, and half of the machines have no magnification.
+    /// Makes the case of a seed: part, tool and path change with it, and half of the machines have no magnification.
     pub fn new(seed: u64, sigma_nm: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let kind = KINDS[(seed % 3) as usize];
@@ -250,7 +250,7 @@ impl Case {
         self
     }
 
-    /// The map after the run on other pixels, with noise of its own.
+    /// Returns the map after the run on other pixels, with noise of its own.
     pub fn after_on(&self, grid: Grid) -> Surface {
         let removal = executed(&grid, &self.trajectory, &self.tool, &self.truth);
         let mut rng = ChaCha8Rng::seed_from_u64(2_000_000 + self.seed);
@@ -317,7 +317,7 @@ impl Case {
         .unwrap()
     }
 
-    /// Error of every parameter over its standard error; `None` where it is not determined.
+    /// Returns the error of every parameter over its standard error; `None` if it is not determined.
     pub fn over_errors(&self, found: &Reconciled) -> Vec<(String, Option<f64>)> {
         let t = &self.truth;
         let truth = [
@@ -373,7 +373,7 @@ pub fn middle(grid: &Grid) -> [f64; 2] {
     [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()))
 }
 
-/// Corners of a raster along x or along y, to and fro or always in one order, with pieces as long as the pitch.
+/// Returns the corners of a raster along x or y, in both directions or always in one, with pieces as long as the pitch.
 pub fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
     let [x, y] = [&grid.x, &grid.y].map(|a| (a.start_mm() - beyond, a.end_mm() + beyond));
     let count = |(from, to): (f64, f64)| ((to - from) / pitch).ceil() as usize + 1;
@@ -394,7 +394,8 @@ pub fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2
     path
 }
 
-/// Time of every piece, s: multiplicative rounds from an even dwell, with the tool that the planner believes in.
+/// Returns the time of every piece, s, by multiplicative rounds from an even dwell, with the tool that the planner
+/// assumes.
 pub fn planned(
     grid: &Grid,
     path: &[[f64; 2]],
@@ -440,7 +441,8 @@ pub fn motion(path: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
     motion.build().unwrap()
 }
 
-/// The direct sum: the analytic tool at the displaced places, four per piece, with the rate of its time.
+/// Returns the removal by a direct sum, nm: the analytic tool at the displaced points, four per piece, with the rate of
+/// their time.
 fn executed(grid: &Grid, trajectory: &Trajectory, tool: &Tool, t: &Truth) -> Array2<f64> {
     let middle = middle(grid);
     let (sine, cosine) = t.rotation_rad.sin_cos();

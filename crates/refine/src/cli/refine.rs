@@ -89,14 +89,14 @@ pub struct Refine {
     output: OutputArgs,
 }
 
-/// Parser of the names in the table of schedulers.
+/// Returns the parser of the flag for the scheduler, which takes the names in the table of schedulers.
 fn scheduler_of_name() -> impl TypedValueParser<Value = &'static Named> {
     let names = SCHEDULERS.iter().map(|named| PossibleValue::new(named.name).help(named.about));
     PossibleValuesParser::new(names)
         .map(|name| by_name(&name).expect("clap takes these names only"))
 }
 
-/// All settings, and true if the user gave the number of rounds.
+/// All settings for the manifest; `stop_at_max_rounds` is true if the user gave the number of rounds.
 #[derive(Serialize)]
 struct Resolved<'a> {
     #[serde(flatten)]
@@ -180,7 +180,7 @@ impl Refine {
         Ok(status)
     }
 
-    /// Refuses a setting of another scheduler.
+    /// Refuses a flag that belongs to another scheduler than the chosen one.
     fn check_choices(&self) -> Result<(), Failure> {
         let own = [
             ("--mode", "pvt", self.mode == pvt::ModeChoice::default()),
@@ -215,7 +215,8 @@ impl Refine {
         Ok(settings)
     }
 
-    /// Says what every round gave, and the end.
+    /// Prints the result of every round, and the reason why the loop ended. `round_s` are the computing times of the
+    /// rounds, s.
     fn tell(&self, refined: &Refined, settings: &RefineSettings, round_s: &[f64]) {
         let best = &refined.iterates[refined.best];
         for ((round, i), cost_s) in refined.iterates.iter().enumerate().zip(round_s) {
@@ -255,20 +256,20 @@ fn read_process(path: &Path, inputs: &mut Inputs) -> Result<ErrorBudget, Failure
     Ok(process)
 }
 
-/// Outcome in the manifests.
+/// Results of the refinement, as the manifests (the records of the run) state them.
 #[derive(Clone, Serialize)]
 struct RefineOutcome<'a> {
     #[serde(flatten)]
     plan: PlanOutcome,
-    /// Residuals and times without and with the errors of the process, if the loop knows it.
+    /// Comparison of the plans without and with the process; left out without an error budget.
     #[serde(skip_serializing_if = "Option::is_none")]
     error_budget: Option<&'a Price>,
-    /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
+    /// Lattice of the map on which the TIF was resampled; left out if the TIF was used as it is.
     #[serde(skip_serializing_if = "Option::is_none")]
     tif_lattice: Option<TifLattice>,
 }
 
-/// Returns what the manifests say of the best round.
+/// Returns the results of the best round for the manifests.
 fn outcome<'a>(
     refined: &Refined,
     price: Option<&'a Price>,
@@ -287,7 +288,7 @@ fn outcome<'a>(
     RefineOutcome { plan, error_budget: price, tif_lattice: refined.tif_lattice }
 }
 
-/// Returns the sentence on the residuals and times of the plans without and with the process.
+/// Returns the sentence that compares residuals and times of the plans made without and with the process.
 fn words(price: &Price) -> String {
     let Price { name, without, with, kept, not_in_the_objective, .. } = price;
     let objective = match not_in_the_objective.as_slice() {

@@ -1,4 +1,4 @@
-//! A run with hidden errors, and the map that is measured after it.
+//! A run of the virtual machine: a run with hidden errors, and the map that is measured after it.
 
 use std::path::PathBuf;
 
@@ -47,17 +47,17 @@ pub struct VirtualRun {
     tif_as_sampled: bool,
 }
 
-/// Numbers of a run that nobody else reads.
+/// Results of a run of the virtual machine that only its manifest has.
 #[derive(Serialize)]
 struct RunReport {
     coverage: Coverage,
-    /// State in which an axis with play begins, in a sentence; absent without play.
+    /// Sentence on the state in which an axis with play begins; left out without play.
     #[serde(skip_serializing_if = "Option::is_none")]
     backlash_start: Option<&'static str>,
 }
 
 impl VirtualRun {
-    /// Returns the files of the error budget and of the map to be measured, if the command line has them.
+    /// Returns the file of the error budget and the directory for the measured map; `None` without these flags.
     pub fn files(&self) -> Option<(&PathBuf, &PathBuf)> {
         self.error_budget.as_ref().zip(self.measured_out.as_ref())
     }

@@ -50,7 +50,7 @@ pub struct FromMapsArgs {
     clip_negative: bool,
 }
 
-/// Prints the place of a spot, its shift and the noise.
+/// Prints the centre of a spot, the shift between its maps and the noise outside it.
 fn say_spot(program: &str, spot: &Spot) {
     say(format!(
         "{program}: spot at {} mm, shift {} mm (standard error {} mm), noise {:.4} nm RMS outside it",
@@ -140,7 +140,8 @@ impl FromMapsArgs {
         Ok(Status::Done)
     }
 
-    /// The TIF from the maps of a spot, what was read, and what the spot is.
+    /// Makes the TIF from the maps of a spot. Returns it with the record of how the maps were read and the numbers of
+    /// the spot.
     fn of_spot(
         &self,
         after: Reading,

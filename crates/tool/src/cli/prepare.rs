@@ -16,12 +16,12 @@ use serde_json::json;
 
 use super::Name;
 
-/// Outcome in the manifest.
+/// Results of `prepare`, as the manifest (the record of the run) states them.
 #[derive(Serialize)]
 struct TifOutcome<'a> {
     #[serde(flatten)]
     report: &'a TifReport,
-    /// Fit of a formula, if one was asked for.
+    /// Report on the fitted formula; left out if none was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     fit: Option<FitReport>,
 }

@@ -1,5 +1,5 @@
-//! `planish-tool rate`, `incidence`, `spots`, `edge`, `turned`, `footprint` and `time`: tools that are not the same
-//! everywhere.
+//! `planish-tool rate`, `incidence`, `spots`, `edge`, `turned`, `footprint` and `time`: tools that vary over the part
+//! or in time. A place is a point (x, y) at which the tool stands.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,8 @@ use serde_json::json;
 
 use super::Name;
 
-/// Largest table of a law that is read, bytes.
+/// Largest table of parameter and factor that is read, bytes; a larger file is refused. Larger: more memory for a wrong
+/// file. Smaller: long tables are refused.
 const LARGEST_TABLE_BYTES: u64 = 1 << 22;
 
 /// Place at which a rate law acts.
@@ -36,17 +37,17 @@ enum Acts {
     Tool,
 }
 
-/// Wanted error without `--error`, relative to the tool. Larger: plans that miss the real tool. Smaller: more kernels,
-/// each of which costs as much as a constant tool.
+/// Wanted error without `--error`: root mean square over the places, relative to the tool. Larger: plans that miss the
+/// real tool. Smaller: more kernels, each of which costs as much as a constant tool.
 const DEFAULT_ERROR: f64 = 1e-3;
 
 /// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact
 /// than asked for.
 const DEFAULT_MAX_RANK: usize = 64;
 
-/// Largest difference of a tool from that of tilts in the other order, relative to it, which is not said. Larger: a
-/// spot that lies turned is not noticed. Smaller: round spots whose samples differ a little from round are named.
-/// Chosen: the wanted error of kernels and weights.
+/// Difference between the footprints of two orders of the tilts, relative to the footprint, up to which the user is not
+/// warned. Larger: a spot that lies turned is not noticed. Smaller: warnings for spots that are nearly round. Chosen:
+/// the wanted error of kernels and weights.
 const MOST_OF_OTHER_TILTS: f64 = DEFAULT_ERROR;
 
 /// Exactness of the tool.
@@ -89,7 +90,7 @@ struct MakeArgs {
 }
 
 impl MakeArgs {
-    /// Refuses settings of kernels and weights for a factor of the pixels, which has none of them.
+    /// Refuses flags of kernels and weights if the factor acts on the pixels, because such a tool has neither.
     fn refuse_all(&self) -> Result<(), Failure> {
         let Self { exact: ExactArgs { error, max_rank }, spacing_mm, beyond_mm, .. } = self;
         let flags = [
@@ -106,13 +107,14 @@ impl MakeArgs {
         }
     }
 
-    /// Distance beyond the valid pixels up to which a tool with this mean is known, mm.
+    /// Returns the distance beyond the valid pixels up to which the tool is known, mm. Without the flag it is the
+    /// larger half size of `tif`.
     fn beyond_mm(&self, tif: &Tif) -> f64 {
         let [x, y] = tif.half_size_mm();
         self.beyond_mm.unwrap_or(x.max(y))
     }
 
-    /// The rectangle of the places of the tool, [low, high].
+    /// Returns the corners [low, high] of the rectangle of tool positions: the map, and the distance beyond it.
     fn rectangle(&self, surface: &Surface, tif: &Tif) -> [[f64; 2]; 2] {
         let grid = surface.grid();
         let beyond = self.beyond_mm(tif);
@@ -123,8 +125,8 @@ impl MakeArgs {
         })
     }
 
-    /// Checks a parameter of the places at the corners of the rectangle, before anything is written: what does not
-    /// exist at some place does not at one of these.
+    /// Checks the function `parameter` at the corners of the rectangle before anything is written. If it is undefined
+    /// anywhere, it is undefined at a corner.
     fn check_corners<T>(
         &self,
         (surface, tif): (&Surface, &Tif),
@@ -137,7 +139,8 @@ impl MakeArgs {
         Ok(())
     }
 
-    /// Makes kernels and weights of the tool `of`, and writes them with the factors of `base`.
+    /// Computes kernels and weights of the tool `local_tool` on `offsets`, and writes them with the pixel and time
+    /// factors of `base`. `counts` says at which places the tool is used.
     fn make<S: Serialize>(
         &self,
         name: Name,
@@ -170,12 +173,12 @@ impl MakeArgs {
     }
 }
 
-/// Places no further than `beyond_mm` from the valid pixels.
+/// Returns a function that is true at places no farther than `beyond_mm` from the valid pixels.
 fn near<'a>(places: &'a Places<'a>, beyond_mm: f64) -> Box<Used<'a>> {
     Box::new(move |p| places.parameter(Parameter::EdgeDistance, p).is_ok_and(|mm| mm >= -beyond_mm))
 }
 
-/// Writes a tool, and says what it is.
+/// Writes a tool, and prints its main numbers. `report` is absent for tools without kernels and weights.
 fn write(
     mut output: Box<planish_handoff::Writer>,
     name: Name,
@@ -229,7 +232,7 @@ struct FormArgs {
 }
 
 impl FormArgs {
-    /// The places of a map, of a part with this form.
+    /// Returns the geometry of the part from the map `surface` and from the form that the flags give, if any.
     fn places<'a>(&self, surface: &'a Surface, inputs: &mut Inputs) -> Result<Places<'a>, Failure> {
         let places = Places::new(surface);
         match (self.sphere_radius_mm, &self.form) {
@@ -334,7 +337,7 @@ impl FactorArgs {
     }
 }
 
-/// A tool with a further factor of the pixels.
+/// Returns the tool `tif` with a further factor for each pixel; an earlier factor of the pixels is multiplied with it.
 fn with_factor(tif: &Tif, mut pixels: PixelFactor) -> Result<Tif, Failure> {
     let mut numbers = tif.numbers();
     if let Some(before) = tif.variation().and_then(|v| v.factor_on(&pixels.grid)) {
@@ -480,7 +483,7 @@ impl TurnedArgs {
     }
 }
 
-/// The grid of the corners of a map.
+/// Returns a grid of 2 x 2 points at the corners of a map.
 fn corners(map: &Grid) -> Result<Grid, Invalid> {
     let [x, y] = [map.x, map.y].map(|axis| {
         let size_mm = (axis.end_mm() - axis.start_mm()).max(axis.step_mm());
@@ -635,13 +638,14 @@ impl TimeArgs {
     }
 }
 
-/// Warns of a table whose incidences may be in radians.
+/// Warns if the incidences of a table, its first column, may be in radians instead of degrees.
 fn doubt_incidences(pairs: &[[f64; 2]]) {
     let largest_deg = pairs.iter().fold(0.0, |most: f64, pair| most.max(pair[0]));
     doubts::of_incidences(largest_deg, pairs.len()).iter().for_each(warn);
 }
 
-/// Rows of two numbers, separated by blanks, commas or semicolons; lines that begin with `#` are left out.
+/// Reads rows of two numbers, separated by blanks, commas or semicolons; empty lines and those that begin with `#` are
+/// left out. `role` names the file in the manifest.
 fn read_table(inputs: &mut Inputs, role: &str, file: &Path) -> Result<Vec<[f64; 2]>, Failure> {
     let bytes = inputs.read_bytes(role, file, LARGEST_TABLE_BYTES)?;
     let about = |e: Invalid| Failure::new(format!("{}: {e}", file.display()));

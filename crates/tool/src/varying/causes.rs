@@ -1,4 +1,4 @@
-//! The tools of [`crate::varying`] at every place.
+//! The tools of [`crate::varying`] as functions of the place, the position [x, y] of the tool on the part.
 
 use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Pose, Tif};
@@ -10,13 +10,14 @@ use super::{
     place::{Parameter, Places},
 };
 
-/// Samples of a tool at a place, nm/s, on its own offsets; of one that turns with its motion, along x.
+/// Returns the samples of `tif` with the tool at `tool_mm`, nm/s, on the offsets of the TIF. A tool that turns with its
+/// motion is taken in motion along x.
 pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
     tif.variation()
         .map_or_else(|| tif.rate_nm_per_s().clone(), |v| v.rate_at(Pose::along_x(tool_mm)))
 }
 
-/// Factor of the rate by a parameter of the place.
+/// Law of the factor of the removal rate, as a function of a parameter of the place.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RateLaw {
@@ -25,7 +26,7 @@ pub enum RateLaw {
         /// Exponent; below 0 the rate rises with the angle.
         exponent: f64,
     },
-    /// Linear between given pairs of parameter and factor, which ascend; constant beyond them.
+    /// Linear between given pairs, whose parameters ascend; constant beyond the first and the last.
     Table {
         /// Pairs [parameter, factor].
         pairs: Vec<[f64; 2]>,
@@ -33,7 +34,8 @@ pub enum RateLaw {
 }
 
 impl RateLaw {
-    /// Checks the numbers. Refuses an exponent that is none, and a table that is empty or does not ascend.
+    /// Checks the values of the law. Refuses an exponent that is not finite, and a table that is empty or does not
+    /// ascend.
     pub fn check(&self) -> Result<(), Invalid> {
         match self {
             Self::Cosine { exponent } if !exponent.is_finite() => {
@@ -44,7 +46,7 @@ impl RateLaw {
         }
     }
 
-    /// Returns the factor at a parameter.
+    /// Returns the factor of the rate at a value of the parameter (for the cosine: an angle in degrees).
     pub fn factor(&self, parameter: f64) -> f64 {
         match self {
             Self::Cosine { exponent } => parameter.to_radians().cos().powf(*exponent),
@@ -56,7 +58,7 @@ impl RateLaw {
     }
 }
 
-/// Refuses pairs whose first numbers do not ascend.
+/// Refuses an empty table, and pairs whose first numbers do not ascend; `name` is the setting in the message.
 fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
     if pairs.is_empty() {
         return Err(Invalid::whole(
@@ -74,7 +76,8 @@ fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
     }
 }
 
-/// The two of `count` ascending numbers around a value, and how far it is from the first to the second, 0 to 1.
+/// Finds the interval of `count` ascending numbers that contains `value`. Returns the indices of its ends and the
+/// position between them, 0 to 1; beyond the numbers twice the same end.
 fn between(count: usize, value: f64, number: impl Fn(usize) -> f64) -> (usize, usize, f64) {
     match (0..count).find(|i| number(*i) > value) {
         Some(0) => (0, 0, 0.0),
@@ -91,13 +94,13 @@ fn between(count: usize, value: f64, number: impl Fn(usize) -> f64) -> (usize, u
 #[derive(Clone, Debug)]
 pub struct Spots {
     offsets: Grid,
-    /// Parameter and samples of every spot on `offsets`, ascending.
+    /// Parameter and samples, nm/s, of every spot on `offsets`, by ascending parameter.
     spots: Vec<(f64, Array2<f64>)>,
 }
 
 impl Spots {
-    /// Resamples the spots, each with its parameter, to the pitch of the first one, over the offsets that any of them
-    /// has.
+    /// Resamples the spots, each with its parameter, to the pitch of the first one and to the offsets that at least one
+    /// of them covers.
     ///
     /// # Errors
     /// Refuses no spots, spots that vary over the part, and parameters that are no numbers or those of two spots.
@@ -143,12 +146,12 @@ impl Spots {
         Ok(Self { offsets, spots: spots.collect() })
     }
 
-    /// Offsets of the samples.
+    /// Returns the grid of the offsets of the samples from the tool, mm.
     pub fn offsets(&self) -> Grid {
         self.offsets
     }
 
-    /// Returns the tool at a parameter.
+    /// Returns the samples of the tool at a value of the parameter, nm/s, shape (ny, nx) of the offsets.
     pub fn tool(&self, parameter: f64) -> Array2<f64> {
         let (before, after, f) = between(self.spots.len(), parameter, |i| self.spots[i].0);
         &self.spots[before].1 * (1.0 - f) + &self.spots[after].1 * f
@@ -183,44 +186,47 @@ pub struct Overhang<'a> {
     places: &'a Places<'a>,
     law: PressureLaw,
     radius_mm: f64,
-    /// Offsets of the pad, mm.
+    /// Offsets of the points of the pad from its centre, mm.
     pad_mm: Vec<[f64; 2]>,
-    /// Places of the part at which enough of the pad is covered, mm: the middle, or many if it is none of them.
+    /// Positions of the tool at which enough of the pad is covered, mm. It is the middle of the part alone, or many
+    /// positions if the middle is not one.
     covered_mm: Vec<[f64; 2]>,
 }
 
-/// Smallest covered fraction of the pad for which the uniform law is used. A tool further outside has the pressure of
-/// the place towards the middle of the part at which so much is covered, or towards the nearest such place. Larger:
-/// pads that hang over far have too little pressure. Smaller: the pressure grows without bound where nobody works.
+/// Smallest covered fraction of the pad for which the uniform law is used. A tool farther outside gets the pressure at
+/// the nearest position, towards the middle of the part or the nearest covered one, with this fraction. Larger: pads
+/// that hang over far have too little pressure. Smaller: the pressure grows without bound where nobody works.
 const LEAST_COVERED_UNIFORM: f64 = 0.4;
 
-/// The same for the linear law: below what a straight edge leaves where a third of the diameter hangs over, 0.7.
-/// Further outside the pad tilts off the part, and no linear pressure without a negative part is in equilibrium.
+/// Smallest covered fraction of the pad for which the linear law is used. A straight edge leaves 0.7 where a third of
+/// the diameter hangs over. Farther outside the pad tilts off the part, and no linear pressure without a negative part
+/// is in equilibrium.
 const LEAST_COVERED_LINEAR: f64 = 0.6;
 
-/// Range of the covered fraction, about the smallest one, in which the pressure levels off. Larger: pressures that are
-/// too small where the law still holds. Smaller: a kink of the pressure along the edge, which weights on a lattice
-/// miss. Chosen: the law holds as it is where a third of the diameter hangs over a straight edge. A ring of 300 mm with
-/// a hole of 60 mm and a pad of 40 mm has an error of 0.0055 (0.0228 without the range, 0.0103 with 0.1).
+/// Width of the range of the covered fraction in which the pressure passes smoothly to a constant, about the smallest
+/// fraction. Larger: pressures that are too small where the law still holds. Smaller: a kink of the pressure along the
+/// edge, which weights on a lattice miss. Chosen: the law holds as it is where a third of the diameter hangs over a
+/// straight edge. A ring of 300 mm with a hole of 60 mm and a pad of 40 mm has an error of 0.0055 (0.0228 without the
+/// range, 0.0103 with 0.1).
 const LEVELLED_OFF: f64 = 0.2;
 
-/// Distance of the places of the part among which the nearest one is searched, over the radius of the pad. Larger: a
-/// direction towards the part that is less exact. Smaller: more time.
+/// Distance between the positions among which the nearest covered one is searched, as a fraction of the radius of the
+/// pad. Larger: a direction towards the part that is less exact. Smaller: more time.
 const SEARCHED_OVER_RADIUS: f64 = 0.125;
 
-/// Largest number of such places. Larger: more time for small pads on large parts. Smaller: larger distances between
-/// them.
+/// Largest number of positions among which the nearest covered one is searched. Larger: more time for small pads on
+/// large parts. Smaller: larger distances between them.
 const MOST_SEARCHED: f64 = 20_000.0;
 
-/// Number of halvings with which that place is found: to 1e-4 of the distance to the nearest one. Larger: more time.
-/// Smaller: a step in the pressure.
+/// Number of halvings that find the first position at which enough of the pad is covered: to 1e-4 of the distance to
+/// the nearest covered one. Larger: more time. Smaller: a step in the pressure.
 const HALVINGS: usize = 14;
 
 /// Number of points along the diameter of the pad. Larger: more time. Smaller: the covered area is less exact.
 const POINTS_OF_PAD: usize = 61;
 
 impl<'a> Overhang<'a> {
-    /// Makes a round pad of a radius, mm, whose removal on the part is `tif`.
+    /// Makes a round pad of the radius `pad_radius_mm`, whose removal is `tif` where all of it is on the part.
     ///
     /// # Errors
     /// Refuses a TIF that varies over the part, and a pad that is smaller than a sample or nowhere covered enough.
@@ -276,7 +282,7 @@ impl<'a> Overhang<'a> {
         Ok(pad)
     }
 
-    /// Smallest covered fraction of the pad for which the law is used.
+    /// Returns the smallest covered fraction of the pad for which its law is used.
     fn least_covered(&self) -> f64 {
         match self.law {
             PressureLaw::Uniform => LEAST_COVERED_UNIFORM,
@@ -284,36 +290,37 @@ impl<'a> Overhang<'a> {
         }
     }
 
-    /// Points of the pad, and the part of each that is on the part.
+    /// Returns the offsets of the points of the pad, mm, and the fraction (0 to 1) of each that lies on the part if the
+    /// tool is at `p`.
     fn points(&self, p: [f64; 2]) -> impl Iterator<Item = ([f64; 2], f64)> {
         self.pad_mm.iter().map(move |u| (*u, self.places.covered([p[0] + u[0], p[1] + u[1]])))
     }
 
-    /// Returns the fraction of the pad on the part, for a tool at a place.
+    /// Returns the fraction of the pad that lies on the part, for a tool at `p`, mm.
     pub fn covered(&self, p: [f64; 2]) -> f64 {
         self.points(p).map(|(_, part)| part).sum::<f64>() / self.pad_mm.len() as f64
     }
 
-    /// Returns true if the whole pad is on the part, and false if nothing of it is, by the distance of the place from
-    /// the edge; `None` where the edge may be under the pad.
+    /// Returns true if the whole pad is on the part and false if nothing of it is, from the distance of `p` to the
+    /// edge. `None` if the edge may be under the pad.
     fn beside_edge(&self, p: [f64; 2]) -> Option<bool> {
         let far_mm = self.radius_mm + 2.0 * self.places.pixel_mm();
         let distance_mm = self.places.parameter(Parameter::EdgeDistance, p).ok()?;
         if distance_mm.abs() > far_mm { Some(distance_mm > 0.0) } else { None }
     }
 
-    /// Returns true if enough of the pad is on the part for the law to be used at the place.
+    /// Returns true if enough of the pad is on the part for its law to be used, for a tool at `p`, mm.
     pub fn is_used(&self, p: [f64; 2]) -> bool {
         self.is_covered(p, self.least_covered())
     }
 
-    /// Returns true if at least this fraction of the pad is on the part.
+    /// Returns true if at least the fraction `least` of the pad is on the part, for a tool at `p`, mm.
     fn is_covered(&self, p: [f64; 2], least: f64) -> bool {
         self.beside_edge(p).unwrap_or_else(|| self.covered(p) >= least)
     }
 
-    /// Returns the covered fraction of the pad whose pressure a place has: its own, or a smooth function of it that
-    /// ends at the smallest one.
+    /// Returns the covered fraction for which the pressure is computed: `covered` itself, or a smooth function of it
+    /// that ends at the smallest allowed one.
     fn levelled_off(&self, covered: f64) -> f64 {
         let least = self.least_covered();
         let below = least + 0.5 * LEVELLED_OFF - covered;
@@ -326,8 +333,8 @@ impl<'a> Overhang<'a> {
         }
     }
 
-    /// Returns the place itself, or the first one towards the nearest of `covered_mm` at which enough of the pad is
-    /// covered.
+    /// Returns `p` itself if enough of the pad is covered there. Otherwise it returns the first position with enough
+    /// cover on the line to the nearest of `covered_mm`.
     fn covered_enough(&self, p: [f64; 2]) -> [f64; 2] {
         let covered = self.covered(p);
         if covered >= self.levelled_off(covered) {
@@ -346,7 +353,7 @@ impl<'a> Overhang<'a> {
         towards(high)
     }
 
-    /// Returns the tool at a place.
+    /// Returns the samples of the tool at `p`, nm/s, shape of the offsets of its TIF.
     pub fn tool(&self, p: [f64; 2]) -> Array2<f64> {
         let rate = self.tif.rate_nm_per_s();
         if self.beside_edge(p) == Some(true) {
@@ -366,7 +373,8 @@ impl<'a> Overhang<'a> {
         })
     }
 
-    /// (1) without its maximum: c0 and c; none where the covered points lie on a line.
+    /// Returns c0 and the components of c of the linear law (1), without its maximum; `None` if the covered points lie
+    /// on a line.
     fn linear(&self, p: [f64; 2]) -> Option<[f64; 3]> {
         let mut moments = nalgebra::Matrix3::zeros();
         for ([x, y], part) in self.points(p).filter(|(_, part)| *part > 0.0) {
@@ -379,15 +387,15 @@ impl<'a> Overhang<'a> {
     }
 }
 
-/// The nearest of `places` to a place.
+/// Returns the one of `places` that is nearest to (x, y); `None` if there is none.
 fn nearest(places: &[[f64; 2]], [x, y]: [f64; 2]) -> Option<[f64; 2]> {
     let squares = places.iter().map(|q| ((q[0] - x).powi(2) + (q[1] - y).powi(2), *q));
     squares.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, place)| place)
 }
 
-/// Makes a spot that turns about its centre with the azimuth of its place about a middle: at the azimuth 0 it is `tif`.
-/// Returns the offsets, which hold the spot in every direction, and the tool at a place. Refuses a TIF that varies over
-/// the part.
+/// Makes a spot that turns about its centre with the azimuth of its place about `middle_mm`; at the azimuth 0 it is
+/// `tif`. Returns the offsets, which hold the spot in every direction, and the tool as a function of its place. Refuses
+/// a TIF that varies over the part.
 pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'static>>), Invalid> {
     tif.same_everywhere("a spot that turns")?;
     let spot = tif.without_zero_margins().into_owned();
@@ -415,7 +423,7 @@ mod tests {
     use crate::varying::{LowRankSettings, low_rank};
     use planish_types::Surface;
 
-    /// A ring from a hole of this radius to an outer radius, mm, on square pixels.
+    /// Returns the map of a ring between the radius of its hole and its outer radius, mm, on square pixels.
     fn ring([hole_mm, outer_mm]: [f64; 2], pixel_mm: f64) -> Surface {
         let half = (outer_mm / pixel_mm).round();
         let axis = Axis::new(-half * pixel_mm, pixel_mm, 2 * half as usize + 1).unwrap();

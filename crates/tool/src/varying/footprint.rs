@@ -8,9 +8,10 @@
 //!                     c = cos b = - n . r,   r = direction of the ray at x
 //! ```
 //!
-//! K is the rate along z, and R the TIF as it was measured on a flat part. In (1), t1 and t2 are where the tilts of the
-//! machine ([`ToolFrame`]) turn the axes x and y of the TIF. The first factor of (1) is the shorter projection of the
-//! spot, and 1 / n_z turns the rate along the normal into that along z.
+//! K is the rate along z, and R the TIF as it was measured on a flat part; p is the position of the tool, x a point of
+//! the part. In (1), t1 and t2 are where the tilts of the machine ([`ToolFrame`]) turn the axes x and y of the TIF. The
+//! first factor of (1) is the shorter projection of the spot, and 1 / n_z turns the rate along the normal into that
+//! along z.
 //!
 //! In (2) rays leave a source at the distance D above the contact point, and e is how much deeper than this point the
 //! part lies at x. A ray that passes the plane of the contact point at w was measured there under the angle a. On the
@@ -34,30 +35,30 @@ use super::{causes::RateLaw, place::Places};
 /// Direction of a tool over a curved part.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Direction {
-    /// Along the normal at the contact point, turned there by the tilts of a machine.
+    /// Along the normal at the contact point, turned into it by the tilts of a machine.
     Normal(Box<ToolFrame>),
     /// Along z everywhere.
     Fixed {
-        /// Yield by the angle of incidence.
+        /// Law of the yield as a function of the angle of incidence, degrees (Y of the module).
         rate_law: RateLaw,
         /// Distance of the point from which the rays come, mm; `None` for parallel rays.
         source_distance_mm: Option<f64>,
     },
 }
 
-/// Axis of a machine that carries the others which turn its tool to the normal.
+/// Axis of a machine that carries the other axis, with which it turns the tool to the normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Carrier {
-    /// The tilt about x, which carries that about y.
+    /// The tilt about x carries the tilt about y.
     A,
-    /// The tilt about y, which carries that about x.
+    /// The tilt about y carries the tilt about x.
     B,
-    /// A spindle under a tilt in the plane of its radius.
+    /// A spindle turns the part, and a tilt in the plane of its radius tilts the tool.
     Spindle,
 }
 
-/// The way in which a machine turns its tool to the normal n of the part.
+/// Directions to which the axes of the TIF turn when a machine turns its tool to the normal n of the part.
 ///
 /// ```text
 /// a carries b    t2 = (0, n_z, -n_y) / |..|,   t1 = t2 x n        the axis y of the tool stays in the plane of y and z
@@ -70,17 +71,17 @@ pub enum Carrier {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ToolFrame {
     carrier: Carrier,
-    /// Directions of the part to those of the machine, and back.
+    /// Transforms of directions from the part to the machine, and back; `None` if the axes of both coincide.
     to_machine: Option<(Transform, Transform)>,
 }
 
 impl ToolFrame {
-    /// Makes the frame of a machine along whose x and y the part lies.
+    /// Makes the frame of a machine whose x and y are those of the part.
     pub fn of_carrier(carrier: Carrier) -> Self {
         Self { carrier, to_machine: None }
     }
 
-    /// Makes the frame of a machine. Refuses one whose tool stays along z.
+    /// Makes the frame of a machine from its kinematics. Refuses one whose tool stays along z.
     pub fn of_machine(machine: &Machine) -> Result<Self, Invalid> {
         let carrier = match machine.kinematics() {
             Kinematics::Tilts { tilts: [Tilt::A, _], .. } => Carrier::A,
@@ -99,12 +100,13 @@ impl ToolFrame {
         Ok(Self { carrier, to_machine })
     }
 
-    /// Returns the axis that carries the others.
+    /// Returns the axis of the machine that carries the other one.
     pub fn carrier(&self) -> Carrier {
         self.carrier
     }
 
-    /// (3): where the axes x and y of the TIF point on a part with the unit normal `n`, in the directions of the part.
+    /// Returns the directions of the axes x and y of the TIF (t1 and t2 of the module) by (3). `n` is the unit normal
+    /// of the part, and all directions are in coordinates of the part.
     fn axes(&self, n: [f64; 3]) -> [[f64; 3]; 2] {
         let Some((there, back)) = &self.to_machine else { return self.axes_on_machine(n) };
         let [nx, ny] = there.direction([n[0], n[1]]);
@@ -144,7 +146,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// A tool on the form of a part.
+/// A tool on a curved part: its TIF in the coordinates of the map.
 #[derive(Debug)]
 pub struct Footprint<'a> {
     tif: &'a Tif,
@@ -153,18 +155,19 @@ pub struct Footprint<'a> {
     offsets: Grid,
 }
 
-/// Largest number of places at which two directions are compared. Larger: more time. Smaller: a place with a larger
-/// difference may be missed.
+/// Largest number of positions at which two footprints are compared. Larger: more time. Smaller: a position with a
+/// larger difference may be missed.
 const MOST_COMPARED: usize = 64;
 
-/// Height and slopes of a part relative to the contact point.
+/// Height and slopes of a part at a point, relative to the contact point.
 struct Relative {
     height_mm: f64,
     gradient: [f64; 2],
 }
 
 impl<'a> Footprint<'a> {
-    /// Makes a tool of this direction; refuses a part without a form, and a source below the part.
+    /// Makes the footprint of `tif` on the part of `places`. Refuses a part without a form, and a source below the
+    /// part.
     pub fn new(
         tif: &'a Tif,
         places: &'a Places<'a>,
@@ -195,13 +198,13 @@ impl<'a> Footprint<'a> {
         Ok(Self { tif, places, direction, offsets })
     }
 
-    /// Offsets of the samples.
+    /// Returns the grid of the offsets of the samples from the tool, mm.
     pub fn offsets(&self) -> Grid {
         self.offsets
     }
 
-    /// Returns the largest difference of the tool from that of another direction at the edge of the part, root mean
-    /// square over its offsets, relative to it.
+    /// Returns the largest difference between this footprint and `other` at the edge of the part: root mean square over
+    /// the offsets, relative to this footprint.
     pub fn largest_difference(&self, other: &Self) -> f64 {
         let border = self.places.border_mm();
         let every = border.len().div_ceil(MOST_COMPARED).max(1);
@@ -213,7 +216,7 @@ impl<'a> Footprint<'a> {
         });
         differences.fold(0.0, f64::max)
     }
-    /// Returns the samples of the rate along z of a tool at a place, nm/s.
+    /// Returns the samples of the removal rate along z for a tool at `tool_mm`, nm/s.
     pub fn tool(&self, tool_mm: [f64; 2]) -> Array2<f64> {
         let form = self.places.form().expect("checked in the constructor");
         let here = form.point(tool_mm);
@@ -235,7 +238,7 @@ impl<'a> Footprint<'a> {
         })
     }
 
-    /// (1) or (2), nm/s.
+    /// Returns the removal rate along z at the offset `u` from the tool, nm/s, by (1) or (2) of the module.
     fn rate(
         &self,
         tool_mm: [f64; 2],
@@ -279,7 +282,8 @@ impl<'a> Footprint<'a> {
     }
 }
 
-/// Height and slopes at an offset from a place, by its Taylor polynomial of second order.
+/// Returns height and slopes at the offset (x, y) from the contact point, by the Taylor polynomial of second order
+/// there.
 fn continued(contact: &FormPoint, [x, y]: [f64; 2]) -> Relative {
     let [p, q] = contact.gradient();
     let [r, s, t] = contact.hessian();
@@ -290,7 +294,7 @@ fn continued(contact: &FormPoint, [x, y]: [f64; 2]) -> Relative {
     }
 }
 
-/// A grid of the same pitch that is larger by a factor.
+/// Returns a grid of the same pitch whose size is larger by `factor`, about the same middle.
 fn wider(grid: &Grid, factor: f64) -> Result<Grid, Invalid> {
     let [x, y] = [grid.x, grid.y].map(|axis| {
         let size = axis.end_mm() - axis.start_mm();

@@ -1,4 +1,4 @@
-//! Kernels and weights of a tool that is a function of the place.
+//! Kernels and weights of a tool that is a function of its place, the position p on the part.
 //!
 //! With the samples `K_j` of the tool at places `p_j` of a grid,
 //!
@@ -8,9 +8,10 @@
 //! a_k(p) = phi_k . K(p)                   at every place of the grid                      (2)
 //! ```
 //!
-//! By (2), `|K(p) - sum_k a_k phi_k|^2 = |K(p)|^2 - sum_k a_k^2`, which is computed at every place. Between the places
-//! the weights are interpolated; what that leaves is measured within cells. The rank is the least, and the
-//! grid the coarsest of halved ones, whose errors stay below the wanted one.
+//! The kernels phi_k are functions of the offset from the tool, and the weights a_k functions of the place. By (2),
+//! `|K(p) - sum_k a_k phi_k|^2 = |K(p)|^2 - sum_k a_k^2`, which is computed at every place. Between the places the
+//! weights are interpolated; the error of this is measured within cells. The rank, the number of kernels, is the least,
+//! and the grid the coarsest of halved ones, whose errors stay below the wanted one.
 //!
 //! A tool that only turns, with the azimuth of its place or with the direction of its motion, is sampled at angles of
 //! one turn instead of places of a grid. It is then as exact at the axis as far from it.
@@ -25,54 +26,57 @@ use planish_types::{
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Largest number of places whose samples decide the kernels. Larger: a larger matrix, and more time. Smaller: kernels
-/// that miss a rare tool.
+/// Largest number of places whose samples are used to compute the kernels. Larger: a larger matrix, and more time.
+/// Smaller: kernels that miss a tool which few places have.
 const MOST_TRAINING: usize = 400;
 
-/// Largest number of places of the weights. Larger: finer grids for tools that change fast, and more time and memory.
-/// Smaller: such tools are less exact.
+/// Largest number of places at which weights are stored. Larger: finer grids for tools that change fast, and more time
+/// and memory. Smaller: such tools are less exact.
 const MOST_PLACES: usize = 20_000;
 
 /// Number of cells along the longer side of the first grid. Larger: finer grids than smooth tools need. Smaller: more
 /// halvings.
 const FIRST_CELLS: f64 = 8.0;
 
-/// First number of angles of a tool that turns. Larger: more than smooth tools need. Smaller: more doublings.
+/// Number of angles of one turn with which the search begins, for a tool that turns. Larger: more than smooth tools
+/// need. Smaller: more doublings.
 const FIRST_ANGLES: usize = 32;
 
-/// Largest number of angles. Larger: tools with finer shapes, and more time. Smaller: such tools are less exact.
+/// Largest number of angles of one turn. Larger: tools with finer shapes, and more time. Smaller: such tools are less
+/// exact.
 const MOST_ANGLES: usize = 1024;
 
-/// Largest number of cells in which the error is measured on every lattice. Larger: more time. Smaller: a larger
-/// scatter of the measured error.
+/// Largest number of cells of a lattice in which the error between the samples is measured. Larger: more time. Smaller:
+/// a larger scatter of the measured error.
 const MOST_MEASURED: usize = 400;
 
-/// Largest number of cells in which the largest error is searched, on the last lattice. Larger: more time. Smaller: a
+/// Largest number of cells in which the largest error is searched, on the final lattice. Larger: more time. Smaller: a
 /// place with a larger error may be missed.
 const MOST_SEARCHED: usize = 2000;
 
-/// Number of cells with the largest errors in which it is searched further, and number of places along a side of each.
+/// Number of cells with the largest errors in which the search goes on, and number of places along a side of each.
 /// Larger: more time. Smaller: a largest error that is stated too small.
 const SEARCHED_FURTHER: (usize, usize) = (12, 5);
 
-/// Parts of a cell by which the place in one cell differs from that in the next, where the largest error is searched:
-/// in the middle of a cell the third-order error of Keys' interpolation vanishes. Powers of 1 / 1.3247, which cover the
-/// square evenly (M. Roberts, R2 sequence).
+/// Fractions of a cell, along x and y, by which the searched place moves from one cell to the next. Only the middles
+/// would not do: there the third-order error of Keys' interpolation vanishes. Powers of 1 / 1.3247 cover the square
+/// evenly (M. Roberts, R2 sequence).
 const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 
-/// Golden ratio less 1: its multiples are spread evenly between the whole numbers.
+/// Golden ratio less 1: the fractional parts of its multiples are spread evenly.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Part of the wanted error that the rank may take; the interpolation has the rest. Larger: fewer kernels, and finer
-/// grids. Smaller: the reverse.
+/// Fraction of the wanted error that the choice of the rank may use; interpolation has the rest. Larger: fewer kernels,
+/// and finer grids. Smaller: the reverse.
 const PART_OF_RANK: f64 = 0.5;
 
-/// Wanted exactness of a tool.
+/// Wanted exactness of the kernels and weights.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LowRankSettings {
-    /// Wanted error: root mean square over the places of the error of the samples, over that of the samples.
+    /// Wanted error, dimensionless: root mean square over the places of the error of the samples, over that of the
+    /// samples.
     pub error: f64,
-    /// Largest number of kernels.
+    /// Largest number of kernels (rank).
     pub max_rank: usize,
 }
 
@@ -96,52 +100,54 @@ impl LowRankSettings {
 pub enum Samples {
     /// Samples on a grid of places.
     Places {
-        /// Places along x and y.
+        /// Number of places along x and y.
         places: [usize; 2],
-        /// Their distance along x and y, mm.
+        /// Distance of the places along x and y, mm.
         spacing_mm: [f64; 2],
     },
-    /// Samples around a point.
+    /// Samples at azimuths of the place about the middle of the part.
     Azimuths {
-        /// Azimuths of one turn.
+        /// Number of azimuths in one turn.
         azimuths: usize,
-        /// Their distance, degrees.
+        /// Distance between azimuths, degrees.
         spacing_deg: f64,
     },
-    /// Samples at directions of the motion.
+    /// Samples at directions of the motion of the tool.
     Headings {
-        /// Headings of one turn.
+        /// Number of directions in one turn.
         headings: usize,
-        /// Their distance, degrees.
+        /// Distance between directions, degrees.
         spacing_deg: f64,
     },
 }
 
-/// Exactness of a tool of kernels and weights.
+/// Report on the errors of the kernels and weights of a tool.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LowRankReport {
-    /// Kernels.
+    /// Number of kernels.
     pub rank: usize,
     /// Number and distance of the samples of the weights.
     pub samples: Samples,
-    /// Error of the rank: root mean square over the places, relative.
+    /// Error at the samples, from the limited number of kernels alone: root mean square over the places, relative to
+    /// the tool.
     pub rank_error: f64,
-    /// Largest error of the rank at a place, relative to the root mean square of the samples.
+    /// Largest such error at a place, relative to the root mean square of the samples.
     pub largest_rank_error: f64,
-    /// Error between the places, rank and interpolation together: root mean square, relative.
+    /// Error between the samples, from the number of kernels and from the interpolation: root mean square, relative to
+    /// the tool.
     pub error: f64,
-    /// Largest error that was found between the places, relative to the root mean square of the samples.
+    /// Largest error that was found between the samples, relative to the root mean square of the samples.
     pub largest_error: f64,
-    /// Place or heading of the largest error.
+    /// Place or direction of the motion at which the largest error was found.
     pub largest_error_at: At,
-    /// Wanted error.
+    /// Wanted error, relative to the tool.
     pub wanted_error: f64,
-    /// Mean square of the samples, (nm/s)^2: what the errors are relative to.
+    /// Mean square of the samples, (nm/s)^2; the errors are relative to its root.
     #[serde(skip)]
     squares: f64,
 }
 
-/// Place or direction of the motion.
+/// Place of the tool, or direction of its motion, at which an error occurs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum At {
@@ -163,12 +169,13 @@ impl std::fmt::Display for At {
 }
 
 impl LowRankReport {
-    /// Returns true where the wanted error is reached, or missed by the rank, which more samples do not mend.
+    /// Returns true if the wanted error is reached, or if the number of kernels alone causes a larger one, which more
+    /// samples do not mend.
     fn more_samples_do_not_help(&self) -> bool {
         self.error <= self.wanted_error || self.rank_error > self.wanted_error
     }
 
-    /// Returns the sentence that says what is not reached; none if the error is below the wanted one.
+    /// Returns the sentence that says which error was not reached; `None` if the error is at most the wanted one.
     pub fn negative(&self) -> Option<String> {
         if self.error <= self.wanted_error {
             return None;
@@ -188,34 +195,36 @@ impl LowRankReport {
     }
 }
 
-/// Samples of a tool at a place [x, y], nm/s.
+/// Function that returns the samples of a tool at a place [x, y], nm/s. For a tool that turns with its motion the
+/// argument is the unit vector of the direction.
 pub type LocalTool<'a> = dyn Fn([f64; 2]) -> Array2<f64> + Sync + 'a;
 
 /// Returns true for the places [x, y] at which a tool is used.
 pub type Used<'a> = dyn Fn([f64; 2]) -> bool + Sync + 'a;
 
-/// A tool that varies, and how exact it is.
+/// A tool of kernels and weights, and the report on its errors.
 #[derive(Debug)]
 pub struct LowRank {
-    /// The tool, without factors of pixels and time.
+    /// The tool, without factors of the pixels and of the time.
     pub tool: VaryingTif,
-    /// Exactness of a tool of kernels and weights.
+    /// Report on the errors of the kernels and weights.
     pub report: LowRankReport,
 }
 
-/// Samples of the weights.
+/// Places or directions at which the weights are sampled.
 #[derive(Clone, Copy)]
 enum Lattice {
     /// Samples on a grid of places.
     Places(Grid),
-    /// Samples at azimuths of one turn about a middle, at a distance from it.
+    /// Samples at azimuths of one turn about a middle, at the distance `radius_mm` from it.
     Azimuths { middle_mm: [f64; 2], radius_mm: f64, count: usize },
-    /// Samples at directions of the motion. In place of a place they have the unit vector of the direction.
+    /// Samples at directions of the motion, each as its unit vector. `positions` is a grid that holds the places of the
+    /// part.
     Headings { positions: Grid, count: usize },
 }
 
 impl Lattice {
-    /// Number and distance of the samples, for the report.
+    /// Returns the number and distance of the samples, for the report.
     fn samples(&self) -> Samples {
         match self {
             Self::Places(Grid { x, y }) => Samples::Places {
@@ -231,8 +240,8 @@ impl Lattice {
         }
     }
 
-    /// The places of which some are used, and their neighbours: the interpolation between used places needs their
-    /// weights too, and kernels that do not know the tool there make one that adds material.
+    /// Returns the samples `used` and their neighbours. The interpolation between used places needs their weights too,
+    /// and kernels that do not know the tool there can add material.
     fn with_neighbours(&self, used: &[usize]) -> Vec<usize> {
         let Self::Places(Grid { x, y }) = self else { return used.to_vec() };
         let nx = x.len();
@@ -252,7 +261,7 @@ impl Lattice {
         }
     }
 
-    /// Place of a sample [x, y], mm.
+    /// Returns the place of sample `i`, [x, y] in mm; for directions of the motion their unit vector.
     fn place(&self, i: usize) -> [f64; 2] {
         match self {
             Self::Places(Grid { x, y }) => {
@@ -265,7 +274,7 @@ impl Lattice {
         }
     }
 
-    /// The one of the samples `used` whose place is nearest to that of sample `i`.
+    /// Returns the sample of `used` whose place is nearest to that of sample `i`.
     fn nearest(&self, used: &[usize], i: usize) -> usize {
         let here = self.place(i);
         let squares = used.iter().map(|j| {
@@ -274,12 +283,12 @@ impl Lattice {
         });
         squares.min_by(|a, b| a.0.total_cmp(&b.0)).expect("there is one").1
     }
-    /// Middles between neighbouring samples [x, y], mm.
+    /// Returns the middles of the cells between neighbouring samples, [x, y] in mm.
     fn middles(&self) -> Vec<[f64; 2]> {
         (0..self.cells()).map(|cell| self.within_cell(cell, [0.5; 2])).collect()
     }
 
-    /// Number of cells between neighbouring samples.
+    /// Returns the number of cells between neighbouring samples.
     fn cells(&self) -> usize {
         match self {
             Self::Places(Grid { x, y }) => (x.len() - 1) * (y.len() - 1),
@@ -287,7 +296,8 @@ impl Lattice {
         }
     }
 
-    /// The place [x, y], mm, at parts of a cell along x and y; along the turn, the first part counts.
+    /// Returns the place [x, y] in a cell, mm; `part` is the position within it along x and y, 0 to 1. On a turn only
+    /// the first part counts.
     fn within_cell(&self, cell: usize, part: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Places(Grid { x, y }) => {
@@ -306,7 +316,7 @@ impl Lattice {
         }
     }
 
-    /// The pose of the tool for the place of a sample, or for one between two.
+    /// Returns the position and direction of motion of the tool for a place of the lattice.
     fn pose(&self, place: [f64; 2]) -> Pose {
         match self {
             Self::Places(_) | Self::Azimuths { .. } => {
@@ -319,7 +329,7 @@ impl Lattice {
         }
     }
 
-    /// The same for the report.
+    /// Returns a place of the lattice as the report states it.
     fn named(&self, place: [f64; 2]) -> At {
         match self {
             Self::Places(_) | Self::Azimuths { .. } => At::PlaceMm(place),
@@ -330,7 +340,7 @@ impl Lattice {
     }
 }
 
-/// The place at a distance from a middle, at an azimuth from positive x in turns.
+/// Returns the point at the distance `radius_mm` from a middle, at an azimuth counted from positive x in turns.
 fn around(middle_mm: [f64; 2], radius_mm: f64, turns: f64) -> [f64; 2] {
     let (sine, cosine) = (std::f64::consts::TAU * turns).sin_cos();
     [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
@@ -365,7 +375,8 @@ pub fn low_rank_by_heading(
     low_rank_of_turn(offsets, |count| Lattice::Headings { positions, count }, local_tool, settings)
 }
 
-/// Kernels and weights on the coarsest lattice of one turn that reaches the wanted error.
+/// Computes kernels and weights on the coarsest lattice of one turn, with doubled numbers of angles, that reaches the
+/// wanted error.
 fn low_rank_of_turn(
     offsets: &Grid,
     lattice_of: impl Fn(usize) -> Lattice,
@@ -389,8 +400,8 @@ fn low_rank_of_turn(
 }
 
 /// Computes the kernels and weights of the tool `local_tool` on `offsets`, for places in the rectangle from `low_mm` to
-/// `high_mm` [x, y]. The places at which the tool is used, those that `counts` says, decide about the kernels and the
-/// errors. The places of the weights are `spacing_mm` apart, or as far as the wanted error allows.
+/// `high_mm` [x, y]. Kernels and errors follow from the places at which `counts` is true, where the tool is used. The
+/// places of the weights are `spacing_mm` apart, or as far as the wanted error allows.
 ///
 /// # Errors
 /// Refuses settings out of their range, a distance that makes too many places, no place at which the tool is used, and
@@ -437,11 +448,11 @@ pub fn low_rank(
 enum Unreached {
     /// The tool removes nothing at a place where it is used; no other lattice helps.
     NoTool(Invalid),
-    /// The samples are too few for a tool.
+    /// The samples do not make a valid tool; a finer lattice may help.
     Samples(Invalid),
 }
 
-/// Kernels and weights on a lattice.
+/// Computes kernels and weights on one lattice. `counts` says at which places the tool is used.
 fn on_lattice(
     offsets: &Grid,
     lattice: Lattice,
@@ -488,7 +499,7 @@ fn on_lattice(
     Ok(LatticeFit { basis, lattice, tif, low_rank: LowRank { tool, report } })
 }
 
-/// Refusal of a tool that removes nothing at a place where it is used.
+/// Returns the error for a tool that removes nothing at sample `i` of the lattice, where it is used.
 fn removes_nothing(lattice: Lattice, i: usize) -> Invalid {
     let problem = format!("removes nothing at {}", lattice.named(lattice.place(i)));
     let remedy = "a tool that varies removes material wherever it is used: give factors of at least 0.001, make these \
@@ -496,7 +507,7 @@ fn removes_nothing(lattice: Lattice, i: usize) -> Invalid {
     Invalid::whole("tool", problem, remedy)
 }
 
-/// Returns true if samples are finite and remove material.
+/// Returns true if the samples have a finite and positive volume.
 fn is_tool(sample: &Array2<f64>) -> bool {
     let volume = sample.sum();
     volume.is_finite() && volume > 0.0
@@ -506,7 +517,7 @@ fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     Zip::from(a).and(b).fold(0.0, |s, a, b| s + a * b)
 }
 
-/// A sample of the tool by its products with the kernels, and its square.
+/// Products of a sample of the tool with the kernels, and the sum of its squares.
 #[derive(Clone)]
 struct Projected {
     products: Vec<f64>,
@@ -514,21 +525,22 @@ struct Projected {
 }
 
 impl Projected {
-    /// `|K|^2 - sum_k a_k^2`: what the kernels miss of the sample.
+    /// Returns the squared part of the sample that the kernels miss, `|K|^2 - sum_k a_k^2`, (nm/s)^2.
     fn missed(&self) -> f64 {
         (self.square - self.products.iter().map(|a| a * a).sum::<f64>()).max(0.0)
     }
 }
 
-/// The kernels (1), orthonormal, and the root mean square of the samples that they are made of, nm/s.
+/// The orthonormal kernels phi_k of (1) of the module, and the root mean square of the samples that they are made of,
+/// nm/s.
 struct Basis {
     kernels: Vec<Array2<f64>>,
     scale: f64,
 }
 
 impl Basis {
-    /// The kernels of the samples at `taken` places: as few as the wanted error allows. `None` if none of them is a
-    /// tool.
+    /// Computes the kernels from the samples at the places `taken`, as few as the wanted error allows. `None` if none
+    /// of these samples removes material.
     fn new(
         offsets: &Grid,
         lattice: &Lattice,
@@ -580,14 +592,14 @@ impl Basis {
         Some(Self { kernels: kernels.collect(), scale: (total / training as f64).sqrt() })
     }
 
-    /// (2) for a sample of the tool.
+    /// Returns the products of a sample of the tool with the kernels: the weights of (2) of the module.
     fn project(&self, sample: &Array2<f64>) -> Projected {
         let products = self.kernels.iter().map(|kernel| dot(kernel, sample)).collect();
         Projected { products, square: dot(sample, sample) }
     }
 
-    /// Square of the error at a place between the samples, (nm/s)^2:
-    /// `|K - sum_k a_k phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2` with the interpolated a.
+    /// Returns the square of the error at a place between the samples, (nm/s)^2. It is `|K - sum_k a_k phi_k|^2 = |K|^2
+    /// - 2 a . (phi . K) + |a|^2` with the interpolated weights a.
     fn square_error(
         &self,
         tif: &Tif,
@@ -606,7 +618,7 @@ impl Basis {
         error.max(0.0)
     }
 
-    /// The tool of these kernels with the weights of the samples on a lattice.
+    /// Makes the tool of these kernels, with the products `samples` on a lattice as weights.
     fn tool(
         &self,
         offsets: &Grid,
@@ -655,7 +667,7 @@ impl Basis {
     }
 }
 
-/// Exactness of a tool of kernels and weights, at the samples of the weights and between them.
+/// Computes the errors of the kernels and weights, at the samples of the weights and between them.
 fn report(
     basis: &Basis,
     lattice: Lattice,
@@ -693,7 +705,7 @@ fn report(
     }
 }
 
-/// Kernels and weights on a lattice, and what their errors are measured with.
+/// Kernels and weights on one lattice, with the data from which their errors are measured.
 struct LatticeFit {
     basis: Basis,
     lattice: Lattice,
@@ -702,7 +714,8 @@ struct LatticeFit {
 }
 
 impl LatticeFit {
-    /// The tool, with the largest error in all cells and in the worst of them.
+    /// Returns the tool with its largest error, searched in up to [`MOST_SEARCHED`] cells and further in the worst of
+    /// them.
     fn with_largest_error(self, local_tool: &LocalTool<'_>, counts: &Used<'_>) -> LowRank {
         let Self { basis, lattice, tif, low_rank: LowRank { tool, mut report } } = self;
         let measured = |cell: usize, part: [f64; 2]| {

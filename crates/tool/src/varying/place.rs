@@ -1,4 +1,4 @@
-//! Parameters of a place of the part.
+//! Parameters of a place, a point [x, y] of the part: coordinates, radius, distance to the edge, and incidence.
 
 use planish_form::Form;
 use planish_types::{Invalid, Surface};
@@ -20,18 +20,18 @@ pub enum Parameter {
     Incidence,
 }
 
-/// A map whose places have parameters.
+/// A part given by its map and form, at whose points the parameters are computed.
 #[derive(Debug)]
 pub struct Places<'a> {
     surface: &'a Surface,
     form: Option<Form>,
     middle_mm: [f64; 2],
-    /// Valid pixels with an invalid or no neighbour.
+    /// Centres of the valid pixels that have an invalid or no neighbour, mm.
     border_mm: Vec<[f64; 2]>,
 }
 
 impl<'a> Places<'a> {
-    /// Makes the places of the map `surface`, of a part without a form.
+    /// Makes the places of the part with the valid pixels of `surface`, without a form.
     pub fn new(surface: &'a Surface) -> Self {
         let z = surface.height_nm();
         let grid = surface.grid();
@@ -52,8 +52,8 @@ impl<'a> Places<'a> {
         Self { surface, form: None, middle_mm, border_mm }
     }
 
-    /// Makes the places of a part that is a sphere of this radius of curvature, mm, with its vertex in the middle of
-    /// the valid pixels. Refuses a sphere that is smaller than the part.
+    /// Adds a form: a sphere of this radius of curvature, mm, with its vertex in the middle of the valid pixels.
+    /// Refuses a sphere that is smaller than the part.
     pub fn on_sphere(self, radius_mm: f64) -> Result<Self, Invalid> {
         let name = "sphere_radius_mm";
         let remedy = "give a radius of curvature in mm";
@@ -68,19 +68,19 @@ impl<'a> Places<'a> {
         Ok(Self { form: Some(sphere), ..self })
     }
 
-    /// Makes the places of a part with this form. Refuses a form that does not exist at a valid pixel: its slope there
-    /// would be a guess.
+    /// Adds the form of the part. Refuses one that is undefined at a valid pixel, because its slope there would be a
+    /// guess.
     pub fn with_form(self, form: Form) -> Result<Self, Invalid> {
         form.check_over(self.surface)?;
         Ok(Self { form: Some(form), ..self })
     }
 
-    /// Returns the form of the part, if it has one.
+    /// Returns the form of the part; `None` if it has none.
     pub fn form(&self) -> Option<&Form> {
         self.form.as_ref()
     }
 
-    /// Distance from the middle of the valid pixels, mm.
+    /// Returns the distance of a point from the middle of the valid pixels, mm.
     fn radius_mm_of(&self, [x, y]: [f64; 2]) -> f64 {
         (x - self.middle_mm[0]).hypot(y - self.middle_mm[1])
     }
@@ -100,13 +100,14 @@ impl<'a> Places<'a> {
         self.surface.grid().x.step_mm().max(self.surface.grid().y.step_mm())
     }
 
-    /// Area of the valid pixels, mm^2.
+    /// Returns the area of the valid pixels, mm^2.
     pub fn valid_mm2(&self) -> f64 {
         let valid = self.surface.height_nm().iter().filter(|z| !z.is_nan()).count();
         valid as f64 * self.surface.grid().pixel_mm2()
     }
 
-    /// Returns the centres of valid pixels [x, y], mm, at least a distance apart along x and y, or a pixel.
+    /// Returns the centres of valid pixels [x, y], mm, on a lattice whose distance is at most `apart_mm`, but at least
+    /// one pixel.
     pub fn valid_places(&self, apart_mm: f64) -> Vec<[f64; 2]> {
         let grid = self.surface.grid();
         let [every_x, every_y] =
@@ -118,7 +119,7 @@ impl<'a> Places<'a> {
             .collect()
     }
 
-    /// Returns the valid pixels with an invalid or no neighbour, [x, y], mm.
+    /// Returns the centres [x, y] of the valid pixels that have an invalid or no neighbour, mm.
     pub fn border_mm(&self) -> &[[f64; 2]] {
         &self.border_mm
     }
@@ -136,7 +137,8 @@ impl<'a> Places<'a> {
         r >= 0.0 && c >= 0.0 && z.get((r as usize, c as usize)).is_some_and(|z| !z.is_nan())
     }
 
-    /// Returns the part of a pixel around a point that is valid, from 0 to 1: linear between the centres of the pixels.
+    /// Returns the fraction, 0 to 1, of the pixel around a point that counts as valid. It is linear between the centres
+    /// of the pixels: 1 at a valid one, 0 at an invalid one.
     pub fn covered(&self, [x, y]: [f64; 2]) -> f64 {
         let grid = self.surface.grid();
         let [(c, fx), (r, fy)] = [(&grid.x, x), (&grid.y, y)].map(|(axis, mm)| {
@@ -150,8 +152,8 @@ impl<'a> Places<'a> {
         (1.0 - fy) * lower + fy * upper
     }
 
-    /// Returns a parameter at a point of the part, in its unit. Refuses the incidence on a part without a form, or with
-    /// one that does not exist in its middle.
+    /// Returns the value of a parameter at the point `p` of the part, in mm, or degrees for the incidence. Refuses the
+    /// incidence on a part without a form, or with one that is undefined in its middle.
     pub fn parameter(&self, parameter: Parameter, p: [f64; 2]) -> Result<f64, Invalid> {
         Ok(match parameter {
             Parameter::X => p[0],

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::FormArgs;
 
-/// Numbers of a path, as JSON.
+/// Results of `inspect`, as JSON: statistics of the path, its report along the form, and the least time in s.
 #[derive(Serialize)]
 struct Inspected {
     #[serde(flatten)]

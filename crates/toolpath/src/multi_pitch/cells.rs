@@ -1,4 +1,5 @@
-//! The lines of the regions, the cells that they form, and the order of the cells.
+//! The lines of the regions, the cells that they form, and the order of the cells. A cell is a group of lines that
+//! continue each other and are run without a lift.
 
 use ndarray::s;
 
@@ -12,36 +13,36 @@ use crate::{
     region::SLACK,
 };
 
-/// Longest link along a border between two regions, in pitches or, if they are larger, pixels: a
-/// slope of 14 degrees. Larger: longer links along borders. Smaller: more lifts.
+/// Longest link along a border between two regions, in units of the larger of pitch and pixel: a slope of 14 degrees.
+/// Larger: longer links along borders. Smaller: more lifts.
 const LONGEST_LINK: f64 = 4.0;
 
-/// Largest number of rounds of 2-opt. Larger: more time. Smaller: a longer way between the cells.
+/// Largest number of rounds of 2-opt. Larger: more time. Smaller: longer lifts between the cells.
 const MAX_ROUNDS: usize = 30;
-/// Largest number of cells of the order that one step of 2-opt reverses. Larger: more time with
-/// many cells. Smaller: a longer way between the cells.
+/// Largest number of cells of the order that one step of 2-opt reverses. Larger: more time with many cells. Smaller:
+/// longer lifts between the cells.
 const MAX_REVERSED: usize = 1000;
 
-/// Interval of a line with the tool on, mm.
+/// Interval of a line along x with the tool on, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stretch {
     low: f64,
     high: f64,
-    /// True if the (low, high) end lies on the border of another region.
+    /// True for the end (low, high) that lies on the border of another region.
     inner: [bool; 2],
 }
 
-/// The lines of one region.
+/// The raster lines of one region; line k has the y `first_mm + k * pitch_mm`.
 pub(super) struct Raster {
     pitch_mm: f64,
     /// Longest link along a border, mm.
     link_mm: f64,
     first_mm: f64,
-    /// Stretches of each line, ascending.
+    /// Intervals of each line with the tool on, ascending.
     lines: Vec<Vec<Stretch>>,
 }
 
-/// Returns the lines of every region; `None` when there are too many.
+/// Returns the raster of every region with the pitches `pitch_mm`; `None` if they have too many segments.
 pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
     let [hx, hy] = field.pixel_mm;
     let [x0, y0] = field.first_mm;
@@ -81,7 +82,8 @@ pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
     Some(rasters)
 }
 
-/// The first line of a region, and how many it has.
+/// Returns the y of the first line of region `id`, mm, and the number of its lines, at the pitch `d`. The array is its
+/// bounding box: first and last row, first and last column.
 fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]) -> (f64, f64) {
     // Whether the outermost row has another region beyond it.
     let inner = [(r0, r0.wrapping_sub(1)), (r1, r1 + 1)].map(|(row, beyond)| {
@@ -106,8 +108,8 @@ fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]
     (if count == 1.0 { first.clamp(low, high) } else { first }, count)
 }
 
-/// Intervals of a row of pixels that belong to a region; gaps of one pitch or two pixels are
-/// bridged.
+/// Returns the intervals of a row of pixels, columns c0 to c1, that belong to region `id`. Gaps up to the pitch `d` or
+/// two pixels are bridged.
 fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64) -> Vec<Stretch> {
     let h = field.pixel_mm[0];
     let labels = field.label.row(row);
@@ -151,7 +153,7 @@ fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64)
     stretches
 }
 
-/// Returns true if no region lies between two coordinates of a row.
+/// Returns true if no pixel of a region lies between two x coordinates of a row.
 fn between_is_outside(field: &Field, row: usize, [low, high]: [f64; 2]) -> bool {
     let [low, high] = [low, high].map(|x| (x - field.first_mm[0]) / field.pixel_mm[0]);
     // Ends reach less than a pixel beyond their last centre.
@@ -160,7 +162,8 @@ fn between_is_outside(field: &Field, row: usize, [low, high]: [f64; 2]) -> bool 
     (from..to).all(|c| field.label[[row, c]] == OUTSIDE)
 }
 
-/// Adds to the lines what lies farther than its pitch from every line in its column.
+/// Adds pixels that lie farther than their pitch from every line in their column to a line of their region. `over` has
+/// the y of the lines over each column.
 fn add_slivers(field: &Field, rasters: &mut [Raster], over: &mut [Vec<f64>]) {
     let hx = field.pixel_mm[0];
     for ((r, c), _) in field.inside.indexed_iter().filter(|(_, inside)| **inside) {
@@ -197,7 +200,8 @@ fn add_slivers(field: &Field, rasters: &mut [Raster], over: &mut [Vec<f64>]) {
 }
 
 impl Stretch {
-    /// Index of the only one of the stretches of a neighbouring line that this one overlaps.
+    /// Returns the index of the stretch of a neighbouring line that this one overlaps; `None` if it overlaps none or
+    /// several.
     fn only_neighbour(&self, others: &[Stretch]) -> Option<usize> {
         let mut met = (0..others.len())
             .filter(|i| self.low.max(others[*i].low) <= self.high.min(others[*i].high));
@@ -206,25 +210,25 @@ impl Stretch {
     }
 }
 
-/// Lines that continue each other, ascending.
+/// Group of lines that continue each other one to one and are run without a lift, by ascending y.
 pub(super) struct Cell {
-    /// Region that it belongs to.
+    /// Index of the region that it belongs to.
     pub region: usize,
     lines: Vec<CellLine>,
 }
 
-/// A line of a cell, mm.
+/// A line of a cell: its y (`across`) and the x of its ends, mm.
 #[derive(Clone, Copy)]
 struct CellLine {
     across: f64,
-    /// The low and the high end.
+    /// The end at smaller x, then the end at larger x.
     ends: [f64; 2],
     /// True for the ends that lie on the border of another region.
     inner: [bool; 2],
 }
 
 impl Raster {
-    /// Returns the cells of the region.
+    /// Groups the lines of this raster into cells; `region` is the index of its region.
     pub fn cells(&self, region: usize) -> Vec<Cell> {
         let mut cells: Vec<Cell> = Vec::new();
         // Cell of every stretch of the line before.
@@ -253,7 +257,7 @@ impl Raster {
         cells
     }
 
-    /// Returns true if the ends are close wherever a link between them would run along a border.
+    /// Returns true if the tool may stay on from `a` to `b`: links along a border are no longer than `link_mm`.
     fn can_link(&self, a: &Stretch, b: &Stretch) -> bool {
         let ends = [(a.low, b.low), (a.high, b.high)];
         (0..2).all(|i| {
@@ -263,14 +267,14 @@ impl Raster {
     }
 }
 
-/// A cell in one of its four directions.
+/// A cell of the order, with one of the four directions in which it can be run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Visit {
     /// Index of the cell.
     pub cell: usize,
-    /// True if the lines are run from the last to the first.
+    /// True if its lines are run from the largest y to the smallest.
     downwards: bool,
-    /// True if the first line that is run is run towards smaller x.
+    /// True if the line that is run first is run towards smaller x.
     backwards: bool,
 }
 
@@ -280,7 +284,7 @@ impl Visit {
             .map(|(downwards, backwards)| Self { cell, downwards, backwards })
     }
 
-    /// Direction of the line that is run last.
+    /// Returns true if the line that is run last is run towards smaller x.
     fn ends_backwards(self, cells: &[Cell]) -> bool {
         self.backwards ^ cells[self.cell].lines.len().is_multiple_of(2)
     }
@@ -305,7 +309,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Returns a short order of the cells, those of a region one after another.
+/// Returns an order of the cells with short lifts between them; the cells of a region follow each other.
 pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     let lowest = (0..cells.len()).min_by(|a, b| {
         let [a, b] = [a, b].map(|i| cells[*i].lines[0]);
@@ -339,7 +343,7 @@ pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     visits
 }
 
-/// Makes one round of 2-opt; returns true if it found a shorter way.
+/// Makes one round of 2-opt; returns true if it shortened the lifts.
 fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
     let n = visits.len();
     let region = |v: &Visit| cells[v.cell].region;
@@ -380,7 +384,8 @@ fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
     is_shorter
 }
 
-/// Returns all nodes in order; `None` when there are too many.
+/// Returns the path through the cells in the order `visits`, with steps of at most `step` mm; `None` if it has too many
+/// segments.
 pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) -> Option<Draft> {
     let mut path = Draft::default();
     let mut pass = 0;
@@ -421,7 +426,8 @@ pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) ->
     Some(path)
 }
 
-/// Equal steps to `to` with the tool on; `None` when there are too many.
+/// Adds equal steps of at most `step` mm to the point `to`, with the tool on; `None` if the path would have too many
+/// segments.
 fn straight(path: &mut Draft, to: [f64; 2], step: f64, pass: usize) -> Option<()> {
     let from = path.point_mm[path.point_mm.len() - 1];
     let n = parts(distance(from, to), step, path.tool_on.len())?;

@@ -1,4 +1,4 @@
-//! Division of the aperture into regions.
+//! Division of the aperture into regions of one depth class, and their continuation beyond the aperture.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
@@ -7,14 +7,15 @@ use planish_types::{Grid, Surface};
 
 use crate::{MAX_SEGMENTS, region::SLACK};
 
-/// Marks a pixel without a class or a region.
+/// Label of a pixel without a class or a region.
 pub(super) const OUTSIDE: usize = usize::MAX;
 
 /// Radius at which the Gaussian is cut off, in standard deviations; it is 3e-4 of its peak there.
 /// Larger: more time. Smaller: steps in the smoothed depth.
 const CUT_OFF: f64 = 4.0;
 
-/// Returns the depth to be removed, smoothed over the valid pixels; NaN elsewhere.
+/// Returns the depth to be removed, nm, smoothed by a Gaussian of the standard deviation `sigma_mm` over the valid
+/// pixels; NaN elsewhere.
 pub(super) fn depth_nm(surface: &Surface, sigma_mm: f64) -> Array2<f64> {
     let grid = surface.grid();
     let z = surface.height_nm();
@@ -51,15 +52,15 @@ pub(super) fn depth_nm(surface: &Surface, sigma_mm: f64) -> Array2<f64> {
     depth
 }
 
-/// Returns the smallest and the largest valid value.
+/// Returns the smallest and the largest value of `map` that is not NaN.
 pub(super) fn range(map: &Array2<f64>) -> [f64; 2] {
     let valid = map.iter().filter(|v| !v.is_nan());
     valid.fold([f64::MAX, f64::MIN], |[low, high], v| [low.min(*v), high.max(*v)])
 }
 
-/// The 4-connected components of the classes.
+/// The 4-connected components of the depth classes.
 pub(super) struct Components {
-    /// Component of every pixel (ny, nx).
+    /// Component of every pixel, shape (ny, nx); [`OUTSIDE`] where there is none.
     pub label: Array2<usize>,
     /// Class of every component.
     pub class: Vec<usize>,
@@ -67,7 +68,8 @@ pub(super) struct Components {
     pub pixels: Vec<usize>,
 }
 
-/// Returns the components of at least `least_pixels` of their class, wherever they have a neighbour.
+/// Returns the components of the classes `class_of`. Those with fewer pixels than `least_pixels` of their class are
+/// merged into a neighbour, if they have one.
 pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Components {
     let mut label = Array2::from_elem(class_of.dim(), OUTSIDE);
     let mut class: Vec<usize> = Vec::new();
@@ -146,15 +148,15 @@ fn neighbours([r, c]: [usize; 2], (ny, nx): (usize, usize)) -> impl Iterator<Ite
     all.into_iter().filter(move |[r, c]| *r < ny && *c < nx)
 }
 
-/// The regions with their overscan, on the pixels of the map continued outwards.
+/// The regions with their overscan, on the pixels of the map and further ones added around it.
 pub(super) struct Field {
-    /// Region of every pixel.
+    /// Region of every pixel, rows along y; [`OUTSIDE`] beyond the overscan.
     pub label: Array2<usize>,
     /// True for the pixels of the aperture.
     pub inside: Array2<bool>,
-    /// Pixel along [x, y], mm.
+    /// Pixel pitch along [x, y], mm.
     pub pixel_mm: [f64; 2],
-    /// Centre of the first pixel [x, y], mm.
+    /// Centre [x, y] of the first pixel, mm.
     pub first_mm: [f64; 2],
     /// Distance from the last pixel's centre to the end of the overscan [x, y], mm: from -1/2 to
     /// 1/2 of a pixel, so that no line leaves the pixels of its region.
@@ -162,12 +164,13 @@ pub(super) struct Field {
 }
 
 impl Field {
-    /// Returns the coordinate of a column (axis 0) or a row (axis 1), mm.
+    /// Returns the centre of a column (axis 0) or a row (axis 1), mm.
     pub fn centre_mm(&self, axis: usize, index: usize) -> f64 {
         self.first_mm[axis] + index as f64 * self.pixel_mm[axis]
     }
 
-    /// Continues `label` by `overscan_mm` to each side; `None` when that has too many pixels.
+    /// Continues the labels of the map by `overscan_mm` to each side: each new pixel has the region of the nearest
+    /// valid one. `None` if that needs too many pixels.
     pub fn new(grid: &Grid, label: &Array2<usize>, overscan_mm: f64) -> Option<Self> {
         let axes = [&grid.x, &grid.y];
         let pixel_mm = axes.map(|a| a.step_mm());

@@ -36,16 +36,17 @@ const MARGIN_CELLS: usize = CLOSING_CELLS + 1;
 /// Largest number of cells of a lattice (about 1 GB); more are refused. Larger: more memory. Smaller: fine pitches on
 /// large parts are refused.
 const MAX_CELLS: f64 = 3e7;
-/// Smallest r / mean r in the density law, dimensionless: with [`HIGHEST_RATIO`], the spacing varies by at most 4 in
-/// all. Larger: less contrast. Smaller: a coarser path in shallow places.
+/// Smallest r / mean r in the density law, dimensionless; together with [`HIGHEST_RATIO`] it limits the ratio of the
+/// largest to the smallest spacing to 4. Larger: less contrast. Smaller: a coarser path where little is removed.
 pub(super) const LOWEST_RATIO: f64 = 0.25;
-/// Largest r / mean r in the density law, dimensionless. Larger: a finer path in deep places. Smaller: less contrast.
+/// Largest r / mean r in the density law, dimensionless. Larger: a finer path where much is removed. Smaller: less
+/// contrast.
 pub(super) const HIGHEST_RATIO: f64 = 4.0;
-/// Largest slope of the spacing over the place, dimensionless. It is 0.3 for mesh edges, so that neighbouring
-/// triangles differ by a third at most. Larger: thinner triangles. Smaller: the spacing follows the removal less.
+/// Largest slope of the spacing, mm per mm. It is 0.3 for mesh edges, so that neighbouring triangles differ by a third
+/// at most. Larger: thinner triangles. Smaller: the spacing follows the removal less.
 const MAX_SLOPE: f64 = 0.3 / EDGE_PER_SPACING;
 
-/// Marks cells outside the region.
+/// Island number of the cells outside the region.
 const OUTSIDE: u32 = u32::MAX;
 
 /// Square cells over the region, with sides of about a third of the pitch p; row by row from the smallest y.
@@ -53,12 +54,12 @@ pub(super) struct Field {
     low_mm: [f64; 2],
     pub(super) side_mm: [f64; 2],
     pub(super) count: [usize; 2],
-    /// Number of the island (4-connected part of the region), or [`OUTSIDE`].
+    /// Number of the island (4-connected part of the region) of each cell, or [`OUTSIDE`].
     island: Vec<u32>,
     pub(super) island_area_mm2: Vec<f64>,
-    /// Cells within [`CLOSING_CELLS`] of the region.
+    /// True for the cells within [`CLOSING_CELLS`] of the region.
     near: Vec<bool>,
-    /// Cells whose nearest pixel is valid.
+    /// True for the cells whose nearest pixel of the map is valid.
     aperture: Vec<bool>,
     spacing_mm: Vec<f64>,
 }
@@ -134,7 +135,7 @@ impl Field {
         field.near = spread(inside, count, true);
         Ok(field)
     }
-    /// Returns true for the cells with the centre of a valid pixel within `reach`, along x and along y.
+    /// Returns true for each cell that has the centre of a valid pixel within `reach`, mm, along x and along y.
     fn cells_near_valid(&self, valid: &ValidCounts, grid: &Grid, reach: [f64; 2]) -> Vec<bool> {
         let [columns, rows] = [0, 1].map(|a| -> Vec<Range<usize>> {
             let centres = (0..self.count[a]).map(|i| self.centre_along(a, i));
@@ -143,7 +144,7 @@ impl Field {
         rows.iter().flat_map(|r| columns.iter().map(|c| valid.any(r, c))).collect()
     }
 
-    /// Numbers the islands: 4-connected parts.
+    /// Numbers the islands (4-connected parts) of the cells where `inside` is true, and computes their areas.
     fn label(&mut self, inside: &[bool]) {
         let [nx, _] = self.count;
         self.island = vec![OUTSIDE; inside.len()];
@@ -170,7 +171,7 @@ impl Field {
         }
     }
 
-    /// rho of every cell.
+    /// Returns the density (rho of the module) of every cell, dimensionless.
     fn density(&self, surface: &Surface, settings: &RandomAdaptiveSettings) -> Vec<f64> {
         let grid = surface.grid();
         let map = surface.height_nm();
@@ -207,7 +208,8 @@ impl Field {
         rho.collect()
     }
 
-    /// The nearest of `sources` to every cell, by two sweeps that hand on the neighbours' nearest.
+    /// Returns, for every cell, about the nearest of the cells `sources`, by two sweeps in which cells take over the
+    /// nearest of their neighbours.
     fn nearest(&self, sources: &[usize]) -> Vec<usize> {
         let [nx, ny] = self.count;
         let mut best = vec![usize::MAX; nx * ny];
@@ -227,7 +229,8 @@ impl Field {
         best
     }
 
-    /// d(x) <= d(y) + slope |x - y|, along the eight directions of the lattice.
+    /// Lowers the spacing until it changes by at most [`MAX_SLOPE`] times the distance between cells: d(x) <= d(y) +
+    /// slope |x - y|, along the eight directions of the lattice.
     fn limit_slope(&mut self) {
         let mut d = std::mem::take(&mut self.spacing_mm);
         let [nx, _] = self.count;
@@ -240,8 +243,8 @@ impl Field {
         self.spacing_mm = d;
     }
 
-    /// Calls `update(cell, neighbour)` for the four neighbours before a cell, forwards, and for
-    /// the four after it, backwards.
+    /// Calls `update(cell, neighbour)` for all cells: forwards with the four neighbours before the cell, then backwards
+    /// with the four after it.
     fn sweep(&self, mut update: impl FnMut(usize, usize)) {
         let [nx, ny] = self.count;
         for j in 0..ny {
@@ -255,7 +258,8 @@ impl Field {
             }
         }
     }
-    /// The four neighbours before the cell (i, j), or with the sign -1 the four after it.
+    /// Returns the four neighbours before the cell (i, j) in row order, or with the sign -1 the four after it; those
+    /// beyond the lattice are left out.
     fn neighbours_before(&self, cell: [usize; 2], sign: isize) -> impl Iterator<Item = usize> {
         let [nx, ny] = self.count;
         let [i, j] = cell.map(|v| v as isize);
@@ -270,7 +274,7 @@ impl Field {
         self.low_mm[a] + (i as f64 + 0.5) * self.side_mm[a]
     }
 
-    /// Returns the corner (i, j) of the lattice, mm.
+    /// Returns the point of the lattice corner with the index (i, j), mm.
     pub(super) fn corner(&self, index: [usize; 2]) -> [f64; 2] {
         [0, 1].map(|a| self.low_mm[a] + index[a] as f64 * self.side_mm[a])
     }
@@ -286,7 +290,7 @@ impl Field {
         if is_inside { Some(i[1] as usize * self.count[0] + i[0] as usize) } else { None }
     }
 
-    /// Returns the number of the island at `p`; none outside the region.
+    /// Returns the number of the island at the point `p`, mm; `None` outside the region.
     pub(super) fn island(&self, p: [f64; 2]) -> Option<usize> {
         self.island_of_cell(self.cell(p)?)
     }
@@ -302,7 +306,7 @@ impl Field {
         })
     }
 
-    /// Returns the number of the island of cell `k`; none outside the region.
+    /// Returns the number of the island of cell `k`; `None` outside the region.
     pub(super) fn island_of_cell(&self, k: usize) -> Option<usize> {
         if self.island[k] == OUTSIDE { None } else { Some(self.island[k] as usize) }
     }
@@ -317,14 +321,14 @@ impl Field {
         [0, 1].map(|a| self.count[a] as f64 * self.side_mm[a])
     }
 
-    /// Area of the clear aperture, mm^2.
+    /// Returns the area of the clear aperture in cells of the lattice, mm^2.
     pub(super) fn aperture_mm2(&self) -> f64 {
         let cells = self.aperture.iter().filter(|a| **a).count();
         cells as f64 * self.side_mm[0] * self.side_mm[1]
     }
 
-    /// Returns the mean of 1/d over the clear aperture, 1/mm; over the region where the aperture is so small that no
-    /// centre of a cell lies in it.
+    /// Returns the mean of 1/d (d: spacing) over the clear aperture, 1/mm. If no centre of a cell lies in the aperture,
+    /// it is the mean over the region.
     pub(super) fn mean_inverse_spacing(&self) -> f64 {
         let none = !self.aperture.contains(&true);
         let cells = (0..self.aperture.len())
@@ -335,12 +339,12 @@ impl Field {
         sum / count.max(1) as f64
     }
 
-    /// Returns the cells of the region.
+    /// Returns the indices of the cells of the region.
     pub(super) fn cells(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.island.len()).filter(|k| self.island[*k] != OUTSIDE)
     }
 
-    /// Returns d at `p`, mm; beyond the lattice that of its edge.
+    /// Returns the spacing d at `p`, mm; beyond the lattice that of its nearest cell.
     pub(super) fn spacing_mm(&self, p: [f64; 2]) -> f64 {
         let i = [0, 1].map(|a| {
             let i = ((p[a] - self.low_mm[a]) / self.side_mm[a]).floor();
@@ -350,9 +354,9 @@ impl Field {
     }
 }
 
-/// Numbers of valid pixels in rectangles of a map.
+/// Cumulative numbers of valid pixels, from which the number in a rectangle of the map follows.
 struct ValidCounts {
-    /// Valid pixels in the rows before r and the columns before c, (ny+1, nx+1).
+    /// Number of valid pixels in the rows before r and the columns before c, shape (ny+1, nx+1).
     before: Array2<u32>,
 }
 
@@ -367,14 +371,14 @@ impl ValidCounts {
         Self { before }
     }
 
-    /// Returns true if a pixel of the rectangle is valid.
+    /// Returns true if a pixel of the rectangle (`rows`, `columns`) is valid.
     fn any(&self, rows: &Range<usize>, columns: &Range<usize>) -> bool {
         self.before[[rows.end, columns.end]] + self.before[[rows.start, columns.start]]
             > self.before[[rows.start, columns.end]] + self.before[[rows.end, columns.start]]
     }
 }
 
-/// Pixels of `axis` within `reach` of `x`.
+/// Returns the indices of the pixels of `axis` whose centres are within `reach` of `x`, both in mm.
 fn within(axis: &Axis, x: f64, reach: f64) -> Range<usize> {
     let [low, high] = [x - reach, x + reach]
         .map(|v| ((v - axis.start_mm()) / axis.step_mm()).clamp(-1.0, axis.len() as f64));
@@ -384,12 +388,12 @@ fn within(axis: &Axis, x: f64, reach: f64) -> Range<usize> {
     first..end.min(axis.len()).max(first)
 }
 
-/// Closing by a square: dilation, then erosion.
+/// Closes narrow gaps of the mask: dilation by a square, then erosion by the same.
 fn close(mask: Vec<bool>, count: [usize; 2]) -> Vec<bool> {
     spread(spread(mask, count, true), count, false)
 }
 
-/// Spreads `value` by [`CLOSING_CELLS`] in each direction.
+/// Spreads the cells with the value `value` by [`CLOSING_CELLS`] in each direction.
 fn spread(mut mask: Vec<bool>, count: [usize; 2], value: bool) -> Vec<bool> {
     for a in [0, 1] {
         let before = mask.clone();
@@ -404,7 +408,8 @@ fn spread(mut mask: Vec<bool>, count: [usize; 2], value: bool) -> Vec<bool> {
     mask
 }
 
-/// Convolution along one axis with a Gaussian of `sigma` cells, cut off at 4 sigma.
+/// Convolves the cells along one axis (0: x, 1: y) with a Gaussian of the standard deviation `sigma` cells, cut off at
+/// 4 sigma.
 fn smooth(values: &mut Vec<f64>, count: [usize; 2], axis: usize, sigma: f64) {
     let reach = (4.0 * sigma).ceil() as usize;
     let taps: Vec<f64> = (0..=reach).map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp()).collect();

@@ -43,12 +43,12 @@ const LLOYD_ITERATIONS: usize = 20;
 /// Height of a border triangle, as a fraction of its longest edge, below which it is left out. Larger: gaps at the
 /// border. Smaller: needle-like triangles with short steps.
 const MIN_HEIGHT: f64 = 0.1;
-/// Position at which a step over an edge meets the edge if it would pass it by: fraction of the way to the end that
-/// it passes by. The way begins at `(w V + M)/(w + 1)`. Larger: nearer to the end of the edge. Smaller: nearer to the
-/// middle of the edge.
+/// Point at which a step meets an edge that it would otherwise pass beyond its end. It is a fraction of the distance
+/// from `(w V + M)/(w + 1)` to that end. Larger: nearer to the end of the edge. Smaller: nearer to its middle.
 const MEETS_AT: f64 = 0.5;
 
-/// Returns one closed path per edge-connected part of the mesh.
+/// Returns one closed path for each part of the mesh whose triangles are connected by edges. `scale` multiplies the
+/// spacing.
 pub(super) fn mesh_tree(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
     let edge_mm = |p: Point| EDGE_PER_SPACING * scale * field.spacing_mm(p);
     let points = mesh_points(field, &edge_mm, LLOYD_ITERATIONS, rng);
@@ -66,9 +66,9 @@ pub(super) fn mesh_tree(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<
 
 struct Mesh {
     point: Vec<Point>,
-    /// Vertices of every triangle, counter-clockwise (F).
+    /// Indices of the vertices of every triangle, counter-clockwise, shape (F).
     face: Vec<[usize; 3]>,
-    /// Triangle and edge beyond edge e = (V_e, V_e+1) (F, 3).
+    /// Triangle and its edge beyond the edge e from V_e to V_e+1, shape (F, 3); `None` at the border.
     beyond: Vec<[Option<(usize, usize)>; 3]>,
 }
 
@@ -100,7 +100,8 @@ impl Mesh {
         }
     }
 
-    /// Edges of random depth-first trees that span every part (F, 3).
+    /// Returns true for the edges that belong to random depth-first trees, which span every connected part, shape (F,
+    /// 3).
     fn tree(&self, rng: &mut ChaCha8Rng) -> Vec<[bool; 3]> {
         let mut tree = vec![[false; 3]; self.face.len()];
         let mut seen = vec![false; self.face.len()];
@@ -127,7 +128,8 @@ impl Mesh {
         tree
     }
 
-    /// The cycle through the small triangles of the part of triangle `start`.
+    /// Returns the closed path through the small triangles of the part that contains triangle `start`, and marks them
+    /// as `seen`.
     fn walk(&self, start: usize, tree: &[[bool; 3]], seen: &mut [bool]) -> Loop {
         let first = (start, 0, 0);
         let mut small = first;
@@ -156,7 +158,7 @@ impl Mesh {
         self.face[f].map(|v| self.point[v])
     }
 
-    /// V and M of a small triangle.
+    /// Returns the vertex V and the middle M of the edge of a small triangle.
     fn half_edge(&self, (f, e, s): (usize, usize, usize)) -> (Point, Point) {
         let v = self.corners(f);
         let (a, b) = (v[e], v[(e + 1) % 3]);
@@ -172,7 +174,8 @@ impl Mesh {
         })
     }
 
-    /// Nodes between those of two small triangles whose line does not meet their shared edge.
+    /// Returns two nodes between those of the small triangles `from` and `to` if their line does not meet the shared
+    /// edge; otherwise `None`.
     fn detour(&self, from: (usize, usize, usize), to: (usize, usize, usize)) -> Option<[Point; 2]> {
         let (v, m) = self.half_edge(from);
         let [a, b] = [from, to].map(|small| self.node(small));
@@ -196,7 +199,8 @@ impl Mesh {
     }
 }
 
-/// Returns true if the longest edge of a triangle is on the border, and the triangle is flat on it.
+/// Returns true if the longest edge of a triangle is on the border and its height over that edge is below
+/// [`MIN_HEIGHT`] times the edge.
 fn is_border_sliver(corners: [Point; 3], beyond: &[Option<(usize, usize)>; 3]) -> bool {
     let side = [0, 1, 2].map(|e| minus(corners[(e + 1) % 3], corners[e]));
     let length = side.map(|[x, y]| x.hypot(y));
@@ -206,14 +210,14 @@ fn is_border_sliver(corners: [Point; 3], beyond: &[Option<(usize, usize)>; 3]) -
     beyond[e].is_none() && height < MIN_HEIGHT * length[e]
 }
 
-/// The edges of a triangle in random order.
+/// Returns the three edges of a triangle in random order.
 fn shuffled(rng: &mut ChaCha8Rng) -> [usize; 3] {
     let mut order = [0, 1, 2];
     order.shuffle(rng);
     order
 }
 
-/// Triangle and edge beyond every edge.
+/// Returns the triangle and its edge beyond every edge, shape (F, 3); `None` at the border.
 fn beyond(face: &[[usize; 3]]) -> Vec<[Option<(usize, usize)>; 3]> {
     let mut half: Vec<_> = (0..3 * face.len())
         .map(|k| {
@@ -266,7 +270,8 @@ mod tests {
         Field::new(&surface, &settings).unwrap()
     }
 
-    /// Euler: F = 2 V - 2 + 2 holes - B for one part whose border has B edges.
+    /// Returns true if Euler's formula holds: F = 2 V - 2 + 2 holes - B for one part with F triangles, V vertices and B
+    /// edges on its border.
     fn euler(mesh: &Mesh, holes: usize) -> bool {
         let border = mesh.beyond.iter().flatten().filter(|b| b.is_none()).count();
         let mut used: Vec<usize> = mesh.face.iter().flatten().copied().collect();

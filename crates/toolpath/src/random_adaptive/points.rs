@@ -1,14 +1,15 @@
 //! Points whose distance follows the spacing: on the border of the region, and inside it.
 //!
-//! Border points are placed at equal parts of the integral of ds / l along the border of the
-//! lattice's cells, smoothed over a pitch between its corners. Inside, darts are thrown with
+//! Border points are placed at equal parts of the integral of ds / l (l: wanted edge length) along the border of the
+//! lattice's cells, smoothed over a pitch between its corners. Inside, random points ("darts") are thrown, which stay
+//! if they keep the distance
 //!
 //! ```text
 //! |x - x_i| >= a (l(x) + l(x_i))
 //! ```
 //!
-//! and moved by Lloyd's iteration to the centroids of their Voronoi cells, weighted by l^-4: in
-//! the plane the density of the points follows the square root of the weight.
+//! from all others, and moved by Lloyd's iteration to the centroids of their Voronoi cells, weighted by l^-4: in the
+//! plane the density of the points follows the square root of the weight.
 //!
 //! Source: S. Lloyd, IEEE Trans. Inf. Theory 28 (1982) 129; exponent: Q. Du, V. Faber,
 //! M. Gunzburger, SIAM Review 41 (1999) 637.
@@ -26,11 +27,11 @@ const CORNER_CELLS: usize = 3;
 /// Number of nodes on either side over which the border is averaged, against the staircase of a
 /// slanted border. Larger: a smoother border that cuts its bends. Smaller: steps remain.
 const SMOOTHING_CELLS: usize = 2;
-/// Number of times that every cell is offered as a place for a dart. Larger: more time, fewer gaps.
-/// Smaller: gaps between the darts.
+/// Number of times that a random point is tried in every cell. Larger: more time, fewer gaps. Smaller: gaps between the
+/// points.
 const ROUNDS: usize = 3;
 
-/// Points in square buckets.
+/// Indices of points, sorted into square buckets for the search of neighbours.
 pub(super) struct Buckets {
     low: Point,
     side: f64,
@@ -70,7 +71,7 @@ impl Buckets {
         self.side
     }
 
-    /// Returns the members of the buckets that meet the square of half-width `reach` about `p`.
+    /// Returns the indices of the points in the buckets that meet the square of half-width `reach` about `p`, mm.
     pub(super) fn around(&self, p: Point, reach: f64) -> impl Iterator<Item = usize> + '_ {
         let low = self.place([p[0] - reach, p[1] - reach]);
         let high = self.place([p[0] + reach, p[1] + reach]);
@@ -80,7 +81,7 @@ impl Buckets {
         })
     }
 
-    /// Returns the nearest point; the first of equals.
+    /// Returns the index of the point nearest to `p`, the first one if several are equally near; `None` without points.
     pub(super) fn nearest(&self, points: &[Point], p: Point) -> Option<usize> {
         let mut reach = self.side;
         let most = self.side * (self.count[0] + self.count[1]) as f64;
@@ -95,7 +96,8 @@ impl Buckets {
     }
 }
 
-/// Returns the points of a mesh whose edges are about `edge(x)`, those on the border first; their number.
+/// Returns the points of a mesh whose edges are about `edge(x)` long, mm; those on the border come first. `iterations`
+/// is the number of Lloyd's iterations.
 pub(super) fn mesh_points(
     field: &Field,
     edge: &(impl Fn(Point) -> f64 + Sync),
@@ -120,7 +122,7 @@ pub(super) fn mesh_points(
     points
 }
 
-/// Throws darts at a distance of at least the mean of their `radius`.
+/// Returns random points in the region that are at least the mean of their two `radius` values apart, mm.
 pub(super) fn darts(
     field: &Field,
     radius: &impl Fn(Point) -> f64,
@@ -137,7 +139,8 @@ fn empty_buckets(field: &Field, length: &impl Fn(Point) -> f64) -> Buckets {
     Buckets::new(&[], field.corner([0, 0]), field.corner(field.count), sum / f64::from(n))
 }
 
-/// Offers a random place in every cell, in random order, [`ROUNDS`] times.
+/// Tries a random point in every cell, in random order, [`ROUNDS`] times. It stays if it is at least `fraction` times
+/// the sum of both `length` values from the others.
 fn throw(
     field: &Field,
     length: &impl Fn(Point) -> f64,
@@ -165,7 +168,8 @@ fn throw(
     }
 }
 
-/// Moves every point but the first `fixed` to the centroid of its Voronoi cell.
+/// Makes one Lloyd iteration: moves every point but the first `fixed` to the centroid of its Voronoi cell, weighted by
+/// the edge length.
 fn lloyd(field: &Field, edge: &(impl Fn(Point) -> f64 + Sync), points: &mut [Point], fixed: usize) {
     let mut buckets = empty_buckets(field, edge);
     points.iter().enumerate().for_each(|(i, p)| buckets.insert(i, *p));
@@ -190,13 +194,14 @@ fn lloyd(field: &Field, edge: &(impl Fn(Point) -> f64 + Sync), points: &mut [Poi
     }
 }
 
-/// A stretch of the border between two corners, or a closed one without corners.
+/// A part of the border between two corners; closed if the border has no corner.
 struct Arc {
     nodes: Vec<Point>,
     closed: bool,
 }
 
-/// Points at equal parts of the integral of ds / l; the end of an open arc begins the next one.
+/// Returns points at equal parts of the integral of ds / l along an arc (l: `length`); the end of an open arc is left
+/// to the next one.
 fn along(arc: &Arc, length: &impl Fn(Point) -> f64, rng: &mut ChaCha8Rng) -> Vec<Point> {
     let mut nodes = arc.nodes.clone();
     if arc.closed {
@@ -222,12 +227,12 @@ fn along(arc: &Arc, length: &impl Fn(Point) -> f64, rng: &mut ChaCha8Rng) -> Vec
     points.collect()
 }
 
-/// The border of the region, its inside on the left.
+/// Returns the border of the region as arcs, with the region on their left.
 fn border(field: &Field) -> Vec<Arc> {
     loops(field).into_iter().flat_map(|corners| arcs(field, &corners)).collect()
 }
 
-/// Closed chains of lattice corners between cells of an island and others.
+/// Returns the closed chains of lattice corners (i, j) that separate cells of the region from others.
 fn loops(field: &Field) -> Vec<Vec<[usize; 2]>> {
     let [nx, ny] = field.count;
     let mut seen = vec![false; (nx + 1) * (ny + 1)];
@@ -260,10 +265,11 @@ fn loops(field: &Field) -> Vec<Vec<[usize; 2]>> {
     loops
 }
 
-/// Steps of a corner in the directions 0 = +x, 1 = +y, 2 = -x, 3 = -y.
+/// Steps from a lattice corner to its neighbour in the directions 0 = +x, 1 = +y, 2 = -x, 3 = -y.
 const STEP: [[isize; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 
-/// Returns true if the step from a corner of the lattice has a cell of an island on its left only.
+/// Returns true if the step from a lattice corner in that direction has a cell of the region on its left and none on
+/// its right.
 fn is_border(field: &Field, [i, j]: [isize; 2], direction: usize) -> bool {
     let (left, right) = match direction {
         0 => ([i, j], [i, j - 1]),
@@ -280,7 +286,7 @@ fn is_inside(field: &Field, [i, j]: [isize; 2]) -> bool {
     within && field.island_of_cell(j as usize * nx + i as usize).is_some()
 }
 
-/// Cuts a loop at its corners and smooths the stretches between them.
+/// Cuts a closed chain at its corners, and smooths the parts between them.
 fn arcs(field: &Field, chain: &[[usize; 2]]) -> Vec<Arc> {
     let n = chain.len();
     let nodes: Vec<Point> = chain.iter().map(|corner| field.corner(*corner)).collect();

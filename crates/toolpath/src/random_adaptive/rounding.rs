@@ -22,17 +22,19 @@
 
 use super::{Point, crossing::crossings, distance};
 
-/// Longest new step, in spacings. Larger: coarser paths, which leave the region or cross more easily. Smaller: more
-/// nodes than `step_mm` asks for.
+/// Largest length of a new step, in units of the local spacing. Larger: coarser paths, which leave the region or cross
+/// more easily. Smaller: more nodes than `step_mm` asks for.
 const MAX_STEP: f64 = 2.0;
 
-/// Makes one pass over closed paths that do not cross; returns the number of corners that had to stay.
+/// Makes one pass of Chaikin's corner cutting over closed paths that do not cross. Returns the number of corners that
+/// were left, because their cut would cross a step.
 pub(super) fn round(loops: &mut [Vec<Point>]) -> usize {
     // 3Q/4 + P/4
     cut(loops, |_| false, |q, other, _| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]))
 }
 
-/// Cuts the corners of more than 90 degrees into two equal ones; returns how many had to stay.
+/// Cuts every corner of more than 90 degrees into two equal ones. Returns the number of corners that were left, because
+/// their cut would cross a step.
 pub(super) fn blunt(loops: &mut [Vec<Point>]) -> usize {
     cut(
         loops,
@@ -45,8 +47,8 @@ pub(super) fn blunt(loops: &mut [Vec<Point>]) -> usize {
     )
 }
 
-/// Puts two nodes in the place of every corner that need not stay: `place(corner, neighbour,
-/// length of the shorter side)`.
+/// Replaces every corner by two nodes, except where `stay` is true or the cut would cross another step. `place(corner,
+/// neighbour, length of the shorter side)` gives each node; the result is the number of crossing cuts.
 fn cut(
     loops: &mut [Vec<Point>],
     stay: impl Fn([Point; 3]) -> bool,
@@ -82,7 +84,7 @@ fn cut(
     }
 }
 
-/// The new nodes, and the corner that each belongs to.
+/// Returns the nodes after the cuts, and for each the index of the corner that it belongs to.
 fn cut_corners(
     nodes: &[Point],
     stays: &[bool],
@@ -107,11 +109,11 @@ fn cut_corners(
     (new, corner_of)
 }
 
-/// Largest turn of the path along one step, rad. Larger: steps that cut hairpins. Smaller: more nodes.
+/// Largest turn of the path along one step, radians. Larger: steps that cut hairpins. Smaller: more nodes.
 const MAX_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the
-/// spacing; returns how many nodes had to be put back. `None` where the steps would be more than `most`.
+/// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the spacing. Returns the number
+/// of nodes that had to be put back; `None` if there would be more than `most` steps.
 pub(super) fn divide(
     loops: &mut [Vec<Point>],
     step_mm: f64,
@@ -149,7 +151,7 @@ pub(super) fn divide(
     }
 }
 
-/// A closed path with a coordinate t along it: the integral of ds / (wanted step).
+/// A closed path with the coordinate t along it, the integral of ds / (wanted step), at its nodes.
 struct ClosedLine {
     /// Nodes, the first one again at the end.
     nodes: Vec<Point>,
@@ -176,7 +178,7 @@ impl ClosedLine {
         self.t[self.t.len() - 1]
     }
 
-    /// Steps that it is divided into.
+    /// Returns the number of steps into which the path is divided, at least 3.
     fn parts(&self) -> f64 {
         (self.whole() - 1e-9).ceil().max(3.0)
     }
@@ -192,7 +194,8 @@ impl ClosedLine {
         [0, 1].map(|x| self.nodes[i - 1][x] + f * (self.nodes[i][x] - self.nodes[i - 1][x]))
     }
 
-    /// The node strictly between `from` and `to` that is farthest from their chord.
+    /// Returns the coordinate t of the node strictly between `from` and `to` that is farthest from their chord; `None`
+    /// without such a node.
     fn farthest_between(&self, from: f64, to: f64) -> Option<f64> {
         let [a, b] = [from, to].map(|t| self.point(t));
         let first = self.t.partition_point(|v| *v <= from);
@@ -206,7 +209,7 @@ impl ClosedLine {
     }
 }
 
-/// Angle between p q and q r.
+/// Returns the angle between the directions from p to q and from q to r, radians, 0 to pi.
 fn turn(p: Point, q: Point, r: Point) -> f64 {
     let [u, v] = [(p, q), (q, r)].map(|(a, b)| [b[0] - a[0], b[1] - a[1]]);
     (u[0] * v[1] - u[1] * v[0]).atan2(u[0] * v[0] + u[1] * v[1]).abs()

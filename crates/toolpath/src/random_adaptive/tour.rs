@@ -1,9 +1,10 @@
 //! The tour: a short closed path through random points.
 //!
-//! Points by darts of the radius 0.83 d; from each the nearest one that is left; then 2-opt and
-//! Or-opt (moves of one to three points, either way round) over the nearest neighbours until
-//! neither shortens the tour, in which steps beyond the region count ten times; pairs of crossing steps exchanged, which always shortens, until
-//! there are none; points moved into steps that are still long; long steps cut into equal parts.
+//! Random points ("darts") have a distance of at least 0.83 d (d: spacing) from each other; from each the tour goes on
+//! to the nearest one that is left. Then 2-opt and Or-opt (moves of one to three points, either way round) over the
+//! nearest neighbours shorten the tour until neither can. Steps beyond the region count ten times in its length. Pairs
+//! of crossing steps are exchanged, which always shortens, until there are none. Points are moved into steps that are
+//! still long, and the rest of these is cut into equal parts.
 //!
 //! Source: J. L. Bentley, ORSA J. Comput. 4 (1992) 387 (neighbour lists, don't-look bits).
 
@@ -19,24 +20,24 @@ use super::{
     points::{Buckets, darts},
 };
 
-/// Radius of the darts over the spacing of the path, dimensionless. Larger: fewer points, and a wider path. Smaller:
-/// more points, and a denser path.
+/// Least distance of the random points over the spacing of the path, dimensionless. Larger: fewer points, and a wider
+/// path. Smaller: more points, and a denser path.
 const RADIUS_PER_SPACING: f64 = 0.83;
 /// Number of neighbours of a point that the tour considers. Larger: more time. Smaller: a longer tour.
 const NEIGHBOURS: usize = 12;
-/// Length above which a step is long and is repaired, in spacings. Larger: longer steps remain. Smaller: more
-/// repairs.
+/// Length above which a step is long and is repaired, in units of the local spacing. Larger: longer steps remain.
+/// Smaller: more repairs.
 pub(super) const LONG: f64 = 2.2;
 /// Largest number of points that Or-opt moves at once. Larger: more time. Smaller: a longer tour.
 const MOVED: usize = 3;
-/// Factor of the cost of a step that leaves the region, dimensionless; a way around a hole is shorter than that.
-/// Larger: longer ways around. Smaller: more steps outside of the region.
+/// Factor on the length of a step that leaves the region, in the length that the tour minimises, dimensionless. Larger:
+/// longer ways around holes. Smaller: more steps outside of the region.
 const DETOUR: f64 = 10.0;
-/// Largest number of rounds against steps that leave the region, and of rounds against long steps. Larger: more time.
-/// Smaller: more such steps remain.
+/// Largest number of rounds that remove steps which leave the region, and of rounds that remove long steps. Larger:
+/// more time. Smaller: more such steps remain.
 const REPAIRS: usize = 4;
 
-/// Returns one closed path per island.
+/// Returns one closed path per island (connected part of the region). `scale` multiplies the spacing.
 pub(super) fn tour(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
     let spacing = |p: Point| scale * field.spacing_mm(p);
     let points = darts(field, &|p| RADIUS_PER_SPACING * spacing(p), rng);
@@ -116,7 +117,7 @@ fn nearest_neighbour(points: &[Point]) -> Vec<u32> {
     order
 }
 
-/// Equal parts where a step is longer than [`LONG`] spacings.
+/// Returns the nodes with additional ones where a step is longer than [`LONG`] spacings: it is cut into equal parts.
 fn cut_long(nodes: &[Point], spacing: &impl Fn(Point) -> f64) -> Vec<Point> {
     let mut out = Vec::new();
     for (i, a) in nodes.iter().enumerate() {
@@ -128,12 +129,12 @@ fn cut_long(nodes: &[Point], spacing: &impl Fn(Point) -> f64) -> Vec<Point> {
     out
 }
 
-/// The point at the fraction `f` of the way from `a` to `b`.
+/// Returns the point at the fraction `f`, 0 to 1, of the line from `a` to `b`.
 fn between(a: Point, b: Point, f: f64) -> Point {
     [0, 1].map(|x| a[x] + f * (b[x] - a[x]))
 }
 
-/// A cyclic order of points, and where each stands in it.
+/// A closed tour: the points, their indices in the order of the tour, and the position (`place`) of each in that order.
 struct Tour<'a> {
     field: &'a Field,
     points: Vec<Point>,
@@ -162,7 +163,7 @@ impl<'a> Tour<'a> {
         self.order[if i == 0 { self.len() - 1 } else { i - 1 }]
     }
 
-    /// The next point of the tour, or the previous one.
+    /// Returns the next point of the tour if `ahead` is true, otherwise the previous one.
     fn step(&self, c: u32, ahead: bool) -> u32 {
         if ahead { self.next(c) } else { self.previous(c) }
     }
@@ -174,17 +175,17 @@ impl<'a> Tour<'a> {
         self.field.leaves(self.points[a as usize], self.points[b as usize])
     }
 
-    /// Distance, where a step that leaves the region counts [`DETOUR`] times.
+    /// Returns the distance of two points, mm, times [`DETOUR`] if the step between them leaves the region.
     fn cost(&self, a: u32, b: u32) -> f64 {
         self.distance(a, b) * if self.leaves(a, b) { DETOUR } else { 1.0 }
     }
 
-    /// Steps that leave the region.
+    /// Returns the number of steps of the tour that leave the region.
     fn leaving(&self) -> usize {
         self.order.iter().filter(|c| self.leaves(**c, self.next(**c))).count()
     }
 
-    /// Reverses the path from a to b (in the order of the tour), or the rest of the tour.
+    /// Reverses the path from `a` to `b` in the order of the tour, or the rest of the tour if that is shorter.
     fn reverse(&mut self, a: u32, b: u32) {
         let n = self.len();
         let [mut i, mut j] = [a, b].map(|c| self.place[c as usize] as usize);
@@ -203,13 +204,13 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// Exchanges the steps a -> a' and b -> b' for a -> b and a' -> b'.
+    /// Replaces the steps a -> a' and b -> b' by a -> b and a' -> b'.
     fn exchange(&mut self, a: u32, b: u32) {
         let from = self.next(a);
         self.reverse(from, b);
     }
 
-    /// 2-opt and Or-opt until neither finds a shorter tour.
+    /// Applies 2-opt and Or-opt until neither finds a shorter tour. `near` has the nearest neighbours of each point.
     fn shorten(&mut self, near: &[Vec<u32>]) {
         let mut queue: VecDeque<u32> = self.order.iter().copied().collect();
         let mut queued = vec![true; self.len()];
@@ -252,7 +253,8 @@ impl<'a> Tour<'a> {
         None
     }
 
-    /// Moves one to three points that begin or end with `a` next to a neighbour of `a`.
+    /// Tries to move one to three points that begin or end with `a` next to a neighbour of `a`. Returns the points
+    /// whose steps changed, or `None` if no move shortens the tour.
     fn or_opt(&mut self, a: u32, near: &[Vec<u32>]) -> Option<[u32; 6]> {
         for moved in 1..=MOVED.min(self.len().saturating_sub(3)) {
             for ahead in [true, false] {
@@ -292,7 +294,7 @@ impl<'a> Tour<'a> {
         None
     }
 
-    /// Takes first .. last out and puts it between the neighbours b and c, `end` beside b.
+    /// Moves the path first .. last between the neighbours b and c, with its end `end` beside b.
     fn relocate(&mut self, [before, first, last, after]: [u32; 4], [b, c]: [u32; 2], end: u32) {
         // before [first .. last] [after .. x] y -> before [after .. x] [first .. last] y
         let (x, y) = if self.next(b) == c { (b, c) } else { (c, b) };
@@ -321,13 +323,13 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// Reverses the path between `a` and `b`, the one of the two ends that follows `outer` first,
-    /// whichever way the tour now runs.
+    /// Reverses the path between `a` and `b`, starting with the end that follows `outer` in the present direction of
+    /// the tour.
     fn forward_reverse(&mut self, outer: u32, a: u32, b: u32) {
         if self.next(outer) == a { self.reverse(a, b) } else { self.reverse(b, a) }
     }
 
-    /// Exchanges crossing steps until there are none.
+    /// Exchanges crossing steps until there are none, with at most as many rounds as points.
     fn uncross(&mut self) {
         // Every exchange shortens the tour, so this ends; rounding is stopped by the count.
         for _ in 0..self.len() {
@@ -354,12 +356,12 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// Returns true if the step between two points is longer than [`LONG`] spacings.
+    /// Returns true if the step between two points is longer than [`LONG`] times the smaller of their spacings.
     fn is_long(&self, a: u32, b: u32, spacing: &impl Fn(Point) -> f64) -> bool {
         let local = spacing(self.points[a as usize]).min(spacing(self.points[b as usize]));
         self.distance(a, b) > LONG * local
     }
-    /// Moves points into long steps where no step becomes long by it; returns how many.
+    /// Moves points into long steps where this makes no other step long; returns the number of moved points.
     fn repair(&mut self, near: &[Vec<u32>], spacing: &impl Fn(Point) -> f64) -> usize {
         let mut moved = 0;
         for a in 0..self.len() as u32 {
@@ -394,6 +396,6 @@ impl<'a> Tour<'a> {
     }
 }
 
-/// Gain of a move, as a fraction of the length that it replaces, above which the move is made. Larger: useful moves
-/// are left out. Smaller: moves that only rounding decides, without end.
+/// Gain of a move, as a fraction of the length that it replaces, above which the move is made. Larger: useful moves are
+/// left out. Smaller: rounding alone decides moves, and they may never end.
 const LEAST_GAIN: f64 = 1e-9;

@@ -10,7 +10,8 @@ use crate::{
     region::{Interval, SLACK},
 };
 
-/// Returns the coordinates of the lines across, ascending; `None` when there are too many.
+/// Returns the coordinates w of the lines across them, mm, ascending; `None` if there are too many. Refuses a given
+/// origin with which no line lies in the region.
 pub(super) fn positions(
     surface: &Surface,
     runs: &Runs,
@@ -50,8 +51,8 @@ pub(super) fn positions(
     Ok(up_to(spaces).map(|k| k.map(|k| first + k * p).collect()))
 }
 
-/// The numbers 0, 1, .. `spaces` of the lines; `None` when there are too many: every line has a segment, and every
-/// turn.
+/// Returns the numbers 0, 1, .. `spaces` of the lines. `None` if their segments (one per line and one per turn) would
+/// exceed [`MAX_SEGMENTS`].
 fn up_to(spaces: f64) -> Option<impl Iterator<Item = f64>> {
     if 2.0 * spaces < MAX_SEGMENTS as f64 {
         Some((0..=spaces as usize).map(|k| k as f64))
@@ -60,7 +61,7 @@ fn up_to(spaces: f64) -> Option<impl Iterator<Item = f64>> {
     }
 }
 
-/// Returns the lines in the order in which they are run.
+/// Returns the indices 0 .. `lines` of the lines in the order in which they are run.
 pub(super) fn order(lines: usize, order: LineOrder) -> Vec<usize> {
     let mut all: Vec<usize> = (0..lines).collect();
     match order {
@@ -76,11 +77,12 @@ pub(super) fn order(lines: usize, order: LineOrder) -> Vec<usize> {
     }
 }
 
-/// N(w), the number of line distances below w: straight between the rows.
+/// The number N(w) of line distances below the coordinate w across the lines, for a pitch that follows the map. It is
+/// linear between the rows.
 struct Count {
-    /// Breaks of N, ascending, mm.
+    /// Coordinates w at which the slope of N changes, ascending, mm.
     break_mm: Vec<f64>,
-    /// N at the breaks, from 0.
+    /// Values of N at these coordinates, from 0.
     line: Vec<f64>,
 }
 
@@ -110,7 +112,7 @@ impl Count {
         Self { break_mm, line }
     }
 
-    /// w where N(w) is `line`.
+    /// Returns the coordinate w, mm, at which N(w) is `line`.
     fn position(&self, line: f64) -> f64 {
         let above = self.line.partition_point(|n| *n <= line).clamp(1, self.line.len() - 1);
         let n = &self.line[above - 1..=above];
@@ -120,8 +122,8 @@ impl Count {
     }
 }
 
-/// Mean of the desired removal over the rows of height `h` about part.low + j h, and over all of
-/// it; negative removal is lifted to 0. Rows without a valid pixel have that of the row before.
+/// Returns the mean of the desired removal, nm, in each row, and over all rows. Row j has the height `h` and is centred
+/// at part.low + j h; negative maps are lifted to 0. Rows without a valid pixel have the mean of the row before.
 fn row_means(surface: &Surface, across: [f64; 2], part: Interval, h: f64) -> (Vec<f64>, f64) {
     let grid = surface.grid();
     let map = surface.height_nm();

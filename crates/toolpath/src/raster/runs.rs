@@ -8,18 +8,17 @@ use planish_types::Surface;
 
 use crate::region::{Aperture, Interval, join};
 
-/// Pieces (u, w) of valid pixels, by ascending smaller w.
+/// Straight pieces of valid pixels, as pairs of end points (u, w), sorted by the smaller w of their ends.
 pub(super) struct Runs {
     piece: Vec<[[f64; 2]; 2]>,
-    /// Largest extent of a piece across the lines, mm.
+    /// Largest extent of a piece across the lines, mm; 0 for lines along x or y.
     tilt_mm: f64,
-    /// Distance from a column to the next along a line, and from a row to the next across the
-    /// lines, mm.
+    /// Distance, mm, from a pixel column to the next along a line, and from a pixel row to the next across the lines.
     pub(super) pixel_mm: [f64; 2],
 }
 
 impl Runs {
-    /// Makes the pieces of the valid pixels; `axes` are unit vectors along and across the lines.
+    /// Makes the pieces from the valid pixels of `surface`; `axes` are the unit vectors along and across the lines.
     pub(super) fn new(surface: &Surface, axes: [[f64; 2]; 2]) -> Self {
         let grid = surface.grid();
         let map = surface.height_nm().view();
@@ -83,7 +82,7 @@ impl Runs {
     }
 }
 
-/// Smaller w of a piece.
+/// Returns the smaller coordinate w, across the lines, of the ends of a piece, mm.
 fn low_end_mm(piece: &[[f64; 2]; 2]) -> f64 {
     piece[0][1].min(piece[1][1])
 }
