@@ -205,12 +205,7 @@ pub(crate) fn read_run(
     let method_names: Vec<String> = read.iter().map(|m| m.name.clone()).collect();
     let chains = chain::check(&records, &method_records);
     let run_plan = plan.as_ref().map(|p| &p.value);
-    let mut planned = BTreeMap::new();
-    for files in &read {
-        if let Some(dwell) = files.dwell(&read, run_plan) {
-            planned.insert(files.name.clone(), dwell.clone());
-        }
-    }
+    let planned = planned_dwell(&read, run_plan);
     let shared = Shared {
         desired: &desired.value,
         planned: &planned,
@@ -243,6 +238,21 @@ pub(crate) fn read_run(
     let path = path.map(|p| p.value);
     let tool = tif.as_ref().and_then(|tif| tool::picture(tif, &desired.value));
     Ok(RunData { name, summary, desired: desired.value, measured, path, tool, methods, provenance })
+}
+
+/// Returns the dwell times that each method has planned, by its name; a method without a plan is absent. `run_plan` has
+/// the dwell times that the methods of the run share.
+fn planned_dwell(
+    methods: &[MethodFiles],
+    run_plan: Option<&DwellTime>,
+) -> BTreeMap<String, DwellTime> {
+    let mut planned = BTreeMap::new();
+    for files in methods {
+        if let Some(dwell) = files.dwell(methods, run_plan) {
+            planned.insert(files.name.clone(), dwell.clone());
+        }
+    }
+    planned
 }
 
 /// Names and files that the command line gives for the runs.
