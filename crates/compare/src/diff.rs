@@ -12,7 +12,7 @@ use planish_types::Invalid;
 /// Elements of an array, all of one type.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Elements {
-    /// Floats; NaN equals NaN.
+    /// Floats; [`difference`] does not count elements that are NaN in both arrays.
     Float(ArrayD<f64>),
     /// Integers or flags, which are compared exactly.
     Integer(ArrayD<i64>),

@@ -350,7 +350,7 @@ impl<'a> DwellModel<'a> {
 
     /// Returns the dwell times `a + c b` of (3) of the module. The level c is the least one that brings every dwell
     /// time to its floor where a level can: where b > 0.1. Dwell times that are still below are put on their floor and
-    /// counted; so are unreached dwell points.
+    /// counted. Unreached dwell points are put on their floor, but not counted.
     pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
         let n = self.lo.len();
         let level = (0..n)
@@ -453,7 +453,7 @@ pub(crate) struct Levelled {
     pub dwell_s: Vec<f64>,
     /// Level of dwell c of (3), s.
     pub level_s: f64,
-    /// Number of dwell times that no level brings to their floor.
+    /// Number of reached dwell times that no level brings to their floor.
     pub clipped: usize,
 }
 

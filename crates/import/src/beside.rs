@@ -581,8 +581,8 @@ fn unit_after_in(text: &str) -> Option<Unit> {
         .find_map(|pair| Unit::spelled(pair[1]))
 }
 
-/// Returns true for a sentence that may state the unit of a column, but in a word that is no known unit, such as
-/// `heights in furlong`.
+/// Returns true for a sentence that names an axis and has the word "in", "unit" or "units", such as `heights in
+/// furlong`. Whether the unit is known is not checked here.
 fn claims_a_unit(text: &str) -> bool {
     let words: Vec<String> = text.split_whitespace().map(plain).collect();
     let names = words.iter().any(|word| axes_of_name(word) != [false; 3]);

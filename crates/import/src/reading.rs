@@ -95,8 +95,9 @@ impl Window {
         Self { first, in_mm: true, frame_rows: None }
     }
 
-    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the frame, y
-    /// = 0 its last row, or its first row if the size of the frame is unknown.
+    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the
+    /// frame. y = 0 is the row of the frame with the smallest y. If the first row is the top and the size of the frame
+    /// is unknown, y = 0 is the first row of the frame.
     fn start_mm(&self, pitch_mm: [f64; 2], rows: usize, first_row: FirstRow) -> [f64; 2] {
         let [x, y] = [0, 1].map(|k| self.first[k] * if self.in_mm { 1.0 } else { pitch_mm[k] });
         let last = (rows - 1) as f64 * pitch_mm[1];

@@ -145,7 +145,8 @@ pub struct SlopeReport {
 /// Integrates two maps of slopes, along x and along y, to a map of heights in nm.
 ///
 /// # Errors
-/// Refuses maps of two grids, a unit that is no slope, and signs that contradict each other.
+/// Refuses maps of two grids, a unit that is missing, no slope or not the same in both maps, and signs that contradict
+/// each other. Refuses fewer than 4 connected pixels that are valid in both maps.
 pub fn slopes(
     along_x: Reading,
     along_y: Reading,

@@ -195,7 +195,8 @@ fn constraints(table: &Table) -> String {
     )
 }
 
-/// Returns the HTML table of the plans with these indices.
+/// Returns the HTML table of the plans with these indices, without those that have no numbers. `to_table` is the path
+/// to the folder of the table.
 fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     let varied = table.varied();
     let mut html =

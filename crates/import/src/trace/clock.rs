@@ -94,7 +94,7 @@ pub struct Clock {
     pub rate_hz: f64,
     /// Source of the rate: "asked for" (the user stated it) or "the usual step of the time stamps".
     pub rate_from: &'static str,
-    /// True if the times are stamps of the log; false if they follow from the rate.
+    /// True if the log has time stamps; false if the times follow from the rate alone.
     pub stamps: bool,
     /// Number of gaps.
     pub gaps: usize,
