@@ -201,7 +201,7 @@ struct MarginTrial {
     margin_mm: f64,
     rms_nm: f64,
     time_s: f64,
-    /// True if the lifts ended before their largest number.
+    /// True if the lifts ended because the RMS settled, and not at their largest number.
     settled: bool,
 }
 

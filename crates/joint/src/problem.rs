@@ -425,8 +425,8 @@ impl<'a> OnMesh<'a> {
     }
 
     /// Solves the program in at most [`MAX_ROUNDS`] rounds, until the motion keeps the limits. An excess of a further
-    /// axis above [`HOPELESS`] ends the rounds too. Each round tightens the limits that the motion exceeds. Rounds with new tangents follow if the limits are kept
-    /// and the solution is proven.
+    /// axis above [`HOPELESS`] ends the rounds too. Each round tightens the limits that the motion exceeds. Rounds with
+    /// new tangents follow if the limits are kept and the solution is proven.
     fn solve(
         &self,
         inputs: &PlanInputs<'_>,

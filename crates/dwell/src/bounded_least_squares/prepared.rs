@@ -295,8 +295,8 @@ fn convolved(
     Ok(Surrogate::Convolved(Box::new(h)))
 }
 
-/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for ten times more if splines represent
-/// too little of the problem.
+/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for up to ten times as many if splines
+/// represent too little of the problem. These take at most [`MOST_WORK`] multiplications.
 fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
     let n = places.len();
     let says_too_little =
