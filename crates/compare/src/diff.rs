@@ -26,7 +26,7 @@ pub struct Difference {
     /// Index of the largest difference (the first of equals), and the two values as text; `None` if the arrays are
     /// equal.
     pub at: Option<(Vec<usize>, [String; 2])>,
-    /// RMS of the differences over all elements, in the unit of the array.
+    /// RMS of the differences over all elements that are not NaN in both arrays, in the unit of the array.
     pub rms: f64,
 }
 

@@ -497,8 +497,8 @@ fn map(
     Ok((grid, values, statement))
 }
 
-/// Removes the wavefront factor that the file has applied, if the settings state one other than 1 and override the file.
-/// Refuses such a factor without `override_file`, and one that is not positive.
+/// Removes the wavefront factor that the file has applied, if the settings state one other than 1 and override the
+/// file. Refuses such a factor without `override_file`, and one that is not positive.
 fn apply_surface_per_value(
     reading: &mut Reading,
     settings: &ReadingSettings,

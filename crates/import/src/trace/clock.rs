@@ -120,8 +120,8 @@ impl Timing<'_> {
     /// Returns the times since the first sample, s (n), and their comparison with equal steps.
     ///
     /// # Errors
-    /// Refuses stamps that do not ascend, gaps that are too long, and stamps whose unit nobody states. Refuses a log with
-    /// neither stamps nor a rate.
+    /// Refuses stamps that do not ascend, gaps that are too long, and stamps whose unit nobody states. Refuses a log
+    /// with neither stamps nor a rate.
     pub fn clock(&self) -> Result<(Vec<f64>, Clock), Invalid> {
         let Some(stamps) = self.stamps else { return self.by_rate() };
         let unit_s = self.unit_s(stamps)?;
