@@ -349,8 +349,8 @@ fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f6
     resampled
 }
 
-/// Refuses settings that are not positive, an encoder count of 0 (it may be negative), and units of the wrong quantity,
-/// such as an angle for a length.
+/// Refuses settings that are not positive, and units of the wrong quantity, such as an angle for a length. An encoder
+/// count may be negative, but not 0.
 fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     let positive = [
         ("rate_hz", settings.rate_hz),
