@@ -122,7 +122,7 @@ const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: ri
                      tr.best td { font-weight: bold; }\n";
 
 /// Returns the page of the sweep: the sentence, the pictures, the plans of the front, those without numbers, and all
-/// plans, the two last up to [`MOST_POINTS`] of each. `to_table` is the path to the folder of the table.
+/// plans, the two last up to `MOST_POINTS` of each. `to_table` is the path to the folder of the table.
 pub fn page(table: &Table, to_table: &str) -> String {
     let title = format!("sweep {}, {}", table.0.name, table.0.mirror);
     let mut html =
