@@ -26,7 +26,8 @@ const MOST_ROUNDS: usize = 10;
 ///
 /// # Errors
 ///
-/// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it.
+/// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it. Refuses a motion
+/// whose removal rate differs from that of the TIF.
 pub fn motion(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -102,7 +103,8 @@ fn added_s(executed: &AxesMotion, pieces: &[AxesPiece], chosen: impl Fn(usize) -
     chosen.map(|k| executed.duration_s(k) - pieces[k].duration_s()).sum()
 }
 
-/// Pieces, factors of the stretch of time at their ends, and the worst excess of the unslowed motion with its time, s.
+/// Pieces, factors of the stretch of time at their ends, and the worst excess of the unslowed motion. With it comes the
+/// time at which its piece starts in the unslowed motion, s. `None` if nothing exceeds a limit.
 type SlowedPieces = (Vec<AxesPiece>, Vec<f64>, Option<(Excess, f64)>);
 
 /// Slows the pieces down to the limits of the axes, and halves those that leave the path because of it, until neither

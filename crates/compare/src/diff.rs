@@ -12,7 +12,7 @@ use planish_types::Invalid;
 /// Elements of an array, all of one type.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Elements {
-    /// Floats; NaN equals NaN.
+    /// Floats; [`difference`] does not count elements that are NaN in both arrays.
     Float(ArrayD<f64>),
     /// Integers or flags, which are compared exactly.
     Integer(ArrayD<i64>),
@@ -26,7 +26,7 @@ pub struct Difference {
     /// Index of the largest difference (the first of equals), and the two values as text; `None` if the arrays are
     /// equal.
     pub at: Option<(Vec<usize>, [String; 2])>,
-    /// RMS of the differences over all elements, in the unit of the array.
+    /// RMS of the differences over all elements that are not NaN in both arrays, in the unit of the array.
     pub rms: f64,
 }
 

@@ -49,7 +49,8 @@ pub enum Scale {
 
 impl Scale {
     /// Creates a linear axis from `low` to `high`, in the unit of the values. It is one unit long around the value if
-    /// both are equal, and goes from 0 to 1 if the range is empty or not finite.
+    /// both are equal. It goes from 0 to 1 if `low` is above `high`, if one of them is NaN, or if both are the same
+    /// infinity.
     pub fn linear([low, high]: [f64; 2]) -> Self {
         if low < high {
             Self::Linear([low, high])
@@ -61,7 +62,8 @@ impl Scale {
     }
 
     /// Creates a logarithmic axis from `low` to `high`, both positive, in the unit of the values. It goes from half
-    /// to twice the value if both are equal, and from 0.1 to 1 if the range is empty or not positive.
+    /// to twice the value if both are equal, and from 0.1 to 1 if the range is empty, not
+    /// positive or not finite.
     pub fn logarithmic([low, high]: [f64; 2]) -> Self {
         if 0.0 < low && low < high && high.is_finite() {
             Self::Logarithmic([low, high])

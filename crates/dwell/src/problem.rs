@@ -106,7 +106,7 @@ pub struct Outcome {
     pub at_floor: usize,
     /// Number of dwell points that do not reach the map; they have the dwell time per length of their neighbours.
     pub unreached_points: usize,
-    /// Number of valid pixels that no dwell point reaches: nothing can be corrected there.
+    /// Number of valid pixels with a weight above 0 that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
     /// Mean removal by the least allowed dwell times alone, nm.
     pub floor_removal_nm: f64,
@@ -350,7 +350,7 @@ impl<'a> DwellModel<'a> {
 
     /// Returns the dwell times `a + c b` of (3) of the module. The level c is the least one that brings every dwell
     /// time to its floor where a level can: where b > 0.1. Dwell times that are still below are put on their floor and
-    /// counted; so are unreached dwell points.
+    /// counted. Unreached dwell points are put on their floor, but not counted.
     pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
         let n = self.lo.len();
         let level = (0..n)
@@ -375,7 +375,8 @@ impl<'a> DwellModel<'a> {
         Levelled { dwell_s, level_s: level, clipped }
     }
 
-    /// Counts the valid pixels that no dwell point reaches. `removal` is the removal of the dwell times `dwell_s`, nm.
+    /// Counts the pixels with a weight above 0 that no dwell point reaches. `removal` is the removal of the dwell times
+    /// `dwell_s`, nm.
     fn unreached(&self, removal: &Array2<f64>, dwell_s: &[f64]) -> usize {
         // With R >= 0 what is removed in B t is at most max(t) of what is in B 1, and that at most
         // 2 n peak (Keys' interpolation stays below 1.3 peak): most maps need no second removal.
@@ -453,7 +454,7 @@ pub(crate) struct Levelled {
     pub dwell_s: Vec<f64>,
     /// Level of dwell c of (3), s.
     pub level_s: f64,
-    /// Number of dwell times that no level brings to their floor.
+    /// Number of reached dwell times that no level brings to their floor.
     pub clipped: usize,
 }
 

@@ -67,7 +67,7 @@ pub struct RiftaReport {
     /// Reason for which the lifts of the map ended: `settled` (another lift would lower the RMS by little or not at
     /// all), or `lift-limit`.
     pub end: End,
-    /// Cap gamma of the gain, times the sum of the TIF over the pixels; 1 is the gain for a constant.
+    /// Cap gamma of the gain, times the sum of the TIF at the pitch of the map; 1 is the gain for a constant.
     pub relative_gamma: f64,
     /// Lift of the map by a piston, nm.
     pub piston_nm: f64,
@@ -193,7 +193,7 @@ struct Fourier<'a> {
     radius_mm: f64,
 }
 
-/// The dwell map for one margin, and its residual.
+/// The dwell map for one margin, s, and the RMS of its residual.
 struct MarginTrial {
     seconds: Array2<f64>,
     gamma: f64,
@@ -201,7 +201,7 @@ struct MarginTrial {
     margin_mm: f64,
     rms_nm: f64,
     time_s: f64,
-    /// True if the lifts ended before their largest number.
+    /// True if the lifts ended because the RMS settled, and not at their largest number.
     settled: bool,
 }
 

@@ -67,7 +67,7 @@ impl Default for TikhonovLsqrSettings {
 pub struct TikhonovLsqrReport {
     /// Reason for the end: `converged` or `iteration-limit`.
     pub end: End,
-    /// Number of steps of LSQR.
+    /// Number of steps of LSQR: the larger one of the two solutions, for the map and for the level of dwell.
     pub iterations: usize,
     /// Relative damping that was used, as a fraction of the largest singular value.
     pub relative_damping: f64,

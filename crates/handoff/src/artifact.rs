@@ -245,7 +245,7 @@ pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     })
 }
 
-/// Reads a directory by `read_once`. It reads again if another run replaces the directory in the meantime.
+/// Reads a directory by `read_once`. Reads again if that failed and another run replaced the directory in the meantime.
 pub(crate) fn read_whole<T>(
     dir: &Path,
     read_once: impl Fn() -> Result<T, HandoffError>,

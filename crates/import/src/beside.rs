@@ -123,8 +123,8 @@ pub(crate) struct Beside {
     first_row: Option<FirstRow>,
     /// Stated numbers of columns and rows, in this order.
     counts: [Option<usize>; 2],
-    /// Size (mm) with its unit under an unknown key, and the place of the next statement. Two such sizes in a row are
-    /// those along x and y.
+    /// Size, mm, that was stated under an unknown key, and the number of its line or statement. Two such sizes in a row
+    /// are those along x and y.
     unknown_size: Option<(f64, usize)>,
     /// Statements that are not used, as a warning quotes them; at most [`MOST_QUOTED`].
     unused: Vec<String>,
@@ -433,10 +433,12 @@ impl Beside {
         }
     }
 
-    /// Completes `reading` with these statements: each fills what the format itself does not state.
+    /// Completes `reading` with these statements: each fills what the format itself does not state. A stated first row
+    /// and `Bit2nm` replace what `reading` has. A unit that differs from that of the file becomes `unit_problem`, and
+    /// wrong numbers of rows or columns give a warning.
     ///
     /// # Errors
-    /// Refuses a statement that contradicts the numbers or another statement.
+    /// Refuses `Bit2nm` other than 1 beside a unit other than nm, and a size in a unit that is no length.
     pub fn apply(self, reading: &mut Reading) -> Result<(), Invalid> {
         let (rows, columns) = reading.values.dim();
         if let Some(unit) = self.unit {
@@ -569,7 +571,7 @@ fn wavelength_in(text: &str) -> Option<f64> {
     }
 }
 
-/// Returns the unit in a sentence such as `all lengths in m`, which names no column; `None` without one.
+/// Returns the unit after a word such as `in` or `unit` in a sentence such as `all lengths in m`; `None` without one.
 fn unit_after_in(text: &str) -> Option<Unit> {
     let words: Vec<&str> =
         text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
@@ -581,8 +583,8 @@ fn unit_after_in(text: &str) -> Option<Unit> {
         .find_map(|pair| Unit::spelled(pair[1]))
 }
 
-/// Returns true for a sentence that may state the unit of a column, but in a word that is no known unit, such as
-/// `heights in furlong`.
+/// Returns true for a sentence that names an axis and has the word "in", "unit" or "units", such as `heights in
+/// furlong`. Whether the unit is known is not checked here.
 fn claims_a_unit(text: &str) -> bool {
     let words: Vec<String> = text.split_whitespace().map(plain).collect();
     let names = words.iter().any(|word| axes_of_name(word) != [false; 3]);
@@ -728,7 +730,7 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
     Ok(units)
 }
 
-/// Returns true if a word of the text, or a text in brackets, is a unit.
+/// Returns true if a word of the text, or a text in brackets, is a unit. Words of one letter and `in` do not count.
 fn names_a_unit(text: &str) -> bool {
     header_words(text).iter().any(|piece| match piece {
         HeaderWord::Word(word) => {

@@ -97,8 +97,8 @@ const AXES: [(&str, &str); 7] =
     [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
 
 impl Configuration {
-    /// Returns the axes of the configuration, x and y if it lists none. Refuses unknown or repeated axes, and numbers
-    /// that are not finite.
+    /// Returns the axes of the configuration, x and y if it lists none. Refuses unknown or repeated axes, numbers
+    /// that are not finite, and a list beside `start_mm` or `count_mm`.
     fn layout(&self) -> Result<Layout, Invalid> {
         if self.axes.is_empty() {
             return Ok(Layout {

@@ -95,8 +95,9 @@ impl Window {
         Self { first, in_mm: true, frame_rows: None }
     }
 
-    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the frame, y
-    /// = 0 its last row, or its first row if the size of the frame is unknown.
+    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the
+    /// frame. y = 0 is the row of the frame with the smallest y. If the first row is the top and the size of the frame
+    /// is unknown, y = 0 is the first row of the frame.
     fn start_mm(&self, pitch_mm: [f64; 2], rows: usize, first_row: FirstRow) -> [f64; 2] {
         let [x, y] = [0, 1].map(|k| self.first[k] * if self.in_mm { 1.0 } else { pitch_mm[k] });
         let last = (rows - 1) as f64 * pitch_mm[1];
@@ -496,8 +497,8 @@ fn map(
     Ok((grid, values, statement))
 }
 
-/// Removes the wavefront factor that the file has applied, if the settings state another one. Refuses a factor that is
-/// not positive, or that contradicts the file.
+/// Removes the wavefront factor that the file has applied, if the settings state one other than 1 and override the
+/// file. Refuses such a factor without `override_file`, and one that is not positive.
 fn apply_surface_per_value(
     reading: &mut Reading,
     settings: &ReadingSettings,
@@ -546,8 +547,8 @@ fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
     None
 }
 
-/// Returns the unit of the values, and its source ("file", "custom of the format" or "asked for"). Refuses a setting
-/// that contradicts the file.
+/// Returns the unit of the values, and its source ("file", "custom of the format" or "asked for"). Refuses a unit that
+/// nobody states or understands, and a setting that contradicts the file.
 fn unit(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -653,8 +654,8 @@ fn contradicts(
     ))
 }
 
-/// Returns the wavelength of heights in waves, nm; `None` for heights in another unit. Refuses a setting that
-/// contradicts the file.
+/// Returns the wavelength that the settings or the file state, nm; `None` without one. A setting without effect, for
+/// heights in another unit than waves, counts as none. Refuses a setting that contradicts the file.
 fn wavelength(
     reading: &Reading,
     unit: Unit,
@@ -810,8 +811,8 @@ fn coordinate_unit(
     Ok(settings.coordinate_unit.or(stated))
 }
 
-/// Returns the distance of pixel centres [x, y], mm, and its source, the user or the file. Refuses a contradiction, and
-/// a missing pitch.
+/// Returns the distance of pixel centres [x, y], mm, and its source ("file" or "asked for"). Refuses a contradiction, a
+/// missing pitch, and one that is not positive.
 fn pitch(
     of_file: Option<[f64; 2]>,
     settings: &ReadingSettings,

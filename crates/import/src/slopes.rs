@@ -136,7 +136,7 @@ pub struct SlopeReport {
     pub residual_of_other_sign_urad: f64,
     /// Number of valid pixels outside of the largest connected region, which are left out.
     pub unconnected_pixels: usize,
-    /// Number of steps of the conjugate gradients.
+    /// Number of steps of the conjugate gradients: the larger one of the two solutions, along x and along y.
     pub steps: usize,
     /// Warnings for the user.
     pub warnings: Vec<String>,
@@ -145,7 +145,8 @@ pub struct SlopeReport {
 /// Integrates two maps of slopes, along x and along y, to a map of heights in nm.
 ///
 /// # Errors
-/// Refuses maps of two grids, a unit that is no slope, and signs that contradict each other.
+/// Refuses maps of two grids, a unit that is missing, no slope or not the same in both maps, and signs that contradict
+/// each other. Refuses fewer than 4 connected pixels that are valid in both maps.
 pub fn slopes(
     along_x: Reading,
     along_y: Reading,
@@ -227,7 +228,8 @@ fn differ(a: &Axis, b: &Axis) -> bool {
     a.len() != b.len() || ends.iter().any(|(a_mm, b_mm)| (a_mm - b_mm).abs() > 1e-3 * a.step_mm())
 }
 
-/// Returns the unit of both maps, as the files or the user state it. Refuses different units, and one that is no slope.
+/// Returns the unit of both maps, as the files or the user state it. Refuses different units, a unit that is no slope,
+/// and one that nobody states.
 fn unit(
     along_x: &Reading,
     along_y: &Reading,
@@ -297,8 +299,8 @@ fn map_of_slopes(
     surface(reading, &ReadingSettings { no_data: None, ..settings.clone() })
 }
 
-/// Refuses maps if the other sign of the slopes along y is certainly right. Adds a warning if the maps may not belong
-/// together.
+/// Refuses maps if the other sign of the slopes along y is certainly right, unless the settings trust the signs. Adds a
+/// warning if the maps may not belong together, or if both signs fit.
 fn judge_signs(
     made: &Integrated,
     settings: &SlopeSettings,
@@ -391,7 +393,7 @@ fn integrate(
     })
 }
 
-/// Makes all pixels of `valid` false outside of its largest connected region. Returns their number.
+/// Makes all pixels of `valid` false outside of its largest connected region. Returns how many of them were true.
 fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
     let (rows, columns) = valid.dim();
     let mut region = Array2::<usize>::zeros((rows, columns));

@@ -349,7 +349,8 @@ fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f6
     resampled
 }
 
-/// Refuses settings that are not positive, and units of the wrong quantity, such as an angle for a length.
+/// Refuses settings that are not positive, and units of the wrong quantity, such as an angle for a length. An encoder
+/// count may be negative, but not 0.
 fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     let positive = [
         ("rate_hz", settings.rate_hz),
@@ -426,7 +427,8 @@ impl PositionScale {
     }
 }
 
-/// Returns the length of an encoder count of a position, mm. Refuses a log in counts without `count_mm`.
+/// Returns the length of an encoder count of a position, mm. Refuses a log in counts without `count_mm`, and one of all
+/// axes of a machine.
 fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
     let axis = match role {
         Role::X | Role::SetpointX => 0,
@@ -453,7 +455,8 @@ fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
 }
 
 /// Returns the removal rate relative to the TIF, the current over the nominal current, of every sample. Values slightly
-/// below zero become zero. Refuses currents in another unit than `nominal`.
+/// below zero become zero. Refuses an absent `nominal`, currents in another unit than it, currents far below zero, and
+/// currents that are nowhere above zero.
 fn rate_factor(
     column: &Column,
     nominal: Option<f64>,

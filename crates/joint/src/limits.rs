@@ -188,7 +188,8 @@ impl<'a> LimitRows<'a> {
         Self { mesh, rows, least_density }
     }
 
-    /// Adds the rows (constraints) of further axes to those of x and y.
+    /// Adds the rows (constraints) of further axes to those of x and y. Raises the least densities to what their
+    /// velocity limits demand.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
         let mesh = self.mesh;
         let of_spans = self.of_spans();

@@ -510,8 +510,9 @@ fn as_run(
     }
 }
 
-/// Returns a motion that keeps the limits of the further axes: the same one, or one with all times longer. The second
-/// value is the reason why it is refused, the third the factor on all times; `None` if there is none.
+/// Returns a motion that keeps the limits of the further axes: the same one, or one with all times longer. A motion
+/// whose use of a limit is above [`HOPELESS`] is returned as it is, and refused. The second value is the reason why the
+/// motion is refused, the third the factor on all times; `None` if there is none.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,

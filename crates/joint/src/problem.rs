@@ -138,7 +138,7 @@ pub struct Solved {
 pub struct MeshOutcome {
     pub solution: Solution,
     pub motion: Motion,
-    /// Reason why the motion is refused, a limit that it exceeds; `None` if it keeps the limits.
+    /// Reason why the motion is refused, a limit of x or y that it exceeds; `None` if it keeps these limits.
     pub refused: Option<String>,
     /// RMS of the residual in the removal model of the solver ([`crate::merit`]), without the free low-order terms, nm.
     pub model_rms_nm: f64,
@@ -152,12 +152,13 @@ pub struct MeshOutcome {
     pub rounds: usize,
 }
 
-/// Finds the densities on a series of meshes. The motion of the result keeps the limits unless the result says that it
-/// is refused.
+/// Finds the densities on a series of meshes. The motion of the result keeps the limits of x and y unless the result
+/// says that it is refused. An excess over a limit of a further axis may be left.
 ///
 /// # Errors
 ///
-/// Fails if the weights are too small for the equations, or if the motion cannot be simulated.
+/// Fails if the weights are too small for the equations, if the tool does not reach the map, or if the motion cannot be
+/// simulated.
 pub fn solve(
     inputs: &PlanInputs<'_>,
     meshes: &Meshes,
@@ -423,8 +424,9 @@ impl<'a> OnMesh<'a> {
         }
     }
 
-    /// Solves the program in rounds until the motion keeps the limits; each round tightens the limits that the motion
-    /// exceeds. Rounds with new tangents follow.
+    /// Solves the program in at most [`MAX_ROUNDS`] rounds, until the motion keeps the limits. An excess of a further
+    /// axis above [`HOPELESS`] ends the rounds too. Each round tightens the limits that the motion exceeds. Rounds with
+    /// new tangents follow if the limits are kept and the solution is proven.
     fn solve(
         &self,
         inputs: &PlanInputs<'_>,

@@ -53,7 +53,7 @@ pub struct Spectrum {
     /// RMS of all valid pixels without their plane, nm.
     pub rms_detilted_nm: f64,
     /// Contributions to `rms_detilted_nm`, nm, of periods above 10 mm, from 10 mm to 1 mm, and of 1 mm and below in
-    /// the rectangle. `null` for a band that the map does not resolve.
+    /// the rectangle. `null` for a band that the map does not resolve; the middle band is never `null`.
     pub band_rms_nm: [Option<f64>; 3],
     /// Rest of the RMS beside the bands, nm: pixels outside of the rectangle, and the part that the window and the
     /// plane of the rectangle hide.

@@ -121,8 +121,8 @@ fn caption(row: &SweepPlan, [time_s, rms_nm]: [f64; 2]) -> String {
 const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: right; position: static; font-weight: 700; }\n\
                      tr.best td { font-weight: bold; }\n";
 
-/// Returns the page of the sweep: the sentence, the pictures, the plans of the front, those that failed, and all
-/// others. `to_table` is the path to the folder of the table.
+/// Returns the page of the sweep: the sentence, the pictures, the plans of the front, those without numbers, and all
+/// plans, the two last up to `MOST_POINTS` of each. `to_table` is the path to the folder of the table.
 pub fn page(table: &Table, to_table: &str) -> String {
     let title = format!("sweep {}, {}", table.0.name, table.0.mirror);
     let mut html =
@@ -195,7 +195,8 @@ fn constraints(table: &Table) -> String {
     )
 }
 
-/// Returns the HTML table of the plans with these indices.
+/// Returns the HTML table of the plans with these indices, without those that have no numbers. `to_table` is the path
+/// to the folder of the table.
 fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     let varied = table.varied();
     let mut html =

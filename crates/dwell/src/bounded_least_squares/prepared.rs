@@ -263,7 +263,7 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
 
 /// Returns the side of the cells, pixels, and the pitch of the splines, mm, of the surrogate for many dwell points.
 /// The pitch is `None` if `least_alpha`, the least diagonal element of the Tikhonov term, is small against D =
-/// `strongest`.
+/// `strongest`. It is also `None` if no pitch of splines suits the columns ([`surrogate::spline_pitch`]).
 fn cells_of_convolved(
     places: &[Vec<ToolPlace>],
     reached: &[bool],
@@ -295,8 +295,8 @@ fn convolved(
     Ok(Surrogate::Convolved(Box::new(h)))
 }
 
-/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for ten times more if splines represent
-/// too little of the problem.
+/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for up to ten times as many if splines
+/// represent too little of the problem. These take at most [`MOST_WORK`] multiplications.
 fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
     let n = places.len();
     let says_too_little =

@@ -132,7 +132,8 @@ pub enum Removal {
 }
 
 impl Removal {
-    /// Makes B for the places of the tool in each column; stored by columns if they fit and `as_columns` allows it.
+    /// Makes B for the places of the tool in each column. It is stored by columns if they fit, `as_columns` allows it,
+    /// and the TIF does not have the pitch of the map.
     ///
     /// # Errors
     /// Refuses a TIF that covers so many pixels that the units must be wrong.

@@ -59,7 +59,8 @@ fn number(root: Node<'_, '_>, path: &str) -> Result<Option<f64>, Invalid> {
     }
 }
 
-/// Returns the number of pixels that `MatrixDimension` states under `name`, or refuses its absence.
+/// Returns the number of pixels that `MatrixDimension` states under `name`. Refuses its absence, and a number that is
+/// negative or not whole.
 fn size(root: Node<'_, '_>, name: &str) -> Result<usize, Invalid> {
     let path = format!("Record3/MatrixDimension/{name}");
     match number(root, &path)? {

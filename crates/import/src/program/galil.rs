@@ -102,8 +102,9 @@ pub(super) fn read(
     through(&knots(&axes, layout, sample_s, letters)?)
 }
 
-/// Returns the states at the ends of the segments, in mm or deg. `axes` has distance, velocity and samples of every
-/// segment, by axis. Refuses missing settings, and axes whose segments differ in time.
+/// Returns the states at the ends of the segments, in mm or deg and per s. `axes` has distance (counts), velocity
+/// (counts/s) and duration (samples) of every segment, by axis. Refuses missing settings, sizes that are not positive,
+/// and axes whose segments differ in time.
 fn knots(
     axes: &[Vec<[i64; 3]>],
     layout: &Layout,

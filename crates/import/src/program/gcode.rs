@@ -320,7 +320,8 @@ impl<'a> Machine<'a> {
         from_corners.fold(0.0, f64::max)
     }
 
-    /// Appends the joined motion of a group of lines, from rest to rest. It begins half a line before the first node.
+    /// Appends the joined motion of a group of lines, from rest to rest. It begins half the time of the first line
+    /// before the time of the first node.
     fn join(&self, run: &[Part], pieces: &mut Cubics) {
         let axes = self.layout.len();
         for k in 0..=run.len() {

@@ -94,7 +94,7 @@ pub struct Clock {
     pub rate_hz: f64,
     /// Source of the rate: "asked for" (the user stated it) or "the usual step of the time stamps".
     pub rate_from: &'static str,
-    /// True if the times are stamps of the log; false if they follow from the rate.
+    /// True if the log has time stamps; false if the times follow from the rate alone.
     pub stamps: bool,
     /// Number of gaps.
     pub gaps: usize,
@@ -120,7 +120,8 @@ impl Timing<'_> {
     /// Returns the times since the first sample, s (n), and their comparison with equal steps.
     ///
     /// # Errors
-    /// Refuses stamps that do not ascend, gaps that are too long, and stamps or a rate whose unit nobody states.
+    /// Refuses stamps that do not ascend, gaps that are too long, and stamps whose unit nobody states. Refuses a log
+    /// with neither stamps nor a rate.
     pub fn clock(&self) -> Result<(Vec<f64>, Clock), Invalid> {
         let Some(stamps) = self.stamps else { return self.by_rate() };
         let unit_s = self.unit_s(stamps)?;
@@ -177,8 +178,8 @@ impl Timing<'_> {
         Ok((time_s, clock))
     }
 
-    /// Returns the unit of the time stamps, s, from the settings or the log. Refuses a contradiction, and an absent
-    /// unit.
+    /// Returns the unit of the time stamps, s, from the settings or the log. Refuses a contradiction, an absent
+    /// unit, a missing `sample_s` for stamps in samples, and a first stamp later than the year 2200.
     pub(super) fn unit_s(&self, stamps: &Column) -> Result<f64, Invalid> {
         let unit = match (self.unit, stamps.unit) {
             (Some(requested), Some(stated)) if requested != stated => {

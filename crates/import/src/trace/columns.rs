@@ -200,7 +200,7 @@ pub struct Log {
 }
 
 /// Returns the unit that `text` states for a quantity. `text` is the name of a column, or (`is_word`) the unit alone.
-/// Returns `None` without a unit.
+/// Returns `None` without a unit, and for a quantity that is neither a position nor a time.
 ///
 /// # Errors
 /// Refuses a word that claims to be a unit and is none, and a unit of another quantity.
@@ -247,7 +247,8 @@ pub struct ColumnPlace {
 /// Assigns the `count` columns of a table, with their `names` if it has some, to the quantities.
 ///
 /// # Errors
-/// Refuses a table without a column for a needed quantity, and one column for two quantities.
+/// Refuses a table without a column for a needed quantity, the setpoint of one axis alone, and one column for two
+/// quantities. Times of two axes may share a column.
 pub fn places(
     format: LogFormat,
     names: Option<&[String]>,

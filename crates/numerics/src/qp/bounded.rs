@@ -618,7 +618,7 @@ mod tests {
         (a.t().dot(&a) + ridge * Array2::<f64>::eye(n), g)
     }
 
-    /// Returns H in two forms: without outer products, and as a larger matrix minus two of them.
+    /// Returns H in two forms: without outer products, and as a matrix with more nonzero elements minus two of them.
     fn forms(h: &Array2<f64>) -> [Quadratic; 2] {
         let n = h.nrows();
         let u: Vec<Vec<f64>> = (1..3_u32)

@@ -318,8 +318,9 @@ impl Across {
             as usize
     }
 
-    /// Passes on the removal `E ly lx` of one place that spills over both edges, on the lines of the range, by
-    /// `add(line, pixel, rate)`.
+    /// Calls `add(line, pixel, rate)` with the removal rate `E ly lx`, nm/s, of one place at its corners. These are
+    /// pixels beyond an edge across and beyond an edge along the lines. `upper` chooses the edge across. Lines outside
+    /// of the range are left out, and the fraction of the place is not in the rate.
     ///
     /// ```text
     /// rate[k, c] = sum_d wy_d sum_e wx_e g[k - d, c - e]
