@@ -26,8 +26,8 @@ const MOST_ROUNDS: usize = 10;
 ///
 /// # Errors
 ///
-/// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it. Refuses a motion
-/// whose removal rate differs from that of the TIF.
+/// Refuses a tolerance that is not plausible, and a trajectory whose removal rate differs from that of the TIF.
+/// Refuses a placement of the part without an inverse, and a motion that the axes cannot follow within the tolerance.
 pub fn motion(
     trajectory: &Trajectory,
     machine: &Machine,

@@ -262,7 +262,8 @@ pub struct Names<'a> {
     pub pipeline: Option<&'a str>,
     /// Name of the mirror; may be empty.
     pub fixture: &'a str,
-    /// Directory of the map as it was measured before the run [surface artifact]; `None` if it is not given.
+    /// Directory of the map as it was measured, before anything was done to it [surface artifact]; `None` if it is not
+    /// given.
     pub measured: Option<&'a Path>,
     /// Directory of the tool [tif artifact]; `None` if it is not given.
     pub tif: Option<&'a Path>,

@@ -56,7 +56,7 @@ pub enum State {
     DwellOptimal,
     /// The method ended by itself, without a proof.
     Converged,
-    /// The method did not end by itself: it stagnated or reached a limit.
+    /// The method stagnated or reached a limit, or the plan was solved for something else.
     Unconverged,
     /// The plan was made by a stage that exists to compare with the literature.
     Baseline,

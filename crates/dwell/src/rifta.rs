@@ -201,7 +201,8 @@ struct MarginTrial {
     margin_mm: f64,
     rms_nm: f64,
     time_s: f64,
-    /// True if the lifts ended because the RMS settled, and not at their largest number.
+    /// True if the lifts ended because another would lower the RMS by little or not at all. False if their largest
+    /// number ended them.
     settled: bool,
 }
 

@@ -123,8 +123,8 @@ pub(crate) struct Beside {
     first_row: Option<FirstRow>,
     /// Stated numbers of columns and rows, in this order.
     counts: [Option<usize>; 2],
-    /// Size, mm, that was stated under an unknown key, and the number of its line or statement. Two such sizes in a row
-    /// are those along x and y.
+    /// Size (mm) with its unit under an unknown key, and the place of this statement. Two such sizes at neighbouring
+    /// places are those along x and y.
     unknown_size: Option<(f64, usize)>,
     /// Statements that are not used, as a warning quotes them; at most [`MOST_QUOTED`].
     unused: Vec<String>,
@@ -235,8 +235,9 @@ impl Beside {
         Ok(())
     }
 
-    /// Reads a statement. Its unit stands at the end of `key` or in `unit`. `place` is the number of the line or of the
-    /// statement. Returns true if the statement is used.
+    /// Reads a statement, and returns true if it is used. Its unit may stand at the end of `key`, in `value` or in
+    /// `unit`. `place` is the number of the line, or counts the statements. Statements are neighbours if their places
+    /// differ by 1.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -354,8 +355,8 @@ impl Beside {
         }
     }
 
-    /// Reads variables or attributes. One called `pixel_size_unit` is taken for the unit of `pixel_size`, if both
-    /// exist.
+    /// Reads variables or attributes. One whose name is that of another and `unit` or `units` states the unit of that
+    /// one, such as `pixel_size_unit` for `pixel_size`.
     ///
     /// # Errors
     /// As [`Self::add_comment`].

@@ -331,8 +331,8 @@ mod tests {
         read(controller, text.as_bytes(), &configuration()).unwrap_err().to_string()
     }
 
-    /// Checks that the motion is 1 mm in x in 0.1 s from rest to rest, then 0.2 s at rest. `straight` is true for
-    /// motion at constant speed.
+    /// Checks that the motion is 1 mm in x in 0.1 s, then 0.2 s at rest. With `straight` its speed is constant,
+    /// otherwise it goes from rest to rest.
     fn is_the_move(trajectory: &Trajectory, straight: bool) {
         assert_eq!(trajectory.len(), 2);
         let t = trajectory.break_time_s();

@@ -125,7 +125,8 @@ pub struct Reading {
     pub unit: Option<Unit>,
     /// True if the file does not state the unit, and it is the one that writers of this format use.
     pub unit_by_custom: bool,
-    /// Reason to refuse the unit of the file. The user can override it by stating the unit.
+    /// Reason to refuse the unit of the file. The unit of the user replaces it with `override_file`; a unit that is
+    /// only uncertain needs no `override_file`.
     pub unit_problem: Option<Invalid>,
     /// Unit as the file writes it, if it states one in words.
     pub unit_word: Option<String>,
@@ -497,8 +498,9 @@ fn map(
     Ok((grid, values, statement))
 }
 
-/// Removes the wavefront factor that the file has applied, if the settings state one other than 1 and override the
-/// file. Refuses such a factor without `override_file`, and one that is not positive.
+/// Removes the factor that the file has applied, if `surface_per_value` is not 1 and `override_file` is set. Refuses a
+/// `surface_per_value` that is not positive. Refuses one other than 1 beside a factor of the file without
+/// `override_file`.
 fn apply_surface_per_value(
     reading: &mut Reading,
     settings: &ReadingSettings,
@@ -603,7 +605,8 @@ fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
 }
 
 /// Returns the unit and its source for a file that states none for its values. A unit that the file states without
-/// saying of what is taken for the values, with a warning, unless the user states another one.
+/// saying of what is taken for the values, with a warning, unless the user states a unit. Refuses a unit of the user
+/// that differs from it, except with `override_file` or if it is the unit of the coordinates.
 fn unit_of_user(
     reading: &Reading,
     requested: Option<Unit>,

@@ -105,9 +105,9 @@ pub struct TraceSettings {
     pub most_gap_s: f64,
     /// Beam current, in the unit of the log, at which the removal rate is that of the TIF.
     pub nominal_current: Option<f64>,
-    /// Beginning of the motion to keep, s after the first sample; `None` keeps all.
+    /// Beginning of the motion to keep, s after the first sample; `None` begins with the first sample.
     pub from_s: Option<f64>,
-    /// End of the motion to keep, s after the first sample; `None` keeps all.
+    /// End of the motion to keep, s after the first sample; `None` ends with the last sample.
     pub until_s: Option<f64>,
     /// Interpolation between two samples, cubic or straight.
     pub between: Between,

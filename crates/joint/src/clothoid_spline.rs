@@ -167,7 +167,8 @@ struct Spline {
 }
 
 /// Returns the clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has the
-/// unit vectors of the lines at both ends; an end at rest ignores its own. `None` if the turns are too large.
+/// unit vectors of the lines at both ends; an end at rest ignores its own. `None` if the turns are too large, or if
+/// `MOST_STEPS` steps find no spline.
 pub fn through(
     points_mm: &[[f64; 2]],
     ends: [End; 2],

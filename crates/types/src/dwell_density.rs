@@ -31,7 +31,7 @@ pub struct DensityNodes {
     pub dwell_density_s_per_mm: Vec<f64>,
     /// Position of the nodes [x, y] (m), mm.
     pub point_mm: Vec<[f64; 2]>,
-    /// Number of the pass to which a node belongs (m).
+    /// Index of the pass to which a node belongs (m), counted from 0.
     pub pass_idx: Vec<i64>,
     /// True if the node is the control point of a blend (m).
     pub corner: Vec<bool>,

@@ -353,8 +353,8 @@ fn unbracketed(text: &str) -> &str {
     insides.next().map_or(text, str::trim)
 }
 
-/// Returns the unit of the table that is spelled `text`, which is normalised; with several, the first whose quantity is
-/// in `wanted`. `None` if there is none.
+/// Returns the unit of the table that is spelled `text`, which is normalised. Of several it is the first whose quantity
+/// is in `wanted`, or the first of all if none is. `None` if no unit is spelled so.
 fn find(text: &str, wanted: &[Quantity]) -> Option<&'static Word> {
     let mut words = WORDS.iter().filter(|word| is_spelled(word, text));
     let first = words.clone().next();

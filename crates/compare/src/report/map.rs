@@ -24,8 +24,8 @@ pub struct ScreenMap {
     pub rms_nm: f64,
     /// Smallest and largest value of the array, nm.
     pub range_nm: [f64; 2],
-    /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm. If it is 0, it is the
-    /// largest distance.
+    /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm. If that is 0, it is
+    /// the largest distance, and 1 nm for a flat map.
     pub reach_99_nm: f64,
     /// Heights (ny, nx), nm, as packed text for the page.
     pub height_nm: Packed,

@@ -47,7 +47,7 @@ pub struct RunData {
     pub summary: Summary,
     /// Map of the desired removal.
     pub desired: Surface,
-    /// Map as it was measured before the run; `None` if it is not known.
+    /// Map as it was measured, before anything was done to it; `None` if it is not known.
     pub measured: Option<Surface>,
     /// Tool path; `None` if the run has none.
     pub path: Option<ToolPath>,

@@ -178,7 +178,7 @@ fn from_line(text: &str, lines: usize) -> &str {
     }
 }
 
-/// Returns true if the field contains a word: text that is neither a number nor a mark for no data.
+/// Returns true if the field is neither a number nor a mark for no data, and one of its words is neither, too.
 fn is_word(field: &str) -> bool {
     is_text(field) && field.split_whitespace().any(is_text)
 }

@@ -444,7 +444,7 @@ fn matrix<'a>(
     Ok(Some(variable))
 }
 
-/// Returns the text of an array of letters; `None` if it is longer than [`LONGEST_TEXT`], or cut off.
+/// Returns the text of an array of letters; `None` if it is longer than [`LONGEST_TEXT`], cut off, or of another type.
 fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     if values.size > LONGEST_TEXT {
         return None;

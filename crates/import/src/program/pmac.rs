@@ -278,7 +278,7 @@ impl<'a> PmacProgram<'a> {
     }
 
     /// Sets an I-variable. Isx90 is the time unit of the velocities, ms; Isx87 to Isx89 belong to other modes and
-    /// change nothing.
+    /// change nothing. Refuses a unit other than the one that is known, and all other variables.
     fn set(&mut self, line: usize, number: f64, value: f64, raw: &str) -> Result<(), Invalid> {
         match number as u32 % 100 {
             87..=89 => Ok(()),

@@ -134,7 +134,7 @@ impl Columns {
         named.as_deref()
     }
 
-    /// Returns the name of a quantity in messages: `x`, or the name of an axis.
+    /// Returns the name of a quantity in messages: that of its setting, such as `setpoint_x`, or the name of an axis.
     pub fn name(&self, role: Role) -> String {
         match role {
             Role::Axis(k) => self.axes[k].name.clone(),

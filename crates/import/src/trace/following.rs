@@ -115,8 +115,8 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// Returns a warning about a drift that exceeds both its error and the usual difference of clocks; `None`
-    /// otherwise.
+    /// Returns a warning about a drift above the usual difference of clocks and above `DRIFT_SIGNIFICANT` standard
+    /// errors; `None` otherwise.
     pub fn warning(&self) -> Option<String> {
         let size = self.drift.abs();
         if size <= USUAL_DRIFT || size <= DRIFT_SIGNIFICANT * self.standard_error {
@@ -467,8 +467,8 @@ impl Extent {
         }
     }
 
-    /// Returns the reason why the log is not one of the whole plan, or `None`. A log that the user has `cut` may be
-    /// shorter.
+    /// Returns the reason why the log is not one of the whole plan, or why its tool is not that of the plan; otherwise
+    /// `None`. A log that the user has `cut` may be shorter.
     pub fn drawback(&self, cut: bool) -> Option<String> {
         if !cut && self.tool_on_absent_s > MOST_ABSENCE * self.tool_on_s {
             return Some(format!(

@@ -206,8 +206,9 @@ pub struct Times {
     pub resolution_s: f64,
 }
 
-/// Returns the times of `moments` since the first one. The error is the index of the first moment without a date among
-/// others with one, or with a date that does not exist.
+/// Returns the times of `moments` since the first one. Of both orders of the dates that are left open, it takes the one
+/// with the shorter longest step. The error is the index of a moment whose date does not exist in either order. A
+/// moment with a date after a first one without, or the other way round, is an error, too.
 pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     let digits = moments.iter().map(|m| m.digits).max().unwrap_or(0);
     let resolution_s = 10f64.powi(-i32::from(digits));

@@ -121,7 +121,7 @@ pub struct TrigSplineSchedule {
 }
 
 impl TrigSplineSettings {
-    /// Returns the settings with a corner deviation of at most the usual tolerance of the path.
+    /// Returns the settings with a corner deviation of at most the usual tolerance of the path; unchanged if that is 0.
     fn near(&self, path: &ToolPath) -> Result<Self, Invalid> {
         let tolerance_mm = path.tolerance_mm(None)?;
         let corner_deviation_mm = if tolerance_mm > 0.0 {
