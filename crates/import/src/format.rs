@@ -106,7 +106,8 @@ pub enum Format {
 }
 
 impl Format {
-    /// Returns the format of a file from its first bytes; `None` if they do not tell, as in a text of numbers.
+    /// Returns the format of a file from its bytes: the first ones, the content of an archive, or the words of a text.
+    /// Returns `None` if they do not tell, as in a text of numbers.
     pub fn recognise(bytes: &[u8]) -> Option<Self> {
         let starts = |magic: &[u8]| bytes.starts_with(magic);
         if metropro::is_magic(bytes) {
@@ -157,8 +158,8 @@ impl Format {
         }
     }
 
-    /// Returns the format of a text of numbers from the ending of the file name, in lower case. Some endings belong to
-    /// several formats; then the first lines decide. Returns `None` for another ending.
+    /// Returns the format of a text of numbers from the ending of the file name, in lower case: `csv`, `xyz`, and `dat`
+    /// or `txt` if the first lines are those of SRW. Returns `None` otherwise.
     pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
         match ending {
             "csv" => Some(Self::Csv),
@@ -172,7 +173,8 @@ impl Format {
 /// Reads a map from the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
 ///
 /// # Errors
-/// Refuses a file that is not of the format, names that the format does not have, and content that its reader refuses.
+/// Refuses a file that is not of the format, entries of `pick` that the format does not have, and content that its
+/// reader refuses.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.grid_mm.is_some() && format != Format::Xyz {
         let problem = "was given, but only lines x y z are interpolated";

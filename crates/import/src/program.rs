@@ -23,20 +23,20 @@ pub mod xps;
 use planish_types::{AxesMotion, ControllerKind, Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
 
-/// Settings of the controller for reading a program. A setting that a program needs and that is absent is refused, with
-/// a message that asks for it.
+/// Settings of the controller for reading a program. A program that needs a setting is refused without it, with a
+/// message that asks for it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Configuration {
     /// Position of the axes [x, y] before the program starts, mm.
     pub start_mm: Option<[f64; 2]>,
-    /// Length of an encoder count of [x, y], mm.
+    /// Length of an encoder count of [x, y], mm. A Galil program needs it.
     pub count_mm: Option<[f64; 2]>,
-    /// Axes that the program moves, in the order of its numbers. If empty, it moves x and y.
+    /// Axes that the program moves, in the order in which its lines list their numbers. If empty, it moves x and y.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<ProgramAxis>,
-    /// Sample time of the controller (Galil), s.
+    /// Sample time of the controller, s. A Galil program needs it, unless the program states it (`TM`).
     pub sample_s: Option<f64>,
-    /// Time unit of the velocities of a PMAC, s: 1e-3 for mm/ms.
+    /// Time unit of the velocities of a PMAC program, s: 1e-3 for mm/ms. The program may state it itself (`Isx90`).
     pub feedrate_time_unit_s: Option<f64>,
     /// Transform from the part to the axes with which the program was written. Its inverse takes the motion back to the
     /// part; `None` leaves the motion in the coordinates of the program.
@@ -135,8 +135,8 @@ impl Configuration {
         })
     }
 
-    /// Returns this configuration, completed with the settings of `about`, the file beside the program. Settings that
-    /// are present in both stay as they are here.
+    /// Returns this configuration, completed with the settings of `about`, the file written together with the program.
+    /// Settings that are present in both stay as they are here; `was_on_axes` is true if it is true in one of them.
     pub fn completed_by(self, about: Self) -> Self {
         Self {
             start_mm: self.start_mm.or(about.start_mm),
@@ -155,8 +155,8 @@ impl Configuration {
 /// part if the configuration has the transform from the part to the axes.
 ///
 /// # Errors
-/// Refuses a program of other axes, which [`read_axes`] reads, a configuration of another program, and what the reader
-/// of the controller refuses.
+/// Refuses a configuration with a list of axes, which [`read_axes`] reads, a configuration of another program, and what
+/// the reader of the controller refuses. Refuses a transform that has no inverse.
 pub fn read(
     controller: ControllerKind,
     bytes: &[u8],
@@ -183,10 +183,11 @@ pub fn read(
     }
 }
 
-/// Reads a program of `controller` as the motion of all axes that it makes. The configuration has the list of axes.
+/// Reads a program of `controller` as the motion of all axes that it makes, in the coordinates of the program. The axes
+/// are those that the configuration lists, or x and y if it lists none.
 ///
 /// # Errors
-/// Refuses a configuration of another program, and what the reader of the controller refuses.
+/// Refuses a configuration of another program or with wrong axes, and what the reader of the controller refuses.
 pub fn read_axes(
     controller: ControllerKind,
     bytes: &[u8],
@@ -205,7 +206,8 @@ pub fn read_axes(
     }
 }
 
-/// Returns a doubt about a program: a text on a probable mistake that may also be intended. Returns `None` without one.
+/// Returns a doubt about a program: a text on a probable mistake that may also be intended. Only dwells of G-code are
+/// looked at; for all other programs it returns `None`.
 pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
     let text = crate::text::text("program", bytes).ok()?;
     match controller {
@@ -258,7 +260,8 @@ fn hermite(p: [f64; 2], v: [f64; 2], time_s: f64) -> [f64; 4] {
     ]
 }
 
-/// Returns the motion through the knots, with a cubic between two of them on every axis. Refuses fewer than two knots.
+/// Returns the motion through the knots, with a cubic between two of them on every axis. Refuses fewer than two knots,
+/// and times that make no valid motion.
 fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     if knots.len() < 2 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
@@ -288,7 +291,8 @@ fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
     Invalid::at_index("program line", line, problem, REMEDY)
 }
 
-/// Returns the number in a text. Refuses text that is no finite number; `line` is for the message.
+/// Returns the number in `text`. Refuses text that is no finite number; `line` is the line of the program, for the
+/// message.
 fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     text.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
         let short: String = text.trim().chars().take(20).collect();

@@ -73,8 +73,8 @@ pub enum LogFormat {
 }
 
 impl LogFormat {
-    /// Returns the format of a log from its first bytes, or from the ending of its file name in lower case. Returns
-    /// `None` if neither tells.
+    /// Returns `Hdf5` if the bytes are those of an HDF5 file, and `Csv` if `ending`, the ending of the file name in
+    /// lower case, is `csv`. Returns `None` for all other files.
     pub fn recognise(bytes: &[u8], ending: Option<&str>) -> Option<Self> {
         match ending {
             _ if crate::format::hdf5::is_hdf5(bytes) => Some(Self::Hdf5),
@@ -87,11 +87,14 @@ impl LogFormat {
 /// Settings for reading a log: statements of the user that the log does not make.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct TraceSettings {
-    /// Columns of the quantities; `None` for those that the names in the file tell.
+    /// Columns that the user states for the quantities. In text, the other columns are found by their names; in HDF5
+    /// only stated ones are read.
     pub columns: Columns,
-    /// Unit of the positions, if the log does not state it: a length or counts.
+    /// Unit of the positions of x, y and linear axes, if the log does not state it: a length or counts. A unit that
+    /// contradicts the log is refused.
     pub unit: Option<Unit>,
-    /// Unit of the positions of rotary axes, if the log does not state it: an angle.
+    /// Unit of the positions of rotary axes, if the log does not state it: an angle. A unit that contradicts the log is
+    /// refused.
     pub angle_unit: Option<Unit>,
     /// Length of an encoder count of [x, y], mm; negative if an axis counts backwards.
     pub count_mm: Option<[f64; 2]>,
@@ -99,11 +102,13 @@ pub struct TraceSettings {
     pub time_unit: Option<Unit>,
     /// Sample time of the controller, s, for time stamps that count samples.
     pub sample_s: Option<f64>,
-    /// Sampling rate that was set for the log, Hz.
+    /// Sampling rate that was set for the log, Hz. A log without time stamps needs it; time stamps are compared with
+    /// it.
     pub rate_hz: Option<f64>,
-    /// Longest time between two samples that is interpolated, s; a log with a longer gap is refused.
+    /// Longest time between two samples, s, that a straight line may bridge; a log with a longer gap is refused.
     pub most_gap_s: f64,
-    /// Beam current, in the unit of the log, at which the removal rate is that of the TIF.
+    /// Beam current, in the unit of the log, at which the TIF was measured. A log with a column of the current needs
+    /// it.
     pub nominal_current: Option<f64>,
     /// Beginning of the motion to keep, s after the first sample; `None` begins with the first sample.
     pub from_s: Option<f64>,
@@ -116,19 +121,21 @@ pub struct TraceSettings {
 /// A log of n samples: positions of x and y, or of all axes of a machine, in the order of time.
 #[derive(Clone, Debug)]
 pub struct Trace {
-    /// Time since the first sample of the log, s, ascending (n).
+    /// Times of the samples, s after the first sample of the log before it is cut, ascending (n).
     pub time_s: Vec<f64>,
     /// Measured positions [x, y], mm (n); empty if all axes of a machine are read.
     pub actual_mm: Vec<[f64; 2]>,
-    /// Measured positions of every axis of a machine, mm or degrees (axes of n each); empty if x and y are read.
+    /// Measured positions of every axis of a machine, mm or degrees (n values per axis); empty if x and y are read.
     pub axes: Vec<Vec<f64>>,
     /// Setpoints [x, y] of the controller, mm (n); `None` if the log has none.
     pub setpoint_mm: Option<Vec<[f64; 2]>>,
-    /// True if the tool was switched on from this sample to the next (n); `None` if the log has no switch.
+    /// True if the tool was switched on from this sample to the next (n, the last one unused); `None` if the log has no
+    /// switch.
     pub tool_on: Option<Vec<bool>>,
-    /// Removal rate relative to that of the TIF, from the beam current (n); `None` if the log has no current.
+    /// Removal rate at the sample relative to that of the TIF: beam current over nominal current (n). `None` if the log
+    /// has no current.
     pub rate_factor: Option<Vec<f64>>,
-    /// Comparison of the time stamps with equal steps.
+    /// Comparison of the time stamps with equal steps, for the log before `from_s` and `until_s` cut it.
     pub clock: Clock,
     /// Columns, unit and warnings, as they were read.
     pub statement: TraceStatement,
@@ -141,17 +148,17 @@ pub struct TraceStatement {
     pub format: LogFormat,
     /// Pairs of a quantity and the column or dataset of the file that it was read from.
     pub columns: Vec<(String, String)>,
-    /// Size of a stored value of every position, mm or degrees, in the order of the columns.
+    /// Factor from the stored values of each position column to mm or degrees, in the order of these columns.
     pub mm_or_deg_per_value: Vec<f64>,
-    /// Source of the unit of the positions: "the log" or "asked for" (the user stated it).
+    /// Source of the unit of the positions: "asked for" if the user stated that of at least one column, else "the log".
     pub unit_from: &'static str,
     /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Largest current below zero while the beam is off, relative to the nominal current. A current further
-/// below zero is refused; a smaller one counts as 0. Larger: accepts currents with the wrong sign. Smaller:
-/// refuses logs with an offset. Chosen: the offset of a picoammeter is far below it.
+/// Largest magnitude of a current below zero, relative to the nominal current, that counts as 0. A log with a larger
+/// one is refused. Larger: accepts currents with the wrong sign. Smaller: refuses logs with an offset. Chosen: the
+/// offset of a picoammeter is far below it.
 const MOST_NEGATIVE_CURRENT: f64 = 0.05;
 
 /// Largest ratio of the current to the nominal current, and of the nominal current to the largest current;
@@ -164,15 +171,16 @@ const LARGEST_RATE_FACTOR: f64 = 100.0;
 /// currents.
 const USUAL_RATE_FACTOR: f64 = 2.0;
 
-/// Fraction of its largest value above which the current means that the beam is on. Larger: a beam with a
-/// drifting current counts as off. Smaller: a beam that is being switched off still counts as on.
+/// Fraction of the largest current of the log above which the beam is on. Larger: a beam with a drifting current counts
+/// as off. Smaller: a beam that is being switched off still counts as on.
 const BEAM_ON: f64 = 0.5;
 
 /// Reads the bytes of a log, and converts the positions to mm or degrees on one time axis.
 ///
 /// # Errors
-/// Refuses a log without the columns that are needed, columns whose unit nobody states or that contradict the settings,
-/// times that do not ascend or have long gaps, and positions or currents that no machine has.
+/// Refuses settings out of range, a log with fewer than two samples, and one without the needed columns. Refuses units
+/// that nobody states or that contradict the settings, and times that do not ascend or have long gaps. Refuses
+/// positions or currents that no machine has, and a switch of the tool other than 0 or 1.
 pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result<Trace, Invalid> {
     check(settings)?;
     let Log { mut columns, times, mut warnings } = match format {
@@ -220,14 +228,15 @@ fn find(columns: &[Column], role: Role) -> Option<&Column> {
     columns.iter().find(|c| c.role == role)
 }
 
-/// Returns the values of two quantities in pairs (n), or `None` if one of them is absent.
+/// Returns the values of the two quantities x and y in pairs [x, y] (n), or `None` if one of them is absent.
 fn pair(columns: &[Column], [x, y]: [Role; 2]) -> Option<Vec<[f64; 2]>> {
     let [x, y] = [find(columns, x)?, find(columns, y)?];
     Some(x.values.iter().zip(&y.values).map(|(x, y)| [*x, *y]).collect())
 }
 
 /// Returns the times of the samples, s, and their comparison with equal steps. A quantity with its own time stamps is
-/// interpolated to the times of the log. The log is cut to the times that all quantities have.
+/// interpolated to the times of the log. The log is cut to the times that all quantities have. Refuses fewer than two
+/// samples, before or after this cut, and what `Timing` refuses.
 fn on_one_clock(
     columns: &mut [Column],
     times: &[Column],
@@ -305,8 +314,8 @@ fn on_one_clock(
     Ok((time_s, clock))
 }
 
-/// Returns the warning that quantities have their own time stamps, and are interpolated to `time_s` of the column
-/// `main`.
+/// Returns the warning that quantities have their own time stamps, and are interpolated to `time_s`. `main` is the name
+/// of the column with the time stamps of the log.
 fn warning_of_own_times(
     columns: &[Column],
     times: &[Column],
@@ -328,8 +337,8 @@ fn warning_of_own_times(
     )
 }
 
-/// Interpolates samples at `time_s` to the ascending times `at_s`, by cubics. With `held`, it returns the last sample
-/// at or before each time.
+/// Interpolates the `values` of samples at `time_s` to the ascending times `at_s`, by cubics. With `held`, it returns
+/// the last sample at or before each time.
 fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f64> {
     let n = time_s.len().min(values.len());
     let pieces = motion::pieces(&time_s[..n], &values[..n], f64::INFINITY, Between::Cubic);
@@ -349,8 +358,8 @@ fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f6
     resampled
 }
 
-/// Refuses settings that are not positive, and units of the wrong quantity, such as an angle for a length. An encoder
-/// count may be negative, but not 0.
+/// Refuses a rate, sample time, longest gap or nominal current that is not positive, and an encoder count of 0. Refuses
+/// units of the wrong quantity, such as an angle for a length.
 fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     let positive = [
         ("rate_hz", settings.rate_hz),
@@ -378,15 +387,15 @@ fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Size of a stored value of every position column, mm or degrees, and the source of the unit.
+/// Factor from the stored values of every position column to mm or degrees, and the source of the unit.
 struct PositionScale {
     factors: Vec<f64>,
     unit_from: &'static str,
 }
 
 impl PositionScale {
-    /// Finds the units of the position columns, from the log or the settings. Refuses a contradiction, and a missing
-    /// unit.
+    /// Finds the units of the position columns, from the log or the settings. Refuses a setting that contradicts the
+    /// log, a unit that nobody states, and counts without a length of a count.
     fn new(columns: &[Column], settings: &TraceSettings) -> Result<Self, Invalid> {
         let mut scale = Self { factors: Vec::new(), unit_from: "the log" };
         for column in columns.iter().filter(|c| c.role.is_position()) {
@@ -427,8 +436,8 @@ impl PositionScale {
     }
 }
 
-/// Returns the length of an encoder count of a position, mm. Refuses a log in counts without `count_mm`, and one of all
-/// axes of a machine.
+/// Returns the length of an encoder count of a position of x or y, mm, from `count_mm`. Refuses its absence, and counts
+/// in a log of all axes of a machine.
 fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
     let axis = match role {
         Role::X | Role::SetpointX => 0,
@@ -445,7 +454,7 @@ fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
     Ok(count_mm[axis])
 }
 
-/// Returns the switch of the tool, true for 1 and false for 0. Refuses other numbers.
+/// Returns the switch of the tool at every sample, true for 1 and false for 0. Refuses other numbers.
 fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     if let Some(i) = column.values.iter().position(|v| *v != 0.0 && *v != 1.0) {
         let remedy = "a switch of the tool is 0 (off) or 1 (on); give such a column, or the beam current as `current`";
@@ -454,9 +463,9 @@ fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     Ok(column.values.iter().map(|v| *v == 1.0).collect())
 }
 
-/// Returns the removal rate relative to the TIF, the current over the nominal current, of every sample. Values slightly
-/// below zero become zero. Refuses an absent `nominal`, currents in another unit than it, currents far below zero, and
-/// currents that are nowhere above zero.
+/// Returns the current over the nominal current at every sample, which is the removal rate relative to the TIF.
+/// Negative ratios down to `-MOST_NEGATIVE_CURRENT` become 0. Refuses an absent `nominal`, lower ratios, ratios above
+/// `LARGEST_RATE_FACTOR`, and currents whose largest ratio is 0 or below its inverse.
 fn rate_factor(
     column: &Column,
     nominal: Option<f64>,
@@ -516,7 +525,7 @@ fn rate_factor(
 const SAME_UNIT: &str =
     "give the nominal current in the unit of the log, or check the column of the current";
 
-/// Returns the problem text for a current that cannot have the unit of the nominal current.
+/// Returns the problem text for a `current` that cannot be in the unit of the current `nominal`.
 fn other_unit(current: f64, nominal: f64) -> String {
     format!(
         "is {}, and `nominal_current` is {}: the tool would remove {} times as fast as its TIF says",
@@ -527,7 +536,8 @@ fn other_unit(current: f64, nominal: f64) -> String {
 }
 
 impl Trace {
-    /// Refuses positions that no machine reaches, which are a sign of a wrong unit.
+    /// Refuses measured positions and setpoints, mm or degrees, that are beyond `is_plausible_mm`: a sign of a wrong
+    /// unit.
     fn check_plausible(&self) -> Result<(), Invalid> {
         let all = [Some(&self.actual_mm), self.setpoint_mm.as_ref()];
         for positions in all.into_iter().flatten() {
@@ -578,7 +588,8 @@ impl Trace {
         axes.collect()
     }
 
-    /// Returns the samples from `from_s` to `until_s` of the settings. Refuses a range with fewer than two.
+    /// Returns the samples from `from_s` to `until_s` of the settings. Refuses a range with fewer than two, and limits
+    /// that are no numbers.
     fn cropped(mut self, settings: &TraceSettings) -> Result<Self, Invalid> {
         let from_s = settings.from_s.unwrap_or(0.0);
         let until_s = settings.until_s.unwrap_or(f64::INFINITY);
@@ -609,8 +620,9 @@ impl Trace {
         Ok(self)
     }
 
-    /// Returns true for every interval between two samples in which the tool removed (n-1). The switch, the current, or
-    /// both decide; `None` if the log has neither.
+    /// Returns true for every interval between two samples in which the tool removed (n-1). The switch must be on, and
+    /// the mean current of the interval above half of the largest current. Only one of both decides if the log lacks
+    /// the other; `None` if it has neither.
     pub fn removes(&self) -> Option<Vec<bool>> {
         let intervals = self.time_s.len() - 1;
         let switched = self.tool_on.as_ref().map(|on| on[..intervals].to_vec());
@@ -632,7 +644,8 @@ impl Trace {
         }
     }
 
-    /// Returns the motion of x and y, with its time from the first sample. Refuses samples that make no valid motion.
+    /// Returns the motion of x and y, with its time from the first sample, and straight lines over gaps. The removal
+    /// rate of an interval is the mean of those at its ends. Refuses samples that make no valid motion.
     pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;
@@ -649,8 +662,8 @@ impl Trace {
         }
     }
 
-    /// Returns the motion of all axes of a machine, with its time from the first sample. Refuses samples that make no
-    /// valid motion.
+    /// Returns the motion of all axes of a machine, with its time from the first sample, and straight lines over gaps.
+    /// Refuses samples that make no valid motion.
     pub fn axes_motion(&self, between: Between) -> Result<AxesMotion, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let by_axis: Vec<Vec<[f64; 4]>> = (self.axes.iter())

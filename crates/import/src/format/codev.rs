@@ -63,14 +63,14 @@ impl<'a> Parameters<'a> {
         self.position(key).map(|k| self.number(k + 1)).transpose()
     }
 
-    /// Returns the number after the word `key`, or refuses its absence.
+    /// Returns the number after the word `key`. Refuses its absence.
     fn needed(&self, key: &str) -> Result<f64, Invalid> {
         let missing = format!("has no {key} in line {}", self.line + 1);
         self.after(key)?.ok_or_else(|| Invalid::whole(NAME, missing, AGAIN))
     }
 }
 
-/// Returns true if the text has the line of parameters of a CODE V interferogram.
+/// Returns true if the text has the line of parameters of a CODE V interferogram, with SSZ or WVL in it.
 pub(crate) fn is_codev(text: &str) -> bool {
     Parameters::find(text)
         .is_some_and(|p| p.position("SSZ").is_some() || p.position("WVL").is_some())
@@ -79,7 +79,8 @@ pub(crate) fn is_codev(text: &str) -> bool {
 /// Remedy in the messages about a file without a grid of heights.
 const AGAIN: &str = "write it again as a grid (GRD) of a surface (SUR)";
 
-/// Reads the map of a CODE V file. Refuses polynomials, filters, and another number of heights than pixels.
+/// Reads the map of a CODE V file. Refuses polynomials, intensity filters, a grid without WVL or SSZ, and another
+/// number of heights than pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();

@@ -38,18 +38,19 @@ const NAME: &str = "CSV file";
 /// digits. Larger: heights pass as an axis. Smaller: rounded axes are missed.
 const UNIFORMITY: f64 = 0.01;
 
-/// Smallest number of values that can be an axis of coordinates: three may lie in equal steps by chance.
+/// Smallest number of values that can be an axis of coordinates. Smaller: three values lie in equal steps by chance.
 const FEWEST: usize = 4;
 
 /// Smallest number of values in equal steps that are certainly coordinates, if the next row or column has no equal
-/// steps. Larger: coordinates of small maps are read as heights. Smaller: heights in whole numbers are refused by
+/// steps. Larger: coordinates of small maps are read as heights. Smaller: whole numbers that are heights are refused by
 /// chance.
 const CERTAIN: usize = 8;
 
 /// Reads a map from a matrix of numbers.
 ///
 /// # Errors
-/// Refuses rows of different lengths, words among the numbers, and tables that are certainly no matrix of heights.
+/// Refuses rows of different lengths, words among the numbers, several matrices, and one column. Refuses tables that
+/// are certainly no matrix of heights, and a table of SRW.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let (header, first) = header(&text)?;
@@ -104,7 +105,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Statements beside the numbers of the matrix.
+/// Statements above and between the numbers of the matrix, in comments and text lines.
 #[derive(Default)]
 struct Comments {
     beside: Beside,
@@ -114,14 +115,15 @@ struct Comments {
 }
 
 /// Largest number of fields of a line that are looked at to tell text from numbers. Larger: more memory for a long
-/// line. Smaller: words at the end of a long line are missed.
+/// line. Smaller: words further to the right are missed.
 const MOST_FIELDS: usize = 1 << 16;
 
-/// Largest number of text lines above the numbers that the manifest keeps.
+/// Largest number of text lines above the numbers that the manifest keeps. Larger: longer manifests.
 const MOST_LINES: usize = 40;
 
-/// Returns the statements of the text lines above the numbers, and the number of these lines. A text line has a word in
-/// its first field. It belongs to the matrix if its other fields are numbers, and the next line has as many.
+/// Returns the statements of the text lines above the numbers, and the number of lines up to the last of them. A text
+/// line has a word in its first field. It belongs to the matrix if its other fields are numbers, and the next line has
+/// as many fields. Refuses too many text lines.
 fn header(text: &str) -> Result<(Comments, usize), Invalid> {
     let mut header = Comments::default();
     let mut first = 0;
@@ -178,7 +180,7 @@ fn from_line(text: &str, lines: usize) -> &str {
     }
 }
 
-/// Returns true if the field is neither a number nor a mark for no data, and one of its words is neither, too.
+/// Returns true if the field is neither a number nor a mark for no data, and one of its words is neither of them.
 fn is_word(field: &str) -> bool {
     is_text(field) && field.split_whitespace().any(is_text)
 }
@@ -197,13 +199,15 @@ fn is_numeric(field: &str) -> bool {
 struct Table {
     values: Array2<f64>,
     comments: Comments,
-    /// Reason to refuse the first field of the matrix, if that is a word.
+    /// Reason to refuse the first field of the matrix, if that is a word; coordinates in the first row and column make
+    /// it harmless.
     corner: Option<Invalid>,
     corner_is_empty: bool,
 }
 
-/// Reads the numbers of a text. `before` is the number of lines above it, for messages, and `comments` are their
-/// statements.
+/// Reads the numbers of a text. `before` is the number of lines of the file before `text`, for messages, and `comments`
+/// are the statements in them. Refuses rows of different lengths, words (but for the first field), several matrices,
+/// and one column.
 fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Invalid> {
     let mut values = Vec::new();
     let mut rows = 0;
@@ -275,7 +279,7 @@ fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Inv
     Ok(Table { values, comments, corner, corner_is_empty })
 }
 
-/// Blank lines or comments between rows of the matrix: their number, and where the first one is.
+/// Blank lines or comments between rows of the matrix: how many such gaps there are, and where the first one is.
 #[derive(Default)]
 struct Gaps {
     is_open: bool,
@@ -285,12 +289,12 @@ struct Gaps {
 }
 
 impl Gaps {
-    /// Records a line that is no row, after `rows` rows.
+    /// Records a line that is no row of the matrix, after `rows` rows.
     fn open(&mut self, rows: usize) {
         self.is_open |= rows > 0;
     }
 
-    /// Records a row in line `line`, after `rows` rows.
+    /// Records a row of the matrix in line `line` of the file, after `rows` rows.
     fn close(&mut self, rows: usize, line: usize) {
         if std::mem::take(&mut self.is_open) {
             self.count += 1;
@@ -313,7 +317,8 @@ impl Gaps {
     }
 }
 
-/// Returns true if `own` has at least [`CERTAIN`] values in equal steps, and its neighbour `next` has no equal steps.
+/// Returns true if the row or column `own` has at least [`CERTAIN`] values in equal steps, and its neighbour `next` has
+/// no equal steps.
 fn is_axis(own: ArrayView1<f64>, next: ArrayView1<f64>) -> bool {
     own.len() >= CERTAIN && is_uniform(&own.to_vec()) && !is_uniform(&next.to_vec())
 }
@@ -348,7 +353,8 @@ fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     Err(Invalid::whole(NAME, problem, remedy))
 }
 
-/// Returns true if at least [`FEWEST`] values ascend or descend in equal steps.
+/// Returns true if there are at least [`FEWEST`] values, and they ascend or descend in equal steps to within
+/// [`UNIFORMITY`].
 fn is_uniform(values: &[f64]) -> bool {
     let (Some(first), Some(last)) = (values.first(), values.last()) else { return false };
     let step = (last - first) / (values.len() as f64 - 1.0);

@@ -38,7 +38,8 @@ fn bad(problem: String) -> Invalid {
 /// Reads the map; `pick.dataset` names one if the file holds several.
 ///
 /// # Errors
-/// Refuses a damaged file, several maps without a name, and heights in another unit than fringes, nm and um.
+/// Refuses a damaged file, several maps without a name, and names of coordinates. Refuses heights without a unit or in
+/// another one than fringes, nm and um, and fringes without positive factors.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.x.is_some() || pick.y.is_some() {
         let remedy = "a datx file has its pitch; leave out `x` and `y`";
@@ -112,8 +113,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the path of the map, by the links Root -Measurement-> M -Surface-> S -Path-> in `/MetaData`. Without that
-/// table it is the only dataset of surfaces.
+/// Returns the path of the map, by the links Root -Measurement-> M -Surface-> S -Path-> in `/MetaData`. Without these
+/// links it is the only dataset of surfaces. Refuses none or several.
 fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
     if let Some(links) = links(file)? {
         let mut path = Some("Root");
@@ -137,7 +138,8 @@ fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
     }
 }
 
-/// Returns the rows [Source, Link, Destination] of the table `/MetaData`; `None` without such a table.
+/// Returns the rows [Source, Link, Destination] of the table `/MetaData`; `None` without a table that has them. Refuses
+/// too many rows, or too much text.
 fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     let Ok(set) = file.dataset("/MetaData") else { return Ok(None) };
     let Datatype::Compound { size, fields } = set.dtype() else { return Ok(None) };
@@ -171,13 +173,13 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     Ok(Some(links))
 }
 
-/// Returns the text of an attribute; `None` if it is absent.
+/// Returns the text of the attribute `name`; `None` if it is absent or empty.
 fn text(attributes: &Attributes, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }
 
-/// Returns the number of an attribute; `None` if it is absent. Refuses a number that is not finite.
+/// Returns the first number of the attribute `name`; `None` if it is absent. Refuses a number that is not finite.
 fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
     let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     let values = attribute.read_1d::<f64>().map_err(broken)?;
@@ -187,7 +189,7 @@ fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
     }
 }
 
-/// Returns the pitch along [x, y], mm, from the converters of the axes; `None` if they state none.
+/// Returns the pitch along [x, y], mm, from the converters of the axes; `None` unless both state it in pixels.
 fn pitch_mm(
     set: &Dataset,
     attributes: &Attributes,
@@ -207,7 +209,7 @@ fn pitch_mm(
 }
 
 /// Returns first column, first row, width and height of the map in the camera, in pixels, from the attribute
-/// `Coordinates`. Returns `None` without it.
+/// `Coordinates`. Returns `None` if it is absent or of another layout.
 fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     let Some(attribute) = attributes.get("Coordinates")? else { return Ok(None) };
     let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
@@ -223,7 +225,7 @@ fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
     Ok(Some(window))
 }
 
-/// Returns the number of rows of the camera; `None` if no group of `/Attributes` states it.
+/// Returns the number of rows of the camera; `None` if no group of `/Attributes` states it as a finite number.
 fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
     let Ok(group) = file.group("/Attributes") else { return Ok(None) };
     let (groups, _) = group.members().map_err(broken)?;
@@ -243,7 +245,7 @@ fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
 }
 
 /// Returns the base unit and the parameters of the converter called `name`, an attribute {Category, BaseUnit,
-/// Parameters}; `None` without it.
+/// Parameters}. Returns `None` if it is absent or of another type.
 fn converter(
     set: &Dataset,
     attributes: &Attributes,

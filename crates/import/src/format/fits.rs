@@ -30,14 +30,13 @@ const BLOCK: usize = 2880;
 /// Size of a card of the header, bytes (FITS standard 4.0).
 const CARD: usize = 80;
 
-/// Largest offset of pixels across an axis, over the whole map, relative to the step across. A map with
-/// more is refused as turned or sheared. Larger: accepts maps on oblique axes, and places pixels wrongly by
-/// this much. Smaller: refuses maps whose matrix has rounding errors. Chosen: coordinates may depart from
-/// equal steps by as much.
+/// Largest offset of pixels across an axis, over the whole map, relative to the step across. A map with more is refused
+/// as turned or sheared. Larger: accepts maps on oblique axes, and places pixels wrongly by this fraction of a step.
+/// Smaller: refuses maps whose matrix has rounding errors. Chosen: coordinates may depart from equal steps by as much.
 const MOST_SLANT: f64 = 1e-4;
 
-/// Returns true if `wanted` is the number or the EXTNAME of the header and data unit (HDU) `hdu`, which is called
-/// `name`.
+/// Returns true if `wanted` is the number or the EXTNAME of the header and data unit (HDU) with the number `hdu` and
+/// the EXTNAME `name`. Returns false for `None`.
 fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
     wanted.is_some_and(|wanted| match wanted.parse::<usize>() {
         Ok(number) => number == hdu,
@@ -86,10 +85,11 @@ fn images(
 }
 
 /// Reads the image of the header and data unit (HDU) that `pick.dataset` names by number (0 is the primary one) or
-/// EXTNAME. Without a name it is the only image.
+/// EXTNAME. Without a name it is the only image that is no mask.
 ///
 /// # Errors
-/// Refuses damaged files, several images without a name, and axes that are turned or not linear.
+/// Refuses damaged files, several images without a name, names of coordinates or of an absent mask, and axes that are
+/// turned or not linear.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.x.is_some() || pick.y.is_some() {
         let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
@@ -171,7 +171,7 @@ impl Image {
     }
 }
 
-/// Returns the numbers of an image as stored, without scale and offset (rows, columns).
+/// Returns the numbers of an image as stored, without scale and offset (rows, columns). Refuses a truncated one.
 fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
     let [rows, columns] = image.size;
     let count = check_size("FITS image", rows, columns)?;
@@ -224,11 +224,12 @@ const READ: [&str; 24] = [
     "EXTVER", "DATE", "DATAM", "CHECKSUM",
 ];
 
-/// Largest number of cards and comments that are read as statements. Larger: more time on long headers. Smaller: a
+/// Largest number of cards, and of comments, that are read as statements. Larger: more time on long headers. Smaller: a
 /// statement after a long history is not seen.
 const MOST_STATEMENTS: usize = 1000;
 
-/// Reads the header that begins at byte `start`. Returns it with the offset of its data.
+/// Reads the header that begins at byte `start`. Returns it with the offset of its data, bytes. Refuses cards that are
+/// no text, too many cards, and a header without END.
 fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
     let mut cards = HashMap::new();
     let mut comments = Vec::new();
@@ -265,12 +266,12 @@ fn blocks(bytes: usize) -> usize {
 }
 
 impl Header {
-    /// Returns the value of a card as text, with its comment; `None` without the card.
+    /// Returns the value of a card as text, with its comment; `None` without the card or its value.
     fn raw(&self, key: &str) -> Option<&str> {
         self.0.get(key).map(String::as_str)
     }
 
-    /// Returns the string of a card, without its quotation marks; `None` if it has none.
+    /// Returns the string of a card, without its quotation marks; `None` if the card is absent or has no string.
     fn text(&self, key: &str) -> Option<String> {
         let value = self.raw(key)?.strip_prefix('\'')?;
         value.split('\'').next().map(|t| t.trim_end().to_string())
@@ -317,7 +318,7 @@ impl Header {
         Ok(beside)
     }
 
-    /// Returns the whole number of a card, 0 or more. Refuses a header without it.
+    /// Returns the whole number of a card, 0 or more. Refuses a header without such a number.
     fn whole(&self, key: &str) -> Result<usize, Invalid> {
         let value = self.float(key)?.filter(|v| *v >= 0.0 && *v < 1e15 && v.fract() == 0.0);
         value.map(|v| v as usize).ok_or_else(|| {

@@ -42,7 +42,8 @@ fn refuse_arrays(pick: &Pick) -> Result<(), Invalid> {
 /// Reads the channel whose number `pick` names, or the only one.
 ///
 /// # Errors
-/// Refuses a damaged file, several channels without a number, and units that are no lengths.
+/// Refuses a damaged file, several channels without a number, names of coordinates or of a mask, and units that are no
+/// lengths.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if !bytes.starts_with(MAGIC) {
         return Err(broken("does not start with \"GWYP\"".into()));
@@ -88,7 +89,8 @@ fn find<'a, 'b>(components: &'b [Component<'a>], name: &str) -> Option<&'b Value
     components.iter().find(|c| c.name == name).map(|c| &c.value)
 }
 
-/// Returns the number of the requested channel, or that of the only one. Refuses several channels without a request.
+/// Returns the number of the requested channel, or that of the only one. Refuses several channels without a request, a
+/// channel that the file does not have, and a file without channels.
 fn channel<'a>(all: &'a [Component<'_>], requested: Option<&str>) -> Result<&'a str, Invalid> {
     let mut channels = Vec::new();
     for component in all.iter().filter(|c| matches!(c.value, Value::Object(_))) {
@@ -127,7 +129,7 @@ fn title(all: &[Component<'_>], number: &str) -> String {
     }
 }
 
-/// Reads the map that is the component `name` of the container; `None` without it.
+/// Reads the map that is the component `name` of the container; `None` if it is absent or no object.
 fn field(all: &[Component<'_>], name: &str) -> Result<Option<GwyField>, Invalid> {
     match find(all, name) {
         Some(Value::Object(object)) => GwyField::new(object).map(Some),
@@ -176,7 +178,7 @@ impl GwyField {
     }
 }
 
-/// Returns the number of pixels that the component `name` states, or refuses its absence.
+/// Returns the number of pixels that the component `name` states. Refuses its absence, and a negative number.
 fn size(components: &[Component<'_>], name: &str) -> Result<usize, Invalid> {
     match find(components, name) {
         Some(Value::Int(n)) => usize::try_from(*n).map_err(|_| broken(format!("has {name} = {n}"))),
@@ -199,7 +201,7 @@ fn pair(components: &[Component<'_>], names: [&str; 2]) -> Result<Option<[f64; 2
     Ok(x.zip(y).map(|(x, y)| [x, y]))
 }
 
-/// Returns the symbol of the unit in the component `name`; `None` if it is absent or empty.
+/// Returns the symbol of the unit in the component `name`; `None` if it is absent, empty or no object of a unit.
 fn unit(components: &[Component<'_>], name: &str) -> Result<Option<String>, Invalid> {
     let Some(Value::Object(object)) = find(components, name) else { return Ok(None) };
     match find(&object.components()?, "unitstr") {
@@ -230,7 +232,7 @@ enum Value<'a> {
 }
 
 impl<'a> Object<'a> {
-    /// Reads the components of an object from its bytes. Refuses too many.
+    /// Reads the components of an object from its bytes. Refuses too many, and damaged ones.
     fn components(&self) -> Result<Vec<Component<'a>>, Invalid> {
         let b = &self.bytes;
         let mut start = 0;
@@ -249,7 +251,7 @@ impl<'a> Object<'a> {
     }
 }
 
-/// Reads the object that begins at byte `start`. Returns it with the offset of the next one.
+/// Reads the object that begins at byte `start`. Returns it with the offset of the byte after it.
 fn object<'a>(b: &Bytes<'a>, start: usize) -> Result<(Object<'a>, usize), Invalid> {
     let (name, after) = string(b, start)?;
     let size = b.u32(after)? as usize;
@@ -257,7 +259,8 @@ fn object<'a>(b: &Bytes<'a>, start: usize) -> Result<(Object<'a>, usize), Invali
     Ok((Object { name, bytes: Bytes { all, ..*b } }, after + 4 + size))
 }
 
-/// Reads the text from byte `start` up to a NUL. Returns it with the offset after the NUL.
+/// Reads the text from byte `start` up to a NUL. Returns it with the offset after the NUL. Refuses one that is too long
+/// or does not end.
 fn string(b: &Bytes, start: usize) -> Result<(String, usize), Invalid> {
     let rest = b.slice(start, b.all.len().saturating_sub(start))?;
     let end = rest.iter().take(MOST_TEXT_BYTES).position(|c| *c == 0);
@@ -276,6 +279,7 @@ fn bytes_each(kind: u8) -> Option<usize> {
 }
 
 /// Reads the value of the type `kind` (its letter in the file) at byte `start`. Returns it with the offset after it.
+/// Refuses other types, and a value that ends after the file.
 fn value<'a>(b: &Bytes<'a>, kind: u8, start: usize) -> Result<(Value<'a>, usize), Invalid> {
     let unknown = || broken(format!("has a component of type {kind:02X} at byte {start}"));
     if kind.is_ascii_lowercase() {

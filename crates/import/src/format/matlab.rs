@@ -31,9 +31,9 @@ const MATRIX: u32 = 14;
 /// Type code of a data element that holds another, compressed one.
 const COMPRESSED: u32 = 15;
 
-/// Number of bytes of a compressed variable that are inflated to read its flags, dimensions and name.
-/// Larger: more time on files with many variables. Smaller: a long name does not fit. Chosen: MATLAB allows
-/// names of 63 characters.
+/// Number of bytes of a compressed variable that are inflated to read its flags, dimensions and name. Larger: more time
+/// on files with many variables. Smaller: a long name does not fit. Chosen: ample, as MATLAB allows names of 63
+/// characters.
 const LONGEST_HEADER: usize = 4096;
 
 /// Class code of an array that is a structure (MAT-File Format, table 1-3).
@@ -62,7 +62,7 @@ struct Variable<'a> {
     number: Number,
     /// Data element that holds the variable, compressed or not.
     element: Element<'a>,
-    /// Offset of the numbers in the element after inflation, and their length `len`, bytes.
+    /// Offset of the numbers in the inflated content of the element, and their length `len`, bytes.
     start: usize,
     len: usize,
     /// True for a field of a structure; further fields may follow in the element.
@@ -72,7 +72,7 @@ struct Variable<'a> {
 /// Reads the matrix that `pick` names; without a name a customary one, or the only matrix of the file.
 ///
 /// # Errors
-/// Refuses damaged files, several matrices without a name, and complex numbers.
+/// Refuses damaged files, several matrices without a name, names of absent matrices, and complex numbers.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let mut b = Bytes { all: bytes, name: NAME, big_endian: false };
     if !bytes.starts_with(b"MATLAB 5.0") {
@@ -149,7 +149,7 @@ fn holds_complex(variable: &Variable) -> Invalid {
     Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
 }
 
-/// Returns the statements in texts and in variables of one number.
+/// Returns the statements in texts and in variables of one number, such as `pixel_mm = 0.5`.
 fn statements<'a>(
     variables: impl Iterator<Item = &'a Variable<'a>>,
     big_endian: bool,
@@ -176,7 +176,8 @@ fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again with -v7")
 }
 
-/// Returns the headers of all numeric matrices, real and complex. Of compressed matrices only the header is inflated.
+/// Returns the headers of all numeric matrices, real and complex, and of texts. Of compressed matrices only the header
+/// is inflated, of compressed structures everything. Refuses too many variables, and damaged ones.
 fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
     let mut variables = Vec::new();
     let mut start = HEADER;
@@ -230,9 +231,9 @@ struct Content<'a> {
 }
 
 impl<'a> Content<'a> {
-    /// Appends a numeric matrix, or the fields of a structure, to `found`. `head` are the first bytes of its content of
-    /// `size` bytes, which begins at byte `start` of the top element. `path` are the names of the surrounding
-    /// structures, and its own.
+    /// Appends a numeric matrix or text, or the fields of a structure, to `found`. `head` are the first bytes of its
+    /// content of `size` bytes, which begins at byte `start` of the content of the top element. `path` are the names of
+    /// the surrounding structures, and its own; it is empty at the top.
     fn matrices(
         self,
         head: &[u8],
@@ -349,7 +350,7 @@ struct Tag {
     next: usize,
 }
 
-/// Reads the head of the data element at byte `start`.
+/// Reads the head of the data element at byte `start`. Refuses a small element of more than 4 bytes.
 fn tag(b: &Bytes, start: usize) -> Result<Tag, Invalid> {
     let word = b.u32(start)?;
     if word >> 16 != 0 {
@@ -372,8 +373,8 @@ fn element<'a>(b: &Bytes<'a>, start: usize) -> Result<Element<'a>, Invalid> {
     Ok(Element { kind, data: b.slice(start, size)?, next })
 }
 
-/// Reads the header of a numeric matrix from `head`, the first bytes of its content of `size` bytes. Returns `None` for
-/// anything else.
+/// Reads the header of a numeric matrix or a text from `head`, the first bytes of its content of `size` bytes. Returns
+/// `None` for anything else, for more than two axes, and for no numbers.
 fn matrix<'a>(
     head: &[u8],
     size: usize,

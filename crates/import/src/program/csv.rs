@@ -7,7 +7,8 @@ use planish_types::{AxesMotion, Invalid};
 use super::{Knot, Layout, finite, through, wrong};
 use crate::text::fields;
 
-/// Reads the motion from the table, with a cubic between two rows. Refuses a table without the columns of `layout`.
+/// Reads the motion from the table, with a cubic between two rows. Refuses a header other than the columns of `layout`,
+/// fields that are no numbers, a `tool_on` other than 0 and 1, and fewer than two rows.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let columns = layout.names.iter().zip(&layout.units);
     let columns = columns.map(|(name, unit)| format!("{name}_{unit},v{name}_{unit}_per_s,"));

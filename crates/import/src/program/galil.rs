@@ -44,7 +44,7 @@ enum GalilCommand {
     Begin,
 }
 
-/// Reads the motion of a Galil program.
+/// Reads the motion of a Galil program. Refuses what the module names, other commands, and absent settings.
 pub(super) fn read(
     text: &str,
     configuration: &Configuration,
@@ -102,9 +102,9 @@ pub(super) fn read(
     through(&knots(&axes, layout, sample_s, letters)?)
 }
 
-/// Returns the states at the ends of the segments, in mm or deg and per s. `axes` has distance (counts), velocity
-/// (counts/s) and duration (samples) of every segment, by axis. Refuses missing settings, sizes that are not positive,
-/// and axes whose segments differ in time.
+/// Returns the states at the ends of the segments, in mm or deg and per s, from the start position on. `axes` has
+/// distance (counts), velocity (counts/s) and duration (samples) of every segment, by axis. Refuses missing settings,
+/// sizes of counts or samples that are not positive, and axes whose segments differ in time.
 fn knots(
     axes: &[Vec<[i64; 3]>],
     layout: &Layout,
@@ -145,7 +145,7 @@ fn knots(
     Ok(knots)
 }
 
-/// Refuses axes with different numbers of segments, and a motion without a beginning or an end.
+/// Refuses axes with different numbers of segments, a motion without a beginning, and an axis without an end.
 fn check_complete(
     axes: &[Vec<[i64; 3]>],
     ended: &[bool],
@@ -170,7 +170,8 @@ fn check_complete(
     Err(Invalid::whole("program", problem, "complete it if it was cut off"))
 }
 
-/// Returns the sample time, s, from the number `units` after `TM`. Refuses one that contradicts the settings.
+/// Returns the sample time, s, from the number `units` after `TM`. Refuses one that differs from that of the settings
+/// or of an earlier `TM` by more than a thousandth.
 fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Invalid> {
     let stated_s = finite(line, units.trim_start_matches([' ', '=']))? / TM_PER_S;
     // A little less or more is the rounding of a number that was typed.
@@ -184,7 +185,8 @@ fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Inv
     }
 }
 
-/// Returns the command that a text stands for. Refuses an unknown one.
+/// Returns the command that a text stands for. Refuses an unknown one, and a segment beyond the limits of the
+/// controller.
 fn parse(line: usize, command: &str, letters: &str) -> Result<GalilCommand, Invalid> {
     if command.strip_prefix("BT") == Some(letters) {
         return Ok(GalilCommand::Begin);

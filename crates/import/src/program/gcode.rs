@@ -39,7 +39,7 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Layout, finite, wrong};
 
-/// Reads the motion of a G-code program.
+/// Reads the motion of a G-code program. Refuses a program that has no end or moves nothing, and what the module names.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let mut machine = Machine::new(layout);
     let [mut percent, mut begun, mut ended] = [false; 3];
@@ -83,24 +83,24 @@ struct Machine<'a> {
     queued: Option<bool>,
     /// True if the program contains M62 to M65, so that it switches the tool.
     switches: bool,
-    /// Path tolerance P of G64, mm; 0 if lines are not joined.
+    /// Path tolerance P of G64, mm; 0 if lines are not joined (G61, or G64 without P).
     tolerance_mm: f64,
     parts: Vec<Part>,
     /// Sum of the dwells with the tool off before the program sets the start position, s.
     wait_s: f64,
 }
 
-/// A straight line of the motion, or a stop within it.
+/// A straight line of the motion, or a stop of the axes that may last 0 s.
 struct Part {
     seconds: f64,
-    /// Position at the start (mm or deg) and velocity (per s) of every axis.
+    /// Position at the start (mm or deg) and velocity (mm/s or deg/s) of every axis.
     states: Vec<[f64; 2]>,
     tool_on: bool,
     /// True for a dwell, and for an output that switches at once: the motion before it ends first.
     is_stop: bool,
 }
 
-/// Cubic polynomials of the motion in succession, with the times between them.
+/// Cubic polynomials of the motion in succession, one per axis and piece, with the times between the pieces.
 struct Cubics {
     times: Vec<f64>,
     cubics: Vec<[f64; 4]>,
@@ -124,7 +124,8 @@ impl Cubics {
     }
 }
 
-/// Returns the duration of the parabola around node `k` of joined lines, s: that of the shorter adjacent line.
+/// Returns the duration of the parabola around node `k` of joined lines, the start of line `k` and the end of the line
+/// before it, s. It is that of the shorter of both lines.
 fn parabola_s(run: &[Part], k: usize) -> f64 {
     let beside = &run[k.saturating_sub(1)..(k + 1).min(run.len())];
     beside.iter().map(|line| line.seconds).fold(f64::INFINITY, f64::min)
@@ -158,7 +159,8 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// Executes a line of the program; returns true if the program ends with it.
+    /// Executes a line of the program, whose `number` counts from 1; returns true if the program ends with it. Refuses
+    /// what the module names.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
         check_words(number, &words, &self.letters)?;
@@ -235,8 +237,9 @@ impl<'a> Machine<'a> {
         Ok(end)
     }
 
-    /// Moves to the position `target` by G0 or G1; `None` is an axis whose position is not yet known. `feed` is the
-    /// number of the F word of the line.
+    /// Moves to the position `target` by G1, or sets the start position by G0; `None` is an axis whose position is not
+    /// yet known. `feed` is the number of the F word of the line. Refuses a move whose time is not known, or of no
+    /// length.
     fn go(
         &mut self,
         number: usize,
@@ -281,7 +284,8 @@ impl<'a> Machine<'a> {
         self.push(number, &here, &to, seconds)
     }
 
-    /// Returns the motion of all lines and dwells, joined if it stays within the path tolerance.
+    /// Returns the motion of all lines and dwells. Lines are joined if all joined motion stays within the path
+    /// tolerance.
     fn motion(self) -> Result<AxesMotion, Invalid> {
         let mut pieces = Cubics::default();
         let is_joined = self.tolerance_mm > 0.0
@@ -309,7 +313,8 @@ impl<'a> Machine<'a> {
         self.parts.split(|part| part.is_stop).filter(|run| !run.is_empty())
     }
 
-    /// Returns the largest distance of the joined motion from the corners, along the linear axes, mm.
+    /// Returns the largest distance of the joined motion of the lines `run` from their corners, along the linear axes,
+    /// mm.
     fn farthest_mm(&self, run: &[Part]) -> f64 {
         let linear = || (0..self.layout.len()).filter(|a| self.layout.units[*a] == "mm");
         let from_corners = (0..=run.len()).map(|k| {
@@ -320,8 +325,8 @@ impl<'a> Machine<'a> {
         from_corners.fold(0.0, f64::max)
     }
 
-    /// Appends the joined motion of a group of lines, from rest to rest. It begins half the time of the first line
-    /// before the time of the first node.
+    /// Appends the joined motion of the lines `run`, from rest to rest. It begins half the time of the first line
+    /// before that line would begin by itself.
     fn join(&self, run: &[Part], pieces: &mut Cubics) {
         let axes = self.layout.len();
         for k in 0..=run.len() {
@@ -366,7 +371,7 @@ impl<'a> Machine<'a> {
         Err(Invalid::whole("program", problem, "end it with M65 P0"))
     }
 
-    /// Returns the positions of all axes. Refuses a program that has not yet set the start position.
+    /// Returns the positions of all axes. Refuses a program that has not yet set the position of every axis by G0.
     fn here(&self, number: usize) -> Result<Vec<f64>, Invalid> {
         let here: Option<Vec<f64>> = self.position.iter().copied().collect();
         here.ok_or_else(|| {
@@ -404,7 +409,8 @@ impl<'a> Machine<'a> {
 /// Smaller: dwells in s are doubted.
 const LEAST_DOUBTED_S: f64 = 100.0;
 
-/// Returns a doubt about the unit of the longest dwell, because other controllers count it in ms; `None` without one.
+/// Returns a doubt about the unit of the longest dwell of 100 or more whole seconds, because other controllers count it
+/// in ms. Returns `None` without such a dwell.
 pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
     let dwells = text.lines().enumerate().filter_map(|(i, line)| {
         let words = words(i + 1, line).ok()?;
@@ -423,14 +429,15 @@ pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
     ))
 }
 
-/// Returns ten times the number of a G or M code, because codes have at most one decimal. LinuxCNC accepts a code
-/// within 0.0001 of it; `None` otherwise.
+/// Returns ten times the number `v` of a G or M code as a whole number, because codes have at most one decimal. Returns
+/// `None` if ten times `v` is more than 1e-4 from a whole number.
 fn code(v: f64) -> Option<i64> {
     let tenfold = 10.0 * v;
     if (tenfold - tenfold.round()).abs() <= 1e-4 { Some(tenfold.round() as i64) } else { None }
 }
 
-/// Refuses words that are unknown, that contradict each other, or that nothing on the line uses.
+/// Refuses words that are unknown or twice there, two words of one modal group, and words that nothing on the line
+/// uses.
 fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
     let mut groups = Vec::new();
     for (i, (letter, v)) in words.iter().enumerate() {
@@ -514,7 +521,7 @@ fn has_letter(words: &[(char, f64)], letter: char) -> bool {
     words.iter().any(|w| w.0 == letter)
 }
 
-/// Refuses words that belong to no command of the line, or to two of them.
+/// Refuses words that belong to no command of the line, or to two of them: P, Q, and words beside G4.
 fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
     let dwell = has(words, 'G', &[40]);
     let output = has(words, 'M', &[620, 630, 640, 650]);
@@ -531,11 +538,12 @@ fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Resul
     Ok(())
 }
 
-/// Largest number of characters of a line that the interpreter `rs274` accepts; it ends with "Command too
-/// long" at one more.
+/// Largest number of characters of a line that the interpreter `rs274` accepts; with one more it reports "Command too
+/// long".
 const MOST_CHARACTERS: usize = 252;
 
-/// Splits a line into words, a letter with its number each; comments are left out.
+/// Splits a line into words, a letter with its number each; comments are left out. Refuses a line that is too long,
+/// begins with `/`, or has broken comments or words.
 fn words(number: usize, line: &str) -> Result<Vec<(char, f64)>, Invalid> {
     if line.len() > MOST_CHARACTERS {
         let problem =

@@ -20,7 +20,7 @@ use planish_types::{AxesMotion, Invalid};
 
 use super::{Configuration, Knot, Layout, finite, needed, positive, through, wrong};
 
-/// Reads the motion of a PMAC program.
+/// Reads the motion of a PMAC program. Refuses what the module names, and absent settings.
 pub(super) fn read(
     text: &str,
     configuration: &Configuration,
@@ -36,7 +36,7 @@ pub(super) fn read(
     through(&program.knots)
 }
 
-/// A statement of the program: a word of letters, its number, and the text after it.
+/// A statement of the program: a word of letters, its number, and the velocity or value after it.
 struct Statement {
     word: String,
     number: Option<f64>,
@@ -45,7 +45,7 @@ struct Statement {
     raw: String,
 }
 
-/// Text that follows the number of a statement.
+/// Part of a statement after its number: a velocity, a value, or nothing.
 enum Tail {
     None,
     /// Velocity `:v` at the end of a move.
@@ -127,8 +127,8 @@ fn statements(line: usize, text: &str) -> Result<Vec<Statement>, Invalid> {
     Ok(statements)
 }
 
-/// Removes a number, with or without parentheses, from the beginning of `rest`, and returns it; `None` if there is
-/// none.
+/// Removes a number, with or without parentheses, from the beginning of `rest`, and returns it; returns `None` if there
+/// is none. Refuses a number that is not finite, or whose parenthesis does not close.
 fn data(line: usize, rest: &mut &str) -> Result<Option<f64>, Invalid> {
     let text = *rest;
     let (number, end) = if let Some(inner) = text.strip_prefix('(') {
@@ -150,17 +150,17 @@ fn missing(line: usize, text: &str) -> Invalid {
     wrong(line, format!("has {:?} where a number should be", short(text)))
 }
 
-/// State of a program while it is read: knots so far, and modes of the controller.
+/// State of a program while it is read: states of the axes so far (knots), and modes of the controller.
 struct PmacProgram<'a> {
     layout: &'a Layout,
     letters: Vec<char>,
     last: Knot,
     knots: Vec<Knot>,
-    /// True if the position of the axes is known.
+    /// True if the position of the axes is known, from the settings or from a move to the start.
     is_placed: bool,
     unit_s: Option<f64>,
     segment_ms: Option<f64>,
-    /// True if moves go to the start position, by RAPID or LINEAR.
+    /// True after RAPID or LINEAR, so that moves before the first PVT go to the start position.
     is_approach: bool,
     is_absolute: bool,
     total_ms: f64,
@@ -206,7 +206,8 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Returns true if the statement names an axis with a number, even an axis that the program may not move.
+    /// Returns true if the statement is the letter of an axis with a number, even of an axis that the program may not
+    /// move.
     fn is_axis(&self, statement: &Statement) -> bool {
         let is_letter = statement.word.len() == 1 && "XYZUVWABC".contains(&statement.word);
         is_letter && statement.number.is_some()
@@ -313,7 +314,8 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Appends a knot, `ms` milliseconds after the last one.
+    /// Appends the last position and velocity as a knot, `ms` milliseconds after the knot before it. The tool is in the
+    /// state of the output up to it.
     fn add(&mut self, ms: f64) {
         self.knots.last_mut().expect("one knot").tool_on = self.output.on;
         // Milliseconds add up; dividing every one of them would round every one.
@@ -322,7 +324,8 @@ impl<'a> PmacProgram<'a> {
         self.knots.push(self.last.clone());
     }
 
-    /// Moves the axes as the words of a line say: position or distance, and velocity at the end.
+    /// Moves the axes as the words of a line say, in one segment: position or distance, and velocity at the end. Before
+    /// the first PVT it moves them to the start. Refuses absent settings, unknown axes and one named twice.
     fn go(&mut self, line: usize, words: &[Statement]) -> Result<(), Invalid> {
         let Some(ms) = self.segment_ms else {
             return self.approach(line, words);
@@ -352,7 +355,8 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Moves the axes to the start position. The move must name all axes in absolute positions.
+    /// Moves the axes to the start position, which begins the motion anew. The move must follow RAPID or LINEAR, and
+    /// name all axes in absolute positions without velocities.
     fn approach(&mut self, line: usize, words: &[Statement]) -> Result<(), Invalid> {
         if !self.is_approach {
             return Err(wrong(line, "moves before PVT sets a time"));
@@ -398,7 +402,8 @@ impl Default for Output {
 }
 
 impl Output {
-    /// Executes `M<n>==<0|1>` or `M<n>=<0|1>`. `moved` is true if the program has moved already.
+    /// Executes `M<n>==<0|1>` or `M<n>=<0|1>`. `moved` is true if the program has moved already. Refuses other values,
+    /// another variable, a first switch after a move, and `=` after a move.
     fn assign(&mut self, line: usize, statement: &Statement, moved: bool) -> Result<(), Invalid> {
         let (number, value, synchronous) = match (statement.number, &statement.tail) {
             (Some(n), Tail::Value { value, is_synchronous }) if n >= 0.0 && n.fract() == 0.0 => {
@@ -434,7 +439,7 @@ impl Output {
         Ok(())
     }
 
-    /// Applies an assignment that waits for the next move or dwell.
+    /// Applies the assignment that waits for the next move or dwell, if there is one.
     fn execute(&mut self) {
         self.on = self.queued.take().unwrap_or(self.on);
     }

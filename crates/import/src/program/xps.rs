@@ -10,7 +10,8 @@ use planish_types::{AxesMotion, Invalid};
 use super::{Knot, Layout, finite, needed, through, wrong};
 use crate::text::fields;
 
-/// Reads the motion of an XPS trajectory file, with a cubic per line.
+/// Reads the motion of an XPS trajectory file, with a cubic per line. Refuses a header or comment, another number of
+/// fields, a time that is not positive, a velocity at the end, and an absent start position.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let n = layout.len();
     let position = needed("start_mm", layout.start.clone())?;

@@ -25,15 +25,16 @@ use serde::Serialize;
 use super::columns::Column;
 
 /// Largest step between two samples without a gap, in usual steps. Larger: a lost sample goes unnoticed. Smaller: the
-/// scatter of the stamps passes for gaps. Chosen: midway between one step and the two steps of a lost sample.
+/// scatter of the stamps passes for gaps. Chosen: midway between one step and the two steps around a lost sample.
 const GAP: f64 = 1.5;
 
 /// Largest number of gaps that the manifest lists. Larger: longer manifests of bad logs. Smaller: fewer
 /// gaps to look at.
 const MOST_NAMED: usize = 10;
 
-/// Largest relative drift of a clock without a warning. Larger: in a run of an hour, a drift goes unnoticed that moves
-/// the removal by 36 ms or more of the path. Smaller: warns of the usual difference of two clocks.
+/// Largest relative drift of a clock without a warning. Larger: a larger shift of the removal along the path goes
+/// unnoticed; at this value it is the motion of 36 ms after an hour. Smaller: warns of the usual difference of two
+/// clocks.
 pub(super) const USUAL_DRIFT: f64 = 1e-5;
 
 /// Largest distance of the time stamps from equal steps, in units of their last digit, at which they count as rounded
@@ -45,12 +46,12 @@ const ROUNDING: f64 = 0.51;
 /// below that of positions.
 const COARSE: f64 = 1e-6;
 
-/// Latest time since 1970 that a log may state, s: the year 2200. A later time has another unit. Larger: wrong units
-/// pass.
+/// Latest time that the first time stamp may have, s since 1970: the year 2200. A later one is refused, because it is
+/// in another unit. Larger: wrong units pass.
 const LATEST_S: f64 = 7.3e9;
 
-/// Smallest number without a unit that counts as nanoseconds since 1970: the year 2000. As microseconds or a longer
-/// unit it would be far in the future.
+/// Smallest first time stamp without a unit that counts as nanoseconds since 1970: the year 2000. As microseconds or a
+/// longer unit it would be far in the future.
 const LEAST_UNIX_NS: f64 = 9.4e17;
 
 /// Largest RMS scatter of the stamps without a warning, relative to their step. Larger: does not notice
@@ -60,11 +61,11 @@ const USUAL_SCATTER: f64 = 0.1;
 
 /// Time stamps and settings from which the times of the samples follow.
 pub struct Timing<'a> {
-    /// Column of time stamps; `None` if the log has none.
+    /// Column of time stamps; `None` if the log has none, so that the times follow from `rate_hz`.
     pub stamps: Option<&'a Column>,
-    /// Number of samples.
+    /// Number of samples whose times are wanted, from the first one.
     pub samples: usize,
-    /// Unit of the stamps that the user states.
+    /// Unit of the stamps that the user states, or `None`.
     pub unit: Option<Unit>,
     /// Sample time of the controller, s, for stamps that count samples.
     pub sample_s: Option<f64>,
@@ -74,7 +75,7 @@ pub struct Timing<'a> {
     pub most_gap_s: f64,
 }
 
-/// A gap in the time stamps, where samples were lost.
+/// A gap between two time stamps: a step longer than `GAP` usual steps, in which samples were lost.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Gap {
     /// Index of the last sample before the gap, counted from 0.
@@ -83,14 +84,14 @@ pub struct Gap {
     pub at_s: f64,
     /// Time to the next sample, s.
     pub lasts_s: f64,
-    /// Number of samples that are missing in the gap.
+    /// Number of samples that are missing in the gap, at least 1: the rounded number of steps, minus 1.
     pub missing: usize,
 }
 
 /// Comparison of the time stamps with equal steps of the sampling rate.
 #[derive(Clone, Debug, Serialize)]
 pub struct Clock {
-    /// Sampling rate, Hz.
+    /// Sampling rate, Hz: the stated one, or that of the time stamps by least squares.
     pub rate_hz: f64,
     /// Source of the rate: "asked for" (the user stated it) or "the usual step of the time stamps".
     pub rate_from: &'static str,
@@ -100,28 +101,30 @@ pub struct Clock {
     pub gaps: usize,
     /// Total duration of the gaps, s.
     pub gaps_last_s: f64,
-    /// The largest gap first, then others; at most 10.
+    /// At most 10 gaps: the largest first, then others, not sorted.
     pub named_gaps: Vec<Gap>,
-    /// Drift of the stamps against the rate, relative; positive if the stamps run fast. Present if the log
-    /// has stamps and the rate was given.
+    /// Relative drift of the stamps against the stated rate; positive if the samples are further apart in time than it
+    /// says. Present if the log has stamps and the rate was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<f64>,
-    /// Drift accumulated at the end of the log, s.
+    /// Drift accumulated at the end of the log, s; present as `drift` is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_at_the_end_s: Option<f64>,
-    /// RMS distance of the stamps from equal steps, s.
+    /// RMS distance of the stamps from the least-squares line of the module (e_i), s; 0 without stamps.
     pub scatter_s: f64,
-    /// Unit of the last digit of the stamps, s, if they are equal steps rounded to it.
+    /// Unit of the last digit of the stamps, s. Present if the stamps are equal steps rounded to it, which then replace
+    /// them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rounded_to_s: Option<f64>,
 }
 
 impl Timing<'_> {
-    /// Returns the times since the first sample, s (n), and their comparison with equal steps.
+    /// Returns the times since the first sample, s (n), and their comparison with equal steps. Equal steps replace
+    /// stamps that are rounded to a coarse digit.
     ///
     /// # Errors
-    /// Refuses stamps that do not ascend, gaps that are too long, and stamps whose unit nobody states. Refuses a log
-    /// with neither stamps nor a rate.
+    /// Refuses stamps that do not ascend, gaps longer than `most_gap_s`, and what `unit_s` refuses. Refuses a log with
+    /// neither stamps nor a rate.
     pub fn clock(&self) -> Result<(Vec<f64>, Clock), Invalid> {
         let Some(stamps) = self.stamps else { return self.by_rate() };
         let unit_s = self.unit_s(stamps)?;
@@ -178,8 +181,9 @@ impl Timing<'_> {
         Ok((time_s, clock))
     }
 
-    /// Returns the unit of the time stamps, s, from the settings or the log. Refuses a contradiction, an absent
-    /// unit, a missing `sample_s` for stamps in samples, and a first stamp later than the year 2200.
+    /// Returns the length of a unit of the time stamps, s, from the settings or the log. A number of `LEAST_UNIX_NS` or
+    /// more without a unit is in ns. Refuses a contradiction, any other absent unit, a missing `sample_s` for stamps in
+    /// samples, and a first stamp later than the year 2200.
     pub(super) fn unit_s(&self, stamps: &Column) -> Result<f64, Invalid> {
         let unit = match (self.unit, stamps.unit) {
             (Some(requested), Some(stated)) if requested != stated => {
@@ -222,7 +226,7 @@ impl Timing<'_> {
     }
 
     /// Returns the comparison of the stamps with steps of `step_s`, and the number of steps (n_i of the module) up to
-    /// each sample. `rate_from` is the source of the step.
+    /// each sample. `rate_from` is the source of the step. Refuses a gap longer than `most_gap_s`.
     fn compared(
         &self,
         time_s: &[f64],

@@ -61,7 +61,8 @@ impl Role {
         }
     }
 
-    /// Returns the quantities that the unit of such a column may measure, such as lengths and counts.
+    /// Returns the kinds of unit that a column of this quantity may have. These are time or samples, angle or counts
+    /// for a rotary axis, and length or counts for other positions.
     fn wanted(self, columns: &Columns) -> &'static [Quantity] {
         match self {
             Self::Time | Self::TimeY => &[Quantity::Time, Quantity::Samples],
@@ -78,12 +79,12 @@ pub struct AxisColumn {
     pub name: String,
     /// True if the axis is a rotation, with positions in degrees.
     pub is_rotary: bool,
-    /// Column of its positions; `None` if the name of the axis tells it.
+    /// Column of its positions, as in [`Columns`]; `None` leaves the choice to the name of the axis.
     pub column: Option<String>,
 }
 
 /// Columns that the user names, by number counted from 1, or by name. In HDF5 it is the path of a dataset, with `:K`
-/// for column K of a matrix. `None` leaves the choice to the names in the log.
+/// for column K of a matrix. `None` leaves the choice to the names in the log; in HDF5 the quantity is not read.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Columns {
     /// Time stamps of the samples.
@@ -107,7 +108,8 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Returns all quantities that a log may have, in the order in which columns are assigned to them.
+    /// Returns all quantities that a log may have, in the order in which columns are assigned to them. A list of axes
+    /// replaces x, y and their setpoints.
     pub fn roles(&self) -> Vec<Role> {
         let mut roles = vec![Role::Time, Role::TimeY];
         match self.axes.len() {
@@ -162,11 +164,12 @@ pub struct Column {
     pub unit: Option<Unit>,
     /// Values of the samples (n), finite. Time stamps are stored as differences from the first one.
     pub values: Vec<f64>,
-    /// First time stamp, if the stamps are numbers.
+    /// First time stamp, in the unit of the column, if the stamps are numbers; 0 otherwise.
     pub first: f64,
     /// First time stamp, if the stamps are dates or times of day.
     pub first_moment: Option<Moment>,
-    /// Unit of the last digit of the time stamps, in their unit; 0 for other quantities.
+    /// Unit of the last digit of the time stamps, in their unit; the rounding of a double in HDF5, and 0 for other
+    /// quantities.
     pub resolution: f64,
     /// Index in [`Log::times`] of the separate time stamps of this quantity; `None` if it has those of the log.
     pub own_time: Option<usize>,
@@ -199,11 +202,12 @@ pub struct Log {
     pub warnings: Vec<String>,
 }
 
-/// Returns the unit that `text` states for a quantity. `text` is the name of a column, or (`is_word`) the unit alone.
-/// Returns `None` without a unit, and for a quantity that is neither a position nor a time.
+/// Returns the unit that `text` states for a quantity. `text` is the name of a column, or (if `is_word`) the unit
+/// alone. Returns `None` if the name states no unit, and for a quantity that is neither a position nor a time.
 ///
 /// # Errors
-/// Refuses a word that claims to be a unit and is none, and a unit of another quantity.
+/// Refuses text in the place of a unit that is no known unit, and a unit of another quantity, such as mm/s for a
+/// position.
 pub fn stated_unit(
     role: Role,
     columns: &Columns,
@@ -247,8 +251,9 @@ pub struct ColumnPlace {
 /// Assigns the `count` columns of a table, with their `names` if it has some, to the quantities.
 ///
 /// # Errors
-/// Refuses a table without a column for a needed quantity, the setpoint of one axis alone, and one column for two
-/// quantities. Times of two axes may share a column.
+/// Refuses a table without a column for a needed quantity (x and y, or every axis), the setpoint of one axis alone, and
+/// one column for two quantities. Times of two axes may share a column. Refuses a stated column that is absent or not
+/// unique, and a quantity that several columns may hold.
 pub fn places(
     format: LogFormat,
     names: Option<&[String]>,
@@ -292,7 +297,7 @@ pub fn places(
     Ok(places)
 }
 
-/// Returns the number and the names of the columns, for a message.
+/// Returns the number of the columns and the first 20 of their names, for a message.
 fn listed(names: Option<&[String]>, count: usize) -> String {
     match names {
         Some(names) => {
@@ -303,14 +308,14 @@ fn listed(names: Option<&[String]>, count: usize) -> String {
     }
 }
 
-/// Returns the first 40 characters of a name in quotation marks, for a message.
+/// Returns the first 40 characters of a name, without control characters, in quotation marks, for a message.
 pub(super) fn short(name: &str) -> String {
     let shown: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
     format!("\"{shown}\"")
 }
 
-/// Returns the index of the column that the user named by name or number. Refuses a name that no column or several
-/// columns have.
+/// Returns the index of the column that the user stated as `name`: its name in any case, or its number from 1 to
+/// `count`. Refuses text that is neither, and a name that several columns have.
 fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Result<usize, Invalid> {
     let all = names.unwrap_or_default().iter().enumerate();
     let matching: Vec<usize> =
@@ -331,8 +336,8 @@ fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Resu
     }
 }
 
-/// Returns the index of the column that its name, or the usual order of the controller, assigns to a quantity; `None`
-/// without one. Refuses a quantity that several columns may hold.
+/// Returns the index of the column that its name, or the usual order of an XPS, assigns to a quantity; `None` without
+/// one. Refuses a quantity that several columns may hold.
 fn customary(
     format: LogFormat,
     role: Role,
@@ -404,13 +409,14 @@ fn words(name: &str) -> Vec<String> {
 const TIMES: [&str; 8] =
     ["t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "temps", "uhrzeit"];
 
-/// Returns true if the name is that of a column of time stamps.
+/// Returns true if one of the words of the name is a word for time (`TIMES`).
 pub fn is_time(name: &str) -> bool {
     let words = words(name);
     words.iter().any(|word| TIMES.contains(&word.as_str())) || words == ["sample", "time"]
 }
 
-/// Returns the names of axes other than x and y for which a table has columns of positions.
+/// Returns the names of axes other than x and y (z, a, b, c, u, v, w, r, theta, phi) for which a table has columns of
+/// measured positions.
 pub fn further_axes(format: LogFormat, names: &[String]) -> Vec<String> {
     let mut axes = Vec::new();
     for axis in ["z", "a", "b", "c", "u", "v", "w", "r", "theta", "phi"] {
@@ -423,7 +429,8 @@ pub fn further_axes(format: LogFormat, names: &[String]) -> Vec<String> {
     axes
 }
 
-/// Returns true if a column called `name` holds the quantity `role`; `axis` is the name of the axis of a position.
+/// Returns true if a column called `name` holds the quantity `role`, by the words of the name or the operands of Galil.
+/// `axis` is the name of the axis of a position, and empty for other quantities.
 fn is_known_as(format: LogFormat, role: Role, axis: &str, name: &str) -> bool {
     if format == LogFormat::Galil {
         let galil = match (role, axis) {
@@ -468,7 +475,7 @@ fn is_known_as(format: LogFormat, role: Role, axis: &str, name: &str) -> bool {
     }
 }
 
-/// Words that name another quantity than a position.
+/// Words of a name that is not that of a position, such as velocity or error.
 const NO_POSITIONS: [&str; 11] = [
     "velocity",
     "acceleration",
@@ -497,7 +504,8 @@ fn has_one(words: &[&str], list: &[&str]) -> bool {
 }
 
 /// Returns the index of the column of a quantity by the order of the positioners, whose names are not x and y. The
-/// first positioner is x, the second y. Returns `None` for other quantities.
+/// first positioner is x, the second y. Returns `None` unless two columns have the ending of the quantity, and for
+/// quantities other than positions of x and y.
 fn in_order_of_positioners(role: Role, names: &[String]) -> Option<usize> {
     let (ending, which) = match role {
         Role::X => ("CurrentPosition", 0),

@@ -12,8 +12,9 @@ use super::{
 };
 use crate::{budget::too_many, format::hdf5};
 
-/// Reads the datasets that the user names. Refuses a file if those of x and y, or of all axes, are not named, datasets
-/// of different lengths, and numbers that are not finite.
+/// Reads the datasets that the user names. Refuses a file if those of x and y, or of all axes, are not named, and the
+/// setpoint of one axis alone. Refuses datasets of different lengths (unless `time_y` is named), too many samples,
+/// numbers that are not finite, and wrong units.
 pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     let file = hdf5::open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
@@ -59,8 +60,9 @@ pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     Ok(Log { columns, times, warnings: Vec::new() })
 }
 
-/// Reads the column of a quantity. `name` is the path of a dataset, or `PATH:K` for column K of a matrix. `transposed`
-/// is true for files of MATLAB.
+/// Reads the column of a quantity. `name` is the path of a dataset, or `PATH:K` for column K of a matrix, counted from
+/// 1. `transposed` is true for files of MATLAB, which store matrices transposed. Refuses a matrix of several columns
+/// without K, and what `read` refuses.
 fn column(
     file: &hdf5_reader::Hdf5File,
     role: Role,

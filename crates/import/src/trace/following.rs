@@ -24,11 +24,11 @@ use serde::Serialize;
 
 use super::clock::USUAL_DRIFT;
 
-/// Largest number of samples that enter the lag. Larger: more time. Smaller: a larger standard error of the
-/// lag.
+/// Largest number of samples that enter the least squares of the delays and of the drift. Larger: more time. Smaller: a
+/// larger standard error of the lag.
 const LAG_SAMPLES: usize = 100_000;
-/// Largest number of samples that enter the search on a grid. Larger: more time. Smaller: the place of the
-/// minimum is less certain.
+/// Largest number of samples that enter the search on a grid for the beginning of the plan. Larger: more time. Smaller:
+/// the minimum on the grid is less certain.
 const SEARCH_SAMPLES: usize = 1000;
 
 /// Step of the delay in the first search for the beginning of the plan, s. Larger: the search can miss the minimum.
@@ -36,12 +36,12 @@ const SEARCH_SAMPLES: usize = 1000;
 /// takes seconds.
 const SEARCH_STEP_S: f64 = 0.02;
 
-/// Largest delay that can be searched for, s. Larger: the search takes longer than some seconds. Smaller:
-/// the user has to cut more logs with `from_s`.
+/// Largest time before and after the first sample in which the beginning of the plan can be searched for, s. Larger:
+/// the search takes longer than some seconds. Smaller: the user has to cut more logs with `from_s`.
 const LONGEST_SEARCH_S: f64 = 300.0;
 
-/// Largest number of Gauss-Newton steps. Larger: more time. Smaller: no lag is reported where a delay settles
-/// slowly.
+/// Largest number of Gauss-Newton steps of a delay. Larger: more time. Smaller: no lag is reported where a delay
+/// settles slowly.
 const MOST_STEPS: usize = 30;
 /// Gauss-Newton step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
 /// Smaller: more steps, without a visible gain.
@@ -51,34 +51,35 @@ const SETTLED_S: f64 = 1e-10;
 /// samples decide the last steps.
 const SETTLED_PART: f64 = 0.1;
 
-/// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which the log is
-/// refused as one of another motion. Larger: accepts logs of other motions. Smaller: refuses logs with a
+/// RMS distance of a log from a plan, relative to the RMS distance of the plan's segments from their mean, above which
+/// the log is refused as one of another motion. Larger: accepts logs of other motions. Smaller: refuses logs with a
 /// large following error.
 const OTHER_MOTION: f64 = 0.05;
 
 /// Fraction of the plan's time with the tool on that may be absent from the log without a warning. Larger:
 /// missing removal goes unnoticed. Smaller: warns if a log begins or ends a little inside the plan.
 const USUAL_ABSENCE: f64 = 1e-3;
-/// Fraction of the plan's time with the tool on that may be absent from the log; with more absent, the log
-/// is reported as not one of the whole run. Larger: accepts incomplete logs. Smaller: reports logs that
+/// Fraction of the plan's time with the tool on that may be absent from the log. With more absent, a log that the user
+/// has not cut is reported as not one of the whole run. Larger: accepts incomplete logs. Smaller: reports logs that
 /// miss the beginning or the end.
 const MOST_ABSENCE: f64 = 0.05;
 
-/// Smallest time of the plan before or after the log that is reported, relative to the time between two
-/// samples: the beginning of a plan in a log is known to about this fraction. Larger: hides a short
-/// absence. Smaller: reports an absence that is an error of the fit.
+/// Smallest time of the plan before or after the log that is reported, relative to the mean time between two samples:
+/// the beginning of a plan in a log is known to about this fraction. Larger: hides a short absence. Smaller: reports an
+/// absence that is an error of the fit.
 const SEEN_OF_A_SAMPLE: f64 = 0.1;
 
-/// Fraction of the plan's time in which the tool of the log may differ from that of the plan without a
-/// warning, because switches have latencies. Larger: a wrong switch goes unnoticed. Smaller: warns of
-/// latencies.
+/// Fraction of the plan's time in which the tool of the log may differ from that of the plan without a warning, because
+/// switches have latencies. The time that the samples cannot resolve is added. Larger: a wrong switch goes unnoticed.
+/// Smaller: warns of latencies.
 const USUAL_DIFFERENCE: f64 = 0.01;
-/// Fraction of the plan's time in which the tool of the log may differ from that of the plan; above it, the
-/// log is reported as one with another tool. Larger: accepts wrong columns of the switch. Smaller: reports
-/// late switches.
+/// Fraction of the plan's time in which the tool of the log may differ from that of the plan; above it, the log is
+/// reported as one with another tool. At most half of the common time may differ, and the time that the samples cannot
+/// resolve is added. Larger: accepts wrong columns of the switch. Smaller: reports late switches.
 const MOST_DIFFERENCE: f64 = 0.1;
 
-/// The following error (measured minus reference position) of one axis.
+/// The following error (measured minus reference position) of one axis. A plan is first delayed by the time that both
+/// axes share.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AxisError {
     /// RMS of the following error, mm.
@@ -94,7 +95,7 @@ pub struct AxisError {
     /// Standard error of the lag, ms, under the assumption that the residual is white noise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_standard_error_ms: Option<f64>,
-    /// RMS of the following error that remains after the lag is subtracted, mm; absent without a lag.
+    /// RMS of the following error, mm, against the reference delayed by the lag of this axis; absent without a lag.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms_without_lag_mm: Option<f64>,
 }
@@ -133,7 +134,7 @@ impl Drift {
     }
 }
 
-/// The following error of x and y against a reference, the setpoint or a plan.
+/// The following errors of x and y against a reference, which is the setpoint of the log or a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Following {
     /// Beginning of the plan, s after the first sample; 0 for a setpoint of the log itself.
@@ -157,8 +158,8 @@ impl<'a> Walk<'a> {
         Self { motion, segment: 0 }
     }
 
-    /// Returns position (mm) and velocity (mm/s) at `t_s` after the beginning of the motion; `t_s` must not fall from
-    /// call to call.
+    /// Returns position (mm) and velocity (mm/s) of [x, y] at `t_s` after the beginning of the motion; the velocity is
+    /// 0 outside of it. `t_s` must not fall from call to call.
     fn state(&mut self, t_s: f64) -> ([f64; 2], [f64; 2]) {
         let breaks = self.motion.break_time_s();
         let t = t_s + breaks[0];
@@ -188,7 +189,8 @@ struct Pair<'a> {
 /// Sums over samples of one axis, for the least squares of its delay.
 #[derive(Clone, Copy, Default)]
 struct Sums {
-    /// Sums of e^2, of e r' (`mixed`) and of r'^2 (`speed`), with the error e and the velocity r' of the reference.
+    /// Sums of e^2 (`square`), of e r' (`mixed`) and of r'^2 (`speed`), with the error e and the velocity r' of the
+    /// reference.
     square: f64,
     mixed: f64,
     speed: f64,
@@ -219,7 +221,8 @@ impl Pair<'_> {
         self.time_s.len().div_ceil(samples).max(1)
     }
 
-    /// Returns the delay that both axes share, s, by Gauss-Newton steps from `from_s`.
+    /// Returns the delay that both axes share, s, by at most `MOST_STEPS` Gauss-Newton steps from `from_s`. It need not
+    /// have settled.
     fn common_delay_s(&self, from_s: f64) -> f64 {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = from_s;
@@ -238,8 +241,8 @@ impl Pair<'_> {
         delay_s
     }
 
-    /// Returns for each axis the delay near `from_s`, s, the sums there, and the number of samples in them. It is
-    /// `None` if an axis does not move or its delay has not settled.
+    /// Returns for each axis the delay near `from_s`, s, the sums at this delay, and the number of samples in them. An
+    /// axis that does not move, or whose delay has not settled, has `None`.
     fn delays(&self, from_s: f64) -> [Option<(f64, Sums, f64)>; 2] {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = [from_s; 2];
@@ -265,7 +268,8 @@ impl Pair<'_> {
         })
     }
 
-    /// Returns the following error of both axes, if the reference begins at the time `begin_s` of the log.
+    /// Returns the following error of both axes, without a drift, if the reference begins at the time `begin_s` of the
+    /// log.
     fn errors(&self, begin_s: f64) -> Following {
         let mut walk = Walk::new(self.reference);
         let mut squares = [0.0; 2];
@@ -297,7 +301,7 @@ impl Pair<'_> {
     }
 
     /// Returns the drift of the log against the reference, which begins at `begin_s`. Returns `None` if the reference
-    /// does not move enough.
+    /// rests at all samples, or moves at too few times to tell a drift from a delay.
     fn drift(&self, begin_s: f64) -> Option<Drift> {
         let stride = self.stride(LAG_SAMPLES);
         let total_s = self.reference.total_time_s();
@@ -337,11 +341,11 @@ pub fn beside_setpoint(time_s: &[f64], actual_mm: &[[f64; 2]], setpoint: &Trajec
     Pair { reference: setpoint, time_s, actual_mm }.errors(begin_s)
 }
 
-/// Returns the following error of a log against the plan that was run. The plan begins at most `most_offset_s` before
-/// or after the log.
+/// Returns the following error of a log against the plan that was run. The beginning of the plan is searched for from
+/// `most_offset_s` before to `most_offset_s` after the first sample.
 ///
 /// # Errors
-/// Refuses a log of another motion, and an offset that is negative or too long to be searched for.
+/// Refuses a log of another motion, and an offset that is negative or above 300 s.
 pub fn beside_plan(
     time_s: &[f64],
     actual_mm: &[[f64; 2]],
@@ -370,7 +374,8 @@ pub fn beside_plan(
     Ok(following)
 }
 
-/// Refuses a log that is so far from the plan that it is one of another motion.
+/// Refuses a log whose RMS distance from the plan is above `OTHER_MOTION` of the extent of the plan: it is one of
+/// another motion.
 fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Invalid> {
     let n = plan.len() as f64;
     let starts: Vec<[f64; 2]> = plan.segments().map(|s| s.position_mm(0.0)).collect();
@@ -396,16 +401,16 @@ fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Inv
 pub struct Extent {
     /// Total duration of the plan, s.
     pub plan_s: f64,
-    /// Duration of the plan before the first sample of the log, s.
+    /// Duration of the plan before the first sample of the log, s; 0 below `SEEN_OF_A_SAMPLE` of a mean interval.
     pub before_the_log_s: f64,
-    /// Duration of the plan after the last sample of the log, s.
+    /// Duration of the plan after the last sample of the log, s; 0 below the same limit.
     pub after_the_log_s: f64,
     /// Duration of the plan with the tool on, s.
     pub tool_on_s: f64,
     /// Duration of the plan with the tool on that the log does not cover, s.
     pub tool_on_absent_s: f64,
-    /// Duration in which the tool is on in either the log or the plan, but not in both, s. It is absent if the log has
-    /// no tool state.
+    /// Duration within the plan in which the tool is on in either the log or the plan, but not in both, s. It is absent
+    /// if the log has no tool state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool_differs_s: Option<f64>,
     /// Duration of the log from its first to its last sample, s.
@@ -414,14 +419,15 @@ pub struct Extent {
     /// Duration that both log and plan cover, with the tool off in the plan, s.
     #[serde(skip)]
     planned_off_s: f64,
-    /// Duration that the samples cannot resolve, s: one mean interval between samples per switch in the plan.
+    /// Duration that the samples cannot resolve, s: one mean interval between samples per switch of the plan within the
+    /// log.
     #[serde(skip)]
     unresolved_s: f64,
 }
 
 impl Extent {
-    /// Compares a log with `plan`, which begins at `begin_s`. `removes` is the tool state of the log in the intervals
-    /// between its n samples (n-1); `None` if it has none.
+    /// Compares a log with `plan`, which begins at `begin_s` on the clock of `time_s`. `removes` is the tool state of
+    /// the log in the intervals between its n samples (n-1), true if on; `None` if it has none.
     pub fn new(time_s: &[f64], removes: Option<&[bool]>, plan: &Trajectory, begin_s: f64) -> Self {
         let [first_s, last_s] = [time_s[0], time_s[time_s.len() - 1]];
         let to_log = begin_s - plan.break_time_s()[0];
@@ -468,7 +474,7 @@ impl Extent {
     }
 
     /// Returns the reason why the log is not one of the whole plan, or why its tool is not that of the plan; otherwise
-    /// `None`. A log that the user has `cut` may be shorter.
+    /// `None`. With `cut`, the user has cut the log, and it may be shorter than the plan.
     pub fn drawback(&self, cut: bool) -> Option<String> {
         if !cut && self.tool_on_absent_s > MOST_ABSENCE * self.tool_on_s {
             return Some(format!(

@@ -8,16 +8,17 @@ use std::borrow::Cow;
 
 use planish_types::text::significant;
 
-/// Smallest ratio of a jump to the steps beside it, and to the median of the steps of the moving axis. Larger: smaller
-/// jumps pass. Smaller: fast moves that last one sample are doubted.
+/// Smallest ratio of a jump to the steps beside it, and to the median of the steps of the axis that are not 0. Larger:
+/// smaller jumps pass. Smaller: fast moves that last one sample are doubted.
 const OVER_THE_OTHERS: f64 = 10.0;
 
 /// Smallest jump relative to the range of the positions in the whole log. Larger: small jumps pass. Smaller: the noise
 /// of an encoder at rest is doubted.
 const OF_THE_WAY: f64 = 1e-3;
 
-/// Largest fraction of the steps that may be jumps. If more are large, the log is slower than the moves of the axis,
-/// and none is reported. Larger: usual moves are reported. Smaller: logs with several jumps are not.
+/// Largest fraction of the steps that may be jumps; one jump is always reported. If more are large, the log has few
+/// samples per move of the axis, and none is reported. Larger: usual moves are reported. Smaller: logs with several
+/// jumps are not.
 const MOST_OF_THE_STEPS: f64 = 0.01;
 
 /// Measured positions of an axis, with their times.
@@ -54,12 +55,12 @@ pub fn doubt(axis: &LoggedAxis<'_>) -> Option<String> {
     ))
 }
 
-/// A jump from the sample with this index to the next, and its size in the unit of the axis.
+/// A jump of an axis: the index of the sample before it, and its size in the unit of the axis, with its sign.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Jump {
     index: usize,
     size: f64,
-    /// True if the position returns at the sample after the jump.
+    /// True if the next step goes back, to within a fifth of the jump.
     is_back: bool,
 }
 
@@ -92,7 +93,7 @@ fn jumps(positions: &[f64]) -> Vec<Jump> {
     jumps
 }
 
-/// Returns the median magnitude of the steps that are not 0; 0 if there are fewer than two.
+/// Returns the median magnitude of the steps that are not 0; returns 0 if there are fewer than two of them.
 fn median_of_moves(steps: &[f64]) -> f64 {
     let mut moves: Vec<f64> = steps.iter().map(|step| step.abs()).filter(|s| *s > 0.0).collect();
     if moves.len() < 2 {

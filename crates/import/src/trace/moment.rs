@@ -21,16 +21,18 @@
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
     date: Option<Date>,
-    /// Whole seconds of the day, minus the offset of the time zone.
+    /// Whole seconds since midnight, or elapsed, minus the offset of the time zone from UTC.
     seconds: i64,
     fraction: f64,
     /// Number of digits of the fraction.
     digits: u8,
-    /// Seconds after which a time without a date starts again: a day or an hour; 0 for an elapsed time.
+    /// Seconds after which a time without a date starts again: a day, or an hour for `mm:ss`; 0 for an elapsed time of
+    /// 24 h or more.
     period: i64,
 }
 
-/// The three numbers of a date as written, and their order; `None` if the month or the day may come first.
+/// The three numbers of a date and their order. Month names are numbers, and years of two digits begin at 2000. The
+/// order is `None` if the month or the day may come first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Date {
     numbers: [i64; 3],
@@ -66,7 +68,8 @@ impl Moment {
         Some(moment)
     }
 
-    /// Reads a time of day, an elapsed time, or (without a date) `mm:ss.fraction`, as spreadsheets shorten it.
+    /// Reads a time of day, an elapsed time, or (without a date) `mm:ss.fraction`, as spreadsheets shorten it. With a
+    /// date, `hh:mm` is read too. Returns `None` for other text.
     fn of_time(text: &str, has_date: bool) -> Option<Self> {
         let end = text.find(|c: char| !(c.is_ascii_digit() || ":.,".contains(c)));
         let (clock, rest) = text.split_at(end.unwrap_or(text.len()));
@@ -114,7 +117,8 @@ impl Moment {
     }
 }
 
-/// Returns the hour of the day (0 to 23), and the text after AM or PM; `None` for an hour that does not fit.
+/// Returns the hour, and the text after AM or PM. With AM or PM the hour becomes that of the day (0 to 23); without,
+/// both stay as they are. Returns `None` if AM or PM follows an hour outside of 1 to 12.
 fn half_of_day(hour: i64, text: &str) -> Option<(i64, &str)> {
     let Some(mark) = text.get(..2) else { return Some((hour, text)) };
     let added = match mark.to_ascii_uppercase().as_str() {
@@ -125,7 +129,8 @@ fn half_of_day(hour: i64, text: &str) -> Option<(i64, &str)> {
     if (1..=12).contains(&hour) { Some((hour % 12 + added, text[2..].trim())) } else { None }
 }
 
-/// Returns the minutes by which a time zone such as `Z` or `+02:00` is ahead of UTC; `None` for other text.
+/// Returns the minutes by which a time zone such as `Z` or `+02:00` is ahead of UTC, 0 for empty text; `None` for other
+/// text.
 fn zone_minutes(zone: &str) -> Option<i64> {
     if matches!(zone, "" | "Z" | "z" | "UTC" | "GMT") {
         return Some(0);
@@ -138,7 +143,7 @@ fn zone_minutes(zone: &str) -> Option<i64> {
     if hours > 23 || minutes > 59 { None } else { Some(sign * (60 * hours + minutes)) }
 }
 
-/// Beginnings of the names of the months in English, German and French.
+/// Beginnings of the names of the months in English, German and French, in lower case.
 const MONTHS: [&[&str]; 12] = [
     &["jan"],
     &["feb", "fev"],
@@ -180,8 +185,8 @@ impl Date {
         if is_day { Some(date) } else { None }
     }
 
-    /// Returns the number of the day in the calendar. `order` counts if the date leaves its order open. Returns `None`
-    /// for a date that does not exist.
+    /// Returns the number of the day in the calendar, from day 0, the first of January of the year 1. `order` counts if
+    /// the date leaves its order open. Returns `None` for a date that does not exist.
     fn day(&self, order: Order) -> Option<i64> {
         let [a, b, c] = self.numbers;
         let (year, month, day) = match self.order.unwrap_or(order) {
@@ -200,15 +205,15 @@ impl Date {
 /// Times that a column of moments stands for.
 #[derive(Debug)]
 pub struct Times {
-    /// Seconds after the first moment, per sample (n).
+    /// Seconds after the first moment, per sample (n), which need not ascend.
     pub seconds: Vec<f64>,
-    /// Unit of the last digit that is written, s.
+    /// Unit of the last digit of the moment with the most decimals, s.
     pub resolution_s: f64,
 }
 
-/// Returns the times of `moments` since the first one. Of both orders of the dates that are left open, it takes the one
-/// with the shorter longest step. The error is the index of a moment whose date does not exist in either order. A
-/// moment with a date after a first one without, or the other way round, is an error, too.
+/// Returns the times of `moments` since the first one. If the dates leave their order open, it takes the order with the
+/// shorter longest step. The error is the index of a moment whose date does not exist in either order, or of one with a
+/// date after a first one without (or the other way round).
 pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     let digits = moments.iter().map(|m| m.digits).max().unwrap_or(0);
     let resolution_s = 10f64.powi(-i32::from(digits));

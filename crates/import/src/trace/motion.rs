@@ -34,8 +34,9 @@ pub enum Between {
     Linear,
 }
 
-/// Returns the motion through samples at `time_s`, s (n, ascending), straight where two are more than `longest_step_s`
-/// apart. The tool is on everywhere, and no segment serves a dwell point. Refuses numbers that are not finite.
+/// Returns the motion through samples [x, y] at `time_s`, s (n, ascending), straight where two are more than
+/// `longest_step_s` apart. The tool is on everywhere, and no segment serves a dwell point. Refuses what makes no valid
+/// trajectory, such as numbers that are not finite.
 pub fn through(
     time_s: &[f64],
     position_mm: &[[f64; 2]],
@@ -51,8 +52,8 @@ pub fn through(
     Trajectory::new(time_s.to_vec(), coefficient_mm, vec![true; k], vec![None; k])
 }
 
-/// Returns the cubics (n-1) of one axis between its samples at `time_s`, s (n, ascending), each with coefficients of
-/// rising powers. Pieces longer than `longest_step_s` are straight.
+/// Returns the cubics (n-1) of one axis between its samples at `time_s`, s (n, ascending). Each has the coefficients of
+/// rising powers of the time since its first sample. Pieces longer than `longest_step_s` are straight.
 pub fn pieces(
     time_s: &[f64],
     position: &[f64],
@@ -76,7 +77,7 @@ pub fn pieces(
     pieces
 }
 
-/// Appends the pieces between consecutive samples without a gap.
+/// Appends the pieces between consecutive samples without a gap: times `time_s`, s, and positions `p` of one axis.
 fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) {
     let n = time_s.len();
     if n < 2 {
@@ -107,7 +108,8 @@ fn step(time_s: &[f64], p: &[f64], i: usize) -> (f64, f64) {
     (h, (p[i + 1] - p[i]) / h)
 }
 
-/// Returns the velocity at sample `i`, in the unit of `p` per s: the slope of the parabola through three samples.
+/// Returns the velocity at sample `i`, in the unit of `p` per s: the slope there of the parabola through the three
+/// nearest samples. Two samples have the slope of the line through them.
 fn velocity(time_s: &[f64], p: &[f64], i: usize) -> f64 {
     let last = time_s.len() - 1;
     if last == 1 {

@@ -3,7 +3,8 @@
 //! A stamp is kept as a whole number and a fraction. The difference of two stamps since 1970 then has the resolution of the
 //! text: as one double of 1.8e9 s it would have steps of 2.4e-7 s, and one of 1.8e18 ns steps of 256 ns.
 
-/// Largest number of digits of a whole number that fits into 64 bits.
+/// Number of digits that a whole number may have to fit into 64 bits for certain. A whole part may have one digit more
+/// if it fits; other numbers are read as doubles.
 const MOST_DIGITS: usize = 18;
 
 /// Numeric time stamps of a column, in its unit.
@@ -11,7 +12,7 @@ const MOST_DIGITS: usize = 18;
 pub struct Stamps {
     /// Differences of the stamps from the first one (n).
     pub differences: Vec<f64>,
-    /// The first stamp as written, in the unit of the column.
+    /// The first stamp as a double, in the unit of the column.
     pub first: f64,
     start: (i64, f64),
     /// Largest number of decimals of a stamp.
@@ -19,7 +20,8 @@ pub struct Stamps {
 }
 
 impl Stamps {
-    /// Appends the stamp in a field; returns false, and appends nothing, if it is no finite number.
+    /// Appends the stamp in the text of a cell. Returns false, and appends nothing, if it is no finite number or is
+    /// 9e18 or more.
     pub fn push(&mut self, field: &str) -> bool {
         let Some((whole, fraction, decimals)) = parts(field) else { return false };
         if self.differences.is_empty() {
@@ -38,14 +40,14 @@ impl Stamps {
         self.differences.pop();
     }
 
-    /// Returns the unit of the last digit that is written, such as 0.001.
+    /// Returns the unit of the last digit of the stamp with the most decimals, such as 0.001.
     pub fn resolution(&self) -> f64 {
         10f64.powi(-self.decimals)
     }
 }
 
-/// Splits a number in text into whole number, fraction and number of decimals; `None` for text that is no finite
-/// number.
+/// Splits a number in text into whole number, fraction and number of decimals. Returns `None` for text that is no
+/// finite number, and for numbers of 9e18 or more.
 fn parts(field: &str) -> Option<(i64, f64, i32)> {
     let unsigned = field.strip_prefix(['-', '+']).unwrap_or(field);
     let (whole, fraction) = unsigned.split_once('.').unwrap_or((unsigned, ""));

@@ -38,8 +38,8 @@ use crate::{
 /// logs with long headers.
 const MOST_LINES_ABOVE: usize = 200;
 
-/// Number of lines that are looked at to find the samples: the largest number above them, and one more than that of
-/// samples.
+/// Number of lines at the beginning of the file in which the samples are searched for: the largest number above the
+/// samples, and as many samples plus one.
 const LINES_LOOKED_AT: usize = 2 * MOST_LINES_ABOVE + 1;
 
 /// Largest number of columns that are counted in a table. Larger: more time and memory for a hostile file.
@@ -60,8 +60,8 @@ impl Separator {
         first.map_or(Self::Blank, Self::Character)
     }
 
-    /// Calls `each` with the index and the text of every field, until it returns false. A separator at the end closes
-    /// the line.
+    /// Calls `each` with the index and the trimmed text of every field, until `each` returns false. A separator at the
+    /// end of the line adds no empty field.
     #[inline]
     fn fields<'a>(self, line: &'a str, mut each: impl FnMut(usize, &'a str) -> bool) {
         let line = line.trim_matches([' ', '\r']);
@@ -94,7 +94,7 @@ impl Separator {
         count
     }
 
-    /// Returns the fields of a line that names the columns, without a comment sign before them.
+    /// Returns the fields of a line that names the columns, without the comment signs `#`, `%`, `!` or `/` before them.
     fn names(self, line: &str) -> Vec<String> {
         let line = line.trim().trim_start_matches(['#', '%', '!', '/']).trim();
         // A separator between quotes belongs to the name.
@@ -149,8 +149,8 @@ fn classes(line: &str) -> Option<Vec<Class>> {
     if classes.iter().filter(|class| class.is_value()).count() < 2 { None } else { Some(classes) }
 }
 
-/// Returns true if a line of the kinds `next` may follow one of the kinds `first`. It has no more fields, and each is
-/// of the same kind or empty.
+/// Returns true if a line whose fields are of the kinds `next` may follow one of the kinds `first`. It has no more
+/// fields, and each pair is of the same kind or has an empty one.
 fn follows(first: &[Class], next: &[Class]) -> bool {
     next.len() <= first.len()
         && first.iter().zip(next).all(|(a, b)| a == b || [a, b].contains(&&Class::Empty))
@@ -161,7 +161,8 @@ fn is_skipped(line: &str) -> bool {
     line.trim().is_empty() || line.starts_with('#')
 }
 
-/// Returns the index of the line with the first sample, and the kinds of its fields; `None` without samples.
+/// Returns the index of the line with the first sample, and the kinds of its fields, for an empty one that of a usual
+/// sample. Returns `None` if no line may be a sample.
 fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
     let rows: Vec<Option<Vec<Class>>> = lines.iter().map(|line| classes(line)).collect();
     // The longest run of samples, and the last of equal ones.
@@ -204,7 +205,8 @@ fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
     Some((first, classes))
 }
 
-/// Returns true if a line of the kinds `row` may be a sample of a log whose usual samples have the kinds `pattern`.
+/// Returns true if a line of the kinds `row` may be a sample of a log whose usual samples have the kinds `pattern`. It
+/// has as many fields, and each is of the same kind, empty, or a number for a moment or the other way round.
 fn is_sample(row: &[Class], pattern: &[Class]) -> bool {
     row.len() == pattern.len()
         && row
@@ -213,7 +215,7 @@ fn is_sample(row: &[Class], pattern: &[Class]) -> bool {
             .all(|(a, b)| a == b || *a == Class::Empty || (a.is_value() && b.is_value()))
 }
 
-/// Returns true if the line consists of words without digits.
+/// Returns true if the line has no digits, and is neither empty nor a comment.
 fn is_text(line: &str) -> bool {
     !is_skipped(line) && !line.chars().any(|c| c.is_ascii_digit())
 }
@@ -236,8 +238,8 @@ struct TableLayout {
 /// Words that begin a line of units.
 const UNIT_LINES: [&str; 6] = ["unit", "units", "einheit", "einheiten", "unité", "unités"];
 
-/// Returns true if `cells` are the units of the columns: words for units, empty cells, and perhaps `Unit` at the
-/// beginning.
+/// Returns true if `cells` are the units of the columns. At least one is a known unit, after `Unit` in the first cell;
+/// without it, all words are known units, and there are two or more.
 fn are_units(cells: &[String]) -> bool {
     let words = cells.iter().filter(|cell| !cell.is_empty() && !begins_units(cell));
     let units = words.clone().filter(|cell| Unit::read(cell, &[]).is_some()).count();
@@ -250,12 +252,13 @@ fn begins_units(cell: &str) -> bool {
     UNIT_LINES.contains(&cell.trim_end_matches(':').to_lowercase().as_str())
 }
 
-/// Words in a line above the samples that may state something about the numbers.
+/// Words in a line above the samples that may state a number that belongs to the samples, such as a scale.
 const STATEMENTS: [&str; 9] =
     ["unit", "einheit", "scale", "factor", "faktor", "offset", "rate", "frequency", "interval"];
 
 impl TableLayout {
-    /// Finds the samples, and reads the lines above them. Refuses a text without samples near its beginning.
+    /// Finds the samples, and reads the lines above them. Refuses a text whose first `MOST_LINES_ABOVE` lines and the
+    /// next are no samples.
     fn read(lines: &[Cow<'_, str>]) -> Result<Self, Invalid> {
         let looked_at = lines.len().min(MOST_LINES_ABOVE);
         let sample = first_sample(lines).filter(|(first, _)| *first <= MOST_LINES_ABOVE);
@@ -329,7 +332,7 @@ impl TableLayout {
         Ok(layout)
     }
 
-    /// Returns the name of a column, or its number as text.
+    /// Returns the name of the column with this index (from 0), or its number (from 1) as text.
     fn name_of(&self, index: usize) -> String {
         match &self.names {
             Some(names) => names[index].clone(),
@@ -337,7 +340,8 @@ impl TableLayout {
         }
     }
 
-    /// Returns the unit that the lines above the samples state for the column `index`; `None` without one.
+    /// Returns the unit that the lines above the samples state for the column `index`; `None` without one. Refuses a
+    /// line of units that contradicts the name of the column, and what `stated_unit` refuses.
     fn unit_of(
         &self,
         role: Role,
@@ -410,7 +414,7 @@ fn values_in(line: &str) -> usize {
     classes(line).map_or(0, |row| row.iter().filter(|class| class.is_value()).count())
 }
 
-/// Reads the columns of a log that the user requests, or whose names are known.
+/// Reads the columns of a log that the user requests, or whose names are known. `format` decides which names are known.
 ///
 /// # Errors
 /// Refuses a text without samples or without the positions, damaged lines among the samples, and units that contradict
@@ -477,16 +481,19 @@ pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
 }
 
-/// Columns of separate time stamps, which belong to some of the quantities.
+/// Columns of separate time stamps, which belong to single quantities instead of to the whole log.
 struct Channels {
-    /// Index of the column of time stamps of each quantity; `None` for the time stamps of the log.
+    /// Index of the column of time stamps of each quantity, in the order of the `places`; `None` for the time stamps of
+    /// the log.
     own: Vec<Option<usize>>,
-    /// Columns without names to the left of a position, by quantity; they may be its time stamps.
+    /// Columns of numbers directly to the left of a position in a table without names, with the quantity of this
+    /// position. They may be its time stamps.
     suspects: Vec<(Role, usize)>,
 }
 
 impl Channels {
-    /// Finds the columns of separate time stamps, by their names or by their positions in the table.
+    /// Finds the columns of separate time stamps: the stated `time_y`, else by their names, else (as suspects) by their
+    /// position in the table. A log without a column of time stamps has none.
     fn new(places: &[ColumnPlace], layout: &TableLayout) -> Self {
         let mut channels = Self { own: vec![None; places.len()], suspects: Vec::new() };
         let Some(main) = places.iter().find(|p| p.role == Role::Time) else { return channels };
@@ -531,7 +538,7 @@ impl Channels {
         channels
     }
 
-    /// Returns the indices of the columns to read beside those of the quantities, ascending.
+    /// Returns the indices of the columns to read besides those of the quantities, ascending.
     fn columns(&self) -> Vec<usize> {
         let suspects = self.suspects.iter().map(|suspect| suspect.1);
         let mut columns: Vec<usize> = self.own.iter().flatten().copied().chain(suspects).collect();
@@ -540,8 +547,8 @@ impl Channels {
         columns
     }
 
-    /// Assigns separate time stamps to the quantities. Refuses a column without a name that looks like the time stamps
-    /// of the log, shifted in time.
+    /// Assigns separate time stamps to the quantities. Refuses a column without a name whose numbers are the time
+    /// stamps of the log plus a constant other than 0.
     fn assign(
         &self,
         log: &mut Log,
@@ -593,7 +600,7 @@ enum ColumnValues {
 }
 
 impl ColumnValues {
-    /// Creates an empty list of values, for a column whose first field is of the kind `class`.
+    /// Creates an empty list of values, for a column whose field in the first sample is of the kind `class`.
     fn new(class: Class, is_time: bool) -> Self {
         if !is_time {
             Self::Numbers(Vec::new())
@@ -637,7 +644,8 @@ impl ColumnValues {
         }
     }
 
-    /// Returns the column with these values. Refuses moments that stand for no times.
+    /// Returns the column with these values; moments become seconds after the first one. Refuses moments that
+    /// `moment::times` refuses.
     fn column(&self, role: Role, name: String, unit: Option<Unit>) -> Result<Column, Invalid> {
         let column = match self {
             Self::Numbers(values) => Column::of_values(role, name, unit, values.clone()),
