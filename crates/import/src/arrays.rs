@@ -11,7 +11,7 @@ use crate::{
 /// Names that optics groups use for the arrays [map, x, y]: first of a height map, then of a tool influence function.
 pub(crate) const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 
-/// Pairs of names [x, y] under which coordinates are looked for beside a map of any name.
+/// Pairs of names [x, y] under which coordinates are looked for in the group of a map of any name.
 pub(crate) const BESIDE: [[&str; 2]; 8] = [
     ["X", "Y"],
     ["x", "y"],
@@ -23,10 +23,10 @@ pub(crate) const BESIDE: [[&str; 2]; 8] = [
     ["X_m", "Y_m"],
 ];
 
-/// Words in the name of an array that marks valid or invalid pixels, in lower case.
+/// Words that the name of an array has, in lower case, if it marks valid or invalid pixels.
 const MARKS: [&str; 5] = ["mask", "valid", "bad", "flag", "quality"];
 
-/// Name and shape of an array in a file.
+/// Name of an array in a file, and its shape (rows, columns).
 pub(crate) type Named = (String, Vec<u64>);
 
 /// Names and shapes of the arrays in a file.
@@ -50,13 +50,15 @@ pub(crate) fn leaf(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
-/// Returns the part of an array's name before the name itself: its groups or structures, with the last `/` or `.`.
+/// Returns the part of an array's name before the name itself: its groups or structures, with the last `/` or `.`;
+/// empty without them.
 pub(crate) fn prefix(name: &str) -> &str {
     &name[..name.rfind(['/', '.']).map_or(0, |end| end + 1)]
 }
 
 /// Returns the names of the arrays to read. Names in `pick` have priority, then customary names that exist, then the
-/// only map; the coordinates beside it are added. `file` is the subject of messages.
+/// only map; coordinates of its size in its group are added. `file` is the subject of messages. Refuses only one of x
+/// and y, several maps or none, and a possible mask that the user did not name.
 pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<Pick, Invalid> {
     if pick.x.is_some() != pick.y.is_some() {
         return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
@@ -78,8 +80,8 @@ pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result
     Ok(chosen)
 }
 
-/// Returns the name of the map if the user names none: the customary one, or the only matrix. Refuses a file with
-/// several maps or none.
+/// Returns the name of the map if the user names none: the customary one, also within a group, or the only matrix that
+/// is not the mask. Refuses a file with several maps or none.
 fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, Invalid> {
     let maps = arrays.numbers.iter().filter(|a| a.1.len() == 2 && a.1.iter().all(|n| *n > 1));
     let maps: Vec<&str> = maps.map(|a| a.0.as_str()).collect();
@@ -110,7 +112,8 @@ fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, 
     }
 }
 
-/// Refuses a map if another array of its size may mark valid pixels, because the user has to say what it means.
+/// Refuses a map if another array of its size may mark valid or invalid pixels, because the user has to say which of
+/// them it marks.
 fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), Invalid> {
     let Some((_, shape)) = arrays.numbers.iter().find(|a| a.0 == map) else { return Ok(()) };
     let named = arrays.numbers.iter().filter(|a| {
@@ -128,8 +131,9 @@ fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), In
     Err(Invalid::whole(file, problem, remedy))
 }
 
-/// Returns the names of the coordinates [x, y] beside the map called `map`. Coordinates that belong to another
-/// customary map are not taken. Returns `None` without a pair of the right shapes.
+/// Returns the names of the coordinates [x, y] in the group of the map called `map`. Coordinates that belong to another
+/// customary map are not taken. Pairs other than the customary one of this map must have the right shapes; without a
+/// pair it returns `None`.
 fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> {
     let group = prefix(map);
     let customary = CUSTOMARY.iter().find(|[z, ..]| map[group.len()..] == **z);
@@ -157,7 +161,7 @@ fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> 
 }
 
 /// Returns true if arrays of the shapes `x` and `y` may be coordinates of a map of the shape `map`. Both have that
-/// shape, or are vectors of its two lengths, in either order.
+/// shape, or they have as many elements as its two lengths, in either order.
 fn are_coordinates(x: &[u64], y: &[u64], map: &[u64]) -> bool {
     let mut counts =
         [x, y].map(|shape| shape.iter().try_fold(1u64, |n, size| n.checked_mul(*size)));
@@ -167,8 +171,8 @@ fn are_coordinates(x: &[u64], y: &[u64], map: &[u64]) -> bool {
     (x == map && y == map) || counts == sizes
 }
 
-/// Returns the `len` coordinates of an axis from a vector, or from a matrix that varies along the `columns` (x) or the
-/// rows (y) only. Refuses another matrix.
+/// Returns the `len` coordinates of an axis from a vector (of any length), or from a matrix that varies along the
+/// columns (x, if `columns`) or along the rows (y) only. Refuses another matrix.
 pub(crate) fn along(
     name: &'static str,
     values: &Array2<f64>,
@@ -194,7 +198,8 @@ pub(crate) fn along(
 }
 
 /// Returns the coordinates of the columns and rows of a map of the shape `(rows, columns)`. `x` and `y` are the arrays
-/// that `pick` names; the unit comes from the end of their names.
+/// that `pick` names; the unit comes from the end of their names. Refuses different units, and a matrix that is no
+/// grid.
 pub(crate) fn named_coordinates(
     pick: &Pick,
     x: &Array2<f64>,
@@ -213,7 +218,7 @@ pub(crate) fn named_coordinates(
 }
 
 /// Returns true if x varies along the rows of the file and y along its columns, as MATLAB's `ndgrid` makes them. Such a
-/// map must be transposed. `size` is (rows, columns).
+/// map must be transposed. `size` is (rows, columns). Vectors tell it by their lengths; for a square map they do not.
 pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
     let (rows, columns) = size;
     if [x, y].iter().all(|a| a.nrows() == 1 || a.ncols() == 1) {
@@ -226,7 +231,7 @@ pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) 
     x.dim() == size && y.dim() == size && goes_along_rows(x) && !goes_along_rows(y)
 }
 
-/// Returns an array, transposed if `is_turned`.
+/// Returns an array, with rows and columns swapped if `is_turned`.
 pub(crate) fn upright(values: Array2<f64>, is_turned: bool) -> Array2<f64> {
     if is_turned { values.reversed_axes().as_standard_layout().into_owned() } else { values }
 }

@@ -16,11 +16,12 @@ use crate::{
     unit::Unit,
 };
 
-/// Largest number of unused statements that a warning quotes.
+/// Largest number of unused statements that a warning quotes. Larger: long warnings. Smaller: more statements are not
+/// named.
 const MOST_QUOTED: usize = 5;
 
-/// Longest part of a comment that is read, characters. Larger: more memory for a hostile file. Smaller: long statements
-/// are cut.
+/// Longest part of a comment that is read, characters; the rest is ignored. Larger: more memory for a hostile file.
+/// Smaller: long statements are cut.
 const LONGEST: usize = 1000;
 
 /// Keys that state the unit of the heights or rates, in lower case. `|` separates them, as in all lists below.
@@ -34,7 +35,7 @@ const UNITS: &str = "\
     jednotky hodnot|единицы значений|единицы|单位|值单位|数值单位|值的单位|z单位|z 单位|高度单位|単位|値の単位|高さ単位|高さの単位|z単位|\
     z 単位";
 
-/// Keys that state the unit of both coordinates.
+/// Keys that state the unit of both coordinates, x and y.
 const COORDINATE_UNITS: &str = "\
     coordinate unit|coordinate units|coordinates unit|lateral unit|lateral units|xy unit|xy units|\
     xyunits|xyunit|x unit|y unit|x units|y units|xunit|yunit|xunits|yunits|axis unit|axis units|\
@@ -63,20 +64,21 @@ const WAVELENGTHS: &str = "\
     wavelength|wave length|lambda|wavelen|wavelnth|wl|λ|wellenlänge|longueur d'onde|\
     longitud de onda|lunghezza d'onda|длина волны|波长|波長";
 
-/// Keys that state which side of the map the first row of the file is.
+/// Keys that state which side of the map (top or bottom) the first row of the file is.
 const ROWS: &str = "\
     first row|first line|row order|rows|origin|erste zeile|première ligne|primera fila|prima riga";
 
-/// Keys whose value lists the names of the columns.
+/// Keys whose value lists the names of the columns, which may have their units.
 const COLUMNS: &str = "columns|column|fields|data|format|spalten|colonnes|columnas|colonne";
 
-/// Keys that state the number of columns, then those that state the number of rows.
+/// Keys that state the number of columns (first list), and the number of rows (second list).
 const COUNTS: [&str; 2] = [
     "horizontal|x pixels|xpixels|nx|xres|ncols|columns|spalten",
     "vertical|y pixels|ypixels|ny|yres|nrows|rows|zeilen",
 ];
 
-/// Parts of keys that could change how values or pixels are read; unused statements with such keys give a warning.
+/// Parts of keys that could change how values or pixels are read. Unused statements with such a part in their key give
+/// a warning.
 const TELLING: &str = "\
     unit|pixel|pitch|spacing|resolution|scale|offset|wavelength|missing|einheit|unité|unidad|unità|\
     单位|単位|calibration|sampling";
@@ -90,32 +92,32 @@ const VALUE_NAMES: &str = "\
 /// Names that stand for both coordinates together.
 const COORDINATE_NAMES: &str = "xy|lateral|coordinates|coordinate|koordinaten|coordonnées";
 
-/// A variable or an attribute beside a map, as text.
+/// A variable or an attribute of a file that also holds a map, as text.
 #[derive(Debug)]
 pub(crate) struct Variable {
     pub key: String,
     pub value: String,
-    /// Place of the variable in the file, for messages.
+    /// Place of the variable in the file, for messages, such as "attribute".
     pub place: String,
 }
 
 /// Statements of a file that were read so far; `None` for those that it does not make.
 #[derive(Debug, Default)]
 pub(crate) struct Beside {
-    /// Unit of the values of the map.
+    /// Unit of the values of the map; `None` if no statement is understood.
     unit: Option<Unit>,
-    /// Unit of the values as the file writes it; `unit_problem` is the reason to refuse it if nobody understands it.
+    /// Unit of the values as the file writes it. If it is no unit, `unit_problem` is the reason to refuse it.
     unit_word: Option<String>,
     unit_problem: Option<Invalid>,
-    /// Unit that may be that of the values or that of the coordinates: the file does not say.
+    /// Unit that the file states without saying whether it is that of the values or of the coordinates.
     pub lone_unit: Option<Unit>,
     /// Unit of both coordinates.
     pub coordinate_unit: Option<Unit>,
     /// Sizes of the map along [x, y], mm.
     size_mm: [Option<f64>; 2],
-    /// Distances of neighbouring pixels along [x, y], mm.
+    /// Pitch along [x, y], mm.
     pitch_mm: [Option<f64>; 2],
-    /// Sizes along [x, y] in the units `length_unit`, which are separate statements, as SPIP writes them.
+    /// Sizes of the map along [x, y] as SPIP writes them, in the units `length_unit`, which are separate statements.
     length: [Option<f64>; 2],
     length_unit: [Option<Unit>; 2],
     nm_per_bit: Option<f64>,
@@ -123,14 +125,14 @@ pub(crate) struct Beside {
     first_row: Option<FirstRow>,
     /// Stated numbers of columns and rows, in this order.
     counts: [Option<usize>; 2],
-    /// Size (mm) with its unit under an unknown key, and the place of this statement. Two such sizes at neighbouring
-    /// places are those along x and y.
+    /// Length (mm) under an unknown key, and the place of this statement. Two such lengths at neighbouring places are
+    /// the sizes along x and y.
     unknown_size: Option<(f64, usize)>,
     /// Statements that are not used, as a warning quotes them; at most [`MOST_QUOTED`].
     unused: Vec<String>,
 }
 
-/// A number, and the text that follows it.
+/// A number at the beginning of a text, and the text after it (`rest`).
 struct Quantity<'a> {
     value: f64,
     rest: &'a str,
@@ -155,20 +157,23 @@ fn leading_number(text: &str) -> Option<Quantity<'_>> {
     Some(Quantity { value, rest: text[end..].trim() })
 }
 
-/// Returns a key in lower case; hyphens, points, underscores, tabs and quotation marks become single blanks.
+/// Returns a key in lower case. Hyphens, points, underscores, tabs, quotation marks and runs of blanks become single
+/// blanks.
 fn plain(key: &str) -> String {
     let marks = ['_', '-', '.', '\u{a0}', '\u{202f}', '\t', '"'];
     key.to_lowercase().replace(marks, " ").split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Splits a statement at its first colon or equals sign into key and value; `None` without such a sign.
+/// Splits a statement at its first colon or equals sign into key and value, without blanks and quotation marks; `None`
+/// without such a sign.
 pub(crate) fn key_and_value(text: &str) -> Option<(&str, &str)> {
     let (key, value) = text.split_once([':', '=', '：'])?;
     Some((key.trim(), value.trim().trim_matches(['"', '\''])))
 }
 
 impl Beside {
-    /// Reads a comment without the sign that begins it; `line` is its number, counted from 1.
+    /// Reads a comment without the sign that begins it; `line` is its number in the file, counted from 1. A comment
+    /// that may change how the file is read, and is not understood, is kept for the warning.
     ///
     /// # Errors
     /// Refuses a unit that is not understood, and a statement that contradicts another one.
@@ -215,7 +220,8 @@ impl Beside {
         Ok(())
     }
 
-    /// Reads a line of text above the numbers, which is split into `fields`: key, value, and perhaps a unit.
+    /// Reads a line of text above the numbers, which is split into `fields`: key, value, and perhaps a unit. `line` is
+    /// its number in the file, counted from 1.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -236,8 +242,8 @@ impl Beside {
     }
 
     /// Reads a statement, and returns true if it is used. Its unit may stand at the end of `key`, in `value` or in
-    /// `unit`. `place` is the number of the line, or counts the statements. Statements are neighbours if their places
-    /// differ by 1.
+    /// `unit`. `place` is the number of the line, or the number of the statement; statements are neighbours if their
+    /// places differ by 1.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -290,7 +296,8 @@ impl Beside {
         }
     }
 
-    /// Reads a statement whose value begins with a number; arguments and result are those of [`Self::add`].
+    /// Reads a statement whose value begins with a number; arguments, result and what is refused are those of
+    /// [`Self::add`].
     fn add_number(
         &mut self,
         key: &str,
@@ -355,8 +362,8 @@ impl Beside {
         }
     }
 
-    /// Reads variables or attributes. One whose name is that of another and `unit` or `units` states the unit of that
-    /// one, such as `pixel_size_unit` for `pixel_size`.
+    /// Reads variables or attributes. One whose name is that of another with `unit` or `units` after it states the unit
+    /// of the other, such as `pixel_size_unit` for `pixel_size`.
     ///
     /// # Errors
     /// As [`Self::add_comment`].
@@ -383,7 +390,7 @@ impl Beside {
     }
 
     /// Reads a text that names columns with their units, such as `x[mm] y[mm] z[um]`, `mm mm nm` or `x, y in mm, z in
-    /// nm`. Returns false if the text states no unit.
+    /// nm`. Returns false if the text states no unit. Refuses an unknown unit, and what [`Self::take_columns`] refuses.
     fn add_columns(&mut self, text: &str) -> Result<bool, Invalid> {
         let units = units_of_columns(text)?;
         if units == [None; 3] {
@@ -426,7 +433,7 @@ impl Beside {
         Ok(())
     }
 
-    /// Records a statement that is not used, for the warning. `place` says where it stands.
+    /// Keeps a statement that is not used, for the warning. `place` says where in the file it stands.
     pub fn leave(&mut self, statement: &str, place: &str) {
         if self.unused.len() < MOST_QUOTED {
             let short = statement.trim().chars().filter(|c| !c.is_control()).take(60);
@@ -434,9 +441,9 @@ impl Beside {
         }
     }
 
-    /// Completes `reading` with these statements: each fills what the format itself does not state. A stated first row
-    /// and `Bit2nm` replace what `reading` has. A unit that differs from that of the file becomes `unit_problem`, and
-    /// wrong numbers of rows or columns give a warning.
+    /// Completes `reading` with these statements: each fills in what the format itself does not state. A stated first
+    /// row and `Bit2nm` replace what `reading` has. A unit that differs from that of the file becomes `unit_problem`,
+    /// and wrong numbers of rows or columns give a warning.
     ///
     /// # Errors
     /// Refuses `Bit2nm` other than 1 beside a unit other than nm, and a size in a unit that is no length.
@@ -513,7 +520,7 @@ fn is_key(keys: &str, key: &str) -> bool {
     keys.split('|').any(|word| word == key)
 }
 
-/// Returns true if the text begins with a number and a unit that follows it.
+/// Returns true if the text begins with a number, and the word after it is a unit of a map.
 fn is_length(value: &str) -> bool {
     let word = leading_number(value).and_then(|number| number.rest.split_whitespace().next());
     word.is_some_and(|word| Unit::spelled(word).is_some())
@@ -525,8 +532,8 @@ pub(crate) fn is_telling(key: &str) -> bool {
     TELLING.split('|').any(|word| key.contains(word))
 }
 
-/// Returns for which of the axes [x, y] a key states the pixel distance, such as `pixel size`, `x pixel size`, `dx` or
-/// `pixel y`. Returns `None` for another key.
+/// Returns for which of the axes [x, y] a key states the pitch, such as `pixel size`, `x pixel size`, `dx` or `pixel
+/// y`. Returns `None` for another key.
 fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
     if is_key(PITCHES, name) && name != "d" {
         return Some([true; 2]);
@@ -545,8 +552,8 @@ fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
     None
 }
 
-/// Returns the side of the map that the first row is, from words such as `top` or `unten`; `None` without or with both
-/// sides.
+/// Returns the side of the map that the first row is, from words such as `top` or `unten`; `None` without such a word,
+/// or with words for both sides.
 fn row_of(value: &str) -> Option<FirstRow> {
     let value = value.to_lowercase();
     let [top, bottom] = [
@@ -561,7 +568,8 @@ fn row_of(value: &str) -> Option<FirstRow> {
     }
 }
 
-/// Returns the wavelength of the light, nm, in a text such as `z [waves @ 632.8 nm]`; `None` without one.
+/// Returns the wavelength of the light, nm, after the sign `@` in a text such as `z [waves @ 632.8 nm]`; `None` without
+/// one.
 fn wavelength_in(text: &str) -> Option<f64> {
     let (_, after) = text.split_once('@')?;
     let Quantity { value, rest } = leading_number(after)?;
@@ -572,7 +580,8 @@ fn wavelength_in(text: &str) -> Option<f64> {
     }
 }
 
-/// Returns the unit after a word such as `in` or `unit` in a sentence such as `all lengths in m`; `None` without one.
+/// Returns the unit after a word such as `in` or `unit` in a sentence such as `all lengths in mm`; `None` without one.
+/// Of the units of one letter only `m` counts.
 fn unit_after_in(text: &str) -> Option<Unit> {
     let words: Vec<&str> =
         text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
@@ -584,16 +593,16 @@ fn unit_after_in(text: &str) -> Option<Unit> {
         .find_map(|pair| Unit::spelled(pair[1]))
 }
 
-/// Returns true for a sentence that names an axis and has the word "in", "unit" or "units", such as `heights in
-/// furlong`. Whether the unit is known is not checked here.
+/// Returns true for a sentence that names a column x, y or z and has the word "in", "unit" or "units", such as `heights
+/// in furlong`. It does not check that the unit is known.
 fn claims_a_unit(text: &str) -> bool {
     let words: Vec<String> = text.split_whitespace().map(plain).collect();
     let names = words.iter().any(|word| axes_of_name(word) != [false; 3]);
     names && words.iter().any(|word| matches!(word.as_str(), "in" | "unit" | "units"))
 }
 
-/// Returns a wavelength that was stated without a unit, in nm. It is read as nm, um or m, whichever lies between 100 nm
-/// and 20 um; `None` if none does.
+/// Returns a wavelength that was stated without a unit, in nm. It is read as nm, um or m, the first of these for which
+/// it lies between 100 nm and 20 um; `None` if it does for none.
 fn wavelength_nm(value: f64) -> Option<f64> {
     [1.0, 1e3, 1e9].into_iter().map(|nm| value * nm).find(|nm| (100.0..20_000.0).contains(nm))
 }
@@ -639,7 +648,7 @@ fn header_words(text: &str) -> Vec<HeaderWord<'_>> {
     words
 }
 
-/// Returns which of the columns [x, y, z] a word names; a word such as `xy` names two.
+/// Returns true for each of the columns [x, y, z] that a word names; a word such as `xy` names two.
 fn axes_of_name(word: &str) -> [bool; 3] {
     let word = plain(word);
     if is_key(COORDINATE_NAMES, &word) {
@@ -649,7 +658,8 @@ fn axes_of_name(word: &str) -> [bool; 3] {
     [first == Some("x"), first == Some("y"), is_key(VALUE_NAMES, &word)]
 }
 
-/// Returns the units that a text gives to the columns [x, y, z]; `None` for a column without one.
+/// Returns the units that a text gives to the columns [x, y, z]; `None` for a column without one. Two units alone are
+/// those of x and y, and of z; three are those of x, y and z.
 ///
 /// # Errors
 /// Refuses a word in brackets after the name of a column that is no unit.

@@ -23,9 +23,9 @@ use planish_types::{Invalid, budget};
 /// each.
 pub const MOST_FILE_BYTES: u64 = 1 << 30;
 
-/// Largest number of pixels of a map, or of elements of any array that is decoded; more are refused.
-/// Larger: a small file can claim more memory. Smaller: refuses large maps. Chosen: 5800 x 5800, more than
-/// any interferometer has.
+/// Largest number of pixels of a map, or of elements of any array that is decoded; more are refused. Larger: a small
+/// file can claim more memory. Smaller: refuses large maps. Chosen: about 5800 x 5800, more than any interferometer
+/// has.
 pub const MOST_PIXELS: usize = 1 << 25;
 
 /// Memory that a pixel needs while a map is read, bytes. Larger: large maps are refused although they would
@@ -33,9 +33,9 @@ pub const MOST_PIXELS: usize = 1 << 25;
 /// which are the value as stored, in nm, in the order of the file, in the order of the map, and as written.
 pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
 
-/// Memory that a line `x y z` of a text needs while it is read, bytes. Larger and smaller: as [`BYTES_PER_PIXEL`].
-/// Derived: three numbers and two last digits in a list that doubles as it grows, the coordinates of an axis in order,
-/// and the pixel.
+/// Memory that a line `x y z` of a text needs while it is read, bytes. Larger: large files are refused although they
+/// would fit. Smaller: a file can exceed the memory. Derived: three numbers and two last digits in a list that doubles
+/// as it grows, the coordinates of an axis in order, and the pixel.
 pub(crate) const BYTES_PER_POINT: usize = 3 * 5 * 8 + 3 * 8 + BYTES_PER_PIXEL;
 
 /// Largest number of samples (times with positions) of a machine log; more are refused. Larger: more memory for one
@@ -43,25 +43,25 @@ pub(crate) const BYTES_PER_POINT: usize = 3 * 5 * 8 + 3 * 8 + BYTES_PER_PIXEL;
 /// long logs. Chosen: nine hours at 1 kHz.
 pub(crate) const MOST_SAMPLES: usize = MOST_PIXELS;
 
-/// Memory that a sample of a machine log needs while it is read, bytes. Larger and smaller: as
-/// [`BYTES_PER_PIXEL`]. Derived: seven columns in lists that double as they grow, times and positions, and
-/// a segment of the motion, twice for a moment.
+/// Memory that a sample of a machine log needs while it is read, bytes. Larger: long logs are refused although they
+/// would fit. Smaller: a log can exceed the memory. Derived: seven columns in lists that double as they grow, times and
+/// positions, and a segment of the motion, which for a moment exists twice.
 pub(crate) const BYTES_PER_SAMPLE: usize = 3 * 7 * 8 + 8 * 8 + 3 * 96;
 
-/// Largest number of groups, arrays and images that are searched in one file for the map; more are refused.
-/// Larger: more time on a hostile file. Smaller: refuses files that hold many arrays.
+/// Largest number of parts of one file that are searched for the map: groups, arrays, images, blocks or variables. A
+/// file with more is refused. Larger: more time on a hostile file. Smaller: refuses files that hold many arrays.
 pub(crate) const MOST_ARRAYS: usize = 10_000;
 
-/// Largest number of lines of a header; more are refused. Larger: more memory for a hostile header.
-/// Smaller: refuses long headers. Chosen: ten times the longest header of an observatory.
+/// Largest number of lines, or cards, of a header that are read. Larger: more memory for a hostile header. Smaller:
+/// refuses long headers. Chosen: ten times the longest header of an observatory.
 pub(crate) const MOST_HEADER_LINES: usize = 50_000;
 
-/// Largest total length of names and words in a file, and of the header of one array, bytes. Larger: more
-/// memory for a hostile file. Smaller: refuses files with many long names.
+/// Largest length of texts beside the numbers, bytes: of a header, a name, or the names in a table together. Longer
+/// ones are refused or not read. Larger: more memory for a hostile file. Smaller: refuses files with many long names.
 pub(crate) const MOST_TEXT_BYTES: usize = 1 << 18;
 
-/// Largest number of reads from an HDF5 file. Larger: a file that points to itself takes more time.
-/// Smaller: refuses maps with small chunks. Derived: as many chunks of eight pixels as [`MOST_PIXELS`] has.
+/// Largest number of reads from an HDF5 file; more are refused. Larger: a file that points to itself takes more time.
+/// Smaller: refuses maps with small chunks. Derived: as many chunks of eight pixels as a map of [`MOST_PIXELS`] has.
 pub(crate) const MOST_READS: u64 = 1 << 22;
 
 /// Returns the largest number of elements that may be read if each needs `bytes_each` bytes: at most [`MOST_PIXELS`],
@@ -70,8 +70,8 @@ pub(crate) fn most_of(bytes_each: usize) -> usize {
     MOST_PIXELS.min((budget::memory_bytes() / bytes_each as u64) as usize)
 }
 
-/// Refuses to read one more element after `count`, each of `bytes_each` bytes, if the limit is reached. `array` is the
-/// subject of the message.
+/// Refuses to read one more element after `count`, each of `bytes_each` bytes, if [`most_of`] such elements are there
+/// already. `array` is the subject of the message.
 pub(crate) fn check_room(
     array: &'static str,
     count: usize,
@@ -84,8 +84,8 @@ pub(crate) fn check_room(
     budget::affordable(array, (count + 1) as f64, bytes_each, "crop it").map(drop)
 }
 
-/// Returns the number of pixels of a map of `rows` x `columns`. Refuses fewer than 2 x 2 and too many. `array` is the
-/// subject of the message.
+/// Returns the number of pixels of a map of `rows` x `columns`. Refuses fewer than 2 x 2, more than [`MOST_PIXELS`],
+/// and more than fit into the memory. `array` is the subject of the message.
 pub(crate) fn check_size(
     array: &'static str,
     rows: usize,
@@ -98,8 +98,8 @@ pub(crate) fn check_size(
     check_elements(array, &[rows as u64, columns as u64])
 }
 
-/// Returns the number of elements of an array of this shape. Refuses more than [`MOST_PIXELS`], or than fit into the
-/// memory.
+/// Returns the number of elements of an array of this shape. Refuses more than [`MOST_PIXELS`], and more than fit into
+/// the memory. `array` is the subject of the message.
 pub(crate) fn check_elements(array: &'static str, shape: &[u64]) -> Result<usize, Invalid> {
     let n = shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s));
     match n.filter(|n| *n <= MOST_PIXELS as u64) {
@@ -116,7 +116,7 @@ pub(crate) fn check_elements(array: &'static str, shape: &[u64]) -> Result<usize
     }
 }
 
-/// Returns the message that a file holds more than `most` items of the kind `what`.
+/// Returns the message that the file called `file` holds more than `most` items of the kind `what`, with the remedy.
 pub(crate) fn too_many(file: &'static str, most: usize, what: &str, remedy: &str) -> Invalid {
     Invalid::whole(file, format!("holds more than {most} {what}"), remedy)
 }

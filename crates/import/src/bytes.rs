@@ -21,7 +21,8 @@ impl<'a> Bytes<'a> {
         })
     }
 
-    /// Returns the N bytes of a number from byte `start` on, in the byte order of this machine.
+    /// Returns the N bytes of a number from byte `start` on, in the byte order of this machine. Refuses a range beyond
+    /// the end of the file.
     fn array<const N: usize>(&self, start: usize) -> Result<[u8; N], Invalid> {
         let mut bytes = [0; N];
         bytes.copy_from_slice(self.slice(start, N)?);
@@ -92,8 +93,8 @@ impl Number {
         }
     }
 
-    /// Returns the first `count` numbers of `bytes`, which must hold so many. Refuses a 64-bit integer that no 64-bit
-    /// float equals.
+    /// Returns the first `count` numbers of `bytes`, or fewer if `bytes` is shorter. `big_endian` is true if the most
+    /// significant byte comes first. Refuses a 64-bit integer that no 64-bit float equals.
     pub fn decode(self, bytes: &[u8], count: usize, big_endian: bool) -> Result<Vec<f64>, Invalid> {
         fn each<const N: usize>(
             bytes: &[u8],
@@ -147,14 +148,14 @@ fn half(bits: u16) -> f64 {
     if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
-/// Returns a 64-bit integer as a float, or infinity if no float equals it.
+/// Returns a 64-bit integer as a float, or infinity if no float is equal to it.
 pub(crate) fn exact<T: Copy + Into<i128>>(v: T) -> f64 {
     let v: i128 = v.into();
     let float = v as f64;
     if float as i128 == v { float } else { f64::INFINITY }
 }
 
-/// Refuses numbers that [`exact`] could not convert: those that are infinite.
+/// Refuses numbers that [`exact`] could not convert, by the index of the first one: those that are infinite.
 pub(crate) fn refuse_rounded<'a>(values: impl IntoIterator<Item = &'a f64>) -> Result<(), Invalid> {
     match values.into_iter().position(|v| v.is_infinite()) {
         None => Ok(()),

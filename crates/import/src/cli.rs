@@ -134,8 +134,7 @@ impl FileArgs {
         }
     }
 
-    /// Returns the names of the arrays to read from a file that holds several. `is_tif` is true for a tool influence
-    /// function.
+    /// Returns the choice of arrays, columns and grid from the flags. `is_tif` is true for a tool influence function.
     pub fn pick(&self, is_tif: bool) -> Pick {
         Pick {
             dataset: self.dataset.clone(),
@@ -149,7 +148,8 @@ impl FileArgs {
         }
     }
 
-    /// Returns the settings for reading a map from the flags. `origin` is the point of the map at x = y = 0.
+    /// Returns the settings for reading a map from the flags. `origin` is the point of the map that gets the
+    /// coordinates x = y = 0.
     pub fn settings(&self, origin: Origin) -> ReadingSettings {
         ReadingSettings {
             override_file: self.override_file,
@@ -186,7 +186,7 @@ impl FileArgs {
         })
     }
 
-    /// Writes the picture if the user asks for one. It appears together with the map; an older one is replaced only
+    /// Writes the picture if the user asks for one. It appears together with the map; an older picture is replaced only
     /// with --force. Fails if it cannot be written.
     pub fn put_picture(
         &self,
@@ -198,7 +198,7 @@ impl FileArgs {
     }
 }
 
-/// Reads three names or numbers of columns, separated by commas.
+/// Reads three names or numbers of columns, separated by commas. Refuses another number of them, and empty ones.
 fn columns(text: &str) -> Result<[String; 3], String> {
     let names: Vec<String> = text.split(',').map(|name| name.trim().to_string()).collect();
     let all =
@@ -208,7 +208,8 @@ fn columns(text: &str) -> Result<[String; 3], String> {
     })
 }
 
-/// Returns a failure with the path of the file, and the library's message in the words of the command line.
+/// Returns a failure with the path of the file and the message of the library, in which flags replace the names of
+/// settings.
 pub fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
     Failure::new(format!("{}: {}", path.display(), with_flags(&error.to_string())))
 }
@@ -222,13 +223,15 @@ fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Fail
     Ok(bytes)
 }
 
-/// Returns the bytes of a map, or `None` for a directory. Refuses a file that is empty or cannot be read.
+/// Returns the bytes of a map, or `None` for a directory. They are recorded as the input `role`. Refuses a file that is
+/// empty, too large, or cannot be read.
 pub fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
     if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
 }
 
-/// Reads a map from the bytes of its file, or from its directory without `bytes`. Refuses a file that is not of the
-/// format, and names in `pick` that the file does not have.
+/// Reads a map from the bytes of its file in `format`, or without `bytes` from the artifact in the directory `path`, as
+/// the input `role`. Refuses a file that is not of the format, names in `pick` that the file does not have, and names
+/// for a directory.
 pub fn open(
     inputs: &mut Inputs,
     role: &str,
@@ -255,14 +258,14 @@ pub fn open(
     read(format, &bytes, pick).map_err(|e| about(path, &e))
 }
 
-/// Returns the statement with its warnings in the words of the command line: flags in place of names of fields.
+/// Returns the statement with flags in place of the names of settings in its warnings.
 pub fn in_flags(statement: Statement) -> Statement {
     let warnings = statement.warnings.iter().map(|warning| with_flags(warning)).collect();
     Statement { warnings, ..statement }
 }
 
 /// Prints the warnings, and how the file was read (format, pixels, unit, orientation), for the user to check. `program`
-/// begins each line.
+/// begins each line but the warnings.
 pub fn report(program: &str, statement: &Statement, grid: &Grid) {
     for warning in &statement.warnings {
         warn(warning);

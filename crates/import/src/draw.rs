@@ -18,15 +18,15 @@ const SIZE_PX: f64 = 800.0;
 /// Smaller: labels, title or bar of colours are cut off.
 const MARGIN_PX: [f64; 4] = [80.0, 60.0, 170.0, 60.0];
 
-/// Smallest width, and smallest height without the upper and lower margin, pixels of the picture. Larger:
-/// empty space beside small maps. Smaller: the title or the bar of colours is cut off.
+/// Smallest width of the picture, and smallest height of the map in it without the margins, pixels of the picture.
+/// Larger: empty space beside small maps. Smaller: the title or the bar of colours is cut off.
 const LEAST_PX: [f64; 2] = [640.0, 100.0];
 
-/// Largest number of cells along the longer side of the map; a cell is the mean of its valid pixels.
+/// Largest number of cells along the longer side of the map; a cell has the colour of the mean of its valid pixels.
 /// Larger: finer details and a larger file. Smaller: a coarser picture.
 const CELLS: usize = 200;
 
-/// Number of colours. Larger: smoother colours and a larger file. Smaller: visible steps.
+/// Number of colours of the map. Larger: smoother colours and a larger file. Smaller: visible steps.
 const LEVELS: usize = 48;
 
 /// Quantity and unit of the values, for the label of the colour bar.
@@ -38,7 +38,8 @@ pub enum Scale {
     RateNmPerS,
 }
 
-/// Returns a picture of `map` (ny, nx) on `grid` as SVG text. `title` stands above it; pixels that are NaN are grey.
+/// Returns a picture of `map` (ny, nx), in the unit that `scale` names, on `grid` as SVG text. `title` stands above it;
+/// pixels that are NaN are grey.
 pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String {
     let [x, y] = [grid.x.edges_mm(), grid.y.edges_mm()];
     let [width_mm, height_mm] = [x, y].map(|[low, high]| high - low);

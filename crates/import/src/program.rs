@@ -42,8 +42,8 @@ pub struct Configuration {
     /// part; `None` leaves the motion in the coordinates of the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
-    /// True if the exported motion was in the coordinates of the machine, so that the motion that is read is in them
-    /// too.
+    /// True if the motion that was exported was in the coordinates of the machine. The motion that is read back then is
+    /// in them, too.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
     /// BLAKE3 hash of the program that this configuration belongs to; `None` if it was written by hand.
@@ -64,9 +64,9 @@ pub struct ProgramAxis {
     pub count: f64,
 }
 
-/// Axes that a program moves: names, units, start and count sizes.
+/// Axes that a program moves: their names, units, positions before the program, and sizes of a count.
 struct Layout {
-    /// Names of the axes, in the order of the numbers in the program.
+    /// Names of the axes, in the order in which the lines of the program list their numbers.
     names: Vec<String>,
     /// Units of the axes, mm or deg.
     units: Vec<String>,
@@ -92,13 +92,13 @@ impl Layout {
     }
 }
 
-/// Names of the axes that a program may move, with their units.
+/// Names of the axes that a program may move, with the unit of each.
 const AXES: [(&str, &str); 7] =
     [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
 
 impl Configuration {
-    /// Returns the axes of the configuration, x and y if it lists none. Refuses unknown or repeated axes, numbers
-    /// that are not finite, and a list beside `start_mm` or `count_mm`.
+    /// Returns the axes of the configuration, x and y if it lists none. Refuses unknown or repeated axes (r and x count
+    /// as the same), numbers that are not finite, and a list together with `start_mm` or `count_mm`.
     fn layout(&self) -> Result<Layout, Invalid> {
         if self.axes.is_empty() {
             return Ok(Layout {
@@ -216,8 +216,8 @@ pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
     }
 }
 
-/// Refuses a configuration that belongs to another program, by its hash. Its count size or start position would give
-/// this program another motion.
+/// Refuses a configuration whose hash is that of another program. Its count size or start position would give this
+/// program another motion.
 fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     let Some(expected) = &configuration.program_blake3 else { return Ok(()) };
     let hash = blake3::hash(bytes).to_hex();
@@ -233,8 +233,8 @@ fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     Err(Invalid::whole("program_blake3", problem, remedy))
 }
 
-/// A state that a program commands: time since its start (s), positions of the axes (mm or deg) and velocities (mm/s or
-/// deg/s).
+/// A state that a program commands (knot of the motion): time since its start (s), positions of the axes (mm or deg)
+/// and velocities (mm/s or deg/s).
 #[derive(Clone, Debug)]
 struct Knot {
     time_s: f64,
@@ -286,7 +286,7 @@ fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
 /// Remedy in the messages about a line that cannot be read.
 const REMEDY: &str = "correct the line, or leave it out if it moves nothing and switches nothing";
 
-/// Returns the message about a wrong line of the program; `line` counts from 1.
+/// Returns the message about a wrong line of the program; `line` is its number, counted from 1.
 fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
     Invalid::at_index("program line", line, problem, REMEDY)
 }
@@ -300,7 +300,7 @@ fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     })
 }
 
-/// Returns the value of a setting that the program needs, or refuses its absence. `name` is that of the setting.
+/// Returns the value of a setting that the program needs. Refuses its absence; `name` is that of the setting.
 fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| {
         let remedy = format!("give `{name}`, or `about` with the file beside the program");
@@ -308,7 +308,7 @@ fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     })
 }
 
-/// Returns the value `v` if it is finite and positive, or refuses it. `name` is that of the setting.
+/// Returns the value `v` of the setting `name`. Refuses a value that is not finite and positive.
 fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 {
         Ok(v)

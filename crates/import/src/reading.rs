@@ -27,24 +27,26 @@ pub enum FirstRow {
     SmallestY,
 }
 
-/// Choice of arrays by name in a file that holds several; `None` leaves the choice to the reader.
+/// Choice of the arrays (or columns) of a map in a file that holds several; `None` leaves the choice to the reader.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pick {
     /// Name or path of the array that is the map.
     #[serde(rename = "data")]
     pub dataset: Option<String>,
-    /// Name or path of the x coordinates, one per column.
+    /// Name or path of the x coordinates, those of the columns: a vector, or a matrix as `meshgrid` makes it.
     pub x: Option<String>,
-    /// Name or path of the y coordinates, one per row.
+    /// Name or path of the y coordinates, those of the rows, likewise.
     pub y: Option<String>,
     /// Name or path of an array of the same size as the map, in which a number other than 0 marks an invalid pixel.
     pub mask: Option<String>,
     /// Pitch [x, y], mm, of the grid to which scattered points (lines `x y z`) are interpolated; `None` if the points
     /// lie on a grid.
     pub grid_mm: Option<[f64; 2]>,
-    /// Unit of the coordinates of scattered points; `None` if the file states it.
+    /// Unit of the coordinates of scattered points, which has priority over that of the file; `None` if the file states
+    /// it.
     pub coordinate_unit: Option<Unit>,
-    /// Columns of x, y and the values in lines of text, by name or by number, counted from 1.
+    /// Columns of x, y and the values in lines of text, by name or by number, counted from 1; `None` leaves the choice
+    /// to their names and order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub columns: Option<[String; 3]>,
     /// True if the map is a tool influence function (TIF): its customary names are then tried if no name is given.
@@ -62,7 +64,8 @@ pub struct Coordinates {
     pub unit: Option<Unit>,
 }
 
-/// Rule by which a header places the pixels, for [x, y] each, in the order and in the units of the file:
+/// Rule by which a header gives the coordinates of the pixels, for [x, y] each, in the order and in the units of the
+/// file:
 ///
 /// ```text
 /// coordinate of pixel i = coordinate + step (i - pixel)
@@ -73,7 +76,8 @@ pub struct Rule {
     pub step: [f64; 2],
     /// Unit of step and coordinate along [x, y], if the file states it.
     pub unit: [Option<Unit>; 2],
-    /// A pixel, counted from 0, and its coordinate, for [x, y]; `None` if the header states steps alone.
+    /// A pixel, counted from 0 in the order of the file, and its coordinate, for [x, y]; `None` if the header states
+    /// steps alone.
     pub reference: Option<[(f64, f64); 2]>,
 }
 
@@ -95,9 +99,9 @@ impl Window {
         Self { first, in_mm: true, frame_rows: None }
     }
 
-    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the
-    /// frame. y = 0 is the row of the frame with the smallest y. If the first row is the top and the size of the frame
-    /// is unknown, y = 0 is the first row of the frame.
+    /// Returns the smallest coordinates [x, y] of a map with `rows` rows, mm. x = 0 is the first column of the frame. y
+    /// = 0 is the row of the frame with the smallest y; for a map whose first row is the top in a frame of unknown size
+    /// it is the first row of the frame.
     fn start_mm(&self, pitch_mm: [f64; 2], rows: usize, first_row: FirstRow) -> [f64; 2] {
         let [x, y] = [0, 1].map(|k| self.first[k] * if self.in_mm { 1.0 } else { pitch_mm[k] });
         let last = (rows - 1) as f64 * pitch_mm[1];
@@ -111,33 +115,33 @@ impl Window {
     }
 }
 
-/// Content of the file of a map, as stored, with all that the file states about it.
+/// Content of a map file as stored, with all that the file states about it.
 #[derive(Clone, Debug)]
 pub struct Reading {
     /// Format that the file was read as.
     pub format: Format,
     /// Stored values (rows, columns) in the order of the file; NaN marks invalid pixels.
     pub values: Array2<f64>,
-    /// True if the file stores 32-bit floats. A marker of invalid pixels is then rounded to 32 bits before the
-    /// comparison.
+    /// True if the file stores 32-bit floats. A marker of invalid pixels is then rounded to 32 bits before it is
+    /// compared with the values.
     pub single: bool,
     /// Unit of `offset + factor * value`; `None` if the file does not state it.
     pub unit: Option<Unit>,
-    /// True if the file does not state the unit, and it is the one that writers of this format use.
+    /// True if the file does not state the unit, so that `unit` is the one that writers of this format use.
     pub unit_by_custom: bool,
-    /// Reason to refuse the unit of the file. The unit of the user replaces it with `override_file`; a unit that is
+    /// Reason to refuse the unit of the file. With `override_file` the unit of the user replaces it; a unit that is
     /// only uncertain needs no `override_file`.
     pub unit_problem: Option<Invalid>,
-    /// Unit as the file writes it, if it states one in words.
+    /// Unit as the file writes it, also if it is not understood; `None` if the file states none.
     pub unit_word: Option<String>,
     /// Unit that the file states without saying whether it is that of the values or that of the coordinates.
     pub lone_unit: Option<Unit>,
-    /// Factor that the file states: `unit` per stored value.
+    /// Factor that the file states: height in `unit` per stored value.
     pub factor: f64,
     /// Height of the stored value 0, in `unit`; it is added after the multiplication by `factor`.
     pub offset: f64,
-    /// Surface height per wavefront height that `factor` contains already, such as 0.5 for one reflection; `None` if
-    /// the file does not state it.
+    /// Surface height per height of the wavefront that `factor` contains already, such as 0.5 for one reflection;
+    /// `None` if the file does not state it.
     pub scale_applied: Option<f64>,
     /// Wavelength of the light, nm; `None` if the file does not state it.
     pub wavelength_nm: Option<f64>,
@@ -145,13 +149,14 @@ pub struct Reading {
     pub pixel_mm: Option<[f64; 2]>,
     /// Coordinates of all columns and rows; `None` if the file does not list them.
     pub coordinates: Option<Coordinates>,
-    /// Rule of the coordinates, if the header states one in place of coordinates.
+    /// Rule of the coordinates; `None` if the header states none. `coordinates` has priority over it.
     pub rule: Option<Rule>,
     /// Position of the map in a larger frame, if the file states it.
     pub window: Option<Window>,
     /// Side of the map that the first row of the file is, by the statement of the file or the convention of the format.
     pub first_row: FirstRow,
-    /// True if the file itself states which side the first row is.
+    /// True if the file itself states which side the first row is; false if `first_row` is the convention of the
+    /// format.
     pub first_row_stated: bool,
     /// Further statements of the file, recorded in the manifest of the artifact.
     pub stated: Value,
@@ -160,7 +165,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Returns the reading of a directory of `.npy` files: `map` (ny, nx) in nm or nm/s on `grid`.
+    /// Returns the reading of an artifact, a directory of `.npy` files: `map` (ny, nx) in nm or nm/s on `grid`.
     pub fn of_map(grid: &Grid, map: &Array2<f64>) -> Self {
         let mut reading = Self::new(Format::Directory, map.clone(), FirstRow::SmallestY);
         reading.unit = Some(Unit::named("nm"));
@@ -172,7 +177,7 @@ impl Reading {
         reading
     }
 
-    /// Returns a reading with the stored values alone: factor 1, offset 0, and nothing that the file states.
+    /// Returns a reading with the stored values alone: factor 1, offset 0, and none of the statements of a file.
     pub(crate) fn new(format: Format, values: Array2<f64>, first_row: FirstRow) -> Self {
         Self {
             format,
@@ -209,7 +214,7 @@ impl Reading {
     }
 
     /// Records the unit at the end of the name of a variable, such as `height_nm` or `rate_nm_per_min`. A name without
-    /// a unit changes nothing.
+    /// a unit changes nothing. A unit that is uncertain, or contradicts that of the file, becomes `unit_problem`.
     pub(crate) fn state_unit_of_name(&mut self, name: &str) {
         let mut words = name.rsplit('_');
         let time = words.next().unwrap_or_default();
@@ -305,7 +310,7 @@ pub struct ReadingSettings {
     /// True: a unit, pitch or wavelength of the user replaces a different one of the file, with a warning. False: a
     /// contradiction is refused.
     pub override_file: bool,
-    /// Unit of the values in the file.
+    /// Unit of the values in the file, of heights or rates.
     pub unit: Option<Unit>,
     /// Wavelength of the light, nm, for heights in waves.
     pub wavelength_nm: Option<f64>,
@@ -313,7 +318,8 @@ pub struct ReadingSettings {
     pub pixel_mm: Option<[f64; 2]>,
     /// Unit of the coordinates that the file lists.
     pub coordinate_unit: Option<Unit>,
-    /// Surface height per height in the file: 1 for a surface, 0.5 for the wavefront of one reflection.
+    /// Surface height per height in the file: 1 for a surface, 0.5 for the wavefront of one reflection. It multiplies
+    /// all values.
     pub surface_per_value: f64,
     /// True if the file counts material (or removal) as negative, so that the sign is changed.
     pub negate: bool,
@@ -321,13 +327,13 @@ pub struct ReadingSettings {
     pub no_data: Option<f64>,
     /// Side of the map that the first row of the file is; `None` leaves it to the file or its format.
     pub first_row: Option<FirstRow>,
-    /// True to mirror the map in x.
+    /// True to mirror the map in x, so that its columns change order.
     pub flip_x: bool,
-    /// True to mirror the map in y.
+    /// True to mirror the map in y, so that its rows change order.
     pub flip_y: bool,
-    /// Rotation of the map after mirroring.
+    /// Rotation of the map after mirroring, counter-clockwise.
     pub rotation: Rotation,
-    /// Point of the map that gets the coordinates x = y = 0.
+    /// Point of the map that gets the coordinates x = y = 0, unless `place_mm` gives coordinates.
     pub origin: Origin,
     /// Coordinates [x, y] that the pixel with the smallest x and y gets, mm; `None` leaves them to `origin`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -364,7 +370,7 @@ pub struct Statement {
     pub unit: Unit,
     /// Source of the unit: "file", "custom of the format" or "asked for" (the user stated it).
     pub unit_from: &'static str,
-    /// Height in nm (or rate in nm/s) per stored value: all factors and the sign in one.
+    /// Change of the height in nm (or rate in nm/s) per stored value: all factors and the sign in one.
     pub nm_per_value: f64,
     /// Height in nm (or rate in nm/s) of the stored value 0.
     pub nm_of_zero: f64,
@@ -391,8 +397,8 @@ pub struct Statement {
 }
 
 impl Reading {
-    /// Returns the usual origin of a tool influence function, if nobody states it: that of the coordinates in the file,
-    /// or the centre of the map without them.
+    /// Returns the usual origin of a tool influence function, if nobody states it. It is that of the coordinates in the
+    /// file, also by a rule of known unit; without them it is the centre of the map.
     pub fn usual_tif_origin(&self, settings: &ReadingSettings) -> Origin {
         let by_rule = self.rule.as_ref().is_some_and(|rule| {
             rule.reference.is_some()
@@ -405,8 +411,8 @@ impl Reading {
 /// Converts a reading to a surface error map, with heights in nm on a grid in mm.
 ///
 /// # Errors
-/// Refuses a reading whose unit or pitch neither the file nor the settings state, settings that contradict the file,
-/// and maps without a valid pixel.
+/// Refuses a reading whose unit or pitch neither the file nor the settings state, settings that contradict the file or
+/// are out of range, removal rates, and maps without a valid pixel.
 pub fn surface(
     reading: Reading,
     settings: &ReadingSettings,
@@ -416,7 +422,8 @@ pub fn surface(
 }
 
 /// Converts a reading to a complete tool influence function (TIF): rates in nm/s at offsets from the tool centre. A
-/// unit without a time counts as per second. `planish-tool` reads a spot that must be cut out or divided by its time.
+/// unit without a time counts as per second. A spot that must be cut out or divided by its time is read by
+/// `planish-tool` instead.
 ///
 /// # Errors
 /// Refuses what [`surface`] refuses, and rates of which [`Tif::new`] makes no TIF.
@@ -434,7 +441,8 @@ enum MapQuantity {
     Rates,
 }
 
-/// Returns the grid (mm), the values (ny, nx) in nm or nm/s, and the statement of the conversion.
+/// Returns the grid (mm), the values (ny, nx) in nm or nm/s, and the statement of the conversion. Refuses a unit or
+/// pitch that nobody states, settings that contradict the file or are out of range, and rates where heights are wanted.
 fn map(
     mut reading: Reading,
     settings: &ReadingSettings,
@@ -498,9 +506,9 @@ fn map(
     Ok((grid, values, statement))
 }
 
-/// Removes the factor that the file has applied, if `surface_per_value` is not 1 and `override_file` is set. Refuses a
-/// `surface_per_value` that is not positive. Refuses one other than 1 beside a factor of the file without
-/// `override_file`.
+/// Checks `surface_per_value`, and removes the factor that the file has applied if the setting replaces it (with
+/// `override_file`). Refuses a setting that is not positive, and one other than 1 for a file with its own factor
+/// without `override_file`.
 fn apply_surface_per_value(
     reading: &mut Reading,
     settings: &ReadingSettings,
@@ -523,12 +531,13 @@ fn apply_surface_per_value(
     Ok(())
 }
 
-/// Smallest distance of an extreme stored value from all others, in ranges of the others, at which it is doubted as a
-/// marker of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches are doubted.
+/// Smallest distance of the smallest or largest stored value from all others, in ranges of these others, at which a
+/// warning calls it a possible marker of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches
+/// are doubted.
 const FAR: f64 = 3.0;
 
-/// Returns a warning if two or more pixels share the smallest or the largest stored value, far from all others: it may
-/// mark invalid pixels.
+/// Returns a warning if two or more pixels share the smallest or the largest stored value, more than [`FAR`] from all
+/// others: it may mark invalid pixels. Otherwise it returns `None`.
 fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
     let finite = values.iter().copied().filter(|v| v.is_finite());
     let least = finite.clone().fold(f64::INFINITY, f64::min);
@@ -550,7 +559,7 @@ fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
 }
 
 /// Returns the unit of the values, and its source ("file", "custom of the format" or "asked for"). Refuses a unit that
-/// nobody states or understands, and a setting that contradicts the file.
+/// nobody states or understands, and a setting that contradicts the file without `override_file`.
 fn unit(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -594,7 +603,7 @@ fn unit(
     }
 }
 
-/// Returns true if two names stand for the same unit. Rates without a time are per second.
+/// Returns true if two units are the same. For rates, a length without a time is the same as that length per second.
 fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
     let sizes = [a, b].map(|unit| unit.nm(Some(1.0)).unwrap_or(f64::NAN));
     a == b
@@ -606,7 +615,8 @@ fn is_same_unit(a: Unit, b: Unit, kind: MapQuantity) -> bool {
 
 /// Returns the unit and its source for a file that states none for its values. A unit that the file states without
 /// saying of what is taken for the values, with a warning, unless the user states a unit. Refuses a unit of the user
-/// that differs from it, except with `override_file` or if it is the unit of the coordinates.
+/// that differs from it, except with `override_file` or if `coordinate_unit` is that unit. Refuses a unit that nobody
+/// states.
 fn unit_of_user(
     reading: &Reading,
     requested: Option<Unit>,
@@ -638,7 +648,8 @@ fn unit_of_user(
     }
 }
 
-/// Refuses a setting that contradicts the file, with both values. With `override_file`, it adds a warning instead.
+/// Refuses a setting that contradicts the file, with both values in the message. With `override_file`, it adds a
+/// warning instead.
 fn contradicts(
     name: &'static str,
     stated: String,
@@ -657,8 +668,9 @@ fn contradicts(
     ))
 }
 
-/// Returns the wavelength that the settings or the file state, nm; `None` without one. A setting without effect, for
-/// heights in another unit than waves, counts as none. Refuses a setting that contradicts the file.
+/// Returns the wavelength that the settings or the file state, nm; `None` without one. A wavelength of the user for
+/// heights in another unit than waves has no effect, or is refused if it contradicts the file. Refuses any other
+/// contradiction without `override_file`.
 fn wavelength(
     reading: &Reading,
     unit: Unit,
@@ -690,22 +702,24 @@ fn wavelength(
     }
 }
 
-/// Returns true if two numbers agree to a relative difference of 1e-5, because writers keep 6 digits or more.
+/// Returns true if two numbers agree to 1e-5 of the first, because writers keep 6 digits or more.
 fn agree(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-5 * a.abs()
 }
 
-/// A map whose rows and columns ascend in y and x, with its grid.
+/// A map whose rows ascend in y and whose columns ascend in x, with its grid.
 struct Placed {
     grid: Grid,
     values: Array2<f64>,
     first_row: FirstRow,
     pitch_from: &'static str,
-    /// True if the grid has the coordinates of the file; otherwise its first pixel is at 0.
+    /// True if the grid has the coordinates of the file (listed, by a rule, or by a window); otherwise its first pixel
+    /// is at 0.
     has_coordinates: bool,
 }
 
-/// Arranges the values on a grid in mm, by the coordinates of the file or by a pitch.
+/// Arranges the values on a grid in mm, by the coordinates of the file or by a pitch. Refuses coordinates without a
+/// unit, a pitch beside coordinates without `override_file`, and what both ways refuse.
 fn place(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -751,8 +765,8 @@ fn place(
     place_by_coordinates(reading, coordinates, [unit.mm()?; 2])
 }
 
-/// Arranges the values on a grid by arrays of coordinates, as [`place`] does. `unit_mm` are the units of the
-/// coordinates [x, y], mm.
+/// Arranges the values on a grid by arrays of coordinates, so that both ascend. `unit_mm` is the size of the units of
+/// the coordinates [x, y], mm. Refuses coordinates that are not one per pixel in equal steps.
 fn place_by_coordinates(
     reading: &Reading,
     coordinates: &Coordinates,
@@ -779,8 +793,8 @@ fn place_by_coordinates(
     })
 }
 
-/// Returns the uniform axis of `len` pixels through the coordinates, and true if they descend. `to_mm` is the unit of
-/// the coordinates, mm; `name` is for messages.
+/// Returns the uniform axis of `len` pixels through the coordinates, and true if they descend. `to_mm` is the size of
+/// their unit, mm; `name` is for messages. Refuses another number of coordinates, and steps that are not equal.
 fn ascending(
     name: &'static str,
     coordinates: &[f64],
@@ -799,8 +813,8 @@ fn ascending(
     Ok((Axis::from_coordinates(name, &mm)?, descends))
 }
 
-/// Returns the unit of the coordinates that the user or the file states; `None` without either. Refuses a
-/// contradiction.
+/// Returns the unit of the coordinates that the user or the file states; `None` without either. Refuses a contradiction
+/// without `override_file`.
 fn coordinate_unit(
     stated: Option<Unit>,
     settings: &ReadingSettings,
@@ -814,8 +828,8 @@ fn coordinate_unit(
     Ok(settings.coordinate_unit.or(stated))
 }
 
-/// Returns the distance of pixel centres [x, y], mm, and its source ("file" or "asked for"). Refuses a contradiction, a
-/// missing pitch, and one that is not positive.
+/// Returns the distance of pixel centres [x, y], mm, and its source ("file" or "asked for"). Refuses a contradiction
+/// without `override_file`, a missing pitch, and one that is not positive.
 fn pitch(
     of_file: Option<[f64; 2]>,
     settings: &ReadingSettings,
@@ -850,8 +864,8 @@ fn pitch(
     Ok((pitch, pitch_from))
 }
 
-/// Arranges the values of a file without arrays of coordinates, as [`place`] does: by its [`Rule`], or by a pitch
-/// alone.
+/// Arranges the values of a file without arrays of coordinates, so that both coordinates ascend: by its [`Rule`], or by
+/// a pitch alone. Refuses a missing pitch, a rule whose unit nobody states, and settings for which the file has no use.
 fn place_by_pitch(
     reading: &Reading,
     settings: &ReadingSettings,
@@ -928,7 +942,8 @@ fn place_by_pitch(
     })
 }
 
-/// Returns the rule of the coordinates in mm, or `None` if neither the file nor the user states its unit.
+/// Returns the rule of the coordinates in mm, or `None` if neither the file nor the user states its unit. Refuses a
+/// unit that is no length, and a contradiction.
 fn in_mm(
     rule: &Rule,
     settings: &ReadingSettings,
@@ -947,8 +962,8 @@ fn in_mm(
     Ok(Some(in_mm))
 }
 
-/// Mirrors the map, then turns it. A mirrored axis keeps its numbers; a quarter turn swaps the axes. [`turned_about_0`]
-/// corrects the numbers if they are coordinates of the file.
+/// Mirrors the map, then turns it. A mirrored axis keeps its coordinates; a quarter turn swaps the axes.
+/// [`turned_about_0`] corrects the coordinates if they are those of the file.
 fn turn(grid: Grid, values: Array2<f64>, settings: &ReadingSettings) -> (Grid, Array2<f64>) {
     let mut view = values.view();
     // Half a turn mirrors both axes.
@@ -977,8 +992,8 @@ fn turn(grid: Grid, values: Array2<f64>, settings: &ReadingSettings) -> (Grid, A
 }
 
 /// Returns the grid of a map that was mirrored or turned, with coordinates that are mirrored and turned like its
-/// pixels. So x = y = 0 stays at the same point of the part: a tool keeps its offsets, and marks of the part keep their
-/// coordinates.
+/// pixels. So x = y = 0 stays at the same point of the part. `grid` has the coordinates before this correction, as
+/// `turn` returns them.
 fn turned_about_0(grid: &Grid, settings: &ReadingSettings) -> Result<Grid, Invalid> {
     let [x, y] = [settings.flip_x, settings.flip_y].map(|flip| if flip { -1.0 } else { 1.0 });
     // Sign of the coordinate of the file that became x, and of the one that became y; 90 degrees: (x, y) -> (-y, x)
@@ -994,13 +1009,14 @@ fn turned_about_0(grid: &Grid, settings: &ReadingSettings) -> Result<Grid, Inval
     Ok(Grid { x: x?, y: y? })
 }
 
-/// Returns the axis with another first coordinate, and the same pixels and pitch.
+/// Returns the axis with the first coordinate `start_mm`, and the same pixels and pitch.
 fn started_at(axis: &Axis, start_mm: f64) -> Result<Axis, Invalid> {
     Axis::new(start_mm, axis.step_mm(), axis.len())
 }
 
-/// Returns the grid with x = y = 0, or with its first pixel, where the user wants it. `has_place` is true if the file
-/// states coordinates.
+/// Returns the grid with x = y = 0 at the `origin` of the settings, or with its first pixel at their `place_mm`.
+/// `has_place` is true if the file states coordinates. Refuses `place_mm` with another `origin` than the file, and one
+/// that contradicts the coordinates of the file without `override_file`.
 fn set_origin(
     grid: Grid,
     settings: &ReadingSettings,

@@ -15,12 +15,12 @@ use spade::{
 use crate::budget::check_size;
 
 /// Longest side of a triangle that is used, in median sides of all triangles. Larger: wider holes are bridged. Smaller:
-/// points whose density varies leave holes. Profiles five times as dense along as across have sides of 1 to 5 of their
-/// spacing, and a median between them.
+/// points whose density varies leave holes. Chosen for profiles whose points are five times as dense along them as
+/// across.
 const LONGEST_SIDE: f64 = 3.0;
 
-/// Memory of a point in the triangulation, bytes. Derived: a vertex, six half edges, two faces, and the lists that
-/// order them. Larger: refuses large sets of points. Smaller: a set can exceed the memory.
+/// Memory of a point in the triangulation, bytes. Larger: refuses large sets of points that would fit. Smaller: a set
+/// can exceed the memory. Derived: a vertex, six half edges, two faces, and the lists that order them.
 const BYTES_PER_CORNER: usize = 400;
 
 struct Corner {
@@ -36,7 +36,7 @@ impl HasPosition for Corner {
     }
 }
 
-/// Heights on a grid, with its coordinates.
+/// Heights on a uniform grid, with the coordinates of the grid.
 pub(crate) struct Gridded {
     /// Heights (rows, columns) in the unit of the points; NaN marks invalid pixels.
     pub values: Array2<f64>,
@@ -52,8 +52,8 @@ fn length(a: Point2<f64>, b: Point2<f64>) -> f64 {
     (a.x - b.x).hypot(a.y - b.y)
 }
 
-/// Returns the height at `point`, or NaN outside of all triangles whose sides are at most `longest` (mm). It also
-/// returns a nearby corner, `hint` for the next search.
+/// Returns the height at `point`, or NaN outside of all triangles and on one with a side longer than `longest` (mm). It
+/// also returns a corner near `point`, which is the `hint` for the next search. A point on a corner has its height.
 fn interpolated(
     mesh: &DelaunayTriangulation<Corner>,
     point: Point2<f64>,
@@ -95,8 +95,9 @@ fn interpolated(
     }
 }
 
-/// Interpolates `points` (x and y in mm, height) to a grid of the pitch `pixel_mm` [x, y]. Refuses fewer points than a
-/// triangle has, two heights at one position, and grids that do not fit into the memory.
+/// Interpolates `points` (x and y in mm, height) to a grid of the pitch `pixel_mm` [x, y], mm. Points whose height is
+/// NaN are left out. Refuses a pitch that is not positive, fewer than three points or points on one line, two heights
+/// at one position, and grids or points that do not fit into the memory.
 pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, Invalid> {
     if let Some(p) = pixel_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Invalid::whole("grid_mm", format!("is {p}"), "a pitch is positive"));
@@ -158,7 +159,7 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
     Ok(Gridded { values, x_mm, y_mm, warnings })
 }
 
-/// Returns a point; coordinates below 1e-30 mm become 0, because the triangulation cannot decide about them.
+/// Returns a point; coordinates of a magnitude below 1e-30 mm become 0, because the triangulation refuses them.
 fn tidy(place: [f64; 2]) -> Point2<f64> {
     let [x, y] = place.map(|v| if v.abs() < 1e-30 { 0.0 } else { v });
     Point2::new(x, y)

@@ -39,32 +39,36 @@ use serde::Serialize;
 
 use crate::reading::{Reading, ReadingSettings, Statement, surface};
 
-/// Norm of the residual of the normal equations relative to that of their right side, at which the iteration ends.
-/// Larger: heights are less exact. Smaller: rounding keeps it going.
+/// Norm of the residual of the normal equations, relative to that of their right side, at which the iteration ends.
+/// Larger: heights are less exact. Smaller: rounding prevents the end.
 const TOLERANCE: f64 = 1e-12;
 
-/// Largest number of steps of the iteration. Larger: more time where rounding prevents the tolerance. Smaller: masks of
-/// many narrow pieces are not solved. Measured: 15 for a disc, 60 for a comb.
+/// Largest number of steps of the iteration, which then ends without having reached the tolerance. Larger: more time
+/// where rounding prevents the tolerance. Smaller: masks of many narrow pieces are not solved. Measured: 15 for a disc,
+/// 60 for a comb.
 const MOST_STEPS: usize = 500;
 
-/// Largest ratio of the residual slopes to the slopes without their means; above it a warning doubts the maps. Larger:
-/// maps that do not belong together pass. Smaller: noisy maps are doubted.
+/// Largest ratio of the residual slopes, RMS, to the slopes without their means, RMS; above it a warning doubts the
+/// maps. Larger: maps that do not belong together pass. Smaller: noisy maps are doubted.
 const MOST_RESIDUAL: f64 = 0.3;
 
-/// Ratio of the residuals with the two signs of the slopes along y, above which the smaller one is certainly right.
-/// Larger: the wrong sign is refused less often. Smaller: noise decides.
+/// Ratio of the residuals with the two signs of the slopes along y above which the sign with the smaller one is
+/// certainly right. Larger: the wrong sign is refused less often. Smaller: noise decides.
 const DECISIVE: f64 = 3.0;
 
 /// Statements of the user about two maps of slopes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SlopeSettings {
-    /// Unit of the slopes; `None` if the files state it.
+    /// Unit of the slopes in both files; `None` if the files state it.
     pub unit: Option<SlopeUnit>,
-    /// True if the slopes along x are positive where the surface rises towards smaller x.
+    /// True to change the sign of the slopes along x, because the file counts them as positive where the surface rises
+    /// towards smaller x.
     pub negate_x: bool,
-    /// True if the slopes along y are positive where the surface rises towards smaller y.
+    /// True to change the sign of the slopes along y, because the file counts them as positive where the surface rises
+    /// towards smaller y.
     pub negate_y: bool,
-    /// True to keep the signs of the maps, even if the other sign along y fits far better.
+    /// True to keep the signs of the maps, even if the other sign along y fits far better; otherwise such maps are
+    /// refused.
     pub trust_signs: bool,
     /// Settings that a map of slopes shares with a map of heights, such as pitch, origin and orientation.
     pub map: ReadingSettings,
@@ -74,7 +78,7 @@ pub struct SlopeSettings {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlopeUnit {
     name: String,
-    /// Size of the unit: in rad for an angle, otherwise the ratio.
+    /// Size of the unit: in rad for an angle, otherwise the ratio of the two lengths, dimensionless.
     size: f64,
     is_angle: bool,
 }
@@ -112,7 +116,7 @@ impl std::str::FromStr for SlopeUnit {
 }
 
 impl SlopeUnit {
-    /// Returns the slope, urad (1e-6 of rise over run), of a value in this unit.
+    /// Returns the slope in urad (1e-6 of rise over run) of a value in this unit. An angle becomes its tangent.
     fn urad(&self, value: f64) -> f64 {
         let ratio = value * self.size;
         1e6 * if self.is_angle { ratio.tan() } else { ratio }
@@ -122,7 +126,7 @@ impl SlopeUnit {
 /// Quality of heights from slopes, and how the two files were read.
 #[derive(Clone, Debug, Serialize)]
 pub struct SlopeReport {
-    /// Conversion of the map of slopes along x. Fields in nm hold slopes in urad there.
+    /// Conversion of the map of slopes along x. Its numbers in nm are urad here.
     pub x: Statement,
     /// Conversion of the map of slopes along y, also in urad.
     pub y: Statement,
@@ -130,9 +134,10 @@ pub struct SlopeReport {
     pub unit: SlopeUnit,
     /// RMS of the slopes along [x, y] after subtraction of their means, urad.
     pub slope_rms_urad: [f64; 2],
-    /// RMS of the part of the slopes that no surface can have, urad: the residual of (1) of the module, over both axes.
+    /// RMS of the part of the slopes that belongs to no surface, urad: the residual of (1) of the module, over both
+    /// axes.
     pub residual_urad: f64,
-    /// RMS of that part if the slopes along y had the other sign, urad.
+    /// RMS of that part if the slopes along y had the other sign, urad. It tells which sign is right.
     pub residual_of_other_sign_urad: f64,
     /// Number of valid pixels outside of the largest connected region, which are left out.
     pub unconnected_pixels: usize,
@@ -144,6 +149,8 @@ pub struct SlopeReport {
 
 /// Integrates two maps of slopes, along x and along y, to a map of heights in nm.
 ///
+/// Refuses maps on two grids, signs that contradict each other, and a unit that is missing, no slope or not the same in
+/// both maps. Refuses fewer than 4 connected pixels that are valid in both maps, and what [`surface`] refuses.
 /// # Errors
 /// Refuses maps of two grids, a unit that is missing, no slope or not the same in both maps, and signs that contradict
 /// each other. Refuses fewer than 4 connected pixels that are valid in both maps.
@@ -222,14 +229,15 @@ pub fn slopes(
     Ok((map, report))
 }
 
-/// Returns true if two axes differ in their pixels, by number or by more than 1e-3 of the pitch.
+/// Returns true if two axes differ in their number of pixels, or at their first or last pixel by more than 1e-3 of the
+/// pitch.
 fn differ(a: &Axis, b: &Axis) -> bool {
     let ends = [(a.start_mm(), b.start_mm()), (a.end_mm(), b.end_mm())];
     a.len() != b.len() || ends.iter().any(|(a_mm, b_mm)| (a_mm - b_mm).abs() > 1e-3 * a.step_mm())
 }
 
 /// Returns the unit of both maps, as the files or the user state it. Refuses different units, a unit that is no slope,
-/// and one that nobody states.
+/// one that nobody states, and one of the user that contradicts the files without `override_file`.
 fn unit(
     along_x: &Reading,
     along_y: &Reading,
@@ -278,7 +286,8 @@ fn unit(
     }
 }
 
-/// Returns the slopes of a reading on their grid, urad where a surface has nm. `negate` changes their sign.
+/// Returns the slopes of a reading on their grid, as a surface whose heights in nm are the slopes in urad. `unit` is
+/// that of the slopes in the file; `negate` changes their sign.
 fn map_of_slopes(
     mut reading: Reading,
     unit: &SlopeUnit,
@@ -299,8 +308,8 @@ fn map_of_slopes(
     surface(reading, &ReadingSettings { no_data: None, ..settings.clone() })
 }
 
-/// Refuses maps if the other sign of the slopes along y is certainly right, unless the settings trust the signs. Adds a
-/// warning if the maps may not belong together, or if both signs fit.
+/// Refuses maps if the other sign of the slopes along y fits [`DECISIVE`] times better, unless the settings trust the
+/// signs. Adds a warning if the maps may not belong together, or if both signs fit.
 fn judge_signs(
     made: &Integrated,
     settings: &SlopeSettings,
@@ -346,8 +355,8 @@ struct Integrated {
     steps: usize,
 }
 
-/// Integrates slopes along x and y, urad, both (ny, nx) with NaN at invalid pixels, on `grid`. Refuses fewer than 4
-/// connected pixels.
+/// Integrates slopes along x and y, urad, both (ny, nx) with NaN at invalid pixels, on `grid`. Pixels outside of the
+/// largest connected region become invalid. Refuses fewer than 4 connected pixels.
 fn integrate(
     slope_x: &Array2<f64>,
     slope_y: &Array2<f64>,
@@ -393,7 +402,8 @@ fn integrate(
     })
 }
 
-/// Makes all pixels of `valid` false outside of its largest connected region. Returns how many of them were true.
+/// Makes all pixels of `valid` false outside of its largest connected region, whose pixels share edges. Returns how
+/// many of them were true.
 fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
     let (rows, columns) = valid.dim();
     let mut region = Array2::<usize>::zeros((rows, columns));
@@ -425,7 +435,7 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
 }
 
 /// Returns the height differences (2) of the module, nm, between every pixel and the next one along `axis` (0: along y,
-/// 1: along x). They are 0 if one of the two is invalid. `slope` is in urad.
+/// 1: along x), `step_mm` away. They are 0 if one of the two is invalid. `slope` is in urad.
 fn differences(
     slope: &Array2<f64>,
     valid: &Array2<bool>,
@@ -447,8 +457,8 @@ fn differences(
     all
 }
 
-/// Returns the integral of the slopes from pixel `i` to the next one, in slope times pixels. `s` holds the slopes of a
-/// run of at least two valid pixels.
+/// Returns the integral of the slopes from pixel `i` of a run to the next one, in the unit of the slopes times the
+/// pitch. `s` holds the slopes of a run of at least two valid pixels.
 fn step_of_run(s: ArrayView1<f64>, i: usize) -> f64 {
     let n = s.len();
     match n {
@@ -461,7 +471,7 @@ fn step_of_run(s: ArrayView1<f64>, i: usize) -> f64 {
     }
 }
 
-/// Returns the sum of the products of corresponding elements.
+/// Returns the sum of the products of corresponding elements of two arrays of the same shape.
 fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
@@ -472,7 +482,7 @@ struct Laplacian {
     /// Weights w = 1/h^2 along [x, y], 1/mm^2.
     weight: [f64; 2],
     /// Inverse eigenvalues of the Laplacian on the rectangle mirrored at its edges (2 ny, 2 nx), mm^2; 0 for the
-    /// constant.
+    /// constant map.
     inverse: Array2<f64>,
 }
 
@@ -489,8 +499,8 @@ impl Laplacian {
         Self { valid, weight, inverse }
     }
 
-    /// Calls `visit` for every pair of valid neighbours: the pixels (row, column) of both, and the axis between them
-    /// (0: x, 1: y).
+    /// Calls `visit` for every pair of valid neighbours: the pixels (row, column) of both, and the axis along which
+    /// they are neighbours (0: x, 1: y).
     fn for_each_edge(&self, mut visit: impl FnMut((usize, usize), (usize, usize), usize)) {
         let (rows, columns) = self.valid.dim();
         for r in 0..rows {
@@ -508,7 +518,7 @@ impl Laplacian {
         }
     }
 
-    /// Returns the right side of the normal equations, from the height differences along x and y, nm.
+    /// Returns the right side of the normal equations, nm/mm^2, from the height differences along x and y, nm.
     fn divergence(&self, along_x: &Array2<f64>, along_y: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(along_x.dim());
         self.for_each_edge(|a, b, axis| {
@@ -519,7 +529,7 @@ impl Laplacian {
         sum
     }
 
-    /// Returns the left side of the normal equations: the matrix times the heights `z`.
+    /// Returns the left side of the normal equations, nm/mm^2: the matrix times the heights `z`, nm.
     fn apply(&self, z: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(z.dim());
         self.for_each_edge(|a, b, axis| {
@@ -530,7 +540,8 @@ impl Laplacian {
         sum
     }
 
-    /// Applies the inverse of the Laplacian on the whole rectangle to a residual. The result is 0 at invalid pixels.
+    /// Applies the inverse of the Laplacian on the whole rectangle to a residual of the normal equations. The result is
+    /// 0 at invalid pixels.
     fn precondition(&self, residual: &Array2<f64>) -> Array2<f64> {
         let (rows, columns) = residual.dim();
         let fold = |i: usize, n: usize| if i < n { i } else { 2 * n - 1 - i };
@@ -548,8 +559,8 @@ impl Laplacian {
         )
     }
 
-    /// Solves the normal equations by preconditioned conjugate gradients. Returns the heights, nm, which are known up
-    /// to a constant, and the number of steps.
+    /// Solves the normal equations with the right side `right` by preconditioned conjugate gradients. Returns the
+    /// heights, nm, which are known up to a constant, and the number of steps, at most [`MOST_STEPS`].
     fn solve(&self, right: &Array2<f64>) -> (Array2<f64>, usize) {
         let mut z = Array2::zeros(right.dim());
         let mut residual = right.clone();
@@ -572,7 +583,8 @@ impl Laplacian {
         (z, MOST_STEPS)
     }
 
-    /// Returns the RMS of the slopes that the heights `z` do not explain, urad: the residual of (1) of the module.
+    /// Returns the RMS of the slopes that the heights `z` (nm) do not explain, urad: the residual of (1) of the module.
+    /// `along_x` and `along_y` are the height differences, nm.
     fn residual_urad(&self, z: &Array2<f64>, along_x: &Array2<f64>, along_y: &Array2<f64>) -> f64 {
         let mut sum = 0.0;
         let mut count = 0usize;

@@ -96,9 +96,10 @@ pub struct TraceSettings {
     /// Unit of the positions of rotary axes, if the log does not state it: an angle. A unit that contradicts the log is
     /// refused.
     pub angle_unit: Option<Unit>,
-    /// Length of an encoder count of [x, y], mm; negative if an axis counts backwards.
+    /// Length of an encoder count of [x, y], mm; negative if an axis counts backwards. A log in counts needs it.
     pub count_mm: Option<[f64; 2]>,
-    /// Unit of the time stamps, if the log does not state it: a time or samples.
+    /// Unit of the time stamps, if the log does not state it: a time or samples. A unit that contradicts the log is
+    /// refused.
     pub time_unit: Option<Unit>,
     /// Sample time of the controller, s, for time stamps that count samples.
     pub sample_s: Option<f64>,
@@ -110,15 +111,15 @@ pub struct TraceSettings {
     /// Beam current, in the unit of the log, at which the TIF was measured. A log with a column of the current needs
     /// it.
     pub nominal_current: Option<f64>,
-    /// Beginning of the motion to keep, s after the first sample; `None` begins with the first sample.
+    /// Beginning of the motion to keep, s after the first sample of the log; `None` begins with the first sample.
     pub from_s: Option<f64>,
-    /// End of the motion to keep, s after the first sample; `None` ends with the last sample.
+    /// End of the motion to keep, s after the first sample of the log; `None` ends with the last sample.
     pub until_s: Option<f64>,
     /// Interpolation between two samples, cubic or straight.
     pub between: Between,
 }
 
-/// A log of n samples: positions of x and y, or of all axes of a machine, in the order of time.
+/// A log of n samples in the order of time: positions of x and y, or of all axes of a machine.
 #[derive(Clone, Debug)]
 pub struct Trace {
     /// Times of the samples, s after the first sample of the log before it is cut, ascending (n).
@@ -146,7 +147,7 @@ pub struct Trace {
 pub struct TraceStatement {
     /// Controller or format that wrote the log.
     pub format: LogFormat,
-    /// Pairs of a quantity and the column or dataset of the file that it was read from.
+    /// Pairs of a quantity, such as `x`, and the column or dataset of the file that it was read from.
     pub columns: Vec<(String, String)>,
     /// Factor from the stored values of each position column to mm or degrees, in the order of these columns.
     pub mm_or_deg_per_value: Vec<f64>,
@@ -161,9 +162,9 @@ pub struct TraceStatement {
 /// offset of a picoammeter is far below it.
 const MOST_NEGATIVE_CURRENT: f64 = 0.05;
 
-/// Largest ratio of the current to the nominal current, and of the nominal current to the largest current;
-/// a log beyond it is refused, because its currents are in another unit. Larger: accepts mistakes in the
-/// unit. Smaller: refuses unusual currents. Chosen: from A to mA the ratio is 1000.
+/// Largest ratio of a current to the nominal current, and of the nominal current to the largest current of the log. A
+/// log beyond it is refused, because its currents are in another unit. Larger: accepts mistakes in the unit. Smaller:
+/// refuses unusual currents. Chosen: from A to mA the ratio is 1000.
 const LARGEST_RATE_FACTOR: f64 = 100.0;
 
 /// Largest ratio, either way, of the mean current with the beam on to the nominal current without a
@@ -464,8 +465,9 @@ fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
 }
 
 /// Returns the current over the nominal current at every sample, which is the removal rate relative to the TIF.
-/// Negative ratios down to `-MOST_NEGATIVE_CURRENT` become 0. Refuses an absent `nominal`, lower ratios, ratios above
-/// `LARGEST_RATE_FACTOR`, and currents whose largest ratio is 0 or below its inverse.
+/// Negative ratios down to `-MOST_NEGATIVE_CURRENT` become 0. Refuses an absent `nominal`, lower ratios, and ratios
+/// above `LARGEST_RATE_FACTOR`. Refuses currents that are nowhere above zero, or whose largest ratio is below 1 /
+/// `LARGEST_RATE_FACTOR`.
 fn rate_factor(
     column: &Column,
     nominal: Option<f64>,
@@ -635,7 +637,8 @@ impl Trace {
         })
     }
 
-    /// Returns the switch of the tool in every interval between two samples (n-1); true if the log has no switch.
+    /// Returns the switch of the tool in every interval between two samples (n-1), true if on; true everywhere if the
+    /// log has no switch.
     fn switched_on(&self) -> Vec<bool> {
         let intervals = self.time_s.len() - 1;
         match &self.tool_on {
@@ -674,8 +677,8 @@ impl Trace {
         AxesMotion::new(self.time_s.clone(), coefficient, self.switched_on(), vec![None; k])
     }
 
-    /// Returns the commanded motion of the setpoints, or `None` if the log has none. Refuses samples that make no valid
-    /// motion.
+    /// Returns the commanded motion through the setpoints, or `None` if the log has none. The tool is on everywhere in
+    /// it. Refuses samples that make no valid motion.
     pub fn setpoint(&self, between: Between) -> Result<Option<Trajectory>, Invalid> {
         let Some(setpoint_mm) = &self.setpoint_mm else { return Ok(None) };
         let gap_s = self.clock.longest_step_s();

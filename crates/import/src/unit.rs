@@ -55,14 +55,15 @@ impl Unit {
         Self(units::Unit::read(symbol, &VALUES).expect("the table has the symbol"))
     }
 
-    /// Returns the unit if the values or coordinates of a map can have it, otherwise `None`.
+    /// Returns the unit if the values or coordinates of a map can have it; `None` for other quantities.
     fn checked(unit: units::Unit) -> Option<Self> {
         let quantity = unit.quantity();
         let is_checked = VALUES.contains(&quantity) || quantity == Quantity::Pixels;
         if is_checked { Some(Self(unit)) } else { None }
     }
 
-    /// Returns the unit that `text` spells, such as `um` or `nm/min`; `None` if it is none that a map can have.
+    /// Returns the unit that `text` spells, such as `um` or `nm/min`; `None` if it is none that the values or
+    /// coordinates of a map can have.
     pub(crate) fn spelled(text: &str) -> Option<Self> {
         units::Unit::read(text, &VALUES).and_then(Self::checked)
     }
@@ -70,7 +71,7 @@ impl Unit {
     /// Returns the unit that a file states as the word `name` in its field `place`.
     ///
     /// # Errors
-    /// Refuses a word that is no unit of a map; the message quotes it.
+    /// Refuses a word that is no unit of the values or coordinates of a map; the message quotes it.
     pub fn stated(place: &'static str, name: &str) -> Result<Self, Invalid> {
         let unit = units::Unit::read(name, &VALUES);
         if let Some(unit) = unit.and_then(Self::checked) {
@@ -91,11 +92,12 @@ impl Unit {
         Err(Invalid::whole(place, format!("is \"{short}\""), remedy))
     }
 
-    /// Splits the name of a variable or column, such as `height_nm` or `z [um]`, into the name and the unit; `None`
-    /// without a unit.
+    /// Splits the name of a variable or column, such as `height_nm` or `z [um]`, into the name and the unit, which is
+    /// `None` if the text states none.
     ///
     /// # Errors
-    /// Refuses a word in brackets, after a slash or after "in" that is no unit of a map.
+    /// Refuses a word in the place of a unit (in brackets, after a slash or after "in") that is no unit of a map, and a
+    /// unit of another quantity.
     pub(crate) fn of_name(text: &str) -> Result<(String, Option<Self>), Invalid> {
         let remedy = "rename the column, or delete its unit and give `unit` and `coordinate_unit`";
         let Header { name, unit } =
@@ -118,7 +120,7 @@ impl Unit {
         self.0.per_s().is_some()
     }
 
-    /// Returns the unit without its time: `nm` for `nm/s`.
+    /// Returns the unit without its time: `nm` for `nm/s`. A unit without a time stays as it is.
     pub(crate) fn without_time(self) -> Self {
         Self(self.0.numerator())
     }
@@ -136,7 +138,7 @@ impl Unit {
     /// Returns the size of the unit in nm, or in nm/s for a rate. `wavelength_nm` is that of the light, for waves.
     ///
     /// # Errors
-    /// Refuses waves without a wavelength, and pixels.
+    /// Refuses waves without a wavelength or with one that is not positive, and pixels.
     pub(crate) fn nm(self, wavelength_nm: Option<f64>) -> Result<f64, Invalid> {
         if self.is_pixels() {
             let remedy = "heights are lengths: give `unit`";
@@ -161,7 +163,7 @@ impl Unit {
     /// Returns the size of the unit of a coordinate in mm.
     ///
     /// # Errors
-    /// Refuses a unit that is no length.
+    /// Refuses a unit that is no length, such as pixels.
     pub(crate) fn mm(self) -> Result<f64, Invalid> {
         if self.0.quantity() == Quantity::Length {
             return Ok(self.0.size(-3));

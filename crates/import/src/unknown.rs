@@ -2,7 +2,7 @@
 
 use crate::text;
 
-/// First bytes of file formats that are not read, with a name for the message and a remedy.
+/// First bytes of file formats that are not read, each with a name for the message and a remedy.
 const OTHERS: [(&[u8], &str, &str); 24] = [
     (b"CDF\x01", "a netCDF classic file", "convert it: nccopy -k nc4 IN OUT.h5"),
     (b"CDF\x02", "a netCDF classic file", "convert it: nccopy -k nc4 IN OUT.h5"),
@@ -56,7 +56,7 @@ pub fn unknown(bytes: &[u8], formats: &[String]) -> String {
     )
 }
 
-/// Returns the likely type of a file from its first bytes, and the remedy.
+/// Returns the likely type of a file, from its first bytes or the first line of its text, and the remedy.
 fn looks(bytes: &[u8]) -> (String, String) {
     if let Some((_, name, remedy)) = OTHERS.iter().find(|other| bytes.starts_with(other.0)) {
         return ((*name).into(), (*remedy).into());

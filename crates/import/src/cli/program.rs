@@ -52,7 +52,7 @@ struct ProgramOutcome<'a> {
     total_time_s: f64,
     /// True if the tool removes in every segment.
     always_on: bool,
-    /// Names of the axes, if the program lists them.
+    /// Names of the axes, if the configuration lists them.
     #[serde(skip_serializing_if = "Option::is_none")]
     axes: Option<Vec<&'a String>>,
     /// Units of these axes, mm or deg.

@@ -124,7 +124,7 @@ fn time_unit(text: &str) -> Result<Unit, String> {
     unit(text, &[Quantity::Time, Quantity::Samples], "a time, such as s, ms, ns, min, or samples")
 }
 
-/// Reads the unit of a flag. It must measure one of the quantities `wanted`, which a message calls `kind`.
+/// Reads the unit of a flag. Refuses one that measures none of the quantities `wanted`, which the message calls `kind`.
 fn unit(text: &str, wanted: &[Quantity], kind: &str) -> Result<Unit, String> {
     let unit = Unit::read(text, wanted).filter(|unit| wanted.contains(&unit.quantity()));
     unit.ok_or_else(|| format!("is no unit of {kind}"))
@@ -268,7 +268,8 @@ impl TraceArgs {
         Ok(status)
     }
 
-    /// Compares the log with the plan. With `--tool-from-plan`, the log gets the tool state of the plan.
+    /// Compares the log with the plan. With `--tool-from-plan`, the log gets the tool state of the plan. Refuses a log
+    /// of another motion.
     fn beside_plan(
         &self,
         trace: &mut Trace,
@@ -324,7 +325,7 @@ struct TraceOutcome<'a> {
     beside_plan: Option<&'a Extent>,
 }
 
-/// Mean, smallest and largest factor of the removal rate along the motion, relative to the TIF.
+/// Mean, smallest (`least`) and largest (`most`) removal rate along the motion, relative to that of the TIF.
 #[derive(Serialize)]
 struct RateFactorOutcome {
     mean: f64,

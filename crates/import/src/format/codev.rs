@@ -32,7 +32,7 @@ struct Parameters<'a> {
 }
 
 impl<'a> Parameters<'a> {
-    /// Returns the line of the parameters, which stands among the first three lines without comments; `None` if the
+    /// Returns the line of the parameters, which stands among the first three lines that are no comments; `None` if the
     /// text has none.
     fn find(text: &'a str) -> Option<Self> {
         let lines = text.lines().enumerate().filter(|(_, l)| !l.starts_with('!')).take(3);
@@ -58,7 +58,7 @@ impl<'a> Parameters<'a> {
         })
     }
 
-    /// Returns the number after the word `key`; `None` if the word is absent.
+    /// Returns the number after the word `key`; `None` if the word is absent. Refuses another word there.
     fn after(&self, key: &str) -> Result<Option<f64>, Invalid> {
         self.position(key).map(|k| self.number(k + 1)).transpose()
     }
@@ -76,7 +76,7 @@ pub(crate) fn is_codev(text: &str) -> bool {
         .is_some_and(|p| p.position("SSZ").is_some() || p.position("WVL").is_some())
 }
 
-/// Remedy in the messages about a file without a grid of heights.
+/// Remedy in the messages about a file without a readable grid of heights.
 const AGAIN: &str = "write it again as a grid (GRD) of a surface (SUR)";
 
 /// Reads the map of a CODE V file. Refuses polynomials, intensity filters, a grid without WVL or SSZ, and another

@@ -109,7 +109,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
 #[derive(Default)]
 struct Comments {
     beside: Beside,
-    /// Text lines above the numbers, for the manifest; at most [`MOST_LINES`].
+    /// Text lines above the numbers, as the manifest records them; at most [`MOST_LINES`].
     lines: Vec<String>,
     is_keyence: bool,
 }
@@ -171,7 +171,7 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
     Ok((header, first))
 }
 
-/// Returns the text after its first `lines` lines; empty if it has fewer.
+/// Returns the text after its first `lines` lines; it is empty if the text has fewer.
 fn from_line(text: &str, lines: usize) -> &str {
     match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
         Some((end, _)) => &text[end + 1..],
@@ -185,7 +185,7 @@ fn is_word(field: &str) -> bool {
     is_text(field) && field.split_whitespace().any(is_text)
 }
 
-/// Returns true if the text is neither a number nor a mark for no data, such as `nan`.
+/// Returns true if the text is neither a number nor a mark for no data, such as `nan`; an empty text is such a mark.
 fn is_text(word: &str) -> bool {
     !is_numeric(word) && !text::is_no_data(word)
 }
@@ -195,7 +195,7 @@ fn is_numeric(field: &str) -> bool {
     field.parse::<f64>().is_ok() || field.replacen(',', ".", 1).parse::<f64>().is_ok()
 }
 
-/// The numbers of a text, and the statements beside them.
+/// The numbers of a text, and the statements above and between them.
 struct Table {
     values: Array2<f64>,
     comments: Comments,
@@ -284,7 +284,7 @@ fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Inv
 struct Gaps {
     is_open: bool,
     count: usize,
-    /// Number of rows before the first gap, and the number of the line after it.
+    /// Number of rows of the matrix before the first gap, and the number of the line of the file after it.
     first: Option<(usize, usize)>,
 }
 
@@ -302,7 +302,7 @@ impl Gaps {
         }
     }
 
-    /// Refuses a matrix of `rows` rows in several groups. Gaps after every row are accepted.
+    /// Refuses a matrix of `rows` rows in which gaps separate groups of rows. Gaps after every row are accepted.
     fn check(&self, rows: usize) -> Result<(), Invalid> {
         match self.first {
             Some((before, line)) if self.count + 1 < rows => Err(Invalid::whole(
@@ -323,8 +323,8 @@ fn is_axis(own: ArrayView1<f64>, next: ArrayView1<f64>) -> bool {
     own.len() >= CERTAIN && is_uniform(&own.to_vec()) && !is_uniform(&next.to_vec())
 }
 
-/// Refuses a table that is certainly something else than heights: points x y z, profiles, or coordinates beside
-/// heights.
+/// Refuses a table that is certainly something else than heights: 12 lines or more of 3 numbers (points x y z), 8 lines
+/// or more of 2 (a profile), or coordinates in the first row or column.
 fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     let (rows, columns) = values.dim();
     if columns == 3 && rows >= 3 * FEWEST {

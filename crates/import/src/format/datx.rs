@@ -25,7 +25,7 @@ use crate::{
 const NAME: &str = "datx file";
 const SURFACES: &str = "/Data/Surface";
 
-/// Returns true if the file is HDF5 and has the group of surfaces of a datx file.
+/// Returns true if the file is HDF5 and has the group of surfaces of a datx file, `/Data/Surface`.
 pub(crate) fn is_datx(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.group(SURFACES).is_ok())
 }

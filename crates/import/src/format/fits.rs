@@ -25,9 +25,9 @@ use crate::{
 };
 
 const NAME: &str = "FITS file";
-/// Size of a block, bytes (FITS standard 4.0).
+/// Size of a block, bytes: headers and data fill whole blocks (FITS standard 4.0).
 const BLOCK: usize = 2880;
-/// Size of a card of the header, bytes (FITS standard 4.0).
+/// Size of a card, one key with its value in a header, bytes (FITS standard 4.0).
 const CARD: usize = 80;
 
 /// Largest offset of pixels across an axis, over the whole map, relative to the step across. A map with more is refused
@@ -45,7 +45,8 @@ fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
 }
 
 /// Returns the images with two axes, the number of all header and data units (HDUs), and true if an image is
-/// compressed. Refuses a `requested` HDU [map, mask] that is no image with two axes.
+/// compressed. Refuses a `requested` HDU [map, mask] that is no image with two axes, damaged headers, and too many
+/// HDUs.
 fn images(
     b: &Bytes<'_>,
     requested: [Option<&str>; 2],
@@ -181,7 +182,8 @@ fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
     Ok(Array2::from_shape_vec((rows, columns), values).expect("one value per pixel"))
 }
 
-/// Reads the map from its image: numbers, unit, coordinates and invalid pixels.
+/// Reads the map from its image: numbers, unit, coordinates and invalid pixels. Refuses damaged numbers or cards, and
+/// axes that are turned or not linear.
 fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
     let header = &image.header;
     let number = header.number()?;
@@ -208,7 +210,7 @@ fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
 }
 
 impl Number {
-    /// Returns true if the type is one of integers.
+    /// Returns true if the type is that of integers.
     fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
     }
@@ -217,7 +219,7 @@ impl Number {
 /// The cards of a FITS header by their keys (of repeated keys the first), and the texts of COMMENT and HISTORY.
 struct Header(HashMap<String, String>, Vec<String>);
 
-/// Beginnings of keys that the reader handles itself, or that say nothing about the values.
+/// Beginnings of keys of cards that the reader handles itself, or that say nothing about the values.
 const READ: [&str; 24] = [
     "SIMPLE", "BITPIX", "NAXIS", "EXTEND", "BSCALE", "BZERO", "BLANK", "BUNIT", "CDELT", "CRVAL",
     "CRPIX", "CUNIT", "CTYPE", "CD", "PC", "CROTA", "XTENSION", "PCOUNT", "GCOUNT", "EXTNAME",
@@ -328,7 +330,8 @@ impl Header {
     }
 
     /// Returns the rule of the coordinates of the pixels, or `None` if the header lacks the step of an axis. `len` is
-    /// the number of pixels along [x, y].
+    /// the number of pixels along [x, y]. Refuses axes that are turned, sheared or not linear, steps of 0, and unknown
+    /// units.
     fn rule(&self, len: [usize; 2], warnings: &mut Vec<String>) -> Result<Option<Rule>, Invalid> {
         let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
         let remedy = "write the map on axes of length, or delete these cards and give `pixel_mm`";
@@ -400,7 +403,8 @@ impl Header {
         Ok(Some(Rule { step: [x, y], unit, reference }))
     }
 
-    /// Returns the lengths of the axes, NAXIS1, NAXIS2, ...; NAXIS1 is the number of columns.
+    /// Returns the lengths of the axes, NAXIS1, NAXIS2, ...; NAXIS1 is the number of columns. Refuses a header without
+    /// them, and more than 999 axes.
     fn sizes(&self) -> Result<Vec<usize>, Invalid> {
         let n = self.whole("NAXIS")?;
         if n > 999 {
@@ -409,7 +413,7 @@ impl Header {
         (1..=n).map(|i| self.whole(&format!("NAXIS{i}"))).collect()
     }
 
-    /// Returns the type of the numbers, from BITPIX.
+    /// Returns the type of the numbers, from BITPIX. Refuses other values than those of the standard.
     fn number(&self) -> Result<Number, Invalid> {
         match self.float("BITPIX")? {
             Some(8.0) => Ok(Number::U8),
@@ -422,7 +426,7 @@ impl Header {
         }
     }
 
-    /// Returns the size of the data, bytes: BITPIX / 8 x GCOUNT x (PCOUNT + NAXIS1 x ...).
+    /// Returns the size of the data, bytes: BITPIX / 8 x GCOUNT x (PCOUNT + NAXIS1 x ...). Refuses 2^60 bytes and more.
     fn data_bytes(&self, sizes: &[usize]) -> Result<usize, Invalid> {
         let each = self.number()?.size();
         let groups = if self.raw("GCOUNT").is_some() { self.whole("GCOUNT")? } else { 1 };

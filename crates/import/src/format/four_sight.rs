@@ -24,7 +24,7 @@ use crate::{
 const NAME: &str = "4Sight file";
 const DATA: &str = "measurement0/genraw/data";
 
-/// Smallest stored value that marks an invalid pixel.
+/// Smallest magnitude of a stored value that marks an invalid pixel.
 const INVALID: f64 = 1e38;
 
 /// Returns true if the file is HDF5 and has a map at the path of 4Sight.
@@ -32,7 +32,7 @@ pub(crate) fn is_four_sight(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.dataset(DATA).is_ok())
 }
 
-/// Returns the path of the map that the user names, or that of the only measurement. Refuses several measurements
+/// Returns the path of the map that the user names, or that of the map of `measurement0`. Refuses several measurements
 /// without a name.
 fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
     let root = file.root_group().map_err(broken)?;
@@ -51,8 +51,8 @@ fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
     }
 }
 
-/// Returns the number and the unit in an attribute such as "632.8 nm"; `None` if it is absent. Refuses one that is no
-/// positive length.
+/// Returns the number and the unit in an attribute such as "632.8 nm"; `None` if it is absent. Refuses a number that is
+/// not positive, and a word that is no unit of a map.
 fn length(group: &Group, name: &str) -> Result<Option<(f64, Unit)>, Invalid> {
     let Some(text) = attribute_text(group, name)? else { return Ok(None) };
     if let Some((value, unit)) = text.trim().split_once(char::is_whitespace)
@@ -66,7 +66,7 @@ fn length(group: &Group, name: &str) -> Result<Option<(f64, Unit)>, Invalid> {
     Err(Invalid::whole(NAME, problem, "export it again from 4Sight"))
 }
 
-/// Returns the number of an attribute; `None` if it is absent or not finite.
+/// Returns the number of an attribute; `None` if it is absent, no number or not finite.
 fn number(group: &Group, name: &str) -> Result<Option<f64>, Invalid> {
     let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
     Ok(attribute_numbers(&attribute).and_then(|v| v.first().copied()).filter(|v| v.is_finite()))
@@ -75,7 +75,8 @@ fn number(group: &Group, name: &str) -> Result<Option<f64>, Invalid> {
 /// Reads the map of the only measurement, or the one that `pick.dataset` names.
 ///
 /// # Errors
-/// Refuses damaged files, several measurements without a name, and attributes that are no lengths.
+/// Refuses damaged files, several measurements without a name, names of coordinates or of a mask, and a wavelength or
+/// pitch that is no length.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.x.is_some() || pick.y.is_some() || pick.mask.is_some() {
         let remedy = "leave out `x`, `y` and `mask`, or give `format` hdf5 for one array";
@@ -132,7 +133,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
 }
 
 /// Returns an attribute of a group; `None` if it is absent. Refuses a group in which any attribute has too many values,
-/// because they may point to long texts.
+/// because each may point to a long text.
 fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Invalid> {
     let raw = group.raw_attributes().map_err(broken)?;
     for attribute in &raw {
@@ -148,7 +149,7 @@ fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Inval
     group.attribute(name).map(Some).map_err(broken)
 }
 
-/// Returns the text of an attribute; `None` if it is absent.
+/// Returns the text of an attribute; `None` if it is absent or empty.
 fn attribute_text(group: &Group, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())

@@ -24,7 +24,8 @@ fn is_comment(line: &str) -> bool {
     line.trim().is_empty() || line.trim_start().starts_with('!')
 }
 
-/// Returns true if the text begins with a line of parameters and a line of a pixel, as grid sag files do.
+/// Returns true if the text begins with a line of 7 parameters and a line of a pixel with 4 or 5 numbers, as grid sag
+/// files do.
 pub(crate) fn is_grid_sag(text: &str) -> bool {
     let lines = text.lines().filter(|line| !is_comment(line)).take(2);
     let numbers: Option<Vec<Vec<f64>>> = lines
@@ -43,7 +44,8 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, remedy)
 }
 
-/// Reads the map of heights (sag). Refuses another number of lines than pixels, and unknown units.
+/// Reads the map of heights (sag). Refuses another number of lines than pixels, lines with other than 4 or 5 numbers,
+/// and unknown units.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();

@@ -25,14 +25,14 @@ pub(crate) const MAGIC: &[u8] = b"Gwyddion Simple Field 1.0\n";
 struct Header<'a>(Cow<'a, str>);
 
 impl Header<'_> {
-    /// Returns the first value of a key; `None` if it is absent or empty.
+    /// Returns the value of the first line with this key; `None` if the key is absent or its value is empty.
     fn field(&self, key: &str) -> Option<String> {
         let mut pairs = self.0.lines().filter_map(|line| line.split_once('='));
         let (_, value) = pairs.find(|(k, _)| k.trim() == key)?;
         Some(value.trim().to_string()).filter(|v| !v.is_empty())
     }
 
-    /// Returns the number of a key; `None` if the key is absent. Refuses a value that is no finite number.
+    /// Returns the number of a key; `None` if the key is absent or empty. Refuses a value that is no finite number.
     fn number(&self, key: &str) -> Result<Option<f64>, Invalid> {
         let Some(text) = self.field(key) else { return Ok(None) };
         match text.parse::<f64>() {
@@ -41,7 +41,8 @@ impl Header<'_> {
         }
     }
 
-    /// Returns the number of pixels that a key states. Refuses an absent key.
+    /// Returns the number of pixels that a key states. Refuses an absent key, and a number that is negative or not
+    /// whole.
     fn size(&self, key: &str) -> Result<usize, Invalid> {
         match self.number(key)? {
             Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
@@ -55,7 +56,7 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from Gwyddion")
 }
 
-/// Reads the map. Refuses a damaged file, and units that are no lengths.
+/// Reads the map. Refuses a damaged file, bytes after the heights, and a unit of the pixels that is no length.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if !bytes.starts_with(MAGIC) {
         return Err(bad("does not start with \"Gwyddion Simple Field 1.0\"".into()));

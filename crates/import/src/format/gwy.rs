@@ -28,7 +28,7 @@ use crate::{
 const NAME: &str = "GWY file";
 pub(crate) const MAGIC: &[u8] = b"GWYP";
 
-/// Refuses names of coordinates or of a mask, because the channel has its own.
+/// Refuses names of coordinates or of a mask in `pick`, because the channel has its own.
 fn refuse_arrays(pick: &Pick) -> Result<(), Invalid> {
     for (name, array) in [("x", &pick.x), ("y", &pick.y), ("mask", &pick.mask)] {
         if let Some(array) = array {
@@ -84,7 +84,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the value of the component called `name`; `None` without it.
+/// Returns the value of the first component called `name`; `None` without it.
 fn find<'a, 'b>(components: &'b [Component<'a>], name: &str) -> Option<&'b Value<'a>> {
     components.iter().find(|c| c.name == name).map(|c| &c.value)
 }
@@ -149,8 +149,8 @@ struct GwyField {
 }
 
 impl GwyField {
-    /// Reads a map from its object. Refuses another kind of object, and a number of heights that is not that of the
-    /// pixels.
+    /// Reads a map from its object. Refuses another kind of object, one without sizes or heights, and a number of
+    /// heights that is not that of the pixels.
     fn new(object: &Object) -> Result<Self, Invalid> {
         if object.name != "GwyDataField" {
             return Err(broken(format!("has a \"{}\" as a channel", short(&object.name))));
@@ -186,7 +186,8 @@ fn size(components: &[Component<'_>], name: &str) -> Result<usize, Invalid> {
     }
 }
 
-/// Returns the two numbers of these components; `None` unless both exist. Refuses numbers that are not finite.
+/// Returns the two numbers in the components `names`, those of x and y; `None` unless both exist. Refuses numbers that
+/// are not finite.
 fn pair(components: &[Component<'_>], names: [&str; 2]) -> Result<Option<[f64; 2]>, Invalid> {
     let mut numbers = [None; 2];
     for (number, name) in numbers.iter_mut().zip(names) {

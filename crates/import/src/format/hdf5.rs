@@ -44,19 +44,19 @@ use crate::{
 const NAME: &str = "HDF5 file";
 const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-/// Largest depth of nested groups in which datasets are listed. Larger: more time on a hostile file. Smaller: a dataset
-/// in a deeper group has to be named by its path.
+/// Largest depth of nested groups in which datasets are listed. Larger: more time on a hostile file. Smaller: more
+/// datasets have to be named by their path.
 const DEEPEST: usize = 6;
 
-/// Largest number of values of an attribute that are read. Larger: more time on hostile files. Smaller: refuses
-/// attributes that are lists.
+/// Largest number of values of an attribute that is read; an attribute with more is refused. Larger: more time on
+/// hostile files. Smaller: refuses attributes that are lists.
 pub(crate) const MOST_VALUES: u64 = 64;
 
-/// Largest number of symbols (entries of groups of the first layout) that are read from a file. Larger:
-/// more time and memory for a hostile file. Smaller: refuses files with many datasets.
+/// Largest number of symbols (entries of groups in the older layout of HDF5) that are read from a file; more are
+/// refused. Larger: more time and memory for a hostile file. Smaller: refuses files with many datasets.
 const MOST_SYMBOLS: u64 = 4096;
-/// Longest block of names of a group, bytes; the names of a group may all point to the same long text.
-/// Larger: more memory for a hostile file. Smaller: refuses groups with many long names.
+/// Longest block of names of a group, bytes; a longer one is refused, because all names of a group may point to the
+/// same long text. Larger: more memory for a hostile file. Smaller: refuses groups with many long names.
 const LONGEST_NAMES: u64 = 1 << 16;
 
 /// Returns true if the signature of HDF5 stands at byte 0, 512, 1024 or 2048.
@@ -72,7 +72,8 @@ pub(crate) fn broken(error: Error) -> Invalid {
     Invalid::whole(NAME, format!("cannot be read ({error})"), "write it again, or crop it")
 }
 
-/// Opens an HDF5 file. Reads from it are limited in size to that of a map, and in number to [`MOST_READS`].
+/// Opens an HDF5 file. What is read from it is limited in size to a map and a few times the file, and in number to
+/// [`MOST_READS`]. Refuses bytes without the signature of HDF5.
 pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     if !is_hdf5(bytes) {
         let problem = "does not start with the signature of HDF5";
@@ -93,8 +94,8 @@ pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     Hdf5File::from_storage_with_options(Arc::new(metered), options).map_err(broken)
 }
 
-/// The bytes of a file, with the reads, bytes and symbols that may still be read. A file of a few kilobytes that points
-/// to itself could be read without end.
+/// The bytes of a file, with the numbers of reads, bytes and symbols that may still be read. A file of a few kilobytes
+/// that points to itself could be read without end.
 struct Metered {
     bytes: BytesStorage,
     reads: AtomicU64,
@@ -127,7 +128,8 @@ impl Storage for Metered {
     }
 }
 
-/// Subtracts `n` from the remaining budget `left`, or refuses if less is left. `what` names the budget in the message.
+/// Subtracts `n` from the number `left` of reads, bytes or symbols that may still be read. Refuses if less is left.
+/// `what` names them in the message.
 fn spend(left: &AtomicU64, n: u64, what: &str) -> Result<(), Error> {
     match left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(n)) {
         Ok(_) => Ok(()),
@@ -136,7 +138,7 @@ fn spend(left: &AtomicU64, n: u64, what: &str) -> Result<(), Error> {
 }
 
 /// Returns the coordinates of the columns and rows of a map of `(rows, columns)`, from two datasets. Refuses different
-/// units.
+/// units, and arrays that are not the coordinates of one axis each.
 fn coordinates(
     x_set: &Dataset,
     y_set: &Dataset,
@@ -156,7 +158,7 @@ fn coordinates(
 }
 
 /// Returns a dataset as a matrix, with `scale_factor` and `add_offset` applied. `transposed` is true for files of
-/// MATLAB.
+/// MATLAB, and swaps the axes.
 fn scaled(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
     let Convention { scale, offset, .. } = Convention::read(set)?;
     let stored = matrix(set, transposed)?;
@@ -167,6 +169,7 @@ fn scaled(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
 ///
 /// # Errors
 /// Refuses a damaged file, a file of several maps without a name, and arrays that are no real numbers on two axes.
+/// Refuses attributes that contradict these numbers, and coordinates that do not fit the map.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let file = open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
@@ -247,7 +250,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns names and shapes of the requested array, and of the customary coordinates beside it, as far as they exist.
+/// Returns names and shapes of the array called `name`, and of arrays with the customary names of maps and coordinates,
+/// as far as they exist.
 fn named(file: &Hdf5File, name: &str) -> Arrays {
     let own = prefix(name);
     let beside = BESIDE.iter().chain([&["Xtif", "Ytif"]]).flatten();
@@ -264,10 +268,10 @@ fn named(file: &Hdf5File, name: &str) -> Arrays {
 }
 
 /// Paths and shapes of all datasets of real numbers or truth values with at most two axes, without counting leading
-/// axes of one pixel. The path is that of a dataset of complex numbers, if there is one.
+/// axes of one pixel. The text is the path of a dataset of complex numbers, if there is one.
 type Listed = (Arrays, Option<String>);
 
-/// Lists the arrays in all groups of a file.
+/// Lists the arrays in the groups of a file, down to [`DEEPEST`]. Refuses too many, and groups that cannot be read.
 fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
     let mut listed = Listed::default();
     let root = file.root_group().map_err(broken)?;
@@ -275,8 +279,8 @@ fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
     Ok(listed)
 }
 
-/// Appends the arrays in `group` and below it to `listed`. A group may be linked from several places, even from within
-/// itself; it is listed once.
+/// Appends the arrays in `group` and in the groups within it, at most [`DEEPEST`] deep, to `listed`. A group may be
+/// linked from several places, even from within itself; it is listed once. Refuses too many groups and arrays.
 fn list(
     group: &Group,
     path: &str,
@@ -316,13 +320,14 @@ fn list(
     Ok(())
 }
 
-/// Returns a shape without leading axes of length 1; the last two axes always remain.
+/// Returns a shape without leading axes of length 1; the last two axes remain in any case.
 fn without_leading_ones(shape: &[u64]) -> Vec<u64> {
     let ones = shape.iter().take(shape.len().saturating_sub(2)).take_while(|n| **n == 1).count();
     shape[ones..].to_vec()
 }
 
-/// Returns true if the dataset holds truth values, as h5py or MATLAB write them.
+/// Returns true if the dataset holds truth values: an enumeration of one byte as h5py writes it, or bytes that MATLAB
+/// calls logical.
 fn is_truth(set: &Dataset) -> Result<bool, Invalid> {
     match set.dtype() {
         Datatype::Enum { base, .. } => Ok(matches!(**base, Datatype::FixedPoint { size: 1, .. })),
@@ -349,7 +354,7 @@ fn holds_complex(name: &str) -> Invalid {
 }
 
 /// Returns a dataset as a matrix, as stored; a vector becomes one row. `transposed` swaps the axes. Refuses more than
-/// two axes, and chunks that are too large.
+/// two axes of more than one pixel, too many elements, other types than real numbers, and chunks that are too large.
 pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
     check_elements("dataset", set.shape())?;
     if let Some(chunks) = set.chunks() {
@@ -383,7 +388,7 @@ pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Inv
     Ok(if transposed { matrix.reversed_axes().as_standard_layout().into_owned() } else { matrix })
 }
 
-/// Returns the numbers of a dataset as stored. Refuses other types, and integers that no 64-bit float equals.
+/// Returns the numbers of a dataset as stored. Refuses other types, and 64-bit integers that no 64-bit float equals.
 fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     fn widened<T: hdf5_reader::H5Type>(
         set: &Dataset,
@@ -425,8 +430,8 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     Ok(values)
 }
 
-/// Returns the number type of a dataset that this module decodes itself: 16-bit floats, and truth values of one byte.
-/// Returns `None` for the others.
+/// Returns the number type of a dataset that this module decodes itself: 16-bit floats (IEEE binary16), and truth
+/// values of one byte. Returns `None` for the others.
 fn packed(set: &Dataset) -> Result<Option<Number>, Invalid> {
     match set.dtype() {
         // Byte 13 of the type: bits of the exponent. Other floats of 16 bits have 8.
@@ -452,11 +457,11 @@ fn is_big_endian(datatype: &Datatype) -> bool {
     }
 }
 
-/// Names of attributes, beside those of netCDF, that state a stored value for invalid pixels.
+/// Names of attributes, besides those of netCDF, that state a stored value for invalid pixels.
 const NO_DATA: [&str; 6] =
     ["nodata", "no_data", "NoData", "NODATA", "nodata_value", "NODATA_value"];
 
-/// Names of the attributes of an array, with the number of values of each.
+/// The attributes of an array: their names, with the number of values of each.
 pub(crate) struct Attributes<'a> {
     set: &'a Dataset,
     counts: Vec<(String, u64)>,
@@ -495,7 +500,7 @@ impl<'a> Attributes<'a> {
         })
     }
 
-    /// Returns the number of an attribute; `None` if it is absent. Refuses several numbers.
+    /// Returns the number of an attribute; `None` if it is absent. Refuses several numbers, and NaN.
     fn number(&self, name: &str) -> Result<Option<f64>, Invalid> {
         match self.numbers(name)?[..] {
             [] => Ok(None),
@@ -513,7 +518,7 @@ pub(crate) fn is_single(set: &Dataset) -> bool {
     matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. })
 }
 
-/// Attributes of netCDF that change the meaning of the stored numbers.
+/// Attributes of netCDF (and others for invalid pixels) that change the meaning of the stored numbers.
 struct Convention {
     /// Factor from the stored number to the value (`scale_factor`).
     scale: f64,
@@ -527,7 +532,8 @@ struct Convention {
 }
 
 impl Convention {
-    /// Reads the attributes of a dataset. Refuses attributes that contradict its type or are no numbers.
+    /// Reads the attributes of a dataset. Refuses `_Unsigned`, and attributes that are no numbers or have the wrong
+    /// count of them.
     fn read(set: &Dataset) -> Result<Self, Invalid> {
         let attributes = Attributes::list(set)?;
         if attributes.get("_Unsigned")?.is_some() {
@@ -554,7 +560,7 @@ impl Convention {
         Ok(Self { scale, offset, invalid, least, most })
     }
 
-    /// Makes the pixels invalid whose stored number is a marker or lies outside the valid range.
+    /// Makes the pixels invalid whose stored number marks them or lies outside the valid range.
     fn mark(&self, reading: &mut Reading) {
         for marker in &self.invalid {
             reading.invalidate(*marker);
@@ -565,12 +571,13 @@ impl Convention {
     }
 }
 
-/// Returns the numbers of an attribute of any real type; `None` for other types.
+/// Returns the numbers of an attribute; `None` if [`numbers_of`] cannot read its type.
 pub(crate) fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
     numbers_of(&attribute.datatype, &attribute.raw_data)
 }
 
-/// Returns the numbers in `bytes` that have the type `datatype`; `None` if it is no type of real numbers.
+/// Returns the numbers in `bytes` that have the type `datatype`. Returns `None` if it is no integer and no float of 32
+/// or 64 bits, or if an integer has no equal float.
 fn numbers_of(datatype: &Datatype, bytes: &[u8]) -> Option<Vec<f64>> {
     let number = match *datatype {
         Datatype::FloatingPoint { size: 4, .. } => Number::F32,
@@ -631,12 +638,12 @@ const READ: [&str; 20] = [
     "no_data_value",
 ];
 
-/// Largest number of attributes and of arrays of one number that are read as statements. Larger: more time on a hostile
-/// file. Smaller: statements in files with many attributes are not seen.
+/// Largest number of attributes, and of arrays of one number or text, in one group that are read as statements. Larger:
+/// more time on a hostile file. Smaller: statements in files with many attributes are not seen.
 const MOST_STATEMENTS: usize = 200;
 
-/// Returns up to three numbers, or the text, of an attribute: `0.5`, `0.5 x 0.25`, `mm`. Returns `None` for more
-/// numbers.
+/// Returns up to three numbers, or the first text, of an attribute: `0.5`, `0.5 x 0.25`, `mm`. Returns `None` for more
+/// numbers, and for no text.
 fn value_of(attribute: &Attribute) -> Option<String> {
     match attribute_numbers(attribute) {
         Some(numbers) if numbers.len() <= 3 && !numbers.is_empty() => {
@@ -650,15 +657,15 @@ fn value_of(attribute: &Attribute) -> Option<String> {
 /// Names of attributes that state a unit.
 const UNITS: [&str; 4] = ["unit", "units", "Unit", "Units"];
 
-/// Returns true if an attribute may be a statement: it has at most three values, and the reader does not handle it
-/// itself.
+/// Returns true if an attribute may be a statement: it has at most three values, its name does not begin with `_`, and
+/// the reader does not handle it itself.
 fn may_state(a: &RawAttribute) -> bool {
     let count = a.message().dataspace.num_elements();
     !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
 }
 
-/// Returns the statements beside a dataset: attributes of the dataset, of its group and of the file, and arrays of one
-/// number or text in its group.
+/// Returns the statements about a dataset, called `name`: attributes of the dataset, of its group and of the file, and
+/// arrays of one number or text in its group.
 fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Invalid> {
     let mut variables = Vec::new();
     let attributes = set.raw_attributes().map_err(broken)?;
@@ -713,7 +720,7 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
 }
 
 /// Returns the paths of the coordinates of the rows and of the columns that the dataset refers to (dimension scales).
-/// Returns `None` unless both exist.
+/// Returns `None` unless both exist, and for a file that is too large to be listed.
 fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid> {
     let Some(list) = Attributes::list(set)?.get("DIMENSION_LIST")? else { return Ok(None) };
     let size = set.vlen_reference_size();
@@ -734,8 +741,8 @@ fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid
     Ok(rows.zip(columns).map(|(rows, columns)| [rows, columns]))
 }
 
-/// Returns the path of the coordinates that `reference` points to, one of `vectors`. Returns `None` for a dimension of
-/// netCDF without coordinates.
+/// Returns the path of the coordinates that `reference` points to, one of `vectors`. Returns `None` if it points to
+/// none of them, or to a dimension of netCDF without coordinates.
 fn scale_of_axis(
     set: &Dataset,
     reference: &[u8],
@@ -758,7 +765,8 @@ fn scale_of_axis(
     Ok(Some(path.clone()))
 }
 
-/// Returns the unit of coordinates, from their attribute or from the end of their name; `None` without either.
+/// Returns the unit of coordinates, from their attribute or from the end of their name; `None` without either. Refuses
+/// an attribute that is no unit of a map.
 fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     match unit_text(set)? {
         Some(name) => Unit::stated("coordinate_unit", &name).map(Some),
@@ -766,7 +774,7 @@ fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     }
 }
 
-/// Returns the unit of a dataset as text, from its attribute `unit` or `units`; `None` without it.
+/// Returns the unit of a dataset as text, from its attribute `unit` or `units`; `None` if it is absent or empty.
 pub(crate) fn unit_text(set: &Dataset) -> Result<Option<String>, Invalid> {
     let attributes = Attributes::list(set)?;
     for name in UNITS {

@@ -28,7 +28,7 @@ const HEADER: usize = 128;
 
 /// Type code of a data element that holds a matrix.
 const MATRIX: u32 = 14;
-/// Type code of a data element that holds another, compressed one.
+/// Type code of a data element whose content is another data element, compressed.
 const COMPRESSED: u32 = 15;
 
 /// Number of bytes of a compressed variable that are inflated to read its flags, dimensions and name. Larger: more time
@@ -42,7 +42,8 @@ const STRUCTURE: u32 = 2;
 /// Class code of an array that is text (MAT-File Format, table 1-3).
 const TEXT: u32 = 4;
 
-/// Longest text that is read, bytes. Larger: more time on files with long texts. Smaller: long statements are not seen.
+/// Longest text that is read, bytes; a longer one is passed over. Larger: more time on files with long texts. Smaller:
+/// long statements are not seen.
 const LONGEST_TEXT: usize = 200;
 
 /// Largest depth of structures within structures. Larger: more time and stack on a hostile file. Smaller: nested
@@ -60,12 +61,12 @@ struct Variable<'a> {
     /// Text of an array of letters; `None` for numbers.
     text: Option<String>,
     number: Number,
-    /// Data element that holds the variable, compressed or not.
+    /// Data element of the file that holds the variable, compressed or not.
     element: Element<'a>,
     /// Offset of the numbers in the inflated content of the element, and their length `len`, bytes.
     start: usize,
     len: usize,
-    /// True for a field of a structure; further fields may follow in the element.
+    /// True for a field of a structure; the element then may hold further fields after its numbers.
     is_field: bool,
 }
 
@@ -217,13 +218,13 @@ fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
     Ok(variables)
 }
 
-/// Returns the class code of the matrix whose content begins at the first byte.
+/// Returns the class code (number, text, structure, ...) of the matrix whose content begins at the first byte.
 fn class_of(b: &Bytes) -> Result<u32, Invalid> {
     let flags = element(b, 0)?;
     Ok(Bytes { all: flags.data, ..*b }.u32(0)? & 0xff)
 }
 
-/// A data element at the top level of the file, in which matrices are looked for.
+/// A data element at the top level of the file, in whose content matrices are looked for.
 #[derive(Clone, Copy)]
 struct Content<'a> {
     element: Element<'a>,
@@ -294,7 +295,7 @@ impl<'a> Content<'a> {
 }
 
 impl Variable<'_> {
-    /// Returns the numbers of the matrix (rows, columns). Refuses complex numbers.
+    /// Returns the numbers of the matrix (rows, columns). Refuses complex numbers, too many, and data that is cut off.
     fn matrix(&self, big_endian: bool) -> Result<Array2<f64>, Invalid> {
         if self.is_complex {
             return Err(holds_complex(self));
@@ -311,7 +312,8 @@ impl Variable<'_> {
         broken(format!("is truncated in \"{}\"", self.name))
     }
 
-    /// Returns the bytes of the numbers, inflated if they are compressed.
+    /// Returns the bytes of the numbers, inflated if they are compressed. Refuses an element that is cut off, broken,
+    /// or longer than its header says.
     fn data(&self) -> Result<Cow<'_, [u8]>, Invalid> {
         if self.element.kind == MATRIX {
             let data = self.element.data.get(self.start..self.start + self.len);
@@ -334,7 +336,7 @@ impl Variable<'_> {
     }
 }
 
-/// A data element: type code, content, and offset of the next element.
+/// A data element: type code (`kind`), content, and offset of the next element, bytes.
 #[derive(Clone, Copy)]
 struct Element<'a> {
     kind: u32,
@@ -367,7 +369,7 @@ fn tag(b: &Bytes, start: usize) -> Result<Tag, Invalid> {
     Ok(Tag { kind: word, size, start: start + 8, next: start + 8 + padded })
 }
 
-/// Reads the data element at byte `start`. Refuses one that ends after the file.
+/// Reads the data element at byte `start`. Refuses one that ends after the bytes that are there.
 fn element<'a>(b: &Bytes<'a>, start: usize) -> Result<Element<'a>, Invalid> {
     let Tag { kind, size, start, next } = tag(b, start)?;
     Ok(Element { kind, data: b.slice(start, size)?, next })
@@ -445,7 +447,8 @@ fn matrix<'a>(
     Ok(Some(variable))
 }
 
-/// Returns the text of an array of letters; `None` if it is longer than [`LONGEST_TEXT`], cut off, or of another type.
+/// Returns the text of an array of letters, whose content has the head `values`. Returns `None` if it is longer than
+/// [`LONGEST_TEXT`], cut off, or of another type.
 fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     if values.size > LONGEST_TEXT {
         return None;
@@ -466,7 +469,8 @@ fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
     }
 }
 
-/// Inflates `compressed` up to its first `most` bytes. The checksum is verified only if the data ends before.
+/// Inflates `compressed` up to its first `most` bytes. The checksum is verified only if the inflated data ends before
+/// them. Refuses broken data.
 fn inflate(compressed: &[u8], most: usize) -> Result<Vec<u8>, Invalid> {
     let mut out = Vec::new();
     let stream = ZlibDecoder::new(compressed).take(most as u64);

@@ -33,7 +33,8 @@ use crate::{
 
 const NAME: &str = "MetroPro file";
 
-/// Magic number, format number and header size (bytes) of the three versions of the format.
+/// Magic number, format number and header size (bytes) of the three versions of the format. A file must have all three
+/// of one version.
 const HEADERS: [(u32, u16, u32); 3] =
     [(0x881B_036F, 1, 834), (0x881B_0370, 2, 834), (0x881B_0371, 3, 4096)];
 
@@ -50,13 +51,15 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
-/// Returns the 32-bit float at byte `place`, called `name` in messages. Refuses a number that is not positive.
+/// Returns the 32-bit float at byte `place`, called `name` in messages. Refuses a number that is not finite and
+/// positive.
 fn positive(b: &Bytes<'_>, name: &str, place: usize) -> Result<f64, Invalid> {
     let v = f64::from(b.f32(place)?);
     if v.is_finite() && v > 0.0 { Ok(v) } else { Err(bad(format!("has the {name} {v}"))) }
 }
 
-/// Returns the divisor R of the module for the phase resolution word of the header.
+/// Returns the divisor R of the module for the phase resolution word of the header. Refuses another word than 0, 1 and
+/// 2.
 fn resolution(word: i16) -> Result<f64, Invalid> {
     match word {
         0 => Ok(4096.0),
@@ -66,7 +69,8 @@ fn resolution(word: i16) -> Result<f64, Invalid> {
     }
 }
 
-/// Reads the phase as a map of heights. Refuses damaged files, files without phase, and factors that are not positive.
+/// Reads the phase as a map of heights. Refuses damaged files, files without phase, and a wavelength or factor that is
+/// not positive.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
 

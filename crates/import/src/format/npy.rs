@@ -23,10 +23,12 @@ const NAME: &str = "npy file";
 /// belongs to a structured dtype.
 const LONGEST_HEADER: usize = 4096;
 
-/// Longest text in a `.npz` that is read, bytes. Larger: more time on hostile files. Smaller: long statements are not seen.
+/// Longest text in a `.npz` that is read, bytes; a longer one is passed over. Larger: more time on hostile files.
+/// Smaller: long statements are not seen.
 const LONGEST_TEXT: usize = 800;
 
-/// An array of a file: its shape without leading axes of length 1, its numbers in the order of the file, and its type.
+/// An array of a file: its shape without leading axes of length 1 before the last two, its numbers in the order of the
+/// file, and its type.
 struct Stored {
     shape: Vec<usize>,
     values: Vec<f64>,
@@ -38,7 +40,7 @@ struct Stored {
 }
 
 impl Stored {
-    /// Returns true if the array holds numbers on at most two axes.
+    /// Returns true if the array holds numbers on at most two axes, so that it may be a map, coordinates or a mask.
     fn is_number(&self) -> bool {
         self.text.is_none() && self.shape.len() <= 2
     }
@@ -60,8 +62,8 @@ impl Stored {
     }
 }
 
-/// Reads a map from an array with two axes. Refuses damaged files, other numbers of axes, and numbers that are not
-/// real.
+/// Reads a map from an array with two axes. Refuses damaged files, other numbers of axes, numbers that are not real,
+/// and too many.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let stored = stored(bytes)?;
     let [rows, columns] = stored.shape[..] else {
@@ -88,7 +90,8 @@ const NPZ: &str = "npz file";
 /// Reads the array that `pick` names from a `.npz` archive; without a name a customary one, or the only map.
 ///
 /// # Errors
-/// Refuses damaged archives, several maps without a name, and arrays that are no real numbers on two axes.
+/// Refuses damaged archives, several maps without a name, names of absent arrays, and arrays that are no real numbers
+/// on two axes.
 pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let archive = Archive::open(bytes, NPZ)?;
     let most_bytes = 8 * most_of(BYTES_PER_PIXEL) + LONGEST_HEADER;
@@ -155,7 +158,7 @@ fn find<'a>(all: &'a [(String, Stored)], name: &str) -> Result<&'a Stored, Inval
     })
 }
 
-/// Returns the statements in arrays of one to three numbers, and in texts.
+/// Returns the statements in arrays of up to three numbers, and in texts, by the names of the arrays.
 fn statements(all: &[(String, Stored)]) -> Result<Beside, Invalid> {
     let mut variables = Vec::new();
     for (key, array) in all.iter().filter(|(_, a)| a.shape.iter().product::<usize>() <= 3) {
@@ -175,7 +178,8 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save a 2-D array of real numbers with numpy.save")
 }
 
-/// Reads the bytes of a `.npy` file as an array of any shape, which holds real numbers or one text.
+/// Reads the bytes of a `.npy` file as an array that holds real numbers or one text. Refuses more than two axes of more
+/// than one element, other types, and bytes after the array.
 fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     if b.slice(0, 6)? != b"\x93NUMPY" {
@@ -237,7 +241,7 @@ fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
 }
 
 /// Returns the text of an array of one text, whose type `descriptor` is such as `<U5` or `|S5`. Returns `None` if it is
-/// too long or of another type.
+/// longer than [`LONGEST_TEXT`] or of another type.
 fn text_of(descriptor: &str, data: &[u8]) -> Option<String> {
     if data.len() > LONGEST_TEXT {
         return None;
@@ -266,14 +270,15 @@ fn quoted<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     after(header, key)?.strip_prefix('\'')?.split('\'').next()
 }
 
-/// Returns the shape that the header states; `None` if it states none.
+/// Returns the shape that the header states; `None` if it states none, or one that is no list of whole numbers.
 fn shape(header: &str) -> Option<Vec<usize>> {
     let inside = after(header, "'shape':")?.strip_prefix('(')?.split(')').next()?;
     let sizes = inside.split(',').map(str::trim).filter(|s| !s.is_empty());
     sizes.map(|s| s.parse().ok()).collect()
 }
 
-/// Returns the type of the numbers, and true if the most significant byte comes first; `None` for other types.
+/// Returns the type of the numbers for a descriptor such as `<f8`, and true if the most significant byte comes first;
+/// `None` for other types.
 fn dtype(descriptor: &str) -> Option<(Number, bool)> {
     let (order, kind) = descriptor.split_at_checked(1)?;
     let number = match kind {

@@ -27,7 +27,7 @@ const NAME: &str = "OPD file";
 const ENTRY: usize = 24;
 pub(crate) const MAGIC: &[u8] = b"\x01\x00Directory";
 
-/// Names that a block of heights can have.
+/// Names of the blocks that may hold heights.
 const MAPS: [&str; 4] = ["RAW_DATA", "RAW DATA", "OPD", "SAMPLE_DATA"];
 
 struct Block {
@@ -37,10 +37,11 @@ struct Block {
     len: usize,
 }
 
-/// Reads the map from the block of heights, or from the one that `pick.dataset` names.
+/// Reads the map from the only block of heights, or from the one that `pick.dataset` names.
 ///
 /// # Errors
-/// Refuses damaged files, several blocks of heights without a name, and numbers of other types.
+/// Refuses damaged files, several blocks of heights without a name, numbers of other types, and names of coordinates or
+/// of a mask. Refuses integers without a positive `Mult`.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     if !bytes.starts_with(MAGIC) {
@@ -103,7 +104,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the blocks that the directory of the file lists, with their offsets and lengths.
+/// Returns the blocks that the directory of the file lists, with their offsets and lengths, bytes. Refuses too many.
 fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
     let entries = b.u32(2 + 18)? as usize / ENTRY;
     if entries > MOST_ARRAYS {
@@ -120,12 +121,13 @@ fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
     Ok(blocks)
 }
 
-/// Returns the block called `name` that is not empty; `None` without it.
+/// Returns the first block called `name` that is not empty; `None` without it.
 fn find<'a>(blocks: &'a [Block], name: &str) -> Option<&'a Block> {
     blocks.iter().find(|block| block.name == name && block.len > 0)
 }
 
-/// Returns the number in the block called `name`; `None` without it. Refuses a number that is not finite.
+/// Returns the number in the block called `name`; `None` without it. Refuses a block of another type, and a number that
+/// is not finite.
 fn parameter(b: &Bytes<'_>, blocks: &[Block], name: &str) -> Result<Option<f64>, Invalid> {
     let Some(block) = find(blocks, name) else { return Ok(None) };
     let value = match block.kind {
@@ -141,7 +143,8 @@ fn parameter(b: &Bytes<'_>, blocks: &[Block], name: &str) -> Result<Option<f64>,
     Ok(Some(value))
 }
 
-/// Returns the block that `pick.dataset` names, or the only block of heights.
+/// Returns the array block that `pick.dataset` names, or the only block of heights. Refuses an absent one, and several
+/// without a name.
 fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
     let maps: Vec<&Block> = blocks
         .iter()

@@ -57,7 +57,8 @@ const MOST_ROUNDED: f64 = 0.4;
 /// Reads a map from a Zygo text file, or from lines `x y z`.
 ///
 /// # Errors
-/// Refuses damaged files, pixels that are named twice, and points on no uniform grid unless `grid_mm` is given.
+/// Refuses damaged files, and pixels that are named twice. Refuses points on no uniform grid unless `grid_mm` is given,
+/// `grid_mm` for a Zygo file, and columns that are absent or leave a choice.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
@@ -87,14 +88,16 @@ enum Body {
 struct ZygoHeader<'a>(Vec<&'a str>);
 
 impl ZygoHeader<'_> {
-    /// Returns the number in a field of a line of the header, both counted from 1. Refuses an absent field.
+    /// Returns the number in a field of a line of the header, both counted from 1. Refuses an absent field, and text
+    /// that is no number.
     fn number(&self, line: usize, field: usize) -> Result<f64, Invalid> {
         let text = self.0.get(line - 1).and_then(|l| l.split_whitespace().nth(field - 1));
         let text = text.ok_or_else(|| broken(format!("has no field {field} in line {line}")))?;
         text::number(NAME, text, line, field)
     }
 
-    /// Returns the number of pixels in a field of line 4 of the header; `field` counts from 1.
+    /// Returns the number of pixels in a field of line 4 of the header; `field` counts from 1. Refuses a number that is
+    /// negative, not whole, or 1e9 and more.
     fn pixels(&self, field: usize) -> Result<usize, Invalid> {
         match self.number(4, field)? {
             v if (0.0..1e9).contains(&v) && v.fract() == 0.0 => Ok(v as usize),
@@ -103,7 +106,8 @@ impl ZygoHeader<'_> {
     }
 }
 
-/// Reads a Zygo text file, with the content that `body` names.
+/// Reads a Zygo text file, with the content that `body` names after its header. Refuses damaged files, and factors of
+/// the phase that are not positive.
 fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
     let mut all = text.lines().enumerate();
     let mut header = ZygoHeader(Vec::new());
@@ -189,7 +193,8 @@ struct Frame {
 }
 
 impl Frame {
-    /// Reads lines `column row z` up to a line `#`. Returns the heights (rows, columns), NaN at invalid pixels.
+    /// Reads lines `column row z` up to a line `#`. Returns the heights (rows, columns), NaN at invalid pixels. Refuses
+    /// too few or too many lines, pixels outside of the map, and a pixel that is named twice.
     fn points<'a>(
         &self,
         lines: impl Iterator<Item = (usize, &'a str)>,
@@ -255,15 +260,15 @@ impl Frame {
         Ok(values)
     }
 
-    /// Returns true if the position [column, row] lies in the rectangle of the map when that begins at `origin`
-    /// [column, row].
+    /// Returns true if the pixel `place` [column, row] lies in the rectangle of the map, if the rectangle begins at
+    /// `origin` [column, row].
     fn holds(&self, origin: [f64; 2], place: [f64; 2]) -> bool {
         let size = [self.columns as f64, self.rows as f64];
         (0..2).all(|k| (0.0..size[k]).contains(&(place[k] - origin[k])))
     }
 
-    /// Reads the coded phase between the second and the third `#`, after the header and the intensity. Returns it
-    /// (rows, columns).
+    /// Reads the coded phase between the second and the third `#`, after the header and the intensity. Returns it as
+    /// stored (rows, columns), NaN at invalid pixels. Refuses another number of values than pixels.
     fn phase<'a>(
         &self,
         mut lines: impl Iterator<Item = (usize, &'a str)>,
@@ -296,20 +301,20 @@ fn next(line: &str) -> (&str, &str) {
     line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
 }
 
-/// Columns of lines `x y z`: which they are, and their units.
+/// Columns of lines `x y z`: which columns of the text they are, and their units.
 #[derive(Default)]
 struct Names {
     /// Unit of x and y; `None` if the names do not state it.
     coordinate_unit: Option<Unit>,
     /// Unit of z; `None` if the names do not state it.
     unit: Option<Unit>,
-    /// Indices of x, y and z among the fields of a line; `None` if these are just x, y, z.
+    /// Indices of x, y and z among the fields of a line; `None` if a line has just x, y and z in this order.
     columns: Option<[usize; 3]>,
     warnings: Vec<String>,
 }
 
-/// Largest number of columns that are looked at. Larger: more memory for a long line. Smaller: later columns are not
-/// found.
+/// Largest number of columns that are looked at for their names. Larger: more memory for a long line. Smaller: columns
+/// further to the right are not found.
 const MOST_COLUMNS: usize = 1000;
 
 /// Names of columns that hold the number of the point.
@@ -318,7 +323,7 @@ const NUMBERS: [&str; 16] = [
     "die", "punkt", "i", "n",
 ];
 
-/// Returns the names of the columns for a remedy, at most twelve.
+/// Returns the names of the columns for a remedy: at most twelve, of 30 characters each.
 fn listed(names: &[&str]) -> String {
     let short: Vec<String> = names
         .iter()
@@ -330,7 +335,8 @@ fn listed(names: &[&str]) -> String {
 
 impl Names {
     /// Reads the names of the columns in line `number`, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`. `requested`
-    /// are the columns that the user names.
+    /// are the columns that the user names. Refuses columns that are absent or leave a choice, and different units of x
+    /// and y.
     fn read(line: &str, number: usize, requested: Option<&[String; 3]>) -> Result<Self, Invalid> {
         // Where blanks separate the names, a bracket belongs to the word before it.
         let joined = if line.contains([',', ';', '\t']) {
@@ -365,8 +371,8 @@ impl Names {
         Ok(Self { coordinate_unit: x.or(y), unit: z, columns, warnings })
     }
 
-    /// Reads a second header line with the units of the columns. Returns false, and changes nothing, if it is no such
-    /// line.
+    /// Reads a second header line with the units of the columns. Returns false, and changes nothing, if it does not
+    /// give x and y the same unit and z one, or if the unit of z is known.
     fn add_units(&mut self, line: &str) -> bool {
         let words = text::fields(line)
             .take(MOST_COLUMNS)
@@ -385,7 +391,7 @@ impl Names {
 }
 
 /// Returns the indices of the columns that the user requests, by their names with or without the unit, or by numbers
-/// from 1.
+/// from 1. Refuses a column that the file does not have.
 fn columns_of(
     requested: &[String; 3],
     fields: &[&str],
@@ -410,7 +416,8 @@ fn columns_of(
     Ok(places)
 }
 
-/// Returns the indices of x, y and z by the usual names of columns. Refuses names that leave a choice.
+/// Returns the indices of x, y and z by the usual names of columns. `number` and `short` are the number and the
+/// beginning of the line of names, for the message. Refuses names that leave a choice or another order.
 fn usual_columns(
     fields: &[&str],
     names: &[(String, Option<Unit>)],
@@ -467,7 +474,7 @@ fn first_word(name: &str) -> String {
     word.unwrap_or_default().to_string()
 }
 
-/// Returns true if `word` is the name of a coordinate of `axis` (`x` or `y`): `x`, `xpos` or `x(mm)`.
+/// Returns true if `word` is the name of a coordinate of `axis` (`x` or `y`), such as `x`, `xpos` or `x(mm)`.
 fn is_axis(word: &str, axis: &str) -> bool {
     word.strip_prefix(axis).is_some_and(|rest| {
         rest.is_empty() || rest.starts_with("pos") || rest.starts_with(['(', '[', '/'])
@@ -475,7 +482,7 @@ fn is_axis(word: &str, axis: &str) -> bool {
 }
 
 /// Returns the indices of the columns that the user requests by numbers from 1, in a file without names. `count` is the
-/// number of columns.
+/// number of columns. Refuses other text and numbers.
 fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3], Invalid> {
     let mut places = [0; 3];
     for (place, wanted) in places.iter_mut().zip(requested) {
@@ -489,7 +496,8 @@ fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3],
     Ok(places)
 }
 
-/// Returns the number in a field, and the unit of its last digit: 0.01 for `1.25`. A zero has the unit 0.
+/// Returns the number in a field, and the unit of its last digit: 0.01 for `1.25`. A zero has the unit 0. Refuses text
+/// that is no number; `line` and `column` are for the message.
 fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64), Invalid> {
     let value = text::number(NAME, field, line, column)?;
     let (mantissa, exponent) = field.split_once(['e', 'E']).unwrap_or((field, "0"));
@@ -500,14 +508,15 @@ fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64)
     Ok((value, digit))
 }
 
-/// A point of a text file, and the units of the last digits of its coordinates.
+/// A point of a text file: its coordinates [x, y] (`place`), the units of their last digits, and its value z.
 struct TextPoint {
     place: [f64; 2],
     digits: [f64; 2],
     z: f64,
 }
 
-/// Reads a map from lines `x y z`, on their own grid or on the one that `pick` requests.
+/// Reads a map from lines `x y z`, on their own grid or on the one that `pick` requests. Refuses lines that lack a
+/// number, coordinates that are not finite, and what the grid refuses.
 fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     let with_points = text::with_points(NAME, text)?;
     let text = with_points.as_deref().unwrap_or(text);
@@ -575,7 +584,8 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     Ok(reading)
 }
 
-/// Returns the three fields of a line; `No Data` counts as one. Refuses another number of fields.
+/// Returns the three fields of a line; `No Data` counts as one. Refuses another number of fields; `number` is that of
+/// the line, for the message.
 fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
     let mut fields = text::fields(line);
     // "No Data" is two words.
@@ -600,7 +610,8 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
     }
 }
 
-/// Returns the fields of a line at the indices of x, y and z. Refuses a line with too few fields.
+/// Returns the fields of a line at the indices of x, y and z. Refuses a line with too few fields; `number` is that of
+/// the line, for the message.
 fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str; 3], Invalid> {
     let needed = columns.iter().max().map_or(0, |k| k + 1);
     let fields: Vec<&str> = text::fields(line).take(needed).collect();
@@ -614,7 +625,7 @@ fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str
 }
 
 /// Interpolates scattered points to a map on a grid with the pitch `pixel_mm` [x, y]. `stated` is the unit of the
-/// coordinates in the file.
+/// coordinates in the file; the unit in `pick` has priority. Refuses points whose unit nobody states.
 fn interpolated(
     points: &[TextPoint],
     pixel_mm: [f64; 2],
@@ -638,7 +649,8 @@ fn interpolated(
 }
 
 /// Returns the map of points on their own grid, or interpolated if `pick` requests a grid. `stated` is the unit of the
-/// coordinates in the file.
+/// coordinates in the file. Refuses points on no grid, two points on a pixel, and a grid with points on less than 1 %
+/// of its pixels.
 fn on_grid(points: Vec<TextPoint>, pick: &Pick, stated: Option<Unit>) -> Result<Reading, Invalid> {
     if let Some(pixel_mm) = pick.grid_mm {
         return interpolated(&points, pixel_mm, pick, stated);
@@ -681,17 +693,20 @@ fn on_grid(points: Vec<TextPoint>, pick: &Pick, stated: Option<Unit>) -> Result<
     Ok(reading)
 }
 
-/// A uniform axis on which the coordinates of points lie, in the unit of the file.
+/// A uniform axis on which the coordinates of points lie, in the unit of the file: first coordinate, pitch and number
+/// of pixels.
 struct UniformAxis {
     start: f64,
     step: f64,
     count: usize,
-    /// Smallest and largest possible step between pixels, if rounding makes the steps differ; otherwise `None`.
+    /// Smallest and largest step between neighbouring pixels in the file, if rounding makes the steps differ; otherwise
+    /// `None`.
     rounded_steps: Option<[f64; 2]>,
 }
 
-/// Returns the uniform axis of coordinates (value, unit of the last digit). The step is their smallest distance, or the
-/// pitch that fits rounded coordinates. Refuses coordinates on no uniform axis, at the first jump.
+/// Returns the uniform axis of the coordinates, each a value with the unit of its last digit. The step is their
+/// smallest distance, or the pitch that fits rounded coordinates. Refuses a single coordinate, and coordinates on no
+/// uniform axis.
 fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<UniformAxis, Invalid> {
     coordinates.sort_by(|a, b| a.0.total_cmp(&b.0));
     let values: Vec<f64> = coordinates.iter().map(|c| c.0).collect();
@@ -720,11 +735,12 @@ fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<Unifo
     rounded(&coordinates).ok_or_else(|| jump(name, &values))
 }
 
-/// Returns the uniform axis of ascending rounded coordinates (value, unit of the last digit), or `None` if they lie on
-/// none.
+/// Returns the uniform axis of ascending rounded coordinates, each a value with the unit of its last digit. Returns
+/// `None` for fewer than three, for last digits that are coarse beside the step, and for coordinates on no uniform
+/// axis.
 ///
-/// The least-squares line through value against number of the pixel has the pitch. A pixel may be absent: the numbers
-/// follow from the median step.
+/// The least-squares line through the coordinates against the numbers of their pixels has the pitch. A pixel may be
+/// absent: the numbers follow from the median step.
 fn rounded(coordinates: &[(f64, f64)]) -> Option<UniformAxis> {
     let mut steps: Vec<f64> = coordinates.windows(2).map(|w| w[1].0 - w[0].0).collect();
     let all = steps.clone();
@@ -762,7 +778,8 @@ fn rounded(coordinates: &[(f64, f64)]) -> Option<UniformAxis> {
     Some(UniformAxis { start, step, count: count as usize + 1, rounded_steps })
 }
 
-/// Returns the message about coordinates on no grid: the first distance that is no multiple of the usual one.
+/// Returns the message about coordinates on no grid. It names the first distance of neighbours that is no multiple of
+/// the usual (median) one.
 fn jump(name: &'static str, values: &[f64]) -> Invalid {
     let mut steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
     let all = steps.clone();

@@ -16,11 +16,12 @@ use crate::{
 
 const NAME: &str = "presurface file";
 
-/// Smallest number of coordinates per axis at which a text of numbers counts as this format: a smaller one could be a
-/// table.
+/// Smallest number of coordinates per axis at which a text of numbers counts as this format. Smaller: other tables pass
+/// for it.
 const FEWEST: usize = 3;
 
-/// Returns true if the text holds as many numbers as the sizes in its first line require.
+/// Returns true if the text holds as many numbers as the sizes in its first line require, and both sizes are at least
+/// [`FEWEST`].
 pub(crate) fn is_presurface(text: &str) -> bool {
     let mut lines = text.lines();
     let sizes = lines.next().unwrap_or_default().split_whitespace();
@@ -39,7 +40,7 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "write nx ny, the y, then x and its heights, line by line")
 }
 
-/// Reads the map of heights. Refuses another number of heights than pixels.
+/// Reads the map of heights. Refuses another number of heights than pixels, and words that are no numbers.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();

@@ -40,7 +40,8 @@ fn is_text(bytes: &[u8]) -> bool {
     TEXT.iter().any(|magic| text.starts_with(magic))
 }
 
-/// Reads the map. Refuses damaged and compressed files, and another number of heights than pixels.
+/// Reads the map. Refuses damaged and compressed files, files of other first bytes, and another number of heights than
+/// pixels.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if is_text(bytes) {
         ascii(bytes)
@@ -52,7 +53,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
 }
 
-/// Returns the number type for the code `kind` of the header.
+/// Returns the number type for the code `kind` of the header. Refuses an unknown code.
 fn number(kind: u8) -> Result<Number, Invalid> {
     match kind {
         0 => Ok(Number::U8),
@@ -67,7 +68,8 @@ fn number(kind: u8) -> Result<Number, Invalid> {
     }
 }
 
-/// Returns the stored value that marks an invalid pixel, for numbers of this type.
+/// Returns the stored value that marks an invalid pixel, for numbers of this type: the largest of an unsigned integer,
+/// the least of other types.
 fn marker(number: Number) -> f64 {
     match number {
         Number::U8 => f64::from(u8::MAX),
@@ -82,7 +84,7 @@ fn marker(number: Number) -> f64 {
 }
 
 /// Returns the reading of stored values with the numbers of a header: [columns, rows], scales [x, y, z] in m, and
-/// [compression, check type].
+/// [compression, check type]. Refuses a compressed file, a check type outside of 0 to 255, and a z scale of 0.
 fn finish(
     values: Vec<f64>,
     [columns, rows]: [usize; 2],
@@ -109,7 +111,7 @@ fn finish(
     Ok(reading)
 }
 
-/// Reads a surface data file in text.
+/// Reads a surface data file in text. Refuses a header without its numbers, and another number of heights than pixels.
 fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let text = text.as_ref();
@@ -171,7 +173,7 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     finish(values, [columns, rows], scales, checks)
 }
 
-/// Reads a surface data file in binary form.
+/// Reads a surface data file in binary form. Refuses a truncated one, and unknown types of numbers.
 fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     // 8 version, 10 manufacturer, 12 + 12 dates, sizes, scales, compression, types.

@@ -16,12 +16,12 @@ use crate::{
 
 const NAME: &str = "SRW file";
 
-/// Largest coordinate that is certainly in metres, and largest ratio of a height to the coordinates. Larger: tables in
-/// mm are taken for those of SRW. Smaller: long mirrors are not recognised.
+/// Largest coordinate, m, that is certainly in metres, and largest ratio of a height to the coordinates. Larger: tables
+/// in mm are taken for those of SRW. Smaller: long mirrors are not recognised.
 const LARGEST_IN_METRES: [f64; 2] = [10.0, 1e-2];
 
-/// Returns true if the text begins as such a file does: a 0 in the corner, ascending coordinates separated by tabs, and
-/// heights that are tiny beside them.
+/// Returns true if the text begins as such a file does. It has a 0 in the corner, ascending coordinates separated by
+/// tabs, and heights that are tiny beside them.
 pub(crate) fn is_srw(text: &str) -> bool {
     let mut lines = text.lines().filter(|line| !text::is_comment(line) && !line.trim().is_empty());
     let all: Option<Vec<Vec<f64>>> = lines.by_ref().take(3).map(numbers).collect();
@@ -36,7 +36,8 @@ pub(crate) fn is_srw(text: &str) -> bool {
         && size(&second[1..]) < LARGEST_IN_METRES[1] * (third[0] - second[0] + size(first))
 }
 
-/// Returns the numbers of a line whose separators are tabs; `None` for another line.
+/// Returns the numbers of a line whose separators are tabs; `None` for a line without tabs, with commas or semicolons,
+/// or with words.
 fn numbers(line: &str) -> Option<Vec<f64>> {
     if !line.contains('\t') || line.contains([',', ';']) {
         return None;
@@ -55,7 +56,7 @@ fn bad(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, remedy)
 }
 
-/// Reads the map. Refuses another corner than 0, and lines of another length than the first.
+/// Reads the map. Refuses another corner than 0, words that are no numbers, and lines of another length than the first.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let most = most_of(BYTES_PER_PIXEL);

@@ -39,7 +39,7 @@ const HEADER: usize = 512;
 pub(crate) const MAGIC: &[u8] = b"DIGITAL SURF";
 pub(crate) const COMPRESSED: &[u8] = b"DSCOMPRESSED";
 
-/// Returns the unit in the 16 bytes from byte `start`, as text.
+/// Returns the unit in the 16 bytes from byte `start`, as text without blanks at its ends.
 fn unit_word(b: &Bytes<'_>, start: usize) -> Result<String, Invalid> {
     let raw = b.slice(start, 16)?;
     // Older writers use one byte per letter.
@@ -50,7 +50,7 @@ fn unit_word(b: &Bytes<'_>, start: usize) -> Result<String, Invalid> {
     Ok(text.trim_matches(['\0', ' ']).to_string())
 }
 
-/// Returns the length at byte `start`, mm. Its unit is the text at byte `unit_at`.
+/// Returns the length at byte `start`, mm. Its unit is the text at byte `unit_at`. Refuses a unit that is no length.
 fn length_mm(b: &Bytes<'_>, start: usize, unit_at: usize) -> Result<f64, Invalid> {
     let length = f64::from(b.f32(start)?);
     Ok(length * Unit::stated("coordinate_unit", &unit_word(b, unit_at)?)?.mm()?)
@@ -59,7 +59,8 @@ fn length_mm(b: &Bytes<'_>, start: usize, unit_at: usize) -> Result<f64, Invalid
 /// Reads the map of a Digital Surf file.
 ///
 /// # Errors
-/// Refuses compressed and damaged files, several surfaces, inversions, and units that are no lengths.
+/// Refuses compressed and damaged files, files of anything but one surface, and inversions. Refuses numbers of other
+/// than 16 or 32 bits, and units of the pixels that are no lengths.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
     let b = Bytes { all: bytes, name: NAME, big_endian: false };

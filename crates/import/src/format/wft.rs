@@ -26,7 +26,8 @@ const NAME: &str = "wft file";
 /// Surface height per wavefront height: 0.5 for one reflection.
 const SURFACE_PER_WAVEFRONT: f64 = 0.5;
 
-/// Returns true if two whole numbers and a value per line come first, and the words of this format stand at the end.
+/// Returns true if two whole numbers of at least 2 come first, and one of the words of this format stands in the last
+/// 2000 bytes.
 pub(crate) fn is_wft(text: &str) -> bool {
     let mut words = text.split_whitespace();
     let is_count =
@@ -48,7 +49,7 @@ struct Ellipse {
 }
 
 impl Ellipse {
-    /// Returns true if the pixel lies in the ellipse or on its edge.
+    /// Returns true if the pixel, by its column and its row from the top, lies in the ellipse or on its edge.
     fn holds(&self, column: f64, row: f64) -> bool {
         let [u, v] =
             [(column - self.centre[0]) / self.radii[0], (row - self.centre[1]) / self.radii[1]];
@@ -57,8 +58,8 @@ impl Ellipse {
     }
 }
 
-/// Content of a file: its numbers, of which the first two are those of columns and rows, and the words of the lines
-/// after them with their line numbers.
+/// Content of a file: its numbers, of which the first two are those of columns and rows, and the lines after them as
+/// words, with their line numbers.
 struct Contents<'a> {
     numbers: Vec<f64>,
     lines: Vec<(usize, Vec<&'a str>)>,
@@ -97,7 +98,8 @@ impl<'a> Contents<'a> {
         Ok(Self { numbers, lines })
     }
 
-    /// Returns the numbers in the line that begins with the words `key`; `None` without such a line.
+    /// Returns the numbers in the line that begins with the words `key`; `None` without such a line. Refuses words
+    /// among the numbers.
     fn after(&self, key: &[&str]) -> Result<Option<Vec<f64>>, Invalid> {
         let Some((line, fields)) = self.lines.iter().find(|(_, f)| f.starts_with(key)) else {
             return Ok(None);
@@ -117,7 +119,8 @@ impl<'a> Contents<'a> {
         }
     }
 
-    /// Returns the positive number after a word; `None` without the word. Refuses another number.
+    /// Returns the positive number after the word `key`; `None` without the word. Refuses a number that is not
+    /// positive.
     fn positive(&self, key: &str) -> Result<Option<f64>, Invalid> {
         match self.after(&[key])?.as_deref() {
             None => Ok(None),
@@ -127,7 +130,8 @@ impl<'a> Contents<'a> {
     }
 }
 
-/// Reads the map of surface heights. Refuses damaged files, and another number of values than pixels.
+/// Reads the map of surface heights. Refuses damaged files, another number of values than pixels, and an outer ellipse
+/// whose radii are not positive.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let mut contents = Contents::read(&text)?;

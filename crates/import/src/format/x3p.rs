@@ -35,12 +35,14 @@ const NAME: &str = "x3p file";
 /// Largest size of `main.xml`, bytes. A file with heights as text within `main.xml` is larger, and is refused.
 const MOST_XML: usize = 4 * MOST_TEXT_BYTES;
 
-/// Returns true for a ZIP archive that contains `main.xml`, and for one that is too damaged to tell.
+/// Returns true for a ZIP archive that contains `main.xml`, and for one whose directory is damaged, so that it may be
+/// one.
 pub(crate) fn is_x3p(bytes: &[u8]) -> bool {
     Archive::open(bytes, NAME).map_or(true, |archive| archive.has("main.xml"))
 }
 
-/// Returns the text of the element at a path such as `Record1/FeatureType`; `None` if it is absent or empty.
+/// Returns the first 200 characters of the text of the element at a path such as `Record1/FeatureType`; `None` if it is
+/// absent or empty.
 fn text(root: Node<'_, '_>, path: &str) -> Option<String> {
     let element = path.split('/').try_fold(root, child)?;
     let text: String = element.text()?.trim().chars().take(200).collect();
@@ -76,8 +78,8 @@ fn size(root: Node<'_, '_>, name: &str) -> Result<usize, Invalid> {
 /// Reads the map of an X3P archive.
 ///
 /// # Errors
-/// Refuses damaged archives, axes that are turned or not uniform, several layers, and another number of heights than
-/// pixels.
+/// Refuses damaged archives, axes that are turned or not uniform, other features than maps, several layers, and another
+/// number of heights than pixels. Refuses heights of another type, or as text.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let refuse = |problem: String, remedy: &str| Invalid::whole(NAME, problem, remedy);
     let again = "export it again";
@@ -140,6 +142,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
 }
 
 /// Returns the numbers in the element `name` of the axes [x, y], converted from m to mm; `None` unless both exist.
+/// Refuses text that is no number.
 fn pair_mm(root: Node<'_, '_>, name: &str) -> Result<Option<[f64; 2]>, Invalid> {
     let x = number(root, &format!("Record1/Axes/CX/{name}"))?;
     let y = number(root, &format!("Record1/Axes/CY/{name}"))?;
@@ -151,7 +154,8 @@ fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|child| child.tag_name().name() == name)
 }
 
-/// Refuses a document that is no map on a uniform grid along the axes of the part.
+/// Refuses a document that is no map on a uniform grid along the axes of the part: another feature, turned axes, or
+/// steps that are not equal.
 fn refuse_other(root: Node<'_, '_>) -> Result<(), Invalid> {
     let kind = text(root, "Record1/FeatureType").unwrap_or_default();
     if kind != "SUR" {
@@ -172,7 +176,8 @@ fn refuse_other(root: Node<'_, '_>) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Makes the pixels invalid whose bit in `bits` is 0. Refuses another number of bits than pixels.
+/// Makes the pixels invalid whose bit in `bits` is 0, the lowest bit of the first byte first. Refuses another number of
+/// bytes than the pixels need.
 fn mark_invalid(reading: &mut Reading, bits: &[u8]) -> Result<(), Invalid> {
     let count = reading.values.len();
     if bits.len() != count.div_ceil(8) {

@@ -11,11 +11,12 @@ use crate::{
 pub(crate) const MAGIC: &[u8] = b"PK\x03\x04";
 const END: &[u8] = b"PK\x05\x06";
 
-/// Size of the record at the end of an archive, and of the longest comment after it (`LONGEST_COMMENT`), bytes.
+/// Size of the record at the end of an archive, and of the longest comment after it (`LONGEST_COMMENT`), bytes
+/// (APPNOTE).
 const END_BYTES: usize = 22;
 const LONGEST_COMMENT: usize = 0xffff;
 
-/// Largest number of bytes that one byte of deflated data can become.
+/// Largest number of bytes that one byte of deflated data can become; a member that claims more is refused.
 const MOST_GROWTH: u64 = 1032;
 
 /// A ZIP archive: its bytes, and the list of its members.
@@ -34,7 +35,8 @@ struct Member {
 }
 
 impl<'a> Archive<'a> {
-    /// Reads the directory at the end of `bytes`; `name` is the subject of messages. Refuses a damaged archive.
+    /// Reads the directory at the end of `bytes`; `name` is the subject of messages. Refuses a damaged archive, and one
+    /// of too many members.
     pub fn open(bytes: &'a [u8], name: &'static str) -> Result<Self, Invalid> {
         let b = Bytes { all: bytes, name, big_endian: false };
         let from = bytes.len().saturating_sub(END_BYTES + LONGEST_COMMENT);
@@ -81,7 +83,8 @@ impl<'a> Archive<'a> {
         self.members.iter().map(|member| (member.name.as_str(), member.size))
     }
 
-    /// Returns the content of a member of at most `most` bytes. Refuses a member that is absent, larger or damaged.
+    /// Returns the content of the member `name` of at most `most` bytes. Refuses a member that is absent, larger,
+    /// damaged, or packed by another method than deflate.
     pub fn member(&self, name: &str, most: usize) -> Result<Vec<u8>, Invalid> {
         let refuse = |problem: String| Invalid::whole(self.b.name, problem, "export it again");
         let wanted = name.trim_start_matches(['/', '.']);

@@ -19,17 +19,19 @@ use super::{Configuration, Knot, Layout, finite, needed, positive, through, wron
 /// Letters of the axes of the controller, in their order.
 const LETTERS: &str = "ABCDEFGH";
 
-/// Largest time of a segment, samples (Galil DMC-40x0 command reference, PV).
+/// Largest time of a segment, samples; a longer one is refused (Galil DMC-40x0 command reference, PV).
 const MOST_SAMPLES: i64 = 2048;
-/// Largest distance of a segment, counts (Galil DMC-40x0 command reference, PV).
+/// Largest distance of a segment, counts, in either direction; a longer one is refused (Galil DMC-40x0 command
+/// reference, PV).
 const MOST_DISTANCE: i64 = 44_000_000;
-/// Largest velocity at the end of a segment, counts/s (Galil DMC-40x0 command reference, PV).
+/// Largest velocity at the end of a segment, counts/s, in either direction; a higher one is refused (Galil DMC-40x0
+/// command reference, PV).
 const MOST_VELOCITY: i64 = 22_000_000;
 
 /// Commands that change no motion: end of a program, servo on, waits, and messages to the host.
 const WITHOUT_MOTION: [&str; 6] = ["EN", "SH", "AM", "MC", "MG", "WT"];
 
-/// Time units of the command TM per second (DMC-40x0 command reference, TM).
+/// Time units of the command TM (sample time) per second (DMC-40x0 command reference, TM).
 const TM_PER_S: f64 = 1.024e6;
 
 /// A command of the program that the reader acts on.

@@ -86,7 +86,8 @@ struct Machine<'a> {
     /// Path tolerance P of G64, mm; 0 if lines are not joined (G61, or G64 without P).
     tolerance_mm: f64,
     parts: Vec<Part>,
-    /// Sum of the dwells with the tool off before the program sets the start position, s.
+    /// Sum of the dwells with the tool off, s, that the program makes before it sets the start position. They count
+    /// once it is set.
     wait_s: f64,
 }
 
@@ -114,7 +115,7 @@ impl Default for Cubics {
 }
 
 impl Cubics {
-    /// Appends one cubic per axis, which last `seconds`. Nothing is appended for 0 s.
+    /// Appends a piece of one cubic per axis, which lasts `seconds`. Nothing is appended for 0 s.
     fn push(&mut self, seconds: f64, cubics: impl Iterator<Item = [f64; 4]>, tool_on: bool) {
         if seconds > 0.0 {
             self.times.push(self.times[self.times.len() - 1] + seconds);
@@ -131,8 +132,8 @@ fn parabola_s(run: &[Part], k: usize) -> f64 {
     beside.iter().map(|line| line.seconds).fold(f64::INFINITY, f64::min)
 }
 
-/// Returns the velocities of all axes before and after node `k` of joined lines; 0 before the first and after the last
-/// line.
+/// Returns the velocities of all axes (mm/s or deg/s) before and after node `k` of the joined lines `run`. They are 0
+/// before the first and after the last line.
 fn around(run: &[Part], k: usize) -> (Vec<f64>, Vec<f64>) {
     let velocities = |line: Option<&Part>| match line {
         Some(line) => line.states.iter().map(|[_, v]| *v).collect(),
@@ -308,7 +309,7 @@ impl<'a> Machine<'a> {
         AxesMotion::new(pieces.times, pieces.cubics, pieces.tool_on, vec![None; n])
     }
 
-    /// Returns the groups of lines that follow each other without a stop.
+    /// Returns the groups of lines that follow each other without a stop, each called a run.
     fn runs(&self) -> impl Iterator<Item = &[Part]> {
         self.parts.split(|part| part.is_stop).filter(|run| !run.is_empty())
     }
@@ -380,7 +381,8 @@ impl<'a> Machine<'a> {
         })
     }
 
-    /// Appends a straight line from `from` to `to` that takes `seconds`.
+    /// Appends a straight line from `from` to `to` that takes `seconds`. `number` is the line of the program, for
+    /// messages. Refuses a time that is not finite.
     fn push(
         &mut self,
         number: usize,
@@ -398,14 +400,14 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Appends a stop of `seconds`, after the motion before it has ended.
+    /// Appends a stop of `seconds` at the positions `here`, after the motion before it has ended.
     fn stop(&mut self, here: Vec<f64>, seconds: f64) {
         let states = here.iter().map(|p| [*p, 0.0]).collect();
         self.parts.push(Part { seconds, states, tool_on: self.tool_on, is_stop: true });
     }
 }
 
-/// Smallest whole number of seconds of a dwell (G4) that may be meant in milliseconds. Larger: short dwells in ms pass.
+/// Shortest dwell (G4) of whole seconds, s, that may be meant in milliseconds. Larger: short dwells in ms pass.
 /// Smaller: dwells in s are doubted.
 const LEAST_DOUBTED_S: f64 = 100.0;
 
@@ -511,7 +513,7 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
     check_belonging(number, words, axes)
 }
 
-/// Returns true if a word with this letter has one of these codes (times ten).
+/// Returns true if a word with this letter has one of these codes, which are ten times the number of the word.
 fn has(words: &[(char, f64)], letter: char, codes: &[i64]) -> bool {
     words.iter().any(|w| w.0 == letter && code(w.1).is_some_and(|c| codes.contains(&c)))
 }

@@ -50,15 +50,15 @@ enum Tail {
     None,
     /// Velocity `:v` at the end of a move.
     Velocity(f64),
-    /// Assignment `=v`, or `==v`, which happens at the start of the next move.
+    /// Assignment: `=v`, or (synchronous) `==v`, which happens at the start of the next move.
     Value {
         value: f64,
         is_synchronous: bool,
     },
 }
 
-/// Returns a line without its comments. A comment `/* */` may extend over several lines; `is_comment` carries that
-/// over.
+/// Returns a line without its comments. A comment `/* */` may extend over several lines; `is_comment` is true if the
+/// line begins within one, and is updated to its end.
 fn without_comments(line: &str, is_comment: &mut bool) -> String {
     let mut plain = String::new();
     let mut rest = line;
@@ -82,7 +82,8 @@ fn without_comments(line: &str, is_comment: &mut bool) -> String {
     }
 }
 
-/// Splits the text of a line into its statements; `line` is its number, for messages.
+/// Splits the text of a line into its statements; `line` is its number, for messages. Refuses text that is no
+/// statement, and `CMD`.
 fn statements(line: usize, text: &str) -> Result<Vec<Statement>, Invalid> {
     let upper = text.to_ascii_uppercase();
     let mut rest = upper.trim_start();
@@ -378,7 +379,7 @@ impl<'a> PmacProgram<'a> {
         Ok(())
     }
 
-    /// Returns the index of the axis that a word names, or refuses an unknown one.
+    /// Returns the index of the axis that a word names. Refuses an axis that the program does not move.
     fn axis(&self, line: usize, word: &Statement) -> Result<usize, Invalid> {
         self.letters.iter().position(|l| word.word.starts_with(*l)).ok_or_else(|| {
             let known: Vec<String> = self.letters.iter().map(char::to_string).collect();
@@ -387,7 +388,7 @@ impl<'a> PmacProgram<'a> {
     }
 }
 
-/// State of the M-variable that switches the tool.
+/// State of the M-variable that switches the tool: its number once it is known, and true if the tool is on.
 struct Output {
     number: Option<u32>,
     on: bool,

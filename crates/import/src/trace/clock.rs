@@ -38,7 +38,7 @@ const MOST_NAMED: usize = 10;
 pub(super) const USUAL_DRIFT: f64 = 1e-5;
 
 /// Largest distance of the time stamps from equal steps, in units of their last digit, at which they count as rounded
-/// equal steps. Derived: rounding is within 0.5, and the numbers themselves are rounded to doubles.
+/// equal steps. Derived: rounding is within 0.5 units, and the numbers themselves are rounded to doubles.
 const ROUNDING: f64 = 0.51;
 
 /// Smallest unit of the last digit of the time stamps, relative to their step, at which equal steps replace them.
@@ -69,9 +69,9 @@ pub struct Timing<'a> {
     pub unit: Option<Unit>,
     /// Sample time of the controller, s, for stamps that count samples.
     pub sample_s: Option<f64>,
-    /// Sampling rate that was set for the log, Hz.
+    /// Sampling rate that was set for the log, Hz; `None` takes the usual step of the time stamps.
     pub rate_hz: Option<f64>,
-    /// Longest gap that is bridged by a straight line, s.
+    /// Longest gap that is bridged by a straight line, s; a longer one is refused.
     pub most_gap_s: f64,
 }
 
@@ -97,9 +97,9 @@ pub struct Clock {
     pub rate_from: &'static str,
     /// True if the log has time stamps; false if the times follow from the rate alone.
     pub stamps: bool,
-    /// Number of gaps.
+    /// Number of gaps, all of which are bridged by straight lines.
     pub gaps: usize,
-    /// Total duration of the gaps, s.
+    /// Total duration of the gaps, s, from the sample before each to the sample after it.
     pub gaps_last_s: f64,
     /// At most 10 gaps: the largest first, then others, not sorted.
     pub named_gaps: Vec<Gap>,
@@ -289,7 +289,7 @@ impl Clock {
         if self.stamps { GAP / self.rate_hz } else { f64::INFINITY }
     }
 
-    /// Returns the warnings about gaps, drift and scatter.
+    /// Returns the warnings about gaps, drift and scatter that are beyond the usual.
     pub(super) fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if let Some(largest) = self.named_gaps.first() {
@@ -336,8 +336,8 @@ impl Clock {
     }
 }
 
-/// Returns a note on the probable unit of a time stamp that may be a time since 1970 or a day of a spreadsheet, for a
-/// message; empty if it is neither.
+/// Returns a note for a message about the probable unit of the first time stamp, if it is a date from 1990 to 2100 in
+/// some unit since 1970 or in days of a spreadsheet. The note is empty if it is none.
 fn epoch(first: f64) -> &'static str {
     // From the year 1990 to 2100.
     const SINCE_1970_S: std::ops::Range<f64> = 6.3e8..4.1e9;
@@ -358,7 +358,7 @@ fn epoch(first: f64) -> &'static str {
     ""
 }
 
-/// Returns the usual step between two stamps, s: the mean of the steps that are within half of the median of it. The
+/// Returns the usual step between two stamps, s: the mean of the steps from half to one and a half of their median. The
 /// median alone would be one of the two lengths that rounded steps have.
 fn usual_step(time_s: &[f64]) -> f64 {
     let mut steps: Vec<f64> = time_s.windows(2).map(|t| t[1] - t[0]).collect();
@@ -369,7 +369,8 @@ fn usual_step(time_s: &[f64]) -> f64 {
 }
 
 /// Returns the sampling rate, Hz, with the fewest digits at which all stamps are within `within_s` of equal steps.
-/// `count` is the number of steps up to each stamp. Returns `None` if no rate fits.
+/// `count` is the number of steps up to each stamp. Returns `None` if no rate fits; if only one with many digits fits,
+/// that of the least-squares line.
 fn even_rate_hz(count: &[f64], time_s: &[f64], within_s: f64) -> Option<f64> {
     let rate_hz = 1.0 / line(count, time_s).slope;
     if spread_s(count, time_s, rate_hz) > 2.0 * within_s {
@@ -384,8 +385,8 @@ fn even_rate_hz(count: &[f64], time_s: &[f64], within_s: f64) -> Option<f64> {
     Some(rate_hz)
 }
 
-/// Returns the range of the distances between the stamps and equal steps of a rate, s. `count` is the number of steps
-/// up to each stamp.
+/// Returns the largest minus the smallest difference, s, between the stamps and equal steps of a rate. `count` is the
+/// number of steps up to each stamp.
 fn spread_s(count: &[f64], time_s: &[f64], rate_hz: f64) -> f64 {
     let away = count.iter().zip(time_s).map(|(n, t)| t - n / rate_hz);
     let low = away.clone().fold(f64::INFINITY, f64::min);
@@ -399,7 +400,7 @@ struct FittedLine {
     scatter: f64,
 }
 
-/// Fits a least-squares line to y over x.
+/// Fits a least-squares line to `y` over `x`. The values of `x` must not be all the same.
 fn line(x: &[f64], y: &[f64]) -> FittedLine {
     let n = x.len() as f64;
     let [mx, my] = [x, y].map(|v| v.iter().sum::<f64>() / n);

@@ -239,7 +239,7 @@ pub fn stated_unit(
     }
 }
 
-/// Index of the column that holds a quantity.
+/// Assignment of a column of a table to the quantity that it holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnPlace {
     /// Quantity that the column holds.
@@ -384,8 +384,9 @@ impl Columns {
     }
 }
 
-/// Returns the words of a column's name in lower case, without its unit. `X Position Feedback (mm)` gives x, position,
-/// feedback; `Group1.X.SetpointPosition` gives group1, x, setpoint, position.
+/// Returns the words of a column's name in lower case, without its unit; a capital letter within a word begins a new
+/// one. `X Position Feedback (mm)` gives x, position, feedback; `Group1.X.SetpointPosition` gives group1, x, setpoint,
+/// position.
 fn words(name: &str) -> Vec<String> {
     let plain = Header::read(name, &[Quantity::Length, Quantity::Time, Quantity::Angle]);
     let plain = plain.map_or_else(|unknown| unknown.text, |header| header.name);
@@ -490,11 +491,11 @@ const NO_POSITIONS: [&str; 11] = [
     "force",
 ];
 
-/// Words that name a setpoint.
+/// Words in the name of a column that make it a setpoint.
 const SETPOINTS: [&str; 9] =
     ["setpoint", "command", "commanded", "cmd", "reference", "target", "set", "soll", "demand"];
 
-/// Words that name a measured position.
+/// Words in the name of a column that make it a measured position.
 const MEASURED: [&str; 8] =
     ["actual", "act", "feedback", "fbk", "encoder", "enc", "measured", "ist"];
 

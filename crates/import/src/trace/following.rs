@@ -32,8 +32,8 @@ const LAG_SAMPLES: usize = 100_000;
 const SEARCH_SAMPLES: usize = 1000;
 
 /// Step of the delay in the first search for the beginning of the plan, s. Larger: the search can miss the minimum.
-/// Smaller: more time. Chosen: the sum of squares has one minimum within a quarter of the time of a raster line, which
-/// takes seconds.
+/// Smaller: more time. Chosen: the sum of squared errors has one minimum within a quarter of the time of a raster line,
+/// which takes seconds.
 const SEARCH_STEP_S: f64 = 0.02;
 
 /// Largest time before and after the first sample in which the beginning of the plan can be searched for, s. Larger:
@@ -86,13 +86,13 @@ pub struct AxisError {
     pub rms_mm: f64,
     /// Largest magnitude of the following error, mm.
     pub largest_mm: f64,
-    /// Time of the error with the largest magnitude, s after the first sample.
+    /// Time of the error with the largest magnitude, s after the first sample that is compared.
     pub largest_at_s: f64,
-    /// Lag of the axis, ms, positive if it is late; absent if the axis does not move or the delay has not
-    /// settled.
+    /// Lag of the axis, ms, positive if it is late; absent if the axis does not move or its delay has not settled.
+    /// Against a plan it is beyond the delay that both axes share.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_ms: Option<f64>,
-    /// Standard error of the lag, ms, under the assumption that the residual is white noise.
+    /// Standard error of the lag, ms, if the errors that remain after the lag are white noise; absent without a lag.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_standard_error_ms: Option<f64>,
     /// RMS of the following error, mm, against the reference delayed by the lag of this axis; absent without a lag.
@@ -109,9 +109,9 @@ const DRIFT_SIGNIFICANT: f64 = 5.0;
 pub struct Drift {
     /// Relative drift, dimensionless; positive if the log takes longer than the plan.
     pub drift: f64,
-    /// Standard error of the drift, under the assumption that the residual is white noise.
+    /// Standard error of the drift, dimensionless, if the errors that remain after the fit are white noise.
     pub standard_error: f64,
-    /// Drift accumulated at the end of the plan, s.
+    /// Drift accumulated at the end of the plan, s: the drift times the duration of the plan.
     pub at_the_end_s: f64,
 }
 
@@ -179,14 +179,15 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// A reference motion, and the samples of a log that are compared with it.
+/// A reference motion, and the samples of a log (times, s, and measured positions [x, y], mm) that are compared with
+/// it.
 struct Pair<'a> {
     reference: &'a Trajectory,
     time_s: &'a [f64],
     actual_mm: &'a [[f64; 2]],
 }
 
-/// Sums over samples of one axis, for the least squares of its delay.
+/// Sums over the samples of one axis, for the least squares of its delay.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     /// Sums of e^2 (`square`), of e r' (`mixed`) and of r'^2 (`speed`), with the error e and the velocity r' of the
@@ -198,7 +199,7 @@ struct Sums {
 
 impl Pair<'_> {
     /// Returns the sums of both axes over every `stride`-th sample, and the number of these samples. The reference is
-    /// delayed by `delay_s` per axis.
+    /// delayed by `delay_s` [x, y].
     fn sums(&self, delay_s: [f64; 2], stride: usize) -> ([Sums; 2], f64) {
         let mut sums = [Sums::default(); 2];
         let mut walks = [Walk::new(self.reference), Walk::new(self.reference)];
@@ -216,7 +217,7 @@ impl Pair<'_> {
         (sums, count)
     }
 
-    /// Returns the distance (in samples) of the compared samples, so that there are at most `samples` of them.
+    /// Returns the stride, in samples, at which at most `samples` of the log are compared.
     fn stride(&self, samples: usize) -> usize {
         self.time_s.len().div_ceil(samples).max(1)
     }
@@ -335,7 +336,7 @@ impl Pair<'_> {
     }
 }
 
-/// Returns the following error of a log against the setpoint that was recorded in the same log.
+/// Returns the following error of a log against the setpoint that was recorded in the same log, without a drift.
 pub fn beside_setpoint(time_s: &[f64], actual_mm: &[[f64; 2]], setpoint: &Trajectory) -> Following {
     let begin_s = time_s[0];
     Pair { reference: setpoint, time_s, actual_mm }.errors(begin_s)
@@ -396,7 +397,7 @@ fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Inv
     Ok(())
 }
 
-/// Part of a plan that a log covers, and the difference between their tool states.
+/// Part of a plan that a log covers, and the difference between the tool states of both.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Extent {
     /// Total duration of the plan, s.
@@ -405,7 +406,7 @@ pub struct Extent {
     pub before_the_log_s: f64,
     /// Duration of the plan after the last sample of the log, s; 0 below the same limit.
     pub after_the_log_s: f64,
-    /// Duration of the plan with the tool on, s.
+    /// Duration of the whole plan with the tool on, s.
     pub tool_on_s: f64,
     /// Duration of the plan with the tool on that the log does not cover, s.
     pub tool_on_absent_s: f64,
@@ -494,7 +495,8 @@ impl Extent {
         Some(format!("the tool of the log is not that of the plan: {difference}{question}"))
     }
 
-    /// Returns the warnings about missing parts of the plan, and about differing tool states.
+    /// Returns the warnings about missing parts of the plan, about differing tool states, and about a log without a
+    /// tool state although the plan switches the tool off.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.tool_on_absent_s > USUAL_ABSENCE * self.tool_on_s {

@@ -12,8 +12,8 @@ use planish_types::text::significant;
 /// smaller jumps pass. Smaller: fast moves that last one sample are doubted.
 const OVER_THE_OTHERS: f64 = 10.0;
 
-/// Smallest jump relative to the range of the positions in the whole log. Larger: small jumps pass. Smaller: the noise
-/// of an encoder at rest is doubted.
+/// Smallest jump relative to the range of the positions (largest minus smallest) in the whole log. Larger: small jumps
+/// pass. Smaller: the noise of an encoder at rest is doubted.
 const OF_THE_WAY: f64 = 1e-3;
 
 /// Largest fraction of the steps that may be jumps; one jump is always reported. If more are large, the log has few
@@ -33,7 +33,7 @@ pub struct LoggedAxis<'a> {
     pub positions: Cow<'a, [f64]>,
 }
 
-/// Returns a warning about the jumps of an axis, with the largest of them; `None` if it has none.
+/// Returns a warning about the largest jump of an axis and the number of its jumps; `None` if it has none.
 pub fn doubt(axis: &LoggedAxis<'_>) -> Option<String> {
     let jumps = jumps(&axis.positions);
     let largest = *jumps.iter().max_by(|a, b| a.size.abs().total_cmp(&b.size.abs()))?;
@@ -64,7 +64,8 @@ struct Jump {
     is_back: bool,
 }
 
-/// Returns the jumps among the positions. The list is empty if so many steps are large that they are usual moves.
+/// Returns the jumps among the positions: steps far larger than the steps beside them, and than most others. The list
+/// is empty if so many steps are large that they are usual moves.
 fn jumps(positions: &[f64]) -> Vec<Jump> {
     let steps: Vec<f64> = positions.windows(2).map(|p| p[1] - p[0]).collect();
     let low = positions.iter().copied().fold(f64::INFINITY, f64::min);

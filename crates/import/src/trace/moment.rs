@@ -17,11 +17,12 @@
 //!
 //! Seconds are kept as a whole number and a fraction, so that times since any year keep the resolution of the text.
 
-/// A moment as a log writes it: date, time of day, and the resolution of the text.
+/// A moment as a log writes it: date (if any), time of day, and the resolution of the text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
     date: Option<Date>,
-    /// Whole seconds since midnight, or elapsed, minus the offset of the time zone from UTC.
+    /// Whole seconds since midnight (for `mm:ss` since the full hour) or elapsed, minus the offset of the time zone
+    /// from UTC.
     seconds: i64,
     fraction: f64,
     /// Number of digits of the fraction.
@@ -48,7 +49,7 @@ enum Order {
 }
 
 impl Moment {
-    /// Reads a moment from `text`; returns `None` for other text.
+    /// Reads a moment from `text`, in one of the forms of the module; returns `None` for other text.
     pub fn read(text: &str) -> Option<Self> {
         let text = text.trim();
         if !text.is_ascii() || !text.contains(':') {
@@ -232,7 +233,8 @@ pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     Ok(Times { seconds, resolution_s })
 }
 
-/// Returns the seconds after the first moment, with dates in `order`. The error is that of [`times`].
+/// Returns the seconds after the first moment, if dates that leave their order open have `order`. The error is that of
+/// [`times`].
 fn in_order(moments: &[Moment], order: Order) -> Result<Vec<f64>, usize> {
     let mut seconds = Vec::with_capacity(moments.len());
     let mut first: Option<(i64, f64)> = None;

@@ -101,8 +101,8 @@ fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) 
     }
 }
 
-/// Returns the time between sample `i` and the next (h_i of the module), s, and the mean slope of `p` in it (s_i), in
-/// the unit of `p` per s.
+/// Returns the time between sample `i` and the next (h_i of the module), s, and the mean slope of `p` between them
+/// (s_i), in the unit of `p` per s.
 fn step(time_s: &[f64], p: &[f64], i: usize) -> (f64, f64) {
     let h = time_s[i + 1] - time_s[i];
     (h, (p[i + 1] - p[i]) / h)
@@ -128,7 +128,8 @@ fn velocity(time_s: &[f64], p: &[f64], i: usize) -> f64 {
     }
 }
 
-/// Returns the velocity v_i of the module, from the times (s) and the mean slopes before and after the sample.
+/// Returns the velocity v_i of the module, from the times (s) and the mean slopes of the steps before and after the
+/// sample.
 fn inner(h_before: f64, h_after: f64, s_before: f64, s_after: f64) -> f64 {
     (h_after * s_before + h_before * s_after) / (h_before + h_after)
 }

@@ -15,7 +15,7 @@ pub struct Stamps {
     /// The first stamp as a double, in the unit of the column.
     pub first: f64,
     start: (i64, f64),
-    /// Largest number of decimals of a stamp.
+    /// Number of decimals of the stamp that has the most.
     decimals: i32,
 }
 
@@ -35,7 +35,7 @@ impl Stamps {
         true
     }
 
-    /// Removes the last stamp.
+    /// Removes the last stamp, of a line that turned out to be no sample.
     pub fn pop(&mut self) {
         self.differences.pop();
     }

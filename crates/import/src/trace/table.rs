@@ -34,8 +34,8 @@ use crate::{
     text,
 };
 
-/// Largest number of lines above the samples. Larger: more time on text that is no log. Smaller: refuses
-/// logs with long headers.
+/// Largest number of lines above the samples; a text with more is refused. Larger: more time on text that is no log.
+/// Smaller: refuses logs with long headers.
 const MOST_LINES_ABOVE: usize = 200;
 
 /// Number of lines at the beginning of the file in which the samples are searched for: the largest number above the
@@ -110,7 +110,7 @@ impl Separator {
     }
 }
 
-/// Kind of content of a field.
+/// Kind of content of a field (cell) of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Class {
     Number,
@@ -120,7 +120,7 @@ enum Class {
 }
 
 impl Class {
-    /// Returns the kind of content of a field.
+    /// Returns the kind of content of a field (cell) of the table.
     fn new(field: &str) -> Self {
         if field.is_empty() {
             Self::Empty
@@ -225,7 +225,7 @@ struct TableLayout {
     /// Index of the line with the first sample, from 0.
     first: usize,
     separator: Separator,
-    /// Kinds of the fields of a sample.
+    /// Kinds of the fields of a sample, one per column.
     classes: Vec<Class>,
     names: Option<Vec<String>>,
     /// Units that a line of units states, one word per column.
@@ -390,7 +390,7 @@ fn is_known(name: &str) -> bool {
         || lower.split(|c: char| !c.is_alphanumeric()).any(|word| word == "x" || word == "y")
 }
 
-/// Returns the first lines of a text, with points for decimal commas, and true if it has decimal commas.
+/// Returns the first lines of a text, and true if the text has decimal commas, which become points in these lines.
 fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
     let lines = text.lines().take(LINES_LOOKED_AT);
     let has_commas = lines.clone().any(|line| {
@@ -403,8 +403,8 @@ fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
     (head.collect(), has_commas)
 }
 
-/// Returns a line with points for its decimal commas; `None` if it has none. Lines with separators of thousands are
-/// converted too; they are refused when all lines are read.
+/// Returns a line with points for its decimal commas; `None` if it has none. Lines in which commas separate thousands
+/// are converted too; they are refused when all lines are read.
 fn with_points(line: &str) -> Option<String> {
     text::with_points(NAME, line).unwrap_or_else(|_| Some(line.replace(',', ".")))
 }
@@ -476,7 +476,7 @@ pub fn read(format: LogFormat, bytes: &[u8], requested: &Columns) -> Result<Log,
 }
 
 /// Returns the largest number of samples that may be read: at most [`MOST_SAMPLES`], and no more than fit into the
-/// memory of the process.
+/// memory of the process. Each takes [`BYTES_PER_SAMPLE`].
 pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
 }
@@ -611,7 +611,7 @@ impl ColumnValues {
         }
     }
 
-    /// Appends the value of a field; returns false, and appends nothing, if the field has none.
+    /// Appends the value of a field; returns false, and appends nothing, if the field has no value of this kind.
     fn push(&mut self, field: &str) -> bool {
         match self {
             Self::Numbers(values) => match field.parse::<f64>() {
@@ -627,7 +627,7 @@ impl ColumnValues {
         true
     }
 
-    /// Removes the last value.
+    /// Removes the last value, of a line that turned out to be no sample.
     fn pop(&mut self) {
         match self {
             Self::Numbers(values) => drop(values.pop()),
@@ -670,15 +670,16 @@ impl ColumnValues {
     }
 }
 
-/// A column to read, with its values so far.
+/// A column of the table to read, with the values that were read so far.
 struct Wanted {
     /// Index of the column, counted from 0.
     index: usize,
     values: ColumnValues,
 }
 
-/// Appends all samples to the columns `wanted`, in ascending order of their indices. Returns a warning if lines of text
-/// follow the samples.
+/// Appends all samples of the text `body` to the columns `wanted`, which are in ascending order of their indices.
+/// Returns a warning if lines of text follow the samples. Refuses a damaged line, a sample after one with empty cells,
+/// and too many samples.
 fn rows(
     body: &str,
     layout: &TableLayout,
@@ -727,7 +728,7 @@ fn rows(
     Ok(None)
 }
 
-/// State of a sample after its line was read.
+/// State of a sample (line of the table) after it was read.
 enum SampleEnd {
     /// All wanted cells of the line have values.
     Whole,
@@ -735,7 +736,9 @@ enum SampleEnd {
     Empty,
 }
 
-/// Appends the fields of line `number`, counted from 1, to the columns `wanted`, in ascending order of their indices.
+/// Appends the fields of line `number`, counted from 1, to the columns `wanted`, which are in ascending order of their
+/// indices. A line that lacks a value appends nothing. Refuses a field that is no value of its column, and a line that
+/// is cut off.
 fn row(
     line: &str,
     number: usize,
