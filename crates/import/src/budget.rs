@@ -34,8 +34,8 @@ pub const MOST_PIXELS: usize = 1 << 25;
 pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
 
 /// Memory that a line `x y z` of a text needs while it is read, bytes. Larger: large files are refused although they
-/// would fit. Smaller: a file can exceed the memory. Derived: three numbers and two last digits in a list that doubles
-/// as it grows, the coordinates of an axis in order, and the pixel.
+/// would fit. Smaller: a file can exceed the memory. Derived: five numbers in a list that takes three times as much
+/// while it grows, three to sort the coordinates of an axis (8 bytes each), and the pixel.
 pub(crate) const BYTES_PER_POINT: usize = 3 * 5 * 8 + 3 * 8 + BYTES_PER_PIXEL;
 
 /// Largest number of samples (times with positions) of a machine log; more are refused. Larger: more memory for one
@@ -44,8 +44,8 @@ pub(crate) const BYTES_PER_POINT: usize = 3 * 5 * 8 + 3 * 8 + BYTES_PER_PIXEL;
 pub(crate) const MOST_SAMPLES: usize = MOST_PIXELS;
 
 /// Memory that a sample of a machine log needs while it is read, bytes. Larger: long logs are refused although they
-/// would fit. Smaller: a log can exceed the memory. Derived: seven columns in lists that double as they grow, times and
-/// positions, and a segment of the motion, which for a moment exists twice.
+/// would fit. Smaller: a log can exceed the memory. Derived: seven numbers in lists that take three times as much while
+/// they grow, eight for times and positions (8 bytes each), and the segment of the motion with its copies.
 pub(crate) const BYTES_PER_SAMPLE: usize = 3 * 7 * 8 + 8 * 8 + 3 * 96;
 
 /// Largest number of parts of one file that are searched for the map: groups, arrays, images, blocks or variables. A

@@ -30,9 +30,10 @@ const BLOCK: usize = 2880;
 /// Size of a card, one key with its value in a header, bytes (FITS standard 4.0).
 const CARD: usize = 80;
 
-/// Largest offset of pixels across an axis, over the whole map, relative to the step across. A map with more is refused
-/// as turned or sheared. Larger: accepts maps on oblique axes, and places pixels wrongly by this fraction of a step.
-/// Smaller: refuses maps whose matrix has rounding errors. Chosen: coordinates may depart from equal steps by as much.
+/// Largest change of one coordinate along the whole other axis of the map, in steps of that coordinate. A map with more
+/// is refused as turned or sheared. Larger: accepts maps on oblique axes, and places pixels wrongly by this fraction of
+/// a step. Smaller: refuses maps whose matrix has rounding errors. Chosen: coordinates may depart from equal steps by
+/// as much.
 const MOST_SLANT: f64 = 1e-4;
 
 /// Returns true if `wanted` is the number or the EXTNAME of the header and data unit (HDU) with the number `hdu` and

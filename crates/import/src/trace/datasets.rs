@@ -60,9 +60,9 @@ pub fn read(bytes: &[u8], requested: &Columns) -> Result<Log, Invalid> {
     Ok(Log { columns, times, warnings: Vec::new() })
 }
 
-/// Reads the column of a quantity. `name` is the path of a dataset, or `PATH:K` for column K of a matrix, counted from
-/// 1. `transposed` is true for files of MATLAB, which store matrices transposed. Refuses a matrix of several columns
-/// without K, and what `read` refuses.
+/// Reads the column of a quantity. `name` is the path of a dataset, or `PATH:K` for column K (counted from 1) of a
+/// matrix. `transposed` is true for files of MATLAB, which store matrices transposed. Refuses a matrix of several
+/// columns without K, and what `read` refuses.
 fn column(
     file: &hdf5_reader::Hdf5File,
     role: Role,

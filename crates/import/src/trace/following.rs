@@ -74,12 +74,12 @@ const SEEN_OF_A_SAMPLE: f64 = 0.1;
 /// Smaller: warns of latencies.
 const USUAL_DIFFERENCE: f64 = 0.01;
 /// Fraction of the plan's time in which the tool of the log may differ from that of the plan; above it, the log is
-/// reported as one with another tool. At most half of the common time may differ, and the time that the samples cannot
-/// resolve is added. Larger: accepts wrong columns of the switch. Smaller: reports late switches.
+/// reported as one with another tool. The limit is at most half of the time of the log and of the plan. The time that
+/// the samples cannot resolve is added. Larger: accepts wrong columns of the switch. Smaller: reports late switches.
 const MOST_DIFFERENCE: f64 = 0.1;
 
-/// The following error (measured minus reference position) of one axis. A plan is first delayed by the time that both
-/// axes share.
+/// The following error (measured minus reference position) of one axis. Against a plan, the errors are those after the
+/// delay that both axes share.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AxisError {
     /// RMS of the following error, mm.
@@ -89,7 +89,7 @@ pub struct AxisError {
     /// Time of the error with the largest magnitude, s after the first sample that is compared.
     pub largest_at_s: f64,
     /// Lag of the axis, ms, positive if it is late; absent if the axis does not move or its delay has not settled.
-    /// Against a plan it is beyond the delay that both axes share.
+    /// Against a plan it does not include the delay that both axes share.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_ms: Option<f64>,
     /// Standard error of the lag, ms, if the errors that remain after the lag are white noise; absent without a lag.
