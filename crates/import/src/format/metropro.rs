@@ -58,8 +58,7 @@ fn positive(b: &Bytes<'_>, name: &str, place: usize) -> Result<f64, Invalid> {
     if v.is_finite() && v > 0.0 { Ok(v) } else { Err(bad(format!("has the {name} {v}"))) }
 }
 
-/// Returns the divisor R of the module for the phase resolution word of the header. Refuses a word that is not 0, 1 or
-/// 2.
+/// Returns the divisor R of the module for the phase resolution word of the header: 0, 1 or 2. Refuses other words.
 fn resolution(word: i16) -> Result<f64, Invalid> {
     match word {
         0 => Ok(4096.0),
