@@ -121,15 +121,15 @@ pub struct State {
     pub steps: usize,
     /// True if the gap is within the tolerance, or the last sweep lowered the objective by less than the tolerance.
     pub converged: bool,
-    /// Fraction of the objective that no feed within the tangents of the acceleration limit can save
-    /// (`joint`); `None` for sweeps, which prove nothing.
+    /// Proven gap: no feed within the tangents of the acceleration limit lowers the objective by a larger fraction
+    /// (`joint`). `None` for sweeps, which prove nothing, and if the gap did not reach the tolerance.
     pub gap: Option<f64>,
     /// Objective, nm^2, after a last sweep that raised it and was undone; `None` if there was none.
     pub given_up_nm2: Option<f64>,
-    /// Knots of every line that knot removal left.
+    /// Knots of every line that knot removal left; all knots for the other method.
     pub knots_left: Vec<Knots>,
-    /// Number of lines on which knot removal removed all interior knots without success, so that the convex-concave
-    /// procedure took over.
+    /// Number of lines in the last sweep on which knot removal removed all interior knots without success, so that a
+    /// step of the convex-concave procedure took over.
     pub fallbacks: usize,
     pub(crate) rows_mm: Vec<Vec<f64>>,
 }
@@ -138,7 +138,7 @@ impl Problem {
     /// Computes the basis of every pass on its knots.
     ///
     /// # Errors
-    /// Refuses a basis that takes too much memory, and a tool that no pass brings to the part.
+    /// Refuses a basis that takes too much memory, and passes along which the tool reaches no valid pixel.
     pub fn new(
         passes: &[Pass],
         knots: Vec<Knots>,
@@ -173,8 +173,9 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Runs sweeps of knot removal from a start within the limits. `other_nm` (ny, nx) is the removal by other parts of
-    /// the motion. The objective of the result is not larger than that of the start.
+    /// Runs sweeps of knot removal from a start within the limits, until the objective falls by no more than the
+    /// tolerance, a sweep raises it, or `max_sweeps` are done. `other_nm` (ny, nx) is the removal by other parts of the
+    /// motion. The objective of the result is not larger than that of the start.
     ///
     /// # Errors
     /// Returns the failure of the quadratic program of a pass.
@@ -215,7 +216,7 @@ impl Problem {
         Ok(state)
     }
 
-    /// Returns the weights alpha K and beta K of the penalties in (1) of the module.
+    /// Returns the weights alpha K and beta K of the penalties in (1) of the module; alpha counts as at least 1e-12.
     pub(crate) fn weights(&self, settings: &DeconvolutionSettings) -> [f64; 2] {
         // A trace of the identity makes the program definite where the tool reaches nothing.
         [settings.tikhonov.max(1e-12), settings.curvature_weight].map(|w| w * self.strongest)
@@ -269,7 +270,7 @@ impl Problem {
         State { d, piston_nm, residual_nm, ..self.untouched() }
     }
 
-    /// Replaces the control values of every line by the solution of step (2) of the module.
+    /// Replaces the control values of every line by the solution of step (2) of the module, group by group.
     fn sweep(&self, state: &mut State, settings: &DeconvolutionSettings) -> Result<(), FeedError> {
         state.fallbacks = 0;
         for group in &self.groups {
@@ -292,7 +293,7 @@ impl Problem {
         Ok(())
     }
 
-    /// Solves step (2) of the module for line `m`.
+    /// Solves step (2) of the module for line `m` by knot removal, or, if that fails, does one convex-concave step.
     fn line(
         &self,
         m: usize,
@@ -366,7 +367,8 @@ impl Problem {
     }
 }
 
-/// Solution of step (2) of the module for one line.
+/// Solution of step (2) of the module for one line: its control values, the arc lengths of its acceleration
+/// constraints, and the knots that are left.
 struct Solved {
     d: Vec<f64>,
     rows_mm: Vec<f64>,
@@ -387,8 +389,8 @@ fn free_piston(surface: &Surface, state: &mut State) {
     state.piston_nm -= subtract_mean(surface, &mut state.residual_nm);
 }
 
-/// Subtracts the mean of a residual over the valid pixels from these, and returns it, nm. The residual is zero on all
-/// other pixels.
+/// Subtracts the mean of a residual over the valid pixels from these pixels, and returns the mean, nm. The residual has
+/// to be 0 at the invalid pixels.
 pub(crate) fn subtract_mean(surface: &Surface, residual_nm: &mut Array2<f64>) -> f64 {
     let count = surface.height_nm().iter().filter(|z| !z.is_nan()).count();
     let mean = residual_nm.sum() / count as f64;

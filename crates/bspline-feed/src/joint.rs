@@ -73,13 +73,13 @@ const LEAST_SLACK: f64 = 1e-3;
 /// Larger: more rounds of tangents. Smaller: more steps per program.
 const PROGRAM_TOLERANCE: f64 = 0.3;
 
-/// Smallest complementarity at which a step aims, as a fraction of that of a solved program. Closer to the boundary
-/// nothing is gained, and the next tangents would make the steps short. Larger: the program may not reach its
-/// tolerance. Smaller: short steps.
+/// Smallest complementarity (sum of the products s w) at which a step aims, as a fraction of the tolerance to which a
+/// program is solved. Closer to the boundary nothing is gained, and the next tangents would make the steps short.
+/// Larger: the program may not reach its tolerance. Smaller: short steps.
 const CENTRED: f64 = 0.3;
 
-/// Objective, as a fraction of that without removal, below which the feed counts as exact: 1e-5 of the RMS of the map.
-/// Larger: an earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
+/// Smallest objective to which a gap is compared, as a fraction of the objective without removal: 1e-5 of the RMS of
+/// the map. Larger: an earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
 const EXACT: f64 = 1e-10;
 
 /// Smallest ratio of the density at the start to its lower bound: an interior point method starts inside. Larger: the
@@ -124,7 +124,7 @@ struct Iterate {
     w: Vec<f64>,
 }
 
-/// Objective, its gradient, the residual of the map, and the best piston.
+/// Objective, its gradient, the residual of the map, and the best piston, for given control values.
 struct Value {
     objective: f64,
     gradient: Vec<f64>,
@@ -133,7 +133,7 @@ struct Value {
 }
 
 impl<'a> Joint<'a> {
-    /// Prepares the matrix of (2) of the module without the constraints.
+    /// Prepares the matrix of (2) of the module without the constraints. Refuses a matrix that takes too much memory.
     pub(crate) fn new(
         problem: &'a Problem,
         surface: &'a Surface,
@@ -170,8 +170,9 @@ impl<'a> Joint<'a> {
         Ok(Self { problem, surface, settings, first, least, place, normal, uniform, weights })
     }
 
-    /// Computes the feed of the smallest objective from `start`, and its proven gap. `other_nm` (ny, nx) is the removal
-    /// by other parts of the motion.
+    /// Computes the feed of the smallest objective from `start`, and its proven gap. Without a proof after `max_sweeps`
+    /// steps, or if the matrix cannot be factorised, it returns the last feed, brought within the limits, and no gap.
+    /// `other_nm` (ny, nx) is the removal by other parts of the motion.
     pub(crate) fn solve(&self, other_nm: &Array2<f64>, start: Start) -> Result<State, FeedError> {
         let target_nm =
             (self.surface.height_nm() - other_nm).mapv(|z| if z.is_nan() { 0.0 } else { z });
@@ -246,7 +247,7 @@ impl<'a> Joint<'a> {
         self.first.windows(2).map(|w| d[w[0]..w[1]].to_vec()).collect()
     }
 
-    /// Returns control values close to `d` that are within the limits, s/mm.
+    /// Returns control values within the limits, s/mm, that are close to `d`; see [`limited::next_within`].
     fn within(&self, d: &[f64]) -> Result<Vec<f64>, FeedError> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -351,7 +352,7 @@ impl<'a> Joint<'a> {
         Value { objective: 0.5 * (squares + penalties), gradient, residual_nm, piston_nm }
     }
 
-    /// Returns the open part of the objective, `w' c + r' P0^-1 r / 2` of (3) of the module, nm^2.
+    /// Returns the distance of the objective from its lower bound (3) of the module, `w' c + r' P0^-1 r / 2`, nm^2.
     fn open(&self, iterate: &Iterate, rows: &AccelerationRows, now: &Value) -> f64 {
         let c = rows.values(&iterate.d, &self.least);
         let r = self.dual_residual(iterate, rows, now);
@@ -488,7 +489,8 @@ impl System<'_> {
 }
 
 impl Iterate {
-    /// Returns the fraction of this step, at most 1, that keeps the slacks and dual variables of `iterate` positive.
+    /// Returns the fraction of this step, at most 1, that takes the slacks and dual variables of `iterate` at most the
+    /// fraction [`STEP_TO_BOUNDARY`] of the way to 0.
     fn longest(&self, iterate: &Self) -> f64 {
         let slack = longest_positive(&iterate.s, &self.s);
         (STEP_TO_BOUNDARY * slack.min(longest_positive(&iterate.w, &self.w))).min(1.0)
@@ -521,7 +523,8 @@ impl AccelerationRows {
         });
     }
 
-    /// Returns the change of all constraints by `step`, which is J step of the module.
+    /// Returns the change of all constraints by a step of the control values, the product `J step` in (2) of the
+    /// module.
     fn changes(&self, step: &[f64]) -> Vec<f64> {
         let mut c = step.to_vec();
         for (first, coefficient, _) in &self.tangent {
@@ -555,8 +558,8 @@ impl AccelerationRows {
     }
 }
 
-/// Returns the index of every control value in a skyline matrix, and the first column of each of its rows. The order is
-/// line by line, or along the lines, whichever takes fewer multiplications.
+/// Returns the index of every control value in a skyline matrix, and the first column of each of its rows. Control
+/// values are ordered line by line, or by their position along the lines, whichever takes fewer multiplications.
 fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let n = first[first.len() - 1];
     let boxes: Vec<_> = problem.all_columns().map(|c| c.pixels()).collect();

@@ -75,7 +75,8 @@ pub struct Motion {
     links_on: Vec<Range<usize>>,
 }
 
-/// Makes one trajectory of all passes with the control values `d` on `knots`.
+/// Makes one trajectory of all passes, whose dwell densities have the control values `d`, s/mm, on `knots`. Its cubic
+/// pieces are within `tolerance_mm` of the motion of the splines; `surface` tells which links enter the aperture.
 ///
 /// # Errors
 /// Refuses limits with which a piece of the motion vanishes in the rounding of its time.
@@ -147,8 +148,8 @@ pub fn motion(
 }
 
 impl Motion {
-    /// Returns the removal by the links with the tool on, shape (ny, nx), nm. It uses a 3-point Gauss rule in time on
-    /// parts at most as long as a sample step of the TIF.
+    /// Returns the removal by the links with the tool on, shape (ny, nx), nm. It uses a 3-point Gauss rule in time, on
+    /// parts in which the tool moves at most one sample step of the TIF.
     pub fn link_removal_nm(&self, tif: &Tif, surface: &Surface) -> Array2<f64> {
         let mut map = Array2::zeros(surface.grid().shape());
         let pixel = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
