@@ -32,16 +32,17 @@ use crate::{further::FurtherAxes, jerk::Average, piece::Station};
 /// is not resolved. Chosen.
 const JUDGED_INTERVALS: [usize; 2] = [4, 64];
 
-/// Largest difference of an acceleration between two judged times from the line between them, over the limit. Larger:
-/// the judge may miss this much. Smaller: more times. Chosen below the margins of [`crate::limits`].
+/// Largest difference of an acceleration between two judged times from the straight line between its values there, as a
+/// fraction of the limit. Larger: the judge may miss this much. Smaller: more times. Chosen below the margins of
+/// [`crate::limits`].
 const MAX_BULGE: f64 = 1e-3;
 
 /// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: rounding of
 /// accelerations, divided by the time between them, fails. Chosen: no drive resolves it.
 const JERK_ALLOWANCE: f64 = 1e-6;
 
-/// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, over the limit. Larger:
-/// real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
+/// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, as a fraction of the
+/// limit. Larger: real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
 const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 
 /// Ratio of a value to its limit from which on the report counts the axis as near the limit. Larger: a shorter time
@@ -59,18 +60,20 @@ pub struct Further<'a> {
     average: Option<Average>,
 }
 
-/// First and second derivative of the position of a further axis at a point of a curve, divided by limits of the axis.
+/// First and second derivative of the position of a further axis by arc length at a point of a curve, divided by the
+/// limits that the plan keeps before averaging.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scaled {
     /// Least dwell-time density that the velocity limit allows, |q'| / V, s/mm.
     pub need_s_per_mm: f64,
-    /// First derivative by arc length over the acceleration limit, q' / A, s^2/mm.
+    /// First derivative by arc length over the acceleration limit before averaging, q' / A, s^2/mm.
     pub along: f64,
-    /// Second derivative by arc length over the acceleration limit, q'' / A, s^2/mm^2.
+    /// Second derivative by arc length over the acceleration limit before averaging, q'' / A, s^2/mm^2.
     pub across: f64,
 }
 
-/// Largest ratios of velocity, acceleration and jerk of an axis to their limits; 1 is the limit itself.
+/// Largest ratios of velocity, acceleration and jerk of an axis, in this order, to their limits; 1 is the limit itself.
+/// The jerk of an axis without a limit on it counts as 0.
 pub type Used = [f64; 3];
 
 /// Ratios of all further axes to their limits on one cubic piece.
@@ -81,7 +84,8 @@ struct UseOfPiece {
 }
 
 impl<'a> Further<'a> {
-    /// Checks the limits of `axes`, and stores them with the average in time that the motion of the plan will have.
+    /// Checks the limits of `axes`, and stores the axes with the average in time that the motion of the plan will have;
+    /// `None` if it will not be averaged.
     ///
     /// # Errors
     ///
@@ -138,7 +142,8 @@ impl<'a> Further<'a> {
     }
 
     /// Returns velocity and acceleration of every axis (axes) over their limits, by (1) of the module. The contact
-    /// point has position `p`, velocity `v` and acceleration `a` along x and y, in mm and s.
+    /// point has position `p`, velocity `v` and acceleration `a` along x and y, in mm and s. `None` where an axis has
+    /// no position or no derivative.
     fn of_motion(&self, p: [f64; 2], v: [f64; 2], a: [f64; 2]) -> Option<Vec<[f64; 2]>> {
         let speed = v[0].hypot(v[1]);
         let curvature_per_mm = (v[0] * a[1] - v[1] * a[0]) / speed.powi(3);
@@ -164,8 +169,9 @@ impl<'a> Further<'a> {
         Some(values)
     }
 
-    /// Returns the largest difference, over the limit, between the accelerations of a further axis for the two
-    /// accelerations `a` of the same contact point. It is 0 where an axis has no position.
+    /// Returns the largest difference between the accelerations of a further axis, as a fraction of its limit, for two
+    /// accelerations `a` of a contact point with position `p` and velocity `v`. It is 0 where an axis has no position
+    /// or no derivative.
     pub fn acceleration_error(&self, p: [f64; 2], v: [f64; 2], a: [[f64; 2]; 2]) -> f64 {
         let [Some(first), Some(second)] = a.map(|a| self.of_motion(p, v, a)) else { return 0.0 };
         first.iter().zip(second).map(|(a, b)| (a[1] - b[1]).abs()).fold(0.0, f64::max)
@@ -237,7 +243,8 @@ impl<'a> Further<'a> {
         }
     }
 
-    /// Returns the largest ratios of every axis to its limits on every cubic piece (pieces, axes). All of a piece are
+    /// Returns the largest ratios of every axis to its limits on every cubic piece (pieces, axes). The ratio of a
+    /// limited jerk is infinite where the acceleration steps at the start of a piece. All ratios of a piece are
     /// infinite where an axis has no position or no derivative.
     pub fn used(&self, trajectory: &Trajectory) -> Vec<Vec<Used>> {
         let limits = self.axes.limits();
@@ -299,8 +306,8 @@ impl<'a> Further<'a> {
         Ok(of_spans)
     }
 
-    /// Returns the least factor on all times with which the motion keeps the limits of the further axes; 1 if it keeps
-    /// them already.
+    /// Returns the least factor on all times with which the motion keeps the limits of the further axes: 1 if it keeps
+    /// them already, and infinity if a ratio of [`Self::used`] is infinite.
     pub fn slower_by(&self, trajectory: &Trajectory) -> f64 {
         let used = self.used(trajectory);
         let factors = used.iter().flatten().map(|used| {

@@ -50,7 +50,7 @@ pub enum End {
     /// it.
     Rest,
     /// The curve leaves a straight line at the outermost point. The curvature has a kink at this fraction (f) of the
-    /// length of the outermost part.
+    /// length of the outermost part, counted from the line.
     Line(f64),
 }
 

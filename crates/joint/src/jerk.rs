@@ -106,8 +106,8 @@ impl Average {
         file.checked()
     }
 
-    /// Returns the averaged motion, (2) of the module; it is longer by w and four h. Segments of the path and the state
-    /// of the tool keep their times.
+    /// Returns the averaged motion, (2) of the module; it is longer by w, four h, and what makes its time a multiple of
+    /// h. It changes segments of the path and the state of the tool at the same times as `motion`.
     ///
     /// # Errors
     ///

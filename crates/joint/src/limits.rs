@@ -123,7 +123,7 @@ enum On {
 pub struct Constraint {
     /// Nodes at the start and at the end of the span; `None` at rest.
     pub nodes: [Option<usize>; 2],
-    /// Slack (c), dimensionless; the limit is exceeded if it is negative.
+    /// Slack (c), dimensionless; a negative slack means an exceeded limit.
     pub slack: f64,
     /// First derivatives of c by the two densities, mm/s.
     pub by: [f64; 2],
@@ -316,7 +316,7 @@ impl<'a> LimitRows<'a> {
     }
 
     /// Returns the first-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks
-    /// of its rows times their dual variables `z` (rows).
+    /// of its rows times their dual variables `z` (rows). It is 0 for a span that begins or ends at rest.
     ///
     /// The new node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a
     /// row on the whole span, the half with the smaller slack decides.
@@ -368,7 +368,8 @@ impl<'a> LimitRows<'a> {
         }
     }
 
-    /// Returns the least densities of the nodes by the velocity limits, (2) of the module (nodes), s/mm.
+    /// Returns the least densities of the nodes (nodes) that the velocity limits of all axes allow, (2) of the module,
+    /// s/mm.
     pub fn least_density(&self) -> &[f64] {
         &self.least_density
     }

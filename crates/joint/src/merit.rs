@@ -259,8 +259,8 @@ impl<'a> Merit<'a> {
     ///
     /// # Errors
     ///
-    /// Refuses cells that missed much of it since the last reference ([`JointError::CellsTooLarge`]). Fails if the
-    /// motion cannot be simulated.
+    /// Refuses cells of more than one pixel that missed much of it since the last reference
+    /// ([`JointError::CellsTooLarge`]). Fails if the motion cannot be simulated.
     pub fn refer_to(
         &mut self,
         at: Progress,

@@ -530,7 +530,7 @@ impl<'a> OnMesh<'a> {
 
     /// Runs a round with new tangents of the removal of the motion and of the limits. It goes towards the least
     /// objective of that convex program as far as the simulated motion has a lower one. Returns `None` if nothing is
-    /// proven for this program.
+    /// proven for this program, or if the cells of the normal matrix are too large.
     fn descend(
         &self,
         program: &Program<'_>,
@@ -610,7 +610,8 @@ fn largest_excess<'u>(used: impl IntoIterator<Item = &'u f64>) -> f64 {
     used.into_iter().copied().fold(1.0, f64::max)
 }
 
-/// Returns the residual as a function of the times at the Gauss points of a mesh.
+/// Returns the residual as a function of the times at the Gauss points of a mesh. Fails if the tool reaches the map
+/// from none of them.
 fn residual<'a>(
     inputs: &PlanInputs<'a>,
     mesh: &'a Mesh,

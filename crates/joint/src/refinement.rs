@@ -43,7 +43,8 @@ pub struct Refined {
     pub mesh: Mesh,
     /// Densities and dual variables from which the solver begins on the finer mesh.
     pub start: Start,
-    /// Node of the coarser mesh with the same two neighbours (nodes); `None` if there is none.
+    /// Node of the coarser mesh with the same two neighbours, for every node (nodes); `None` for new nodes and their
+    /// neighbours.
     pub same: Vec<Option<usize>>,
 }
 
@@ -74,7 +75,8 @@ impl MeshInputs<'_> {
     }
 
     /// Returns a finer mesh that is `affordable`, with a start from the iterate `at` of the solver on `mesh`. `None` if
-    /// no span is worth halving by (1) of the module.
+    /// no span is worth halving by (1) of the module among meshes that are affordable, or if the rows of the halves
+    /// allow no start.
     pub fn refined(
         &self,
         mesh: &Mesh,

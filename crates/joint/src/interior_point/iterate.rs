@@ -33,8 +33,9 @@ const MAX_CENTRALITY_CORRECTIONS: usize = 3;
 /// the products. Larger: corrections aim at longer steps and fail more often. Smaller: corrections gain less. Chosen.
 const FURTHER: f64 = 0.3;
 
-/// Least gain of a correction in the length of one of the two steps, over [`FURTHER`], for it to be kept and another
-/// one to be tried. Larger: fewer corrections. Smaller: corrections that gain little. Chosen.
+/// Least gain of a correction in the length of the primal or the dual step, over [`FURTHER`], for it to be kept and
+/// another one to be tried; neither step may become shorter. Larger: fewer corrections. Smaller: corrections that gain
+/// little. Chosen.
 const LEAST_GAIN: f64 = 0.1;
 
 /// Largest ratio of a product to the target mu, or of mu to a product, that is no outlier. Larger: fewer products are
@@ -256,8 +257,8 @@ impl<'a> Iterate<'a> {
         self.y.iter_mut().zip(&self.room).for_each(|(y, room)| *y = y.max(product / room));
     }
 
-    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow. The
-    /// following steps use the rows again.
+    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow; it stays
+    /// at the anchor if that is less than [`LEAST_PART`] of the way. The following steps use the rows again.
     pub(super) fn move_towards_solution(&mut self) {
         let Some(anchor) = self.anchor.take() else { return };
         self.excess.fill(0.0);

@@ -19,10 +19,10 @@ const STEP_TO_BOUNDARY: f64 = 0.95;
 /// longest one, with more evaluations of the rows. Smaller: fewer evaluations, shorter steps. Chosen.
 const BACKTRACKING: f64 = 0.8;
 
-/// Least remainder of the matrix along the free functions ([`Woodbury::refined`]), relative, at which a factor in
-/// single precision is used as it is. If less is left it is refined; if that fails, the factor is made in double
-/// precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the rounding of
-/// the products.
+/// Least remainder of the matrix along the free low-order terms of the map ([`Woodbury::refined`]), relative, at which
+/// a factor in single precision is used as it is. If less is left it is refined; if that fails, the factor is made in
+/// double precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the
+/// rounding of the products.
 const LEFT_TO_SINGLE: f64 = 1e-4;
 
 /// Program (1) of [`super`]: curvature of the objective, bounds and rows.
@@ -71,8 +71,8 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, by_rows })
     }
 
-    /// Returns the longest part of the step `length d` after which every row keeps at least a twentieth of its slack
-    /// `c`, and the densities at its end.
+    /// Shortens the step `length d` from `density` by [`BACKTRACKING`] until every row keeps at least a twentieth of
+    /// its slack `c`. Returns the length, which may become nearly 0, and the densities at the end of the step.
     pub(super) fn farthest(
         &self,
         density: &[f64],

@@ -76,7 +76,8 @@ pub struct Stop {
 pub struct Solution {
     /// Densities of the nodes (D, n), s/mm.
     pub density: Vec<f64>,
-    /// Objective at every iterate, nm^2; [`crate::merit`] says where it is exact.
+    /// Objective at every iterate under the rows themselves (not under kept tangents), nm^2; [`crate::merit`] says
+    /// where it is exact.
     pub objective: Vec<f64>,
     /// Number of steps.
     pub iterations: usize,
