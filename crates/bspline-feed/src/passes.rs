@@ -11,8 +11,8 @@ use planish_types::{Grid, Limits, Surface, ToolPath};
 use crate::FeedError;
 
 /// Angle (its sine) between a segment and the first one of a straight run, rad, below which the segment continues the
-/// run. It is 0.1 um of a step of 1 mm, above the rounding of coordinates that passed through 32-bit floats. Larger:
-/// bent paths pass as straight. Smaller: rounding divides passes.
+/// run. It is a sideways step of 0.1 um per mm, above the rounding of coordinates that passed through 32-bit floats.
+/// Larger: bent paths pass as straight. Smaller: rounding divides passes.
 const STRAIGHT: f64 = 1e-4;
 
 /// Fraction of the machine's limits on velocity and acceleration that passes leave free, for the rounding of the
@@ -96,7 +96,8 @@ pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec
     Ok(passes)
 }
 
-/// Returns the ranges [first, end) of segments between `begin` and `end` that run in one direction with the tool on.
+/// Returns the ranges [first, end) of segments between the indices `begin` and `end` that run in one direction with the
+/// tool on, each as long as possible.
 fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize)> {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     let mut current: Option<[f64; 2]> = None;

@@ -64,13 +64,13 @@ pub enum Piston {
 /// Settings of a plan of the feed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FeedSettings {
-    /// Source of the feed.
+    /// Source of the feed: the deconvolution, or the VRR feed.
     pub method: FeedSource,
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
     /// Distance of the knots of the splines, mm; `None` for a quarter of the TIF's width.
     pub knot_spacing_mm: Option<f64>,
-    /// Distance of neighbouring passes for the VRR feed, mm; `None` for that of the path.
+    /// Distance of neighbouring passes for the VRR feed, mm; `None` for the distance measured on the path.
     pub pitch_mm: Option<f64>,
     /// Treatment of the uniform part of the desired removal.
     pub piston: Piston,
@@ -107,7 +107,7 @@ impl Default for FeedSettings {
     }
 }
 
-/// Set of feeds, in words, with which [`FeedReport::proven`] compares the plan.
+/// Set of feeds to which the proven gap ([`FeedReport::proven`]) applies, in words for the report.
 const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere \
                        more than 1.5 times as fast; not closer knots, other links, or another feed within the limits \
                        themselves";
@@ -129,7 +129,7 @@ pub struct FeedReport {
     pub knots_left: usize,
     /// Number of passes in the last sweep on which knot removal failed and the convex-concave procedure took over.
     pub fallbacks: usize,
-    /// Uniform removal in addition to the desired one, nm.
+    /// Uniform removal in addition to the desired one, nm; 0 if the piston is kept.
     pub piston_nm: f64,
     /// Total number of steps of the interior point method, or of sweeps of knot removal, over all rounds.
     pub sweeps: usize,
@@ -350,7 +350,8 @@ pub fn plan(
     Ok(FeedPlan { density, trajectory: solved.motion.trajectory, report })
 }
 
-/// Control values with their motion, and data on the solution.
+/// Control values of the chosen feed source with their motion, and data on the solution; `state` is `None` for the VRR
+/// feed.
 struct Solved {
     d: Vec<Vec<f64>>,
     motion: Motion,
@@ -516,8 +517,8 @@ struct Guess<'a> {
 }
 
 impl Guess<'_> {
-    /// Returns the VRR feed of the map, averaged over the TIF, as control values, whatever the acceleration. A free
-    /// piston is the one with which the lowest average gets the largest feed; otherwise the piston is 0.
+    /// Returns control values, s/mm, by the VRR feed of the map averaged over the TIF; they ignore the acceleration
+    /// limit. A free piston is the one with which the lowest average gets the largest feed; otherwise the piston is 0.
     fn start(&self, passes: &[Pass], knots: &[Knots]) -> Start {
         let vrr = self.tif.vrr_nm_mm2_per_s();
         let seen: Vec<Vec<Option<f64>>> = (passes.iter().zip(knots))
@@ -536,8 +537,8 @@ impl Guess<'_> {
         Start { d: d.collect(), piston_nm }
     }
 
-    /// Returns the control values of the splines closest to the VRR feed within the limits. A free piston, nm, is the
-    /// one with which the lowest pixel gets the largest feed; otherwise the piston is 0.
+    /// Returns the control values, s/mm, of the splines closest to the VRR feed within the limits. A free piston, nm,
+    /// is the one with which the lowest pixel gets the largest feed; otherwise the piston is 0.
     fn baseline(
         &self,
         passes: &[Pass],
@@ -698,7 +699,7 @@ fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
     if exceeded || jerk.inside > 1.0 { Some(jerk) } else { None }
 }
 
-/// Returns the dwell-time density of the splines at Greville's abscissae.
+/// Returns the dwell-time density of the splines at Greville's abscissae of their knots, pass by pass.
 fn density(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Result<DwellDensity, Invalid> {
     let mut nodes = DensityNodes::default();
     for (m, pass) in passes.iter().enumerate() {

@@ -236,8 +236,8 @@ impl<'a> Merit<'a> {
         Self { executed: Some(executed), ..self }
     }
 
-    /// Returns the curvature of the objective without that of the residual: the diagonal (nodes), and the element (j, j
-    /// - 1) for every node j (nodes).
+    /// Returns the second derivatives of the objective without those of the residual. They are the diagonal (nodes), and
+    /// for every node j the matrix element of this node and the one before it (nodes).
     pub fn chain(&self) -> (Vec<f64>, Vec<f64>) {
         let n = self.lo.len();
         let mut diagonal = vec![self.alpha; n];

@@ -74,7 +74,8 @@ pub struct ConstantAccelerationReport {
     pub added_lifted_s: f64,
     /// Duration of the brake at the end of the motion, s.
     pub brake_s: f64,
-    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
+    /// Indices of the segments that the motion leaves out: they have no dwell time, and the tool is already at their
+    /// end (with the tool off, to rounding).
     pub dropped: Vec<usize>,
 }
 
@@ -114,7 +115,7 @@ struct Phase {
 ///
 /// # Errors
 ///
-/// Refuses dwell times of another path, and dwell times that are zero everywhere.
+/// Refuses dwell times of another path, and a path without a length whose dwell times are all zero.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,

@@ -121,7 +121,7 @@ pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     all
 }
 
-/// Returns the solution of a whole axis, joined from its parts.
+/// Returns the solution of a whole axis, joined from its parts; every part has to be solved within the limits.
 pub(super) fn joined(parts: Vec<Part>) -> Solved {
     let mut parts = parts.into_iter().filter_map(|part| part.solved?.ok());
     let mut all = parts.next().expect("every part is solved");
@@ -202,7 +202,7 @@ impl AxisProblem<'_> {
     }
 
     /// Returns the parts of the axis: one part in *smooth*. In *monotone* it cuts the axis at nodes at which the signs
-    /// of the displacements fix the velocity at zero.
+    /// of the displacements fix the velocity at zero, if the part then has at least [`LEAST_PART_SEGMENTS`].
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
         let mut parts = Vec::new();
@@ -236,7 +236,8 @@ impl AxisProblem<'_> {
     }
 
     /// Returns the node velocities within the limits at the durations `h`, s. If there are none, the error has those
-    /// with the least excess.
+    /// with the least excess, or rest at every node if the elastic program does not converge. `price` returns the
+    /// penalty of the elastic bounds; `limited` has the segments with rows, and gets new ones.
     fn solve(
         &self,
         h: &[f64],
@@ -348,8 +349,8 @@ impl AxisProblem<'_> {
         self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN
     }
 
-    /// Returns the minimiser of (4) of [`super`] within the bounds of the mode and of the machine; `None` if there is
-    /// no solution.
+    /// Returns the minimiser of (4) of [`super`] within the bounds of the mode and of the machine; `None` if none is
+    /// found.
     ///
     /// Most segments are far from the machine's limits. A segment gets rows for the limits if the motion without them
     /// exceeds a limit, with more and more of its neighbours. The largest velocity can lie anywhere in the segment: the

@@ -36,7 +36,8 @@ use crate::{ScheduleError, hermite::coefficients};
 const MAX_LOCAL_ROUNDS: usize = 200;
 
 /// Returns the motion along the spline of (5) of [`super`], the number of rounds, and the number of cuts. It lengthens
-/// the times in `timing` until every limit is kept; without `stretch` an excess is an error.
+/// the times in `timing` until every limit is kept. An excess is an error without `stretch`, or after the largest
+/// number of rounds.
 pub(super) fn motion(
     path: &ToolPath,
     dwell: &DwellTime,

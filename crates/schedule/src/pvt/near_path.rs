@@ -66,8 +66,8 @@ impl NearPath {
         from_chord(point, &[[0.0; 2], self.displacement_mm[i]]) <= self.tolerance_mm
     }
 
-    /// Returns true if the Hermite cubic of segment `i` with the end velocities `from` and `to` stays within the
-    /// tolerance.
+    /// Returns true if the Hermite cubic of segment `i` with the end velocities `from` and `to`, mm/s, and the duration
+    /// `h`, s, stays within the tolerance.
     fn cubic_is_near(&self, i: usize, from: Point, to: Point, h: f64) -> bool {
         if self.hull_is_near(i, from, to, h) {
             return true;
@@ -105,8 +105,9 @@ impl NearPath {
         far.collect()
     }
 
-    /// Returns the largest multiple, up to 1, of `velocity` at an inner node with which both segments beside it stay
-    /// within the tolerance. It is 0 if the velocity points back along one of them.
+    /// Returns the largest multiple, up to 1, of `velocity` at an inner node with which the middle coefficient beside
+    /// it on both segments, (1) of the module, is within half of the tolerance of the nearer half of the segment. It is
+    /// 0 if the velocity points back along one of them. `h` (N) are the durations, s.
     pub(super) fn held(&self, node: usize, velocity: Point, h: &[f64]) -> Point {
         let ahead = [0, 1].map(|a| self.displacement_mm[node][a]);
         let backwards = [0, 1].map(|a| self.displacement_mm[node - 1][a]);

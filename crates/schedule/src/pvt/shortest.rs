@@ -118,9 +118,10 @@ struct ShortestAxis<'a> {
 pub(super) struct Search<'a> {
     axes: [ShortestAxis<'a>; 2],
     near: &'a NearPath,
-    /// Wanted time of every segment (N), s: the dwell time, or the least time of its mean velocity.
+    /// Wanted time of every segment (N), s: the dwell time, or, if that is larger, the least time by its mean velocity
+    /// and the controller.
     wanted_s: &'a [f64],
-    /// Least time of every segment, s: the wanted time, but not below [`LEAST_ROUNDINGS`].
+    /// Least time of every segment, s: the wanted time, but at least [`LEAST_ROUNDINGS`] roundings of the total time.
     least_s: Vec<f64>,
 }
 

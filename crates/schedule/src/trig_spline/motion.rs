@@ -30,8 +30,8 @@ pub(super) struct Motion<'a> {
 }
 
 impl<'a> Motion<'a> {
-    /// Returns the motion along all passes. `report` contains the changes of their densities; the motion adds its own
-    /// errors.
+    /// Returns the motion along all passes, with the links before, between and after them. `report` contains the
+    /// changes of their densities; the motion adds its links, dropped segments and error of the fit.
     pub(super) fn along(
         path: &'a ToolPath,
         dwell: &'a DwellTime,
