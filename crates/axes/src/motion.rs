@@ -97,8 +97,8 @@ pub fn motion(
     Ok((executed, report))
 }
 
-/// Returns the sum of the times by which the executed pieces are longer than planned, s, over the pieces whose index is
-/// `chosen`.
+/// Returns the sum of the times by which the executed pieces are longer than planned, s, over the pieces for whose
+/// index `chosen` returns true.
 fn added_s(executed: &AxesMotion, pieces: &[AxesPiece], chosen: impl Fn(usize) -> bool) -> f64 {
     let chosen = (0..pieces.len()).filter(|k| chosen(*k));
     chosen.map(|k| executed.duration_s(k) - pieces[k].duration_s()).sum()

@@ -37,8 +37,8 @@ const JUDGED_INTERVALS: [usize; 2] = [4, 64];
 /// [`crate::limits`].
 const MAX_BULGE: f64 = 1e-3;
 
-/// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: rounding of
-/// accelerations, divided by the time between them, fails. Chosen: no drive resolves it.
+/// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: motions at the limit
+/// fail because of the rounding of accelerations, divided by the time between them. Chosen: no drive resolves it.
 const JERK_ALLOWANCE: f64 = 1e-6;
 
 /// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, as a fraction of the
@@ -53,7 +53,7 @@ const NEAR_A_LIMIT: f64 = 0.9;
 /// less exact ones. Chosen.
 const REPORTED_TIMES: usize = 8;
 
-/// Further axes of a plan, with the average in time that bounds the jerk of its motion.
+/// Further axes of a plan (those beyond x and y), with the average in time that bounds the jerk of its motion.
 #[derive(Clone, Copy)]
 pub struct Further<'a> {
     axes: &'a dyn FurtherAxes,
@@ -178,7 +178,7 @@ impl<'a> Further<'a> {
     }
 
     /// Returns velocity and acceleration over the limits, by (1) of the module, at equally spaced times of a cubic
-    /// piece (times, axes).
+    /// piece (times, axes), ends included. `None` where an axis has no position or no derivative.
     fn sampled(&self, segment: &Segment<'_>, intervals: usize) -> Option<Vec<Vec<[f64; 2]>>> {
         (0..=intervals)
             .map(|k| {
@@ -269,10 +269,10 @@ impl<'a> Further<'a> {
         all
     }
 
-    /// Returns the factor by which accelerations of every axis on every span of the mesh are too large (spans, axes);
-    /// at most 1 where it keeps its limits. If the motion is averaged, it judges the averaged motion, for every span
-    /// that takes part in the average. `span` has the index of the span for every segment of the `planned` motion;
-    /// there are `spans` of them.
+    /// Returns the largest ratio to a limit of every axis on every span of the mesh (spans, axes), as a factor on
+    /// accelerations; at most 1 where the axis keeps its limits. If the motion is averaged, it judges the averaged
+    /// motion, for every span that takes part in the average. `span` has the index of the span for every segment of the
+    /// `planned` motion; there are `spans` of them.
     /// # Errors
     ///
     /// Fails where the motion cannot be averaged.
@@ -338,21 +338,22 @@ impl<'a> Further<'a> {
     }
 }
 
-/// Raises the excess of every axis on a span to that of a cubic piece that lies on it.
+/// Raises the largest ratio of every axis on a span to that on a cubic piece of this span, if that is larger.
 fn raise(excess_of_span: &mut [f64], used: &[Used]) {
     for (most, used) in excess_of_span.iter_mut().zip(used) {
         *most = most.max(as_acceleration(used));
     }
 }
 
-/// Returns the ratios to the limits less the allowances for rounding.
+/// Returns the ratios to the limits, divided by 1 plus the allowances for rounding.
 fn without_rounding([velocity, acceleration, jerk]: &Used) -> Used {
     let [velocity, acceleration] = [velocity, acceleration].map(|u| u / (1.0 + LIMIT_ALLOWANCE));
     [velocity, acceleration, jerk / (1.0 + JERK_ALLOWANCE)]
 }
 
-/// Returns the largest ratio to a limit as a factor on accelerations. If all times are longer by a factor, a velocity
-/// is lower by this factor and an acceleration by its square.
+/// Returns the largest of three ratios to limits: that of the acceleration, that of the jerk, and the square of that of
+/// the velocity. If all times are longer by a factor, a velocity is lower by this factor and an acceleration by its
+/// square.
 fn as_acceleration(used: &Used) -> f64 {
     let [velocity, acceleration, jerk] = without_rounding(used);
     velocity.powi(2).max(acceleration).max(jerk)

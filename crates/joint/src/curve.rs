@@ -7,9 +7,9 @@
 //! b = x_L + y_L tan(phi / 2),   e = y_L / cos(phi / 2)  the deviation at the vertex                   (2)
 //! ```
 //!
-//! Heading and curvature are continuous, so the acceleration across the path rises from zero and falls to it;
-//! arc length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). Segments in line with each
-//! other are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve
+//! Heading and curvature are continuous, so the acceleration across the path rises from zero and falls to it; arc
+//! length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). Segments in line with each other
+//! are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve
 //! follows it: there the machine comes to rest, and the next curve begins.
 //!
 //! The points of a bent path, such as a spiral, are no corners. Where several vertices in a row turn little, the curve
@@ -69,12 +69,12 @@ const SMOOTHING_SWEEPS: usize = 200;
 /// and a little more bend. Smaller: more sweeps. Chosen: the bend does not depend on a thousandth of the bound.
 const SMOOTHED_FINALLY: f64 = 1e-3;
 
-/// Largest turn of a vertex that may be a sample of a bent path, rad. Larger: real corners of a polygon are rounded over all
-/// of their lines. Smaller: coarsely sampled bends keep their corners. Chosen: 18 samples of a circle.
+/// Largest turn of a vertex that may be a sample of a bent path, rad. Larger: real corners of a polygon are rounded
+/// over all of their lines. Smaller: coarsely sampled bends keep their corners. Chosen: 18 samples of a circle.
 const BENT_TURN_RAD: f64 = PI / 9.0;
 
-/// Largest ratio of the lengths of neighbouring chords between samples of a bent path. Larger: lines beside short chords are
-/// bent. Smaller: unevenly sampled bends keep their corners. Chosen.
+/// Largest ratio of the lengths of neighbouring chords between samples of a bent path. Larger: lines beside short
+/// chords are bent. Smaller: unevenly sampled bends keep their corners. Chosen.
 const MOST_UNEVEN: f64 = 2.0;
 
 /// Least number of vertices in a row that are samples of a bent path. Larger: short bends keep their corners. Smaller:

@@ -168,7 +168,8 @@ impl JointReport {
 /// Removal rates of a plan for a tool whose rate depends on the time of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatesOfTime {
-    /// Number of plans, each with the rates at the times of the previous one.
+    /// Number of plans: the first with the rate of the TIF, each further one with the rates at the times of the
+    /// previous one.
     pub rounds: usize,
     /// Largest relative difference between a rate that the plan uses and the rate at the times of the plan.
     pub rate_error: f64,
@@ -516,8 +517,8 @@ fn as_run(
 }
 
 /// Returns a motion that keeps the limits of the further axes: the same one, or one with all times longer. A motion
-/// whose use of a limit is above [`HOPELESS`] is returned as it is, and refused. The second value is the reason why the
-/// motion is refused, the third the factor on all times; `None` if there is none.
+/// whose ratio to a limit (as a factor on accelerations) is above [`HOPELESS`] is returned as it is, and refused. The
+/// second value is the reason why the motion is refused, the third the factor on all times; `None` if there is none.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -557,18 +558,20 @@ fn first_mesh(
     Ok((mesh, if taken_mm > spacing_mm { Some(widened) } else { None }))
 }
 
-/// Largest ratio of the density that the velocity limit of a further axis demands to the largest that x and y demand.
-/// Larger: a plan that stands still near the centre of a spindle. Smaller: paths that pass near it are refused. Chosen:
-/// a tool that takes ten thousand times as long over a point removes far too much there.
+/// Largest ratio of the dwell-time density that the velocity limit of a further axis demands to the inverse of the
+/// smaller velocity limit of x and y. Larger: a plan that stands still near the centre of a spindle. Smaller: paths
+/// that pass near it are refused. Chosen: a tool that takes ten thousand times as long over a point removes far too
+/// much there.
 const MOST_SLOWED: f64 = 1e4;
 
 /// Number of parts of every span at whose ends [`check_further`] evaluates the axes. Larger: more time. Smaller: paths
 /// are refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
 const CHECKED_PARTS: usize = 32;
 
-/// Largest change of a derivative between two points of [`check_further`] that its second derivatives there do not
-/// explain, over the derivative. Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen:
-/// where an axis is resolved it is some percent, and 2 where the tool passes the centre of a spindle.
+/// Largest change of the first derivative of an axis between two points of [`check_further`], beyond what its second
+/// derivatives there explain, as a fraction of the first derivative. Larger: the plan may miss a limit there. Smaller:
+/// steep axes are refused. Chosen: where an axis is resolved it is some percent, and 2 where the tool passes the centre
+/// of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
 /// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns within a part of a span.

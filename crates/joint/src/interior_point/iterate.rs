@@ -115,7 +115,8 @@ impl Products {
         }
     }
 
-    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`.
+    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`; it lowers no
+    /// product by more than ten times `mu`.
     fn correction(&self, mu: f64) -> Self {
         let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
             let clamped = products.iter().map(|v| v.clamp(mu / OUTLIER, mu * OUTLIER));
@@ -360,7 +361,8 @@ impl<'a> Iterate<'a> {
         step
     }
 
-    /// Goes the longest step that is allowed, and returns the complementarity at its end by the tangents.
+    /// Goes the longest allowed part of a step, for densities and slacks and separately for dual variables. Returns the
+    /// complementarity at its end by the tangents of the rows.
     pub(super) fn advance(&mut self, step: &Step) -> f64 {
         let (length, to) = self.primal(step);
         let b = self.dual(step);

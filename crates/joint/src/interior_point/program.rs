@@ -27,10 +27,11 @@ const LEFT_TO_SINGLE: f64 = 1e-4;
 
 /// Program (1) of [`super`]: curvature of the objective, bounds and rows.
 pub struct Program<'a> {
-    /// Curvature of the objective without its chain, in an order of its own.
+    /// Second derivatives of half the mean square of the residual (the normal matrix), with the nodes in an order of
+    /// their own.
     pub normal: &'a Normal,
-    /// Rest of the curvature (the chain), which couples neighbouring nodes only: diagonal (n), and element (j, j - 1)
-    /// for every j (n; the first unused).
+    /// Other second derivatives of the objective (the chain), which couple neighbouring nodes only: diagonal (n), and
+    /// element (j, j - 1) for every j (n; the first unused).
     pub chain: (&'a [f64], &'a [f64]),
     /// Least densities of the nodes (lo, n), s/mm.
     pub lo: &'a [f64],
@@ -40,7 +41,8 @@ pub struct Program<'a> {
 
 impl<'a> Program<'a> {
     /// Returns the inverse of the normal matrix plus a tridiagonal matrix, given by its diagonal (n) and its elements
-    /// (j, j - 1) (n). `row_of` has the row of every node. `None` if the sum is singular to rounding.
+    /// (j, j - 1) (n). `row_of` has the row of the normal matrix of every node. `None` if the sum is singular to
+    /// rounding.
     pub(super) fn inverse(
         &self,
         row_of: &[usize],

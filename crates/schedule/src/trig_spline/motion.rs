@@ -286,9 +286,9 @@ struct Cubic {
 /// pieces stay unproven that another halving would prove.
 const MAX_HALVINGS: usize = 20;
 
-/// Ratio of the largest error at the check points of a stretch to the tolerance. The error of Hermite interpolation has
-/// one hump, u^2 (1-u)^2, which is at most 2 % higher between two check points. Larger: the error between them can
-/// exceed the tolerance. Smaller: more cubics.
+/// Largest ratio of the error at the check points of a stretch to the tolerance at which a cubic is accepted. The error
+/// of Hermite interpolation has one hump, u^2 (1-u)^2, which is at most 2 % higher between two check points. Larger:
+/// the error between them can exceed the tolerance. Smaller: more cubics.
 const FIT_SAFETY: f64 = 0.95;
 
 impl CubicFit {

@@ -204,7 +204,8 @@ impl Pass {
     }
 
     /// Returns the densities of the dwell points that give every straight its time, s/mm. Row k of the system has the
-    /// time that a density of 1 at the dwell points k-1, k, k+1 gives straight k.
+    /// time that a density of 1 at the dwell points k-1, k, k+1 gives straight k. A density that would fall below half
+    /// of the mean density of its straight is held there, so that the straight may take longer.
     fn densities(&self, times: &[f64], report: &mut TrigSplineReport) -> Vec<f64> {
         let n = self.straights.len();
         let mut rows = vec![[0.0; 3]; n];

@@ -37,8 +37,8 @@ pub(super) const MAX_ROUNDS: usize = 60;
 /// result.
 const MAX_CHANGES: usize = 2000;
 
-/// Gradient that counts as zero, relative to the norm of the right-hand side. Larger: the method ends
-/// before the minimum. Smaller: rounding releases bounds without end.
+/// Derivative by an unknown over the norm of its column in J that counts as zero, relative to the norm of the
+/// right-hand side. Larger: the method ends before the minimum. Smaller: rounding releases bounds without end.
 const ROUNDING: f64 = 1e-13;
 
 /// State of an unknown: held at its lower bound, free, or held at its upper bound.

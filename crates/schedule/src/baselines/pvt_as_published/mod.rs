@@ -97,7 +97,7 @@ pub struct AsPublishedReport {
     pub largest_reverse_velocity_mm_per_s: [f64; 2],
     /// Largest step of the acceleration at an inner node of the motion (cubics of Eq. 8 of the source), mm/s^2.
     pub largest_acceleration_step_mm_per_s2: [f64; 2],
-    /// Number of nodes whose velocity is at a bound of Eq. 18 of the source.
+    /// Number of inner nodes whose velocity is at a bound of Eq. 16 or 18 of the source.
     pub velocities_at_a_bound: [usize; 2],
     /// Number of factorisations of the active set method. It is more than 60 if the sets repeated; the method then
     /// changed one bound at a time, starting from the solution of the interior point method.
