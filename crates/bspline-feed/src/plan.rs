@@ -266,9 +266,9 @@ const LINK_TOLERANCE: f64 = 1e-3;
 /// Plans feed and motion along `path` for the desired removal `surface`.
 ///
 /// # Errors
-/// Refuses settings out of range, a TIF that varies along the path, and surface, TIF and path that do not fit together.
-/// Refuses a path that turns inside the clear aperture, a tool that does not reach the part, and a problem that takes
-/// too much memory. Fails if a quadratic program is not solved, or if the limits allow no motion.
+/// Refuses settings out of range, a TIF that varies over the part or in time, and surface, TIF and path that do not fit
+/// together. Refuses a path that turns inside the clear aperture, a tool that does not reach the part, and a problem
+/// that takes too much memory. Fails if a quadratic program is not solved, or if the limits allow no motion.
 pub fn plan(
     surface: &Surface,
     tif: &Tif,
@@ -478,7 +478,7 @@ fn deconvolution_settings(settings: &FeedSettings) -> DeconvolutionSettings {
 }
 
 /// Returns the FWHM of the Gaussian with the second moment of the TIF, mm: `sqrt(8 ln 2) sigma`, `sigma^2 = integral R
-/// r^2 / (2 integral R)`, about its centre of mass. It is at least the sample step of the TIF.
+/// r^2 / (2 integral R)`, about its centre of mass. It is at least the larger sample step of the TIF.
 pub fn width_mm(tif: &Tif) -> f64 {
     let grid = tif.grid();
     let mass = moment(tif, |_, _| 1.0);
