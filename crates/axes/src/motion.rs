@@ -208,15 +208,15 @@ fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
 }
 
 /// Returns the angle between tool and normal after the fraction `part` (0 to 1) of the duration of segment `k`,
-/// degrees; 0 if the tool meets no surface.
+/// degrees. It is 0 if the tool meets no surface.
 fn off_normal_deg(map: &AxisMap, executed: &AxesMotion, k: usize, part: f64) -> f64 {
     let u = part * executed.duration_s(k);
     let q: Vec<f64> = executed.segment(k).iter().map(|c| evaluate(c, u)).collect();
     map.contact(&q).map_or(0.0, |contact| contact.off_normal_deg)
 }
 
-/// Largest distance of an executed motion from the path, with its time, and largest magnitude of the gap between the
-/// tip of the tool and the surface.
+/// Largest distance of an executed motion from the path, with its time. Largest magnitude of the gap between the tip of
+/// the tool and the surface.
 struct Farthest {
     distance_mm: f64,
     time_s: f64,

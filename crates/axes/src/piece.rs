@@ -71,7 +71,7 @@ pub(crate) fn cubic([q0, v0]: State, [q1, v1]: State, h: f64) -> [f64; 4] {
     [q0, v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
 }
 
-/// Returns position, velocity and acceleration of the contact point along x and y, mm and s, at the local time `u` of a
+/// Returns position, velocity and acceleration of the contact point along x and y, mm and s. `u` is the local time of a
 /// segment with the coefficients `c`.
 pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     c.each_ref().map(|c| {

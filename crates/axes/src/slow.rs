@@ -135,9 +135,9 @@ fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<
     all
 }
 
-/// Returns the factors of the stretch at the ends of the pieces: the largest need within `window_s` to both sides,
-/// averaged twice over half of that, and at least the need of both pieces beside. `need` is the factor that each piece
-/// needs.
+/// Returns the factors of the stretch at the ends of the pieces; `need` is the factor that each piece needs. They are
+/// the largest need within `window_s` to both sides, averaged twice over half of that. No factor is below the need of a
+/// piece beside it.
 fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut time_s = vec![0.0];
     for piece in pieces {

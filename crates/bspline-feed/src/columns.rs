@@ -106,9 +106,9 @@ pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<
     columns
 }
 
-/// Relative change (RMS) of the removal by a span, when the number of its parts is doubled, below which the parts are
-/// enough; 0.1 nm of 50 nm. The change differs from pixel to pixel, and the many spans that reach a pixel average it to
-/// a small part of the residual. Larger: a larger error of the removal. Smaller: more parts, more time.
+/// Relative change (RMS) of the removal by a span below which its parts are enough, when their number is doubled. It is
+/// 0.1 nm of 50 nm. The change differs from pixel to pixel, and the many spans that reach a pixel average it to a small
+/// part of the residual. Larger: a larger error of the removal. Smaller: more parts, more time.
 const PARTS_TOLERANCE: f64 = 2e-3;
 
 /// Largest number of parts of a span between two knots. For a TIF that ends abruptly (a flat pad) the error at its end
@@ -181,7 +181,7 @@ fn support_box(pass: &Pass, knots: &Knots, i: usize) -> [(f64, f64); 2] {
 }
 
 /// Returns the indices of the first and last pixel along x, and along y, that a tool reaches while its position stays
-/// in the box `place` (smallest and largest x, then y, mm). `None` if it reaches none.
+/// in `place`. This box has the smallest and largest x, then y, mm. `None` if it reaches none.
 fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usize, usize); 2]> {
     let map = surface.grid();
     let tool = tif.grid();
@@ -198,8 +198,8 @@ fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usiz
     Some([x?, y?])
 }
 
-/// Makes a column of zeros on the pixels that a tool reaches while its position stays in the box `place` (smallest and
-/// largest x, then y, mm).
+/// Makes a column of zeros on the pixels that a tool reaches while its position stays in `place`. This box has the
+/// smallest and largest x, then y, mm.
 pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Column {
     match bounds(place, tif, surface) {
         Some([x, y]) => {

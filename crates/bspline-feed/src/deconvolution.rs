@@ -174,9 +174,9 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Runs sweeps of knot removal from a start within the limits, until the objective falls by no more than the
-    /// tolerance, a sweep raises it, or `max_sweeps` are done. `other_nm` (ny, nx) is the removal by other parts of the
-    /// motion. The objective of the result is not larger than that of the start.
+    /// Runs sweeps of knot removal from a start within the limits. They end when the objective falls by no more than
+    /// the tolerance, when a sweep raises it, or after `max_sweeps`. `other_nm` (ny, nx) is the removal by other parts
+    /// of the motion. The objective of the result is not larger than that of the start.
     ///
     /// # Errors
     /// Returns the failure of the quadratic program of a pass.

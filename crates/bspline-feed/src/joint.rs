@@ -70,7 +70,7 @@ const FIRST_SLACK: f64 = 0.1;
 /// close. Smaller: short steps after the constraint is added.
 const LEAST_SLACK: f64 = 1e-3;
 
-/// Fraction of the wanted gap to which a program with kept tangents is solved before its bound is compared; the rest is
+/// Fraction of the wanted gap to which a program with kept tangents is solved before its bound is compared. The rest is
 /// for the change of the tangents. Larger: more rounds of tangents. Smaller: more steps per program.
 const PROGRAM_TOLERANCE: f64 = 0.3;
 
@@ -439,7 +439,7 @@ impl<'a> Joint<'a> {
     }
 
     /// Returns the places (index of the pass, arc length in mm) of the peaks at which the acceleration exceeds the
-    /// accepted limit, and places a little before and after each.
+    /// accepted limit. Places a little before and after each peak are included.
     fn excess(&self, d: &[f64]) -> Vec<(usize, f64)> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -492,8 +492,8 @@ impl System<'_> {
 }
 
 impl Iterate {
-    /// Returns the fraction of this step, at most 1, that takes the slacks and dual variables of `iterate` at most the
-    /// fraction [`STEP_TO_BOUNDARY`] of the way to 0.
+    /// Returns the fraction of this step, at most 1, that may be taken from `iterate`. Its slacks and dual variables go
+    /// at most the fraction [`STEP_TO_BOUNDARY`] of the way to 0.
     fn longest(&self, iterate: &Self) -> f64 {
         let slack = longest_positive(&iterate.s, &self.s);
         (STEP_TO_BOUNDARY * slack.min(longest_positive(&iterate.w, &self.w))).min(1.0)

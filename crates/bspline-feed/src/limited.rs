@@ -97,7 +97,7 @@ pub struct Peak {
 }
 
 /// Returns the local maxima of the magnitude of the acceleration above `threshold`, mm/s^2, in the order of the arc
-/// length; both ends of the pass can be among them.
+/// length. Both ends of the pass can be among them.
 pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
     let mut places: Vec<f64> = Vec::new();
     for span in knots.breaks().windows(2) {
@@ -150,9 +150,9 @@ pub fn highest_peak(knots: &Knots, d: &[f64]) -> Peak {
 
 /// Does one step of the convex-concave procedure of the module from the control values `current` (positive), s/mm.
 ///
-/// `rows_mm` are the arc lengths of the constraints (2), mm: on entry those of the step before, on return those at
-/// which the acceleration exceeds half of its limit. If the limit is still exceeded after the rounds, a constant is
-/// added to all control values until it is kept.
+/// `rows_mm` are the arc lengths of the constraints (2), mm. On entry they are those of the step before, on return
+/// those at which the acceleration exceeds half of its limit. If the limit is still exceeded after the rounds, a
+/// constant is added to all control values until it is kept.
 ///
 /// # Errors
 /// Returns the status or the error of the solver if it does not solve a quadratic program.

@@ -258,9 +258,9 @@ impl FeedPlan {
 /// last one this removal must no longer change. Larger: more time. Smaller: plans end with `link-limit`.
 const MAX_ROUNDS: usize = 5;
 
-/// Largest change of the removal by the links at a pixel between two rounds, as a fraction of the RMS of the residual,
-/// up to which the removal counts as settled. Larger: the plan knows the removal by the links less exactly. Smaller:
-/// more rounds.
+/// Largest change of the removal by the links, at a pixel and between two rounds, that counts as settled. It is a
+/// fraction of the RMS of the residual. Larger: the plan knows the removal by the links less exactly. Smaller: more
+/// rounds.
 const LINK_TOLERANCE: f64 = 1e-3;
 
 /// Plans feed and motion along `path` for the desired removal `surface`.

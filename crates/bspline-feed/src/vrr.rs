@@ -75,8 +75,8 @@ pub fn density_s_per_mm(z_nm: f64, pitch_mm: f64, vrr_nm_mm2_per_s: f64, least: 
     (z_nm * pitch_mm / vrr_nm_mm2_per_s).max(least)
 }
 
-/// Returns the objective (2) of the module, half of the integral of the squared distance of the spline to the dwell
-/// density `wanted(s)`, as a quadratic of the control values.
+/// Returns the objective (2) of the module as a quadratic of the control values. It is half of the integral of the
+/// squared distance of the spline to the dwell density `wanted(s)`.
 pub fn closest(knots: &Knots, wanted: impl Fn(f64) -> f64) -> Quadratic {
     let n = knots.len();
     let mut p = Array2::zeros((n, n));

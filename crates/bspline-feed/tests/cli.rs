@@ -13,8 +13,8 @@ fn machine(axes: &[(&str, f64, f64)]) -> String {
     json!({"name": "m", "axes": axes.iter().map(axis).collect::<Vec<_>>()}).to_string()
 }
 
-/// Writes the inputs into `dir`: a map of 6 x 2 mm with a wave, a Gaussian TIF of 0.5 mm, and three passes with turns
-/// outside of the map.
+/// Writes the inputs into `dir`: a map of 6 x 2 mm with a wave, a Gaussian TIF (sigma 0.5 mm), and three passes that
+/// turn outside of the map.
 fn prepare(dir: &Path) {
     let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
     let grid = Grid { x: axis(0.0, 25), y: axis(0.0, 9) };

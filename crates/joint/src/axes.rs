@@ -60,8 +60,8 @@ pub struct Further<'a> {
     average: Option<Average>,
 }
 
-/// First and second derivative of the position of a further axis by arc length at a point of a curve, divided by the
-/// limits that the plan keeps before averaging.
+/// First and second derivative of the position of a further axis by arc length, at a point of a curve. They are divided
+/// by the limits that the plan keeps before averaging.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scaled {
     /// Least dwell-time density that the velocity limit allows, |q'| / V, s/mm.
@@ -169,9 +169,9 @@ impl<'a> Further<'a> {
         Some(values)
     }
 
-    /// Returns the largest difference between the accelerations of a further axis, as a fraction of its limit, for two
-    /// accelerations `a` of a contact point with position `p` and velocity `v`. It is 0 where an axis has no position
-    /// or no derivative.
+    /// Returns the largest difference between the accelerations of a further axis for two accelerations `a` of the
+    /// contact point, as a fraction of the limit. Position `p` and velocity `v` are the same for both. It is 0 where an
+    /// axis has no position or no derivative.
     pub fn acceleration_error(&self, p: [f64; 2], v: [f64; 2], a: [[f64; 2]; 2]) -> f64 {
         let [Some(first), Some(second)] = a.map(|a| self.of_motion(p, v, a)) else { return 0.0 };
         first.iter().zip(second).map(|(a, b)| (a[1] - b[1]).abs()).fold(0.0, f64::max)
@@ -270,9 +270,9 @@ impl<'a> Further<'a> {
     }
 
     /// Returns the largest ratio to a limit of every axis on every span of the mesh (spans, axes), as a factor on
-    /// accelerations; at most 1 where the axis keeps its limits. If the motion is averaged, it judges the averaged
-    /// motion, for every span that takes part in the average. `span` has the index of the span for every segment of the
-    /// `planned` motion; there are `spans` of them.
+    /// accelerations. It is at most 1 where the axis keeps its limits. If the motion is averaged, it judges the
+    /// averaged motion, for every span that takes part in the average. `span` has the index of the span for every
+    /// segment of the `planned` motion; there are `spans` of them.
     /// # Errors
     ///
     /// Fails where the motion cannot be averaged.
@@ -306,8 +306,8 @@ impl<'a> Further<'a> {
         Ok(of_spans)
     }
 
-    /// Returns the least factor on all times with which the motion keeps the limits of the further axes: 1 if it keeps
-    /// them already, and infinity if a ratio of [`Self::used`] is infinite.
+    /// Returns the least factor on all times with which the motion keeps the limits of the further axes. It is 1 if the
+    /// motion keeps them already, and infinite if a ratio of [`Self::used`] is.
     pub fn slower_by(&self, trajectory: &Trajectory) -> f64 {
         let used = self.used(trajectory);
         let factors = used.iter().flatten().map(|used| {

@@ -102,8 +102,8 @@ impl Bends {
 }
 
 impl Shape {
-    /// Returns the factors of the angles phi_0 and phi_1 (headings at both ends, from the chord) in the curvatures at
-    /// the start and at the end times the length, by (1) or (2) of the module.
+    /// Returns the factors of the angles phi_0 and phi_1 in the curvatures at the start and at the end, times the
+    /// length, by (1) or (2) of the module. The angles are the headings at both ends, from the chord.
     fn factors(&self) -> [[f64; 2]; 2] {
         match *self {
             Self::One => [[-4.0, -2.0], [2.0, 4.0]],
@@ -162,8 +162,8 @@ struct Chord {
 /// Spline during its solution: the chords, and the headings so far.
 struct Spline {
     chords: Vec<Chord>,
-    /// Angles from the chord after a point to the heading of the curve there, rad, positive to the left; at the last
-    /// point from the chord before it.
+    /// Angles from the chord after a point to the heading of the curve there, rad, positive to the left. At the last
+    /// point it is from the chord before it.
     angles_rad: Vec<f64>,
     ends: [End; 2],
 }

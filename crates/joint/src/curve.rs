@@ -136,8 +136,8 @@ impl Curve {
         self.pieces.last().map_or(0.0, CurvePiece::to_mm)
     }
 
-    /// Returns the largest distance of the curve, at its corners and along its bent parts, from the points and lines it
-    /// was made of (those after smoothing), mm.
+    /// Returns the largest distance of the curve from the points and lines it was made of, mm, at its corners and along
+    /// its bent parts. These points are those after smoothing.
     pub fn deviation_mm(&self) -> f64 {
         self.corners.iter().map(|c| c.deviation_mm).fold(self.bent_deviation_mm, f64::max)
     }
@@ -359,8 +359,8 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
     (point_mm, moved_mm)
 }
 
-/// Splits the indices `at` of the points of a path into runs, each from a point that must stay (see [`smoothed`]) to
-/// the next such point, both included.
+/// Splits the indices `at` of the points of a path into runs, each from a point that must stay to the next such point,
+/// both included. [`smoothed`] says which points must stay.
 fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     let mut runs = vec![vec![at[0]]];
     for w in at.windows(3) {

@@ -113,8 +113,8 @@ impl Span {
         }
     }
 
-    /// Returns the motion at the fraction `tau` (0 to 1) of the time of the span, by (3) of the module, for the
-    /// densities of its nodes, s/mm. All derivatives are at fixed `tau`.
+    /// Returns the motion at the fraction `tau` (0 to 1) of the time of the span, by (3) of the module. The densities
+    /// of its nodes are in s/mm. All derivatives are at fixed `tau`.
     pub fn kinematics(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let l = self.length_mm();
         let t = tau;

@@ -106,8 +106,8 @@ struct Cubic {
     length_mm: f64,
     /// Distance from the exact motion q(s(u)) at the middle of its time, mm.
     fit_error_mm: f64,
-    /// Largest difference of its acceleration at its ends from that of the exact motion q(s(u)), as a fraction of the
-    /// limit, over x, y and the further axes.
+    /// Largest difference of an acceleration of x, y or a further axis at its ends from that of the exact motion
+    /// q(s(u)), as a fraction of the limit.
     acceleration_error: f64,
 }
 

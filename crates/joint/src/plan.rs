@@ -568,10 +568,10 @@ const MOST_SLOWED: f64 = 1e4;
 /// are refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
 const CHECKED_PARTS: usize = 32;
 
-/// Largest change of the first derivative of an axis between two points of [`check_further`], beyond what its second
-/// derivatives there explain, as a fraction of the first derivative. Larger: the plan may miss a limit there. Smaller:
-/// steep axes are refused. Chosen: where an axis is resolved it is some percent, and 2 where the tool passes the centre
-/// of a spindle.
+/// Largest change of the first derivative of an axis between two points of [`check_further`] that its second
+/// derivatives there do not explain. It is a fraction of the first derivative. Larger: the plan may miss a limit there.
+/// Smaller: steep axes are refused. Chosen: where an axis is resolved it is some percent, and 2 where the tool passes
+/// the centre of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
 /// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns within a part of a span.

@@ -55,9 +55,10 @@ const LAST_GAIN: f64 = 0.25;
 /// Larger: rounds that gain nothing, although a short step would. Smaller: more simulations. Chosen.
 const LEAST_PART: f64 = 0.05;
 
-/// Ratio to a limit of a further axis, as a factor on accelerations, above which no round tightens its rows: the path
-/// passes a place where the axis steps, or where it has no position. Larger: rounds that gain nothing. Smaller: plans
-/// are refused that could still be mended. Chosen: rows of an axis that moves smoothly are exceeded by some percent.
+/// Ratio to a limit of a further axis, as a factor on accelerations, above which no round tightens its rows. The path
+/// then passes a place where the axis steps, or where it has no position. Larger: rounds that gain nothing. Smaller:
+/// plans are refused that could still be mended. Chosen: rows of an axis that moves smoothly are exceeded by some
+/// percent.
 pub const HOPELESS: f64 = 30.0;
 
 /// Factor by which rows are tightened beyond the measured ratio to a limit. Larger: spans that use less than the limit.
@@ -82,8 +83,8 @@ pub const LITTLE_WORK: f64 = 1.5e8;
 /// are compared. Smaller: more steps for each of them. Chosen.
 const COMPARABLE: f64 = 0.03;
 
-/// Ratio of the product m T^x (mean square m, total time T, elasticity x) of another plan to that of the best one so
-/// far below which the other plan is taken. Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better
+/// Ratio of the product m T^x of another plan to that of the best one so far, below which the other plan is taken (mean
+/// square m, total time T, elasticity x). Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better
 /// plans are missed. Chosen.
 const CLEARLY_LESS: f64 = 0.95;
 

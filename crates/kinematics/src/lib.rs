@@ -104,9 +104,9 @@ impl AxisMap {
         self.axes
     }
 
-    /// Returns the positions of the axes, mm and deg, in the order of the machine, while its contact point is `p`, mm,
-    /// in the coordinates of the part. The derivatives are by the parameter of `p`. `None` if the machine has an axis z
-    /// and the form does not exist at `p`. The axis c of a spindle is between -180 and 180 deg.
+    /// Returns the positions of the axes, mm and deg, in the order of the machine. The contact point is `p`, mm, in the
+    /// coordinates of the part. The derivatives are by the parameter of `p`. `None` if the machine has an axis z and
+    /// the form does not exist at `p`. The axis c of a spindle is between -180 and 180 deg.
     ///
     /// In the centre of a spindle, c is the azimuth of the direction in which the point moves, and 0 if it rests.
     pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {

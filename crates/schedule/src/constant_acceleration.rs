@@ -74,8 +74,8 @@ pub struct ConstantAccelerationReport {
     pub added_lifted_s: f64,
     /// Duration of the brake at the end of the motion, s.
     pub brake_s: f64,
-    /// Indices of the segments that the motion leaves out: they have no dwell time, and the tool is already at their
-    /// end (with the tool off, to rounding).
+    /// Indices of the segments that the motion leaves out. They have no dwell time, and the tool is already at their
+    /// end (to rounding if it is off).
     pub dropped: Vec<usize>,
 }
 

@@ -397,8 +397,8 @@ impl Interpolator {
 
     /// Runs one record and passes the references of its ticks to `emit`, in order.
     ///
-    /// Refuses a record that does not continue the previous one, a block outside of a pass, a cubic before the first
-    /// start of a pass, and a block whose numbers contradict each other.
+    /// Refuses a record that does not continue the previous one, and a block whose numbers contradict each other.
+    /// Refuses a block outside of a pass, and a cubic before the first start of a pass.
     pub fn push(&mut self, record: &Record, emit: impl FnMut(Reference)) -> Result<(), String> {
         match record {
             Record::Start { point_mm, arc_length_mm } => {

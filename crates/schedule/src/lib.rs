@@ -73,8 +73,8 @@ pub struct Schedule<R> {
 pub struct Scheduled {
     /// Motion of the tool.
     pub trajectory: Trajectory,
-    /// Segments whose time in the motion is not their dwell time (for `pvt` those that it stretched), in order: index
-    /// of the segment, and time in the motion, s.
+    /// Segments whose time in the motion is not their dwell time, in order: index of the segment, and time in the
+    /// motion, s. For `pvt` they are those that it stretched.
     pub changed: Vec<(usize, f64)>,
 }
 

@@ -34,7 +34,7 @@ const MAX_CENTRALITY_CORRECTIONS: usize = 3;
 const FURTHER: f64 = 0.3;
 
 /// Least gain of a correction in the length of the primal or the dual step, over [`FURTHER`], for it to be kept and
-/// another one to be tried; neither step may become shorter. Larger: fewer corrections. Smaller: corrections that gain
+/// another one to be tried. Neither step may become shorter. Larger: fewer corrections. Smaller: corrections that gain
 /// little. Chosen.
 const LEAST_GAIN: f64 = 0.1;
 
@@ -115,7 +115,7 @@ impl Products {
         }
     }
 
-    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`; it lowers no
+    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`. It lowers no
     /// product by more than ten times `mu`.
     fn correction(&self, mu: f64) -> Self {
         let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
@@ -258,7 +258,7 @@ impl<'a> Iterate<'a> {
         self.y.iter_mut().zip(&self.room).for_each(|(y, room)| *y = y.max(product / room));
     }
 
-    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow; it stays
+    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow. It stays
     /// at the anchor if that is less than [`LEAST_PART`] of the way. The following steps use the rows again.
     pub(super) fn move_towards_solution(&mut self) {
         let Some(anchor) = self.anchor.take() else { return };

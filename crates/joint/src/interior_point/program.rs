@@ -30,8 +30,8 @@ pub struct Program<'a> {
     /// Second derivatives of half the mean square of the residual (the normal matrix), with the nodes in an order of
     /// their own.
     pub normal: &'a Normal,
-    /// Other second derivatives of the objective (the chain), which couple neighbouring nodes only: diagonal (n), and
-    /// element (j, j - 1) for every j (n; the first unused).
+    /// Other second derivatives of the objective (the chain), which couple neighbouring nodes only. They are the
+    /// diagonal (n), and element (j, j - 1) for every j (n; the first unused).
     pub chain: (&'a [f64], &'a [f64]),
     /// Least densities of the nodes (lo, n), s/mm.
     pub lo: &'a [f64],

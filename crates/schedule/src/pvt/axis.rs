@@ -203,7 +203,7 @@ impl AxisProblem<'_> {
     }
 
     /// Returns the parts of the axis: one part in *smooth*. In *monotone* it cuts the axis at nodes at which the signs
-    /// of the displacements fix the velocity at zero, if the part then has at least [`LEAST_PART_SEGMENTS`].
+    /// of the displacements fix the velocity at zero. A part before a cut has at least [`LEAST_PART_SEGMENTS`].
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
         let mut parts = Vec::new();
@@ -445,8 +445,8 @@ impl AxisProblem<'_> {
         chain::ChainProgram { diagonal, beside, linear, free, price }
     }
 
-    /// Adds the rows (linear constraints) of segment `i` at the durations `h`, s, to `rows`: its velocity range, the
-    /// signs of the mode, and the limits of the machine if `limited` has the segment.
+    /// Adds the rows (linear constraints) of segment `i` at the durations `h`, s, to `rows`. They are its velocity
+    /// range, the signs of the mode, and the limits of the machine if `limited` has the segment.
     fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::ChainRows) {
         let dp = self.displacement_mm[i];
         if let Some([low, high]) = self.range_of(i) {

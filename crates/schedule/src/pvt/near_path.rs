@@ -106,9 +106,10 @@ impl NearPath {
         far.collect()
     }
 
-    /// Returns the largest multiple, up to 1, of `velocity` at an inner node with which the middle coefficient beside
-    /// it on both segments, (1) of the module, is within half of the tolerance of the nearer half of the segment. It is
-    /// 0 if the velocity points back along one of them. `h` (N) are the durations, s.
+    /// Returns the largest multiple, up to 1, of `velocity` with which both segments beside an inner node stay near.
+    /// The condition is that the middle coefficient beside the node, (1) of the module, is within half of the tolerance
+    /// of the nearer half of its segment. It is 0 if the velocity points back along one of them. `h` (N) are the
+    /// durations, s.
     pub(super) fn held(&self, node: usize, velocity: Point, h: &[f64]) -> Point {
         let ahead = [0, 1].map(|a| self.displacement_mm[node][a]);
         let backwards = [0, 1].map(|a| self.displacement_mm[node - 1][a]);

@@ -112,8 +112,8 @@ pub struct AsPublishedReport {
 /// Schedules `path` with the times `dwell`; no segment gets more time. The cubics are not checked against the limits
 /// inside of the segments.
 ///
-/// Refuses dwell times of another path, dwell times that are zero everywhere, and a dwell time of zero on a segment
-/// with a length, because its cubic would have no time. Fails if the least squares do not converge.
+/// Refuses dwell times of another path, and dwell times that are zero everywhere. Refuses a dwell time of zero on a
+/// segment with a length, because its cubic would have no time. Fails if the least squares do not converge.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -275,8 +275,9 @@ impl PublishedAxis {
         ]
     }
 
-    /// Returns all rows in order of the nodes: the row `A - a` of each node, times the square root of the number of its
-    /// segments, then the rows (3) of the module for the segment that starts there.
+    /// Returns all rows in order of the nodes: the row `A - a` of each node, then the rows (3) of the module for the
+    /// segment that starts there. The row `A - a` is multiplied by the square root of the number of segments at its
+    /// node.
     fn least_squares(&self) -> LeastSquares {
         let n = self.duration_s.len();
         let mut rows = Vec::with_capacity(3 * n + 1);
