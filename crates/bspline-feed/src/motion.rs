@@ -24,12 +24,14 @@ use crate::{
     passes::{Pass, is_inside},
 };
 
-/// Fraction of the machine's limits that a link leaves free. The passes leave twice as much, so that the velocities
-/// at their ends are within those of a link. Larger: slower links. Smaller: rounding exceeds the limits.
+/// Fraction of the machine's limits that a link (the motion from one pass to the next) leaves free. The passes leave
+/// twice as much, so that the velocities at their ends are within those of a link. Larger: slower links. Smaller:
+/// rounding exceeds the limits.
 const MARGIN: f64 = 0.5e-6;
 
-/// Shortest piece of a link, in units of the rounding of the time of the motion; a shorter one vanishes when times are
-/// added. Larger: a lower limit on the acceleration of links. Smaller: pieces without a duration.
+/// Shortest piece of a link, in units of the rounding of the total time of the passes. A shorter one is left out,
+/// because it vanishes when times are added. Larger: a lower limit on the acceleration of links. Smaller: pieces
+/// without a duration.
 const LEAST_ROUNDINGS: f64 = 4.0;
 
 /// Largest change of the velocity in the time of the shortest piece, mm/s. It is a tenth of the step that
@@ -183,7 +185,8 @@ struct LinkLimits {
     least_s: f64,
 }
 
-/// Adds a link from one state [position, velocity] to another, mm and mm/s; returns its duration, s.
+/// Adds a link from one state [position, velocity] to another, mm and mm/s, without its pieces that are too short.
+/// Returns its duration, s.
 fn add_link(
     draft: &mut TrajectoryBuilder,
     from: [[f64; 2]; 2],

@@ -27,14 +27,14 @@ use serde::Serialize;
 
 use crate::{further::FurtherAxes, jerk::Average, piece::Station};
 
-/// Smallest and largest number of intervals into which a cubic piece is divided to judge it. The number is doubled
-/// until [`MAX_BULGE`] is met. Larger: more time for a judgement. Smaller: a short excess may be missed, or a steep one
-/// is not resolved. Chosen.
+/// Smallest and largest number of intervals into which a cubic piece is divided; at their ends velocities and
+/// accelerations are compared with the limits. The number is doubled until [`MAX_BULGE`] is met. Larger: more time for
+/// a judgement. Smaller: a short excess may be missed, or a steep one is not resolved. Chosen.
 const JUDGED_INTERVALS: [usize; 2] = [4, 64];
 
 /// Largest difference of an acceleration between two judged times from the straight line between its values there, as a
-/// fraction of the limit. Larger: the judge may miss this much. Smaller: more times. Chosen below the margins of
-/// [`crate::limits`].
+/// fraction of the limit. Larger: an excess of this size may be missed. Smaller: more times. Chosen below the margins
+/// of [`crate::limits`].
 const MAX_BULGE: f64 = 1e-3;
 
 /// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: motions at the limit

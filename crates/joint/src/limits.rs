@@ -118,7 +118,7 @@ enum On {
     Ratio { by: [f64; 2] },
 }
 
-/// Row at some densities, with its derivatives by the densities of the two nodes of its span.
+/// Row (constraint `c >= 0`) at given densities, with its derivatives by the densities of the two nodes of its span.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Constraint {
     /// Nodes at the start and at the end of the span; `None` at rest.
@@ -131,7 +131,8 @@ pub struct Constraint {
     pub bend: [f64; 3],
 }
 
-/// Limits of the machine along the curves, as rows and as least densities.
+/// Limits of the machine along the curves, as rows (constraints on the densities of nodes) and as least densities of
+/// nodes.
 pub struct LimitRows<'a> {
     mesh: &'a Mesh,
     rows: Vec<LimitRow>,

@@ -21,8 +21,9 @@ use crate::{
     mesh::Mesh,
 };
 
-/// Least worth of halving a span, (1) of the module, at which the span is halved, over the objective per node. Larger:
-/// fewer nodes and a larger residual. Smaller: more nodes, which take more time than they gain. Chosen.
+/// Worth of halving a span (the decrease of the objective), (1) of the module, above which the span is halved. It is a
+/// fraction of the objective per node. Larger: fewer nodes and a larger residual. Smaller: more nodes, which take more
+/// time than they gain. Chosen.
 const LEAST_WORTH: f64 = 4e-3;
 
 /// Factor by which [`LEAST_WORTH`] grows until the nodes are affordable. Larger: fewer nodes than are affordable.

@@ -91,7 +91,7 @@ pub struct Solution {
 
 /// Condition for keeping tangents in the place of the rows. It is stricter after each proof that failed.
 struct Patience {
-    /// Largest complementarity over the wanted gap.
+    /// Largest complementarity (sum of slacks times dual variables) at which a proof may begin, over the wanted gap.
     below: f64,
     /// First step at which a proof may begin.
     from: usize,

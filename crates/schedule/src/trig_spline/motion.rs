@@ -176,7 +176,7 @@ impl<'a> Motion<'a> {
         self.made.push((to - from) * density, c, true, Some(s.index));
     }
 
-    /// Adds the parabola at corner node `k`, in two halves.
+    /// Adds the parabola that rounds the corner at node `k` of the pass, in two halves, one per segment of the path.
     fn blend(&mut self, pass: &Pass, k: usize) {
         let node = &pass.nodes[k];
         let s = &pass.straights[pass.straight_of[k]];
@@ -197,8 +197,8 @@ impl<'a> Motion<'a> {
         self.made.push(half_s, middle, true, Some(next.index));
     }
 
-    /// Adds the cubics of the piece from node `k` to the next one, by step 5 of [`super`]. Returns true if the piece is
-    /// proven within the limits.
+    /// Adds the cubics of the piece from node `k` to the next one, by step 5 of [`super`]. Returns true if the piece
+    /// and all its cubics are proven within the limits.
     fn piece(&mut self, pass: &Pass, k: usize) -> bool {
         let a = &pass.nodes[k];
         let b = &pass.nodes[k + 1];

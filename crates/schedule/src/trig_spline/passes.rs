@@ -30,11 +30,12 @@ const SAME_DIRECTION: f64 = 1e-9;
 const SAME_LINE_MM: f64 = 1e-7;
 
 /// Deficit of the time of a straight segment that counts as rounding, relative to the time. Larger: segments get less
-/// than their dwell time. Smaller: rounding releases held densities without need.
+/// than their dwell time. Smaller: rounding releases densities without need that are held at their least value.
 const SHORT: f64 = 1e-9;
 
-/// Largest number of times that a held density is released. Without a bound, two that are held in turn would never end.
-/// Larger: more tridiagonal solutions. Smaller: segments can keep less than their dwell time.
+/// Largest number of times that a density that is held at its least value (half the mean density of its segment) is
+/// released. Without a bound, two that are held in turn would never end. Larger: more tridiagonal solutions. Smaller:
+/// segments can keep less than their dwell time.
 const MOST_LET_GO: usize = 3;
 
 /// Largest half length of a blend (the parabola at a corner), relative to the shorter of its two segments. Larger: less
