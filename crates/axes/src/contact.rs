@@ -16,16 +16,16 @@ use serde::Serialize;
 use crate::piece::{State, cubic};
 
 /// Largest distance of the cubics from the executed contact point, mm. Larger: the prediction is less exact. Smaller:
-/// more segments. Chosen: 1e-3 um, a thousandth of the tolerance of a motion.
+/// more segments. Chosen: 1e-3 um, 1/2000 of the default `contact_tolerance_um`.
 const TOLERANCE_MM: f64 = 1e-6;
 
-/// Distance that the fastest axis moves for the difference that gives a velocity, mm or deg. Larger: truncation, its
-/// square times the third derivative. Smaller: rounding of 1e-13 mm over it. Derived: both are below 1e-9 of the
-/// velocity on parts with radii of 10 mm and more.
+/// Distance that the fastest axis moves to each side for the central difference that gives the velocity of the contact
+/// point, mm or deg. Larger: truncation, its square times the third derivative. Smaller: rounding of 1e-13 mm over it.
+/// Derived: both are below 1e-9 of the velocity on parts with radii of 10 mm and more.
 const WAY: f64 = 1e-3;
 
 /// Largest number of times that a segment of the motion of the axes is halved. Larger: memory for 2^n pieces. Smaller:
-/// long segments are refused.
+/// long segments are refused whose cubics are still more than [`TOLERANCE_MM`] away.
 const MOST_HALVES: u32 = 16;
 
 /// Report on the motion of the contact point that the axes execute.
@@ -44,7 +44,9 @@ pub struct ContactReport {
 ///
 /// # Errors
 ///
-/// Refuses a motion with another number of axes than the machine, and one whose tool leaves the form.
+/// Refuses a placement of the part without an inverse, and a motion with another number of axes than the machine.
+/// Refuses a motion whose tool meets no surface, and one whose contact point stays away from cubics, for example where
+/// an axis jumps.
 pub fn contact(
     motion: &AxesMotion,
     machine: &Machine,
@@ -117,7 +119,7 @@ fn point(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[f64; 2]> {
 }
 
 /// Returns position and velocity of the contact point along x and y, at the local time `u` of the cubics of the axes.
-/// `None` if the tool meets no surface.
+/// `None` if the tool meets no surface at `u` or where the difference for the velocity is taken.
 fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[State; 2]> {
     let q: Vec<f64> = cubics.iter().map(|c| evaluate(c, u)).collect();
     let v: Vec<f64> = cubics.iter().map(|c| evaluate(&derivative(c), u)).collect();

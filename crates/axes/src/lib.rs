@@ -28,8 +28,8 @@ pub use contact::{ContactReport, contact};
 pub use motion::motion;
 pub use planish_types::outcome::axes::{MotionReport, SlowedReport, SpindleReport};
 
-/// Smallest and largest tolerance of the contact point that is accepted, um. Larger: a distance that changes the
-/// removal passes. Smaller: rounding of coordinates asks for more pieces than memory has. Chosen.
+/// Smallest and largest tolerance of the contact point that is accepted, um. Above the largest, the distance changes
+/// the removal. Below the smallest, rounding of coordinates asks for more pieces than memory has. Chosen.
 const TOLERANCES_UM: [f64; 2] = [1e-3, 1e3];
 
 /// Settings of a motion of the axes.

@@ -14,9 +14,9 @@ use crate::{
     slow::{Excess, slow},
 };
 
-/// Largest number of times that pieces are halved because the stretch of time bends their cubics. Larger: memory for
-/// 2^n pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance from the path
-/// falls by 16 with each.
+/// Largest number of rounds in which pieces are halved because the stretch of time bends their cubics. Larger: memory
+/// for 2^n pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance from the path
+/// falls by about 16 with each.
 const MOST_ROUNDS: usize = 10;
 
 /// Computes the motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`, and
@@ -26,8 +26,9 @@ const MOST_ROUNDS: usize = 10;
 ///
 /// # Errors
 ///
-/// Refuses a tolerance that is not plausible, and a trajectory whose removal rate differs from that of the TIF.
-/// Refuses a placement of the part without an inverse, and a motion that the axes cannot follow within the tolerance.
+/// Refuses a tolerance that is not plausible, and a trajectory whose removal rate differs from that of the TIF. Refuses
+/// a placement of the part without an inverse, and a trajectory that leaves the form. Refuses a motion that the axes
+/// cannot follow within the tolerance, and one in which the axis c of a spindle jumps.
 pub fn motion(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -96,8 +97,8 @@ pub fn motion(
     Ok((executed, report))
 }
 
-/// Returns the sum of the times by which the executed pieces are longer than planned, s, over the pieces whose index is
-/// `chosen`.
+/// Returns the sum of the times by which the executed pieces are longer than planned, s, over the pieces for whose
+/// index `chosen` returns true.
 fn added_s(executed: &AxesMotion, pieces: &[AxesPiece], chosen: impl Fn(usize) -> bool) -> f64 {
     let chosen = (0..pieces.len()).filter(|k| chosen(*k));
     chosen.map(|k| executed.duration_s(k) - pieces[k].duration_s()).sum()
@@ -107,8 +108,8 @@ fn added_s(executed: &AxesMotion, pieces: &[AxesPiece], chosen: impl Fn(usize) -
 /// time at which its piece starts in the unslowed motion, s. `None` if nothing exceeds a limit.
 type SlowedPieces = (Vec<AxesPiece>, Vec<f64>, Option<(Excess, f64)>);
 
-/// Slows the pieces down to the limits of the axes, and halves those that leave the path because of it, until neither
-/// is needed.
+/// Slows the pieces down to the limits of the axes, and halves those that leave the path because of it, until none
+/// does. Refuses a motion that still needs it after [`MOST_ROUNDS`] rounds.
 fn slowed(planned: &AxesPieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
     let mut pieces = planned.all()?;
     let mut first = None;
@@ -174,8 +175,8 @@ fn executed(
     )
 }
 
-/// Number of golden sections that narrow the interval around the largest of equally spaced angles. Larger: more time,
-/// no effect. Smaller: a less exact angle. Derived: 0.618^30 is 5e-7.
+/// Number of golden sections that narrow the time interval around the largest of the angles at equally spaced times.
+/// Larger: more time, no effect. Smaller: a less exact angle. Derived: they shrink the interval by 0.618^30 = 5e-7.
 const GOLDEN_SECTIONS: usize = 30;
 
 /// Returns the largest angle between tool and normal on an executed motion, degrees. It compares equally spaced points
@@ -206,15 +207,16 @@ fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
     largest
 }
 
-/// Returns the angle between tool and normal at the part `part` (0 to 1) of segment `k`, degrees; 0 if the tool meets
-/// no surface.
+/// Returns the angle between tool and normal after the fraction `part` (0 to 1) of the duration of segment `k`,
+/// degrees. It is 0 if the tool meets no surface.
 fn off_normal_deg(map: &AxisMap, executed: &AxesMotion, k: usize, part: f64) -> f64 {
     let u = part * executed.duration_s(k);
     let q: Vec<f64> = executed.segment(k).iter().map(|c| evaluate(c, u)).collect();
     map.contact(&q).map_or(0.0, |contact| contact.off_normal_deg)
 }
 
-/// Largest distance of an executed motion from the path, with its time, and largest gap between tool and surface.
+/// Largest distance of an executed motion from the path, with its time. Largest magnitude of the gap between the tip of
+/// the tool and the surface.
 struct Farthest {
     distance_mm: f64,
     time_s: f64,

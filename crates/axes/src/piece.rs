@@ -21,7 +21,7 @@ pub(crate) const INNER_POINTS: usize = 7;
 const PART_OF_TOLERANCE: f64 = 0.5;
 
 /// Largest turn of a spindle within a piece, degrees. Larger: half turns become ambiguous. Smaller: more pieces.
-/// Chosen: half of the half turn.
+/// Chosen: half of a half turn.
 const MOST_TURN_DEG: f64 = 90.0;
 
 /// Largest number of times that a segment of the motion is halved. Larger: memory for 2^n pieces. Smaller: fewer long
@@ -29,15 +29,15 @@ const MOST_TURN_DEG: f64 = 90.0;
 const MOST_HALVES: u32 = 12;
 
 /// Largest jump of a spindle at a node that counts as rounding, degrees. Larger: real jumps pass. Smaller: rounding of
-/// a path at 1e-9 mm from the centre is refused. Chosen: planish-verify finds smaller jumps.
+/// a path at 1e-9 mm from the centre is refused. Chosen: `planish-verify` reports the smaller jumps that are real.
 const MOST_JUMP_DEG: f64 = 1.0;
 
 const AWAY_FROM_CENTRE: &str = "lead the path farther from the centre of the spindle";
 
-/// Position and velocity of an axis, in mm or deg and s.
+/// Position of an axis, mm or deg, and its velocity, mm/s or deg/s.
 pub(crate) type State = [f64; 2];
 
-/// Piece of a motion, with the position and velocity of all axes at both ends.
+/// Piece of a motion, with the position and velocity of all axes at its start and end, before any stretch of time.
 #[derive(Clone, Debug)]
 pub(crate) struct AxesPiece {
     /// Index of the segment of the motion to which the piece belongs.
@@ -71,8 +71,8 @@ pub(crate) fn cubic([q0, v0]: State, [q1, v1]: State, h: f64) -> [f64; 4] {
     [q0, v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
 }
 
-/// Returns position, velocity and acceleration of the contact point along x and y at the local time `u` of a segment
-/// with the coefficients `c`.
+/// Returns position, velocity and acceleration of the contact point along x and y, mm and s. `u` is the local time of a
+/// segment with the coefficients `c`.
 pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     c.each_ref().map(|c| {
         let v = derivative(c);
@@ -84,14 +84,15 @@ pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     })
 }
 
-/// Returns the duration of a piece whose time is stretched, s. The factor is linear between its values `ends` at the
-/// ends.
+/// Returns the duration of a piece whose time is stretched, s. The factor is linear in the planned time, from `ends[0]`
+/// at the start to `ends[1]` at the end.
 pub(crate) fn stretched_s(piece: &AxesPiece, ends: [f64; 2]) -> f64 {
     0.5 * (ends[0] + ends[1]) * piece.duration_s()
 }
 
-/// Returns the part of the unstretched duration that has passed at the part `part` of the stretched one: the root f of
-/// `w0 f + (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
+/// Returns the fraction of the unstretched duration that has passed after the fraction `part` of the stretched one. The
+/// factors of the stretch at the ends are w0 and w1; the fraction is the root f of `w0 f + (w1 - w0) f^2 / 2 = part (w0
+/// + w1) / 2`.
 pub(crate) fn planned_part(part: f64, [w0, w1]: [f64; 2]) -> f64 {
     let area = 0.5 * part * (w0 + w1);
     2.0 * area / (w0 + (w0 * w0 + 2.0 * (w1 - w0) * area).sqrt())
@@ -121,8 +122,9 @@ fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64;
     if order == 0 { None } else { Some([0, 1].map(|k| orders[k][order] / length)) }
 }
 
-/// Returns the distance of the point `x` from the path of a piece, mm. It starts at the part `f` of the piece and takes
-/// two Newton steps for the nearest point, (p - x) . p' = 0.
+/// Returns the distance of the point `x` from the path of a piece, mm; `c` are the coefficients of its segment. The
+/// search starts after the fraction `f` of the duration and takes two Newton steps for the nearest point, (p - x) . p'
+/// = 0.
 pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &AxesPiece, f: f64, x: [f64; 2]) -> f64 {
     let mut u = piece.from_s + f * piece.duration_s();
     for _ in 0..2 {
@@ -151,8 +153,8 @@ pub(crate) struct AxesPieces<'a> {
 }
 
 impl AxesPieces<'_> {
-    /// Returns the pieces of the motion, in order. Refuses a motion that leaves the form, and one that the axes cannot
-    /// follow within the tolerance.
+    /// Returns the pieces of the motion, in order. Refuses a motion that leaves the form, one that the axes cannot
+    /// follow within the tolerance, and one in which a spindle jumps.
     pub(crate) fn all(&self) -> Result<Vec<AxesPiece>, Invalid> {
         let mut pieces: Vec<AxesPiece> = Vec::new();
         for (i, segment) in self.trajectory.segments().enumerate() {
@@ -198,8 +200,9 @@ impl AxesPieces<'_> {
         Ok([AxesPiece { to_s: middle_s, end, ..piece }, second])
     }
 
-    /// Returns the pieces, of which those that leave the path by more than the tolerance are halved; `None` if none
-    /// does. A stretch of time that changes within a piece bends its cubics.
+    /// Halves the pieces that leave the path by more than the tolerance once their time is stretched, and returns all
+    /// pieces; `None` if none does. A stretch that changes within a piece bends its cubics. Refuses pieces that would
+    /// become shorter than `min_segment_s`.
     pub(crate) fn finer(
         &self,
         pieces: &[AxesPiece],
@@ -231,8 +234,8 @@ impl AxesPieces<'_> {
     }
 
     /// Returns the position and velocity of all axes at the local time `u` of segment `i`. In the centre of a spindle c
-    /// has the direction in which the point moves away, or from which it comes if `arrives`. A point at rest in the
-    /// centre has the direction in which it begins to move, and all axes rest.
+    /// has the direction in which the point moves away, or from which it comes if `arrives`. For a point at rest in the
+    /// centre, c has the direction in which it begins to move (or from which it came), and all axes rest.
     fn state(
         &self,
         i: usize,

@@ -23,8 +23,8 @@ use planish_types::MachineAxis;
 
 use crate::piece::{AxesPiece, stretched_s};
 
-/// Half the window of the first round, s; [`GROWTH`] is the factor from round to round. Larger: the motion is slowed
-/// down for longer. Smaller: more rounds. Chosen: from a few servo cycles to 20 000 s in [`ROUNDS`].
+/// Half the window of the first round, s; it grows by [`GROWTH`] from round to round. Larger: the motion is slowed down
+/// for longer. Smaller: more rounds. Chosen: it grows from a few servo cycles to 20 000 s in [`ROUNDS`] rounds.
 const FIRST_WINDOW_S: f64 = 0.01;
 const GROWTH: f64 = 1.6;
 
@@ -45,7 +45,7 @@ const MARGIN: f64 = 1e-4;
 pub(crate) struct Excess {
     /// Ratio of the largest value of the quantity on the piece to its limit.
     pub(crate) ratio: f64,
-    /// Factor by which the time of the piece has to be stretched.
+    /// Factor by which the time of the piece has to be stretched to keep this limit; below 1 if the limit is kept.
     pub(crate) stretch: f64,
     /// Index of the axis of the machine.
     pub(crate) axis: usize,
@@ -58,11 +58,11 @@ pub(crate) struct Excess {
 pub(crate) struct Slowed {
     pub(crate) stretch: Vec<f64>,
     pub(crate) whole: f64,
-    /// Worst excess of the unslowed motion; `None` if it keeps every limit.
+    /// Worst excess of the unslowed motion; `None` if the motion keeps every limit to rounding.
     pub(crate) worst: Option<Excess>,
 }
 
-/// Returns the stretch of time with which the pieces keep the limits of the axes.
+/// Returns the stretch of time with which the pieces keep the limits of the axes, to rounding.
 pub(crate) fn slow(pieces: &[AxesPiece], axes: &[MachineAxis]) -> Slowed {
     let mut need = vec![1.0; pieces.len()];
     let mut stretch = vec![1.0; pieces.len() + 1];
@@ -135,8 +135,9 @@ fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<
     all
 }
 
-/// Returns the stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it,
-/// and at least the need of each piece.
+/// Returns the factors of the stretch at the ends of the pieces; `need` is the factor that each piece needs. They are
+/// the largest need within `window_s` to both sides, averaged twice over half of that. No factor is below the need of a
+/// piece beside it.
 fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut time_s = vec![0.0];
     for piece in pieces {

@@ -15,8 +15,8 @@ use planish_handoff::{
 use planish_types::{DwellDensity, PathDistance, Trajectory, outcome::plan::PlanOutcome};
 
 /// Distance by which turn-arounds may extend beyond the ends of the lines, in widths of the TIF. The usual overscan is
-/// half the size of the tool, which is more. Larger: turn-arounds leave the overscan. Smaller: lines that end fast are
-/// refused. The tolerance of the motion includes it.
+/// half the size of the tool, which is more. Larger: turn-arounds leave the overscan. Smaller: plans whose passes end
+/// fast are reported as leaving the path. The allowed distance from the path is at least this.
 const RUN_OUT_OVER_TIF_WIDTH: f64 = 0.5;
 
 #[derive(Args)]

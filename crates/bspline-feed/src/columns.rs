@@ -24,7 +24,8 @@ use crate::passes::Pass;
 pub struct Column {
     /// Row and column of the first pixel of the rectangle.
     pub origin: (usize, usize),
-    /// Removal per unit of the control value on the rectangle, nm mm/s; empty if the tool reaches no pixel.
+    /// Removal per unit of the control value on the rectangle, nm mm/s; 0 at invalid pixels, and empty if the tool
+    /// reaches no pixel.
     pub removal: Array2<f64>,
 }
 
@@ -39,14 +40,15 @@ impl Column {
         Some([r, r + ny - 1, c, c + nx - 1])
     }
 
-    /// Returns the scalar product with a map of shape (ny, nx): the sum of the products of the pixels.
+    /// Returns the scalar product with a map of the surface's shape (ny, nx): the sum over the rectangle of removal
+    /// times map.
     pub fn dot(&self, map: &Array2<f64>) -> f64 {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
         let window = map.slice(s![r..r + ny, c..c + nx]);
         window.rows().into_iter().zip(self.removal.rows()).map(|(a, b)| a.dot(&b)).sum()
     }
 
-    /// Adds the column times `factor` to a map of shape (ny, nx).
+    /// Adds the column times `factor` to a map of the surface's shape (ny, nx).
     pub fn add_to(&self, map: &mut Array2<f64>, factor: f64) {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
         map.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(factor, &self.removal);
@@ -72,7 +74,7 @@ impl Column {
     }
 }
 
-/// Computes the columns G of the module for one pass, one per control value.
+/// Computes the columns G, (1) of the module, for one pass: one per control value of its spline on `knots`.
 pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<Column> {
     let mut columns: Vec<Column> =
         (0..knots.len()).map(|i| window(support_box(pass, knots, i), tif, surface)).collect();
@@ -104,13 +106,13 @@ pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<
     columns
 }
 
-/// Largest relative change (RMS) of the removal by a span with twice as many parts, for which the parts are enough: 0.1
-/// nm of 50 nm. The change differs from pixel to pixel, and the many spans that reach a pixel average it to a small
+/// Relative change (RMS) of the removal by a span below which its parts are enough, when their number is doubled. It is
+/// 0.1 nm of 50 nm. The change differs from pixel to pixel, and the many spans that reach a pixel average it to a small
 /// part of the residual. Larger: a larger error of the removal. Smaller: more parts, more time.
 const PARTS_TOLERANCE: f64 = 2e-3;
 
-/// Largest number of parts of a span between two knots. The error at the end of a flat pad falls only with their
-/// number. Larger: more time with such tools. Smaller: a larger error.
+/// Largest number of parts of a span between two knots. For a TIF that ends abruptly (a flat pad) the error at its end
+/// falls only in proportion to 1/number. Larger: more time with such tools. Smaller: a larger error.
 const MOST_PARTS: usize = 16;
 
 /// Golden ratio less one, (sqrt(5) - 1)/2: the fractional parts of its multiples are spread evenly over [0, 1).
@@ -124,8 +126,8 @@ fn composite_rule(parts: usize) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// Returns the number of parts into which a span of `length_mm` along `direction` is divided for the quadrature with
-/// this TIF.
+/// Returns the number of parts into which the quadrature with this TIF divides a span of `length_mm` along `direction`:
+/// 1, 2, 4, ... up to [`MOST_PARTS`].
 fn parts(direction: [f64; 2], length_mm: f64, tif: &Tif) -> usize {
     let mut parts = 1;
     let mut coarse = removed(direction, length_mm, tif, 1);
@@ -141,8 +143,8 @@ fn parts(direction: [f64; 2], length_mm: f64, tif: &Tif) -> usize {
 }
 
 /// Returns `sum_q w_q R(d - t s_q)` at the samples d of the TIF, with the rule on `parts` parts of a span along the
-/// direction t. The tool passes each sample at another part of the span. Otherwise a whole row or column would see the
-/// end of the TIF at the same part.
+/// direction t. Every sample is passed after another fraction of the span. Otherwise the end of the TIF would fall on
+/// the same fraction for a whole row or column of samples.
 fn removed(direction: [f64; 2], length_mm: f64, tif: &Tif, parts: usize) -> Array2<f64> {
     let grid = tif.grid();
     let rule = composite_rule(parts);
@@ -161,7 +163,7 @@ fn norm(a: &Array2<f64>) -> f64 {
     a.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// Returns the number of elements of the columns of a pass, without computing them.
+/// Returns the total number of pixels of the columns of a pass, without computing them.
 pub fn elements(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> usize {
     let each = (0..knots.len()).map(|i| {
         let pixels = bounds(support_box(pass, knots, i), tif, surface);
@@ -178,8 +180,8 @@ fn support_box(pass: &Pass, knots: &Knots, i: usize) -> [(f64, f64); 2] {
     [0, 1].map(|k| (a[k].min(b[k]), a[k].max(b[k])))
 }
 
-/// Returns the first and last pixel along x, and along y, that a tool reaches while it stays in the box `place`; `None`
-/// if it reaches none.
+/// Returns the indices of the first and last pixel along x, and along y, that a tool reaches while its position stays
+/// in `place`. This box has the smallest and largest x, then y, mm. `None` if it reaches none.
 fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usize, usize); 2]> {
     let map = surface.grid();
     let tool = tif.grid();
@@ -196,7 +198,8 @@ fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usiz
     Some([x?, y?])
 }
 
-/// Makes a column of zeros on the pixels that a tool reaches while it stays in the box `place`.
+/// Makes a column of zeros on the pixels that a tool reaches while its position stays in `place`. This box has the
+/// smallest and largest x, then y, mm.
 pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Column {
     match bounds(place, tif, surface) {
         Some([x, y]) => {
@@ -206,7 +209,7 @@ pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Co
     }
 }
 
-/// Adds `factor * from` to `to`, whose rectangle holds that of `from`.
+/// Adds `factor * from` to `to`, on the pixels that both rectangles share.
 fn add_window(to: &mut Column, from: &Column, factor: f64) {
     let (ny, nx) = from.removal.dim();
     if from.removal.is_empty() || factor == 0.0 {
@@ -227,7 +230,8 @@ fn add_window(to: &mut Column, from: &Column, factor: f64) {
     to.removal.slice_mut(s![r - tr..bottom - tr, c - tc..right - tc]).scaled_add(factor, &source);
 }
 
-/// Adds the rate of a tool at `p`, `factor R(x - p)`, to a column on its pixels. The TIF is zero outside its rectangle.
+/// Adds the removal rate of a tool at the position `p`, mm, times `factor`, to every pixel of a column: `factor R(x -
+/// p)`. The TIF is zero outside its rectangle.
 pub(crate) fn add_rate(
     column: &mut Column,
     p: [f64; 2],

@@ -43,8 +43,8 @@ use crate::{
     passes::Pass,
 };
 
-/// Largest number of elements of the removal basis (3.2 GB of memory); more are refused. Larger: more memory. Smaller:
-/// fine knots on large maps are refused.
+/// Largest number of pixels of all columns of the removal basis (3.2 GB of memory); more are refused. Larger: more
+/// memory. Smaller: fine knots on large maps are refused.
 const MAX_ELEMENTS: usize = 400_000_000;
 
 /// Methods to keep the acceleration limit.
@@ -62,7 +62,7 @@ pub enum Refinement {
 pub struct DeconvolutionSettings {
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
-    /// True if a piston is free: the mean of the desired removal does not count.
+    /// True if the piston is free: the solver may add any uniform removal to the desired one.
     pub free_piston: bool,
     /// Weight of the squared distance of the control values from the smallest density (alpha of the module), >= 0.
     pub tikhonov: f64,
@@ -87,10 +87,11 @@ pub struct PassBasis {
     gram: Array2<f64>,
 }
 
-/// All lines, and groups of lines that share no pixel and can be solved at the same time.
+/// All lines (passes with their splines), and groups of lines that reach no common pixel and can be solved at the same
+/// time.
 #[derive(Debug)]
 pub struct Problem {
-    /// Lines in the order of the path.
+    /// Lines (passes with their splines), in the order of the path.
     pub lines: Vec<PassBasis>,
     /// Largest diagonal element of the products G'G of all lines (K of the module).
     strongest: f64,
@@ -100,7 +101,7 @@ pub struct Problem {
 /// Control values and piston at which the solver starts.
 #[derive(Clone, Debug)]
 pub struct Start {
-    /// Control values of every line, positive, s/mm.
+    /// Control values of the spline of every pass, positive, s/mm.
     pub d: Vec<Vec<f64>>,
     /// Uniform removal in addition to the desired one (c of the module), nm.
     pub piston_nm: f64,
@@ -109,7 +110,7 @@ pub struct Start {
 /// Control values, and the residual that they leave.
 #[derive(Clone, Debug)]
 pub struct State {
-    /// Control values of every line, s/mm.
+    /// Control values of the spline of every pass, s/mm.
     pub d: Vec<Vec<f64>>,
     /// Uniform removal in addition to the desired one (c of the module), nm.
     pub piston_nm: f64,
@@ -121,15 +122,15 @@ pub struct State {
     pub steps: usize,
     /// True if the gap is within the tolerance, or the last sweep lowered the objective by less than the tolerance.
     pub converged: bool,
-    /// Fraction of the objective that no feed within the tangents of the acceleration limit can save
-    /// (`joint`); `None` for sweeps, which prove nothing.
+    /// Proven gap: no feed within the tangents of the acceleration limit lowers the objective by a larger fraction
+    /// (`joint`). `None` for sweeps, which prove nothing, and if the gap did not reach the tolerance.
     pub gap: Option<f64>,
     /// Objective, nm^2, after a last sweep that raised it and was undone; `None` if there was none.
     pub given_up_nm2: Option<f64>,
-    /// Knots of every line that knot removal left.
+    /// Knots of the spline of every pass that knot removal left; all knots for the other method.
     pub knots_left: Vec<Knots>,
-    /// Number of lines on which knot removal removed all interior knots without success, so that the convex-concave
-    /// procedure took over.
+    /// Number of passes in the last sweep on which knot removal removed all interior knots without success, so that a
+    /// step of the convex-concave procedure took over.
     pub fallbacks: usize,
     pub(crate) rows_mm: Vec<Vec<f64>>,
 }
@@ -138,7 +139,7 @@ impl Problem {
     /// Computes the basis of every pass on its knots.
     ///
     /// # Errors
-    /// Refuses a basis that takes too much memory, and a tool that no pass brings to the part.
+    /// Refuses a basis that takes too much memory, and passes along which the tool reaches no valid pixel.
     pub fn new(
         passes: &[Pass],
         knots: Vec<Knots>,
@@ -173,8 +174,9 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Runs sweeps of knot removal from a start within the limits. `other_nm` (ny, nx) is the removal by other parts of
-    /// the motion. The objective of the result is not larger than that of the start.
+    /// Runs sweeps of knot removal from a start within the limits. They end when the objective falls by no more than
+    /// the tolerance, when a sweep raises it, or after `max_sweeps`. `other_nm` (ny, nx) is the removal by other parts
+    /// of the motion. The objective of the result is not larger than that of the start.
     ///
     /// # Errors
     /// Returns the failure of the quadratic program of a pass.
@@ -215,29 +217,29 @@ impl Problem {
         Ok(state)
     }
 
-    /// Returns the weights alpha K and beta K of the penalties in (1) of the module.
+    /// Returns the weights alpha K and beta K of the penalties in (1) of the module; alpha counts as at least 1e-12.
     pub(crate) fn weights(&self, settings: &DeconvolutionSettings) -> [f64; 2] {
         // A trace of the identity makes the program definite where the tool reaches nothing.
         [settings.tikhonov.max(1e-12), settings.curvature_weight].map(|w| w * self.strongest)
     }
 
-    /// Returns the columns of the removal basis of line `m`.
+    /// Returns the columns of the removal basis of pass `m`, one per control value.
     pub(crate) fn columns(&self, m: usize) -> &[Column] {
         &self.lines[m].columns
     }
 
-    /// Returns the columns of the removal bases of all lines, in their order.
+    /// Returns the columns of the removal bases of all passes, in the order of the path.
     pub(crate) fn all_columns(&self) -> impl Iterator<Item = &Column> {
         self.lines.iter().flat_map(|line| &line.columns)
     }
 
-    /// Returns the first and last row, and the first and last column, of the pixels that line `m` reaches; `None` if it
-    /// reaches none.
+    /// Returns the first and last row, and the first and last column, of the pixels that the tool reaches along pass
+    /// `m`; `None` if it reaches none.
     pub(crate) fn pixels(&self, m: usize) -> Option<[usize; 4]> {
         bounding_box(&self.lines[m])
     }
 
-    /// Makes an empty state, with all knots, before a solver has run.
+    /// Makes a state without control values and residual, but with all knots, to be filled by a solver.
     pub(crate) fn untouched(&self) -> State {
         State {
             d: Vec::new(),
@@ -269,7 +271,7 @@ impl Problem {
         State { d, piston_nm, residual_nm, ..self.untouched() }
     }
 
-    /// Replaces the control values of every line by the solution of step (2) of the module.
+    /// Replaces the control values of every pass by the solution of step (2) of the module, group by group.
     fn sweep(&self, state: &mut State, settings: &DeconvolutionSettings) -> Result<(), FeedError> {
         state.fallbacks = 0;
         for group in &self.groups {
@@ -292,7 +294,7 @@ impl Problem {
         Ok(())
     }
 
-    /// Solves step (2) of the module for line `m`.
+    /// Solves step (2) of the module for pass `m` by knot removal, or, if that fails, does one convex-concave step.
     fn line(
         &self,
         m: usize,
@@ -323,7 +325,8 @@ impl Problem {
         Ok(solved)
     }
 
-    /// Returns the matrix P_m and the vector q_m of step (2) of the module.
+    /// Returns the matrix P_m and the vector q_m of step (2) of the module for pass `m`, with the residual of all
+    /// passes in `state`.
     fn line_objective(
         &self,
         m: usize,
@@ -366,7 +369,8 @@ impl Problem {
     }
 }
 
-/// Solution of step (2) of the module for one line.
+/// Solution of step (2) of the module for one line: its control values, the arc lengths of its acceleration
+/// constraints, and the knots that are left.
 struct Solved {
     d: Vec<f64>,
     rows_mm: Vec<f64>,
@@ -374,7 +378,7 @@ struct Solved {
     fallback: bool,
 }
 
-/// Returns the limits of the feed along a pass, as its spline needs them.
+/// Returns the limits of the dwell-time density and of the acceleration along a pass.
 pub(crate) fn limits(pass: &Pass) -> FeedLimits {
     FeedLimits {
         min_density_s_per_mm: 1.0 / pass.max_feed_mm_per_s,
@@ -387,8 +391,8 @@ fn free_piston(surface: &Surface, state: &mut State) {
     state.piston_nm -= subtract_mean(surface, &mut state.residual_nm);
 }
 
-/// Subtracts the mean of a residual over the valid pixels from these, and returns it, nm. The residual is zero on all
-/// other pixels.
+/// Subtracts the mean of a residual over the valid pixels from these pixels, and returns the mean, nm. The residual has
+/// to be 0 at the invalid pixels.
 pub(crate) fn subtract_mean(surface: &Surface, residual_nm: &mut Array2<f64>) -> f64 {
     let count = surface.height_nm().iter().filter(|z| !z.is_nan()).count();
     let mean = residual_nm.sum() / count as f64;
@@ -400,7 +404,7 @@ pub(crate) fn subtract_mean(surface: &Surface, residual_nm: &mut Array2<f64>) ->
     mean
 }
 
-/// Returns the products G'G of the columns, shape (n, n).
+/// Returns the scalar products of the n columns with each other, G'G, shape (n, n).
 fn gram(columns: &[Column]) -> Array2<f64> {
     let n = columns.len();
     let mut gram = Array2::zeros((n, n));
@@ -414,7 +418,8 @@ fn gram(columns: &[Column]) -> Array2<f64> {
     gram
 }
 
-/// Divides the lines into groups of lines that share no pixel; each line is in the first group that it fits.
+/// Divides the lines (passes with their splines) into groups whose lines reach no common pixel, as lists of indices.
+/// Each line is in the first group that it fits.
 fn groups(lines: &[PassBasis]) -> Vec<Vec<usize>> {
     let boxes: Vec<Option<[usize; 4]>> = lines.iter().map(bounding_box).collect();
     let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -435,8 +440,8 @@ pub(crate) fn share_pixels(a: Option<[usize; 4]>, b: Option<[usize; 4]>) -> bool
     }
 }
 
-/// Returns the first and last row, and the first and last column, of the pixels that a line reaches; `None` if it
-/// reaches none.
+/// Returns the first and last row, and the first and last column, of the pixels that the tool reaches along a line (a
+/// pass with its spline); `None` if it reaches none.
 fn bounding_box(line: &PassBasis) -> Option<[usize; 4]> {
     let boxes = line.columns.iter().filter_map(Column::pixels);
     boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])

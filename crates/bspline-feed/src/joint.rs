@@ -48,8 +48,9 @@ use crate::{
     limited::{self, ACCEPTED, ASKED},
 };
 
-/// Initial number of places per knot span at which the acceleration limit is a constraint (2); others are added where
-/// the acceleration exceeds it between them. Larger: larger programs. Smaller: more rounds with added constraints.
+/// Initial number of places per span between two knots at which the acceleration limit is a constraint, (2) of
+/// [`crate::limited`]. Others are added where the acceleration exceeds the limit between them. Larger: larger programs.
+/// Smaller: more rounds with added constraints.
 const PLACES: usize = 16;
 
 /// Fraction of the way to the boundary of the slacks and dual variables that a step may take. Larger: iterates close
@@ -69,17 +70,17 @@ const FIRST_SLACK: f64 = 0.1;
 /// close. Smaller: short steps after the constraint is added.
 const LEAST_SLACK: f64 = 1e-3;
 
-/// Fraction of the tolerance to which a program is solved before its bound is compared; the rest is for the tangents.
-/// Larger: more rounds of tangents. Smaller: more steps per program.
+/// Fraction of the wanted gap to which a program with kept tangents is solved before its bound is compared. The rest is
+/// for the change of the tangents. Larger: more rounds of tangents. Smaller: more steps per program.
 const PROGRAM_TOLERANCE: f64 = 0.3;
 
-/// Smallest complementarity at which a step aims, as a fraction of that of a solved program. Closer to the boundary
-/// nothing is gained, and the next tangents would make the steps short. Larger: the program may not reach its
-/// tolerance. Smaller: short steps.
+/// Smallest complementarity (sum of the products s w) at which a step aims, as a fraction of the tolerance to which a
+/// program is solved. Closer to the boundary nothing is gained, and the next tangents would make the steps short.
+/// Larger: the program may not reach its tolerance. Smaller: short steps.
 const CENTRED: f64 = 0.3;
 
-/// Objective, as a fraction of that without removal, below which the feed counts as exact: 1e-5 of the RMS of the map.
-/// Larger: an earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
+/// Smallest objective to which a gap is compared, as a fraction of the objective without removal: 1e-5 of the RMS of
+/// the map. Larger: an earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
 const EXACT: f64 = 1e-10;
 
 /// Smallest ratio of the density at the start to its lower bound: an interior point method starts inside. Larger: the
@@ -92,7 +93,7 @@ pub(crate) struct Joint<'a> {
     problem: &'a Problem,
     surface: &'a Surface,
     settings: &'a DeconvolutionSettings,
-    /// Index of the first control value of every line, and the end of the last line.
+    /// Index of the first control value of every pass, and the number of all control values at the end.
     first: Vec<usize>,
     /// Lower bound 1/F of every control value, s/mm, length n.
     least: Vec<f64>,
@@ -107,12 +108,12 @@ pub(crate) struct Joint<'a> {
     weights: [f64; 2],
 }
 
-/// Constraints of the acceleration limit: tangents at places along the lines.
+/// Constraints of the acceleration limit: tangents, (2) of [`crate::limited`], at places along the passes.
 struct AccelerationRows {
-    /// Index of the line and arc length on it, mm, of every place.
+    /// Index of the pass and arc length on it, mm, of every place.
     places: Vec<(usize, f64)>,
-    /// For every place: index of the first control value, coefficients of `c = coefficient d - constant` for both
-    /// signs, and density there, s/mm.
+    /// For every place: index of the first control value, four coefficients of `c = coefficient d - 2/3 D` for both
+    /// signs of the acceleration, and density D there, s/mm.
     tangent: Vec<(usize, [[f64; 4]; 2], f64)>,
 }
 
@@ -124,7 +125,7 @@ struct Iterate {
     w: Vec<f64>,
 }
 
-/// Objective, its gradient, the residual of the map, and the best piston.
+/// Objective, its gradient, the residual of the map, and the best piston, for given control values.
 struct Value {
     objective: f64,
     gradient: Vec<f64>,
@@ -133,7 +134,7 @@ struct Value {
 }
 
 impl<'a> Joint<'a> {
-    /// Prepares the matrix of (2) of the module without the constraints.
+    /// Prepares the matrix of (2) of the module without the constraints. Refuses a matrix that takes too much memory.
     pub(crate) fn new(
         problem: &'a Problem,
         surface: &'a Surface,
@@ -170,8 +171,9 @@ impl<'a> Joint<'a> {
         Ok(Self { problem, surface, settings, first, least, place, normal, uniform, weights })
     }
 
-    /// Computes the feed of the smallest objective from `start`, and its proven gap. `other_nm` (ny, nx) is the removal
-    /// by other parts of the motion.
+    /// Computes the feed of the smallest objective from `start`, and its proven gap. Without a proof after `max_sweeps`
+    /// steps, or if the matrix cannot be factorised, it returns the last feed, brought within the limits, and no gap.
+    /// `other_nm` (ny, nx) is the removal by other parts of the motion.
     pub(crate) fn solve(&self, other_nm: &Array2<f64>, start: Start) -> Result<State, FeedError> {
         let target_nm =
             (self.surface.height_nm() - other_nm).mapv(|z| if z.is_nan() { 0.0 } else { z });
@@ -241,12 +243,12 @@ impl<'a> Joint<'a> {
         })
     }
 
-    /// Splits the unknowns `d` into the control values of every line, s/mm, one vector per line of the raster.
+    /// Splits the control values `d` of all passes, s/mm, into one vector per pass.
     fn lines(&self, d: &[f64]) -> Vec<Vec<f64>> {
         self.first.windows(2).map(|w| d[w[0]..w[1]].to_vec()).collect()
     }
 
-    /// Returns control values close to `d` that are within the limits, s/mm.
+    /// Returns control values within the limits, s/mm, that are close to `d`; see [`limited::next_within`].
     fn within(&self, d: &[f64]) -> Result<Vec<f64>, FeedError> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -257,7 +259,7 @@ impl<'a> Joint<'a> {
         Ok(lines.into_iter().collect::<Result<Vec<_>, _>>()?.concat())
     }
 
-    /// Returns the initial places of the acceleration constraints: index of the line and arc length, mm.
+    /// Returns the initial places of the acceleration constraints: index of the pass and arc length on it, mm.
     fn places(&self) -> Vec<(usize, f64)> {
         let mut places = Vec::new();
         for (m, line) in self.problem.lines.iter().enumerate() {
@@ -286,8 +288,9 @@ impl<'a> Joint<'a> {
         Iterate { d, s, w }
     }
 
-    /// Computes the tangents anew at the control values of the iterate, with further places at those of `excess`.
-    /// Slacks and dual variables are adapted.
+    /// Computes the tangents anew at the control values of the iterate, and adds the places `excess` (pass, arc length
+    /// in mm). Scales the dual variables with their rows, raises slacks that have grown, and adds slacks and dual
+    /// variables for the new places.
     fn renew(&self, iterate: &mut Iterate, rows: &mut AccelerationRows, excess: Vec<(usize, f64)>) {
         let n = iterate.d.len();
         let mu = dot(&iterate.s, &iterate.w) / iterate.s.len() as f64;
@@ -314,8 +317,8 @@ impl<'a> Joint<'a> {
         }
     }
 
-    /// Returns the objective f, its gradient, the residual and the best piston for the control values `d`. The target
-    /// is 0 where the map is invalid.
+    /// Returns the objective f, its gradient, the residual and the best piston for the control values `d`. `target_nm`
+    /// is the desired removal less that of other parts of the motion; it has to be 0 where the map is invalid.
     fn value(&self, target_nm: &Array2<f64>, d: &[f64]) -> Value {
         let mut residual_nm = target_nm.clone();
         for (column, d) in self.problem.all_columns().zip(d) {
@@ -351,7 +354,7 @@ impl<'a> Joint<'a> {
         Value { objective: 0.5 * (squares + penalties), gradient, residual_nm, piston_nm }
     }
 
-    /// Returns the open part of the objective, `w' c + r' P0^-1 r / 2` of (3) of the module, nm^2.
+    /// Returns the distance of the objective from its lower bound (3) of the module, `w' c + r' P0^-1 r / 2`, nm^2.
     fn open(&self, iterate: &Iterate, rows: &AccelerationRows, now: &Value) -> f64 {
         let c = rows.values(&iterate.d, &self.least);
         let r = self.dual_residual(iterate, rows, now);
@@ -435,7 +438,8 @@ impl<'a> Joint<'a> {
         matrix.factorise().and_then(|factor| Woodbury::new(factor, &uniform))
     }
 
-    /// Returns the places (line, arc length in mm) at which the acceleration exceeds the accepted limit.
+    /// Returns the places (index of the pass, arc length in mm) of the peaks at which the acceleration exceeds the
+    /// accepted limit. Places a little before and after each peak are included.
     fn excess(&self, d: &[f64]) -> Vec<(usize, f64)> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -488,7 +492,8 @@ impl System<'_> {
 }
 
 impl Iterate {
-    /// Returns the fraction of this step, at most 1, that keeps the slacks and dual variables of `iterate` positive.
+    /// Returns the fraction of this step, at most 1, that may be taken from `iterate`. Its slacks and dual variables go
+    /// at most the fraction [`STEP_TO_BOUNDARY`] of the way to 0.
     fn longest(&self, iterate: &Self) -> f64 {
         let slack = longest_positive(&iterate.s, &self.s);
         (STEP_TO_BOUNDARY * slack.min(longest_positive(&iterate.w, &self.w))).min(1.0)
@@ -521,7 +526,8 @@ impl AccelerationRows {
         });
     }
 
-    /// Returns the change of all constraints by `step`, which is J step of the module.
+    /// Returns the change of all constraints by a step of the control values, the product `J step` in (2) of the
+    /// module.
     fn changes(&self, step: &[f64]) -> Vec<f64> {
         let mut c = step.to_vec();
         for (first, coefficient, _) in &self.tangent {
@@ -555,8 +561,8 @@ impl AccelerationRows {
     }
 }
 
-/// Returns the index of every control value in a skyline matrix, and the first column of each of its rows. The order is
-/// line by line, or along the lines, whichever takes fewer multiplications.
+/// Returns the index of every control value in a skyline matrix, and the first column of each of its rows. Control
+/// values are ordered pass by pass, or by their position along the passes, whichever takes fewer multiplications.
 fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let n = first[first.len() - 1];
     let boxes: Vec<_> = problem.all_columns().map(|c| c.pixels()).collect();
@@ -636,7 +642,7 @@ fn normal(
     normal
 }
 
-/// Adds the penalty `alpha K + beta K (second differences)'(second differences)` for a line of n control values, whose
+/// Adds the penalty `alpha K + beta K (second differences)'(second differences)` for a pass of n control values, whose
 /// indices in the matrix are `place(i)`.
 fn add_penalties(
     matrix: &mut Skyline,

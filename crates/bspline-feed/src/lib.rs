@@ -44,19 +44,19 @@ pub enum FeedError {
     /// The inputs or settings contradict themselves or each other.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The path turns where material counts.
+    /// A segment with the tool on that belongs to no straight pass lies inside the clear aperture.
     #[error(
         "tool_path: segment {segment} at {point_mm:?} mm turns inside the clear aperture; a B-spline feed \
          needs straight passes that turn outside it: give a raster with overscan, or schedule this \
          path with `planish-schedule pvt`"
     )]
     CornerInside {
-        /// Index of the segment that does not continue the pass.
+        /// Index of this segment in the path.
         segment: usize,
-        /// Position of the corner, mm.
+        /// Start, middle or end of the segment, whichever is inside first, mm.
         point_mm: [f64; 2],
     },
-    /// The tool does not reach the part.
+    /// The path has no straight pass with the tool on, or the tool reaches no valid pixel along its passes.
     #[error(
         "no pass of the path reaches a valid pixel; check that surface, tool path and TIF are in \
          mm and in the same frame"
@@ -70,7 +70,7 @@ pub enum FeedError {
     TooLarge {
         /// Number of control values of all passes.
         control_values: usize,
-        /// Number of pixels of all basis functions.
+        /// Number of pixels of the columns of all control values.
         elements: usize,
         /// Largest allowed number of elements.
         limit: usize,

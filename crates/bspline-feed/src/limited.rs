@@ -96,8 +96,8 @@ pub struct Peak {
     pub acceleration_mm_per_s2: f64,
 }
 
-/// Returns the local extrema of the acceleration's magnitude above `threshold` (mm/s^2), in the order of the arc
-/// length.
+/// Returns the local maxima of the magnitude of the acceleration above `threshold`, mm/s^2, in the order of the arc
+/// length. Both ends of the pass can be among them.
 pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
     let mut places: Vec<f64> = Vec::new();
     for span in knots.breaks().windows(2) {
@@ -150,11 +150,12 @@ pub fn highest_peak(knots: &Knots, d: &[f64]) -> Peak {
 
 /// Does one step of the convex-concave procedure of the module from the control values `current` (positive), s/mm.
 ///
-/// `rows_mm` are the arc lengths of the constraints (2), mm: on entry those of the step before, on return those that
-/// mattered.
+/// `rows_mm` are the arc lengths of the constraints (2), mm. On entry they are those of the step before, on return
+/// those at which the acceleration exceeds half of its limit. If the limit is still exceeded after the rounds, a
+/// constant is added to all control values until it is kept.
 ///
 /// # Errors
-/// Returns what the solver says.
+/// Returns the status or the error of the solver if it does not solve a quadratic program.
 pub fn convex_concave_step(
     objective: &Quadratic,
     knots: &Knots,
@@ -206,7 +207,7 @@ pub fn next_within(
     closest_within(&objective, knots, limits, wanted)
 }
 
-/// Repeats the convex-concave procedure from `start` until the control values hardly change.
+/// Does six steps of the convex-concave procedure from `start`, after which the control values hardly change.
 ///
 /// # Errors
 /// Returns the failure of the quadratic program.
@@ -221,11 +222,12 @@ pub fn closest_within(
         .try_fold(start, |d, _| convex_concave_step(objective, knots, limits, &d, &mut rows_mm))
 }
 
-/// Number of steps of the procedure from a feed beyond the limits; it changes by less than 1e-3 after five. Larger:
-/// more time. Smaller: the feed depends on its start.
+/// Number of steps of the convex-concave procedure from a feed beyond the limits; the feed changes by less than 1e-3 of
+/// itself after five. Larger: more time. Smaller: the feed depends on its start.
 const STEPS_TO_SETTLE: usize = 6;
 
-/// Returns `d` plus a constant that brings the acceleration within the limit; the constant is doubled until it does.
+/// Adds constants to all control values `d` until the acceleration is within the limit. The first constant is 1e-3 of
+/// the smallest control value; every further one is twice the one before.
 fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
     let mut more = 1e-3 * d.iter().copied().fold(f64::INFINITY, f64::min);
     while highest_peak(knots, &d).acceleration_mm_per_s2 > ACCEPTED * limit {
@@ -285,7 +287,8 @@ pub(crate) fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> Tan
     TangentRow { first, coefficient, bound: -2.0 / 3.0 * now }
 }
 
-/// Minimises the objective under `d >= least` and the constraints `rows`; internally the variables are `d / scale`.
+/// Minimises the objective under `d >= least` and the constraints `rows`, and returns `d`. Fails with the status of the
+/// solver, or if the diagonal of P has no positive element.
 fn quadratic_program(
     objective: &Quadratic,
     least: f64,

@@ -24,12 +24,14 @@ use crate::{
     passes::{Pass, is_inside},
 };
 
-/// Fraction of the machine's limits that a link leaves free. The passes leave twice as much, so that the velocities
-/// at their ends are within those of a link. Larger: slower links. Smaller: rounding exceeds the limits.
+/// Fraction of the machine's limits that a link (the motion from one pass to the next) leaves free. The passes leave
+/// twice as much, so that the velocities at their ends are within those of a link. Larger: slower links. Smaller:
+/// rounding exceeds the limits.
 const MARGIN: f64 = 0.5e-6;
 
-/// Shortest piece of a link, in units of the rounding of the time of the motion; a shorter one vanishes when times are
-/// added. Larger: a lower limit on the acceleration of links. Smaller: pieces without a duration.
+/// Shortest piece of a link, in units of the rounding of the total time of the passes. A shorter one is left out,
+/// because it vanishes when times are added. Larger: a lower limit on the acceleration of links. Smaller: pieces
+/// without a duration.
 const LEAST_ROUNDINGS: f64 = 4.0;
 
 /// Largest change of the velocity in the time of the shortest piece, mm/s. It is a tenth of the step that
@@ -75,7 +77,8 @@ pub struct Motion {
     links_on: Vec<Range<usize>>,
 }
 
-/// Makes one trajectory of all passes with the control values `d` on `knots`.
+/// Makes one trajectory of all passes, whose dwell densities have the control values `d`, s/mm, on `knots`. Its cubic
+/// pieces are within `tolerance_mm` of the motion of the splines; `surface` tells which links enter the aperture.
 ///
 /// # Errors
 /// Refuses limits with which a piece of the motion vanishes in the rounding of its time.
@@ -147,8 +150,8 @@ pub fn motion(
 }
 
 impl Motion {
-    /// Returns the removal by the links with the tool on, shape (ny, nx), nm. It uses a 3-point Gauss rule in time on
-    /// parts at most as long as a sample step of the TIF.
+    /// Returns the removal by the links with the tool on, shape (ny, nx), nm. It uses a 3-point Gauss rule in time, on
+    /// parts in which the tool moves at most one sample step of the TIF.
     pub fn link_removal_nm(&self, tif: &Tif, surface: &Surface) -> Array2<f64> {
         let mut map = Array2::zeros(surface.grid().shape());
         let pixel = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
@@ -182,7 +185,8 @@ struct LinkLimits {
     least_s: f64,
 }
 
-/// Adds a link from one state [position, velocity] to another, mm and mm/s; returns its duration, s.
+/// Adds a link from one state [position, velocity] to another, mm and mm/s, without its pieces that are too short.
+/// Returns its duration, s.
 fn add_link(
     draft: &mut TrajectoryBuilder,
     from: [[f64; 2]; 2],

@@ -10,13 +10,13 @@ use planish_types::{Grid, Limits, Surface, ToolPath};
 
 use crate::FeedError;
 
-/// Angle between two segments below which they count as straight, rad. It is 0.1 um of a step of 1 mm, above the
-/// rounding of coordinates that passed through 32-bit floats. Larger: bent paths pass as straight. Smaller: rounding
-/// divides passes.
+/// Angle (its sine) between a segment and the first one of a straight run, rad, below which the segment continues the
+/// run. It is a sideways step of 0.1 um per mm, above the rounding of coordinates that passed through 32-bit floats.
+/// Larger: bent paths pass as straight. Smaller: rounding divides passes.
 const STRAIGHT: f64 = 1e-4;
 
-/// Fraction of the machine's limits that is left free for the rounding of the polynomials. Larger: slower feeds.
-/// Smaller: rounding exceeds the limits.
+/// Fraction of the machine's limits on velocity and acceleration that passes leave free, for the rounding of the
+/// polynomials. Larger: slower feeds. Smaller: rounding exceeds the limits.
 const MARGIN: f64 = 1e-6;
 
 /// A straight part of the path with the tool on.
@@ -55,7 +55,8 @@ impl Pass {
 /// Returns the straight passes of `path` over `surface` in order; there is at least one.
 ///
 /// # Errors
-/// Refuses a path that turns inside the clear aperture, and one without a straight pass.
+/// Refuses a path with a segment inside the clear aperture that has the tool on but belongs to no pass. Refuses a path
+/// without a straight pass.
 pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec<Pass>, FeedError> {
     let idx = path.pass_idx();
     let on = path.tool_on();
@@ -95,7 +96,8 @@ pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec
     Ok(passes)
 }
 
-/// Returns the ranges [first, end) of segments between `begin` and `end` that run in one direction with the tool on.
+/// Returns the ranges [first, end) of segments between the indices `begin` and `end` that run in one direction with the
+/// tool on, each as long as possible.
 fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize)> {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     let mut current: Option<[f64; 2]> = None;
@@ -123,7 +125,7 @@ fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize
     runs
 }
 
-/// Makes the pass of a range of segments.
+/// Makes the pass of the segments `run.0` to `run.1 - 1`, which starts at the arc length `arc_start_mm` of the path.
 fn pass(path: &ToolPath, limits: &Limits, run: (usize, usize), arc_start_mm: f64) -> Pass {
     let points = &path.point_mm()[run.0..=run.1];
     let start_mm = points[0];
@@ -167,7 +169,7 @@ fn refuse_inside(path: &ToolPath, surface: &Surface, i: usize) -> Result<(), Fee
     Ok(())
 }
 
-/// Returns true if the pixel nearest to the point and its eight neighbours are valid.
+/// Returns true if the pixel nearest to the point, mm, and its eight neighbours exist and are valid.
 pub(crate) fn is_inside(surface: &Surface, [x, y]: [f64; 2]) -> bool {
     let Grid { x: ax, y: ay } = surface.grid();
     let c = ((x - ax.start_mm()) / ax.step_mm()).round();

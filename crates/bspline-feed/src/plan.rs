@@ -64,13 +64,13 @@ pub enum Piston {
 /// Settings of a plan of the feed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FeedSettings {
-    /// Source of the feed.
+    /// Source of the feed: the deconvolution, or the VRR feed.
     pub method: FeedSource,
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
     /// Distance of the knots of the splines, mm; `None` for a quarter of the TIF's width.
     pub knot_spacing_mm: Option<f64>,
-    /// Distance of neighbouring passes for the VRR feed, mm; `None` for that of the path.
+    /// Distance of neighbouring passes for the VRR feed, mm; `None` for the distance measured on the path.
     pub pitch_mm: Option<f64>,
     /// Treatment of the uniform part of the desired removal.
     pub piston: Piston,
@@ -107,7 +107,7 @@ impl Default for FeedSettings {
     }
 }
 
-/// Set of feeds, in words, with which [`FeedReport::proven`] compares the plan.
+/// Set of feeds to which the proven gap ([`FeedReport::proven`]) applies, in words for the report.
 const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere \
                        more than 1.5 times as fast; not closer knots, other links, or another feed within the limits \
                        themselves";
@@ -122,23 +122,25 @@ pub struct FeedReport {
     pub passes: usize,
     /// Number of control values of all passes.
     pub control_values: usize,
-    /// Largest distance between neighbouring knots, mm.
+    /// Distance of the knots as given or by default, mm; those of a pass are at most this far apart.
     pub knot_spacing_mm: f64,
-    /// Number of knots that knot removal left, over all passes; for other methods the number of knots of the splines.
+    /// Number of interior knots that knot removal left, over all passes; for other methods all interior knots of the
+    /// splines.
     pub knots_left: usize,
-    /// Number of passes on which knot removal failed and the convex-concave procedure took over.
+    /// Number of passes in the last sweep on which knot removal failed and the convex-concave procedure took over.
     pub fallbacks: usize,
-    /// Uniform removal in addition to the desired one, nm.
+    /// Uniform removal in addition to the desired one, nm; 0 if the piston is kept.
     pub piston_nm: f64,
     /// Total number of steps of the interior point method, or of sweeps of knot removal, over all rounds.
     pub sweeps: usize,
     /// Reason why the solver ended. `converged`: the gap is within the tolerance. `settled`: the last sweep of knot
-    /// removal lowered the objective by less than the tolerance, which proves nothing. `sweep-limit`: the sweeps were
-    /// used up. `stopped`: the next sweep would have raised the objective. `link-limit`: the removal by the links still
-    /// changes. `direct`: the VRR feed, which is not iterated.
+    /// removal lowered the objective by less than the tolerance, which proves nothing. `sweep-limit`: the steps or
+    /// sweeps were used up, or no further step was possible. `stopped`: the next sweep would have raised the objective.
+    /// `link-limit`: the removal by the links still changes after the last round. `direct`: the VRR feed, which is not
+    /// iterated.
     pub end: End,
-    /// Fraction of the objective that no feed within the tangents of the acceleration limit at this feed can save.
-    /// Absent if nothing is proven.
+    /// Proven gap: no feed within the tangents of the acceleration limit at this feed lowers the objective by a larger
+    /// fraction. Absent if nothing is proven.
     #[serde(flatten)]
     pub proven: ProvenGap,
     /// Objective at the start and after every step or sweep of the last round, nm^2.
@@ -154,7 +156,7 @@ pub struct FeedReport {
     pub model_rms_detilted_nm: Option<f64>,
     /// Largest acceleration along a pass as a fraction of its limit, from the splines.
     pub acceleration_use: f64,
-    /// Largest feed as a fraction of its limit, from the splines.
+    /// Largest feed as a fraction of its limit, from the smallest control value of the splines, which bounds it.
     pub feed_use: f64,
     /// Excess of the motion over the machine's limit on jerk, which this method does not control; left out if the
     /// machine has no such limit, or the motion keeps it.
@@ -162,7 +164,8 @@ pub struct FeedReport {
     pub jerk: Option<Jerk>,
     /// Numbers and times of the links between the passes.
     pub links: Links,
-    /// Largest removal at a pixel by links with the tool on, nm; the deconvolution takes it into account.
+    /// Largest removal at a valid pixel by links with the tool on, nm. The deconvolution takes it into account, the VRR
+    /// feed does not.
     pub link_removal_nm: f64,
     /// Deviation of the motion from that of the splines.
     pub fit: FitReport,
@@ -251,19 +254,21 @@ impl FeedPlan {
     }
 }
 
-/// Largest number of rounds of the solver, after which the removal by the links must no longer change. Larger: more
-/// time. Smaller: plans end with `link-limit`.
+/// Largest number of rounds, each of which solves for the feed and computes the removal by the links anew. After the
+/// last one this removal must no longer change. Larger: more time. Smaller: plans end with `link-limit`.
 const MAX_ROUNDS: usize = 5;
 
-/// Change of the removal by the links, as a fraction of the RMS of the residual, up to which it counts as settled.
-/// Larger: the plan knows the removal by the links less exactly. Smaller: more rounds.
+/// Largest change of the removal by the links, at a pixel and between two rounds, that counts as settled. It is a
+/// fraction of the RMS of the residual. Larger: the plan knows the removal by the links less exactly. Smaller: more
+/// rounds.
 const LINK_TOLERANCE: f64 = 1e-3;
 
 /// Plans feed and motion along `path` for the desired removal `surface`.
 ///
 /// # Errors
-/// Refuses settings out of range, a TIF that varies, a path that turns inside the clear aperture, a tool that does not
-/// reach the part, and a problem that takes too much memory.
+/// Refuses settings out of range, a TIF that varies over the part or in time, and surface, TIF and path that do not fit
+/// together. Refuses a path that turns inside the clear aperture, a tool that does not reach the part, and a problem
+/// that takes too much memory. Fails if a quadratic program is not solved, or if the limits allow no motion.
 pub fn plan(
     surface: &Surface,
     tif: &Tif,
@@ -345,7 +350,8 @@ pub fn plan(
     Ok(FeedPlan { density, trajectory: solved.motion.trajectory, report })
 }
 
-/// Control values with their motion, and data on the solution.
+/// Control values of the chosen feed source with their motion, and data on the solution; `state` is `None` for the VRR
+/// feed.
 struct Solved {
     d: Vec<Vec<f64>>,
     motion: Motion,
@@ -396,7 +402,7 @@ fn spans(pass: &Pass, spacing_mm: f64) -> f64 {
     (pass.length_mm() / spacing_mm).ceil().max(1.0)
 }
 
-/// Refuses knots that are far closer than the TIF can resolve, and more knots than fit into the memory.
+/// Refuses knots closer than the TIF's width over [`MOST_KNOTS_PER_WIDTH`], and more knots than fit into the memory.
 fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), Invalid> {
     let least = width_mm / MOST_KNOTS_PER_WIDTH;
     if spacing_mm < least {
@@ -437,7 +443,8 @@ fn pitches_mm(settings: &FeedSettings, passes: &[Pass], tif: &Tif) -> Result<Vec
     }
 }
 
-/// Refuses a given distance of the passes that is far from all distances on the path.
+/// Refuses a given distance of the passes that differs by more than the factor [`MOST_PITCH_RATIO`] from all distances
+/// on the path.
 fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
     let low = measured_mm.iter().copied().fold(f64::INFINITY, f64::min);
     let high = measured_mm.iter().copied().fold(0.0, f64::max);
@@ -470,8 +477,8 @@ fn deconvolution_settings(settings: &FeedSettings) -> DeconvolutionSettings {
     }
 }
 
-/// Returns the FWHM of the Gaussian with the second moment of the TIF, mm: `sqrt(8 ln 2) sigma`,
-/// `sigma^2 = integral R r^2 / (2 integral R)`, about its centre of mass.
+/// Returns the FWHM of the Gaussian with the second moment of the TIF, mm: `sqrt(8 ln 2) sigma`, `sigma^2 = integral R
+/// r^2 / (2 integral R)`, about its centre of mass. It is at least the larger sample step of the TIF.
 pub fn width_mm(tif: &Tif) -> f64 {
     let grid = tif.grid();
     let mass = moment(tif, |_, _| 1.0);
@@ -510,8 +517,8 @@ struct Guess<'a> {
 }
 
 impl Guess<'_> {
-    /// Returns the VRR feed of the map, averaged over the TIF, as control values, whatever the acceleration. The piston
-    /// is the one with which the lowest place gets the largest feed.
+    /// Returns control values, s/mm, by the VRR feed of the map averaged over the TIF; they ignore the acceleration
+    /// limit. A free piston is the one with which the lowest average gets the largest feed; otherwise the piston is 0.
     fn start(&self, passes: &[Pass], knots: &[Knots]) -> Start {
         let vrr = self.tif.vrr_nm_mm2_per_s();
         let seen: Vec<Vec<Option<f64>>> = (passes.iter().zip(knots))
@@ -530,8 +537,8 @@ impl Guess<'_> {
         Start { d: d.collect(), piston_nm }
     }
 
-    /// Returns the control values of the splines closest to the VRR feed within the limits. The piston, nm, is the one
-    /// with which the lowest pixel gets the largest feed.
+    /// Returns the control values, s/mm, of the splines closest to the VRR feed within the limits. A free piston, nm,
+    /// is the one with which the lowest pixel gets the largest feed; otherwise the piston is 0.
     fn baseline(
         &self,
         passes: &[Pass],
@@ -560,7 +567,7 @@ impl Guess<'_> {
         Ok((all, piston_nm))
     }
 
-    /// Returns the removal at the largest feed of the first pass, nm.
+    /// Returns the removal by neighbouring passes at the largest feed, nm, with feed and pitch of the first pass.
     fn floor_nm(&self, passes: &[Pass]) -> f64 {
         self.tif.vrr_nm_mm2_per_s() / (passes[0].max_feed_mm_per_s * self.pitches[0])
     }
@@ -584,7 +591,7 @@ impl Guess<'_> {
     }
 }
 
-/// Returns the largest magnitude of `map` on the valid pixels.
+/// Returns the largest magnitude of `map` on the valid pixels of `surface`.
 fn largest(map: &Array2<f64>, surface: &Surface) -> f64 {
     let valid = map.iter().zip(surface.height_nm()).filter(|(_, z)| !z.is_nan());
     valid.map(|(v, _)| v.abs()).fold(0.0, f64::max)
@@ -596,7 +603,7 @@ fn rms_nm(residual_nm: &Array2<f64>, surface: &Surface) -> f64 {
     planish_numerics::statistics::statistics(masked.view()).map_or(0.0, |s| s.rms)
 }
 
-/// Returns the RMS values of the residual as a map; `None` if it makes no valid map.
+/// Returns the RMS of the residual with and without its best plane, nm; `None` if the residual makes no valid map.
 fn residual(residual_nm: &Array2<f64>, surface: &Surface) -> Option<Rms> {
     let map = Surface::new(*surface.grid(), masked(residual_nm, surface));
     map.ok().map(|s| Rms::of_surface(&s))
@@ -665,11 +672,12 @@ fn report(
     }
 }
 
-/// Step of the acceleration, as a fraction of its limit, up to which it is rounding. Larger: real steps count as kept.
-/// Smaller: rounding counts as an exceeded limit.
+/// Step of the acceleration, as a fraction of the limit on the acceleration, up to which it counts as rounding. Larger:
+/// real steps count as kept. Smaller: rounding counts as an exceeded limit.
 const STEP_ROUNDING: f64 = 1e-6;
 
-/// Returns the excess of the motion over the limit on jerk; `None` if there is no limit, or the motion keeps it.
+/// Returns the excess of the motion over the limits on jerk; `None` if no axis has one, or the motion keeps them all.
+/// Steps of the acceleration at the start and end of the motion count.
 fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
     let mut jerk = Jerk { inside: 0.0, largest_acceleration_step_mm_per_s2: 0.0 };
     let mut exceeded = false;
@@ -691,7 +699,7 @@ fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
     if exceeded || jerk.inside > 1.0 { Some(jerk) } else { None }
 }
 
-/// Returns the dwell-time density of the splines at Greville's abscissae.
+/// Returns the dwell-time density of the splines at Greville's abscissae of their knots, pass by pass.
 fn density(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Result<DwellDensity, Invalid> {
     let mut nodes = DensityNodes::default();
     for (m, pass) in passes.iter().enumerate() {

@@ -27,12 +27,13 @@ use crate::{limited::Quadratic, passes::Pass};
 const PARALLEL: f64 = 1e-3;
 
 /// Returns the distance p of every pass to its nearest parallel neighbour, mm. For a pass without one it is the width
-/// of a groove of the TIF with its depth and volume.
+/// of the groove that the TIF makes: volume over depth.
 pub fn pitches_mm(passes: &[Pass], tif: &Tif) -> Vec<f64> {
     passes.iter().map(|p| pitch_mm(p, passes).unwrap_or_else(|| groove_width_mm(p, tif))).collect()
 }
 
-/// Returns the distance of a pass to its nearest parallel neighbour beside it, mm; `None` if there is none.
+/// Returns the distance of a pass to the nearest parallel pass that overlaps it along its direction, mm; `None` if
+/// there is none.
 fn pitch_mm(pass: &Pass, passes: &[Pass]) -> Option<f64> {
     let [tx, ty] = pass.direction;
     let beside = passes.iter().filter_map(|other| {
@@ -74,8 +75,8 @@ pub fn density_s_per_mm(z_nm: f64, pitch_mm: f64, vrr_nm_mm2_per_s: f64, least: 
     (z_nm * pitch_mm / vrr_nm_mm2_per_s).max(least)
 }
 
-/// Returns the objective (2) of the module, half of the mean square distance of the spline to `wanted(s)`, as a
-/// quadratic of the control values.
+/// Returns the objective (2) of the module as a quadratic of the control values. It is half of the integral of the
+/// squared distance of the spline to the dwell density `wanted(s)`.
 pub fn closest(knots: &Knots, wanted: impl Fn(f64) -> f64) -> Quadratic {
     let n = knots.len();
     let mut p = Array2::zeros((n, n));

@@ -13,7 +13,8 @@ fn machine(axes: &[(&str, f64, f64)]) -> String {
     json!({"name": "m", "axes": axes.iter().map(axis).collect::<Vec<_>>()}).to_string()
 }
 
-/// 6 x 2 mm with a wave, a Gaussian of 0.5 mm, three lines with turns outside.
+/// Writes the inputs into `dir`: a map of 6 x 2 mm with a wave, a Gaussian TIF (sigma 0.5 mm), and three passes that
+/// turn outside of the map.
 fn prepare(dir: &Path) {
     let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
     let grid = Grid { x: axis(0.0, 25), y: axis(0.0, 9) };
@@ -169,7 +170,7 @@ fn a_sweep_that_raises_the_objective_is_a_negative_verdict() {
     assert_eq!(manifest(tmp.path(), "trajectory")["outcome"]["report"]["end"], "stopped");
 }
 
-/// The one message of a run that is refused, with nothing written.
+/// Returns the message of a run that is refused, after checking that it wrote nothing; `more` are further arguments.
 fn refused(dir: &Path, more: &[&str]) -> String {
     let output = run(dir, more);
     let message = text(&output.stderr);

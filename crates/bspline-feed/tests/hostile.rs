@@ -11,7 +11,8 @@ fn arguments(surface: &str, tif: &str, path: &str) -> Vec<String> {
     given.chain(["--out=out".to_string()]).collect()
 }
 
-/// Few sweeps: what is hostile is the flag, not the time that convergence takes.
+/// Returns the arguments with a large relative gap, so that few steps suffice: the tests are about the flags, not about
+/// convergence.
 fn quick(all: &[String]) -> Vec<&str> {
     all.iter().map(String::as_str).chain(["--relative-gap=0.1"]).collect()
 }

@@ -15,7 +15,7 @@ use planish_types::{Axis, End, Grid, Limits, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Both axes alike.
+/// Returns a machine whose two axes have the same limits, mm/s and mm/s^2.
 fn machine(velocity: f64, acceleration: f64) -> Limits {
     planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
@@ -26,7 +26,7 @@ fn axis(start: f64, step: f64, n: usize) -> Axis {
 
 const SIGMA_MM: f64 = 0.5;
 
-/// Gaussian of 10 nm/s out to 5 sigma, so that the step at its border (4e-6) does not matter.
+/// Returns a Gaussian TIF of 10 nm/s out to 5 sigma, so that the step at its border (4e-6 of the peak) does not matter.
 fn tif() -> Tif {
     let a = axis(-2.5, 0.125, 41);
     let rate = Array2::from_shape_fn((41, 41), |(r, c)| {
@@ -37,7 +37,7 @@ fn tif() -> Tif {
     Tif::new(Grid { x: a, y: a }, rate).unwrap()
 }
 
-/// 8 x 2 mm in pixels of 0.125 mm.
+/// Returns a map of 8 x 2 mm in pixels of 0.125 mm, with the heights `z(x, y)`, nm.
 fn map(z: impl Fn(f64, f64) -> f64) -> Surface {
     let grid = Grid { x: axis(0.0, 0.125, 65), y: axis(0.0, 0.125, 17) };
     let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
@@ -46,7 +46,8 @@ fn map(z: impl Fn(f64, f64) -> f64) -> Surface {
     Surface::new(grid, height).unwrap()
 }
 
-/// Lines back and forth at this pitch, with an overscan on every side, joined by square turns.
+/// Returns lines back and forth, `pitch` apart, with the length `overscan` beyond the map on every side, joined by
+/// square turns; both in mm.
 fn raster(pitch: f64, overscan: f64) -> ToolPath {
     let lines = ((2.0 + 2.0 * overscan) / pitch).round() as usize + 1;
     let (mut points, mut idx) = (Vec::new(), Vec::new());
@@ -66,7 +67,7 @@ fn raster(pitch: f64, overscan: f64) -> ToolPath {
     ToolPath::through(points, vec![true; n], idx).unwrap()
 }
 
-/// No regularisation, nothing free: the problem as it is.
+/// Returns settings without regularisation, and with the piston kept.
 fn exact() -> FeedSettings {
     FeedSettings {
         piston: Piston::Keep,
@@ -157,7 +158,7 @@ fn a_planted_spline_comes_back() {
     }
 }
 
-/// Ridges along y, so that every line needs a changing feed.
+/// Returns a map with ridges along y, so that the feed has to change along every line.
 fn ridges() -> Surface {
     map(|x, y| 40.0 + 30.0 * (1.9 * x).sin() + 3.0 * (1.1 * y).cos())
 }
@@ -214,7 +215,7 @@ fn the_objective_falls_and_its_gradient_vanishes_where_no_limit_is_met() {
     }
 }
 
-/// The control values of the spline with these values at Greville's abscissae.
+/// Returns the control values of the spline that has these values at Greville's abscissae.
 fn control_values(knots: &Knots, values: &[f64]) -> Vec<f64> {
     let mut d = values.to_vec();
     for _ in 0..500 {

@@ -27,21 +27,22 @@ use serde::Serialize;
 
 use crate::{further::FurtherAxes, jerk::Average, piece::Station};
 
-/// Smallest and largest number of intervals into which a cubic piece is divided to judge it. The number is doubled
-/// until [`MAX_BULGE`] is met. Larger: more time for a judgement. Smaller: a short excess may be missed, or a steep one
-/// is not resolved. Chosen.
+/// Smallest and largest number of intervals into which a cubic piece is divided; at their ends velocities and
+/// accelerations are compared with the limits. The number is doubled until [`MAX_BULGE`] is met. Larger: more time for
+/// a judgement. Smaller: a short excess may be missed, or a steep one is not resolved. Chosen.
 const JUDGED_INTERVALS: [usize; 2] = [4, 64];
 
-/// Largest difference of an acceleration between two judged times from the line between them, over the limit. Larger:
-/// the judge may miss this much. Smaller: more times. Chosen below the margins of [`crate::limits`].
+/// Largest difference of an acceleration between two judged times from the straight line between its values there, as a
+/// fraction of the limit. Larger: an excess of this size may be missed. Smaller: more times. Chosen below the margins
+/// of [`crate::limits`].
 const MAX_BULGE: f64 = 1e-3;
 
-/// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: rounding of
-/// accelerations, divided by the time between them, fails. Chosen: no drive resolves it.
+/// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: motions at the limit
+/// fail because of the rounding of accelerations, divided by the time between them. Chosen: no drive resolves it.
 const JERK_ALLOWANCE: f64 = 1e-6;
 
-/// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, over the limit. Larger:
-/// real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
+/// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, as a fraction of the
+/// limit. Larger: real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
 const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 
 /// Ratio of a value to its limit from which on the report counts the axis as near the limit. Larger: a shorter time
@@ -52,25 +53,27 @@ const NEAR_A_LIMIT: f64 = 0.9;
 /// less exact ones. Chosen.
 const REPORTED_TIMES: usize = 8;
 
-/// Further axes of a plan, with the average in time that bounds the jerk of its motion.
+/// Further axes of a plan (those beyond x and y), with the average in time that bounds the jerk of its motion.
 #[derive(Clone, Copy)]
 pub struct Further<'a> {
     axes: &'a dyn FurtherAxes,
     average: Option<Average>,
 }
 
-/// First and second derivative of the position of a further axis at a point of a curve, divided by limits of the axis.
+/// First and second derivative of the position of a further axis by arc length, at a point of a curve. They are divided
+/// by the limits that the plan keeps before averaging.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scaled {
     /// Least dwell-time density that the velocity limit allows, |q'| / V, s/mm.
     pub need_s_per_mm: f64,
-    /// First derivative by arc length over the acceleration limit, q' / A, s^2/mm.
+    /// First derivative by arc length over the acceleration limit before averaging, q' / A, s^2/mm.
     pub along: f64,
-    /// Second derivative by arc length over the acceleration limit, q'' / A, s^2/mm^2.
+    /// Second derivative by arc length over the acceleration limit before averaging, q'' / A, s^2/mm^2.
     pub across: f64,
 }
 
-/// Largest ratios of velocity, acceleration and jerk of an axis to their limits; 1 is the limit itself.
+/// Largest ratios of velocity, acceleration and jerk of an axis, in this order, to their limits; 1 is the limit itself.
+/// The jerk of an axis without a limit on it counts as 0.
 pub type Used = [f64; 3];
 
 /// Ratios of all further axes to their limits on one cubic piece.
@@ -81,7 +84,8 @@ struct UseOfPiece {
 }
 
 impl<'a> Further<'a> {
-    /// Checks the limits of `axes`, and stores them with the average in time that the motion of the plan will have.
+    /// Checks the limits of `axes`, and stores the axes with the average in time that the motion of the plan will have;
+    /// `None` if it will not be averaged.
     ///
     /// # Errors
     ///
@@ -138,7 +142,8 @@ impl<'a> Further<'a> {
     }
 
     /// Returns velocity and acceleration of every axis (axes) over their limits, by (1) of the module. The contact
-    /// point has position `p`, velocity `v` and acceleration `a` along x and y, in mm and s.
+    /// point has position `p`, velocity `v` and acceleration `a` along x and y, in mm and s. `None` where an axis has
+    /// no position or no derivative.
     fn of_motion(&self, p: [f64; 2], v: [f64; 2], a: [f64; 2]) -> Option<Vec<[f64; 2]>> {
         let speed = v[0].hypot(v[1]);
         let curvature_per_mm = (v[0] * a[1] - v[1] * a[0]) / speed.powi(3);
@@ -164,15 +169,16 @@ impl<'a> Further<'a> {
         Some(values)
     }
 
-    /// Returns the largest difference, over the limit, between the accelerations of a further axis for the two
-    /// accelerations `a` of the same contact point. It is 0 where an axis has no position.
+    /// Returns the largest difference between the accelerations of a further axis for two accelerations `a` of the
+    /// contact point, as a fraction of the limit. Position `p` and velocity `v` are the same for both. It is 0 where an
+    /// axis has no position or no derivative.
     pub fn acceleration_error(&self, p: [f64; 2], v: [f64; 2], a: [[f64; 2]; 2]) -> f64 {
         let [Some(first), Some(second)] = a.map(|a| self.of_motion(p, v, a)) else { return 0.0 };
         first.iter().zip(second).map(|(a, b)| (a[1] - b[1]).abs()).fold(0.0, f64::max)
     }
 
     /// Returns velocity and acceleration over the limits, by (1) of the module, at equally spaced times of a cubic
-    /// piece (times, axes).
+    /// piece (times, axes), ends included. `None` where an axis has no position or no derivative.
     fn sampled(&self, segment: &Segment<'_>, intervals: usize) -> Option<Vec<Vec<[f64; 2]>>> {
         (0..=intervals)
             .map(|k| {
@@ -237,7 +243,8 @@ impl<'a> Further<'a> {
         }
     }
 
-    /// Returns the largest ratios of every axis to its limits on every cubic piece (pieces, axes). All of a piece are
+    /// Returns the largest ratios of every axis to its limits on every cubic piece (pieces, axes). The ratio of a
+    /// limited jerk is infinite where the acceleration steps at the start of a piece. All ratios of a piece are
     /// infinite where an axis has no position or no derivative.
     pub fn used(&self, trajectory: &Trajectory) -> Vec<Vec<Used>> {
         let limits = self.axes.limits();
@@ -262,10 +269,10 @@ impl<'a> Further<'a> {
         all
     }
 
-    /// Returns the factor by which accelerations of every axis on every span of the mesh are too large (spans, axes);
-    /// at most 1 where it keeps its limits. If the motion is averaged, it judges the averaged motion, for every span
-    /// that takes part in the average. `span` has the index of the span for every segment of the `planned` motion;
-    /// there are `spans` of them.
+    /// Returns the largest ratio to a limit of every axis on every span of the mesh (spans, axes), as a factor on
+    /// accelerations. It is at most 1 where the axis keeps its limits. If the motion is averaged, it judges the
+    /// averaged motion, for every span that takes part in the average. `span` has the index of the span for every
+    /// segment of the `planned` motion; there are `spans` of them.
     /// # Errors
     ///
     /// Fails where the motion cannot be averaged.
@@ -299,8 +306,8 @@ impl<'a> Further<'a> {
         Ok(of_spans)
     }
 
-    /// Returns the least factor on all times with which the motion keeps the limits of the further axes; 1 if it keeps
-    /// them already.
+    /// Returns the least factor on all times with which the motion keeps the limits of the further axes. It is 1 if the
+    /// motion keeps them already, and infinite if a ratio of [`Self::used`] is.
     pub fn slower_by(&self, trajectory: &Trajectory) -> f64 {
         let used = self.used(trajectory);
         let factors = used.iter().flatten().map(|used| {
@@ -331,21 +338,22 @@ impl<'a> Further<'a> {
     }
 }
 
-/// Raises the excess of every axis on a span to that of a cubic piece that lies on it.
+/// Raises the largest ratio of every axis on a span to that on a cubic piece of this span, if that is larger.
 fn raise(excess_of_span: &mut [f64], used: &[Used]) {
     for (most, used) in excess_of_span.iter_mut().zip(used) {
         *most = most.max(as_acceleration(used));
     }
 }
 
-/// Returns the ratios to the limits less the allowances for rounding.
+/// Returns the ratios to the limits, divided by 1 plus the allowances for rounding.
 fn without_rounding([velocity, acceleration, jerk]: &Used) -> Used {
     let [velocity, acceleration] = [velocity, acceleration].map(|u| u / (1.0 + LIMIT_ALLOWANCE));
     [velocity, acceleration, jerk / (1.0 + JERK_ALLOWANCE)]
 }
 
-/// Returns the largest ratio to a limit as a factor on accelerations. If all times are longer by a factor, a velocity
-/// is lower by this factor and an acceleration by its square.
+/// Returns the largest of three ratios to limits: that of the acceleration, that of the jerk, and the square of that of
+/// the velocity. If all times are longer by a factor, a velocity is lower by this factor and an acceleration by its
+/// square.
 fn as_acceleration(used: &Used) -> f64 {
     let [velocity, acceleration, jerk] = without_rounding(used);
     velocity.powi(2).max(acceleration).max(jerk)

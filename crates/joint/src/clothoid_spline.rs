@@ -1,7 +1,7 @@
 //! A smooth curve through points: one clothoid from each point to the next one, with continuous curvature.
 //!
-//! The headings at the points are the unknowns. With the angles phi_0 and phi_1 from the chord of length d to the headings
-//! at its two ends, a clothoid of length L whose turns are small has
+//! The headings at the points are the unknowns. With the angles phi_0 and phi_1 from the chord of length d to the
+//! headings at its two ends, a clothoid of length L whose turns are small has
 //!
 //! ```text
 //! kappa_0 L = -4 phi_0 - 2 phi_1,   kappa_1 L = 2 phi_0 + 4 phi_1                                        (1)
@@ -50,7 +50,7 @@ pub enum End {
     /// it.
     Rest,
     /// The curve leaves a straight line at the outermost point. The curvature has a kink at this fraction (f) of the
-    /// length of the outermost part.
+    /// length of the outermost part, counted from the line.
     Line(f64),
 }
 
@@ -102,8 +102,8 @@ impl Bends {
 }
 
 impl Shape {
-    /// Returns the factors of phi_0 and phi_1 in the curvatures at the start and at the end, by (1) or (2) of the
-    /// module.
+    /// Returns the factors of the angles phi_0 and phi_1 in the curvatures at the start and at the end, times the
+    /// length, by (1) or (2) of the module. The angles are the headings at both ends, from the chord.
     fn factors(&self) -> [[f64; 2]; 2] {
         match *self {
             Self::One => [[-4.0, -2.0], [2.0, 4.0]],
@@ -127,7 +127,8 @@ impl Shape {
     }
 
     /// Returns the length of the shape over a chord of `chord_mm`, mm, and its curvatures times this length.
-    /// `angles_rad` are the headings at its ends, counted from the chord. Returns `None` if the turns are too large.
+    /// `angles_rad` are the headings at its ends, counted from the chord. Returns `None` if the turns are so large that
+    /// the shifts do not converge.
     fn joined(&self, angles_rad: [f64; 2], chord_mm: f64) -> Option<(f64, Bends)> {
         let mut shift = 0.0;
         for _ in 0..MOST_STEPS {
@@ -154,14 +155,15 @@ struct Chord {
     /// Unit vector from the first point to the second one.
     along: [f64; 2],
     shape: Shape,
-    /// Angle from this chord to the next one, rad; 0 for the last one.
+    /// Angle from this chord to the next one, rad, positive to the left; 0 for the last one.
     turn_rad: f64,
 }
 
 /// Spline during its solution: the chords, and the headings so far.
 struct Spline {
     chords: Vec<Chord>,
-    /// Angles from the chord after a point to the heading there, rad; at the last point from the chord before it.
+    /// Angles from the chord after a point to the heading of the curve there, rad, positive to the left. At the last
+    /// point it is from the chord before it.
     angles_rad: Vec<f64>,
     ends: [End; 2],
 }

@@ -7,9 +7,9 @@
 //! b = x_L + y_L tan(phi / 2),   e = y_L / cos(phi / 2)  the deviation at the vertex                   (2)
 //! ```
 //!
-//! Heading and curvature are continuous, so the acceleration across the path rises from zero and falls to it;
-//! arc length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). Segments in line with each
-//! other are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve
+//! Heading and curvature are continuous, so the acceleration across the path rises from zero and falls to it; arc
+//! length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). Segments in line with each other
+//! are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve
 //! follows it: there the machine comes to rest, and the next curve begins.
 //!
 //! The points of a bent path, such as a spiral, are no corners. Where several vertices in a row turn little, the curve
@@ -47,9 +47,9 @@ const NO_TURN_RAD: f64 = 1e-9;
 /// resolves.
 const LEAST_SEGMENT_MM: f64 = 1e-9;
 
-/// Least length of half a corner, mm, where there is room, whatever the radius. Larger: corners wider than asked for.
-/// Smaller: the motion leaves out pieces that are so short, and their turn with them. Chosen: far above the shortest
-/// break of the motion, 1e-5 mm.
+/// Least length of half a corner, mm, whatever the largest radius is; the room on its lines and the largest deviation
+/// may still make it shorter. Larger: corners wider than asked for. Smaller: the motion leaves out pieces that are so
+/// short, and their turn with them. Chosen: far above the shortest break of the motion, 1e-5 mm.
 const LEAST_HALF_LENGTH_MM: f64 = 1e-2;
 
 /// Fraction of the largest deviation by which smoothing may move points; the rest is left for rounding the corners
@@ -69,12 +69,12 @@ const SMOOTHING_SWEEPS: usize = 200;
 /// and a little more bend. Smaller: more sweeps. Chosen: the bend does not depend on a thousandth of the bound.
 const SMOOTHED_FINALLY: f64 = 1e-3;
 
-/// Largest turn of a vertex that may be a sample of a bent path, rad. Larger: real corners of a polygon are rounded over all
-/// of their lines. Smaller: coarsely sampled bends keep their corners. Chosen: 18 samples of a circle.
+/// Largest turn of a vertex that may be a sample of a bent path, rad. Larger: real corners of a polygon are rounded
+/// over all of their lines. Smaller: coarsely sampled bends keep their corners. Chosen: 18 samples of a circle.
 const BENT_TURN_RAD: f64 = PI / 9.0;
 
-/// Largest ratio of the lengths of neighbouring chords between samples of a bent path. Larger: lines beside short chords are
-/// bent. Smaller: unevenly sampled bends keep their corners. Chosen.
+/// Largest ratio of the lengths of neighbouring chords between samples of a bent path. Larger: lines beside short
+/// chords are bent. Smaller: unevenly sampled bends keep their corners. Chosen.
 const MOST_UNEVEN: f64 = 2.0;
 
 /// Least number of vertices in a row that are samples of a bent path. Larger: short bends keep their corners. Smaller:
@@ -116,7 +116,7 @@ pub struct Corner {
 pub struct Curve {
     pieces: Vec<CurvePiece>,
     corners: Vec<Corner>,
-    /// Largest distance from the path in its bent parts, which have no corners, mm.
+    /// Largest distance from the chords of the bent parts, which have no corners, at ends and middles of clothoids, mm.
     bent_deviation_mm: f64,
 }
 
@@ -136,7 +136,8 @@ impl Curve {
         self.pieces.last().map_or(0.0, CurvePiece::to_mm)
     }
 
-    /// Returns the largest distance of the curve from the path, mm.
+    /// Returns the largest distance of the curve from the points and lines it was made of, mm, at its corners and along
+    /// its bent parts. These points are those after smoothing.
     pub fn deviation_mm(&self) -> f64 {
         self.corners.iter().map(|c| c.deviation_mm).fold(self.bent_deviation_mm, f64::max)
     }
@@ -262,8 +263,8 @@ struct Blend {
 }
 
 impl Blend {
-    /// Returns the widest rounding of a corner of this turn that the bounds and `room_mm` along each of the two lines
-    /// allow.
+    /// Returns the widest rounding of a corner of this turn (above 0) that the bounds and the length `room_mm` along
+    /// each of its two lines allow.
     fn widest(turn_rad: f64, room_mm: f64, rounding: &Rounding) -> Self {
         // For L = 1: heading phi u^2 / 2 means a sharpness of phi.
         let [c, s] = clothoid::position(0.0, turn_rad, 1.0);
@@ -358,7 +359,8 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
     (point_mm, moved_mm)
 }
 
-/// Splits the indices `at` of the points of a path into runs, each from a point that must stay to the next such point.
+/// Splits the indices `at` of the points of a path into runs, each from a point that must stay to the next such point,
+/// both included. [`smoothed`] says which points must stay.
 fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     let mut runs = vec![vec![at[0]]];
     for w in at.windows(3) {
@@ -398,7 +400,8 @@ fn vertices(chords: &[Chord]) -> Vec<Vertex> {
     between.chain(last).collect()
 }
 
-/// Returns the turn, rad, and the rounding of the corner after chord `i`; `None` if there is no corner.
+/// Returns the turn, rad, and the rounding of the corner after chord `i`; `None` if the machine rests there or the turn
+/// is rounding.
 fn blend(
     chords: &[Chord],
     vertices: &[Vertex],
@@ -418,14 +421,15 @@ struct Bent {
     /// Clothoids in order, each with the index of its chord and the start and end of its part of the chord, as
     /// fractions.
     arcs: Vec<(usize, [f64; 2], CurvePiece)>,
-    /// Length of the last chord that the bent part covers, mm.
+    /// Length that the bent part covers of its last chord, from the start of the chord, mm.
     taken_mm: f64,
     deviation_mm: f64,
 }
 
 impl Bent {
     /// Returns the bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None`
-    /// if it would be farther from the path than the rounding allows, or if corners would be less curved.
+    /// if no spline is found, if it would be farther from the path than the rounding allows, or if corners would be
+    /// less curved.
     fn new(
         chords: &[Chord],
         vertices: &[Vertex],

@@ -120,9 +120,9 @@ pub struct Approach {
     pub iterations: usize,
 }
 
-/// Goes towards the minimum of the program (1) of the module without a proof. It ends when the complementarity is at
-/// most the fraction `near` of the objective, or after `max_iterations` steps. Returns `None` if the matrix is singular
-/// to rounding.
+/// Goes towards the minimum of the program (1) of the module without a proof. It ends after `max_iterations` steps, or
+/// when the complementarity is at most the fraction `near` of the objective, but not before three steps. Returns `None`
+/// if the matrix is singular to rounding.
 ///
 /// # Errors
 ///

@@ -39,8 +39,9 @@ const ROUNDING_MARGIN: f64 = 1e-9;
 /// path gets or loses more time. Smaller: pieces too short for a controller. Chosen: far below what a machine notices.
 const SHORTEST_OVER_INTERVAL: f64 = 1e-3;
 
-/// Least deviation that the average uses, (4) of the module, over the largest one. Larger: longer averages than the
-/// limit on jerk asks for. Smaller: more cubic pieces, for a deviation that the plan need not avoid. Chosen.
+/// Deviation of the averaged motion, (4) of the module, over the largest allowed one, up to which the window is
+/// lengthened. Larger: longer averages than the limit on jerk asks for. Smaller: more cubic pieces, for a deviation
+/// that the plan need not avoid. Chosen.
 const LEAST_DEVIATION: f64 = 0.25;
 
 /// Least fraction of the limit on acceleration that the plan may use. If less would be left, the limit on jerk has
@@ -106,8 +107,8 @@ impl Average {
         file.checked()
     }
 
-    /// Returns the averaged motion, (2) of the module; it is longer by w and four h. Segments of the path and the state
-    /// of the tool keep their times.
+    /// Returns the averaged motion, (2) of the module; it is longer by w, four h, and what makes its time a multiple of
+    /// h. It changes segments of the path and the state of the tool at the same times as `motion`.
     ///
     /// # Errors
     ///

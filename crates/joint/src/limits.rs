@@ -14,17 +14,17 @@
 //! checks the motion in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three
 //! times its mean feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
 //!
-//! Axes beyond x and y ([`crate::axes`]) have the same rows, also on lines, because their q'' does not vanish there. With
-//! f = q' / A and g = q'' / A, their acceleration over the limit is `g s'^2 + f s''`. The excess of a product of two
-//! functions over the line between its values at two places is
+//! Axes beyond x and y ([`crate::axes`]) have the same rows, also on lines, because their q'' does not vanish there.
+//! With f = q' / A and g = q'' / A, their acceleration over the limit is `g s'^2 + f s''`. The excess of a product of
+//! two functions over the line between its values at two places is
 //!
 //! ```text
 //! <= |change of one| |change of the other| / 4 + what either differs from its own line, times the other   (5)
 //! ```
 //!
 //! Places of these rows are so close that (5) is at most `MOST_BETWEEN`, with the largest s' and s'' that the other
-//! limits allow. Every row leaves free what (5) is beside its place. Where a velocity could be exceeded between two nodes,
-//! (2) is a row too: `c = 1 - (q' / V)^2 s'^2`. Rows that the other limits imply are left out.
+//! limits allow. Every row leaves free what (5) is beside its place. Where a velocity could be exceeded between two
+//! nodes, (2) is a row too: `c = 1 - (q' / V)^2 s'^2`. Rows that the other limits imply are left out.
 
 use std::ops::Range;
 
@@ -118,12 +118,12 @@ enum On {
     Ratio { by: [f64; 2] },
 }
 
-/// Row at some densities, with its derivatives by the densities of the two nodes of its span.
+/// Row (constraint `c >= 0`) at given densities, with its derivatives by the densities of the two nodes of its span.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Constraint {
     /// Nodes at the start and at the end of the span; `None` at rest.
     pub nodes: [Option<usize>; 2],
-    /// Slack (c), dimensionless; the limit is exceeded if it is negative.
+    /// Slack (c), dimensionless; a negative slack means an exceeded limit.
     pub slack: f64,
     /// First derivatives of c by the two densities, mm/s.
     pub by: [f64; 2],
@@ -131,7 +131,8 @@ pub struct Constraint {
     pub bend: [f64; 3],
 }
 
-/// Limits of the machine along the curves, as rows and as least densities.
+/// Limits of the machine along the curves, as rows (constraints on the densities of nodes) and as least densities of
+/// nodes.
 pub struct LimitRows<'a> {
     mesh: &'a Mesh,
     rows: Vec<LimitRow>,
@@ -188,8 +189,8 @@ impl<'a> LimitRows<'a> {
         Self { mesh, rows, least_density }
     }
 
-    /// Adds the rows (constraints) of further axes to those of x and y. Raises the least densities to what their
-    /// velocity limits demand.
+    /// Adds the rows (constraints) of further axes to those of x and y, span by span. Raises the least densities to
+    /// what their velocity limits demand.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
         let mesh = self.mesh;
         let of_spans = self.of_spans();
@@ -316,7 +317,7 @@ impl<'a> LimitRows<'a> {
     }
 
     /// Returns the first-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks
-    /// of its rows times their dual variables `z` (rows).
+    /// of its rows times their dual variables `z` (rows). It is 0 for a span that begins or ends at rest.
     ///
     /// The new node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a
     /// row on the whole span, the half with the smaller slack decides.
@@ -343,15 +344,16 @@ impl<'a> LimitRows<'a> {
         worth
     }
 
-    /// Multiplies the use of the limits in the rows of x and y of every span by `use_of_limit` (spans) if that is above
-    /// 1. The next solution then uses less of the limits.
+    /// Tightens the rows of x and y of every span: divides their limits by `use_of_limit` (spans) where that is above
+    /// 1. Ratios of densities stay.
     pub fn tighten(&mut self, use_of_limit: &[f64]) {
         for row in self.rows.iter_mut().filter(|row| row.further.is_none()) {
             row.on.tighten(use_of_limit[row.span]);
         }
     }
 
-    /// Multiplies the use of the limits in the rows of further axes by `use_of_limit` (spans, axes) if that is above 1.
+    /// Tightens the rows of further axes on every span: their limits are divided by `use_of_limit` (spans, axes) where
+    /// that is above 1.
     ///
     /// A span may have no row of an axis, because other limits imply its velocity and acceleration, but not its jerk.
     /// The method then tightens its rows of x and y; with `all` it tightens those of all axes.
@@ -368,7 +370,8 @@ impl<'a> LimitRows<'a> {
         }
     }
 
-    /// Returns the least densities of the nodes by the velocity limits, (2) of the module (nodes), s/mm.
+    /// Returns the least densities of the nodes (nodes) that the velocity limits of all axes allow, (2) of the module,
+    /// s/mm.
     pub fn least_density(&self) -> &[f64] {
         &self.least_density
     }
@@ -421,7 +424,7 @@ impl On {
         let densities = densities.map(Some);
         self.derivatives(&self.motion(span, densities), densities).0
     }
-    /// Multiplies the use of the limit by `factor` if that is above 1; a ratio of densities stays.
+    /// Divides the limit of the row by `factor` if that is above 1; a row on the ratio of densities stays.
     fn tighten(&mut self, factor: f64) {
         let factor = factor.max(1.0);
         match self {
@@ -489,7 +492,7 @@ struct Sample {
     curvature_per_mm: f64,
 }
 
-/// Returns the number of steps between the points of a clothoid at which x and y are limited.
+/// Returns the number of equal steps into which a clothoid is divided; x and y are limited at their ends.
 fn steps_of(piece: &CurvePiece) -> usize {
     let least = if piece.change_of_curvature() > LITTLE_CHANGE { LEAST_STEPS } else { 1 };
     ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(least)
@@ -540,7 +543,8 @@ struct Most<'a> {
 }
 
 impl Most<'_> {
-    /// Returns the points of the span between which (5) of the module is small.
+    /// Returns the points of the span at which further axes are limited. Between them (5) of the module is at most
+    /// [`MOST_BETWEEN`], or the part was halved [`MAX_HALVINGS`] times. Their margins contain (5).
     fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<FurtherPlace> {
         let span = self.span;
         let mut places = Vec::new();
@@ -576,8 +580,8 @@ impl Most<'_> {
         places
     }
 
-    /// Returns the ends of the parts into which every span is divided whatever the axes do, as lengths from its start,
-    /// mm. They are the steps on clothoids, and the lines between them as a whole. The flag is true for a part of a
+    /// Returns the ends of the parts into which the span is divided before any halving, as lengths from its start, mm.
+    /// They are the steps on clothoids, and the lines between them as a whole. The flag is true for a part of a
     /// clothoid.
     fn steps(&self, curve: &Curve) -> Vec<(f64, bool)> {
         let from_mm = self.span.from_mm;
@@ -644,7 +648,8 @@ impl Most<'_> {
         bounds.collect()
     }
 
-    /// Returns the rows of a point that the other limits do not imply.
+    /// Returns the rows of the further axes at a point of the span with the index `span`, without those that the other
+    /// limits imply.
     fn rows(&self, span: usize, place: &FurtherPlace) -> Vec<LimitRow> {
         let s_mm = place.s_mm;
         let feed = self.feed_mm_per_s;

@@ -2,13 +2,14 @@
 //!
 //! | kinematics | axes with rows of their own |
 //! |---|---|
-//! | `xy` | none: x and y read the contact point |
+//! | `xy` | none: x and y are those of the contact point |
 //! | `xyz` | z |
-//! | `xyz-tilts` | x, y, z, a, b: with a pivot, x and y do not read the contact point |
+//! | `xyz-tilts` | x, y, z, a, b: with a pivot, x and y are not those of the contact point |
 //! | `spindle` | all axes: the limits of x and y are those of the contact point, as the machine file states them |
 //!
 //! Derivatives by arc length are those of [`AxisMap::along`]. They are exact, but for the third derivatives of the form
-//! in the second derivative of a tilt. These are differences over 1e-3 mm on both sides, with an error below 1e-14 /mm^2.
+//! in the second derivative of a tilt. These are differences over 1e-3 mm on both sides; `planish_kinematics` states
+//! their error.
 
 use planish_form::Form;
 use planish_kinematics::AxisMap;
@@ -21,7 +22,7 @@ use crate::{FurtherAxes, FurtherLimits};
 /// rounding, and far below what a tool resolves.
 const CENTRE_MM: f64 = 1e-6;
 
-/// Axes of a machine that do not simply read x and y of the part, with their limits.
+/// Axes of a machine whose positions are not simply x or y of the contact point, with their limits.
 #[derive(Clone, Debug)]
 pub struct MachineAxes {
     map: AxisMap,

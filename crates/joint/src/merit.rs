@@ -123,7 +123,8 @@ pub struct Merit<'a> {
     /// Pairs of neighbouring nodes.
     neighbours: Vec<[usize; 2]>,
     wanted: Price,
-    /// Price of time, nm^2/s.
+    /// Price of a second, relative to half the mean square of the residual, nm^2/s; with an elasticity it changes until
+    /// it is found.
     pub price: f64,
     price_is_found: bool,
     reference: Reference,
@@ -236,8 +237,8 @@ impl<'a> Merit<'a> {
         Self { executed: Some(executed), ..self }
     }
 
-    /// Returns the curvature of the objective without that of the residual: the diagonal (nodes), and the element (j, j
-    /// - 1) for every node j (nodes).
+    /// Returns the second derivatives of the objective without those of the residual. They are the diagonal (nodes),
+    /// and for every node j the matrix element of this node and the one before it (nodes).
     pub fn chain(&self) -> (Vec<f64>, Vec<f64>) {
         let n = self.lo.len();
         let mut diagonal = vec![self.alpha; n];
@@ -259,8 +260,8 @@ impl<'a> Merit<'a> {
     ///
     /// # Errors
     ///
-    /// Refuses cells that missed much of it since the last reference ([`JointError::CellsTooLarge`]). Fails if the
-    /// motion cannot be simulated.
+    /// Refuses cells of more than one pixel that missed much of it since the last reference
+    /// ([`JointError::CellsTooLarge`]). Fails if the motion cannot be simulated.
     pub fn refer_to(
         &mut self,
         at: Progress,

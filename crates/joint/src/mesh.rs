@@ -70,11 +70,13 @@ pub struct Kinematics {
     pub acceleration_mm_per_s2: f64,
     /// Jerk along the curve (s'''), mm/s^3.
     pub jerk_mm_per_s3: f64,
-    /// Derivatives of the position by the densities of the two nodes.
+    /// Derivatives of the position by the densities of the two nodes at a fixed fraction of the time of the span,
+    /// mm^2/s.
     pub s_by: [f64; 2],
-    /// Derivatives of the feedrate by the densities of the two nodes.
+    /// Derivatives of the feedrate by the densities of the two nodes, mm^2/s^2; [`Span::at_place`] says when they are
+    /// at a fixed position.
     pub feed_by: [f64; 2],
-    /// Derivatives of the acceleration by the densities of the two nodes.
+    /// Derivatives of the acceleration by the densities of the two nodes, mm^2/s^3, taken like those of the feedrate.
     pub acceleration_by: [f64; 2],
 }
 
@@ -111,8 +113,8 @@ impl Span {
         }
     }
 
-    /// Returns the motion at the fraction `tau` (0 to 1) of the time of the span, by (3) of the module, for the
-    /// densities of its nodes.
+    /// Returns the motion at the fraction `tau` (0 to 1) of the time of the span, by (3) of the module. The densities
+    /// of its nodes are in s/mm. All derivatives are at fixed `tau`.
     pub fn kinematics(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let l = self.length_mm();
         let t = tau;
@@ -186,8 +188,8 @@ impl Span {
         }
     }
 
-    /// Returns the motion at `s_mm` from the start of the span, by (3) of the module. The derivatives by the densities
-    /// are those at this position, not at a fixed time.
+    /// Returns the motion at `s_mm` from the start of the span, by (3) of the module. The derivatives of feedrate and
+    /// acceleration are those at this position; those of the position stay at a fixed fraction of the time.
     pub fn at_place(&self, s_mm: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let mut at = self.kinematics(self.tau_at(s_mm, densities), densities);
         // At a place the time changes by du / dD = -(ds / dD) / s' with a density.
@@ -267,7 +269,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Builds the mesh with nodes along the curves at most `spacing_mm` apart.
+    /// Builds the mesh with nodes along the curves at most `spacing_mm` apart, and further ones at corners and where
+    /// the tool is switched.
     ///
     /// # Errors
     ///

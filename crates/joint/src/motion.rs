@@ -15,9 +15,9 @@ use crate::{
     piece::{CurvePiece, Station},
 };
 
-/// Largest difference of the acceleration at the ends of a cubic piece from that of the exact motion q(s(u)), over the
-/// limit. Larger: fewer pieces, and accelerations beyond the margins of [`crate::limits`]. Smaller: more pieces. Chosen
-/// below these margins.
+/// Largest difference of the acceleration at the ends of a cubic piece from that of the exact motion q(s(u)), as a
+/// fraction of the limit. Larger: fewer pieces, and accelerations beyond the margins of [`crate::limits`]. Smaller:
+/// more pieces. Chosen below these margins.
 const MAX_ACCELERATION_ERROR: f64 = 2e-3;
 
 /// Largest distance of a cubic piece from the exact motion q(s(u)) at the middle of its time, mm. Larger: fewer pieces,
@@ -106,7 +106,8 @@ struct Cubic {
     length_mm: f64,
     /// Distance from the exact motion q(s(u)) at the middle of its time, mm.
     fit_error_mm: f64,
-    /// Largest difference of its acceleration at its ends from that of the exact motion q(s(u)), over the limit.
+    /// Largest difference of an acceleration of x, y or a further axis at its ends from that of the exact motion
+    /// q(s(u)), as a fraction of the limit.
     acceleration_error: f64,
 }
 

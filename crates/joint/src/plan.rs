@@ -34,9 +34,10 @@ use crate::{
 /// wavelengths that the TIF could remove. Smaller: more nodes, for densities that the removal hardly shows. Chosen.
 const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
 
-/// Least width of a TIF that sets the spacing of the nodes, over the spread of the TIF. A spot with steep flanks, such
-/// as a ring, is narrow by its slopes. Nodes by these are many more than its removal shows: half as many leave 0.1 %
-/// more of a ring with hard edges. Larger: a larger residual with such spots. Smaller: plans that take minutes. Chosen.
+/// Least width by which the nodes are spaced, over the spread of the TIF ([`Tif::spread_mm`]); it takes the place of a
+/// smaller width of the TIF. A spot with steep flanks, such as a ring, is narrow by its slopes. Nodes by these are many
+/// more than its removal shows: half as many leave 0.1 % more of a ring with hard edges. Larger: a larger residual with
+/// such spots. Smaller: plans that take minutes. Chosen.
 const LEAST_WIDTH_OVER_SPREAD: f64 = 0.4;
 
 /// Default deviation of the curve at corners, over the width of the TIF. Larger: faster corners, further from the path.
@@ -91,7 +92,7 @@ pub struct JointReport {
     pub points_moved_mm: f64,
     /// Number of corners that were rounded.
     pub corners: usize,
-    /// Largest distance of a curve from a corner of the path, or from its bent parts, mm.
+    /// Largest distance of a curve from a corner of the (smoothed) path, or from the chords of its bent parts, mm.
     pub corner_deviation_mm: f64,
     /// Least radius of curvature of the curves, mm; `None` if all are straight.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -122,8 +123,9 @@ pub struct JointReport {
     pub pull_part: f64,
     /// Number of steps of the solver in all its rounds, without the search for a start if the price is an elasticity.
     pub iterations: usize,
-    /// Objective of the last round at its start and after every step, nm^2. The last value and some before it are
-    /// computed with the removal itself, the others with the normal matrix.
+    /// Objective of the last round at its start and after every step, and of the rounds with new tangents that follow
+    /// it, nm^2. The last value and some before it are computed with the removal itself, the others with the normal
+    /// matrix.
     pub objective_nm2: Vec<f64>,
     /// RMS of the residual in the removal model of the solver, without the free low-order terms, nm.
     pub model_rms_nm: f64,
@@ -132,13 +134,14 @@ pub struct JointReport {
     /// Average of the motion in time; `None` if the machine does not limit jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub average: Option<Averaged>,
-    /// Number of rounds of the solver. In all but the first one the limits of some spans are tightened.
+    /// Number of rounds of the solver, without those with new tangents. In all but the first one the limits of some
+    /// spans are tightened.
     pub rounds: usize,
     /// Ratios of every axis to its limits; empty if the machine has no axes beyond x and y.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<AxisReport>,
     /// Factor by which all times of the motion are longer, because an excess over a limit of a further axis was left
-    /// after the rounds. `None` if none was left.
+    /// after the rounds. `None` if none was left, or if the motion is refused as it is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowed_by: Option<f64>,
     /// Lattice of the map on which the TIF was resampled; `None` if its own samples were used.
@@ -165,7 +168,8 @@ impl JointReport {
 /// Removal rates of a plan for a tool whose rate depends on the time of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatesOfTime {
-    /// Number of plans, each with the rates at the times of the previous one.
+    /// Number of plans: the first with the rate of the TIF, each further one with the rates at the times of the
+    /// previous one.
     pub rounds: usize,
     /// Largest relative difference between a rate that the plan uses and the rate at the times of the plan.
     pub rate_error: f64,
@@ -278,8 +282,9 @@ const MAX_ROUNDS_OF_TIMES: usize = 6;
 ///
 /// # Errors
 ///
-/// Refuses settings out of their range, a path without a length and a TIF that nowhere reaches the map. Fails if the
-/// weights are too small for the equations.
+/// Refuses settings out of their range, a path without a length and a TIF that nowhere reaches the map. Refuses a limit
+/// on jerk that leaves nearly nothing of the acceleration, and nodes that need too much memory. Fails if the weights
+/// are too small for the equations.
 pub fn plan(
     desired: &Surface,
     tif: &Tif,
@@ -294,7 +299,8 @@ pub fn plan(
 ///
 /// # Errors
 ///
-/// Refuses what [`plan`] refuses, and a path on which a further axis has no position or allows nearly no feedrate.
+/// Refuses what [`plan`] refuses, and a limit of a further axis that is not positive and finite. Refuses a path on
+/// which a further axis has no position, allows nearly no feedrate, or turns within a part of a span.
 pub fn plan_with_further_axes(
     desired: &Surface,
     tif: &Tif,
@@ -511,8 +517,8 @@ fn as_run(
 }
 
 /// Returns a motion that keeps the limits of the further axes: the same one, or one with all times longer. A motion
-/// whose use of a limit is above [`HOPELESS`] is returned as it is, and refused. The second value is the reason why the
-/// motion is refused, the third the factor on all times; `None` if there is none.
+/// whose ratio to a limit (as a factor on accelerations) is above [`HOPELESS`] is returned as it is, and refused. The
+/// second value is the reason why the motion is refused, the third the factor on all times; `None` if there is none.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -532,7 +538,8 @@ fn within_axes(
     Ok((trajectory, refused, Some(factor)))
 }
 
-/// Returns the mesh of equal distances, and the widened spacing if that is larger than `spacing_mm` to save work.
+/// Returns the first mesh, and the widened spacing if that is larger than `spacing_mm` to save work. A spacing in the
+/// settings is taken as it is; the default one also shrinks where there is little work.
 fn first_mesh(
     curves: &[Curve],
     path: &ToolPath,
@@ -551,18 +558,20 @@ fn first_mesh(
     Ok((mesh, if taken_mm > spacing_mm { Some(widened) } else { None }))
 }
 
-/// Largest ratio of the density that the velocity limit of a further axis demands to the largest that x and y demand.
-/// Larger: a plan that stands still near the centre of a spindle. Smaller: paths that pass near it are refused. Chosen:
-/// a tool that takes ten thousand times as long over a point removes far too much there.
+/// Largest ratio of the dwell-time density that the velocity limit of a further axis demands to the inverse of the
+/// smaller velocity limit of x and y. Larger: a plan that stands still near the centre of a spindle. Smaller: paths
+/// that pass near it are refused. Chosen: a tool that takes ten thousand times as long over a point removes far too
+/// much there.
 const MOST_SLOWED: f64 = 1e4;
 
 /// Number of parts of every span at whose ends [`check_further`] evaluates the axes. Larger: more time. Smaller: paths
 /// are refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
 const CHECKED_PARTS: usize = 32;
 
-/// Largest change of a derivative between two points of [`check_further`] that its second derivatives there do not
-/// explain, over the derivative. Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen:
-/// where an axis is resolved it is some percent, and 2 where the tool passes the centre of a spindle.
+/// Largest change of the first derivative of an axis between two points of [`check_further`] that its second
+/// derivatives there do not explain. It is a fraction of the first derivative. Larger: the plan may miss a limit there.
+/// Smaller: steep axes are refused. Chosen: where an axis is resolved it is some percent, and 2 where the tool passes
+/// the centre of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
 /// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns within a part of a span.
@@ -624,7 +633,7 @@ fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
 }
 
 /// Returns the limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of
-/// the TIF.
+/// the TIF. Refuses a spacing that is far below the width.
 fn scales(
     tif_width_mm: f64,
     tif_spread_mm: f64,

@@ -55,12 +55,13 @@ const LAST_GAIN: f64 = 0.25;
 /// Larger: rounds that gain nothing, although a short step would. Smaller: more simulations. Chosen.
 const LEAST_PART: f64 = 0.05;
 
-/// Use of the limits of a further axis above which no round tightens them: the path passes a place where the axis
-/// steps, or where it has no position. Larger: rounds that gain nothing. Smaller: plans are refused that could still be
-/// mended. Chosen: rows of an axis that moves smoothly are exceeded by some percent.
+/// Ratio to a limit of a further axis, as a factor on accelerations, above which no round tightens its rows. The path
+/// then passes a place where the axis steps, or where it has no position. Larger: rounds that gain nothing. Smaller:
+/// plans are refused that could still be mended. Chosen: rows of an axis that moves smoothly are exceeded by some
+/// percent.
 pub const HOPELESS: f64 = 30.0;
 
-/// Factor on the measured ratio to a limit when the rows are tightened. Larger: spans that use less than the limit.
+/// Factor by which rows are tightened beyond the measured ratio to a limit. Larger: spans that use less than the limit.
 /// Smaller: more rounds. Chosen.
 const TIGHTENED_FURTHER: f64 = 1.002;
 
@@ -82,8 +83,9 @@ pub const LITTLE_WORK: f64 = 1.5e8;
 /// are compared. Smaller: more steps for each of them. Chosen.
 const COMPARABLE: f64 = 0.03;
 
-/// Ratio of the products m T^x (mean square m, total time T, elasticity x) of two plans below which the other plan is
-/// taken. Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better plans are missed. Chosen.
+/// Ratio of the product m T^x of another plan to that of the best one so far, below which the other plan is taken (mean
+/// square m, total time T, elasticity x). Larger: a plan may be taken for an error of [`COMPARABLE`]. Smaller: better
+/// plans are missed. Chosen.
 const CLEARLY_LESS: f64 = 0.95;
 
 /// Factor between the prices of time from which plans with the same elasticity are looked for. Larger: starts further
@@ -530,7 +532,7 @@ impl<'a> OnMesh<'a> {
 
     /// Runs a round with new tangents of the removal of the motion and of the limits. It goes towards the least
     /// objective of that convex program as far as the simulated motion has a lower one. Returns `None` if nothing is
-    /// proven for this program.
+    /// proven for this program, or if the cells of the normal matrix are too large.
     fn descend(
         &self,
         program: &Program<'_>,
@@ -610,7 +612,8 @@ fn largest_excess<'u>(used: impl IntoIterator<Item = &'u f64>) -> f64 {
     used.into_iter().copied().fold(1.0, f64::max)
 }
 
-/// Returns the residual as a function of the times at the Gauss points of a mesh.
+/// Returns the residual as a function of the times at the Gauss points of a mesh. Fails if the tool reaches the map
+/// from none of them.
 fn residual<'a>(
     inputs: &PlanInputs<'a>,
     mesh: &'a Mesh,

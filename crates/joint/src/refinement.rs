@@ -21,8 +21,9 @@ use crate::{
     mesh::Mesh,
 };
 
-/// Least worth of halving a span, (1) of the module, at which the span is halved, over the objective per node. Larger:
-/// fewer nodes and a larger residual. Smaller: more nodes, which take more time than they gain. Chosen.
+/// Worth of halving a span (the decrease of the objective), (1) of the module, above which the span is halved. It is a
+/// fraction of the objective per node. Larger: fewer nodes and a larger residual. Smaller: more nodes, which take more
+/// time than they gain. Chosen.
 const LEAST_WORTH: f64 = 4e-3;
 
 /// Factor by which [`LEAST_WORTH`] grows until the nodes are affordable. Larger: fewer nodes than are affordable.
@@ -43,7 +44,8 @@ pub struct Refined {
     pub mesh: Mesh,
     /// Densities and dual variables from which the solver begins on the finer mesh.
     pub start: Start,
-    /// Node of the coarser mesh with the same two neighbours (nodes); `None` if there is none.
+    /// Node of the coarser mesh with the same two neighbours, for every node (nodes); `None` for new nodes and their
+    /// neighbours.
     pub same: Vec<Option<usize>>,
 }
 
@@ -74,7 +76,8 @@ impl MeshInputs<'_> {
     }
 
     /// Returns a finer mesh that is `affordable`, with a start from the iterate `at` of the solver on `mesh`. `None` if
-    /// no span is worth halving by (1) of the module.
+    /// no span is worth halving by (1) of the module among meshes that are affordable, or if the rows of the halves
+    /// allow no start.
     pub fn refined(
         &self,
         mesh: &Mesh,

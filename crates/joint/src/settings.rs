@@ -23,7 +23,8 @@ pub const MOST_PULL: f64 = 0.01;
 /// Settings of a joint plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct JointSettings {
-    /// Least dwell-time density (inverse of a largest feedrate), s/mm; >= 0. The limits of the machine hold besides.
+    /// Least dwell-time density (inverse of a largest feedrate), s/mm; >= 0. The limits of the machine apply in
+    /// addition.
     pub min_dwell_s_per_mm: f64,
     /// Price of time in the objective: fixed, or by an elasticity.
     pub price: Price,

@@ -102,7 +102,8 @@ fn a_plan_is_written_with_its_certificate_and_keeps_the_limits() {
     }
 }
 
-/// Returns a machine with the tilts a and b, whose pivot is far above the part.
+/// Returns the machine file of a machine with the axes x, y, z and the tilts a and b, whose pivot is far above the
+/// part.
 fn five_axes() -> Value {
     let mut machine = machine(None, 400.0);
     let z = json!({"name": "z", "max_velocity_mm_per_s": 40, "max_acceleration_mm_per_s2": 300});

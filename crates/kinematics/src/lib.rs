@@ -14,9 +14,10 @@
 //!             with a tilt: b = atan2(n_r, n_z),  (r, z) += L (sin b, cos b - 1),  n_r = n . X_xy / r   (5)
 //! ```
 //!
-//! The tool stands along n, out of the material; its pivot is the distance L from the contact point. Without tilt the
-//! linear axes read the contact point. In (5) the tool stays in the plane of the radius and z, so that it follows the
-//! part of the normal in this plane. [`Contact::off_normal_deg`] is the angle between tool and normal.
+//! The tool stands along n, out of the material; its pivot is the distance L from the contact point. Without a tilt,
+//! the linear axes stand at the coordinates (or the radius) of the contact point, with z0 added to z. In (5) the tool
+//! stays in the plane of the radius and z, so that it follows the part of the normal in this plane.
+//! [`Contact::off_normal_deg`] is the angle between tool and normal.
 //!
 //! A point of the machine goes back to the part along the tool: the contact point is where the axis of the tool meets
 //! the surface, and the gap is the distance from there to the tip of the tool.
@@ -37,9 +38,9 @@ pub use series::Series;
 
 /// Step of the difference that gives the third derivatives of the form, mm.
 ///
-/// Larger: truncation, the square of the step over 6 times the fifth derivatives (3e-16 /mm^2 for a sphere of 100 mm).
-/// Smaller: rounding of the second derivatives over the step (1e-18/mm over it). Derived: both are below 1e-14 /mm^2,
-/// which is nothing beside the second derivative of any tilt.
+/// Larger: truncation, step^2 / 6 times the fifth derivative (below 1e-14 /mm^2 within 10 mm of the axis of a sphere of
+/// radius 100 mm). Smaller: rounding of the second derivatives (1e-18 /mm) divided by the step, 1e-15 /mm^2. Derived:
+/// both are far below the third derivatives that matter for a tilt.
 const STEP_MM: f64 = 1e-3;
 
 /// Distance from the centre of the spindle, mm, below which the direction of the motion, not that of the point, decides
@@ -55,7 +56,7 @@ const CONVERGED_MM: f64 = 1e-12;
 /// quadratically. Smaller: tools far from the surface are given up.
 const NEWTON_STEPS: usize = 30;
 
-/// Map from a contact point on the part to the positions of the axes, and back.
+/// Map from a contact point on the part to the positions of the axes of a machine, and back.
 #[derive(Clone, Debug)]
 pub struct AxisMap {
     form: Form,
@@ -70,7 +71,8 @@ pub struct AxisMap {
 pub struct Contact {
     /// Contact point [x, y] in the coordinates of the part, mm.
     pub point_mm: [f64; 2],
-    /// Distance from the surface to the tip of the tool, along the tool, mm; 0 for kinematics without an axis z.
+    /// Distance from the surface to the tip of the tool, along the tool, mm; positive if the tip is outside of the
+    /// material. It is 0 for kinematics without an axis z.
     pub gap_mm: f64,
     /// Angle between the tool and the normal at the contact point, degrees. Without an axis z it is the slope of the
     /// form there, and 0 outside of the form.
@@ -102,10 +104,11 @@ impl AxisMap {
         self.axes
     }
 
-    /// Returns the positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`,
-    /// mm. `None` if the form does not exist there. The axis c of a spindle is between -180 and 180 deg.
+    /// Returns the positions of the axes, mm and deg, in the order of the machine. The contact point is `p`, mm, in the
+    /// coordinates of the part. The derivatives are by the parameter of `p`. `None` if the machine has an axis z and
+    /// the form does not exist at `p`. The axis c of a spindle is between -180 and 180 deg.
     ///
-    /// In the centre of a spindle, c is the azimuth of the direction in which the point moves.
+    /// In the centre of a spindle, c is the azimuth of the direction in which the point moves, and 0 if it rests.
     pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {
         let [x, y] = self.on_machine(p);
         let origin_z = Series::constant(self.origin_z_mm);
@@ -144,7 +147,7 @@ impl AxisMap {
 
     /// Returns the position of every axis, with its first and second derivative by the arc length in the plane of the
     /// part: mm or deg, per mm and per mm^2. The path goes through `point_mm` along the unit vector `tangent`, with
-    /// this curvature (positive to the left). `None` if the form does not exist there.
+    /// this curvature (positive to the left). `None` if the machine has an axis z and the form does not exist there.
     pub fn along(
         &self,
         point_mm: [f64; 2],
@@ -161,8 +164,8 @@ impl AxisMap {
         Some(axes.iter().map(|q| [q.value, q.first, q.second]).collect())
     }
 
-    /// Returns the contact of the tool where the axes are at `positions`, mm and deg. `None` if the axis of the tool
-    /// meets no surface.
+    /// Returns the contact of the tool where the axes are at `positions`, mm and deg. `None` if the search along the
+    /// tool leaves the form or does not converge; never for a machine without an axis z.
     pub fn contact(&self, positions: &[f64]) -> Option<Contact> {
         let q = positions;
         let vertical = [0.0, 0.0, 1.0];
@@ -222,13 +225,14 @@ impl AxisMap {
         None
     }
 
-    /// Returns the contact of a machine without an axis z, whose tool is parallel to z.
+    /// Returns the contact at `point_mm`, in the coordinates of the part, of a machine without an axis z; its tool is
+    /// parallel to z.
     fn below_z(&self, point_mm: [f64; 2]) -> Contact {
         let off_normal_deg = self.form.point(point_mm).map_or(0.0, |place| place.slope_deg());
         Contact { point_mm, gap_mm: 0.0, off_normal_deg }
     }
 
-    /// Returns the distance of a contact point from the axis of the spindle, mm.
+    /// Returns the distance of a contact point, given in the coordinates of the part, from the axis of the spindle, mm.
     pub fn radius_mm(&self, point_mm: [f64; 2]) -> f64 {
         let [x, y] = self.on_machine(point_mm.map(Series::constant));
         x.value.hypot(y.value)
@@ -272,8 +276,8 @@ impl AxisMap {
     }
 
     /// Returns the derivative of the second derivatives of the form (xx, xy, yy) by the parameter of a point that moves
-    /// with the velocity `v`. It is a difference over [`STEP_MM`] on both sides, or on one where the form ends; `None`
-    /// without the form.
+    /// with the velocity `v`. It is a difference over [`STEP_MM`] on both sides, or on one where the form ends. It is 0
+    /// if the form exists on neither side, and `None` if it does not exist at `at`.
     fn hessian_change(&self, at: [f64; 2], v: [f64; 2]) -> Option<[f64; 3]> {
         let speed = v[0].hypot(v[1]);
         if speed == 0.0 {
@@ -313,7 +317,9 @@ fn times([xx, xy, yy]: [f64; 3], v: [f64; 2]) -> [f64; 2] {
     [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
 }
 
-/// Returns radius, azimuth in rad and unit vector along the radius of the point (x, y), mm.
+/// Returns the radius, mm, the azimuth, rad, and the unit vector along the radius of the point (x, y), mm. Within
+/// [`CENTRE_MM`] of the origin the direction of the motion decides on azimuth and unit vector; at rest there the
+/// azimuth is 0.
 fn polar(x: Series, y: Series) -> (Series, Series, [Series; 2]) {
     if x.value.hypot(y.value) >= CENTRE_MM {
         let r = hypot(x, y);

@@ -40,7 +40,7 @@ impl Series {
         Self { value, first, second: (0.5 * self.second - first * first) / value }
     }
 
-    /// Returns the angle of the direction (x, y), rad; not for the direction (0, 0).
+    /// Returns the angle of the direction (x, y), rad, from -pi to pi. The derivatives are not finite for (0, 0).
     pub(crate) fn angle([x, y]: [Self; 2]) -> Self {
         let square = x.value * x.value + y.value * y.value;
         let first = (x.value * y.first - y.value * x.first) / square;

@@ -31,7 +31,8 @@ const ACCELERATION_STEP: f64 = 1e-6;
 /// Advice for the motion of a baseline (`position`, `average-velocity`), which no machine can execute.
 pub const JUMPS: &str = "its position or its velocity jumps, which no machine can do";
 
-/// Returns the claim: the limits that `trajectory` keeps, measured on its polynomials.
+/// Returns the claim: the limits that `trajectory` keeps, measured on its polynomials. Before the first and after the
+/// last segment the tool counts as at rest.
 pub fn measured_claim(trajectory: &Trajectory, limits: &Limits) -> Claim {
     let mut claim = Claim {
         limits_respected: false,

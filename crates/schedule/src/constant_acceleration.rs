@@ -74,7 +74,8 @@ pub struct ConstantAccelerationReport {
     pub added_lifted_s: f64,
     /// Duration of the brake at the end of the motion, s.
     pub brake_s: f64,
-    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
+    /// Indices of the segments that the motion leaves out. They have no dwell time, and the tool is already at their
+    /// end (to rounding if it is off).
     pub dropped: Vec<usize>,
 }
 
@@ -114,7 +115,7 @@ struct Phase {
 ///
 /// # Errors
 ///
-/// Refuses dwell times of another path, and dwell times that are zero everywhere.
+/// Refuses dwell times of another path, and a path without a length whose dwell times are all zero.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -233,8 +234,8 @@ fn coupled(
     }
 }
 
-/// Returns the motion of one axis by (1) of the module, by (2) if the time `d` is too short, or by (3) if the result is
-/// too fast.
+/// Returns the motion of one axis for the displacement `s`, mm, the start velocity `v0`, mm/s, and the time `d`, s. It
+/// follows (1) of the module, (2) if the time is too short, or (3) if the result is too fast.
 fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     let free = unlimited(s, v0, d, a_max);
     if free.velocity.abs() <= v_max {
@@ -246,8 +247,8 @@ fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     Phase { tau_s, duration_s, velocity: v, ..free }
 }
 
-/// Returns the motion of one axis by (1) of the module, or by (2) if the time `d` is too short. It ignores the velocity
-/// limit.
+/// Returns the motion of one axis as [`phase`] does, by (1) or (2) of the module, but without the velocity limit. An
+/// axis that cannot brake in time brakes to the end of the time `d`.
 fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
     let r = s - v0 * d;
     if r.abs() <= 1e-15 * s.abs().max(1.0) {

@@ -11,6 +11,7 @@
 //! ```
 
 /// Returns the ascending coefficients of the cubic in the local time u, (1) of the module, in mm, mm/s, mm/s^2, mm/s^3.
+/// The arguments are those of the module, in mm, mm/s and s.
 pub(crate) fn coefficients(p: f64, dp: f64, v0: f64, v1: f64, h: f64) -> [f64; 4] {
     [p, v0, (3.0 * dp / h - 2.0 * v0 - v1) / h, (-2.0 * dp / h + v0 + v1) / (h * h)]
 }

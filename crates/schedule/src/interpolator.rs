@@ -263,8 +263,8 @@ impl Record {
         }
     }
 
-    /// Reads a line of a program; returns `None` for an empty line or a comment. The error says what is wrong and what
-    /// to do.
+    /// Reads a line of a program; returns `None` for an empty line or a comment. Refuses unknown, repeated, missing or
+    /// contradicting words; the error names the word.
     pub fn parse(line: &str) -> Result<Option<Self>, String> {
         let line = line.trim();
         if line.is_empty() || line.starts_with('(') {
@@ -397,7 +397,8 @@ impl Interpolator {
 
     /// Runs one record and passes the references of its ticks to `emit`, in order.
     ///
-    /// Refuses a record that does not continue the previous one.
+    /// Refuses a record that does not continue the previous one, and a block whose numbers contradict each other.
+    /// Refuses a block outside of a pass, and a cubic before the first start of a pass.
     pub fn push(&mut self, record: &Record, emit: impl FnMut(Reference)) -> Result<(), String> {
         match record {
             Record::Start { point_mm, arc_length_mm } => {

@@ -74,7 +74,7 @@ pub struct Scheduled {
     /// Motion of the tool.
     pub trajectory: Trajectory,
     /// Segments whose time in the motion is not their dwell time, in order: index of the segment, and time in the
-    /// motion, s.
+    /// motion, s. For `pvt` they are those that it stretched.
     pub changed: Vec<(usize, f64)>,
 }
 
@@ -199,7 +199,7 @@ pub enum ScheduleError {
         rounds: usize,
         /// Index of the segment that exceeds the limits most.
         segment: usize,
-        /// Factor by which the time of that segment would still have to grow; 1 = at the limit.
+        /// Factor, above 1, by which the time of that segment would still have to grow.
         excess: f64,
     },
 }

@@ -49,8 +49,8 @@ pub(crate) struct CubicSegment {
 }
 
 /// Returns the shortest cubic segment between two states within the limits that lasts at least `least_s`. `None` if
-/// displacement, velocities and least time are all zero. An end that is faster than the velocity limit keeps its
-/// velocity.
+/// displacement, velocities, `least_s` and the shortest segment of the controller are all zero. An end that is faster
+/// than the velocity limit keeps its velocity.
 pub(crate) fn shortest_cubic(
     from: State,
     to: State,

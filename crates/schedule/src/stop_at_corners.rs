@@ -94,7 +94,7 @@ const STRAIGHT_MM_PER_S: f64 = 1e-7;
 ///
 /// # Errors
 ///
-/// Refuses dwell times of another path, and dwell times that are zero everywhere.
+/// Refuses dwell times of another path, and a path without a length whose dwell times are all zero.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,

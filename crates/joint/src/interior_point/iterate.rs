@@ -33,8 +33,9 @@ const MAX_CENTRALITY_CORRECTIONS: usize = 3;
 /// the products. Larger: corrections aim at longer steps and fail more often. Smaller: corrections gain less. Chosen.
 const FURTHER: f64 = 0.3;
 
-/// Least gain of a correction in the length of one of the two steps, over [`FURTHER`], for it to be kept and another
-/// one to be tried. Larger: fewer corrections. Smaller: corrections that gain little. Chosen.
+/// Least gain of a correction in the length of the primal or the dual step, over [`FURTHER`], for it to be kept and
+/// another one to be tried. Neither step may become shorter. Larger: fewer corrections. Smaller: corrections that gain
+/// little. Chosen.
 const LEAST_GAIN: f64 = 0.1;
 
 /// Largest ratio of a product to the target mu, or of mu to a product, that is no outlier. Larger: fewer products are
@@ -114,7 +115,8 @@ impl Products {
         }
     }
 
-    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`.
+    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`. It lowers no
+    /// product by more than ten times `mu`.
     fn correction(&self, mu: f64) -> Self {
         let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
             let clamped = products.iter().map(|v| v.clamp(mu / OUTLIER, mu * OUTLIER));
@@ -256,8 +258,8 @@ impl<'a> Iterate<'a> {
         self.y.iter_mut().zip(&self.room).for_each(|(y, room)| *y = y.max(product / room));
     }
 
-    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow. The
-    /// following steps use the rows again.
+    /// Moves from the anchor, at which the tangents were kept, towards this iterate, as far as the rows allow. It stays
+    /// at the anchor if that is less than [`LEAST_PART`] of the way. The following steps use the rows again.
     pub(super) fn move_towards_solution(&mut self) {
         let Some(anchor) = self.anchor.take() else { return };
         self.excess.fill(0.0);
@@ -359,7 +361,8 @@ impl<'a> Iterate<'a> {
         step
     }
 
-    /// Goes the longest step that is allowed, and returns the complementarity at its end by the tangents.
+    /// Goes the longest allowed part of a step, for densities and slacks and separately for dual variables. Returns the
+    /// complementarity at its end by the tangents of the rows.
     pub(super) fn advance(&mut self, step: &Step) -> f64 {
         let (length, to) = self.primal(step);
         let b = self.dual(step);

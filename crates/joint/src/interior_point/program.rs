@@ -19,18 +19,19 @@ const STEP_TO_BOUNDARY: f64 = 0.95;
 /// longest one, with more evaluations of the rows. Smaller: fewer evaluations, shorter steps. Chosen.
 const BACKTRACKING: f64 = 0.8;
 
-/// Least remainder of the matrix along the free functions ([`Woodbury::refined`]), relative, at which a factor in
-/// single precision is used as it is. If less is left it is refined; if that fails, the factor is made in double
-/// precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the rounding of
-/// the products.
+/// Least remainder of the matrix along the free low-order terms of the map ([`Woodbury::refined`]), relative, at which
+/// a factor in single precision is used as it is. If less is left it is refined; if that fails, the factor is made in
+/// double precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the
+/// rounding of the products.
 const LEFT_TO_SINGLE: f64 = 1e-4;
 
 /// Program (1) of [`super`]: curvature of the objective, bounds and rows.
 pub struct Program<'a> {
-    /// Curvature of the objective without its chain, in an order of its own.
+    /// Second derivatives of half the mean square of the residual (the normal matrix), with the nodes in an order of
+    /// their own.
     pub normal: &'a Normal,
-    /// Rest of the curvature (the chain), which couples neighbouring nodes only: diagonal (n), and element (j, j - 1)
-    /// for every j (n; the first unused).
+    /// Other second derivatives of the objective (the chain), which couple neighbouring nodes only. They are the
+    /// diagonal (n), and element (j, j - 1) for every j (n; the first unused).
     pub chain: (&'a [f64], &'a [f64]),
     /// Least densities of the nodes (lo, n), s/mm.
     pub lo: &'a [f64],
@@ -40,7 +41,8 @@ pub struct Program<'a> {
 
 impl<'a> Program<'a> {
     /// Returns the inverse of the normal matrix plus a tridiagonal matrix, given by its diagonal (n) and its elements
-    /// (j, j - 1) (n). `row_of` has the row of every node. `None` if the sum is singular to rounding.
+    /// (j, j - 1) (n). `row_of` has the row of the normal matrix of every node. `None` if the sum is singular to
+    /// rounding.
     pub(super) fn inverse(
         &self,
         row_of: &[usize],
@@ -71,8 +73,8 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, by_rows })
     }
 
-    /// Returns the longest part of the step `length d` after which every row keeps at least a twentieth of its slack
-    /// `c`, and the densities at its end.
+    /// Shortens the step `length d` from `density` by [`BACKTRACKING`] until every row keeps at least a twentieth of
+    /// its slack `c`. Returns the length, which may become nearly 0, and the densities at the end of the step.
     pub(super) fn farthest(
         &self,
         density: &[f64],

@@ -76,7 +76,8 @@ pub struct Stop {
 pub struct Solution {
     /// Densities of the nodes (D, n), s/mm.
     pub density: Vec<f64>,
-    /// Objective at every iterate, nm^2; [`crate::merit`] says where it is exact.
+    /// Objective at every iterate under the rows themselves (not under kept tangents), nm^2; [`crate::merit`] says
+    /// where it is exact.
     pub objective: Vec<f64>,
     /// Number of steps.
     pub iterations: usize,
@@ -90,7 +91,7 @@ pub struct Solution {
 
 /// Condition for keeping tangents in the place of the rows. It is stricter after each proof that failed.
 struct Patience {
-    /// Largest complementarity over the wanted gap.
+    /// Largest complementarity (sum of slacks times dual variables) at which a proof may begin, over the wanted gap.
     below: f64,
     /// First step at which a proof may begin.
     from: usize,

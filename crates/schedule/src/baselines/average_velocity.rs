@@ -31,7 +31,8 @@ pub struct AverageVelocityReport {
     pub added_s: f64,
     /// Largest step of the velocity at a control point along [x, y], start and end of the motion included, mm/s.
     pub largest_velocity_step_mm_per_s: [f64; 2],
-    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
+    /// Indices of the segments that the motion leaves out: they have neither length nor dwell time, and the controller
+    /// has no shortest segment.
     pub dropped: Vec<usize>,
 }
 
@@ -40,7 +41,7 @@ pub struct AverageVelocityReport {
 ///
 /// # Errors
 ///
-/// Refuses dwell times of another path, and dwell times that are zero everywhere.
+/// Refuses dwell times of another path, and a path without a length whose dwell times are all zero.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,

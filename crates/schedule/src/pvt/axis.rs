@@ -28,8 +28,8 @@ pub enum Solver {
     Tridiagonal,
     /// Bounds are active; the interior point method solved a quadratic program.
     QuadraticProgram,
-    /// The interior point method did not converge, and the motion of the least time was taken. It keeps the
-    /// limits, but does not have the least energy.
+    /// The motion of the search for the shortest times was taken. Either the interior point method did not converge, or
+    /// the motions of both axes together would leave the path. It keeps the limits, but does not have the least energy.
     LeastTime,
 }
 
@@ -85,7 +85,7 @@ pub(super) struct Exceeding {
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) segments: Range<usize>,
-    /// Segments for which earlier programs needed the limits of the machine as rows.
+    /// Segments for which earlier quadratic programs needed the limits of the machine as rows (linear constraints).
     pub(super) limited: Vec<usize>,
     /// Solution at the present durations, by [`AxisProblem::solve`]; `None` if it is not solved yet.
     pub(super) solved: Option<Result<Solved, Exceeding>>,
@@ -121,7 +121,7 @@ pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     all
 }
 
-/// Returns the solution of a whole axis, joined from its parts.
+/// Returns the solution of a whole axis, joined from its parts; every part has to be solved within the limits.
 pub(super) fn joined(parts: Vec<Part>) -> Solved {
     let mut parts = parts.into_iter().filter_map(|part| part.solved?.ok());
     let mut all = parts.next().expect("every part is solved");
@@ -133,7 +133,8 @@ pub(super) fn joined(parts: Vec<Part>) -> Solved {
     all
 }
 
-/// Segments, and times within them, for which a program has the limits of the machine as rows.
+/// Segments, and times within them, for which a quadratic program has the limits of the machine as rows (linear
+/// constraints).
 #[derive(Debug)]
 struct Limited {
     /// True for each segment (N) whose limits are rows of the program.
@@ -202,7 +203,7 @@ impl AxisProblem<'_> {
     }
 
     /// Returns the parts of the axis: one part in *smooth*. In *monotone* it cuts the axis at nodes at which the signs
-    /// of the displacements fix the velocity at zero.
+    /// of the displacements fix the velocity at zero. A part before a cut has at least [`LEAST_PART_SEGMENTS`].
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
         let mut parts = Vec::new();
@@ -236,7 +237,8 @@ impl AxisProblem<'_> {
     }
 
     /// Returns the node velocities within the limits at the durations `h`, s. If there are none, the error has those
-    /// with the least excess.
+    /// with the least excess, or rest at every node if the elastic program does not converge. `price` returns the
+    /// penalty of the elastic bounds; `limited` has the segments with rows, and gets new ones.
     fn solve(
         &self,
         h: &[f64],
@@ -313,7 +315,7 @@ impl AxisProblem<'_> {
         excess.max(((end - start).abs() / (h * self.max_jerk)).cbrt())
     }
 
-    /// Returns whether the velocity of node `i` may be [negative, positive].
+    /// Returns two flags: true if the velocity of node `i` may be negative, and true if it may be positive.
     pub(super) fn allowed_signs(&self, i: usize) -> [bool; 2] {
         let n = self.displacement_mm.len();
         if i == 0 || i == n {
@@ -348,8 +350,8 @@ impl AxisProblem<'_> {
         self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN
     }
 
-    /// Returns the minimiser of (4) of [`super`] within the bounds of the mode and of the machine; `None` if there is
-    /// no solution.
+    /// Returns the minimiser of (4) of [`super`] within the bounds of the mode and of the machine; `None` if none is
+    /// found.
     ///
     /// Most segments are far from the machine's limits. A segment gets rows for the limits if the motion without them
     /// exceeds a limit, with more and more of its neighbours. The largest velocity can lie anywhere in the segment: the
@@ -443,8 +445,8 @@ impl AxisProblem<'_> {
         chain::ChainProgram { diagonal, beside, linear, free, price }
     }
 
-    /// Adds the rows of segment `i`: its velocity range, the signs of the mode, and the limits of the machine if
-    /// `limited` has the segment.
+    /// Adds the rows (linear constraints) of segment `i` at the durations `h`, s, to `rows`. They are its velocity
+    /// range, the signs of the mode, and the limits of the machine if `limited` has the segment.
     fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::ChainRows) {
         let dp = self.displacement_mm[i];
         if let Some([low, high]) = self.range_of(i) {

@@ -4,8 +4,8 @@
 //! The spline has no freedom but its times. Where it leaves its path by more than the tolerance, it is cut at both ends
 //! of the segment: at a cut node the velocity is one that keeps the tolerance (`near_path`), and the acceleration is
 //! zero. Between two cuts the motion is the spline again, from v to v' at its ends, each with a free node at half the
-//! time h of its first and of its last segment. With tau = h/2, the jerk j of the first half and the acceleration at the
-//! inner end of the segment, where the velocity is w, are
+//! time h of its first and of its last segment. With tau = h/2, the jerk j of the first half and the acceleration at
+//! the inner end of the segment, where the velocity is w, are
 //!
 //! ```text
 //! j = 3 dp / (2 tau^3) - 5 v / (2 tau^2) - w / (2 tau^2),   a- = 6 (v + w) / h - 12 dp / h^2       (6)
@@ -18,8 +18,8 @@
 //! ```
 //!
 //! so that a = 0 at both ends. V and the control points p0, p0 + v0 h/9, p0 + v0 h/3, p1 - v1 h/3, p1 - v1 h/9, p1 of
-//! the position are those of the Hermite cubic, with one point more on each side of the hull. What keeps a Hermite cubic
-//! near its path therefore keeps these thirds there, too. From rest to rest the quarters of (5) need less jerk.
+//! the position are those of the Hermite cubic, with one point more on each side of the hull. What keeps a Hermite
+//! cubic near its path therefore keeps these thirds there, too. From rest to rest the quarters of (5) need less jerk.
 
 use planish_types::{DwellTime, Limits, ToolPath, Trajectory, break_times};
 
@@ -36,7 +36,8 @@ use crate::{ScheduleError, hermite::coefficients};
 const MAX_LOCAL_ROUNDS: usize = 200;
 
 /// Returns the motion along the spline of (5) of [`super`], the number of rounds, and the number of cuts. It lengthens
-/// the times in `timing` until every limit is kept; without `stretch` an excess is an error.
+/// the times in `timing` until every limit is kept. An excess is an error without `stretch`, or after the largest
+/// number of rounds.
 pub(super) fn motion(
     path: &ToolPath,
     dwell: &DwellTime,

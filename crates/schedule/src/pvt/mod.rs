@@ -113,7 +113,8 @@ pub struct PvtReport {
     pub added_tool_on_s: f64,
     /// Time by which segments with the tool off (lifts) were stretched in all, s.
     pub added_tool_off_s: f64,
-    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
+    /// Indices of the segments that the motion leaves out: they have neither length nor dwell time, and the controller
+    /// has no shortest segment.
     pub dropped: Vec<usize>,
     /// Number of nodes whose velocity the scheduler bounds or reduces, because the motion would leave its path by more
     /// than the tolerance.
@@ -150,8 +151,9 @@ impl Scheduler for PvtSettings {
 ///
 /// # Errors
 ///
-/// Refuses dwell times of another path or that are zero everywhere, and without stretching dwell times that the machine
-/// cannot follow.
+/// Refuses dwell times of another path, and a path without a length whose dwell times are all zero. Without stretching
+/// it refuses dwell times that the machine cannot follow. Under a limit on jerk it fails if the limits are still
+/// exceeded after the last round.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -296,7 +298,8 @@ fn solve_parts(axes: &[AxisProblem<'_>; 2], h: &[f64], parts: &mut [Vec<Part>; 2
     rayon::join(|| axes[0].solve_parts(h, x), || axes[1].solve_parts(h, y));
 }
 
-/// Returns the schedule from the solutions of all parts.
+/// Returns the schedule from the solutions of all parts; the last argument is the number of rounds and of held nodes
+/// for the report.
 fn joined_motion(
     path: &ToolPath,
     dwell: &DwellTime,

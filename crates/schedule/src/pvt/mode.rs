@@ -47,7 +47,8 @@ impl Mode {
         }
     }
 
-    /// Returns the mode that would keep the limit on jerk; `None` if the claim of the motion does not break it.
+    /// Returns the mode that would keep the limit on jerk, *smooth*; `None` if this mode is *smooth* already, or if the
+    /// claim of the motion does not break the limit.
     pub fn for_jerk(self, claim: &Claim) -> Option<Self> {
         if self == Self::Monotone && claim.jerk == Some(false) { Some(Self::Smooth) } else { None }
     }

@@ -7,10 +7,10 @@
 //! ```
 //!
 //! The points within eps of the chord are a convex set. So the cubic stays within eps of its chord if both middle
-//! coefficients do, which are conditions on one node velocity each. Rest always keeps them. Per axis, a rectangle around
-//! a point c of the chord, with the normal n of the chord, is within eps if its half widths are eps / (2 |n_x|) and
-//! eps / (2 |n_y|): along an axis it has no width to keep. With the rectangle, (1) is a bound of each velocity by itself,
-//! and joins the quadratic program of each axis.
+//! coefficients do, which are conditions on one node velocity each. Rest always keeps them. Per axis, a rectangle
+//! around a point c of the chord, with the normal n of the chord, is within eps if its half widths are eps / (2 |n_x|)
+//! and eps / (2 |n_y|): along an axis it has no width to keep. With the rectangle, (1) is a bound of each velocity by
+//! itself, and joins the quadratic program of each axis.
 //!
 //! A box of eps around both ends of the segment, in place of the chord, bounds the distance for chords along an axis
 //! only: a motion inside of the box leaves a diagonal by up to half its length.
@@ -36,6 +36,7 @@ const USABLE_PART: f64 = 1.0 - 1e-6;
 const HELD_PART: f64 = 0.5;
 
 /// Number of halvings in the search for the largest part of a velocity within the tolerance; 30 resolve it to 1e-9.
+/// Larger: more time, no effect. Smaller: motions that are slower than the tolerance needs.
 const BISECTIONS: usize = 30;
 
 /// Segments of a path, and the largest distance of a motion from them.
@@ -66,8 +67,8 @@ impl NearPath {
         from_chord(point, &[[0.0; 2], self.displacement_mm[i]]) <= self.tolerance_mm
     }
 
-    /// Returns true if the Hermite cubic of segment `i` with the end velocities `from` and `to` stays within the
-    /// tolerance.
+    /// Returns true if the Hermite cubic of segment `i` with the end velocities `from` and `to`, mm/s, and the duration
+    /// `h`, s, stays within the tolerance.
     fn cubic_is_near(&self, i: usize, from: Point, to: Point, h: f64) -> bool {
         if self.hull_is_near(i, from, to, h) {
             return true;
@@ -105,8 +106,10 @@ impl NearPath {
         far.collect()
     }
 
-    /// Returns the largest multiple, up to 1, of `velocity` at an inner node with which both segments beside it stay
-    /// within the tolerance. It is 0 if the velocity points back along one of them.
+    /// Returns the largest multiple, up to 1, of `velocity` with which both segments beside an inner node stay near.
+    /// The condition is that the middle coefficient beside the node, (1) of the module, is within half of the tolerance
+    /// of the nearer half of its segment. It is 0 if the velocity points back along one of them. `h` (N) are the
+    /// durations, s.
     pub(super) fn held(&self, node: usize, velocity: Point, h: &[f64]) -> Point {
         let ahead = [0, 1].map(|a| self.displacement_mm[node][a]);
         let backwards = [0, 1].map(|a| self.displacement_mm[node - 1][a]);

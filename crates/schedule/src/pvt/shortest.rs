@@ -118,9 +118,10 @@ struct ShortestAxis<'a> {
 pub(super) struct Search<'a> {
     axes: [ShortestAxis<'a>; 2],
     near: &'a NearPath,
-    /// Wanted time of every segment (N), s: the dwell time, or the least time of its mean velocity.
+    /// Wanted time of every segment (N), s: the dwell time, or, if that is larger, the least time by its mean velocity
+    /// and the controller.
     wanted_s: &'a [f64],
-    /// Least time of every segment, s: the wanted time, but not below [`LEAST_ROUNDINGS`].
+    /// Least time of every segment, s: the wanted time, but at least [`LEAST_ROUNDINGS`] roundings of the total time.
     least_s: Vec<f64>,
 }
 
@@ -302,8 +303,9 @@ impl<'a> Search<'a> {
         (0..=n).map(|node| velocity(node, speed[node])).collect()
     }
 
-    /// Returns the best combination of steps up and down from `velocity` at the open nodes. `step` is relative to the
-    /// velocity at the node or the mean velocity beside it.
+    /// Returns the node velocities of the shortest combination of steps up and down from `velocity` at the open nodes;
+    /// `velocity` itself if none keeps the limits. `step` is relative to the velocity at the node or the mean velocity
+    /// beside it.
     fn stepped(
         &self,
         open: &[bool],
@@ -331,9 +333,10 @@ impl<'a> Search<'a> {
         best.unwrap_or_else(|| velocity.to_vec())
     }
 
-    /// Returns the best of all combinations of candidates at the open nodes; `None` if none keeps the limits. `fill`
-    /// gives the candidates of a node. It combines the first [`OTHERS`] candidates with all candidates of a neighbour,
-    /// the others with those whose index differs by at most `apart`.
+    /// Returns the node velocities of the shortest of all combinations of candidates at the open nodes; `None` if none
+    /// keeps the limits. Other nodes keep their velocity in `fixed`; `fill` gives the candidates of an open node. It
+    /// combines the first [`OTHERS`] candidates with all candidates of a neighbour, the others with those whose index
+    /// differs by at most `apart`.
     fn best(
         &self,
         open: &[bool],
@@ -426,7 +429,8 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Returns the velocity nearest to `velocity` that the mode and the limits allow at the node, mm/s.
+    /// Returns the velocity nearest to `velocity` that the signs of the mode and the velocity limits allow at the node,
+    /// mm/s.
     fn allowed(&self, node: usize, velocity: Velocity) -> Velocity {
         [0, 1].map(|a| {
             let axis = &self.axes[a];

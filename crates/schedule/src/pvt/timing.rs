@@ -104,7 +104,7 @@ impl Timing {
 const LEAST_ROUNDINGS: f64 = 64.0;
 
 /// Returns the duration of every segment of `path`, s: the largest of the dwell time, |dp| / v_max on both axes, and
-/// `min_segment_s`. If that is not zero, it is at least [`LEAST_ROUNDINGS`] of the total time.
+/// `min_segment_s`. If that is not zero, it is at least [`LEAST_ROUNDINGS`] roundings of the total time.
 pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Vec<f64> {
     let mut duration_s: Vec<f64> =
         parallel(path.len()).map(|i| dwell.dwell_s()[i].max(least_time(path, limits, i))).collect();

@@ -78,11 +78,12 @@ use crate::{ScheduleError, Scheduled, Scheduler, check_lengths};
 pub struct TrigSplineSettings {
     /// Repair of the dwell-time densities that the machine cannot follow: an offset, or local changes.
     pub repair: Repair,
-    /// Largest distance of the motion from a corner, mm; > 0. Larger: corners are passed faster, and the
-    /// tool is farther from the path. Default 0.02 mm: a hundredth of the smallest tools, and enough to
-    /// turn by 90 degrees at 10 mm/s with 1000 mm/s^2. It is at most the usual tolerance of the path.
+    /// Largest distance of the motion from a corner, mm; >= 1e-9. Larger: corners are passed faster, and the tool is
+    /// farther from the path. Default 0.02 mm: a hundredth of the smallest tools, and enough to turn by 90 degrees at
+    /// 10 mm/s with 1000 mm/s^2. It is at most the usual tolerance of the path.
     pub corner_deviation_mm: f64,
-    /// Largest error of the position in the fit by cubics, mm; > 0. Smaller: more cubics. Default 1e-6 mm.
+    /// Largest error of the position in the fit by cubics, mm; >= 1e-9. Larger: a motion less like the spline. Smaller:
+    /// more cubics. Default 1e-6 mm.
     pub fit_tolerance_mm: f64,
 }
 
@@ -156,8 +157,9 @@ impl Scheduler for TrigSplineSettings {
 ///
 /// # Errors
 ///
-/// Refuses dwell times of another path or that are zero everywhere, tolerances out of range, and dwell times whose
-/// motion rounding keeps from being proven.
+/// Refuses dwell times of another path, a path without a length whose dwell times are all zero, and tolerances out of
+/// range. Refuses dwell times whose motion rounding keeps from being proven within the limits, and those with a piece
+/// that vanishes in the rounding of the total time.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,

@@ -30,8 +30,8 @@ pub(super) struct Motion<'a> {
 }
 
 impl<'a> Motion<'a> {
-    /// Returns the motion along all passes. `report` contains the changes of their densities; the motion adds its own
-    /// errors.
+    /// Returns the motion along all passes, with the links before, between and after them. `report` contains the
+    /// changes of their densities; the motion adds its links, dropped segments and error of the fit.
     pub(super) fn along(
         path: &'a ToolPath,
         dwell: &'a DwellTime,
@@ -176,7 +176,7 @@ impl<'a> Motion<'a> {
         self.made.push((to - from) * density, c, true, Some(s.index));
     }
 
-    /// Adds the parabola at corner node `k`, in two halves.
+    /// Adds the parabola that rounds the corner at node `k` of the pass, in two halves, one per segment of the path.
     fn blend(&mut self, pass: &Pass, k: usize) {
         let node = &pass.nodes[k];
         let s = &pass.straights[pass.straight_of[k]];
@@ -197,8 +197,8 @@ impl<'a> Motion<'a> {
         self.made.push(half_s, middle, true, Some(next.index));
     }
 
-    /// Adds the cubics of the piece from node `k` to the next one, by step 5 of [`super`]. Returns true if the piece is
-    /// proven within the limits.
+    /// Adds the cubics of the piece from node `k` to the next one, by step 5 of [`super`]. Returns true if the piece
+    /// and all its cubics are proven within the limits.
     fn piece(&mut self, pass: &Pass, k: usize) -> bool {
         let a = &pass.nodes[k];
         let b = &pass.nodes[k + 1];
@@ -286,9 +286,9 @@ struct Cubic {
 /// pieces stay unproven that another halving would prove.
 const MAX_HALVINGS: usize = 20;
 
-/// Ratio of the largest error at the check points of a stretch to the tolerance. The error of Hermite interpolation has
-/// one hump, u^2 (1-u)^2, which is at most 2 % higher between two check points. Larger: the error between them can
-/// exceed the tolerance. Smaller: more cubics.
+/// Largest ratio of the error at the check points of a stretch to the tolerance at which a cubic is accepted. The error
+/// of Hermite interpolation has one hump, u^2 (1-u)^2, which is at most 2 % higher between two check points. Larger:
+/// the error between them can exceed the tolerance. Smaller: more cubics.
 const FIT_SAFETY: f64 = 0.95;
 
 impl CubicFit {

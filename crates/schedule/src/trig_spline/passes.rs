@@ -30,11 +30,12 @@ const SAME_DIRECTION: f64 = 1e-9;
 const SAME_LINE_MM: f64 = 1e-7;
 
 /// Deficit of the time of a straight segment that counts as rounding, relative to the time. Larger: segments get less
-/// than their dwell time. Smaller: rounding releases held densities without need.
+/// than their dwell time. Smaller: rounding releases densities without need that are held at their least value.
 const SHORT: f64 = 1e-9;
 
-/// Largest number of times that a held density is released. Without a bound, two that are held in turn would never end.
-/// Larger: more tridiagonal solutions. Smaller: segments can keep less than their dwell time.
+/// Largest number of times that a density that is held at its least value (half the mean density of its segment) is
+/// released. Without a bound, two that are held in turn would never end. Larger: more tridiagonal solutions. Smaller:
+/// segments can keep less than their dwell time.
 const MOST_LET_GO: usize = 3;
 
 /// Largest half length of a blend (the parabola at a corner), relative to the shorter of its two segments. Larger: less
@@ -204,7 +205,8 @@ impl Pass {
     }
 
     /// Returns the densities of the dwell points that give every straight its time, s/mm. Row k of the system has the
-    /// time that a density of 1 at the dwell points k-1, k, k+1 gives straight k.
+    /// time that a density of 1 at the dwell points k-1, k, k+1 gives straight k. A density that would fall below half
+    /// of the mean density of its straight is held there, so that the straight may take longer.
     fn densities(&self, times: &[f64], report: &mut TrigSplineReport) -> Vec<f64> {
         let n = self.straights.len();
         let mut rows = vec![[0.0; 3]; n];

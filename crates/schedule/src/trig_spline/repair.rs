@@ -29,9 +29,9 @@ impl Repair {
     }
 }
 
-/// Number of rounds of the proof that even out the densities of single pieces. Densities that differ by a factor of
-/// 1e15 differ by 1.15 after them. Larger: more rounds before the offset. Smaller: an offset lengthens the whole motion
-/// although single pieces would do.
+/// Number of rounds of the proof that even out single pieces: they raise the smaller density of a piece to the
+/// geometric mean of both. Densities that differ by a factor of 1e15 differ by 1.15 after them. Larger: more rounds
+/// before the offset. Smaller: an offset lengthens the whole motion although single pieces would do.
 const EVENING_ROUNDS: usize = 8;
 
 /// Largest number of rounds of the proof. Rounds after [`EVENING_ROUNDS`] add an offset, which halves all relative
@@ -39,8 +39,8 @@ const EVENING_ROUNDS: usize = 8;
 /// would make possible.
 pub(super) const PROOF_ROUNDS: usize = 16;
 
-/// Repairs the densities by step 2 of [`super`], in O(N): the offset grows piece by piece, and no piece is visited
-/// twice.
+/// Repairs the densities by step 2 of [`super`]; `how` selects one offset or local changes, which `report` gets. The
+/// offset grows piece by piece, and no piece is visited twice.
 pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     let smallest = dwell_points(passes).map(|n| n.density).fold(f64::INFINITY, f64::min);
@@ -74,7 +74,8 @@ fn dwell_points(passes: &[Pass]) -> impl Iterator<Item = &Node> {
     passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0)
 }
 
-/// Raises the densities at corners and beside them, by step 3 of [`super`].
+/// Raises the densities at corners to the least ones that the limits allow, and those beside them as far as braking
+/// needs it, by step 3 of [`super`].
 pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     for pass in passes.iter_mut() {

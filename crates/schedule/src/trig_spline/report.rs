@@ -36,7 +36,7 @@ pub struct TrigSplineReport {
     pub link_s: f64,
     /// Indices of the zero-length segments whose time went to their neighbours, in order.
     pub moved_dwell: Vec<usize>,
-    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
+    /// Indices of the segments that the motion leaves out, because they have neither length nor dwell time.
     pub dropped: Vec<usize>,
     /// Number of times that the densities of a piece were evened out, because its motion could not be proven; see step
     /// 6 of [`super`].

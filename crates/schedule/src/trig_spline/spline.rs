@@ -7,7 +7,7 @@ use std::{f64::consts::PI, sync::LazyLock};
 /// Smaller: the increase of a density is larger than needed.
 const BISECTIONS: usize = 60;
 
-/// One piece of the spline, (1) of [`super`].
+/// One piece of the spline of the dwell-time density, between two nodes, (1) of [`super`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrigPiece {
     /// Dwell-time densities at the start and at the end, s/mm; > 0.
@@ -16,7 +16,7 @@ pub struct TrigPiece {
     pub length_mm: f64,
 }
 
-/// Position along a piece, with its density.
+/// Position along a piece of the spline, with the dwell-time density there.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PiecePlace {
     /// Part of the length before this position, 0 to 1.
@@ -45,7 +45,7 @@ impl TrigPiece {
         0.5 * self.length_mm * self.sum()
     }
 
-    /// Returns the density at the part `x` of the length, by (1) of [`super`], s/mm.
+    /// Returns the dwell-time density at the fraction `x` (0 to 1) of the length, by (1) of [`super`], s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
         self.place(x, HalfAngle::new(x)).density_s_per_mm
     }
@@ -88,9 +88,9 @@ impl TrigPiece {
         (third + ratio * (10.0 * second + 15.0 * ratio * first)) / (least * least).powi(2) / least
     }
 
-    /// Returns the time between the parts `from` and `to` of the length, s, to its own rounding. If the densities of
-    /// the ends differ by orders of magnitude, the difference of two times by (2) of [`super`] would leave no digit of
-    /// a short one.
+    /// Returns the time between the fractions `from` and `to` of the length, s, to its own rounding. If the densities
+    /// of the ends differ by orders of magnitude, the difference of two times by (2) of [`super`] would leave no digit
+    /// of a short one.
     pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
         self.time_s(time_weights(from, to))
     }
@@ -106,8 +106,8 @@ impl TrigPiece {
         self.length_mm * (d1 * weights[0] + d2 * weights[1])
     }
 
-    /// Returns the part of the length that is covered after the part `m` of the duration. It inverts (2) of [`super`]
-    /// by Newton's method within a bracket that bisection narrows.
+    /// Returns the fraction of the length that is covered after the fraction `m` of the duration. It inverts (2) of
+    /// [`super`] by Newton's method within a bracket that bisection narrows.
     pub fn progress(&self, m: f64) -> f64 {
         let e = self.eccentricity();
         let (mut low, mut high) = (0.0, 1.0);
@@ -180,7 +180,7 @@ fn time_weights(from: f64, to: f64) -> [f64; 2] {
 /// and larger tables. Smaller: the error can be larger between two check points; with 10 steps by at most 2 %.
 pub(super) const STRETCH_PLACES: usize = 10;
 
-/// Stretch of a piece: the piece between two parts of its length.
+/// Stretch of a piece of the spline: the piece between the fractions `from` and `to` of its length.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch {
     pub(super) from: f64,

@@ -37,8 +37,8 @@ pub(super) const MAX_ROUNDS: usize = 60;
 /// result.
 const MAX_CHANGES: usize = 2000;
 
-/// Gradient that counts as zero, relative to the norm of the right-hand side. Larger: the method ends
-/// before the minimum. Smaller: rounding releases bounds without end.
+/// Derivative by an unknown over the norm of its column in J that counts as zero, relative to the norm of the
+/// right-hand side. Larger: the method ends before the minimum. Smaller: rounding releases bounds without end.
 const ROUNDING: f64 = 1e-13;
 
 /// State of an unknown: held at its lower bound, free, or held at its upper bound.
@@ -111,8 +111,8 @@ impl LeastSquares {
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
 
-    /// Returns the side of every unknown: the bound that a step to the minimum along this unknown, x_j - gradient_j /
-    /// |J_j|^2, would exceed, or free.
+    /// Returns the side of every unknown j. It is the bound that the step `-gradient_j / |J_j|^2` to the minimum along
+    /// this unknown would exceed, or free. An unknown whose two bounds are equal counts as held at the lower one.
     fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
         let (gradient, square) = self.gradient(x);
         (0..self.unknowns)
@@ -130,8 +130,8 @@ impl LeastSquares {
     }
 
     /// Returns the minimum by primal-dual active sets, and the number of rounds. A round solves with the unknowns held
-    /// on their sides and chooses the sides again, until they no longer change. Returns `None` if they keep changing,
-    /// or if the rows are dependent.
+    /// on their sides and chooses the sides again, until they no longer change. `side` has the first sides. Returns
+    /// `None` if they still change after [`MAX_ROUNDS`], or if the rows are dependent.
     pub(super) fn active_set(
         &self,
         low: &[f64],
@@ -157,7 +157,7 @@ impl LeastSquares {
     /// Descends from a feasible `x` to the minimum, and returns it with the number of changes of one bound each; `None`
     /// if the rows are dependent. Each step goes to the solution of the free unknowns, or to the first bound before it,
     /// which is then held. At the solution of the free unknowns it releases the bound with the largest gradient. The
-    /// sum of squares never grows.
+    /// sum of squares never grows. After [`MAX_CHANGES`] it returns the point that it has reached.
     pub(super) fn descend(
         &self,
         low: &[f64],
@@ -265,8 +265,8 @@ impl LeastSquares {
         if x.iter().all(|x| x.is_finite()) { Some(x) } else { None }
     }
 
-    /// Returns the minimum by the interior point solver Clarabel, to its tolerance of 1e-8; zeros if the solver cannot
-    /// start. The problem is min |z|^2/2 with J x - z = r.
+    /// Returns the minimum by the interior point solver Clarabel, to its tolerance of 1e-8, moved into the bounds;
+    /// zeros if the solver cannot start. The problem is min |z|^2/2 with J x - z = r.
     pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
         let n = self.unknowns;
         let m = self.rows.len();

@@ -97,7 +97,7 @@ pub struct AsPublishedReport {
     pub largest_reverse_velocity_mm_per_s: [f64; 2],
     /// Largest step of the acceleration at an inner node of the motion (cubics of Eq. 8 of the source), mm/s^2.
     pub largest_acceleration_step_mm_per_s2: [f64; 2],
-    /// Number of nodes whose velocity is at a bound of Eq. 18 of the source.
+    /// Number of inner nodes whose velocity is at a bound of Eq. 16 or 18 of the source.
     pub velocities_at_a_bound: [usize; 2],
     /// Number of factorisations of the active set method. It is more than 60 if the sets repeated; the method then
     /// changed one bound at a time, starting from the solution of the interior point method.
@@ -105,13 +105,15 @@ pub struct AsPublishedReport {
     /// Relative distance of the solution from the minimum: the largest step of a single unknown to the minimum along
     /// it, within its bounds. It is measured as the change of the rows over the norm of the right-hand side.
     pub optimality: [f64; 2],
-    /// Indices of the segments that have neither length nor dwell time; the motion leaves them out.
+    /// Indices of the segments whose length and dwell time are zero or rounding; the motion leaves them out.
     pub dropped: Vec<usize>,
 }
 
-/// Schedules `path` with the times `dwell`; no segment gets more time.
+/// Schedules `path` with the times `dwell`; no segment gets more time. The cubics are not checked against the limits
+/// inside of the segments.
 ///
-/// Refuses a dwell time of zero on a segment with a length, because its cubic would have no time.
+/// Refuses dwell times of another path, and dwell times that are zero everywhere. Refuses a dwell time of zero on a
+/// segment with a length, because its cubic would have no time. Fails if the least squares do not converge.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -273,8 +275,9 @@ impl PublishedAxis {
         ]
     }
 
-    /// Returns all rows in order of the nodes: the row `A - a` of each node, weighted by the number of its segments,
-    /// then the rows (3) of the module for the segment that starts there.
+    /// Returns all rows in order of the nodes: the row `A - a` of each node, then the rows (3) of the module for the
+    /// segment that starts there. The row `A - a` is multiplied by the square root of the number of segments at its
+    /// node.
     fn least_squares(&self) -> LeastSquares {
         let n = self.duration_s.len();
         let mut rows = Vec::with_capacity(3 * n + 1);
