@@ -84,7 +84,7 @@ pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, 
 }
 
 /// Returns the angles of the nodes from the radius `inner` to `outer` (mm), radians from the pole, with chords of at
-/// most `step` mm and 45 degrees; `None` if there are more than [`MAX_SEGMENTS`].
+/// most `step` mm and 45 degrees; `None` if there are more than `MAX_SEGMENTS` segments.
 fn angles(pitch: f64, step: f64, inner: f64, outer: f64) -> Option<Vec<f64>> {
     let [first, last, change] = [inner, outer, step / FRAC_PI_4].map(|r| 2.0 * PI * r / pitch);
     let change = change.clamp(first, last);
