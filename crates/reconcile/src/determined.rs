@@ -111,7 +111,7 @@ pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
 struct Another {
     normal: Normal,
     inverse: DMatrix<f64>,
-    /// Changes of its unknowns against the given fit.
+    /// Changes of the parameters against the given fit, then the coefficients of the terms, which are found anew.
     step: DVector<f64>,
 }
 
@@ -201,7 +201,7 @@ pub enum Part {
 /// Reason why the estimate of a parameter is not stated, and its treatment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
-    /// Sentence for the user.
+    /// The reason, as a sentence for the user.
     pub reason: String,
     /// Treatment of the parameter in the corrections of the next plan.
     pub part: Part,

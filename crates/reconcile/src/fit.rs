@@ -206,7 +206,7 @@ pub fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 pub(crate) struct Normal {
     /// Columns of J, one map per unknown; 0 where invalid.
     pub columns: Vec<Array2<f64>>,
-    /// Lengths of the columns.
+    /// Lengths of the columns: roots of their sums of squares. The normal matrix is scaled by them.
     pub lengths: Vec<f64>,
     cosines: DMatrix<f64>,
     /// Weights k_i of the prior scales; unknowns beyond its length have none.
@@ -303,7 +303,7 @@ impl Normal {
     }
 }
 
-/// Inverse and eigenvalues of a symmetric matrix.
+/// Inverse of a symmetric matrix along its independent directions, with its eigenvalues.
 struct Inverted {
     /// Inverse along the independent directions.
     inverse: DMatrix<f64>,
@@ -347,7 +347,7 @@ struct Point {
 
 /// Result of the steps with the derivatives of one point.
 struct Steps {
-    /// Magnitude of the first step, for every parameter.
+    /// Magnitude of the first step, for every parameter, in the unit of the parameter.
     first: Vec<f64>,
     first_was_small: bool,
     /// True if the steps ended where they began: none lowered the objective.

@@ -12,7 +12,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Parameter {
-    /// Relative excess of the removal rate.
+    /// Relative excess of the removal rate over that of the TIF.
     RateScale,
     /// Displacement of the tool along x against the map, mm.
     OffsetX,

@@ -41,7 +41,7 @@ pub struct PlanRisk {
 /// Comparison of the plans made without and with the process.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Price {
-    /// Name of the process.
+    /// Name of the process, from its error budget.
     pub name: String,
     /// Kinds of errors whose effect is in the objective of the loop.
     pub in_the_objective: Vec<String>,

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::play;
 
-/// Kinds of errors of a process.
+/// Kinds of errors that a budget may state; a file names them in snake case, for example `rate_scale`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -92,9 +92,9 @@ pub struct ErrorFile {
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// Distribution of the error from run to run.
+    /// Distribution of the error from run to run; it defines what `size` is, for example the standard deviation.
     pub distribution: Distribution,
-    /// Note on where the number comes from.
+    /// Note on where the size comes from, for the reader; no calculation uses it.
     pub note: String,
     /// Correlation time of `rate_noise`, s; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -110,7 +110,7 @@ pub struct ErrorFile {
     pub degree: Option<usize>,
 }
 
-/// A checked error budget.
+/// A checked error budget: it has at least one error, and every size and setting suits its kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorBudget {
     /// Name of the process.
@@ -211,15 +211,15 @@ pub enum Noise {
 /// Name of a unit that a file may state, and its size in the unit of the calculation.
 type Unit = (&'static str, f64);
 
-/// Units of a fraction.
+/// Units in which a file may state a fraction, with their values.
 const FRACTIONS: &[Unit] = &[("%", 0.01), ("1", 1.0)];
-/// Units of a length, in mm.
+/// Units in which a file may state a length, with their sizes in mm.
 const LENGTHS: &[Unit] = &[("mm", 1.0), ("um", 1e-3)];
-/// Units of an angle, in rad.
+/// Units in which a file may state an angle, with their sizes in rad.
 const ANGLES: &[Unit] = &[("deg", std::f64::consts::PI / 180.0), ("mrad", 1e-3), ("rad", 1.0)];
-/// Units of a time, in s.
+/// Units in which a file may state a time, with their sizes in s.
 const TIMES: &[Unit] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
-/// Units of a height, in nm.
+/// Units in which a file may state a height, with their sizes in nm.
 const HEIGHTS: &[Unit] = &[("nm", 1.0)];
 
 /// Largest size of an error that is a fraction, dimensionless. A larger one is refused: it is another process, not an

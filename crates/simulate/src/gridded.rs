@@ -98,7 +98,7 @@ struct OfKernel {
     kernel: Kernel,
     /// Number of pixels per strip along x and per band along y.
     pixels: [usize; 2],
-    /// Buffers that no thread uses at the moment.
+    /// Buffers of earlier calls that no thread uses at the moment, for the next ones.
     idle: Mutex<Vec<Workspace>>,
 }
 

@@ -40,9 +40,9 @@ pub const MAX_BORDER: usize = 8;
 
 /// Correction that removes the kernel spill: (2) of [`crate::gridded`].
 pub struct Border {
-    /// Correction beyond the edges along y.
+    /// Correction beyond the edges of R along y.
     pub rows: Edge,
-    /// Correction beyond the edges along x.
+    /// Correction beyond the edges of R along x.
     pub columns: Edge,
     /// Samples g at the corners of the TIF, nm/s, as `[slot of the row j][weight a][node of the columns]`, with the
     /// slots of [`Lattice::border_samples`]. `None` if all are below the rounding of the peak.

@@ -64,7 +64,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// Method that computes the integral.
+/// Method that computes the removal, the integral of the module.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
 pub enum SimulationSettings {
@@ -82,7 +82,7 @@ pub enum SimulationSettings {
 pub struct Prediction {
     /// Removal and residual.
     pub removal: Removal,
-    /// Data on the computation of the integral.
+    /// Quadrature points, lattice and interpolation error of this computation of the removal.
     pub numerics: Numerics,
 }
 
@@ -98,7 +98,7 @@ impl Prediction {
     }
 }
 
-/// Data on the computation of an integral.
+/// Quadrature points, lattice and interpolation error of a computation of the removal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Numerics {
     /// Number of quadrature points along the motion.

@@ -72,9 +72,9 @@ pub struct NodeCells {
 /// A rectangle of cells, from `low` up to, but without, `high`, along [x, y].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
-    /// First cell.
+    /// Indices of the first cell along [x, y].
     pub low: [i64; 2],
-    /// Cell after the last one.
+    /// Indices after those of the last cell along [x, y].
     pub high: [i64; 2],
 }
 
@@ -126,7 +126,7 @@ impl Weight<'_> {
 /// A piece of the motion within one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellPiece {
-    /// Cell [x, y].
+    /// Indices of the cell along [x, y].
     pub cell: [i64; 2],
     /// Offset of the tool in the cell [x, y], in cells, at the middle of the piece; 0 on a line of the lattice.
     pub offset: [f64; 2],

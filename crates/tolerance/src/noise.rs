@@ -76,7 +76,7 @@ struct Functionals {
 }
 
 impl Functionals {
-    /// Returns the number of functionals.
+    /// Returns the number of functionals: the fields and the reached pairs of cosines.
     fn len(&self) -> usize {
         self.fields.len() + self.cosines.pairs.len()
     }

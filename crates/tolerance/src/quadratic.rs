@@ -529,7 +529,7 @@ impl Column {
 /// A piece of the motion, prepared for the noise of the rate.
 struct Carried {
     point: usize,
-    /// 1 over the time of its dwell point, 1/s.
+    /// 1 over the time of the dwell point that the piece serves, 1/s.
     part: f64,
     start_s: f64,
     duration_s: f64,

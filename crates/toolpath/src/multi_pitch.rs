@@ -154,7 +154,7 @@ pub struct DepthClass {
     /// Feed that removes the largest depth, mm/s; left out where that depth is 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub largest_depth_velocity_mm_per_s: Option<f64>,
-    /// Area of its regions, mm^2.
+    /// Area of the regions of the class, mm^2.
     pub area_mm2: f64,
     /// Part of that area where the depth would need more than the largest feed, mm^2.
     pub too_fast_mm2: f64,

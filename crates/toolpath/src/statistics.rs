@@ -73,11 +73,11 @@ pub struct PathStatistics {
     pub longest_step_mm: f64,
     /// Mean change of direction between consecutive segments with the tool on, degrees; 0 without such a pair.
     pub mean_turn_deg: f64,
-    /// 90th percentile of the changes of direction, degrees.
+    /// 90th percentile of these changes of direction, degrees; 0 without any.
     pub p90_turn_deg: f64,
-    /// 99th percentile of the changes of direction, degrees.
+    /// 99th percentile of these changes of direction, degrees; 0 without any.
     pub p99_turn_deg: f64,
-    /// Largest change of direction, degrees.
+    /// Largest of these changes of direction, degrees; 0 without any.
     pub largest_turn_deg: f64,
     /// Number of pairs of segments with the tool on that have a point in common. Neighbours, and the first and last
     /// segment of a closed line, do not count.

@@ -224,7 +224,7 @@ pub(super) struct Cell {
 #[derive(Clone, Copy)]
 struct CellLine {
     across: f64,
-    /// The end at smaller x, then the end at larger x.
+    /// The x of the end at smaller x, then that of the end at larger x, mm.
     ends: [f64; 2],
     /// True for the ends that lie on the border of another region.
     inner: [bool; 2],
@@ -274,7 +274,7 @@ impl Raster {
 /// A cell of the order, with one of the four directions in which it can be run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Visit {
-    /// Index of the cell.
+    /// Index of the cell in the list of all cells.
     pub cell: usize,
     /// True if its lines are run from the largest y to the smallest.
     downwards: bool,
