@@ -123,7 +123,8 @@ impl Tally {
     }
 }
 
-/// The truth of a parameter on a round TIF, whose ellipticity e turned by phi is e cos 2 phi and e sin 2 phi.
+/// Returns the true value of a parameter for a round TIF, whose ellipticity e turned by phi is e cos 2 phi and e sin 2
+/// phi.
 fn of(parameter: Parameter, truth: &planish_types::outcome::virtual_machine::Truth) -> f64 {
     let turned = 2.0 * truth.tif_rotation_rad;
     match parameter {
@@ -140,7 +141,7 @@ fn of(parameter: Parameter, truth: &planish_types::outcome::virtual_machine::Tru
     }
 }
 
-/// The process without the noise of the map, and the standard deviation of that.
+/// Returns the process without the noise of the map, and the standard deviation of that noise, nm.
 fn without_map_noise(mut process: ErrorBudget) -> (ErrorBudget, f64) {
     let mut square = 0.0;
     process.errors.retain(|e| {
@@ -151,7 +152,8 @@ fn without_map_noise(mut process: ErrorBudget) -> (ErrorBudget, f64) {
     (process, square.sqrt())
 }
 
-/// White noise averaged over blocks of pixels, of this standard deviation.
+/// Returns white noise averaged over a moving square of `block` pixels and scaled to the standard deviation `sigma_nm`.
+/// The numbers follow from `seed` and `map`.
 fn blurred(
     sigma_nm: f64,
     (ny, nx): (usize, usize),

@@ -15,10 +15,11 @@ use std::{collections::BTreeMap, env, process::ExitCode};
 use known::Case;
 use rayon::prelude::*;
 
-/// Ratio to a known tool from which a next mirror is named.
+/// Ratio of the residual of a next mirror to that with a known tool, above which the case is printed. Larger: only the
+/// worst cases. Smaller: cases without a fault.
 const NAMED: f64 = 1.15;
 
-/// Of the cases of one part and one noise.
+/// Counts and ratios over the cases of one part and one noise.
 #[derive(Default)]
 struct Tally {
     within: usize,

@@ -30,7 +30,8 @@ use crate::{
     parameter::Parameter,
 };
 
-/// Ratio of an estimate to its standard error above which correcting the parameter lowers the expected residual.
+/// Ratio of an estimate to its standard error above which correcting the parameter lowers the expected residual: the
+/// root of 2.
 const WORTH: f64 = std::f64::consts::SQRT_2;
 
 /// Square of the correlation of two unknowns above which holding one halves the standard error of the other.
@@ -40,14 +41,17 @@ const HALVES: f64 = 0.75;
 /// Smaller: more of both.
 const FAVOURED: f64 = 20.0;
 
-/// Smallest spread (t of the module) that is tried, and number of tried spreads per decade.
+/// Smallest spread (t of the module) that is tried; the constant below is the number of tried spreads per decade, up to
+/// 1.
 const SMALLEST_SPREAD: f64 = 1e-3;
 const PER_DECADE: i32 = 20;
 
-/// Variance, as a fraction of the largest one in units of the scales, below which it is rounding.
+/// Variance of a combination of parameters in units of their scales, as a fraction of the largest one, below which it
+/// is rounding.
 const ROUNDING: f64 = 1e-15;
 
-/// Estimates and covariance of all unknowns, while some parameters are moved to their value in the plan.
+/// Estimates and covariance of all unknowns of a fit. Parameters may be moved to their value in the plan (0), and the
+/// others follow by their correlation.
 pub struct Joint {
     /// Estimates of all unknowns: the parameters, then the terms of the metrology.
     pub values: DVector<f64>,
@@ -61,7 +65,8 @@ impl Joint {
         Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
     }
 
-    /// Adds the variance of a common move of the first unknowns: one standard error of it changes them by `along`.
+    /// Adds to the covariance an uncertainty that moves the first unknowns together: one standard error of it changes
+    /// unknown k by `along[k]`.
     pub fn widen(&mut self, along: &[f64]) {
         for (i, a) in along.iter().enumerate() {
             for (j, b) in along.iter().enumerate() {
@@ -75,14 +80,15 @@ impl Joint {
         self.covariance[(i, i)].max(0.0).sqrt()
     }
 
-    /// Returns the distance of the estimate of unknown `i` from the plan, in standard errors.
+    /// Returns the distance of the estimate of unknown `i` from the plan, in standard errors; infinite if its variance
+    /// is 0.
     fn over_error(&self, i: usize) -> f64 {
         let variance = self.covariance[(i, i)];
         if variance > 0.0 { self.values[i].abs() / variance.sqrt() } else { f64::INFINITY }
     }
 
     /// Returns the odds of the plan's value of unknown `i` over a value drawn with the standard deviation `spread`
-    /// about it.
+    /// about it, by the formula of the module.
     fn odds(&self, i: usize, spread: f64) -> f64 {
         let z = self.over_error(i);
         (spread / self.covariance[(i, i)].sqrt()) * (-0.5 * z * z).exp()
@@ -99,8 +105,8 @@ impl Joint {
         self.values[i] = 0.0;
     }
 
-    /// Returns the information of the data on the parameters `indices`, in units of their scales. It returns the
-    /// eigenvalues l, the components b of the module, and the eigenvectors.
+    /// Returns what the data alone say about the parameters `indices`, in units of their `scales`: the eigenvalues l_k
+    /// and components b_k of the module, and the eigenvectors.
     fn information(
         &self,
         indices: &[usize],
@@ -122,8 +128,8 @@ impl Joint {
         (information, right, eigen.eigenvectors)
     }
 
-    /// Returns the common spread t of the parameters `indices` in units of their scales, by maximum likelihood; at most
-    /// 1.
+    /// Returns the common spread t of the parameters `indices` in units of their `scales`, by maximum likelihood; 1e-3
+    /// to 1. It is 1 if there are no parameters.
     pub fn spread(&self, indices: &[usize], scales: &[f64]) -> f64 {
         if indices.is_empty() {
             return 1.0;
@@ -159,9 +165,9 @@ pub struct Held {
     pub reason: String,
 }
 
-/// Holds the parameters that only inflate the standard errors of others. Returns them, and the distribution of all
-/// unknowns with them at the plan. `may_be_held[i]` is true if parameter `i` may be held; `spread[i]` is its spread t
-/// s.
+/// Holds the parameters that the rule of the module holds. Returns them, and the distribution of all unknowns with them
+/// at the plan. `may_be_held[i]` is true if parameter `i` may be held; `spread[i]` is its spread t s_i of the module,
+/// in its unit.
 pub fn hold(fit: &LeastSquaresFit, may_be_held: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
     let mut joint = Joint::new(fit);
     let mut held: Vec<Held> = Vec::new();
@@ -200,8 +206,8 @@ pub fn hold(fit: &LeastSquaresFit, may_be_held: &[bool], spread: &[f64]) -> (Vec
     (held, joint)
 }
 
-/// Returns the corrections of the next plan from the estimates of all unknowns; 0 for unknowns that stay at the plan.
-/// `parts` says how each is treated.
+/// Returns the corrections of the next plan from the estimates of all unknowns, one per parameter, in its unit; 0 for
+/// those that stay at the plan. `parts` says how each is treated.
 pub fn applied(mut joint: Joint, parts: &[Part], scales: &[f64]) -> Vec<f64> {
     for i in (0..parts.len()).filter(|i| parts[*i] == Part::AtPlan) {
         joint.put_at_plan(i);

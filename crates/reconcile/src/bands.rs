@@ -10,8 +10,9 @@ use ndarray::{Array2, s};
 use planish_numerics::spectrum::{Density, MIN_SAMPLES, hann, largest_rectangle, without_plane};
 use planish_types::{Grid, outcome::reconciliation::Band};
 
-/// Longest periods of the bands from the second one on, in widths of the TIF. More or closer: narrower bands with more
-/// noise. Fewer: less detail. Chosen: octaves, from what a tool removes easily to what it does not reach.
+/// Longest periods of the bands of spatial frequency from the second one on, in widths of the TIF; the first band has
+/// no longest period, the last no shortest. More or closer: narrower bands with more noise. Fewer: less detail. Chosen:
+/// octaves, from what a tool removes easily to what it does not reach.
 const PERIODS_OVER_WIDTH: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
 
 /// Maps of removal that are compared, shape (ny, nx), nm.
@@ -24,8 +25,9 @@ pub struct Maps<'a> {
     pub predicted: &'a Array2<f64>,
 }
 
-/// Returns the bands of spatial frequency of the maps. `valid` is 1 at valid pixels, else 0, and `width_mm` is the
-/// width of the TIF. Empty if the largest rectangle of valid pixels is too small.
+/// Returns the RMS of the maps in each band of spatial frequency. `valid` is 1 at valid pixels, else 0, and `width_mm`
+/// is the width of the TIF. Empty if a side of the largest rectangle of valid pixels has fewer pixels than a spectrum
+/// needs.
 pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -> Vec<Band> {
     let (origin, (ny, nx)) = largest_rectangle(&valid.mapv(|v| v > 0.5));
     if ny < MIN_SAMPLES || nx < MIN_SAMPLES {

@@ -267,7 +267,7 @@ fn table(outcome: &ReconciliationOutcome) -> String {
     lines.join("\n")
 }
 
-/// Returns the line of the table for one band of spatial frequency.
+/// Returns the row of the table for one band of spatial frequency.
 fn line_of_band(band: &Band) -> String {
     let period = match band.period_mm {
         [Some(short), None] => format!("over {short:.1}"),
@@ -306,7 +306,7 @@ fn line_of_evidence(evidence: &Evidence) -> String {
     )
 }
 
-/// Returns the line of the table for one unknown, and below it the reason if it is held or refused.
+/// Returns the row of the table for one unknown, and below it the reason if it is held or refused.
 fn line_of_estimate(estimate: &Estimate) -> String {
     // Both end at the second digit of the standard error.
     let decimals = estimate.standard_error.filter(|e| *e > 0.0).map_or(4, |e| {

@@ -55,8 +55,9 @@ use crate::{
     fit::{Data, LeastSquaresFit, Normal, dot},
 };
 
-/// Logarithm of the odds with which one reading is preferred to another. Larger: fewer maps are accepted. Smaller: a
-/// wrong map is accepted by chance. Chosen: 3000 to 1; a map of another part then needs four standard errors.
+/// Logarithm of the odds with which one reading of the map after is preferred to another. Larger: fewer maps are
+/// accepted. Smaller: a wrong map is accepted by chance. Chosen: 3000 to 1; a map of another part then needs four
+/// standard errors.
 const ODDS: f64 = 8.0;
 
 /// Range of the scale of the map after that is accepted as 1. Wider: mistakes of a factor near 1 pass. Narrower: errors
@@ -64,8 +65,8 @@ const ODDS: f64 = 8.0;
 /// factors of the usual mistakes, 1/2 and 2.
 const SCALES: [f64; 2] = [0.7, 1.4];
 
-/// Number of standard errors by which a factor must be beyond a bound. Larger: mistakes pass on noisy maps. Smaller:
-/// right maps are refused by chance. Chosen.
+/// Number of standard errors by which the factor of the removal, or the scale of the map after, must be beyond its
+/// accepted range. Larger: mistakes pass on noisy maps. Smaller: right maps are refused by chance. Chosen.
 const ERRORS: f64 = 4.0;
 
 /// Range of the ratio of the noise of the map after to that of the map before which one instrument can have. Wider:
@@ -92,8 +93,8 @@ const AS_IT_IS: f64 = 0.71;
 /// what a run teaches by a part of it.
 const PLACE: f64 = 0.25;
 
-/// Smallest number of pairs of pixels for a displacement, as a fraction of the pixels. Larger: fewer displacements are
-/// tried. Smaller: a few pixels decide. Chosen.
+/// Smallest number of pairs of valid pixels that overlap at a displacement, as a fraction of the valid pixels;
+/// displacements with fewer are not tried. Larger: fewer displacements are tried. Smaller: a few pixels decide. Chosen.
 const LEAST_PAIRS: f64 = 0.25;
 
 /// Smallest number of pixels of exactly one height, and its smallest ratio to the next frequent height, with which that
@@ -101,8 +102,9 @@ const LEAST_PAIRS: f64 = 0.25;
 /// in steps has many heights about as often.
 const LEAST_EQUAL: [usize; 2] = [4, 10];
 
-/// Limits of the RMS of the rest of the fit, above all of which the fit fails. They are ratios to what the plan missed,
-/// to the measured removal, and to the noise from pixel to pixel. Larger: bad fits pass. Smaller: good fits fail.
+/// Limits of the RMS of the rest of the fit (data minus fit), above all three of which the fit fails. They are ratios
+/// to what the plan missed, to the measured removal, and to the noise from pixel to pixel. Larger: bad fits pass.
+/// Smaller: good fits fail.
 const OF_MISSED: f64 = 0.5;
 const OF_REMOVAL: f64 = 0.25;
 const OF_NOISE: f64 = 3.0;
@@ -124,7 +126,8 @@ pub(crate) struct Judgement {
 const REMEDY: &str = "Give maps with less noise or with a mark that no tool reaches, or `same_measurement` if both maps were \
                       measured and read in the same way";
 
-/// Sums that measure what both maps have in common apart from what the fit explains; symbols are those of the module.
+/// Sums that measure what both maps have in common apart from what the fit explains; the symbols are those of the
+/// module.
 struct Common {
     /// Expected part p of the map after, shape (ny, nx), nm; 0 where invalid.
     expected: Array2<f64>,
@@ -152,15 +155,16 @@ struct Readings {
     places: Vec<Reading>,
 }
 
-/// Scale of the map after, as a lower and an upper bound.
+/// Scale of the heights of the map after (1: as expected), as a lower and an upper bound.
 struct Scale {
     bounds: [f64; 2],
     /// Standard error of each bound.
     error: f64,
 }
 
-/// Judges whether the map after belongs to the run, from what the fit leaves of it. `planned` is the removal of the
-/// plan (ny, nx), nm. If `same_measurement` is true, missing evidence is no reason against the map.
+/// Judges whether the map after belongs to the run, from what the fit leaves of it. `before` is the map before and
+/// `planned` the removal of the plan, (ny, nx), nm. If `same_measurement` is true, missing evidence is no reason
+/// against the map.
 pub fn judge(
     before: &Array2<f64>,
     data: &Data<'_>,
@@ -204,7 +208,8 @@ pub fn judge(
     Judgement { evidence, against }
 }
 
-/// Returns the sentence that says which of part, sign and scale the maps do not show; `None` if they show all.
+/// Returns the sentence that says which of part, sign and scale the maps do not show; `None` if they show all, and also
+/// if the scale has no bounds.
 fn untold(evidence: &Evidence) -> Option<String> {
     if evidence.common_standard_errors.powi(2) < 2.0 * ODDS {
         return Some(format!(
@@ -260,8 +265,8 @@ fn filled(name: &str, map: &Array2<f64>, valid: &Array2<f64>) -> Option<String> 
     ))
 }
 
-/// Returns the factor of the planned removal in before - after, and its standard error; `None` if the plan removes no
-/// shape.
+/// Returns the factor of the planned removal in before - after, and its standard error; `None` if the plan removes
+/// nothing but terms of the metrology.
 ///
 /// ```text
 /// f = <d, R> / <R, R>,   error^2 = <R, C R> / <R, R>^2     R without the terms of the metrology, C of the noise
@@ -279,8 +284,8 @@ fn removal_factor(
     if squares > 0.0 { Some((dot(&data.data, &removal) / squares, error)) } else { None }
 }
 
-/// Returns the sentence against maps whose difference has another factor of the planned removal than 1; `None` if it
-/// can be 1.
+/// Returns the sentence against maps whose difference has another factor of the planned removal than 1, or whose noise
+/// hides the factor. Returns `None` if the factor can be 1 and is known to better than 1 with four standard errors.
 fn against_removal((factor, error): (f64, f64)) -> Option<String> {
     let [low, high] = REMOVALS;
     let is_beyond = factor + ERRORS * error < low || factor - ERRORS * error > high;
@@ -320,7 +325,8 @@ fn against_scale(scale: &Scale) -> Option<String> {
     ))
 }
 
-/// Returns the sentence against a fit that leaves most of what the plan missed; `None` if the fit explains enough.
+/// Returns the sentence against a fit whose rest exceeds all three limits: half of what the plan missed, a quarter of
+/// the measured removal, and three times the noise. Returns `None` for other fits.
 fn too_large(fitted: &Fitted, rest: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
     let left_nm = fitted.rest_rms_nm;
     let missed_nm = fitted.measured_less_planned_rms_nm;
@@ -367,7 +373,7 @@ impl Common {
         }
     }
 
-    /// Returns the common sum X in units of its standard deviation; 0 if that is 0.
+    /// Returns the common sum X of the module in units of its standard deviation sigma; 0 if that is 0.
     fn standard_errors(&self) -> f64 {
         if self.scatter > 0.0 { self.common / self.scatter } else { 0.0 }
     }
@@ -377,8 +383,8 @@ impl Common {
         (1.0 - self.cosine.powi(2)).max(f64::EPSILON)
     }
 
-    /// Returns the bounds of the scale of the map after; `None` if the maps have too little in common. `noise_nm` is
-    /// the noise of both maps, where it is known.
+    /// Returns the bounds of the scale of the map after; `None` if X is not positive or below four of its standard
+    /// deviations. `noise_nm` is the noise of the maps before and after, where it is known.
     fn scale(&self, noise_nm: [Option<f64>; 2]) -> Option<Scale> {
         if self.standard_errors().powi(2) < 2.0 * ODDS || self.common <= 0.0 {
             return None;
@@ -398,7 +404,8 @@ impl Common {
         if left >= LEAST_SIGNAL * squares { left } else { squares }
     }
 
-    /// Returns the readings of the map after at other positions, each with its sum X(h).
+    /// Returns the readings of the map after that are displaced by more than [`PLACE`] of the tool's width, each with
+    /// its sum X(h).
     fn other_places(&self, data: &Data<'_>, tool_width_mm: f64) -> Vec<Reading> {
         let all = products(&self.expected, &self.after);
         let pairs = products(&data.valid, &data.valid);
@@ -441,8 +448,9 @@ impl Readings {
         Self { orientations, places: common.other_places(data, tool_width_mm) }
     }
 
-    /// Returns the sentence that names the reading that is clearly right instead of the given one; `None` if there is
-    /// none.
+    /// Returns the sentence that names the reading that is clearly right instead of the given one: the sign turned,
+    /// another orientation or a displacement. Returns `None` if there is none, or if the maps agree well as they are
+    /// ([`AS_IT_IS`]).
     fn clear(&self, as_it_is: &Common) -> Option<String> {
         let subject = "the part of the maps that the fit cannot explain";
         if as_it_is.standard_errors() < -(2.0 * ODDS).sqrt() {
@@ -483,8 +491,9 @@ impl Readings {
 }
 
 impl Reading {
-    /// Returns true if this reading, the best of `many`, is clearly more probable than another part and than the given
-    /// reading. The best of many readings may be good by chance, so the logarithm of their number counts against it.
+    /// Returns true if this reading, the best of `many`, is more probable by [`ODDS`] than another part and than the
+    /// given reading. The best of many readings may be good by chance, so the logarithm of their number counts against
+    /// it.
     fn is_clear(&self, as_it_is: &Common, many: usize) -> bool {
         let errors = self.common / as_it_is.scatter;
         let odds = ODDS + (many as f64).ln();
@@ -492,7 +501,8 @@ impl Reading {
     }
 }
 
-/// Returns a map in its other orientations, each with its name for messages.
+/// Returns a map turned by 180 degrees and mirrored, each with its name for messages. A square array is also turned by
+/// 90 degrees and transposed.
 fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
     let mirrored = |y: i32, x: i32| map.slice(s![..;y, ..;x]).to_owned();
     let mut all = vec![
@@ -511,8 +521,8 @@ fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
     all
 }
 
-/// Returns the sums of the products of `one` with `other` displaced by every lag; the lags wrap about, and both maps
-/// are padded with zeros.
+/// Returns, for every lag, the sum of the products of `one` with `other` displaced by it. The array is padded with
+/// zeros; negative lags stand at its end ([`lag`]).
 fn products(one: &Array2<f64>, other: &Array2<f64>) -> Array2<f64> {
     let (ny, nx) = one.dim();
     let size = (smooth_size(2 * ny), smooth_size(2 * nx));
@@ -543,9 +553,9 @@ fn without(fields: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Ar
     left
 }
 
-/// Returns the standard deviation of the white noise of a map, nm; `None` if its fourth differences show its figure
-/// more than its noise. Over twice the distance those of a figure are sixteen times as large, those of noise hardly
-/// larger.
+/// Returns the standard deviation of the white noise of a map, nm, from its fourth differences along x. Returns `None`
+/// if these show its figure more than its noise. Over twice the distance those of a figure are sixteen times as large,
+/// those of noise hardly larger.
 fn white_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> Option<f64> {
     let fourth = [1.0, -4.0, 6.0, -4.0, 1.0];
     let [near, far] = [1, 2].map(|lag| noise_by_differences_nm(map, valid, &fourth, lag));
@@ -555,8 +565,8 @@ fn white_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> Option<f64> {
 /// Weights of a second difference of three neighbouring pixels.
 const SECOND: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Returns the standard deviation of white noise, nm, that has the differences of `map` along x with these weights, on
-/// pixels that are `lag` apart.
+/// Returns the standard deviation, nm, of white noise whose differences along x have the RMS of those of `map`. A
+/// difference is a sum with these weights over valid pixels that are `lag` apart; 0 if there is none.
 fn noise_by_differences_nm(
     map: &Array2<f64>,
     valid: &Array2<f64>,

@@ -47,9 +47,10 @@ use planish_types::{Grid, outcome::reconciliation::Noise};
 /// has 0.2 % of its integral beyond the flat part of this window.
 const WINDOW_OVER_LENGTH: f64 = 5.0;
 
-/// Number of standard errors from which more correlation beyond a window is significant, and smallest fraction of the
-/// sum that it must add. Larger: a weak correlation over long lags is missed. Smaller: lags that have noise and no
-/// signal. Chosen: among thousands of lags noise reaches four of its standard errors now and then.
+/// Number of standard errors from which more correlation beyond a window is significant; the constant below is the
+/// smallest fraction of the sum that it must add as well. Larger: a weak correlation over long lags is missed. Smaller:
+/// lags that have noise and no signal. Chosen: among thousands of lags noise reaches four of its standard errors now
+/// and then.
 const CLEAR: f64 = 5.0;
 const LEAST_MORE: f64 = 0.25;
 
@@ -131,7 +132,8 @@ impl Covariance {
         Self { noise, shape: (ny, nx), spectrum }
     }
 
-    /// Returns the covariance C w of the module applied to a field (ny, nx), which is 0 where the map is invalid.
+    /// Returns the covariance of the noise (C w of the module, corrected for what the fit removed) applied to a field
+    /// (ny, nx), which is 0 where the map is invalid.
     pub fn apply(&self, field: &Array2<f64>) -> Array2<f64> {
         let mut transformed = transform::forward(padded(field, self.spectrum.dim()).view());
         transformed.zip_mut_with(&self.spectrum, |v, s| *v *= *s);
@@ -160,7 +162,8 @@ pub(crate) fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
 }
 
 /// Returns the radius L of the window, mm: the first with `L >= 5 l(L)` beyond which the correlation adds nothing
-/// significant. Returns also true if it would be larger than `largest_mm`.
+/// significant. Returns `largest_mm` and true if there is none up to it. `lag_mm` is the distance of a lag, and `pairs`
+/// its number of pairs.
 fn window(
     covariance: &Array2<f64>,
     variance: f64,

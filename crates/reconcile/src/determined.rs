@@ -39,14 +39,16 @@ use crate::{
 /// signal of the parameter, and the models are not better than a percent.
 const LARGEST_INFLATION: f64 = 100.0;
 
-/// Ratio of the standard error to the scale below which a parameter may share more of its signal with the others.
+/// Ratio of the standard error of a parameter to its scale (known beforehand) below which a larger variance inflation
+/// is allowed. Larger: numbers that the errors of the models decide. Smaller: more refusals.
 const CLEAR: f64 = 0.1;
 
-/// Largest variance inflation of a parameter with such a small standard error. Its own signal is then 1 % of its
-/// column, beside errors of the derivatives of 3e-4.
+/// Largest variance inflation of a parameter whose standard error is below [`CLEAR`] of its scale. Its own signal is
+/// then 1 % of its column, beside errors of the derivatives of 3e-4.
 const LARGEST_CLEAR_INFLATION: f64 = 1e4;
 
-/// Largest last step of an unfinished fit, in standard errors of the parameter.
+/// Largest last step of a fit that did not converge, in standard errors of the parameter, with which its estimate is
+/// stated.
 const UNFINISHED: f64 = 1.0;
 
 /// Largest correlation of two estimates with which both are stated.
@@ -56,8 +58,9 @@ const LARGEST_CORRELATION: f64 = 0.99;
 /// leaves out. Smaller: large but true errors are refused. Chosen.
 const BELIEVABLE: f64 = 3.0;
 
-/// Smallest move of an estimate, in its standard errors, that is not taken for chance. Larger: parameters that depend
-/// on the metrology are given. Smaller: parameters are refused by chance. Chosen.
+/// Smallest move of an estimate with other terms of the metrology, in standard errors of the move, that is not taken
+/// for chance. Larger: parameters that depend on the metrology are given. Smaller: parameters are refused by chance.
+/// Chosen.
 const SIGNIFICANT: f64 = 3.0;
 
 /// Largest move of an estimate, in units of its scale, that does not matter, however small the noise is. Larger: moves
@@ -78,8 +81,9 @@ pub struct Move {
     pub standard_error: f64,
 }
 
-/// Returns the moves of the estimate of every parameter, each with the orders of the terms. One move is to a wider
-/// metrology. If the fit has the orders `own`, another is back to piston, tilt and power (stated as the orders 1 x 1).
+/// Returns, for every parameter, the moves of its estimate with other terms of the metrology, each with the orders of
+/// these terms. One move is to a wider metrology. If the fit has the orders `own`, another is back to piston, tilt and
+/// power (stated as the orders 1 x 1).
 pub fn all_moves(
     fit: &LeastSquaresFit,
     data: &Data<'_>,
@@ -107,7 +111,7 @@ pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
 struct Another {
     normal: Normal,
     inverse: DMatrix<f64>,
-    /// Changes of its unknowns against the given fit.
+    /// Changes of the parameters against the given fit, then the coefficients of the terms, which are found anew.
     step: DVector<f64>,
 }
 
@@ -133,7 +137,7 @@ impl Another {
     }
 }
 
-/// Returns the standard error of the sum over the map of data times `field`, with the noise of a fit.
+/// Returns the standard error of the sum over the map of the data times `field`, with the noise of `fit`.
 fn standard_error(fit: &LeastSquaresFit, field: &Array2<f64>) -> f64 {
     dot(field, &fit.noise.apply(field)).max(0.0).sqrt()
 }
@@ -160,8 +164,8 @@ fn alone(fit: &LeastSquaresFit, data: &Data<'_>, own: Option<[usize; 2]>, i: usi
 }
 
 /// Returns the parameter whose prior scale contradicts the data most; `None` if none does. Without the scale the data
-/// put it beyond `BELIEVABLE` scales and `SIGNIFICANT` standard errors from the plan. If the fit held it near the plan,
-/// the other parameters would take up its effect.
+/// put it beyond `BELIEVABLE` scales and `SIGNIFICANT` standard errors from the plan. Scales that are not narrower than
+/// the usual ones are not checked.
 pub fn contradicted(
     fit: &LeastSquaresFit,
     data: &Data<'_>,
@@ -197,11 +201,12 @@ pub enum Part {
 /// Reason why the estimate of a parameter is not stated, and its treatment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
-    /// Sentence for the user.
+    /// The reason, as a sentence for the user.
     pub reason: String,
     /// Treatment of the parameter in the corrections of the next plan.
     pub part: Part,
-    /// Index of the move (fit with other terms of the metrology) that decided it; `None` if none did.
+    /// Index, in the moves of the parameter, of the fit with other terms of the metrology that decided it; `None` if
+    /// none did.
     pub moved: Option<usize>,
 }
 
@@ -308,8 +313,8 @@ pub fn shown(parameter: Parameter, value: f64) -> String {
     format!("{} {unit}", significant(value / factor, 3))
 }
 
-/// Returns the names of the other unknowns that together have the same effect as unknown `i`, the largest contributions
-/// first.
+/// Returns the names of up to three other unknowns that together have nearly the effect of unknown `i`, the largest
+/// contributions first, joined by "and".
 fn confounded(fit: &LeastSquaresFit, i: usize, names: &[String]) -> String {
     // The regression of a scaled column on the others has the coefficients -inverse_ij / inverse_ii; where it is
     // dependent the null vectors say the same, which the cosines show.

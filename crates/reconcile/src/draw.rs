@@ -14,7 +14,7 @@ use crate::reconcile::Reconciled;
 /// Height of the text, px.
 const FONT_PX: f64 = 14.0;
 
-/// Width of a map, and height of the plot of the bands, px.
+/// Width of a map and of the plot of the bands, and (constant below) height of that plot, px.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 220.0;
 

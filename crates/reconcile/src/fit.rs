@@ -35,13 +35,14 @@ const SMALL_STEP: f64 = 0.05;
 /// um.
 const NOTHING: f64 = 1e-4;
 
-/// Largest number of steps with the derivatives of one point, and largest number of points at which derivatives are
-/// computed. Larger: more time before a fit ends without a minimum. Smaller: fits end before their minimum. Chosen.
+/// Largest number of steps with the derivatives of one point; the constant below is the largest number of points at
+/// which derivatives are computed. Larger: more time before a fit ends without a minimum. Smaller: fits end before
+/// their minimum. Chosen.
 const MOST_STEPS: usize = 12;
 const MOST_POINTS: usize = 25;
 
-/// Number of points that a fit usually needs, and largest fraction that the progress bar shows before the end. They
-/// change only the progress that is shown. Chosen.
+/// Number of points that a fit usually needs; the constant below is the largest fraction that the progress bar shows
+/// before the end. They change only the progress that is shown. Chosen.
 const USUAL_POINTS: f64 = 4.0;
 const BEFORE_LAST: f64 = 0.9;
 
@@ -88,11 +89,11 @@ pub struct LeastSquaresFit {
     pub singular_values: Vec<f64>,
     /// Columns of the matrix J of derivatives, one map per unknown, nm per unit; 0 where invalid.
     pub columns: Vec<Array2<f64>>,
-    /// Lengths of the columns (root of the sum of squares).
+    /// Lengths of the columns (root of the sum of squares); 1 for a column of zeros.
     pub lengths: Vec<f64>,
     /// Inverse of the matrix H of the module for scaled columns, along the independent directions.
     pub inverse: DMatrix<f64>,
-    /// Weights k of the prior scales of the unknowns; 0 for the terms of the metrology.
+    /// Weights k_i of the prior scales of the parameters (see the module); the terms of the metrology have none.
     pub known: Vec<f64>,
     /// Removal F(p) with the fitted parameters, shape (ny, nx), nm, at every pixel.
     pub removal: Array2<f64>,
@@ -104,13 +105,15 @@ pub struct LeastSquaresFit {
     pub noise: Covariance,
     /// Way in which the fit ended: at a minimum or before it.
     pub end: End,
-    /// Length of the last step of every parameter with new derivatives, in standard errors; 0 if the fit converged.
+    /// Magnitude of the first step of every parameter with the last derivatives, in standard errors; 0 if the fit
+    /// converged.
     pub unfinished: Vec<f64>,
     /// Number of points at which derivatives were computed.
     pub points: usize,
 }
 
-/// Removal and its derivatives at the parameters where a fit starts. Those at the plan serve many fits of one plan.
+/// Removal, nm, and its derivatives at the parameters `values` where a fit starts. Those at the plan serve many fits of
+/// one plan.
 pub struct Start {
     values: Vec<f64>,
     removal: Array2<f64>,
@@ -142,7 +145,7 @@ impl LeastSquaresFit {
         self.covariance[(i, i)].max(0.0).sqrt()
     }
 
-    /// Returns the correlation of two unknowns, from -1 to 1.
+    /// Returns the correlation of two unknowns, from -1 to 1; 0 if one has no variance.
     pub fn correlation(&self, i: usize, j: usize) -> f64 {
         let scale = self.standard_error(i) * self.standard_error(j);
         if scale > 0.0 { self.covariance[(i, j)] / scale } else { 0.0 }
@@ -154,8 +157,8 @@ impl LeastSquaresFit {
         parameters.chain(self.terms.iter().map(|t| t.name())).collect()
     }
 
-    /// Replaces the values of all unknowns and their covariance, and computes the removal and the rest of the data
-    /// anew.
+    /// Replaces the values of all unknowns and their covariance, and computes the removal, the metrology and the rest
+    /// of the data anew.
     pub(crate) fn take(
         &mut self,
         model: &RemovalModel<'_>,
@@ -203,16 +206,16 @@ pub fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 pub(crate) struct Normal {
     /// Columns of J, one map per unknown; 0 where invalid.
     pub columns: Vec<Array2<f64>>,
-    /// Lengths of the columns.
+    /// Lengths of the columns: roots of their sums of squares. The normal matrix is scaled by them.
     pub lengths: Vec<f64>,
     cosines: DMatrix<f64>,
-    /// Weights k of the prior scales; unknowns beyond its length have none.
+    /// Weights k_i of the prior scales; unknowns beyond its length have none.
     known: Vec<f64>,
 }
 
 impl Normal {
-    /// Creates the matrix from the maps of derivatives by the parameters and of the terms of the metrology. `known` are
-    /// the weights k of the prior scales.
+    /// Creates the matrix from the maps of derivatives by the parameters and of the terms of the metrology; `valid` is
+    /// 1 at valid pixels, else 0. `known` are the weights k_i of the prior scales.
     pub fn new(
         derivatives: &[Array2<f64>],
         terms: &[Array2<f64>],
@@ -300,7 +303,7 @@ impl Normal {
     }
 }
 
-/// Inverse and eigenvalues of a symmetric matrix.
+/// Inverse of a symmetric matrix along its independent directions, with its eigenvalues.
 struct Inverted {
     /// Inverse along the independent directions.
     inverse: DMatrix<f64>,
@@ -342,17 +345,18 @@ struct Point {
     rest: Array2<f64>,
 }
 
-/// Outcome of the steps with the derivatives of one point.
+/// Result of the steps with the derivatives of one point.
 struct Steps {
-    /// Magnitude of the first step, for every parameter.
+    /// Magnitude of the first step, for every parameter, in the unit of the parameter.
     first: Vec<f64>,
     first_was_small: bool,
-    /// True if no step lowered the objective.
+    /// True if the steps ended where they began: none lowered the objective.
     is_stuck: bool,
 }
 
-/// Moves `point` by steps with the derivatives in `normal` while they lower the objective, and shortens a step that
-/// does not. `way` is the step that led to this point, if any.
+/// Moves `point` by steps with the derivatives in `normal` while they lower the objective, and shortens a first step
+/// that does not. `way` is the step that led to this point, if any; `rest_of` returns the rest for a removal and
+/// values.
 fn steps(
     point: &mut Point,
     model: &RemovalModel<'_>,
@@ -428,7 +432,7 @@ fn scaled_product(a: &DVector<f64>, b: &DVector<f64>, errors: &[f64]) -> f64 {
 /// the result says so.
 ///
 /// # Errors
-/// Fails if the removal at parameters near the plan cannot be simulated.
+/// Fails if the removal cannot be simulated at parameters that the fit tries.
 pub fn fit(
     model: &RemovalModel<'_>,
     terms: &[Term],

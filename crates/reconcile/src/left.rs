@@ -18,7 +18,7 @@ const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correc
 const FROM_THE_REST: &str =
     "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
 
-/// Returns the error budget of the next run. `refused[i]` is true if the data do not determine unknown `i`,
+/// Returns the error budget of the next run. `refused[i]` is true if the data do not determine parameter `i`,
 /// `estimates[i]` is its value and standard error, and `corrections[i]` its correction in the next plan. `process` is
 /// the error budget of this run, and `scale` the standard deviation of a parameter as known beforehand.
 pub fn left(

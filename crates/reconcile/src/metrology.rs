@@ -54,8 +54,8 @@ impl Term {
     }
 }
 
-/// Returns piston, tilt and power, and further Legendre terms up to the orders (along x, along y), if given. If both
-/// orders are at least 2, power is left out, because it is a sum of such terms.
+/// Returns piston, tilt and power, and further Legendre terms up to the orders (along x, along y), if given; an order
+/// of 0 counts as 1. If both orders are at least 2, power is left out, because it is a sum of such terms.
 pub fn terms(order: Option<[usize; 2]>) -> Vec<Term> {
     let [m, n] = order.unwrap_or([0, 0]).map(|k| k.max(1));
     let mut terms = vec![Term::Legendre(0, 0), Term::Legendre(1, 0), Term::Legendre(0, 1)];

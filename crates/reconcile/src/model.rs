@@ -15,17 +15,18 @@ use planish_types::{Invalid, Tif};
 
 use crate::parameter::Parameter;
 
-/// Displacement of the tool in the central differences, in widths of the TIF. Larger: an error of the derivatives that
-/// grows with its square. Smaller: kinks of a sampled TIF. Chosen: the error is 3e-4 of the derivative.
+/// Displacement of the tool, or change of its width, in the central differences, in widths of the TIF. Larger: an error
+/// of the derivatives that grows with its square. Smaller: kinks of a sampled TIF. Chosen: the error is 3e-4 of the
+/// derivative.
 pub const STEP: f64 = 0.04;
 
-/// Largest displacement of the tool by a parameter, in widths of the TIF, and largest relative change of the rate or
-/// the TIF. Larger: parameters at which the plan and the run have nothing in common. Smaller: steps of a fit are
-/// refused that lead to the minimum. Chosen.
+/// Largest displacement of the tool by a parameter of the position, in widths of the TIF; the constant below is the
+/// largest relative change of the rate or the TIF. Larger: parameters at which the plan and the run have nothing in
+/// common. Smaller: steps of a fit are refused that lead to the minimum. Chosen.
 const LARGEST_IN_WIDTHS: f64 = 20.0;
 const LARGEST_PART: f64 = 0.5;
 
-/// Relative drift of the rate by which its difference is taken. The removal is linear in it, so any step is exact.
+/// Relative drift of the rate in its central difference. The removal is linear in it, so any step is exact.
 const DRIFT_STEP: f64 = 0.1;
 
 /// Removal of the executed plan as a function of the free parameters.
@@ -57,12 +58,13 @@ impl<'a> RemovalModel<'a> {
         Self { runs, removal_from: None, tif, parameters, scales, step: STEP }
     }
 
-    /// Returns the change of a parameter that displaces the tool by `mm` at most.
+    /// Returns the change of a parameter with this effect that displaces the tool by `mm` at most.
     fn per_mm(&self, effect: Scalar, mm: f64) -> f64 {
         mm / self.runs.displacement_per_size(effect)
     }
 
-    /// Returns true if a run with these values of the parameters can be simulated: none of them is too large.
+    /// Returns true if none of these values of the parameters is too large for a run: a position moves the tool by at
+    /// most [`LARGEST_IN_WIDTHS`], and other values are at most [`LARGEST_PART`].
     pub(crate) fn is_possible(&self, values: &[f64]) -> bool {
         let width = self.tif.width_mm();
         self.parameters.iter().zip(values).all(|(parameter, value)| {
@@ -135,7 +137,8 @@ impl<'a> RemovalModel<'a> {
         Ok((removal * factor, derivatives))
     }
 
-    /// Returns `tif` with the rate and the shape that the values `known` of the parameters give.
+    /// Returns `tif` with the rate and the shape that the values `known` of the parameters give; parameters of the
+    /// position and the drift change nothing.
     ///
     /// # Errors
     /// Fails if they make no valid TIF.

@@ -12,7 +12,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Parameter {
-    /// Relative excess of the removal rate.
+    /// Relative excess of the removal rate over that of the TIF.
     RateScale,
     /// Displacement of the tool along x against the map, mm.
     OffsetX,
@@ -20,14 +20,14 @@ pub enum Parameter {
     OffsetY,
     /// Rotation of the axes against the map about its middle, from x to y, rad.
     Rotation,
-    /// Relative excess of the machine's lengths over those of the map.
+    /// Relative excess of the machine's lengths over those of the map, from the middle of the map.
     Magnification,
     /// Relative excess of the width of the TIF, at the same volumetric removal rate.
     TifWidth,
     /// Ellipticity of the TIF along x: it is longer along x by half of this fraction, and shorter along y.
     TifEllipticity,
-    /// Ellipticity of the TIF along the diagonal from lower left to upper right: longer along it by half of this
-    /// fraction, and shorter across.
+    /// Ellipticity of the TIF along the diagonal x = y: it is longer along it by half of this fraction, and shorter
+    /// across.
     TifDiagonalEllipticity,
     /// Relative drift of the rate: its linear rise from the start to the end of the run, about the middle of the run.
     RateDrift,
@@ -62,7 +62,8 @@ impl Parameter {
         }
     }
 
-    /// Returns the unit in which reports state the parameter, and the size of that unit in the unit of the calculation.
+    /// Returns the unit in which reports state the parameter, and the size of that unit in the unit of the calculation
+    /// (mm, rad or a fraction).
     pub fn unit(self) -> (&'static str, f64) {
         match self {
             Self::OffsetX | Self::OffsetY => ("mm", 1.0),
@@ -93,9 +94,9 @@ impl Parameter {
         !is_ellipse || has_one_ellipse(tif)
     }
 
-    /// Returns the usual scale (standard deviation) of the parameter without knowledge of the machine. It is a rate
-    /// off, or drifting, by 10 %, a part misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF wider
-    /// or longer by 10 %. A larger standard error says less than that.
+    /// Returns the scale (standard deviation) of the parameter if nothing is known of the machine: 10 % for the rate,
+    /// its drift, and the width and ellipticities of the TIF, 0.5 mm for an offset, 0.5 degrees for the rotation, and 1
+    /// % for the magnification.
     pub fn usual_scale(self) -> f64 {
         match self {
             Self::RateScale | Self::TifWidth | Self::TifEllipticity => 0.1,
@@ -106,8 +107,8 @@ impl Parameter {
         }
     }
 
-    /// Returns the scale of the parameter by an error budget: the root of the sum of squares of its errors. Without
-    /// such errors it is the usual scale.
+    /// Returns the scale of the parameter by an error budget: the root of the sum of squares of the sizes of its
+    /// errors. Without such errors it is the usual scale, but an ellipticity along the diagonal has that along x.
     pub fn scale_in(self, process: &ErrorBudget) -> f64 {
         let mut sum = sum_of_squares(process, self.scalar());
         // An ellipticity of no stated direction has that size along the diagonal, too.
@@ -143,7 +144,8 @@ impl Parameter {
     }
 }
 
-/// Returns the sum of squares of the sizes of the errors with this effect.
+/// Returns the sum of squares of the sizes of the errors with the effect `scalar`, in the unit of the calculation
+/// squared.
 fn sum_of_squares(process: &ErrorBudget, scalar: Scalar) -> f64 {
     let errors = process.errors.iter().filter(|e| e.effect == Effect::Scalar(scalar));
     errors.map(|e| e.size * e.size).sum::<f64>()

@@ -20,9 +20,9 @@ use crate::{fit::LeastSquaresFit, parameter::Parameter};
 const PLACE: [Parameter; 4] =
     [Parameter::OffsetX, Parameter::OffsetY, Parameter::Rotation, Parameter::Magnification];
 
-/// Returns the transform T' of the next plan from the transform `before` (T) of this one. `corrections` and their
-/// `covariance` belong to the unknowns of the fit; `refused[i]` is true if the data do not determine unknown `i`.
-/// `scale` is the standard deviation of a parameter as known beforehand.
+/// Returns the transform T' of the next plan from the transform `before` (T) of this one. `corrections` belong to the
+/// parameters and `covariance` to all unknowns of the fit; `refused[i]` is true if the data do not determine parameter
+/// `i`. `scale` is the standard deviation of a parameter as known beforehand, and `grid` the map.
 ///
 /// # Errors
 /// Fails if T' is no valid transform.

@@ -29,11 +29,12 @@ use crate::{
     settings::ReconcileSettings,
 };
 
-/// Smallest number of valid pixels per unknown of the fit.
+/// Smallest number of valid pixels per unknown of the fit; maps with fewer are refused. Larger: small maps are refused.
+/// Smaller: fits of noise.
 const LEAST_PIXELS_PER_UNKNOWN: f64 = 20.0;
 
-/// Largest ellipticity, in standard errors, for which no direction is stated. Larger: directions are left out that are
-/// known. Smaller: directions of noise are given. Chosen.
+/// Largest ellipticity of the TIF, in its standard errors, for which no direction is stated. Larger: directions are
+/// left out that are known. Smaller: directions of noise are given. Chosen.
 const NO_DIRECTION: f64 = 2.0;
 
 /// Inputs of a reconciliation: the maps before and after a run, and its plan.
@@ -76,7 +77,8 @@ pub struct Reconciled {
     pub transform: Transform,
     /// Error budget of the next run.
     pub error_budget: ErrorBudgetFile,
-    /// Reason for a negative verdict: a parameter that was asked for by name is refused, or all are; `None` otherwise.
+    /// Reason for a negative verdict: the maps do not show that they are of this run, a prior scale contradicts the
+    /// data, or a parameter that was asked for by name is refused, or all are. `None` otherwise.
     pub drawback: Option<String>,
 }
 
@@ -93,11 +95,11 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// Returns before - after on the pixels that are valid in both maps; `unknowns` is the number of unknowns of the
-    /// fit.
+    /// Returns before - after, nm, on the pixels that are valid in both maps; a map after on other pixels is resampled.
+    /// `unknowns` is the number of unknowns of the fit.
     ///
     /// # Errors
-    /// Fails if the maps have no common pixels, or too few for this number of unknowns.
+    /// Fails if the maps have fewer than 20 common valid pixels per unknown, or if the map after cannot be resampled.
     pub fn data(&self, unknowns: usize) -> Result<Data<'a>, Invalid> {
         let grid = self.before.grid();
         let mut data = if are_same(grid, self.after.grid()) {
@@ -124,7 +126,7 @@ struct Tool<'a> {
     tif: &'a Tif,
 }
 
-/// Versions of the tool that a fit may use.
+/// Versions of the TIF that a fit may use; the one with the smallest rest is taken.
 struct Tools<'a> {
     /// The tool without its noise, whose TIF the parameters change.
     smooth: Tool<'a>,
@@ -146,8 +148,8 @@ struct RunFit<'a> {
 }
 
 impl<'a> Tools<'a> {
-    /// Fits the model with every version of the tool, and returns the fit with the smallest rest. `scale` is the
-    /// standard deviation of a parameter as known beforehand.
+    /// Fits the model with every version of the tool, and returns the fit with the smallest sum of squares of the rest.
+    /// `scale` is the standard deviation of a parameter as known beforehand.
     fn best_fit(
         &self,
         parameters: &[Parameter],
@@ -199,9 +201,9 @@ impl<'a> Tools<'a> {
 struct JudgedFit {
     /// Reason why each parameter is not determined; `None` if it is.
     refusals: Vec<Option<String>>,
-    /// Reason why each parameter is held at the plan; `None` if it is not.
+    /// Reason why each parameter is held at the plan automatically; `None` if it is not.
     why_held: Vec<Option<String>>,
-    /// Corrections of the next plan, one per unknown.
+    /// Corrections of the next plan, one per parameter, in its unit; all 0 if there is evidence against the map after.
     corrections: Vec<f64>,
     /// Value and standard error of each parameter; those of held parameters are from the fit with all free.
     stated: Vec<[f64; 2]>,
@@ -214,8 +216,8 @@ struct JudgedFit {
 }
 
 impl RunFit<'_> {
-    /// Judges every parameter of the fit. Parameters that only inflate the errors of others are held at the plan, in
-    /// `self.fit` too.
+    /// Judges every parameter of the fit. Parameters that [`hold`] holds are at the plan afterwards, in `self.fit` too.
+    /// `scale` is the standard deviation of a parameter as known beforehand.
     fn judge(
         &mut self,
         comparison: &Comparison<'_>,
@@ -345,8 +347,8 @@ fn fitted(fit: &LeastSquaresFit, data: &Data<'_>, runs: &Runs<'_>) -> Fitted {
 /// Estimates the parameters of a run from the maps before and after it, with the corrections of the next run.
 ///
 /// # Errors
-/// Fails if the settings name no parameter of this tool, if the maps have too few valid pixels in common, or if the tool
-/// differs between directions of motion.
+/// Fails if the settings are refused, if the maps have too few valid pixels in common, if the tool turns with the
+/// direction of its motion, or if a run cannot be simulated.
 pub fn reconcile(
     comparison: &Comparison<'_>,
     settings: &ReconcileSettings,
@@ -449,7 +451,7 @@ fn with_nan(map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
     map
 }
 
-/// Returns the RMS over the valid pixels about their mean.
+/// Returns the RMS of `map` over the valid pixels about their mean, in the unit of `map`.
 fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     let count = valid.sum();
     let mean = (map * valid).sum() / count;
@@ -457,8 +459,8 @@ fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     (square / count).sqrt()
 }
 
-/// Returns the estimate of the unknown at `index` for the report, in units of `factor`; without a value if it is held
-/// (`None`).
+/// Returns the estimate of the unknown at `index` for the report, in units of `factor`. If `index` is `None`, the
+/// unknown is held and has no value.
 fn estimate(
     fit: &LeastSquaresFit,
     index: Option<usize>,
@@ -498,7 +500,8 @@ fn metrology_estimates(fit: &LeastSquaresFit, settings: &ReconcileSettings) -> V
 }
 
 /// Returns the ellipticity e = (E^2 + D^2)^1/2 and its direction phi = atan2(D, E) / 2, with standard errors to first
-/// order. E and D are the ellipticities along x and along the diagonal; `None` if the data do not determine them.
+/// order. E and D are the ellipticities along x and along the diagonal. Returns `None` if one of them is not free or
+/// not determined, or if both are 0.
 fn ellipse(fit: &LeastSquaresFit, refusals: &[Option<String>]) -> Option<Ellipse> {
     let i = determined_index(fit, refusals, Parameter::TifEllipticity)?;
     let j = determined_index(fit, refusals, Parameter::TifDiagonalEllipticity)?;
@@ -552,7 +555,8 @@ fn contradiction(fit: &LeastSquaresFit, i: usize, scale: f64) -> String {
     )
 }
 
-/// Returns the reason for a negative verdict; `None` for a positive one.
+/// Returns the reason for a negative verdict: a prior scale that contradicts the data, a parameter named in the
+/// settings that is refused, or all refused. Returns `None` for a positive verdict.
 fn drawback(
     settings: &ReconcileSettings,
     fit: &LeastSquaresFit,

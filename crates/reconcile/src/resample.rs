@@ -12,7 +12,8 @@ use planish_types::{Axis, Grid, Invalid, Surface};
 /// shifted a little are not resampled. Smaller: rounding causes resampling.
 const SAME_PLACE: f64 = 1e-3;
 
-/// Number of samples along each axis from which a value is interpolated.
+/// Number of samples along each axis from which a value is interpolated; the degree is one less. Larger: pixels near a
+/// border or an invalid sample become invalid. Smaller: short periods lose height.
 const SAMPLES: usize = 6;
 
 /// Name of the method of interpolation, for reports.
@@ -28,8 +29,8 @@ pub fn are_same(a: &Grid, b: &Grid) -> bool {
     })
 }
 
-/// Returns the index of the first sample, and the weights of it and the following ones, for the coordinate `to_mm`;
-/// `None` outside of the axis `from`.
+/// Returns the index of the first sample, and the weights of it and the following ones, for the coordinate `to_mm`.
+/// Returns `None` where the axis `from` has no sample, or fewer than three on one side.
 fn weights(from: &Axis, to_mm: f64) -> Option<(usize, Vec<f64>)> {
     let position = (to_mm - from.start_mm()) / from.step_mm();
     let nearest = position.round();
@@ -51,7 +52,7 @@ fn weights(from: &Axis, to_mm: f64) -> Option<(usize, Vec<f64>)> {
     Some((first as usize, weights))
 }
 
-/// Returns `map` interpolated on the pixels of `grid`; NaN where it has too few samples.
+/// Returns `map` interpolated on the pixels of `grid`; NaN where one of the samples is invalid or beyond the map.
 ///
 /// # Errors
 /// Fails if no pixel of `grid` lies within the valid samples of the map.

@@ -16,8 +16,8 @@ const LARGEST_ORDER: usize = 12;
 /// Settings of a reconciliation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ReconcileSettings {
-    /// Names of the free parameters and terms; all if none is given. If a parameter is named and the data do not
-    /// determine it, the verdict is negative.
+    /// Names of the free parameters; all parameters if none is named. If a named parameter is not determined by the
+    /// data, the verdict is negative. Terms of the metrology may be named, and are free in any case.
     pub free: Vec<String>,
     /// Names of the parameters and terms that are held at their values in the plan.
     pub hold: Vec<String>,
@@ -35,8 +35,8 @@ impl ReconcileSettings {
     /// Returns the free parameters and terms of the metrology, for a tool that has the parameters `has`.
     ///
     /// # Errors
-    /// Refuses unknown names, names that are free and held, parameters that the tool does not have, and orders that are
-    /// too large.
+    /// Refuses unknown names, names that are free and held, named parameters that the tool does not have, and an order
+    /// above 12.
     pub fn chosen(
         &self,
         has: impl Fn(Parameter) -> bool,

@@ -344,8 +344,8 @@ fn joint(values: &[f64], covariance: &[f64]) -> Joint {
     }
 }
 
-/// Of one number z standard errors from the plan the spread is (z^2 - 1)^1/2 standard errors, and 1 - 1/z^2 of it are
-/// left; of one within a standard error nothing.
+/// Tests one number z standard errors from the plan: its spread is (z^2 - 1)^1/2 standard errors, and 1 - 1/z^2 of it
+/// are left. Of one within a standard error nothing is left.
 #[test]
 fn one_parameter_is_shrunk_as_james_and_stein_say() {
     for (z, part) in [(0.5, 0.0), (3.0, 1.0 - 1.0 / 9.0), (50.0, 1.0)] {
@@ -359,7 +359,7 @@ fn one_parameter_is_shrunk_as_james_and_stein_say() {
     }
 }
 
-/// What two parameters do together is kept where only their difference is unknown.
+/// Tests that the sum of two parameters is kept where only their difference is unknown.
 #[test]
 fn a_determined_sum_of_two_parameters_is_kept() {
     // The sum has the standard error 1e-3, the difference 1, beside scales of 1.

@@ -58,8 +58,8 @@ fn of_pixel(at: [f64; 2]) -> f64 {
     (1.0 + a * a + b * b).powf(-0.5 * EXPONENT)
 }
 
-/// Rate of the beam at p at the offset u in the plane, nm/s. It is along the normal there, so the component of u along the
-/// slope is longer by 1/cos: u_r^2 / cos^2 = u_r^2 + (u . q)^2 with the tangent q.
+/// Returns the rate of the beam at p at the offset u in the plane, nm/s. It is along the normal there, so the component
+/// of u along the slope is longer by 1/cos: u_r^2 / cos^2 = u_r^2 + (u . q)^2 with the tangent q.
 fn rate(u: [f64; 2], p: [f64; 2], width: f64) -> f64 {
     let [a, b] = slope(p);
     let w = 1.0 + width;
@@ -78,8 +78,8 @@ fn round_beam() -> Array2<f64> {
     samples(&offsets(), |x, y| rate([x, y], middle(&grid()), 0.0))
 }
 
-/// The beam by kernels: exp(-(u.q)^2 / 2) to the second order of (u.q)^2 in powers of the components of q. What is left
-/// of it is below 5e-4 of the peak at the corners.
+/// Makes the beam from kernels: exp(-(u.q)^2 / 2) to the second order of (u.q)^2 in powers of the components of q. What
+/// is left of it is below 5e-4 of the peak at the corners.
 fn tool(time: Option<TimeFactor>) -> Tif {
     let positions =
         Grid { x: Axis::new(-8.0, 1.5, 21).unwrap(), y: Axis::new(-3.0, 1.5, 17).unwrap() };
@@ -117,7 +117,7 @@ fn tool(time: Option<TimeFactor>) -> Tif {
     .unwrap()
 }
 
-/// The direct sum over the displaced places, four per piece, with the rate of its time.
+/// Returns the removal, nm, by a direct sum over the displaced places, four per piece, with the rate of their time.
 fn executed(trajectory: &Trajectory, t: &Truth, time: Option<&TimeFactor>) -> Array2<f64> {
     let grid = grid();
     let breaks = trajectory.break_time_s();
@@ -141,7 +141,7 @@ fn executed(trajectory: &Trajectory, t: &Truth, time: Option<&TimeFactor>) -> Ar
     removal * samples(&grid, |x, y| of_pixel([x, y]))
 }
 
-/// A plan for the beam at the middle of the sphere, and the map before it.
+/// Makes the map before a run, and a plan for it with the beam as it is at the middle of the sphere.
 fn plan(rng: &mut ChaCha8Rng, kind: u64) -> (Array2<f64>, Trajectory) {
     let grid = grid();
     let real = Figure::new(rng, SIGMA_MM, 4.0).map(&grid);
@@ -163,7 +163,8 @@ fn learn(
         .unwrap()
 }
 
-/// A run of a seed, of a rate that falls by a tenth where `wears`, and what is learnt of it.
+/// Makes a run from a seed, with a rate that falls by a tenth if `wears`. Returns its true errors and what is learnt
+/// from it.
 fn run(seed: u64, wears: bool) -> (Truth, Reconciled) {
     let mut rng = ChaCha8Rng::seed_from_u64(100 + seed);
     let (real, trajectory) = plan(&mut rng, seed % 4);

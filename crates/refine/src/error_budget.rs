@@ -41,18 +41,18 @@ pub struct PlanRisk {
 /// Comparison of the plans made without and with the process.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Price {
-    /// Name of the process.
+    /// Name of the process, from its error budget.
     pub name: String,
     /// Kinds of errors whose effect is in the objective of the loop.
     pub in_the_objective: Vec<String>,
-    /// Kinds of errors that are not in the objective: their effect does not depend on the dwell times, or has no
-    /// derivative by them.
+    /// Kinds of errors that are not in the objective of the loop: their effect does not depend on the dwell times, or
+    /// has no derivative by them.
     pub not_in_the_objective: Vec<String>,
     /// Risk of the plan made without the process.
     pub without: PlanRisk,
     /// Risk of the plan made for the process; the same as `without` if no error is in the objective.
     pub with: PlanRisk,
-    /// True if the plan made for the process is kept, false if the other one is.
+    /// True if the plan made for the process is kept, because its expected RMS is smaller; false if the other one is.
     pub kept: bool,
 }
 
@@ -60,7 +60,7 @@ pub struct Price {
 ///
 /// # Errors
 ///
-/// Refuses what [`refine`] refuses, and a process that does not fit the tool.
+/// Refuses what [`refine`] refuses, and errors that the tool cannot have or that [`tolerance`] refuses.
 pub fn refine_for(
     desired: &Surface,
     tif: &Tif,

@@ -83,17 +83,18 @@ pub struct RefineSettings<'a> {
     /// Scheduler that makes the motion of the dwell times.
     #[serde(serialize_with = "name_and_kind")]
     pub scheduler: &'a dyn Scheduler,
-    /// Settings of the dwell solver. The columns are those of the first plan, the smoothness is that of the
-    /// last corrections.
+    /// Settings of the dwell solver. Its columns (removal by a second at each dwell point) apply to the first plan, its
+    /// smoothness (`slope_weight`) to the last corrections.
     pub dwell: dwell_solver::BoundedSettings,
-    /// Smoothness of the first correction; it falls to that of `dwell`. Larger: more rounds, and a larger
-    /// residual along random paths (docs/refine.md). Smaller: the first corrections are too rough for their
-    /// operator, and more tries fail.
+    /// Smoothness (slope weight of the dwell solver) of the first correction; it falls to that of `dwell`. Larger: more
+    /// rounds, and a larger residual along random paths (docs/refine.md). Smaller: the first corrections are too rough
+    /// for their operator, and more tries fail.
     pub first_smoothness: f64,
     /// Largest number of rounds of schedule and correction.
     pub max_rounds: usize,
-    /// Improvement on the best round that counts as progress, as a fraction of its objective [`Iterate::merit_nm`].
-    /// Larger: the loop ends earlier, with a larger residual. Smaller: more rounds for small gains.
+    /// Smallest improvement on the best round that counts as progress, as a fraction of its objective
+    /// [`Iterate::merit_nm`]. Larger: the loop ends earlier, with a larger residual. Smaller: more rounds for small
+    /// gains.
     pub least_improvement: f64,
 }
 
@@ -171,8 +172,8 @@ pub struct Iterate {
     /// the dwell times ([`error_budget`]); `None` without a process.
     pub expected_rms_nm: Option<f64>,
     /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm, with the price lambda and the total time T. The noise
-    /// replaces an RMS below it, and with a process the expected square replaces rms^2. A weight of the slope of the
-    /// residual adds its square.
+    /// replaces an RMS below it, and with a process the expected square replaces rms^2. If the slope of the residual
+    /// has a weight, its weighted mean square is added to the square.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
@@ -215,8 +216,9 @@ pub struct Refined {
 }
 
 impl Refined {
-    /// Returns the reason for a negative verdict; `None` if it is positive. Reaching the largest number of rounds is no
-    /// reason if the user gave that number (`rounds_asked_for`).
+    /// Returns the reason for a negative verdict: the best round exceeds the limits, the rounds were used up, or the
+    /// plan is not worth its run, for example because it increases the error of `desired`. Returns `None` for a
+    /// positive one. Using up the rounds is no reason if the user gave their number (`rounds_asked_for`).
     pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
         let best = &self.iterates[self.best];
         if let Some(exceeded) = &self.exceeded {
@@ -237,16 +239,16 @@ impl Refined {
 /// Factor on the smoothness from one correction to the next: half a decade. Larger: more rounds until the last
 /// smoothness. Smaller: corrections that are too rough for their operator, and more failed tries.
 const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
-/// Fraction of the step below which a correction is given up, dimensionless. Larger: corrections are given
-/// up of which a small part would help. Smaller: more simulations of failed tries.
+/// Fraction of the step towards a correction below which the correction is given up, dimensionless. Larger: corrections
+/// are given up of which a small part would help. Smaller: more simulations of failed tries.
 const LEAST_STEP_FRACTION: f64 = 0.1;
-/// Number of part steps without progress, in a row, after which the loop ends. One full step is enough, unless its
-/// correction predicted more progress ([`UNKEPT_PROMISE`]). Larger: more rounds for small gains. Smaller: the loop
-/// ends after one short step.
+/// Number of kept rounds in a row without enough progress after which the loop ends. One full step without progress is
+/// enough, unless its correction predicted more ([`UNKEPT_PROMISE`]). Larger: more rounds for small gains. Smaller: the
+/// loop ends after one short step.
 const PATIENCE: usize = 2;
-/// Relative excess of the executed RMS over the prediction of the correction above which a full step does not end the
-/// loop. The machine then needed times that the correction did not know, and the next one has them as lower bounds.
-/// Larger: the loop ends although such a correction would help. Smaller: more rounds.
+/// Fraction of the executed RMS by which the RMS that the correction predicted must be lower, so that a full step
+/// without progress does not end the loop. The machine then needed times that the correction did not know, and the next
+/// one has them as lower bounds. Larger: the loop ends although such a correction would help. Smaller: more rounds.
 const UNKEPT_PROMISE: f64 = 0.01;
 
 /// Ratio of the RMS that a correction predicts to the best RMS, below which a correction that failed counts as too
@@ -262,7 +264,7 @@ const MORE_SMOOTHNESS: f64 = 10.0;
 /// # Errors
 ///
 /// Refuses inputs that do not belong together and settings out of range. Fails where the dwell solver or the scheduler
-/// does, and where the machine needs more time than the upper bounds allow.
+/// does, and if the motion of a best round needs more time than an upper bound allows.
 pub fn refine(
     desired: &Surface,
     tif: &Tif,
@@ -375,7 +377,8 @@ struct Rounds<'a> {
     last_smoothness: f64,
     /// Settings of the next correction.
     solver: dwell_solver::BoundedSettings,
-    /// Bounds of the dwell times, s; the lower ones rise to the times that the machine needs.
+    /// Lower (`lo`) and upper (`hi`) bounds of the dwell times, s; the lower ones rise to the times that the machine
+    /// needs.
     lo: Vec<f64>,
     hi: Vec<f64>,
     lo_of_best: Vec<f64>,
@@ -385,7 +388,7 @@ struct Rounds<'a> {
     /// next round.
     proposed_s: Vec<f64>,
     step_fraction: f64,
-    /// Number of rounds with the present correction.
+    /// Number of rounds in which the present correction was tried.
     tries: usize,
     /// RMS that the correction predicts, nm, and lower bounds from the times that the machine needed at every try of
     /// it, s.
@@ -513,7 +516,7 @@ impl<'a> Rounds<'a> {
     }
 
     /// Raises the lower bounds to the times that the machine needed. Refuses a time above the upper bound. `stretched`
-    /// has index and time, s.
+    /// has the index of each lengthened segment and its time, s.
     fn raise_bounds(&mut self, stretched: &[(usize, f64)]) -> Result<(), RefineError> {
         for &(segment, needed_s) in stretched {
             let bound_s = self.hi[segment];
@@ -527,7 +530,7 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// Returns true if the corrections have reached their last smoothness.
+    /// Returns true if the corrections have reached their last smoothness, or if the noise chose it.
     fn is_at_last(&self) -> bool {
         self.solver.slope_weight <= self.last_smoothness || self.has_noise
     }
@@ -549,8 +552,9 @@ impl<'a> Rounds<'a> {
         }
     }
 
-    /// Chooses the length of the next step and its smoothness. After a step that succeeded at the first try, the next one
-    /// may be longer and rougher. The same holds after a correction that is given up, unless it was too large.
+    /// Chooses the fraction of the next step and the smoothness of the next correction. After a step that succeeded at
+    /// the first try, the step may be longer and the correction rougher. The same holds after a correction that is
+    /// given up; if that was too large, the next one is smoother.
     fn adapt(&mut self, round: usize, is_given_up: bool, is_smoother: bool) {
         if self.tries != 1 && !is_given_up {
             return;

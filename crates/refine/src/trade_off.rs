@@ -20,8 +20,8 @@ use serde::Serialize;
 
 use crate::{Iterate, RefineError, RefineSettings, refine};
 
-/// Fraction of the pixels that are below the height z_min of the module, dimensionless. Larger: a lower bound (1) that
-/// deeper parts of the map may not reach. Smaller: a pit of a few pixels decides the bound.
+/// Fraction of the valid pixels that are below the height z_min of the module, dimensionless. Larger: a lower bound (1)
+/// that leaves out deeper parts of the map. Smaller: a pit of a few pixels decides the bound.
 pub const IGNORED: f64 = 1e-3;
 
 /// Largest number of prices. Larger: the curve looks the same, and takes days. Smaller: fewer points can be
@@ -61,7 +61,8 @@ pub struct Point {
     pub end: End,
 }
 
-/// Returns the reason for a negative verdict on a trade-off; `None` if the verdict is positive.
+/// Returns the reason for a negative verdict on a trade-off: a plan exceeds the limits of the machine. Returns `None`
+/// if all keep them.
 pub fn negative(points: &[Point]) -> Option<String> {
     if points.iter().all(|p| p.best.limits_respected) {
         return None;
@@ -80,7 +81,7 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
 }
 
 /// Returns prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The
-/// largest is 3 % of half the mean square of the map per second of the time bound (1).
+/// largest is 3 % of half the mean square of the map per second of the time bound (1); a single price is the smallest.
 ///
 /// # Errors
 ///
@@ -133,9 +134,9 @@ fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
     }
 }
 
-/// Refines once per price, from the dwell times of the price before, then again from those of a neighbour whose
-/// plan is better at this price. Every price gets the best of all rounds of all prices. So a plan at a higher price
-/// never takes longer, and a plan at a lower price never leaves a larger residual.
+/// Refines once per price, from the dwell times of the price before, then again from those of a neighbouring price
+/// whose plan is better at this price. Every price gets the best of all rounds of all prices. So a plan at a higher
+/// price never takes longer, and a plan at a lower price never leaves a larger residual.
 ///
 /// # Errors
 ///

@@ -12,7 +12,7 @@ use planish_simulate::simulate;
 use planish_types::{Axis, DwellTime, End, Grid, Limits, MachineFile, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
-/// Both axes alike.
+/// Makes a machine whose two axes have these limits, mm/s and mm/s^2.
 fn machine(velocity: f64, acceleration: f64) -> Limits {
     planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
@@ -36,7 +36,7 @@ fn desired() -> Surface {
     Surface::new(g, height).unwrap()
 }
 
-/// Square meander of 1 mm steps: a corner of 90 degrees at every second node.
+/// Makes a square meander of 1 mm steps: a corner of 90 degrees at every second node.
 fn meander() -> ToolPath {
     let mut points = Vec::new();
     for row in 0..7 {
@@ -52,7 +52,7 @@ fn meander() -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-/// Waves whose lengths, sizes and layer follow from a number by irrational steps.
+/// Makes a map of waves whose lengths, sizes and layer follow from a number by irrational steps.
 fn waves(number: u32) -> Surface {
     let part = |k: u32| (f64::from(number) * 0.618_034 + f64::from(k) * 0.754_878).fract();
     let g = Grid { x: Axis::new(0.0, 0.2, 51).unwrap(), y: Axis::new(0.0, 0.2, 41).unwrap() };
@@ -67,7 +67,7 @@ fn waves(number: u32) -> Surface {
     Surface::new(g, height).unwrap()
 }
 
-/// The waves on a round part, NaN outside.
+/// Returns the waves on a round part, NaN outside.
 fn round(waves: &Surface) -> Surface {
     let g = waves.grid();
     let mut height = waves.height_nm().clone();
@@ -79,14 +79,15 @@ fn round(waves: &Surface) -> Surface {
     Surface::new(*g, height).unwrap()
 }
 
-/// A machine of the acceleration limit in mm/s^2 that reaches it in 0.1 s.
+/// Makes a machine with this limit of the acceleration, mm/s^2, and a limit of the jerk with which it is reached in 0.1
+/// s.
 fn machine_with_jerk(acceleration: f64) -> Limits {
     let mut file = MachineFile::from(&machine(20.0, acceleration));
     file.axes.iter_mut().for_each(|a| a.max_jerk_mm_per_s3 = Some(10.0 * acceleration));
     file.checked().unwrap()
 }
 
-/// Test of one problem, or of as many as the environment variable `PLANISH_FRONTS` says: rectangular and round parts,
+/// Tests one problem, or as many as the environment variable `PLANISH_FRONTS` says: rectangular and round parts,
 /// machines with and without a limit on jerk, two kinds of PVT.
 #[test]
 fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
@@ -281,7 +282,7 @@ fn the_operator_of_constant_accelerations_is_their_own() {
     assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
 }
 
-/// Every scheduler that can be chosen by name, with all its choices.
+/// Makes every scheduler that can be chosen by name, with all choices of mode and repair.
 fn every_scheduler(limits: &Limits) -> Vec<Box<dyn Scheduler>> {
     let modes = [pvt::ModeChoice::Smooth, pvt::ModeChoice::Monotone];
     let choices = modes.into_iter().flat_map(|mode| {
@@ -299,7 +300,7 @@ fn every_scheduler(limits: &Limits) -> Vec<Box<dyn Scheduler>> {
     all
 }
 
-/// The meander with a point at which the tool stands for a dwell time.
+/// Makes the meander with a point at which the tool stands for a dwell time.
 fn meander_with_a_stand() -> ToolPath {
     let mut points = meander().point_mm().to_vec();
     points.insert(40, points[40]);
@@ -307,7 +308,7 @@ fn meander_with_a_stand() -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-/// On a fast and on a slow machine, with and without a stand. The result never leaves more than the first plan, keeps
+/// Tests a fast and a slow machine, with and without a stand. The result never leaves more than the first plan, keeps
 /// the limits, and is the motion that its scheduler makes of its dwell times.
 #[test]
 fn every_scheduler_gains_within_the_limits_and_its_dwell_times_are_those_of_its_motion() {
@@ -429,7 +430,7 @@ fn a_price_on_time_buys_time_and_its_curve_is_drawn() {
     assert!((trade_off::least_time_s(&step, &tif) - expected).abs() < 1e-12 * expected);
 }
 
-/// Noise of `rms_nm`, uniform, by a fixed sequence.
+/// Adds uniform noise with an RMS of `rms_nm`, by a fixed sequence.
 fn noisy(clean: &Surface, rms_nm: f64) -> Surface {
     let mut state = 1_u64;
     let height = clean.height_nm().mapv(|z| {

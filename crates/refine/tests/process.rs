@@ -19,7 +19,7 @@ fn machine() -> Limits {
     planish_testkit::machine([100.0; 2], [1000.0; 2])
 }
 
-/// A Gaussian of 1 mm.
+/// Makes a Gaussian TIF with a standard deviation of 1 mm.
 fn tif() -> Tif {
     let axis = Axis::new(-4.0, 0.25, 33).unwrap();
     let rate = |(r, c): (usize, usize)| {
@@ -29,7 +29,7 @@ fn tif() -> Tif {
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }
 
-/// 12 x 8 mm with waves that are short for the tool.
+/// Makes a map of 12 x 8 mm with waves that are short for the tool.
 fn desired() -> Surface {
     let grid = Grid { x: Axis::new(0.0, 0.25, 49).unwrap(), y: Axis::new(0.0, 0.25, 33).unwrap() };
     let height = |(r, c): (usize, usize)| {
@@ -39,7 +39,7 @@ fn desired() -> Surface {
     Surface::new(grid, Array2::from_shape_fn(grid.shape(), height)).unwrap()
 }
 
-/// Lines 1 mm apart in steps of 1 mm, 3 mm beyond the map.
+/// Makes lines 1 mm apart in steps of 1 mm, 3 mm beyond the map.
 fn raster() -> ToolPath {
     let mut points = Vec::new();
     for line in 0..15 {
@@ -81,7 +81,7 @@ fn plan_for(process: &ErrorBudget) -> (Refined, Price) {
     refine_for(&desired(), &tif(), &raster(), &machine(), None, &settings(), process).unwrap()
 }
 
-/// Root of the mean square of the residual over simulated runs, nm.
+/// Returns the root of the mean square of the residual over simulated runs, nm.
 fn simulated(plan: &Refined, process: &ErrorBudget, runs: usize) -> f64 {
     let how = ToleranceSettings { draws: 100, simulated_runs: runs, ..Default::default() };
     let found = tolerance(&plan.trajectory, &tif(), &desired(), process, &how).unwrap();
@@ -89,7 +89,7 @@ fn simulated(plan: &Refined, process: &ErrorBudget, runs: usize) -> f64 {
     (square / found.runs.len() as f64).sqrt()
 }
 
-/// Errors of size zero, and errors that add the same whatever the dwell times.
+/// Tests errors of size zero, and errors that add the same whatever the dwell times.
 #[test]
 fn a_process_that_the_dwell_times_do_not_decide_changes_no_bit() {
     let without = plan();
@@ -111,8 +111,8 @@ fn a_process_that_the_dwell_times_do_not_decide_changes_no_bit() {
     }
 }
 
-/// Sources one by one, at sizes that matter here: what is expected falls, and so it does in simulated runs, whose
-/// random numbers are the same for both plans.
+/// Tests sources of error one by one, at sizes that matter here: what is expected falls, and so it does in simulated
+/// runs, whose random numbers are the same for both plans.
 #[test]
 fn simulated_runs_leave_less_than_the_plan_that_knows_nothing_of_the_process() {
     let without = plan();
@@ -139,7 +139,7 @@ fn simulated_runs_leave_less_than_the_plan_that_knows_nothing_of_the_process() {
     }
 }
 
-/// With a larger variance the plan accepts a larger residual without errors.
+/// Tests that a plan for a process with a larger variance accepts a larger residual without errors.
 #[test]
 fn a_larger_variance_is_worth_more_of_the_nominal_residual() {
     let nominal = |um: f64| {

@@ -32,19 +32,19 @@ const PLACES_PER_PIXEL: usize = 8;
 /// Length of a step of the midpoint rule along the motion, as a fraction of the pitch of the TIF. Larger: less exact.
 /// Smaller: more readings per pixel, and fewer pixels.
 const PARTS_OF_A_STEP: f64 = 0.5;
-/// Largest number of steps of the midpoint rule. Larger: more memory. Smaller: long motions are integrated with
-/// longer steps.
+/// Largest number of steps of the midpoint rule over the whole motion. Larger: more memory. Smaller: long motions are
+/// integrated with longer steps.
 const MOST_POINTS: f64 = 2e6;
 
 /// Number of parts of the motion that are summed separately. It does not depend on the number of threads, so that the
 /// result does not either. Larger: more overhead. Smaller: fewer tasks for the threads.
 const PARTS: usize = 64;
 
-/// Relative change of the residual above which the warning is given. Larger: coarse TIFs pass without a warning.
-/// Smaller: warnings about changes without consequence.
+/// Relative change of the RMS of the residual above which the warning of a TIF that is sampled too coarsely is given.
+/// Larger: coarse TIFs pass without a warning. Smaller: warnings about changes without consequence.
 const NAMED: f64 = 0.01;
-/// Change of the residual, in standard errors, above which the warning is given. Larger: real changes pass without a
-/// warning. Smaller: warnings by chance.
+/// Change of the RMS of the residual, in standard errors of this change, above which the warning is given. Larger: real
+/// changes pass without a warning. Smaller: warnings by chance.
 const STANDARD_ERRORS: f64 = 2.0;
 
 /// Plastic number g, about 1.3247: multiples of 1 / g and 1 / g^2 give the most evenly spread sequence of pairs.
@@ -55,7 +55,8 @@ const GOLDEN: f64 = 1.324_717_957_244_746;
 pub struct Between {
     /// Number of pixels that were compared.
     pub pixels: usize,
-    /// RMS of the difference between the two removals about its mean, nm.
+    /// RMS about its mean of the difference between the removals with Keys' cubics and with straight lines, over the
+    /// compared pixels, nm.
     pub difference_rms_nm: f64,
     /// Relative change of the RMS of the residual with straight lines in place of Keys' cubics.
     pub residual_change: f64,
@@ -64,8 +65,8 @@ pub struct Between {
 }
 
 impl Between {
-    /// Compares the prediction `removal` of `trajectory` with `tif` to that with straight lines; `None` if no pixel can
-    /// be compared.
+    /// Compares the prediction `removal` of `trajectory` with `tif` to that with straight lines between the samples of
+    /// the TIF. Returns `None` if fewer than two valid pixels are found, or if the residual is the same at all of them.
     pub fn new(trajectory: &Trajectory, tif: &Tif, removal: &Removal) -> Option<Self> {
         let residual = removal.residual();
         let grid = residual.grid();
@@ -103,8 +104,8 @@ impl Between {
         Self::compared(&before, &difference)
     }
 
-    /// Compares the residual `before`, nm, with its change `difference` at the same pixels; `None` if there is nothing
-    /// to compare.
+    /// Compares the residual `before`, nm, with its change `difference`, nm, at the same pixels. Returns `None` for
+    /// fewer than two pixels, or if `before` is the same at all of them.
     fn compared(before: &[f64], difference: &[f64]) -> Option<Self> {
         let n = before.len() as f64;
         let [r, d] = [before, difference].map(|v| -> Vec<f64> {
@@ -129,7 +130,8 @@ impl Between {
         })
     }
 
-    /// Returns the warning that the TIF is sampled too coarsely; `None` if the change is small or uncertain.
+    /// Returns the warning that the TIF is sampled too coarsely. Returns `None` if the change of the RMS is at most
+    /// `NAMED`, or at most `STANDARD_ERRORS` of its standard errors.
     pub fn warning(&self) -> Option<String> {
         let change = self.residual_change;
         let seen = change.abs() > NAMED && change.abs() > STANDARD_ERRORS * self.standard_error;
@@ -148,8 +150,8 @@ impl Between {
     }
 }
 
-/// Returns the points of the midpoint rule along the motion with the tool on. Each has its position, mm, and its time
-/// at the rate of the TIF, s.
+/// Returns the points of the midpoint rule along the motion with the tool on. Each has its position [x, y], mm, and its
+/// time, s, times the rate factor of the segment.
 fn quadrature_points(trajectory: &Trajectory, tif: &Tif) -> Vec<([f64; 2], f64)> {
     let step_mm = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
     let on = || trajectory.segments().filter(|s| s.tool_on);
@@ -166,7 +168,8 @@ fn quadrature_points(trajectory: &Trajectory, tif: &Tif) -> Vec<([f64; 2], f64)>
     .collect()
 }
 
-/// Returns the number of steps of the midpoint rule along a segment, for a TIF with samples `step_mm` apart.
+/// Returns the number of steps of the midpoint rule along a segment, not rounded, for a TIF with samples `step_mm`
+/// apart.
 fn steps(s: &Segment<'_>, step_mm: f64) -> f64 {
     let h = s.duration_s;
     // At least as long as the way.

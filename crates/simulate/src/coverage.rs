@@ -13,13 +13,13 @@ use serde::Serialize;
 /// peak) count.
 const TOUCHED: f64 = 1e-9;
 
-/// Removal, as a fraction of that of the tool at rest for the time of the run, up to which it is rounding of the
-/// transforms. Larger: weak removals do not count. Smaller: rounding counts.
+/// Removal up to which a pixel does not count as touched, as a fraction of the peak of the TIF times the time with the
+/// tool on. It is rounding of the transforms. Larger: weak removals do not count. Smaller: rounding counts.
 const ROUNDING: f64 = 1e-13;
 
-/// Smallest fraction of the valid pixels that a plan for the whole map touches, dimensionless; a run that touches
-/// less gets a warning. It is a local correction, or a motion in other coordinates. Larger: warnings about local
-/// corrections. Smaller: wrong coordinates pass.
+/// Smallest fraction of the valid pixels that a plan for the whole map touches, dimensionless; a run that touches less
+/// gets a warning. Such a run is a local correction, or its motion is in other coordinates. Larger: warnings about
+/// local corrections. Smaller: wrong coordinates pass.
 const LEAST_TOUCHED: f64 = 0.5;
 
 /// Smallest fraction of the removed volume that falls on the valid pixels, dimensionless; a run with less gets a
@@ -48,8 +48,8 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Computes the coverage of the valid pixels of `desired` from the removal of `trajectory` with `tif`, shape (ny,
-    /// nx), nm.
+    /// Computes the coverage of the valid pixels of `desired`. `removal_nm` is the removal of `trajectory` with `tif`,
+    /// shape (ny, nx), nm.
     pub fn new(
         removal_nm: &Array2<f64>,
         trajectory: &Trajectory,
@@ -95,7 +95,7 @@ impl Coverage {
         }
     }
 
-    /// Returns the reason why a run that removes nothing is useless; `None` if it removes something.
+    /// Returns the reason why a run is useless whose tool touches no valid pixel; `None` if it touches any.
     pub fn drawback(&self) -> Option<String> {
         if self.touched_pixels > 0 {
             return None;
@@ -113,7 +113,9 @@ impl Coverage {
         ))
     }
 
-    /// Returns the warning about a run that covers the map poorly; `None` if it covers it well, or removes nothing.
+    /// Returns the warning about a run that touches less than `LEAST_TOUCHED` of the valid pixels, or whose volume
+    /// falls on them by less than `LEAST_ON_MAP`. Returns `None` for other runs, and for runs that touch no valid
+    /// pixel.
     pub fn warning(&self) -> Option<String> {
         let touched = self.touched_pixels as f64 / self.valid_pixels.max(1) as f64;
         let few = touched < LEAST_TOUCHED;

@@ -21,7 +21,7 @@ use crate::{
 /// All errors of one run; none by default.
 #[derive(Clone, Debug, Default)]
 pub struct Deviation {
-    /// Relative error of the rate.
+    /// Relative error of the rate throughout the run, dimensionless.
     rate: f64,
     /// Relative rise of the rate from the start to the end of the run.
     drift: f64,
@@ -37,13 +37,13 @@ pub struct Deviation {
     tif_rotation_rad: f64,
     servos: Vec<Servo>,
     backlash_mm: f64,
-    /// Relative deviation of the rate in every piece of the motion; empty if there is none.
+    /// Relative deviation of the rate by noise, its mean over every piece of the motion; empty if there is none.
     pub rate_of_piece: Vec<f64>,
     /// Displacement [x, y] of the tool in every stay, mm; empty if there is none.
     pub place_of_stay_mm: Vec<[f64; 2]>,
     /// Error of the time of every stay, s; empty if there is none.
     pub time_of_stay_s: Vec<f64>,
-    /// Residual that the errors of the map add, shape (ny, nx), nm; `None` without such errors.
+    /// Change of the residual by the errors of the map, shape (ny, nx), nm; `None` without such errors.
     pub map_nm: Option<Array2<f64>>,
 }
 
@@ -57,8 +57,8 @@ pub fn has_one_ellipse(tif: &Tif) -> bool {
     tif.variation().is_none_or(|v| v.azimuth_weights().is_none())
 }
 
-/// Refuses a tool that turns with the direction of its motion. Refuses an error budget with ellipticities if the tool
-/// has none along axes of the part.
+/// Refuses a tool that turns with the direction of its motion. If the spot turns with the azimuth, refuses an error
+/// budget with ellipticities of a size other than 0.
 pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
     tif.same_in_all_directions("a simulation with errors of the process")?;
     for (i, error) in process.errors.iter().enumerate() {
@@ -80,8 +80,8 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
 }
 
 impl Deviation {
-    /// Returns the response of the axes that is the same in every run of `process`: its lags of a fixed size, in the
-    /// order of the file.
+    /// Returns the response of the axes that is the same in every run of `process`: its errors `velocity_lag`,
+    /// `servo_first_order` and `servo_second_order` of a fixed size other than 0, in the order of the file.
     pub fn servos_of(process: &ErrorBudget) -> Self {
         let mut run = Self::default();
         for error in &process.errors {
@@ -101,7 +101,8 @@ impl Deviation {
         self.servos.len()
     }
 
-    /// Adds an error with this effect; `size` is a fraction, or in mm, rad or s.
+    /// Adds an error with this effect to those that are already there. `size` is a fraction, or in mm, rad or s, as its
+    /// kind has it.
     pub fn add(&mut self, effect: Scalar, size: f64) {
         match effect {
             Scalar::RateScale => self.rate += size,
@@ -125,18 +126,20 @@ impl Deviation {
         }
     }
 
-    /// Returns the TIF of the tool with these errors; `None` if it is `tif` itself.
+    /// Returns the TIF of the tool with these errors; `None` if none of them changes its width, ellipticity or
+    /// rotation.
     ///
-    /// A tool that varies over the part is wider, longer or rotated in the plane of the part, about the centroid of the
-    /// mean tool:
+    /// The tool is wider, longer or rotated in the plane of the part, about the centroid c of the mean tool. S is the
+    /// stretch, followed by the rotation; u is an offset from c, and p the position of a tool that varies over the
+    /// part:
     ///
     /// ```text
     /// K'(p + c + u; p) = K(p + c + S^-1 u; p) / det S = sum_k a_k(p) phi_k(c + S^-1 u) / det S
     /// ```
     ///
-    /// so that every kernel changes in the same way, its volume is kept, and so is that of the tool at every place. The
-    /// axes of a spot that turns with the azimuth turn with it. A width and a rotation act alike along all of them; an
-    /// ellipticity does not, and is refused ([`has_one_ellipse`]).
+    /// so that every kernel phi_k changes in the same way. Its volume is kept, and so is that of the tool at every
+    /// place. The axes of a spot that turns with the azimuth turn with it. A width and a rotation act alike along all
+    /// of them; an ellipticity does not, and is refused ([`has_one_ellipse`]).
     pub fn tif(&self, tif: &Tif) -> Result<Option<Tif>, Invalid> {
         let shape = [self.tif_width, self.tif_ellipticity, self.tif_diagonal_ellipticity];
         if shape == [0.0; 3] && self.tif_rotation_rad == 0.0 {
@@ -178,7 +181,7 @@ impl Deviation {
     ///
     /// # Errors
     ///
-    /// Fails if nothing of the motion is left, because the errors of its rate take away all of its time.
+    /// Fails if nothing of the motion is left, because the errors of its rate take away the time of every piece.
     pub fn trajectory(&self, motion: &Motion, grid: &Grid) -> Result<Trajectory, Invalid> {
         let mut pieces = motion.pieces.clone();
         // Rates first: they belong to the times of the plan.
@@ -260,8 +263,8 @@ impl Deviation {
         }
     }
 
-    /// Returns the mean relative deviation of the rate over a piece without its noise; `total_s` is the duration of the
-    /// run.
+    /// Returns the mean over a piece of the relative deviation of the rate by its scale, drift and warm-ups, without
+    /// its noise. `total_s` is the duration of the run.
     pub fn rate_at(&self, p: &MotionPiece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;

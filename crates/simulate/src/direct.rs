@@ -30,7 +30,7 @@ struct Sample {
 ///
 /// # Errors
 ///
-/// Refuses 0 steps, and more steps than 1e8 in total.
+/// Refuses 0 steps, and more than 1e8 steps over all segments, those with the tool off included.
 pub fn removal_nm(
     trajectory: &Trajectory,
     tif: &Tif,
@@ -93,7 +93,7 @@ pub fn removal_at_nm(
     sum_nm(&samples(trajectory, tif, steps).iter().collect::<Vec<_>>(), tif, x_mm, y_mm)
 }
 
-/// Returns the removal of the quadrature points at the point (`x_mm`, `y_mm`), nm.
+/// Returns the removal of the quadrature points `samples` at the point (`x_mm`, `y_mm`), nm.
 fn sum_nm(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
     samples
         .iter()

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::play;
 
-/// Kinds of errors of a process.
+/// Kinds of errors that a budget may state; a file names them in snake case, for example `rate_scale`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -35,18 +35,18 @@ pub enum Kind {
     OffsetY,
     /// Rotation of the axes against the map about its middle, from x to y.
     Rotation,
-    /// Relative excess of the machine's lengths over those of the map.
+    /// Relative excess of the machine's lengths over those of the map, from the middle of the map.
     Magnification,
-    /// Shear of the axes: the machine's x grows with the y of the map by this fraction.
+    /// Shear of the axes: the machine's x grows by this fraction of y, counted from the middle of the map.
     Shear,
     /// Relative excess of the width of the TIF, at the same volumetric removal rate.
     TifWidth,
     /// Ellipticity of the TIF along x: it is longer along x by half of this fraction, and shorter along y.
     TifEllipticity,
-    /// Ellipticity of the TIF along the diagonal from lower left to upper right: longer along it by half of this
-    /// fraction, and shorter across.
+    /// Ellipticity of the TIF along the diagonal x = y: it is longer along it by half of this fraction, and shorter
+    /// across.
     TifDiagonalEllipticity,
-    /// Rotation of the TIF about the position of the tool, from x to y.
+    /// Rotation of the TIF about its centroid, from x to y.
     TifRotation,
     /// Displacement of the TIF along x against the position of the tool.
     TifOffsetX,
@@ -54,13 +54,13 @@ pub enum Kind {
     TifOffsetY,
     /// Independent displacement of every dwell point, along x and along y.
     PositionNoise,
-    /// Delay of the tool: at each time it is where it should have been this time earlier.
+    /// Delay of the tool: at each time it is where its plan had it this time earlier, to first order in the delay.
     VelocityLag,
     /// Time constant of axes that follow their command as a servo of first order.
     ServoFirstOrder,
     /// Lag at constant velocity of axes that follow their command as a servo of second order.
     ServoSecondOrder,
-    /// Play of an axis, which it has when it turns back.
+    /// Play of each axis: after it turns back, the tool stands until the drive has moved by the play.
     Backlash,
     /// Independent error of the time of every dwell point.
     TimingJitter,
@@ -92,9 +92,9 @@ pub struct ErrorFile {
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// Distribution of the error from run to run.
+    /// Distribution of the error from run to run; it defines what `size` is, for example the standard deviation.
     pub distribution: Distribution,
-    /// Note on where the number comes from.
+    /// Note on where the size comes from, for the reader; no calculation uses it.
     pub note: String,
     /// Correlation time of `rate_noise`, s; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -110,7 +110,7 @@ pub struct ErrorFile {
     pub degree: Option<usize>,
 }
 
-/// A checked error budget.
+/// A checked error budget: it has at least one error, and every size and setting suits its kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorBudget {
     /// Name of the process.
@@ -124,7 +124,7 @@ pub struct ErrorBudget {
 pub struct ProcessError {
     /// The error as the file states it.
     pub stated: ErrorFile,
-    /// Size of the error in the unit of the calculation: a fraction, or in mm, rad, s or nm.
+    /// Size of the error in the unit of the calculation: a fraction, or in mm, rad, s or nm, as its kind has it.
     pub size: f64,
     /// Effect of the error on a run.
     pub effect: Effect,
@@ -174,8 +174,8 @@ impl Scalar {
         matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
     }
 
-    /// Returns true if the maps before and after a run can determine the error: it is one of rate, position, width or
-    /// shape of the tool.
+    /// Returns true if the maps before and after a run can determine the error. These are the rate, offsets, rotation
+    /// and magnification of the motion, and width, ellipticities and rotation of the TIF.
     pub fn is_learnt(self) -> bool {
         match self {
             Self::RateScale
@@ -211,15 +211,15 @@ pub enum Noise {
 /// Name of a unit that a file may state, and its size in the unit of the calculation.
 type Unit = (&'static str, f64);
 
-/// Units of a fraction.
+/// Units in which a file may state a fraction, with their values.
 const FRACTIONS: &[Unit] = &[("%", 0.01), ("1", 1.0)];
-/// Units of a length, in mm.
+/// Units in which a file may state a length, with their sizes in mm.
 const LENGTHS: &[Unit] = &[("mm", 1.0), ("um", 1e-3)];
-/// Units of an angle, in rad.
+/// Units in which a file may state an angle, with their sizes in rad.
 const ANGLES: &[Unit] = &[("deg", std::f64::consts::PI / 180.0), ("mrad", 1e-3), ("rad", 1.0)];
-/// Units of a time, in s.
+/// Units in which a file may state a time, with their sizes in s.
 const TIMES: &[Unit] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
-/// Units of a height, in nm.
+/// Units in which a file may state a height, with their sizes in nm.
 const HEIGHTS: &[Unit] = &[("nm", 1.0)];
 
 /// Largest size of an error that is a fraction, dimensionless. A larger one is refused: it is another process, not an
@@ -234,8 +234,11 @@ const LARGEST_TIME_S: f64 = 1e3;
 /// Largest size of an error that is a length, mm; a larger one is refused as a wrong unit. Smaller: errors on large
 /// machines are refused.
 const LARGEST_LENGTH_MM: f64 = 1e3;
-/// Largest lag of an axis, s; a larger one is refused. It is that of a servo of 0.2 Hz, which follows no plan.
+/// Largest size of a lag or of a servo's time, s; a larger one is refused. Axes with this lag follow frequencies up to
+/// about 0.2 Hz, which follows no plan. Larger: wrong units pass. Smaller: slow axes are refused.
 const LARGEST_LAG_S: f64 = 1.0;
+/// Largest size of an error of the map, nm; a larger one is refused as a wrong unit. Smaller: large but real errors are
+/// refused.
 const LARGEST_HEIGHT_NM: f64 = 1e6;
 
 /// Largest correlation time or warm-up time, s (a year); a larger one is refused as a wrong unit. Smaller: slow
@@ -246,7 +249,8 @@ const LONGEST_TIME_S: f64 = 3.2e7;
 /// above 2 is one of first order.
 const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 
-/// Largest degree of a low-order error; higher ones are refused, because a map measures them.
+/// Largest total degree of the polynomials of a low-order error of the map; higher ones are refused, because a map
+/// measures them.
 const LARGEST_DEGREE: usize = 8;
 
 impl Kind {
@@ -297,7 +301,8 @@ impl ErrorBudget {
         Some(format!("{}: fractions? give the size in %, or the unit \"1\"", small.join(", ")))
     }
 
-    /// Returns the sentence on the state in which an axis with play begins; `None` if the process has no play.
+    /// Returns the sentence on the state in which an axis with play begins; `None` if the process has no play of a size
+    /// other than 0.
     pub fn play_start(&self) -> Option<&'static str> {
         let mut errors = self.errors.iter();
         let has_play =
@@ -382,8 +387,8 @@ impl ErrorFile {
         Ok(ProcessError { stated: self, size, effect })
     }
 
-    /// Refuses a distribution that does not fit the kind. Noise along the run is normal, a tick uniform, and a servo's
-    /// lag, which is not negative, fixed; other errors may have any.
+    /// Refuses a distribution that does not fit the kind. Noise along the run and errors of the map are normal, a tick
+    /// uniform, and the lag of a servo of first or second order fixed. Other errors may have any.
     fn check_distribution(&self, index: usize, name: &str) -> Result<(), Invalid> {
         use Kind::*;
         let only = match self.kind {
@@ -403,7 +408,8 @@ impl ErrorFile {
         Err(Invalid::at_index("errors", index, problem, format!("give {only:?}")))
     }
 
-    /// Returns the effect of the error with the settings that its kind needs. Refuses missing and unneeded settings.
+    /// Returns the effect of the error with the settings that its kind needs. Refuses settings that are missing, out of
+    /// range or not of its kind.
     fn effect(&self, index: usize, name: &str) -> Result<Effect, Invalid> {
         let degree = self.degree.map(|d| d as f64);
         let settings = [

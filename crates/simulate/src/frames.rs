@@ -34,9 +34,9 @@ const SIDE_BY_SIDE: usize = 2;
 /// The removal up to several times of the run.
 #[derive(Clone, Debug)]
 pub struct Frames {
-    /// Times from the start of the motion, s, length m.
+    /// Times from the start of the motion to the end of each of m equal steps, s.
     pub time_s: Vec<f64>,
-    /// Removal up to each time, shape (m, ny, nx), nm.
+    /// Removal up to each time on the pixels of the frames, shape (m, rows, columns), nm.
     pub removal_nm: Array3<f64>,
     /// Pixel centres of the frames.
     pub grid: Grid,
@@ -46,7 +46,8 @@ pub struct Frames {
     pub coverage: Coverage,
 }
 
-/// Computes the removal of `trajectory` on pixels of `desired` at `count` equal steps of time.
+/// Computes the removal of `trajectory` with `tif` on some of the pixels of `desired`, at the ends of `count` equal
+/// steps of time.
 ///
 /// # Errors
 ///
@@ -96,8 +97,8 @@ pub fn frames(
     Ok(Frames { time_s, removal_nm, grid, stride, coverage })
 }
 
-/// Returns the smallest strides along [x, y] with which a frame has at most [`MAX_PIXELS`]; at least two rows and
-/// columns stay.
+/// Returns the strides along [x, y] with which a frame has at most [`MAX_PIXELS`]: the smallest number that suffices
+/// along both axes. Along an axis it is at most the number of pixels less one, so that two rows and columns stay.
 fn strides(grid: &Grid) -> [usize; 2] {
     // Two rows or columns stay in any case.
     let mut strides = (1..).map(|s| [&grid.x, &grid.y].map(|axis| s.min(axis.len() - 1)));
@@ -111,7 +112,8 @@ fn thinned(axis: &Axis, stride: usize) -> Result<Axis, Invalid> {
     Axis::new(axis.start_mm(), axis.step_mm() * stride as f64, axis.len().div_ceil(stride))
 }
 
-/// Returns the part of the motion from `from_s` to `until_s`; `None` if it has no duration.
+/// Returns the part of the motion from `from_s` to `until_s`, in the time of the trajectory; `None` if it has no
+/// duration.
 fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajectory>, Invalid> {
     let breaks = t.break_time_s();
     let first = breaks.partition_point(|b| *b <= from_s).saturating_sub(1);

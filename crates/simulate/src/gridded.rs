@@ -75,13 +75,14 @@ const MAX_LATTICE: usize = 1 << 28;
 /// Larger: problems that would fit are refused. Smaller: the memory may run out.
 const BYTES_PER_SAMPLE: usize = 64;
 
-/// Data that depend on the TIF and the map only and serve many trajectories; a varying tool has several kernels.
+/// Data that depend on the TIF and the map only and serve many trajectories. A tool that varies has several kernels:
 ///
 /// ```text
 /// removal(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
 /// ```
 ///
-/// by (1) of [`planish_types::Variation`]; a constant tool has one kernel, and no weights.
+/// by (1) of [`planish_types::Variation`]: phi_k are the kernels, a_k their weights at the position P(t) of the tool, c
+/// a factor of the time and g one of the pixels. A constant tool has one kernel, and no weights.
 pub struct GriddedPlan {
     kernels: Vec<OfKernel>,
     /// Lattice of the TIF on the map.
@@ -97,7 +98,7 @@ struct OfKernel {
     kernel: Kernel,
     /// Number of pixels per strip along x and per band along y.
     pixels: [usize; 2],
-    /// Buffers that no thread uses at the moment.
+    /// Buffers of earlier calls that no thread uses at the moment, for the next ones.
     idle: Mutex<Vec<Workspace>>,
 }
 
@@ -158,8 +159,8 @@ impl GriddedPlan {
 }
 
 impl OfKernel {
-    /// Prepares the convolution with one kernel. `peak` is that of the tool, nm/s, and `parts` the number of samples
-    /// per pixel along x and y.
+    /// Prepares the convolution with one kernel `tif` of the tool. `peak` is the peak of the whole tool, nm/s, and
+    /// `parts` the number of lattice steps per pixel along [x, y].
     fn new(tif: &Tif, peak: f64, grid: &Grid, parts: [usize; 2]) -> Result<Self, Invalid> {
         let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, parts[axis], axis));
         if x.source_nodes().saturating_mul(y.source_nodes()) > MAX_LATTICE {
@@ -176,8 +177,8 @@ impl OfKernel {
         Ok(Self { kernel, pixels, idle: Mutex::default() })
     }
 
-    /// Computes the removal of `trajectory`, shape (ny, nx), nm, and the number of quadrature points. A `weight`
-    /// multiplies the time of the tool. `tell` gets the fraction that is done.
+    /// Computes the removal of `trajectory` by this kernel, shape (ny, nx), nm, and the number of quadrature points. A
+    /// `weight` multiplies the time of the tool. `tell` gets the fraction that is done.
     fn removal_with_progress(
         &self,
         trajectory: &Trajectory,
@@ -278,13 +279,13 @@ pub fn removal_nm(
 /// the result.
 const CORES: usize = 2;
 
-/// Work of the kernel spill, in the unit of [`field_work`], for each element of a line of pixels and each level of
-/// its transform: four transforms there and one back, and the sums between them. Another value changes the choice of
-/// the tiles, and with it the speed.
+/// Work of the correction at the border of R, in the unit of [`field_work`], per row or column of pixels and per n
+/// log2(n) of its n nodes. It stands for four transforms of the seconds, one of the correction back, and the sums
+/// between them. Another value changes the choice of the tiles, and with it the speed.
 const SPILL_WORK: f64 = 4.0;
 
 /// Chooses the number of pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, with
-/// the least work for the busiest core. `spills` says if the border has to be corrected.
+/// the least work for the busiest core. `spills` says if the border of R has to be corrected ((2) of the module).
 fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)) {
     let mut best = (f64::INFINITY, [0, 0], (0, 0));
     for &(nx, px) in &choices(x) {
@@ -307,7 +308,8 @@ fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)
     (pixels, best.2)
 }
 
-/// Returns the possible sizes of a transform along an axis, each with the number of pixels for which it suffices.
+/// Returns the possible sizes of a transform along an axis, each with the largest number of pixels of the map for which
+/// it suffices.
 fn choices(l: &Lattice) -> Vec<(usize, usize)> {
     // Elements of a transform that holds all, and so for a part of the pixels.
     let whole = field_size(l.source_nodes());
@@ -317,7 +319,8 @@ fn choices(l: &Lattice) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// Returns the work of the transform of a line of `n` elements, per element across the line.
+/// Returns n log2(n), at least n, for a row or column of `n` nodes: the work of its transform in the unit of
+/// [`field_work`].
 fn line_work(n: usize) -> f64 {
     n as f64 * (n as f64).log2().max(1.0)
 }

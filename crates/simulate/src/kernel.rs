@@ -1,4 +1,5 @@
-//! The TIF on the lattice, prepared for the convolution with a field of seconds: the dwell time on the nodes.
+//! The TIF on the lattice, prepared for the convolution with a field of seconds: the dwell time on the nodes. Kernel
+//! spill is the removal that Keys' interpolation gives beyond the last samples of the TIF, where R is zero.
 
 use ndarray::{ArrayView2, Axis as NdAxis};
 use planish_numerics::fft::{lane_convolution::LaneConvolution, line_convolution::LineConvolution};
@@ -33,18 +34,18 @@ impl Kernel {
     }
 }
 
-/// Largest number of nodes of one axis that receive spill from beyond the samples: three at either edge, and one more
-/// if the upper edge is between two nodes. A smaller number is out of range for such an edge.
+/// Length of the arrays for the nodes of one axis that receive kernel spill. There are at most seven: three at either
+/// edge, and one more if the upper edge lies between two nodes. A length below seven is out of range for such an edge.
 pub const MAX_BORDER: usize = 8;
 
-/// Correction of the kernel spill: (2) of [`crate::gridded`].
+/// Correction that removes the kernel spill: (2) of [`crate::gridded`].
 pub struct Border {
-    /// Correction beyond the edges along y.
+    /// Correction beyond the edges of R along y.
     pub rows: Edge,
-    /// Correction beyond the edges along x.
+    /// Correction beyond the edges of R along x.
     pub columns: Edge,
-    /// The samples at the corners, by the slots of [`Lattice::border_samples`]; `None` where they are lost in
-    /// the rounding of the peak.
+    /// Samples g at the corners of the TIF, nm/s, as `[slot of the row j][weight a][node of the columns]`, with the
+    /// slots of [`Lattice::border_samples`]. `None` if all are below the rounding of the peak.
     pub corners: Option<Vec<[[f64; MAX_BORDER]; 4]>>,
 }
 

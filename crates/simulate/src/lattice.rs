@@ -102,7 +102,7 @@ impl Lattice {
         if pixels.contains(&i) { Some(i - pixels.start) } else { None }
     }
 
-    /// Returns the cells of the tool from which seconds are spread to the nodes for `pixels`.
+    /// Returns the cells of the tool's position from which seconds are spread to the nodes for `pixels`.
     pub fn window(&self, pixels: &Range<usize>) -> Range<i64> {
         let first = self.first_node(pixels);
         match self.nodes_of(pixels) {
@@ -118,7 +118,8 @@ impl Lattice {
         s < -keys::SNAP || s > self.edge + keys::SNAP
     }
 
-    /// Returns the indices j of the samples from which nodes beyond the edges get something.
+    /// Returns the indices j of the samples of the TIF that give nodes beyond the edges of R something by (1): up to
+    /// three next to the lower edge, and those next to the upper one.
     pub fn border_samples(&self) -> Vec<isize> {
         let upper = self.edge.floor() as isize;
         (-1..=self.last).filter(|j| *j <= 1 || *j >= upper - 2).collect()
@@ -174,7 +175,8 @@ impl BorderNode {
     }
 }
 
-/// Returns true if the border needs a correction: a sample of `g` next to it is not negligible beside the `peak`.
+/// Returns true if the border of R needs a correction: a sample of `g` next to it is above the rounding (1e-16) of the
+/// `peak` of the tool.
 pub fn has_border(peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
     let [rows, columns] = [y, x].map(Lattice::border_samples);
     let border = g.indexed_iter().filter(|((r, c), _)| {

@@ -64,7 +64,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// Method that computes the integral.
+/// Method that computes the removal, the integral of the module.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
 pub enum SimulationSettings {
@@ -82,7 +82,7 @@ pub enum SimulationSettings {
 pub struct Prediction {
     /// Removal and residual.
     pub removal: Removal,
-    /// Data on the computation of the integral.
+    /// Quadrature points, lattice and interpolation error of this computation of the removal.
     pub numerics: Numerics,
 }
 
@@ -98,15 +98,16 @@ impl Prediction {
     }
 }
 
-/// Data on the computation of an integral.
+/// Quadrature points, lattice and interpolation error of a computation of the removal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Numerics {
-    /// Number of quadrature points.
+    /// Number of quadrature points along the motion.
     pub quadrature_points: usize,
-    /// Number of lattice steps per pixel along x and y; 1 if the TIF has the pixels of the map.
+    /// Number of lattice steps per pixel of the map along [x, y]; above 1 for a TIF that is sampled more finely, by a
+    /// whole number. It is 1 for the direct method.
     pub subdivision: [usize; 2],
     /// Largest error of the TIF that is interpolated on the lattice, relative to its peak. It is 0 if the pitch of the
-    /// TIF is that of the map, or divides it.
+    /// TIF is that of the map or divides it, and for the direct method.
     pub tif_interpolation_error: f64,
 }
 
@@ -130,7 +131,7 @@ impl<'a> SimulationPlan<'a> {
     ///
     /// # Errors
     ///
-    /// Refuses what [`gridded::GriddedPlan::new`] refuses.
+    /// Refuses what [`gridded::GriddedPlan::new`] refuses; the direct method refuses nothing here.
     pub fn new(
         tif: &'a Tif,
         grid: &'a Grid,
@@ -182,8 +183,8 @@ impl<'a> SimulationPlan<'a> {
     }
 }
 
-/// Function that receives the fraction of a computation that is done. A computation that is a step of another reports
-/// nothing; the other reports its own progress.
+/// Function that receives the fraction of a computation that is done, 0 to 1. A computation that is a step of another
+/// gets one that reports nothing; the other reports its own progress.
 type Tell<'a> = &'a (dyn Fn(f64) + Sync);
 
 /// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and reports its

@@ -3,15 +3,15 @@
 use planish_numerics::polynomial::{derivative, evaluate, shifted};
 use planish_types::{Invalid, Tif, Trajectory, Variation, budget};
 
-/// Smallest number of parts of equal time into which the run is divided; the error of the rate is constant in each. The
-/// error of a linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time.
-/// Smaller: a larger error.
+/// Smallest number of parts of equal time into which the run is divided while the tool is on; the error of the rate is
+/// constant in each. The error of a linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more
+/// pieces, and more time. Smaller: a larger error.
 const TIME_PARTS: f64 = 1000.0;
 
 /// A part of the motion so short that one rate and one position error hold in it.
 #[derive(Clone, Copy, Debug)]
 pub struct MotionPiece {
-    /// Start of the piece since the start of the motion, s.
+    /// Time from the start of the motion to the start of the piece, s.
     pub start_s: f64,
     /// Duration of the piece, s.
     pub duration_s: f64,
@@ -27,6 +27,7 @@ pub struct MotionPiece {
 }
 
 /// A motion in pieces, and in stays. A stay is the part of the motion that serves one dwell point without interruption.
+/// Every segment that serves no dwell point is a stay of its own.
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Pieces in the order of time.
@@ -42,7 +43,8 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Cuts `trajectory` into pieces in which the tool moves at most `longest_mm`.
+    /// Cuts `trajectory` into pieces in which the tool moves at most `longest_mm`, and which last at most 1/1000 of the
+    /// run. Segments with the tool off stay whole.
     ///
     /// # Errors
     ///

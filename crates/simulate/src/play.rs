@@ -102,8 +102,8 @@ impl AxisPlay {
     }
 }
 
-/// Returns the motion of the carriages, in pieces, if the drives move along `pieces`, with a play of `play_mm`. For
-/// each new piece it returns the value of `origin` of the piece that it is a part of.
+/// Returns the motion of the carriages, in pieces, if the drives of both axes move along `pieces`, with a play of
+/// `play_mm`. `origin` has one index per piece; every new piece gets that of the piece of which it is a part.
 pub fn with_play(
     pieces: &[MotionPiece],
     origin: &[usize],

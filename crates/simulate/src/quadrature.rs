@@ -31,8 +31,9 @@ use std::ops::Range;
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
 use planish_types::{Headings, Segment, Variation};
 
-/// Error of the position of the cuts, in cells. If the TIF has a border of one nm/s, a piece is 1e-11 of the time of a
-/// cell too long. Larger: a larger error at steep borders. Smaller: below the rounding of the cuts.
+/// Error of the position of the cuts, in cells. Where the TIF ends with a step, the step acts too long by up to this
+/// fraction of the time in which the tool crosses a cell. Larger: a larger error at steep borders. Smaller: below the
+/// rounding of the cuts.
 const CUT_TOLERANCE: f64 = 1e-11;
 
 /// Distance, in cells, up to which an axis counts as at rest over a piece; the error of the weights is below 1e-10.
@@ -48,7 +49,7 @@ const UNIFORM: f64 = 1e-9;
 const SMALL_WAY: f64 = 1e-5;
 
 /// Difference from uniform motion, in cells, up to which a piece has five quadrature points instead of ten. The terms
-/// of the 10th degree and above are at most 34 of its square. Larger: a larger error. Smaller: more pieces with ten
+/// of the 10th degree and above are at most 34 times its square. Larger: a larger error. Smaller: more pieces with ten
 /// points.
 const NEARLY_UNIFORM: f64 = 1e-3;
 
@@ -71,9 +72,9 @@ pub struct NodeCells {
 /// A rectangle of cells, from `low` up to, but without, `high`, along [x, y].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
-    /// First cell.
+    /// Indices of the first cell along [x, y].
     pub low: [i64; 2],
-    /// Cell after the last one.
+    /// Indices after those of the last cell along [x, y].
     pub high: [i64; 2],
 }
 
@@ -125,11 +126,12 @@ impl Weight<'_> {
 /// A piece of the motion within one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellPiece {
-    /// Cell [x, y].
+    /// Indices of the cell along [x, y].
     pub cell: [i64; 2],
     /// Offset of the tool in the cell [x, y], in cells, at the middle of the piece; 0 on a line of the lattice.
     pub offset: [f64; 2],
-    /// Integrals M of Keys' weights of the module, `[b][a]` for (y, x), s.
+    /// Integrals M of the module, s, `[b][a]` for the weights along (y, x), times the rate factor of the segment and
+    /// the weight of the kernel.
     pub seconds: [[f64; 4]; 4],
     /// Number of quadrature points of the piece.
     pub points: usize,
@@ -158,7 +160,7 @@ impl Cutter {
     }
 
     /// Calls `each` with the pieces of `segment` in the cells of `window`, in the order of time; `index` is that of the
-    /// segment. A `weight` multiplies the seconds of the pieces.
+    /// segment in the trajectory. A `weight` multiplies the seconds of the pieces.
     pub fn pieces(
         &mut self,
         (index, segment): (usize, &Segment<'_>),
@@ -216,8 +218,9 @@ impl Cutter {
         })
     }
 
-    /// Computes the times since the start of the segment at which the motion turns back on an axis, crosses a line of
-    /// the lattice, or ends.
+    /// Fills `self.cuts` with the times, s, at which the motion turns back on an axis, crosses a line of the lattice
+    /// within `window`, or ends. `c` is the segment in lattice coordinates and `end` its duration; the times count from
+    /// its start.
     fn cut(&mut self, c: &[[f64; 4]; 2], end: f64, window: &Window) {
         self.cuts.clear();
         for axis in 0..2 {
@@ -360,8 +363,8 @@ fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4
     keys::mean_weights(mean)
 }
 
-/// Returns the mean, over a motion [x, y], of the products of Keys' weights along both axes and a factor, times
-/// `seconds`.
+/// Returns the mean over a piece of the products of Keys' weights along both axes and `factor`, times `seconds`,
+/// `[b][a]` for (y, x). The motion [x, y] and `factor` are functions of the fraction of the piece, 0 to 1.
 #[inline]
 fn products<const N: usize>(
     rule: &[(f64, f64); N],
@@ -382,7 +385,7 @@ fn products<const N: usize>(
     sums
 }
 
-/// Returns the products `[b][a]` of the weights along x and y, times `seconds`.
+/// Returns the products `[b][a]` of the weights `wx` along x (index a) and `wy` along y (index b), times `seconds`.
 #[inline]
 fn outer(wx: [f64; 4], wy: [f64; 4], seconds: f64) -> [[f64; 4]; 4] {
     wy.map(|wy| wx.map(|wx| seconds * wy * wx))

@@ -30,8 +30,8 @@ use crate::{
     motion::Motion,
 };
 
-/// Largest displacement of the tool by an error, in sizes of the TIF; a larger one is refused as no error of a process.
-/// Larger: mistakes in the units pass. Smaller: large but real errors are refused.
+/// Largest displacement of the tool by an error, in lengths of the longer side of the TIF's samples; a larger one is
+/// refused as no error of a process. Larger: mistakes in the units pass. Smaller: large but real errors are refused.
 const LARGEST_DISPLACEMENT: f64 = 1.0;
 
 /// Largest length of a piece of the motion, in widths of the TIF; each piece has one position error. Larger: a larger
@@ -54,8 +54,8 @@ pub struct Runs<'a> {
 }
 
 impl<'a> Runs<'a> {
-    /// Prepares runs of `trajectory` with `tif` on the pixels of `grid`. The changes by errors are computed with the
-    /// TIF `moved`, which may be `tif` itself.
+    /// Prepares runs of `trajectory` on the pixels of `grid`. The removal of the plan is computed with `tif`, and the
+    /// changes by errors with the TIF `moved`, which may be `tif` itself.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
@@ -102,8 +102,8 @@ impl<'a> Runs<'a> {
         0.5 * size[0].hypot(size[1])
     }
 
-    /// Returns the largest displacement of the tool on the map, mm, per unit of the size of an effect. For a change of
-    /// the TIF it is the width of the TIF.
+    /// Returns the largest displacement of the tool on the map, mm, per unit of the size of an effect; 0 for errors of
+    /// the rate. For a change of the TIF it is the width of the TIF.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         match effect {
             Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => 0.0,
@@ -119,8 +119,8 @@ impl<'a> Runs<'a> {
         }
     }
 
-    /// Refuses displacements that are too large for errors, fixed sizes that have no first order, and ellipticities of
-    /// a spot that turns.
+    /// Refuses errors that displace the tool by more than the longer side of the TIF's samples, and what [`check_tool`]
+    /// refuses. A lag may be of any size.
     pub fn check_sizes(&self, process: &ErrorBudget) -> Result<(), Invalid> {
         check_tool(process, &self.tif)?;
         let [x, y] = self.tif.grid().size_mm();

@@ -36,7 +36,8 @@ pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
     rng
 }
 
-/// Draws noise of a kind and a standard deviation `size` along `motion`, and adds it to the deviations `run`.
+/// Draws noise of a kind along `motion`, and adds it to the deviations `run`. `size` is its standard deviation, a
+/// fraction, mm or s; for a tick it is the whole tick.
 pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run: &mut Deviation) {
     let mut normal = || -> f64 { StandardNormal.sample(rng) };
     let stays = motion.stay_s.len();
@@ -120,13 +121,13 @@ fn legendre_table(axis: &Axis, largest: usize) -> Vec<Vec<f64>> {
     pixels.collect()
 }
 
-/// Returns the orders (along x, along y) of total degree 1 to `degree`.
+/// Returns the orders (along x, along y) of the Legendre polynomials of total degree 1 to `degree`.
 pub fn low_orders(degree: usize) -> Vec<(usize, usize)> {
     (1..=degree).flat_map(|d| (0..=d).map(move |i| (d - i, i))).collect()
 }
 
-/// Weights for the mean of an Ornstein-Uhlenbeck process of variance 1 over a piece; x is its duration h over the
-/// correlation time tau.
+/// Weights for the mean of an Ornstein-Uhlenbeck process of variance 1 over a piece; x is the duration of the piece
+/// over the correlation time.
 pub struct Mean {
     /// Covariance of the mean with the value at the start, a = (1 - exp(-x)) / x.
     pub weight: f64,

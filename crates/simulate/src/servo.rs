@@ -32,16 +32,16 @@ const STEP: f64 = 0.5;
 /// Larger: more pieces. Smaller: a step where the transient is dropped.
 const FOLLOWED: f64 = 16.0;
 
-/// Size of a transient below which it is not followed, mm. The TIF is a thousand times wider than the smallest counts
-/// of machines. Larger: a larger error. Smaller: more pieces without effect.
+/// Size of a transient below which it is not followed, mm; it is 0.1 nm. Larger: a larger error. Smaller: more pieces
+/// without effect.
 const LEAST_TRANSIENT_MM: f64 = 1e-7;
 
 /// Position, mm, and velocity, mm/s, of an axis.
 type State = [f64; 2];
 
 impl Servo {
-    /// Returns the motion of the axes under the command `pieces`. For each new piece it returns the value of `origin`
-    /// of the command it belongs to.
+    /// Returns the motion of the axes under the command `pieces`. `origin` has one index per piece of the command;
+    /// every new piece gets that of the piece of which it is a part.
     pub fn follow(
         self,
         pieces: &[MotionPiece],
@@ -108,7 +108,7 @@ impl Servo {
     }
 
     /// Returns the coefficients of the steady solution for the cubic command r: with D = d/dt, q = r / (1 + A D + B
-    /// D^2).
+    /// D^2). A is the lag, and B is 1 / w^2 of the second order, else 0.
     fn steady(self, r: &[f64; 4]) -> [f64; 4] {
         let (a, b) = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, 0.0),
@@ -135,7 +135,7 @@ impl Servo {
         }
     }
 
-    /// Returns position and velocity of the transient, given at the time 0, after the time `u`.
+    /// Returns position, mm, and velocity, mm/s, of the transient the time `u`, s, after it was `[h, dh]`.
     fn decayed(self, [h, dh]: State, u: f64) -> State {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => {
@@ -170,7 +170,7 @@ fn lagging(r: &[f64; 4], lag_s: f64) -> [f64; 4] {
     std::array::from_fn(|k| r[k] - lag_s * v[k])
 }
 
-/// Returns the cubic that leads from one state to the next in the time h.
+/// Returns the coefficients of the cubic that leads from the first state to the second in the time h, s.
 fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
     let mean = (q - p) / h;
     [p, v, (3.0 * mean - 2.0 * v - w) / h, (v + w - 2.0 * mean) / (h * h)]

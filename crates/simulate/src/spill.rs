@@ -1,7 +1,8 @@
 //! Kernel spill over the edges of R along one axis: `E ly` and `E lx` of [`crate::gridded`].
 //!
-//! With the line `C` of cells across the axis, the seconds of its pieces spread *along* the line for each of the
-//! weights across it, and the nodes `k` beyond the edges,
+//! Kernel spill is the removal that Keys' interpolation gives beyond the last samples of the TIF. A line `C` is a row
+//! or a column of cells, across the axis. The seconds of its pieces spread *along* the line for each of the weights
+//! across it. With these sums and the nodes `k` beyond the edges,
 //!
 //! ```text
 //! F_d[C] = sum over the pieces in C of w_d(f) (seconds along the line),                   d = -1..2
@@ -22,19 +23,19 @@ use crate::{
     lattice::{BorderNode, Lattice},
 };
 
-/// Number of lines of cells whose pieces are processed together, in the order of time. The data of so many lines stay
-/// in the cache, and the motion is read in runs. Larger: cache misses. Smaller: the motion is read in shorter runs. It
-/// changes the speed only.
+/// Number of lines (rows or columns) of cells whose pieces are processed together as a block, in the order of time. The
+/// data of so many lines stay in the cache. Larger: cache misses. Smaller: the pieces are visited in a less regular
+/// order. It changes the speed only.
 const BLOCK: usize = 8;
 
-/// Number of blocks that are transformed before they are used, by the threads that share them. The lines of pixels that
-/// they affect stay in the cache. Larger: cache misses. Smaller: threads idle.
+/// Number of blocks of lines that are transformed before they are used; the threads share them. The lines of pixels
+/// that they affect stay in the cache. Larger: cache misses. Smaller: threads idle.
 const BLOCKS: usize = 2;
 
-/// Number of Keys' weights across a line.
+/// Number of Keys' weights across a line, and so of sources `F_d` of a line.
 pub const WEIGHTS: usize = 4;
 
-/// Lines of pixels of a tile, of both its strips, from which spill is subtracted.
+/// Rows or columns of pixels of a tile, in both its strips, from which spill is subtracted.
 pub struct Lines<'a> {
     /// Edges of the TIF over which the kernel spills.
     pub edge: &'a Edge,
@@ -46,8 +47,8 @@ pub struct Lines<'a> {
 
 /// Pieces of the motion by lines of cells; line 0 is the first one that spreads seconds to the tile.
 pub trait LinePieces: Sync {
-    /// Returns the pieces of each strip in a block of lines. Each comes with its line in the block and with its
-    /// [`crate::lattice::BorderNode::kind`].
+    /// Returns the indices of the pieces that reach each strip, for one block of lines. Each comes with the index of
+    /// its line in the block and with its [`crate::lattice::BorderNode::kind`].
     fn in_block(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2];
 
     /// Adds the seconds of a piece to the sources `F_d` of a strip; that of the weight d begins at `(d + 1) step` in
@@ -58,7 +59,7 @@ pub trait LinePieces: Sync {
 /// Spectra of the spill that is subtracted from lines of pixels, of both strips together.
 #[derive(Default)]
 pub struct Spilt {
-    /// Spectra in whole groups of lines.
+    /// Spectra of the lines of pixels, [`GROUP`] lines at a time; the last group may have lines of zeros.
     pub spectra: Vec<Run>,
     /// True for the groups of lines that receive spill.
     pub touched: Vec<bool>,
@@ -79,7 +80,7 @@ struct Source {
     work: Vec<f64>,
 }
 
-/// Pieces of one line of cells that spill on the same nodes.
+/// The pieces of one line of cells that are beyond the same nodes: those of one kind.
 struct Group {
     /// Index of the line in the block.
     line: usize,
@@ -87,7 +88,7 @@ struct Group {
 }
 
 impl Lines<'_> {
-    /// Subtracts the spill on the lines of pixels 0 .. `count` from the spectra `spilt`.
+    /// Sets `spilt` to minus the spectra of the spill on the lines of pixels 0 .. `count`. `sources` are buffers.
     pub fn subtract(
         &self,
         pieces: &impl LinePieces,
@@ -117,12 +118,14 @@ impl Lines<'_> {
         }
     }
 
-    /// Returns the smallest number of items that one thread takes.
+    /// Returns the smallest number of lines or blocks that one thread takes: all of them unless the threads share the
+    /// lines.
     pub fn least(&self) -> usize {
         if self.parallel { 1 } else { usize::MAX }
     }
 
-    /// Subtracts the spill of the blocks `sources`, whose first line is `from`.
+    /// Subtracts the spill that the blocks `sources` cause from the lines of pixels 0 .. `count` that it reaches.
+    /// `from` is the index of the first line of cells of the blocks.
     fn subtract_blocks(
         &self,
         from: usize,
@@ -210,8 +213,8 @@ impl Source {
         edge.convolution.forward(spectra, work);
     }
 
-    /// Adds the terms of (3) of the module from a line of the block to one node: the weight, and the spectrum of the
-    /// source.
+    /// Appends the terms of (3) of the module that one line of the block gives to one node. Each is the index of the
+    /// sample g in [`crate::lattice::Lattice::border_samples`], and the spectrum of the source `F_d`.
     fn terms<'a>(
         &'a self,
         line: usize,

@@ -15,8 +15,8 @@ use planish_types::{Axis, Grid, Invalid, Tif};
 
 use crate::tool::{ends_by_itself, inside, smoothed};
 
-/// Smallest mean rate of the outermost samples, as a fraction of the peak, with which a tail is added. Larger: more of
-/// a removal that the tail explains is taken for an error of the machine. Smaller: more time for tails that no map
+/// Smallest mean rate of the outermost samples, as a fraction of the peak; a TIF with less gets no tail. Larger: more
+/// of a removal that the tail explains is taken for an error of the machine. Smaller: more time for tails that no map
 /// shows. Chosen.
 const LEAST_AT_END: f64 = 2e-3;
 
@@ -27,12 +27,13 @@ const END: f64 = 1e-5;
 /// slowly. Smaller: such a tail ends with a step. Chosen.
 const LARGEST_OVER_HALF: f64 = 2.0;
 
-/// Largest volume of the tail as a fraction of that of the samples. Larger: a baseline that is left in the TIF becomes
-/// a tail. Smaller: a spot that is cut close keeps its cut. Chosen.
+/// Largest volume of the tail as a fraction of that of the samples; with a larger one the TIF gets no tail. Larger: a
+/// baseline that is left in the TIF becomes a tail. Smaller: a spot that is cut close keeps its cut. Chosen.
 const MOST_VOLUME: f64 = 0.3;
 
-/// Returns the TIF continued by a tail beyond its samples. `None` if it falls to zero within its samples, if these do
-/// not show a fall, or if it varies.
+/// Returns the TIF continued by a tail beyond its samples. Returns `None` if the tool varies, if the TIF falls to zero
+/// or below `LEAST_AT_END` within its samples, if these do not show a fall, or if the tail is larger than
+/// `MOST_VOLUME`.
 ///
 /// # Errors
 ///
@@ -104,8 +105,8 @@ fn is_beside_end(inside: &Array2<bool>, r: usize, c: usize) -> bool {
         || !(inside[[r - 1, c]] && inside[[r + 1, c]] && inside[[r, c - 1]] && inside[[r, c + 1]])
 }
 
-/// Extends an axis to both sides up to `end` mm. Returns the number of samples that are added on each side, and the new
-/// axis.
+/// Extends an axis to both sides up to `end` mm from the centre, but to at most `LARGEST_OVER_HALF` of its half size.
+/// Returns the number of samples that are added on each side, and the new axis.
 fn extended(axis: &Axis, end: f64) -> Result<(usize, Axis), Invalid> {
     let half = axis.start_mm().abs().max(axis.end_mm().abs());
     let more =
@@ -114,7 +115,8 @@ fn extended(axis: &Axis, end: f64) -> Result<(usize, Axis), Invalid> {
     Ok((more, Axis::new(start, axis.step_mm(), axis.len() + 2 * more)?))
 }
 
-/// Returns the index of the sample nearest to a coordinate, mm; `None` beyond the samples.
+/// Returns the index of the sample nearest to the coordinate `mm`; `None` if that lies more than half a step beyond the
+/// samples.
 fn nearest_sample(axis: &Axis, mm: f64) -> Option<usize> {
     let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
     if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }

@@ -27,7 +27,7 @@ pub struct Workspace {
     transform: lane_convolution::Workspace<f64>,
     cutter: Cutter,
     border_pieces: BorderPieces,
-    /// Spill of the kernel on the rows or the columns.
+    /// Spectra of the kernel spill ([`crate::spill`]) on the rows, and after them on the columns.
     spilt: Spilt,
     sources: Sources,
 }
@@ -89,8 +89,8 @@ impl<'a> Tile<'a> {
         Self { kernel, rows, strips, window, first_y, first_x }
     }
 
-    /// Adds the removal of the `segments` to `out`, the pixels of the tile; returns the number of quadrature points. If
-    /// it runs `alone`, the threads share its lines.
+    /// Adds the removal of the `segments` to `out`, the pixels of the tile, nm; returns the number of quadrature points
+    /// that this tile counts. If the tile is the only one (`alone`), the threads share its rows and columns.
     pub fn run(
         &self,
         (trajectory, weight): (&Trajectory, Option<&Weight<'_>>),
@@ -145,7 +145,7 @@ impl<'a> Tile<'a> {
     }
 
     /// Spreads the seconds of the motion over the nodes in `work`, and keeps the pieces for the border. Returns the
-    /// number of quadrature points, and true if there are any pieces.
+    /// number of quadrature points that this tile counts, and true if any piece of the motion reaches the tile.
     fn spread(
         &self,
         (trajectory, weight): (&Trajectory, Option<&Weight<'_>>),
@@ -220,7 +220,8 @@ impl<'a> Tile<'a> {
         if nodes > 0 && c >= -2 && c <= nodes { Some(c) } else { None }
     }
 
-    /// Transforms the spill on the rows of both strips back, and adds it to the pixels `out`.
+    /// Transforms the spectra `rows` (minus the spill on the rows of both strips) back, and adds them to the pixels
+    /// `out`.
     fn add_rows(&self, lines: &Lines, rows: &mut Spilt, mut out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
         let x = &self.kernel.x;
@@ -245,7 +246,8 @@ impl<'a> Tile<'a> {
             });
     }
 
-    /// Transforms the spill on the `columns` of both strips back, and adds it to the pixels `out`.
+    /// Transforms the spectra `columns` (minus the spill on the columns of both strips) back, and adds them to the
+    /// pixels `out`.
     fn add_columns(&self, lines: &Lines, columns: &Spilt, out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
         let y = &self.kernel.y;
@@ -424,7 +426,7 @@ impl LinePieces for ColumnPieces<'_> {
     }
 }
 
-/// Adds four seconds to the nodes c-1 .. c+2 of a line; those that the line does not have are left out.
+/// Adds four times, s, to the nodes c-1 .. c+2 of a line; those that the line does not have are left out.
 #[inline(always)]
 fn add_to(line: &mut [f64], c: i64, seconds: [f64; 4]) {
     let first = usize::try_from(c - 1).unwrap_or(usize::MAX - 4);

@@ -20,8 +20,8 @@ const SMOOTHED: f64 = 0.5;
 /// more noise of finely sampled TIFs remains.
 const MOST_SAMPLES: f64 = 9.0;
 
-/// Smallest number of samples for the fit of a quadratic, twice its coefficients; with fewer, the sample stays as it
-/// is. Larger: noise at the border stays. Smaller: the fit follows the noise.
+/// Smallest number of samples for the fit of a quadratic: twice the number of its coefficients. With fewer, the sample
+/// stays as it is. Larger: noise at the border stays. Smaller: the fit follows the noise.
 const LEAST_SAMPLES: usize = 12;
 
 /// Distance over which a TIF falls to zero at its border, in widths of the TIF. Larger: more of the tool is weakened.
@@ -65,8 +65,8 @@ pub struct Moved<'a> {
     pub resampling_error: f64,
 }
 
-/// Returns the TIF that errors change over a map: smooth, and resampled on the pixels of the map if these suffice. If
-/// `as_sampled` is true it is `tif` itself.
+/// Returns the TIF that errors change over a map: smoothed, and sampled on the lattice of the map with an error of at
+/// most `RESAMPLED`. If `as_sampled` is true it is `tif` itself.
 pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>, Invalid> {
     if as_sampled {
         return Ok(Moved { tif: Cow::Borrowed(tif), resampling_error: 0.0 });
@@ -88,7 +88,8 @@ pub(crate) fn inside(tif: &Tif) -> Array2<bool> {
     inside
 }
 
-/// Smooths a kernel: every sample inside of the tool gets the value of the quadratic through the samples around it.
+/// Smooths a kernel: every sample inside of the tool gets the value of the quadratic through the inside samples around
+/// it, nm/s. A sample with fewer than `LEAST_SAMPLES` around it, or outside of the tool, stays.
 pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Array2<f64> {
     let rate = kernel.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -130,7 +131,7 @@ fn rows_in_parallel(
 }
 
 /// Returns the points just outside of the tool, in samples (column, row), and true if the rate of the tool falls to
-/// zero there.
+/// zero there: the outermost samples, summed, are at most the fall to them from the samples before.
 fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -170,9 +171,9 @@ pub(crate) fn ends_by_itself(tif: &Tif, inside: &Array2<bool>) -> bool {
     end_of(tif, inside).1
 }
 
-/// Returns the weight of every sample: 1 inside the TIF, 0 just outside, and smooth between over `over_mm`. It is 1
-/// everywhere if the TIF falls to zero within its samples, because that edge is one of the tool and not of its
-/// measurement.
+/// Returns the weight of every sample: 1 at `over_mm` or more from the points just outside of the tool, and smoothly to
+/// 0 there. It is 1 everywhere if the TIF falls to zero within its samples, because that edge is one of the tool and
+/// not of its measurement.
 fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     let (ny, nx) = inside.dim();
     let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];

@@ -62,9 +62,9 @@ pub struct VirtualMachineSettings {
 /// A run of the virtual machine and its measurement.
 #[derive(Clone, Debug)]
 pub struct VirtualRun {
-    /// Map that is measured after the run; invalid where the map before is.
+    /// Map that is measured after the run; invalid (NaN) where the map before is.
     pub measured: Surface,
-    /// True removal, and true residual after the run.
+    /// True removal of the run, and true residual after it.
     pub removal: Removal,
     /// Hidden errors of the run.
     pub hidden: Hidden,
@@ -110,7 +110,8 @@ fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     process
 }
 
-/// Draws the map that is measured of `mirror` before run number `run` of the machine with the seed `seed`.
+/// Draws the map that is measured before run number `run` of the machine with the seed `seed`. `mirror` is the true
+/// map, and only the errors of the map in `process` act.
 ///
 /// # Errors
 ///
@@ -129,7 +130,8 @@ pub fn measure(
     )
 }
 
-/// Executes a plan as [`run`] does; `runs` holds the preparation that is the same for all seeds.
+/// Executes a plan as [`run`] does, with all errors of `process`; `runs` holds the preparation that is the same for all
+/// seeds. It checks neither the number `run` (from 1) nor the sizes of the errors.
 ///
 /// # Errors
 ///
@@ -183,7 +185,8 @@ fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u6
     wrong
 }
 
-/// Draws the error of one measurement that one error of the budget causes, shape (ny, nx), nm.
+/// Draws the error of one measurement of `map` that one error of the budget causes, shape (ny, nx), nm. `size` is in
+/// nm.
 fn map_error(effect: Effect, size: f64, map: &Surface, rng: &mut impl Rng) -> Array2<f64> {
     let shape = map.grid().shape();
     match effect {

@@ -41,8 +41,8 @@ fn gaussian(dx: f64, dy: f64) -> f64 {
     PEAK * (-(dx * dx + dy * dy) / (2.0 * SIGMA * SIGMA)).exp()
 }
 
-/// A pass along x at y = 2.53 from far before to far beyond the map at 4 mm/s, then 3 s elsewhere
-/// with the tool off.
+/// Makes a pass along x at y = 2.53 from far before to far beyond the map at 4 mm/s, then 3 s elsewhere with the tool
+/// off.
 fn pass() -> Trajectory {
     let coefficients = vec![
         [[-20.0, 4.0, 0.0, 0.0], [2.53, 0.0, 0.0, 0.0]],
@@ -264,7 +264,8 @@ fn the_bytes_do_not_depend_on_the_threads() {
     }
 }
 
-/// Exit code 2, one message with every part of `expected`, no output.
+/// Runs the inputs after `change` of their directory, with the arguments `more`. Expects exit code 2, one message with
+/// every part of `expected`, and no output.
 fn refused_after(change: impl FnOnce(&Path), more: &[&str], expected: &[&str]) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
@@ -280,7 +281,7 @@ fn refused_after(change: impl FnOnce(&Path), more: &[&str], expected: &[&str]) {
     assert!(!tmp.path().join("removal").exists() && output.stdout.is_empty(), "{output:?}");
 }
 
-/// An input without its manifest, for tests that put their own arrays in.
+/// Removes the manifest of an input, for tests that put their own arrays in, and returns the directory of the input.
 fn bare(dir: &Path, name: &str) -> std::path::PathBuf {
     fs::remove_file(dir.join(name).join("manifest.json")).unwrap();
     dir.join(name)
@@ -356,7 +357,8 @@ fn bad_maps_tifs_and_flags_end_with_2() {
     refused_after(|_| (), &["--steps=-1"], &["invalid value '-1'"]);
 }
 
-/// Exit code, verdict and warnings of a run whose trajectory is `t`.
+/// Runs with the trajectory `t`. Returns the exit code, the verdict and warnings as printed, the directory of the
+/// output, and the temporary one that holds it.
 fn said_of(t: Trajectory, more: &[&str]) -> (i32, String, std::path::PathBuf, tempfile::TempDir) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
@@ -366,7 +368,7 @@ fn said_of(t: Trajectory, more: &[&str]) -> (i32, String, std::path::PathBuf, te
     (output.status.code().unwrap(), text(&output.stderr), out, tmp)
 }
 
-/// The pass, moved by `x_mm` and with the given switch.
+/// Returns the pass, moved by `x_mm` along x, with the tool on or off as given for its two segments.
 fn moved_pass(x_mm: f64, tool_on: [bool; 2]) -> Trajectory {
     let pass = pass();
     let mut c = pass.coefficient_mm().to_vec();
@@ -444,7 +446,7 @@ fn a_hard_edge_between_coarse_samples_is_named() {
     assert!(number(&between["difference_rms_nm"]) > 0.0 && number(&between["pixels"]) >= 64.0);
 }
 
-/// 12 mm given in nm.
+/// Tests a TIF whose size of 12 mm is given in nm.
 #[test]
 fn a_tif_in_the_wrong_unit_is_refused() {
     let huge = |dir: &Path| {

@@ -6,7 +6,8 @@ use planish_testkit::hostile::{COUNTS, every_value, inputs, integers, npy, survi
 
 const BINARY: &str = "planish-simulate";
 
-/// Ten lines at a constant velocity, without their turns, each for `line_s`; bare arrays.
+/// Writes the arrays of a motion along ten lines, each at a constant velocity for `line_s` seconds, without turns
+/// between them.
 fn lines(dir: &Path, line_s: f64) {
     let motion = dir.join("trajectory");
     let at = |k: usize| [-2.0, 14.0 / line_s, 0.0, 0.0, k as f64 - 1.0, 0.0, 0.0, 0.0];

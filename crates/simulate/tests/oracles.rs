@@ -35,8 +35,8 @@ fn gaussian(step: f64) -> Tif {
     tif_from(Grid { x: a, y: a }, |x, y| PEAK * (-(x * x + y * y) / (2.0 * SIGMA * SIGMA)).exp())
 }
 
-/// Asymmetric, off-centre, with a border of up to a third of the peak and a deterministic
-/// roughness: nothing a smooth approximation could represent.
+/// Makes an asymmetric, off-centre TIF with a border of up to a third of the peak and a deterministic roughness:
+/// nothing a smooth approximation could represent.
 fn rough_tif(step: [f64; 2]) -> Tif {
     let g = grid([-1.3, -0.9], step, [23, 17]);
     tif_from(g, |x, y| 5.0 + 2.0 * x - y + (37.0 * x).sin() * (29.0 * y).cos())
@@ -77,7 +77,8 @@ fn largest(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     largest_difference(a, b)
 }
 
-/// Positions inside, on pixel centres, on the border, outside within reach, and out of reach.
+/// Returns positions inside the map, on pixel centres, on the border, outside within reach of the tool, and out of
+/// reach; and the seconds at each.
 fn positions() -> (Vec<[f64; 2]>, Vec<f64>) {
     let mut p =
         vec![[0.0, 0.0], [3.0, 2.0], [-1.05, 4.03], [8.3, -0.91], [50.0, 1.0], [4.0, -70.0]];
@@ -352,8 +353,8 @@ fn the_residual_is_desired_minus_removal() {
     assert!(simulate(&t, &tif, &desired, SimulationSettings::Direct { steps: 0 }).is_err());
 }
 
-/// Cubic motions in all directions over and beyond the map, with rests between them, on a pixel, on
-/// a line of pixels and anywhere, and a lift.
+/// Makes cubic motions in all directions over and beyond the map, with rests between them, on a pixel, on a line of
+/// pixels and anywhere, and a lift.
 fn everywhere() -> Trajectory {
     let (mut breaks, mut c, mut on) = (vec![0.0], vec![], vec![]);
     let mut last: f64 = 0.0;
@@ -382,8 +383,8 @@ fn everywhere() -> Trajectory {
     Trajectory::new(breaks, c, on, (0..n).map(Some).collect()).unwrap()
 }
 
-/// The limit of the direct quadrature, and how far the gridded result is from it, of a smooth TIF
-/// that ends with a step below 1e-8 of its peak.
+/// Compares the gridded result with the limit of the direct quadrature, for a smooth TIF that ends with a step below
+/// 1e-8 of its peak.
 #[test]
 fn the_gridded_result_is_the_limit_of_the_direct_quadrature_in_all_directions() {
     let g = grid([0.0, 0.0], [0.2; 2], [121, 83]);
@@ -516,8 +517,8 @@ fn the_same_bytes_on_one_and_two_threads() {
     }
 }
 
-/// A rate factor is time: the tool at 0.4 of its rate for 5 s removes what it removes at its rate in 2 s, at
-/// rest and in motion, by both methods and in the frames.
+/// Tests that a rate factor acts as a time: the tool at 0.4 of its rate for 5 s removes what it removes at its rate in
+/// 2 s. It holds at rest and in motion, by both methods and in the frames.
 #[test]
 fn a_rate_factor_is_time() {
     let tif = rough_tif([0.11, 0.13]);

@@ -24,7 +24,7 @@ fn tif(grid: Grid, rate: impl Fn(f64, f64) -> f64) -> Tif {
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
 }
 
-/// 24 x 16 mm in pixels of 0.2 mm, of several wavelengths.
+/// Makes a map of 24 x 16 mm in pixels of 0.2 mm, with waves of several lengths.
 fn map() -> Surface {
     let axis = |n| Axis::new(0.0, 0.2, n).unwrap();
     let grid = Grid { x: axis(121), y: axis(81) };
@@ -35,7 +35,7 @@ fn map() -> Surface {
     Surface::new(grid, Array2::from_shape_fn(grid.shape(), height)).unwrap()
 }
 
-/// Lines 0.8 mm apart, from 6 mm before the map to 6 mm beyond, each in pieces of 1 mm of their own feed.
+/// Makes lines 0.8 mm apart, from 6 mm before the map to 6 mm beyond, each in pieces of 1 mm of their own feed.
 fn raster() -> Trajectory {
     let mut motion = TrajectoryBuilder::default();
     for line in 0..36 {
@@ -55,7 +55,7 @@ fn rms(map: &Array2<f64>) -> f64 {
     map.mapv(|v| (v - mean).powi(2)).mean().unwrap().sqrt()
 }
 
-/// Addition to the removal by a change of `moved` by `size`.
+/// Returns what the error `effect` of the size `size` adds to the removal on the raster, nm, if the TIF is `moved`.
 fn added(moved: &Tif, effect: Scalar, size: f64) -> Array2<f64> {
     let map = map();
     let runs = Runs::new(&raster(), moved, moved, map.grid()).unwrap();
@@ -109,7 +109,7 @@ fn errors_of_the_shape_of_a_spot_that_was_cut_are_nearly_those_of_the_whole_spot
     }
 }
 
-/// A TIF on other pixels than the map: what errors add to within the error that is stated.
+/// Tests a TIF on other pixels than those of the map: sampled on these, errors add the same to within 1 %.
 #[test]
 fn a_tif_that_is_sampled_anew_adds_the_same() {
     let fine = tif(grid(7.0, 0.07), gaussian);
@@ -137,7 +137,7 @@ fn a_tif_that_is_sampled_anew_adds_the_same() {
     assert_eq!(own.resampling_error, 0.0);
 }
 
-/// The residual with straight lines between the samples, from a TIF that has them, beside the estimate.
+/// Compares the stated change of the residual by straight lines between the samples with that of a TIF that has them.
 #[test]
 fn the_change_by_straight_lines_is_that_of_a_tif_with_straight_lines() {
     let pad = |x: f64, y: f64| if x.hypot(y) <= 0.8 { 60.0 } else { 0.0 };

@@ -110,7 +110,8 @@ fn the_gridded_removal_is_that_of_the_midpoint_rule() {
     }
 }
 
-/// A spot that leans towards where it goes, on a parabola there and on the way back: headings of more than half a turn.
+/// Tests a spot that leans towards where it goes, on a parabola there and on the way back: headings of more than half a
+/// turn.
 #[test]
 fn a_spot_that_turns_with_a_bent_motion_is_that_of_the_midpoint_rule() {
     let offsets = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };

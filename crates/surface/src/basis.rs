@@ -22,9 +22,9 @@ use planish_numerics::orthogonal;
 use planish_types::{Grid, Invalid};
 use rayon::prelude::*;
 
-/// Number of rows of the map that are summed together, so that the order of the sums does not depend on the threads.
-/// Larger: fewer tasks for the threads. Smaller: more memory for partial sums. Another value changes the last digits of
-/// the result.
+/// Number of rows of the map that one task sums together. It is fixed, so that the order of the sums does not depend on
+/// the threads. Larger: fewer tasks for the threads. Smaller: more memory for partial sums. Another value changes the
+/// last digits of the result.
 const BAND: usize = 16;
 
 /// Smallest ratio of the least to the largest eigenvalue of G, scaled to a unit diagonal; with a smaller ratio the fit
@@ -36,7 +36,7 @@ const LEAST_EIGENVALUE: f64 = 1e-10;
 /// lose the digits that the normal equations lose.
 const REFINEMENTS: usize = 2;
 
-/// Terms phi_k of the fit, as functions on the pixels of a grid.
+/// Terms phi_k of the fit (see the module), as functions on the pixels of a grid.
 pub(crate) enum Basis {
     /// Products `f_i(u) f_j(v)` of polynomials of one variable, one for every [i, j] in `terms`.
     Tensor {
@@ -152,10 +152,10 @@ pub(crate) struct BasisFit {
     pub coefficients: Vec<f64>,
     /// Sum of the fitted terms on every pixel, (ny, nx).
     pub map: Array2<f64>,
-    /// Condition number of G, the matrix of the normal equations, with each term scaled to the same RMS on the valid
-    /// pixels.
+    /// Condition number of the matrix of the terms on the valid pixels, each term scaled to the same RMS there: the
+    /// root of that of G.
     pub condition: f64,
-    /// Largest correlation of two terms on the valid pixels; 0 if they are orthogonal.
+    /// Largest magnitude of the correlation of two terms on the valid pixels; 0 if they are orthogonal.
     pub largest_correlation: f64,
 }
 
@@ -217,7 +217,8 @@ pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<BasisFit, Inval
     })
 }
 
-/// Returns the matrix G and the right-hand side b of the module. Without `with_gram`, G is zero.
+/// Returns the matrix G and the right-hand side b of the module for `map`, whose NaN do not count. Without `with_gram`,
+/// G is zero.
 fn sums(basis: &Basis, map: ArrayView2<f64>, with_gram: bool) -> (DMatrix<f64>, DVector<f64>) {
     let terms = basis.len();
     let bands: Vec<_> = map

@@ -31,8 +31,8 @@ pub(crate) struct Nearest {
     pub place: Array2<(usize, usize)>,
 }
 
-/// Finds the nearest valid pixel of every pixel. Among pixels at the same distance, the choice depends on
-/// the map alone. `map` has at least one valid pixel.
+/// Finds the nearest valid pixel of every pixel. Among pixels at the same distance, the choice depends on the map
+/// alone. `map` (NaN = invalid) must have at least one valid pixel.
 pub(crate) fn nearest(map: ArrayView2<f64>, grid: &Grid) -> Nearest {
     let (ny, nx) = map.dim();
     // Row of the nearest valid pixel in the same column, if there is one.

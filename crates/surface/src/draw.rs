@@ -31,23 +31,23 @@ const MAX_CELLS: usize = 110;
 /// visible steps.
 const BANDS: usize = 24;
 
-/// A map to draw, one picture in a drawing of several.
+/// A map of heights or of rates, which is one of the pictures in a drawing.
 #[derive(Clone, Debug)]
 pub struct Panel {
     /// Title above the map.
     pub title: String,
     /// Grid of the pixels of the map.
     pub grid: Grid,
-    /// Heights of the map (ny, nx); NaN = invalid.
+    /// Heights or rates of the map (ny, nx); NaN = invalid.
     pub map: Array2<f64>,
 }
 
 /// Settings of a drawing of maps.
 #[derive(Clone, Debug)]
 pub struct MapsSettings {
-    /// Unit of the heights, for the scales.
+    /// Unit of the values of the maps (nm, or nm/s for rates), for the scales.
     pub unit: &'static str,
-    /// y of the section, mm; `None` takes the middle of the first map.
+    /// y of the section through the maps, mm; `None` takes the middle of the first map.
     pub section_y_mm: Option<f64>,
     /// True to draw all maps in one colour scale.
     pub common_scale: bool,
@@ -55,8 +55,8 @@ pub struct MapsSettings {
     pub outline: Option<Panel>,
 }
 
-/// Draws the maps one below the other, and below them one section through all of them, as SVG text. Refuses a section
-/// that meets none of the maps.
+/// Draws the maps one below the other, tall ones in two columns, and below them one section through all of them, as SVG
+/// text. The text is empty without maps. Refuses a given section that meets none of the maps.
 pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Invalid> {
     let Some(first) = panels.first() else { return Ok(String::new()) };
     if let Some(y) = settings.section_y_mm
@@ -138,8 +138,8 @@ fn positive_points(frequency: &[f64], density: &[f64]) -> Vec<[f64; 2]> {
     points.filter(|(_, s)| **s > 0.0).map(|(f, s)| [*f, *s]).collect()
 }
 
-/// Returns the range of a plot: the range of the data, wider by 4 % at both ends. About a single value it is wider by 1
-/// on each side.
+/// Returns the range of an axis of a plot: that of the data, wider by 4 % at both ends. About a single value it is
+/// wider by 1 on each side.
 fn with_rim([low, high]: [f64; 2]) -> [f64; 2] {
     let rim = if high > low { 0.04 * (high - low) } else { 1.0 };
     [low - rim, high + rim]

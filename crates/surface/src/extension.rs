@@ -65,7 +65,8 @@ pub struct ExtensionReport {
     pub extended_pixels: usize,
     /// Smallest and largest of the new heights, nm; those of the map if there are no new heights.
     pub range_nm: [f64; 2],
-    /// Population RMS of the height steps at the edge, between neighbours of which one is valid and the other new, nm.
+    /// Population RMS of the height steps at the edge, between neighbours of which one is valid and the other new, nm;
+    /// 0 without such neighbours.
     pub step_rms_nm: f64,
     /// Further numbers of the method, such as its number of steps; `null` if it has none.
     #[serde(flatten)]
@@ -111,7 +112,8 @@ pub fn extend(
     Ok((Surface::new(grid, extended)?, report))
 }
 
-/// Returns the grid with a margin of whole pixels on every side, and the margin (rows, columns) in pixels.
+/// Returns the grid with a margin on every side, rounded up to whole pixels, and the margin (rows, columns) in pixels.
+/// Refuses a negative margin, and one that makes too many pixels.
 fn enlarged(grid: &Grid, margin_mm: f64) -> Result<(Grid, (usize, usize)), Invalid> {
     if !(margin_mm.is_finite() && margin_mm >= 0.0) {
         return Err(Invalid::whole(
@@ -149,7 +151,8 @@ fn enlarged(grid: &Grid, margin_mm: f64) -> Result<(Grid, (usize, usize)), Inval
     Ok((Grid { x: longer(&grid.x)?, y: longer(&grid.y)? }, grid_px))
 }
 
-/// Returns the RMS of the differences in `extended` between neighbours of which exactly one is valid in `map`, nm.
+/// Returns the RMS of the differences in `extended` between neighbours of which exactly one is valid in `map`, nm; 0
+/// without such neighbours.
 fn step_rms(map: &Array2<f64>, extended: &Array2<f64>) -> f64 {
     let mut sum = 0.0;
     let mut count = 0;

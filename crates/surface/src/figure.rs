@@ -38,9 +38,9 @@ use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::orthogonal::legendre;
 use rayon::prelude::*;
 
-/// Number of orders along an axis, p + 1 in the module. Larger: follows shorter waves, and pits too, in more time.
-/// Smaller: leaves waves of the figure, which then look like pits. Derived: order 10 follows one wave over the window
-/// to 4e-5 of its height.
+/// Number of orders of the polynomials along an axis, p + 1 in the module. Larger: follows shorter waves, and pits too,
+/// in more time. Smaller: leaves waves of the figure, which then look like pits. Derived: order 10 follows one wave
+/// over the window to 4e-5 of its height.
 const ORDERS: usize = 11;
 
 /// Number of different products P_i P_k of two polynomials along an axis.
@@ -50,7 +50,7 @@ const PAIRS: usize = ORDERS * (ORDERS + 1) / 2;
 /// small windows. Smaller: the samples do not outweigh a pit.
 const SAMPLES_PER_TERM: usize = 10;
 
-/// Largest number of samples along an axis. Larger: more time, in proportion to its square. Smaller: fewer
+/// Largest number of samples along an axis of a window. Larger: more time, in proportion to its square. Smaller: fewer
 /// samples per term. Chosen: ten times the order.
 const MAX_SAMPLES: usize = 100;
 
@@ -65,8 +65,8 @@ const RIDGE: f64 = 1e-10;
 /// a window changes pixels that have a better one. Smaller: rounding. It counts only at pixels without another window.
 const LAST_RESORT: f64 = 1e-6;
 
-/// Computes the figure at every pixel (ny, nx). `window` is the size of the windows along y and x in pixels, limited to
-/// the size of the map.
+/// Computes the figure of `map` at every pixel (ny, nx), nm; 0 where no window has a valid sample. `window` is the size
+/// of the windows along y and x in pixels, limited to the size of the map.
 pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
     let rows = windows(map.nrows(), window.0);
     let columns = windows(map.ncols(), window.1);
@@ -96,7 +96,8 @@ pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
     sum
 }
 
-/// Returns the ranges of windows of `window` pixels that cover `n` pixels. Neighbours overlap by half a window or more.
+/// Returns the ranges of windows of `window` pixels (at most `n`) that cover `n` pixels. Neighbours overlap by half a
+/// window or more.
 fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
     let window = window.min(n);
     let rest = n - window;
@@ -151,7 +152,7 @@ fn pair(i: usize, k: usize) -> usize {
 
 impl WindowFit {
     /// Fits the polynomial to a window by the rule rho of the module, with the highest order for which there are enough
-    /// samples. `None` if the window has no valid sample.
+    /// samples. Returns `None` if the normal equations cannot be solved, as in a window without a valid sample.
     fn new(map: ArrayView2<f64>, terms: Terms) -> Option<Self> {
         let at_y = samples(map.nrows());
         let at_x = samples(map.ncols());

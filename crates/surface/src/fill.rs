@@ -28,8 +28,8 @@ use crate::distance::nearest;
 /// of a hole of 1000 px is 1e6, so the heights are accurate to about 1e-6 of the range of the rim.
 const TOLERANCE: f64 = 1e-12;
 
-/// Fraction of filled pixels above which the report has a note. Larger: no note on maps that are mostly guessed.
-/// Smaller: notes on usual holes.
+/// Ratio of filled pixels to all pixels that are valid after the filling, above which the report has a note. Larger: no
+/// note on maps that are mostly guessed. Smaller: notes on usual holes.
 const NOTEWORTHY_FRACTION: f64 = 0.05;
 
 /// Numbers of the holes and pixels that were filled.
@@ -39,11 +39,11 @@ pub struct FillReport {
     pub holes: usize,
     /// Number of pixels that were filled.
     pub filled_pixels: usize,
-    /// Number of filled pixels over the number of all pixels of the map.
+    /// Ratio of filled pixels to all pixels that are valid after the filling.
     pub filled_fraction: f64,
-    /// Largest distance of a filled pixel from a measured one, mm.
+    /// Largest distance of a filled pixel from the nearest measured one, mm.
     pub deepest_mm: f64,
-    /// Note for the user of the map; absent if there is none.
+    /// Note that much of the map is filled; absent if at most 5 % are.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }

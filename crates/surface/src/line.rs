@@ -89,7 +89,7 @@ pub struct LineSettings {
     pub positive: Positive,
     /// Best shape that is subtracted from the profile.
     pub subtract: Shape,
-    /// Distance of the pixels of the line, mm; `None` for the mean step of the profile.
+    /// Distance of the pixel centres of the line, mm; `None` for the mean step of the profile.
     pub pixel_mm: Option<f64>,
 }
 
@@ -105,7 +105,7 @@ pub struct PreparedLine {
 /// Numbers of a prepared line, for the manifest.
 #[derive(Clone, Debug, Serialize)]
 pub struct LineReport {
-    /// RMS of the heights (mean removed), nm.
+    /// RMS of the heights after subtraction of the shape (mean removed), nm.
     pub rms_nm: f64,
     /// RMS of the slopes between neighbouring pixels after subtraction of the shape (mean removed), nrad.
     pub slope_rms_nrad: f64,
@@ -128,8 +128,8 @@ const MOST_PIXELS: f64 = 1e5;
 /// one.
 const SAME_STEP: f64 = 1e-6;
 
-/// Returns the mean of every column of a map as a profile of heights along x. Refuses a map whose columns do not make a
-/// valid [`Profile`].
+/// Returns the mean of the valid pixels of every column of a map as a profile of heights along x. Refuses a map whose
+/// columns do not make a valid [`Profile`].
 pub fn mean_profile(surface: &Surface) -> Result<Profile, Invalid> {
     let means = surface.height_nm().columns().into_iter().map(|column| {
         let valid: Vec<f64> = column.iter().copied().filter(|z| !z.is_nan()).collect();
@@ -142,8 +142,8 @@ pub fn mean_profile(surface: &Surface) -> Result<Profile, Invalid> {
 /// Makes the desired removal of a mirror line from its profile.
 ///
 /// # Errors
-/// Refuses a width across the line that is not positive, pixels that are more than the line holds or too many, and a
-/// profile that does not determine the shape to subtract.
+/// Refuses a width across the line that is not positive, a distance of the pixels that is longer than the line or makes
+/// more than 1e5 of them, and a profile that does not determine the shape to subtract.
 pub fn line(profile: &Profile, settings: &LineSettings) -> Result<PreparedLine, Invalid> {
     settings.across.check()?;
     let signed = match settings.positive {

@@ -48,7 +48,7 @@ pub struct LowOrderSettings {
     /// Highest order: n of Zernike, i + j of the others; at most 20.
     pub order: u32,
     /// Unit circle of Zernike terms. `None` takes the circle about the middle of the bounding box of the valid pixels
-    /// that contains them all. The other families do not use it.
+    /// that contains them all. With the other families a circle is refused.
     pub circle: Option<Circle>,
 }
 
@@ -95,14 +95,14 @@ pub struct LowOrderReport {
     pub rms_nm: f64,
     /// Largest minus smallest of the fitted terms over the valid pixels, nm.
     pub pv_nm: f64,
-    /// Condition number of the normal equations of the terms on the valid pixels, each term scaled to the same RMS.
+    /// Condition number of the matrix of the terms on the valid pixels, each term scaled to the same RMS there.
     pub condition: f64,
-    /// Largest correlation of two terms on the valid pixels; 0 if all are orthogonal.
+    /// Largest magnitude of the correlation of two terms on the valid pixels; 0 if all are orthogonal.
     pub largest_correlation: f64,
     /// Area of the valid pixels over that of the domain; an annulus, a hole or an aperture of
     /// another shape makes it less than 1.
     pub coverage: f64,
-    /// Note for the user of the coefficients; absent if there is none.
+    /// Note that the terms are not orthogonal on these pixels; absent if they nearly are.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
@@ -131,8 +131,8 @@ pub struct Term {
     pub coefficient_nm: f64,
 }
 
-/// Fits the low-order terms to the valid pixels of `surface`. Refuses an order that is too high, pixels that do not
-/// determine the terms, and a circle that does not hold all of them.
+/// Fits the low-order terms to the valid pixels of `surface`. Refuses an order above 20, pixels that do not determine
+/// the terms, a circle that does not hold all valid pixels, and a circle for other than Zernike terms.
 pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOrder, Invalid> {
     let grid = surface.grid();
     if settings.order > MAX_ORDER {

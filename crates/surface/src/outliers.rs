@@ -82,9 +82,9 @@ const FALLS: f64 = 0.5;
 /// ones are used. Larger: windows shrink for a fall that is roughness. Smaller: waves of the figure stay.
 const FALLS_ON: f64 = 0.95;
 
-/// Smallest number of pixels around a component for the quadratic through them; with fewer, the component counts as an
-/// outlier. Larger: crests of waves near holes are masked. Smaller: an uncertain quadratic decides. Derived: ten for
-/// each of the six terms.
+/// Smallest number of pixels around a component (connected pixels above the threshold of the growth) for the quadratic
+/// through them. With fewer, the component counts as an outlier. Larger: crests of waves near holes are masked.
+/// Smaller: an uncertain quadratic decides. Derived: ten for each of the six terms.
 const MIN_NEIGHBOURS: usize = 60;
 
 /// Largest fraction of valid pixels that may be masked; more are refused, because then the parameters are
@@ -149,7 +149,7 @@ pub struct Outliers {
 /// Numbers of the outliers and of the thresholds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierReport {
-    /// Number of components (connected outliers), before the dilation.
+    /// Number of components (connected outliers) that are masked, before the dilation.
     pub components: usize,
     /// Number of pixels in the components, before the dilation.
     pub core_pixels: usize,
@@ -168,7 +168,8 @@ pub struct OutlierReport {
 }
 
 impl OutlierReport {
-    /// Counts the pixels of the mask, of `valid` valid ones; refuses a mask of more than 2 % of them.
+    /// Sets the number of masked pixels and its ratio to the `valid` valid ones; refuses a mask of more than 2 % of
+    /// them.
     fn masked(&mut self, mask: &Array2<bool>, valid: usize) -> Result<(), PrepareError> {
         self.masked_pixels = mask.iter().filter(|m| **m).count();
         self.masked_fraction = self.masked_pixels as f64 / valid as f64;
@@ -231,7 +232,7 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
 }
 
 /// Returns the size of a window along an axis, px: the odd number nearest to `extent_mm`, at least 9 and at most the
-/// map (or 9).
+/// length of the map (or 9 on a shorter one).
 fn window(axis: &Axis, extent_mm: f64) -> usize {
     let largest = axis.len().max(MIN_WINDOW_PX);
     let half = (0.5 * (extent_mm / axis.step_mm() - 1.0)).round().clamp(0.0, largest as f64);
@@ -287,8 +288,9 @@ fn deviation_and_noise(
     (deviation, noise_nm)
 }
 
-/// Returns true if a component deviates from the quadratic through the pixels around it, up to half a window of the
-/// median from its bounding box. The crest of a wave does not deviate.
+/// Returns true if the heights of a component deviate from the quadratic through the pixels around it: the largest by
+/// more than the threshold of a seed, the median by more than that of the growth. These pixels lie up to half a window
+/// of the median beyond its bounding box. With too few of them it returns true.
 fn stands_out(
     level: &Array2<f64>,
     deviation: &Array2<f64>,

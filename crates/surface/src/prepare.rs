@@ -91,16 +91,18 @@ pub struct Prepared {
 pub struct PrepareReport {
     /// Statistics of the measured map as given.
     pub before: MapStatistics,
-    /// Statistics within the clear aperture, before outliers are masked and the map is levelled.
+    /// Statistics of the map within the clear aperture, before outliers are masked and a form or the level is
+    /// subtracted.
     pub in_aperture: MapStatistics,
     /// Statistics of the prepared map.
     pub after: MapStatistics,
     /// Numbers of the outlier mask; `None` without one.
     pub outliers: Option<OutlierReport>,
-    /// The form that was subtracted; `None` without one.
+    /// The target form that was subtracted, with its fit; `None` without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
-    /// The plane that was subtracted; with low-order terms only a constant.
+    /// The plane that was subtracted; with low-order terms only the constant that makes the smallest height 0, and 0
+    /// for no level.
     pub removed_plane: RemovedPlane,
     /// The terms of low order that were subtracted; `None` without them.
     pub removed_low_order: Option<LowOrderReport>,
@@ -236,7 +238,7 @@ fn known_deviation(cropped: &Surface, masked: &Surface) -> Option<Array2<f64>> {
 }
 
 /// Returns the map cropped to the bounding box of the aperture, with NaN outside the aperture, and the mask of the
-/// aperture on the cropped pixels.
+/// aperture on the cropped pixels. Refuses an aperture of less than 2 x 2 pixels.
 fn crop(
     measured: &Surface,
     aperture: &ClearAperture,

@@ -69,7 +69,7 @@ impl Profile {
     ///
     /// # Errors
     /// Refuses another number of values than of positions, less than [`MIN_POSITIONS`] valid values, numbers that are
-    /// not finite or implausibly large, and positions that are not in order.
+    /// not finite or implausibly large, and positions that neither ascend nor descend.
     pub fn new(mut position_mm: Vec<f64>, mut values: Values) -> Result<Self, Invalid> {
         let (name, unit, largest, v) = match &mut values {
             Values::HeightNm(v) => ("height", "nm", LARGEST_HEIGHT_NM, v),
@@ -152,7 +152,8 @@ impl Profile {
         (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64
     }
 
-    /// Returns the smallest and the largest step, mm, or `None` if all steps are equal up to the rounding in a file.
+    /// Returns the smallest and the largest step between positions, mm, or `None` if no step differs by more than 1 %
+    /// from the mean step.
     pub fn uneven_steps_mm(&self) -> Option<[f64; 2]> {
         let steps = self.position_mm.windows(2).map(|w| w[1] - w[0]);
         let [low, high] = steps.fold([f64::INFINITY, 0.0_f64], |[l, h], s| [l.min(s), h.max(s)]);

@@ -93,7 +93,7 @@ pub struct PsdReport {
     pub y_mm: [f64; 2],
     /// Number of pixels of the rectangle (rows, columns).
     pub shape: (usize, usize),
-    /// Ratio of the pixels of the rectangle to the valid pixels of the map.
+    /// Ratio of the number of pixels of the rectangle to that of valid pixels of the map.
     pub fraction_of_valid_pixels: f64,
     /// RMS of the detrended rectangle without a window, nm.
     pub rms_nm: f64,
@@ -116,8 +116,8 @@ pub struct BandRms {
     pub rms_y_nm: f64,
 }
 
-/// Computes the spectra of the largest rectangle of valid pixels of `surface`. Refuses a map without a large enough
-/// rectangle, and a band without a frequency of the map.
+/// Computes the spectra of the largest rectangle of valid pixels of `surface`. Refuses a map whose largest rectangle
+/// has too few pixels along an axis, and a band that holds no frequency of the map.
 pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     let (origin, (ny, nx)) = largest_rectangle(&surface.height_nm().mapv(|v| !v.is_nan()));
     if ny < MIN_SAMPLES || nx < MIN_SAMPLES {

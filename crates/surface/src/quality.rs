@@ -95,9 +95,11 @@ pub struct Quality {
     pub bands: Vec<BandReport>,
     /// Numbers of the line along x through the middle of the map; `null` for a profile, which is a line itself.
     pub centre_line: Option<LineReport>,
-    /// Autocorrelation length of the heights along x, mm; `null` if it is longer than the map.
+    /// Autocorrelation length of the heights along x, mm; `null` if it is longer than the map, or if there are too few
+    /// pixels.
     pub autocorrelation_length_x_mm: Option<f64>,
-    /// Autocorrelation length of the heights along y, mm; `null` for a profile, and if it is longer than the map.
+    /// Autocorrelation length of the heights along y, mm; `null` for a profile, if it is longer than the map, or if
+    /// there are too few pixels.
     pub autocorrelation_length_y_mm: Option<f64>,
     /// Strehl ratio; `null` if no light was given.
     pub strehl: Option<StrehlReport>,
@@ -272,8 +274,9 @@ fn notes_on_slopes(
     notes
 }
 
-/// Returns a note on an ellipse that leaves more than a plane, as values of the opposite sign do, or more than a
-/// circle. `None` if it leaves less.
+/// Returns a note on an ellipse after which more RMS is left than after a plane, as with values of the opposite sign.
+/// The same holds for a fitted ellipse against the best circle. Returns `None` if it leaves less, or if the shapes were
+/// not determined.
 fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
     let [plane, circle, ellipse] = [Shape::Plane, Shape::CylinderX, Shape::Ellipse]
         .map(|shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm));
@@ -371,8 +374,8 @@ fn centre_line_report(
     Ok((report, line))
 }
 
-/// Returns the smallest and largest y, mm, and the mean of the rows within `width_mm` about the middle of y. There is
-/// at least one row.
+/// Returns the smallest and largest y, mm, and the mean of the rows within `width_mm` about the middle of y, as a
+/// profile. There is at least one row. Refuses a negative width, and a line with too few valid values.
 fn centre_line(surface: &Surface, width_mm: f64) -> Result<([f64; 2], Profile), Invalid> {
     if !(width_mm.is_finite() && width_mm >= 0.0) {
         let problem = format!("`centre_line_width_mm` is {width_mm}");

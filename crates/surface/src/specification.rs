@@ -81,7 +81,8 @@ impl Specification {
     /// Checks what the types of the JSON file do not check.
     ///
     /// # Errors
-    /// Refuses no limits, a name that two zones have or no zone has, and numbers out of their range.
+    /// Refuses an empty list of limits, a zone name that two zones have or that a limit names without a zone, an
+    /// ellipse that is missing or no mirror, and numbers out of their range.
     pub fn check(&self) -> Result<(), Invalid> {
         if self.limits.is_empty() {
             return Err(Invalid::whole("limits", "are none", "give at least one"));
@@ -112,7 +113,7 @@ impl Specification {
     }
 
     /// Returns the ellipse of the limits whose `after` is `ellipse`, or `None` if the specification states none.
-    /// Refuses one that is no mirror.
+    /// Refuses one whose numbers make no ellipse.
     pub fn ellipse(&self) -> Result<Option<EllipseSettings>, Invalid> {
         self.ellipse.as_ref().map(EllipseFile::settings).transpose()
     }

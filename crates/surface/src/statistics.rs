@@ -43,7 +43,7 @@ pub struct SurfaceStatistics {
     pub pv_nm: f64,
     /// Robust PV (PVr); absent if its terms cannot be fitted.
     pub pvr: Option<RobustPv>,
-    /// Reason why the robust PV is absent; absent if the robust PV is there.
+    /// Reason why the robust PV is absent; left out if the robust PV is there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pvr_note: Option<String>,
 }
@@ -70,7 +70,8 @@ pub struct RobustPv {
 /// terms, as in [`LowOrderSettings`].
 ///
 /// # Errors
-/// Refuses a circle that does not hold all valid pixels.
+/// If a circle is given, refuses it for other than Zernike terms, if it does not hold all valid pixels, or if these do
+/// not determine the terms.
 pub fn surface_statistics(
     surface: &Surface,
     family: Option<Family>,

@@ -43,8 +43,8 @@ const MAX_STEPS: usize = 200;
 /// before its minimum. Smaller: rounding keeps it going.
 const LAST_STEP: f64 = 1e-13;
 
-/// First damping (l in (2) of the module) after a step that failed, and the factor by which it changes. Larger: shorter
-/// first steps. Smaller: more steps that fail.
+/// First damping (l in (2) of the module) after a step that failed, and the factor by which later steps change it.
+/// Larger: shorter first steps. Smaller: more steps that fail.
 const DAMPING: (f64, f64) = (1e-4, 10.0);
 
 /// Smallest diagonal element of R of the scaled Jacobian at which its columns count as independent. Larger: refuses
@@ -88,7 +88,7 @@ pub struct ParameterReport {
     pub given: f64,
     /// Value after the fit, in the unit of the parameter.
     pub value: f64,
-    /// Standard error of the value, under the assumption that the residual is white noise.
+    /// Standard error of the value, in its unit, under the assumption that the residual is white noise.
     pub standard_error: f64,
     /// Smallest and largest allowed value; `null` if the parameter has no bounds.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -230,8 +230,8 @@ impl TargetModel<'_> {
         Invalid::whole("target", problem, "hold one of them in `fit` of the form file")
     }
 
-    /// Returns R of the QR factors of [J, r] with the columns of J scaled to length 1, and their lengths before. `None`
-    /// if the form does not exist.
+    /// Returns R of the QR factors of [J, r] with the columns of J scaled to length 1, and their lengths before.
+    /// Returns `None` if the form does not exist, or if a column is 0 or not finite.
     fn factors(
         &self,
         coordinates: &[f64],
@@ -273,7 +273,8 @@ impl TargetModel<'_> {
 }
 
 /// Returns `surface` minus the target, a piston and, unless the file holds it, a tilt, with the report of the fit.
-/// Refuses a form that does not exist at a valid pixel, and parameters that the pixels do not tell apart.
+/// Refuses a form file that is not valid, a form that does not exist at a valid pixel, no more pixels than unknowns,
+/// and parameters that the pixels do not tell apart.
 pub fn without_target(
     surface: &Surface,
     target: &Target,
@@ -473,7 +474,8 @@ pub enum Lateral {
 }
 
 /// Converts `map` to heights along z and projected lateral axes. `heights` and `lateral` state how the given map counts
-/// them along the form. Refuses a form that does not exist at a pixel of the result.
+/// them along the form. Pixels whose place on the surface is beyond the map become invalid. Refuses a form that does
+/// not exist at a valid pixel of the result.
 pub fn converted(
     map: &Surface,
     form: &Form,

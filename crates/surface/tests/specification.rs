@@ -36,7 +36,7 @@ fn of(surface: Surface, settings: &QualitySettings) -> Quality {
     quality(&Subject::Map(surface), settings).unwrap()
 }
 
-/// Waves [amplitude nm, periods in the map, phase] that repeat after `n` samples.
+/// Returns waves [amplitude nm, periods in the map, phase] that repeat after `n` samples.
 fn waves(n: usize) -> Vec<[f64; 3]> {
     let mut rng = ChaCha8Rng::seed_from_u64(22);
     // Amplitudes as f^-1.5: a polished surface.

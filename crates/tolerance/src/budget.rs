@@ -29,10 +29,10 @@ pub const LARGEST_DEPARTURE: f64 = 0.1;
 /// that RMS by at most 5e-5. Larger: less exact results. Smaller: more simulations.
 pub const SEEN: f64 = 0.01;
 
-/// Departure of an error of one number from its first order, as a fraction of the RMS that it adds, above which its
-/// line of the table comes from simulated runs. That holds whether the departure is visible in the distribution or not.
-/// The first order of a sharp TIF that turns is up to twice its effect: an edge that moves by more than its width adds
-/// no more. Larger: less exact lines. Smaller: more simulations.
+/// Departure of an error of one number from its first order, as a fraction of the RMS that it adds, above which its row
+/// of the table comes from simulated runs. That holds whether the departure is visible in the distribution or not. The
+/// first order of a sharp TIF that turns is up to twice its effect: an edge that moves by more than its width adds no
+/// more. Larger: less exact rows. Smaller: more simulations.
 pub const LARGEST_DEPARTURE_OF_LINE: f64 = 0.02;
 
 /// Number of simulated runs from which the distribution comes if the first order is not enough. Larger: more time.
@@ -63,8 +63,8 @@ fn quantiles(sorted_rms: &[f64]) -> Quantiles {
 /// distribution of the residual.
 ///
 /// # Errors
-/// Refuses settings out of range, a log with the rate of its beam, errors that the tool cannot have, and a motion or a
-/// map that takes too much memory.
+/// Refuses settings out of range, a log with the rate of its beam, errors that the tool cannot have, errors that
+/// displace the tool by more than the TIF is long, and a motion or a map that takes too much memory.
 pub fn tolerance(
     trajectory: &Trajectory,
     tif: &Tif,
@@ -144,14 +144,16 @@ pub fn tolerance(
     })
 }
 
-/// Returns true if the departure of an error from its first order is visible in the sum of all errors.
+/// Returns true if the departure of an error from its first order is above [`LARGEST_DEPARTURE`] and above [`SEEN`], so
+/// that it is visible in the sum of all errors.
 fn departs(line: &ErrorLine, expected_rms_nm: f64) -> bool {
     line.departs_by_rms_nm > LARGEST_DEPARTURE * line.adds_rms_nm
         && line.departs_by_rms_nm > SEEN * expected_rms_nm
 }
 
-/// Replaces the lines of the table whose first order is not enough by those of simulated runs. Returns true if the
-/// first order is not enough for the distribution either.
+/// Replaces the rows of the table whose first order is not enough by those of simulated runs. Play, which has no first
+/// order, is replaced only if its departure is visible in the distribution. Returns true if the first order is not
+/// enough for the distribution either.
 fn simulate_departing(
     work: &Work<'_>,
     lines: &mut [ErrorLine],
@@ -171,8 +173,8 @@ fn simulate_departing(
     Ok(simulated)
 }
 
-/// Returns the error without which the 95 % quantile of the residual is smallest; `None` if no error lowers it when
-/// left out.
+/// Returns the error without which the 95 % quantile of the residual is smallest, with runs drawn to first order;
+/// `None` if no error lowers it when left out.
 fn first(errors: &Errors<'_>, lines: &[ErrorLine], settings: &ToleranceSettings) -> Option<First> {
     // With the same random numbers for all: what differs is the error that is left out.
     let draws = settings.draws.min(DRAWS_WITHOUT_ONE);

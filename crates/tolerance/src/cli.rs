@@ -98,7 +98,7 @@ impl Tolerance {
         file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))
     }
 
-    /// Checks the error budget and the tool before the other inputs exist.
+    /// Checks the error budget and the tool in a rehearsal, in which the other inputs do not exist yet.
     fn rehearse(&self) -> Result<(), Failure> {
         let process = self.process(&mut Inputs::new())?;
         let tif = Inputs::new().read_tool("tif", &self.mirror.tif)?;
@@ -175,8 +175,8 @@ fn table(report: &planish_tolerance::Tolerance, free: Free) -> String {
     lines.join("\n")
 }
 
-/// Returns the note at the end of a line of the table: that the line comes from simulated runs, and its standard error.
-/// Empty if it does not.
+/// Returns the note at the end of a row of the table: that the row comes from simulated runs, and its standard error if
+/// it has one. Empty if it does not come from simulated runs.
 fn simulated_note(simulated: bool, standard_error_nm: Option<f64>) -> String {
     match standard_error_nm {
         _ if !simulated => String::new(),

@@ -15,8 +15,8 @@ use crate::{
 };
 use planish_numerics::parallel;
 
-/// Number of drawn noise fields from which trace(S_perp^2) is estimated, by 1128 pairs. Larger: more time. Smaller: a
-/// less exact variance of the orthogonal noise.
+/// Number of drawn noise fields from which trace(S_perp^2) is estimated, by its 48 x 47 / 2 = 1128 pairs. Larger: more
+/// time. Smaller: a less exact variance of the orthogonal noise.
 const POOL: usize = 48;
 
 /// The residual of the plan (e0) and the fields of the errors (f_i) in an orthonormal basis of their span.
@@ -79,7 +79,7 @@ impl<'a> Errors<'a> {
         Self { work, linear, responses, span, noise_squares }
     }
 
-    /// Returns the model from which residuals are drawn; the error with the index `without` is left out.
+    /// Returns the model from which residuals are drawn; the error with the index `without` is left out, or none.
     pub fn model(&self, without: Option<usize>) -> ResidualModel {
         let coordinates = &self.span.coordinates;
         let dimension = coordinates.nrows();
@@ -121,7 +121,8 @@ impl<'a> Errors<'a> {
         }
     }
 
-    /// Returns the variance of a pixel of the map by its white noise, nm^2; the error `without` is left out.
+    /// Returns the variance of a pixel of the map by its white noise, nm^2; the error with the index `without` is left
+    /// out, or none.
     fn white(&self, without: Option<usize>) -> f64 {
         let each = self.work.process.errors.iter().enumerate();
         each.filter(|(i, e)| e.effect == Effect::MapNoise && Some(*i) != without)

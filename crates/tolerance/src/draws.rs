@@ -21,20 +21,21 @@ use crate::error_budget::Distribution;
 /// Another value draws other numbers.
 const DRAWS_PER_STREAM: usize = 1000;
 
-/// First stream of random numbers of the runs with one error, among the streams of a seed. The other uses have the
-/// streams after it: fields of the noise, runs with all errors, runs for a line of the table, draws.
+/// First stream of random numbers of the runs with one error, by which its departure from the first order is measured.
+/// The other uses of a seed have the streams after it: fields of the noise, runs with all errors, runs for a row of the
+/// table, draws.
 pub const DEPARTURE_STREAM: u64 = 0;
 /// First stream of random numbers of the fields of the noise.
 pub const POOL_STREAM: u64 = 1 << 20;
 /// First stream of random numbers of the runs with all errors.
 pub const RUN_STREAM: u64 = 1 << 24;
-/// First stream of random numbers of the simulated runs for a line of the table.
+/// First stream of random numbers of the simulated runs for a row of the table.
 pub const LINE_STREAM: u64 = 1 << 30;
 /// First stream of random numbers of the draws, which use all streams from here on.
 const FIRST_STREAM: u64 = 1 << 32;
 
-/// Eigenvalue of a Gram matrix, as a fraction of the largest, up to which its direction is left out. Larger: weak
-/// errors are left out. Smaller: rounding makes directions.
+/// Eigenvalue of a Gram matrix, as a fraction of the largest, up to which its direction is left out of the basis.
+/// Larger: weak errors are left out. Smaller: rounding adds directions.
 const INDEPENDENT: f64 = 1e-12;
 
 /// An error that a single random number describes: the distribution of the number, and its effect.

@@ -30,7 +30,8 @@ impl Field {
         Self { rows, columns, value }
     }
 
-    /// Returns the rows of the field: for each the index of its first cell, and its values.
+    /// Returns the rows of the field: for each the index of its first cell, counted row by row over all cells of the
+    /// map, and its values. `cells_per_row` is the number of cells in a row of the map.
     pub fn lines(&self, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
         let first = self.rows.start * cells_per_row + self.columns.start;
         let width = self.columns.len().max(1);
@@ -165,8 +166,8 @@ pub fn cells_of_tif(inner: &Inner, tif: &Tif) -> usize {
     x * y
 }
 
-/// Returns the rows and columns of the cells whose pixels are within the TIF of a tool at any of the `places`, and one
-/// more on every side.
+/// Returns the rows and columns of the cells within the samples of the TIF of a tool at any of the `places`, and at
+/// least one more on every side, as far as the map has them.
 pub fn reached(
     places: impl Iterator<Item = [f64; 2]> + Clone,
     inner: &Inner,

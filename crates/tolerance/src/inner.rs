@@ -33,7 +33,7 @@ pub struct Inner {
     pub count: f64,
     /// Orthonormal free terms, shape (ny, nx); 0 where invalid.
     free: Vec<Array2<f64>>,
-    /// Cells of the map.
+    /// Blocks of pixels into which the map is divided.
     pub cells: CellGrid,
 }
 

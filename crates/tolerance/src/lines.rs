@@ -15,25 +15,28 @@ use crate::{
     work::Work,
 };
 
-/// Displacement of the tool, or change of its width, in a pair of simulated deviations, in widths of the TIF. The third
-/// order, which does not cancel, is 1e-4 / 6 of the first. Larger: more of the third order. Smaller: more rounding.
+/// Displacement of the tool, or change of its width, in a pair of simulated deviations, in widths of the TIF; for
+/// errors of the rate it is their fraction. The third order, which does not cancel, is 1e-4 / 6 of the first. Larger:
+/// more of the third order. Smaller: more rounding.
 pub const STEP: f64 = 0.01;
 
-/// First-order field of an error that a single number describes. An error can have several.
+/// First-order field (f_i of the crate's documentation) of an error that a single number describes. A low-order error
+/// of the map has one for each polynomial.
 pub struct Linear {
     /// Index of the error in the error budget.
     pub error: usize,
     /// Distribution of the error from run to run.
     pub distribution: Distribution,
-    /// Change of the residual at size one, nm.
+    /// Removal that the error adds at size one, without the free terms, shape (ny, nx), nm per size; the residual
+    /// changes by minus this.
     pub field: Array2<f64>,
-    /// Size of the error, in the unit of the calculation.
+    /// Size of the error, in the unit of the calculation; for one polynomial, its share of the size.
     pub size: f64,
 }
 
 impl Work<'_> {
-    /// Returns the first-order fields, at size one, of all errors that a single number describes. `width` is that of
-    /// the TIF, mm.
+    /// Returns the first-order fields, at size one, of all errors that a single number describes, and of the low-order
+    /// errors of the map; errors of size 0 have none. `width` is that of the TIF, mm.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -89,7 +92,9 @@ impl Work<'_> {
         }
     }
 
-    /// Returns, for every error, the RMS difference between a simulated run with it alone and its first order, nm.
+    /// Returns, for every error, the RMS difference between a simulated run with it alone and its first order, nm. An
+    /// error of one number has its size in this run, and noise is drawn once. It is 0 for errors of the map, which are
+    /// exact.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.
@@ -140,7 +145,7 @@ impl Work<'_> {
         }
     }
 
-    /// Returns the lines of the table, to first order. `departures` are those of every error, nm.
+    /// Returns the rows of the table, to first order, one for each error. `departures` are those of every error, nm.
     pub fn lines(
         &self,
         linear: &[Linear],
@@ -187,7 +192,8 @@ impl Work<'_> {
         lines.collect()
     }
 
-    /// Returns the standard deviation of the residual over the runs at every pixel, nm.
+    /// Returns the standard deviation of the residual over the runs at every pixel, to first order, shape (ny, nx), nm;
+    /// NaN at invalid pixels.
     pub fn deviation_map(
         &self,
         linear: &[Linear],

@@ -40,13 +40,13 @@ use crate::{
 
 /// Effect on the residual of the errors of one kind at size one.
 pub struct Response {
-    /// Variance on every cell without the free terms, nm^2.
+    /// Variance of the residual on every cell, without the free terms, nm^2.
     pub variance: Vec<f64>,
     /// Mean square that the errors add, without the free terms, nm^2.
     pub mean_square: f64,
     /// Part of the mean square at the wavelengths that the tool corrects, nm^2.
     pub reached: f64,
-    /// Covariance of the inner products with the fields of the basis, nm^2.
+    /// Covariance of the inner products of the added residual with the fields of the basis, nm^2.
     pub covariance: DMatrix<f64>,
 }
 
@@ -76,7 +76,7 @@ struct Functionals {
 }
 
 impl Functionals {
-    /// Returns the number of functionals.
+    /// Returns the number of functionals: the fields and the reached pairs of cosines.
     fn len(&self) -> usize {
         self.fields.len() + self.cosines.pairs.len()
     }
@@ -128,8 +128,8 @@ impl Functionals {
 }
 
 impl<'a> Columns<'a> {
-    /// Computes the fields of a motion, and if `displaced` is true also their change with the position of the tool.
-    /// `basis` are fields on the cells without free terms.
+    /// Computes the removal by the pieces and stays of a motion, and if `displaced` is true also its change with the
+    /// position of the tool. `basis` are fields on the cells without free terms.
     ///
     /// # Errors
     /// Refuses a motion of so many pieces that its fields take too much memory.
@@ -200,7 +200,7 @@ impl<'a> Columns<'a> {
         stays.map(|(f, t)| Field::sum(&[(f, 1.0 / t)])).collect()
     }
 
-    /// Returns the response to independent errors of this variance, each of which multiplies its field.
+    /// Returns the response to independent errors of this variance, one for each of `fields`, which it multiplies.
     fn of_independent(&self, fields: impl Iterator<Item = Field>, variance: f64) -> Response {
         let fields: Vec<Field> = fields.collect();
         let all: Vec<Vec<f64>> =
@@ -296,8 +296,8 @@ impl<'a> Columns<'a> {
         self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
-    /// Returns the mean square without the free terms, nm^2. `variance` is that on the cells, `free` the mean squares
-    /// of the coefficients of the free terms.
+    /// Returns the mean square of the residual without the free terms, nm^2. `variance` is that on the cells, `free`
+    /// the mean squares of the coefficients of the free terms.
     fn mean_square(&self, variance: &[f64], free: &[f64]) -> f64 {
         let weight = &self.inner.cells.weight;
         let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
@@ -393,7 +393,7 @@ fn by_stay(motion: &Motion, of_piece: &[Field]) -> Vec<Field> {
     stays
 }
 
-/// Variance of a time that is uniform in a tick, in squared ticks: 1/12.
+/// Variance of a time that is uniform over one tick, in squared ticks: 1/12.
 const TICK_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Adds `by` times the outer product `a b'` to the matrix m.

@@ -54,7 +54,8 @@ use crate::{
     tool::smooth,
 };
 
-/// Number of changes of the TIF from which the effects of errors are combined; the constants below are their indices.
+/// Number of changes of the TIF from which the effects of errors are combined, the unchanged TIF included; the
+/// constants below are their indices.
 const KERNELS: usize = 7;
 const AS_IT_IS: usize = 0;
 const ALONG_X: usize = 1;
@@ -86,9 +87,9 @@ pub struct Sources {
     rates: Vec<(f64, f64)>,
     /// Errors of a fixed size; `None` if there are none.
     fixed: Option<Deviation>,
-    /// Names of the errors that are in Q or in m of the module, in the order of the process.
+    /// Kinds of the errors that are in Q or in m of the module, in the order of the process.
     pub included: Vec<String>,
-    /// Names of the errors that are neither in Q nor in m of the module.
+    /// Kinds of the errors that are neither in Q nor in m of the module, in the order of the process.
     pub left_out: Vec<String>,
 }
 
@@ -161,7 +162,7 @@ impl Sources {
         self.included.is_empty()
     }
 
-    /// Computes m and Q of the module for a motion that serves `points` dwell points.
+    /// Computes m and Q of the module for a motion that serves dwell points with the indices 0 .. `points`.
     ///
     /// # Errors
     /// Refuses a motion or a map that takes too much memory, and errors that cannot be simulated.
@@ -347,8 +348,8 @@ impl Sources {
 /// `[x, y]`, mm, from the middle of the map, and a relative rate g.
 type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
 
-/// Returns the combination of the changes of the TIF by which an error acts; `None` if its effect depends on more than
-/// position and time.
+/// Returns the combination of the changes of the TIF by which an error acts; `None` for a lag and for play, whose
+/// effect depends on more than position and time.
 fn combination(effect: Scalar) -> Option<Combination> {
     fn one(kernel: usize, value: f64) -> [f64; KERNELS] {
         let mut all = [0.0; KERNELS];
@@ -463,7 +464,7 @@ fn node_and_weights(s: f64, n: usize) -> Option<(usize, [f64; 4])> {
     if (0..n as isize - 1).contains(&i) { Some((i as usize, keys::weights(f))) } else { None }
 }
 
-/// Returns the TIF with an error of plus and of minus [`STEP`].
+/// Returns the TIF with the error `effect` of plus and of minus [`STEP`], as a fraction or in rad.
 fn changed(tif: &Tif, effect: Scalar) -> Result<[Tif; 2], Invalid> {
     let [up, down] = [STEP, -STEP].map(|step| {
         let mut run = Deviation::default();
@@ -528,7 +529,7 @@ impl Column {
 /// A piece of the motion, prepared for the noise of the rate.
 struct Carried {
     point: usize,
-    /// 1 over the time of its dwell point, 1/s.
+    /// 1 over the time of the dwell point that the piece serves, 1/s.
     part: f64,
     start_s: f64,
     duration_s: f64,

@@ -71,7 +71,8 @@ impl Reach {
         Self { y, x, reached, pairs, x_axis, y_axis }
     }
 
-    /// Returns the reached part of the mean square of a map, which is 0 at invalid pixels.
+    /// Returns the part of the mean square of a map, in its unit squared, that is in the reached cosines. The map is 0
+    /// at invalid pixels.
     pub fn mean_square(&self, inner: &Inner, map: &Array2<f64>) -> f64 {
         let coefficients = self.y.dot(map).dot(&self.x.t());
         let reached = coefficients.iter().zip(&self.reached).filter(|(_, r)| **r);
@@ -89,8 +90,8 @@ impl Reach {
         ((all - free) / inner.count).max(0.0)
     }
 
-    /// Returns the reached cosines at the centres of the cells. The inner products of fields on the cells with them are
-    /// the coefficients over sqrt(m).
+    /// Returns the reached cosines at the centres of the cells. The coefficient f_jk of a field is the sum over the
+    /// cells of its value, the cosines and the number of valid pixels, multiplied.
     pub fn on_cells(&self, inner: &Inner) -> CosinesOnCells {
         let cells = &inner.cells;
         let (ny, nx) = self.reached.dim();

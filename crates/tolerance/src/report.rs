@@ -5,7 +5,8 @@ use planish_simulate::coverage::Coverage;
 use planish_types::outcome::tolerance::ToleranceOutcome;
 use serde::Serialize;
 
-/// Number of quantiles with which the distribution is stored. Larger: larger files. Smaller: coarser curves.
+/// Number of quantiles with which the distribution is stored, at equal steps from 0 to 1. Larger: larger files.
+/// Smaller: coarser curves.
 pub const LEVELS: usize = 201;
 
 /// One run with all errors: its simulated RMS, and its RMS to first order.
@@ -18,7 +19,7 @@ pub struct Pair {
 }
 
 impl Pair {
-    /// Returns the relative difference of the two RMS values.
+    /// Returns the relative difference of the two RMS values, as a fraction of that to first order.
     pub(crate) fn difference(&self) -> f64 {
         (self.simulated_rms_nm / self.first_order_rms_nm - 1.0).abs()
     }

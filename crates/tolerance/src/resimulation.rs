@@ -17,8 +17,8 @@ use crate::{
     work::Work,
 };
 
-/// Number of simulated runs for the line of a noise whose first order is not enough; their standard error is stated.
-/// Larger: more time. Smaller: a larger standard error.
+/// Number of simulated runs for the table row of a noise whose first order is not enough; their standard error is
+/// stated. Larger: more time. Smaller: a larger standard error.
 const RUNS_OF_NOISE: usize = 32;
 
 /// Number of nodes of the quadrature over the one number of an error whose first order is not enough. It is exact for
@@ -50,7 +50,8 @@ fn quadrature(distribution: Distribution) -> Vec<(f64, f64)> {
 }
 
 impl Work<'_> {
-    /// Replaces the line of the error `index` in the table by the result of simulated runs.
+    /// Replaces the table row `line` of the error `index` by the result of simulated runs: the RMS that is added, its
+    /// reached and unreached part, and for noise the standard error.
     ///
     /// # Errors
     /// Refuses a deviation that cannot be simulated.

@@ -40,7 +40,7 @@ impl Default for ToleranceSettings {
 }
 
 impl ToleranceSettings {
-    /// Refuses counts that are out of range.
+    /// Refuses fewer than 100 draws, and more draws or simulated runs than the limits or the memory allow.
     pub fn check(&self) -> Result<(), Invalid> {
         let draws = [("draws", self.draws, 100, MOST_DRAWS)];
         let runs = [("simulated_runs", self.simulated_runs, 0, MOST_SIMULATED_RUNS)];

@@ -32,7 +32,7 @@ impl<'a> Work<'a> {
     /// width of both, mm.
     ///
     /// # Errors
-    /// Refuses a log with the rate of its beam, and errors of a size that the tool cannot have.
+    /// Refuses a log with the rate of its beam, and what [`Runs::new`] and [`Runs::check_sizes`] refuse.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
@@ -86,7 +86,8 @@ impl<'a> Work<'a> {
         legendre_terms(&self.inner.grid, &low_orders(degree))
     }
 
-    /// Returns the index, the kind and the size of each noise along the run in the error budget.
+    /// Returns each noise along the run with a size above 0: the index of the error in the budget, its kind, and its
+    /// size in the unit of the calculation.
     pub fn noises(&self) -> Vec<(usize, Noise, f64)> {
         let each = self.process.errors.iter().enumerate();
         each.filter_map(|(i, e)| match e.effect {

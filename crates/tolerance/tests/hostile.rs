@@ -9,7 +9,8 @@ use planish_testkit::{
 
 const BINARY: &str = "planish-tolerance";
 
-/// Ten lines at a constant velocity, without their turns, each for `line_s`; bare arrays.
+/// Writes the arrays of a motion along ten lines, each at a constant velocity for `line_s` seconds, without turns
+/// between them. All lengths are multiplied by `scale`.
 fn lines(dir: &Path, name: &str, line_s: f64, scale: f64) {
     let motion = dir.join(name);
     let at = |k: usize| {

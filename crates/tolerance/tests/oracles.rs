@@ -18,7 +18,7 @@ fn of(errors: Value, settings: &ToleranceSettings) -> Tolerance {
     tolerance(&raster(), &tif(), &desired(), &process, settings).unwrap()
 }
 
-/// One of every kind, times `scale`.
+/// Returns the JSON of errors of every kind, with sizes that are multiplied by `scale`.
 fn every(scale: f64) -> Value {
     json!([
         error("rate_scale", scale, "%", "normal"),
@@ -87,7 +87,7 @@ fn twice_the_error_is_twice_its_line() {
     }
 }
 
-/// RMS of the difference between the removal of two motions, the mean removed.
+/// Returns the RMS of the difference between the removals by two motions, about its mean, nm.
 fn apart(a: &Trajectory, b: &Trajectory) -> f64 {
     let removal = |t: &Trajectory| {
         simulate(t, &tif(), &desired(), Simulation::Gridded).unwrap().removal.removal_nm().clone()
@@ -95,7 +95,8 @@ fn apart(a: &Trajectory, b: &Trajectory) -> f64 {
     rms(removal(a) - removal(b))
 }
 
-/// The motion with every piece replaced.
+/// Makes the raster with the duration and coefficients of every piece as `of` says. Its arguments are start and
+/// duration, s, and coefficients.
 fn changed(of: impl Fn(f64, f64, [[f64; 4]; 2]) -> (f64, [[f64; 4]; 2])) -> Trajectory {
     let mut builder = TrajectoryBuilder::default();
     for s in raster().segments() {
@@ -263,7 +264,8 @@ fn the_map_of_deviations_is_that_of_the_residual() {
     }
 }
 
-/// RMS of the difference of what two TIFs remove on the plan, the mean removed.
+/// Returns the RMS of the difference between the removals by the TIF with the rate `of` and by the usual one on the
+/// raster, about its mean, nm.
 fn of_tif(of: impl Fn(f64, f64) -> f64) -> f64 {
     let grid = *tif().grid();
     let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
@@ -296,9 +298,9 @@ fn a_wider_and_an_elliptical_tif_are_gaussians_of_other_widths() {
     }
 }
 
-/// A drop with a sharp point: A s^2 exp(2 (1 - s) - (1 + s) y^2 / 4 w^2), s = 1 + x / l where it is above 0, with the
-/// length l of 1.2 mm and the width w of 0.7 mm, on samples of 0.125 mm. The samples go on until the drop is below 1e-7
-/// of its peak along y, so that no edge turns.
+/// Returns the rate of a drop with a sharp point: A s^2 exp(2 (1 - s) - (1 + s) y^2 / 4 w^2), s = 1 + x / l where it is
+/// above 0, with the length l of 1.2 mm and the width w of 0.7 mm, on samples of 0.125 mm. The samples go on until the
+/// drop is below 1e-7 of its peak along y, so that no edge turns.
 fn drop(x: f64, y: f64) -> f64 {
     let s = (1.0 + x / 1.2).max(0.0);
     8.0 * s * s * (2.0 * (1.0 - s) - 0.25 * (1.0 + s) * (y / 0.7).powi(2)).exp()

@@ -6,7 +6,7 @@ use planish_tolerance::{Free, ToleranceSettings, quadratic::Sources, tolerance};
 use planish_types::{Removal, Surface, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};
 
-/// One of every kind that the dwell times decide.
+/// Returns one error of every kind whose effect the dwell times decide.
 fn decided() -> Vec<Value> {
     vec![
         error("rate_scale", 1.0, "%", "normal"),
@@ -31,7 +31,7 @@ fn sources(errors: &Value) -> Sources {
     Sources::new(&desired(), &tif(), &process, Free::Piston).unwrap()
 }
 
-/// The raster with its dwell times times a factor that differs from point to point.
+/// Makes the raster with its dwell times times a factor that differs from point to point.
 fn other() -> Trajectory {
     let mut motion = TrajectoryBuilder::default();
     for segment in raster().segments() {

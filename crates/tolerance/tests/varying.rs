@@ -30,14 +30,14 @@ fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
     })
 }
 
-/// Tangent of the slope of the sphere times its direction.
+/// Returns the tangent of the slope of the sphere times the direction of the slope.
 fn slope(x: f64, y: f64) -> [f64; 2] {
     let (x, y) = (x - MIDDLE_MM[0], y - MIDDLE_MM[1]);
     let root = (RADIUS_MM * RADIUS_MM - x * x - y * y).sqrt();
     [x / root, y / root]
 }
 
-/// Rate of the tool that falls by a tenth over the run, times 1 + `drift` (t / T - 1/2).
+/// Returns a factor of the rate that falls by a tenth over the run, times 1 + `drift` (t / T - 1/2).
 fn wear(drift: f64) -> TimeFactor {
     let total = raster().total_time_s();
     let part: Vec<f64> = (0..=400).map(|i| f64::from(i) / 400.0).collect();
@@ -45,8 +45,8 @@ fn wear(drift: f64) -> TimeFactor {
     TimeFactor { time_s: part.iter().map(|u| u * total).collect(), factor }
 }
 
-/// A beam along the normal of the sphere, whose rate depends on the incidence at the pixel and on the time. In the
-/// plane it is exp(-(u^2 + (u . q)^2) / 2) with the tangent q, to the second order of (u . q)^2; `inverse` takes
+/// Makes a beam along the normal of the sphere, whose rate depends on the incidence at the pixel and on the time. In
+/// the plane it is exp(-(u^2 + (u . q)^2) / 2) with the tangent q, to the second order of (u . q)^2; `inverse` takes
 /// offsets to those of the beam without errors, of `volume` times its volume.
 fn beam(inverse: [[f64; 2]; 2], volume: f64, time: Option<TimeFactor>) -> Tif {
     let offsets = Grid { x: axis(-5.0, 0.25, 41), y: axis(-5.0, 0.25, 41) };
@@ -89,7 +89,7 @@ fn beam(inverse: [[f64; 2]; 2], volume: f64, time: Option<TimeFactor>) -> Tif {
 
 const SAME: [[f64; 2]; 2] = [[1.0, 0.0], [0.0, 1.0]];
 
-/// The tool of the plan.
+/// Makes the tool of the plan: the beam without errors, which wears.
 fn tool() -> Tif {
     beam(SAME, 1.0, Some(wear(0.0)))
 }
@@ -108,7 +108,8 @@ fn removal(motion: &Trajectory, tif: &Tif) -> Array2<f64> {
     found.removal.removal_nm().clone()
 }
 
-/// The motion with every point where `place` says; the directions of the motion along x and y are its last arguments.
+/// Makes the raster with every point where `place` says. Its arguments are the planned point, mm, the velocity, mm/s,
+/// and the start of the piece, s.
 fn moved(place: impl Fn([f64; 2], [f64; 2], f64) -> [f64; 2]) -> Trajectory {
     let mut builder = TrajectoryBuilder::default();
     for s in raster().segments() {
@@ -123,7 +124,8 @@ fn moved(place: impl Fn([f64; 2], [f64; 2], f64) -> [f64; 2]) -> Trajectory {
     builder.build().unwrap()
 }
 
-/// Every error of one number, with the difference that it makes, nm: of the place, the rate, the shape, the axes.
+/// Returns every error of one number, with the difference that it makes to the removal, nm: of the place, the rate, the
+/// shape, the axes.
 fn planted() -> Vec<(Value, Array2<f64>)> {
     let nominal = removal(&raster(), &tool());
     let by_motion = |motion: Trajectory| removal(&motion, &tool()) - &nominal;

@@ -59,9 +59,9 @@ const MOST_ERROR_PIXELS: f64 = 1.0;
 /// Fewer: a window that is farther from the best one. Chosen: each has about four times the pixels of the one before.
 const WINDOWS: [[usize; 2]; 5] = [[1, 0], [1, 1], [2, 2], [4, 4], [8, 8]];
 
-/// Radius of the window of the noise correlation in correlation lengths, and largest radius, pixels. Larger: lags that
-/// have noise and no signal. Smaller: a part of the correlation is cut off, and standard errors are too small. Chosen:
-/// a Gaussian correlation has 0.2 % of its integral beyond the flat part.
+/// Radius of the window of the noise correlation in correlation lengths; the constant below is the largest radius,
+/// pixels. Larger: lags that have noise and no signal. Smaller: a part of the correlation is cut off, and standard
+/// errors are too small. Chosen: a Gaussian correlation has 0.2 % of its integral beyond the flat part.
 const WINDOW_OVER_LENGTH: f64 = 5.0;
 const LARGEST_LAG: isize = 16;
 
@@ -112,7 +112,7 @@ pub(crate) fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f
 }
 
 /// Returns the slopes of a map along x and y, nm per pixel: those of the least-squares plane over a window with these
-/// half sizes. NaN where the window reaches an invalid pixel or beyond the map.
+/// half sizes, pixels, along the slope and across it. NaN where the window reaches an invalid pixel or beyond the map.
 fn slopes(map: &Array2<f64>, [along, across]: [usize; 2]) -> [Array2<f64>; 2] {
     let odd: Vec<f64> = (0..=2 * along).map(|k| k as f64 - along as f64).collect();
     let squares: f64 = odd.iter().map(|k| k * k).sum();
@@ -124,7 +124,8 @@ fn slopes(map: &Array2<f64>, [along, across]: [usize; 2]) -> [Array2<f64>; 2] {
     })
 }
 
-/// Returns weighted sums over a window along the rows of `map`; NaN where the window reaches beyond the map.
+/// Returns weighted sums over a window along the rows of `map`; NaN where the window reaches an invalid pixel or beyond
+/// the map.
 fn weighted_in_rows(map: &Array2<f64>, weights: &[f64]) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let half = weights.len() / 2;
@@ -141,8 +142,8 @@ fn turned(map: Array2<f64>) -> Array2<f64> {
     map.reversed_axes().as_standard_layout().into_owned()
 }
 
-/// Returns the pixels outside the spot where `slopes` of `before` are known, with these slopes. Around each, `after` is
-/// valid wherever a shift within a pixel of `d` looks.
+/// Returns the pixels (row, column) outside the spot where the `slopes` of `before` are known, with these slopes along
+/// [x, y]. Around each, `after` is valid wherever a shift within a pixel of `d` (pixels) looks.
 fn pixels_for_shift(
     slopes: &[Array2<f64>; 2],
     after: &Array2<f64>,
@@ -189,7 +190,8 @@ impl ShiftEquation {
     }
 }
 
-/// Returns the terms of the equations at the pixels `used`, with `after` moved by `d` pixels.
+/// Returns the terms of the equations at the pixels `used`, with `after` moved by `d` pixels [x, y]; pixels where
+/// `after` is unknown there are left out.
 fn rows(
     before: &Array2<f64>,
     after: &Array2<f64>,
@@ -209,7 +211,8 @@ fn rows(
     rows.filter(|row| !row.e.is_nan() && row.g.iter().all(|v| !v.is_nan())).collect()
 }
 
-/// Returns the matrix (H'G)^-1 of the module; `None` if the maps have no structure to align by.
+/// Returns the matrix (H'G)^-1 of the module; `None` if H'G is singular, because the maps have no structure to align
+/// by.
 fn inverse(rows: &[ShiftEquation]) -> Option<Matrix5<f64>> {
     rows.iter().map(|r| r.h_row() * r.g_row().transpose()).sum::<Matrix5<f64>>().try_inverse()
 }
@@ -291,7 +294,8 @@ fn squares(rows: &[ShiftEquation], shape: (usize, usize), change: &Vector5<f64>)
 }
 
 /// Returns the shift of `after` against `before`, in pixels, from the structure at the pixels where `outside` is true.
-/// Refuses maps that do not determine it.
+/// Refuses maps without structure there, a shift of more than a quarter of the map, a standard error above one pixel,
+/// and steps that do not settle.
 pub(crate) fn align(
     grid: &Grid,
     before: &Surface,

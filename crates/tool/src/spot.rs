@@ -31,9 +31,9 @@ use serde::Serialize;
 
 use crate::shift::{Shift, align, shifted};
 
-/// Smallest depth of a spot, relative to the RMS outside it; a shallower spot is refused. Larger: refuses
-/// faint spots. Smaller: noise may pass for a spot. Derived: the deepest of 1e4 pixels of Gaussian noise is
-/// 4 times its RMS.
+/// Smallest depth of a spot, relative to the RMS of the removal outside it; a shallower spot is refused. Larger:
+/// refuses faint spots. Smaller: noise may pass for a spot. Derived: the deepest of 1e4 pixels of Gaussian noise is 4
+/// times its RMS.
 const LEAST_CONTRAST: f64 = 5.0;
 
 /// Number of times that the square is centred anew on the centroid of the removal in it. Larger: more time, hardly a
@@ -95,13 +95,14 @@ pub struct Spot {
     pub steps: usize,
     /// Centre of the spot [x, y] in the coordinates of the map, mm.
     pub centre_mm: [f64; 2],
-    /// RMS of the removal outside the spot, its mean removed, nm: the noise of the measurement.
+    /// RMS of the removal outside the spot, about its mean, nm: the noise of the measurement; 0 if there are no pixels
+    /// outside.
     pub outside_rms_nm: f64,
     /// Number of pixels outside the spot.
     pub outside_pixels: usize,
     /// Largest depth of the removal in the spot, nm.
     pub depth_nm: f64,
-    /// Removed volume that was negative and became zero, as a fraction of the positive volume.
+    /// Volume that was negative and became zero, as a fraction of the positive volume; 0 without clipping.
     pub clipped_share: f64,
 }
 
@@ -218,8 +219,8 @@ fn masked(map: &Array2<f64>, mask: &Array2<bool>) -> Array2<f64> {
     out
 }
 
-/// Returns the middle of the square with the largest mean removal, mm; the side of the square is a quarter of that of
-/// the TIF.
+/// Returns the middle [x, y] of the square with the largest mean removal, mm; the side of the square is a quarter of
+/// that of the TIF. Refuses a map in which no such square has more than half of its pixels valid.
 fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2], Invalid> {
     let (ny, nx) = removal.dim();
     // Sums over all pixels above and to the left, of values and of valid pixels.
@@ -257,7 +258,8 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
 }
 
 /// Returns the centroid of the removal, mm, in a square of the half size around the centroid itself. The search starts
-/// at the centroid of the removal above half of the peak, in the square around `near`.
+/// at the centroid of the removal above half of the peak, in the square around `near`. Refuses a square without
+/// removal.
 fn centroid(
     grid: &Grid,
     removal: &Array2<f64>,
@@ -288,7 +290,7 @@ fn centroid(
 }
 
 /// Returns the centroid, mm, of the removal of at least `least_nm` in the square of the half size around (x, y),
-/// weighted by depth. `None` if there is none.
+/// weighted by depth. Returns `None` if the sum of this removal is not positive.
 fn centroid_about(
     grid: &Grid,
     removal: &Array2<f64>,
@@ -322,7 +324,9 @@ fn refuse_another_window(before: &Grid, after: &Grid) -> Result<(), Invalid> {
     Err(Invalid::whole("before", problem, remedy))
 }
 
-/// Returns the square around the centre as a TIF, its largest depth in nm, and the clipped fraction of its volume.
+/// Returns the square around the centre as a TIF, its largest depth in nm, and the fraction of its volume that was
+/// clipped. `noise_nm` is the RMS outside. Refuses a square without pixels or with invalid ones, and a depth below five
+/// times the noise.
 fn cut(
     grid: &Grid,
     removal: &Array2<f64>,

@@ -50,7 +50,7 @@ use serde::Serialize;
 /// pitch that was mistyped. Smaller: refuses fine pitches.
 const MAX_SAMPLES: f64 = 5000.0;
 
-/// Rate on the border, relative to the peak, above which the report has a note, because the border would
+/// Largest rate on the border, relative to the peak, without a note in the report; a larger step at the border would
 /// show on the part. Larger: does not notice a step at the border. Smaller: notes for usual noise.
 const NOTEWORTHY_BORDER: f64 = 0.01;
 
@@ -91,7 +91,7 @@ pub struct TifReport {
     pub after: TifStatistics,
     /// Mean of the plane through the border samples that was subtracted, nm/s.
     pub subtracted_nm_per_s: f64,
-    /// Position of the new centre [x, y] in the offsets of the given TIF, mm.
+    /// Position of the new centre [x, y] in the offsets of the given TIF, mm; 0 if the centre stays.
     pub centre_mm: [f64; 2],
     /// Relative change of the samples that keeps the volumetric removal rate (VRR) in rotation and resampling; 0 for
     /// none.
@@ -124,8 +124,8 @@ pub struct TifStatistics {
     pub centroid_mm: [f64; 2],
     /// Volumetric removal rate, nm mm^2/s.
     pub vrr_nm_mm2_per_s: f64,
-    /// Full width at half maximum along x and y through the peak, mm; absent if the samples end before half of the
-    /// peak.
+    /// Full width at half maximum along [x, y] through the largest sample, mm; absent along an axis on which the
+    /// samples end before half of the peak.
     pub fwhm_mm: [Option<f64>; 2],
     /// Largest rate on the border as a fraction of the peak.
     pub border_to_peak: f64,
@@ -134,8 +134,8 @@ pub struct TifStatistics {
 /// Applies the steps of the module that `settings` ask for to `tif`. Returns the prepared TIF and the report.
 ///
 /// # Errors
-/// Refuses settings out of their range, pixels that leave less than 2 samples or too many, and a taper about a centre
-/// that is not within the samples.
+/// Refuses settings out of their range, a pitch that leaves fewer than 2 samples or more than 5000 along an axis, and a
+/// taper about a centre that is not within the samples.
 pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport), Invalid> {
     settings.check()?;
     let mut now = tif.clone();
@@ -244,14 +244,15 @@ fn peak_place(tif: &Tif) -> (usize, usize) {
     all.fold(first, |best, (place, v)| if *v > best.1 { (place, *v) } else { best }).0
 }
 
-/// Returns the full width at half maximum about the sample `peak`, in samples, linear between them; `None` if the line
-/// ends before half of the peak.
+/// Returns the full width at half maximum of the samples `line` about the sample `peak`, in samples, linear between
+/// them; `None` if the samples end before half of the peak on either side.
 fn width_at_half(line: &[f64], peak: usize) -> Option<f64> {
     let right = samples_to_half(line[peak], line[peak + 1..].iter())?;
     Some(right + samples_to_half(line[peak], line[..peak].iter().rev())?)
 }
 
-/// Returns the distance from the peak to its half along `outwards`, in samples; `None` if the samples end before.
+/// Returns the distance from the peak to its half along the samples `outwards` of the peak, in samples; `None` if they
+/// end before.
 fn samples_to_half<'a>(peak: f64, outwards: impl Iterator<Item = &'a f64>) -> Option<f64> {
     let half = 0.5 * peak;
     let mut before = peak;
@@ -271,9 +272,9 @@ fn samples_to_half<'a>(peak: f64, outwards: impl Iterator<Item = &'a f64>) -> Op
 /// vertex    (u, v) = -[a c; c b]^-1 (g, h)
 /// ```
 ///
-/// Each coefficient is the central difference, exact for a quadratic. c belongs to a spot whose axes are
-/// turned. Without c, each coordinate would be that of the largest rate on the line through the sample, not
-/// on the plane.
+/// Each coefficient is the central difference, exact for a quadratic. c belongs to a spot whose axes are turned.
+/// Without c, each coordinate would be that of the largest rate on the line through the sample, not on the plane. If
+/// the vertex is farther than one sample away, these coordinates are taken, and that of the sample at a border.
 fn vertex_mm(tif: &Tif) -> [f64; 2] {
     let (r, c) = peak_place(tif);
     let g = tif.grid();
@@ -299,8 +300,8 @@ fn vertex_mm(tif: &Tif) -> [f64; 2] {
     in_mm(if within { vertex } else { on_lines })
 }
 
-/// Returns the first and second difference along a line about its largest sample, per sample. `None` if the line ends
-/// there or does not bend down.
+/// Returns the first and second central difference of the samples `line` at the index `peak`, per sample. Returns
+/// `None` if the sample is the first or last one, or if the line does not bend down there.
 fn slope_and_bend(line: ArrayView1<f64>, peak: usize) -> Option<(f64, f64)> {
     let before = line.get(peak.checked_sub(1)?)?;
     let after = line.get(peak + 1)?;
@@ -373,7 +374,8 @@ fn quarter_turn(tif: &Tif) -> Result<Tif, Invalid> {
     Tif::new(grid, rate)
 }
 
-/// Returns the axis of the multiples of `step` from `low` to `high`, mm. Refuses more than [`MAX_SAMPLES`] of them.
+/// Returns the axis of the multiples of `step` from `low` to `high`, mm. Refuses fewer than 2 and more than
+/// [`MAX_SAMPLES`] of them.
 fn lattice(low: f64, high: f64, step: f64) -> Result<Axis, Invalid> {
     let first = (low / step - keys::SNAP).ceil();
     let last = (high / step + keys::SNAP).floor();
@@ -436,8 +438,8 @@ fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
     out
 }
 
-/// Returns the weights of the samples 0 .. n for a value at the index `place`: Keys' kernel, stretched by the factor
-/// `stretch`.
+/// Returns the weights of n samples for a value at the position `place`, in samples from the first: Keys' kernel,
+/// stretched by the factor `stretch`.
 ///
 /// On the samples the moments of the kernel are not exactly 1, 0, 0. A small parabola under a bell corrects this, so
 /// that the weights are exact for quadratics.
@@ -480,9 +482,9 @@ fn kernel(t: f64) -> f64 {
     }
 }
 
-/// Returns the tapered TIF R (1 + cos(pi t)) / 2, on quarters of ellipses about the centre that touch the borders. If
-/// the centre is not the middle of the samples, a single ellipse would end at the nearest border. It would cut off
-/// samples at the same distance on the other side.
+/// Returns the tapered TIF R (1 + cos(pi t)) / 2, with t of the module, on quarters of ellipses about the centre that
+/// touch the borders. If the centre is not the middle of the samples, a single ellipse would end at the nearest border.
+/// It would cut off samples at the same distance on the other side. Refuses a centre that is not within the samples.
 fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
     if ![&g.x, &g.y].iter().all(|axis| axis.start_mm() < 0.0 && axis.end_mm() > 0.0) {

@@ -60,7 +60,7 @@ pub struct FitReport {
     pub model: TifModel,
     /// Centre of the formula [x, y], mm.
     pub centre_mm: [f64; 2],
-    /// Elliptical parts of the formula: one, or the core and the halo.
+    /// Elliptical parts of the formula: one, or for a mixture the core and then the halo.
     pub components: Vec<Component>,
     /// Exponent p of the module; 2 unless the formula is a super-Gaussian.
     pub order: f64,
@@ -70,11 +70,11 @@ pub struct FitReport {
     pub residual_max_nm_per_s: f64,
     /// RMS of the residual as a fraction of the largest sample.
     pub residual_rms_to_peak: f64,
-    /// VRR of the formula over that of the samples, on the same samples.
+    /// Volumetric removal rate (VRR) of the formula over that of the TIF, both summed over the same samples.
     pub vrr_ratio: f64,
     /// Number of steps of the fit.
     pub steps: usize,
-    /// True if the largest change of a parameter in the last step was below the tolerance.
+    /// True if the last step changed every parameter by at most 1e-10 of its scale.
     pub converged: bool,
 }
 
@@ -187,7 +187,7 @@ fn residual(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> Vec<f64> {
     samples.iter().map(|[x, y, v]| v - value(model, p, *x, *y)).collect()
 }
 
-/// Returns the sum of the squared residuals; infinity if the parameters `p` describe no spot.
+/// Returns the sum of the squared residuals, (nm/s)^2; infinity if the parameters `p` describe no spot.
 fn cost(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> f64 {
     if !is_sound(model, p) {
         return f64::INFINITY;

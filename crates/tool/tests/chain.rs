@@ -1,4 +1,4 @@
-//! From two maps of a spot to the formula of the tool: the steps of the library one after the other.
+//! Test of the library's steps one after the other, from two maps of a spot to the formula of the tool.
 
 use ndarray::Array2;
 use planish_tool::{

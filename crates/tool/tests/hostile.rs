@@ -42,7 +42,7 @@ const FLAGS: [(&str, &str, &str); 25] = [
     ("incidence", "--sphere-radius-mm 100 --exponent ?", "-1.7"),
 ];
 
-/// Input flags of a subcommand.
+/// Returns the input flags of a subcommand, each followed by its value.
 fn inputs(method: &str) -> &'static [&'static str] {
     match method {
         "prepare" => &["--tif", "tool"],

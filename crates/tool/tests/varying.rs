@@ -142,8 +142,9 @@ fn on_sphere([x, y]: [f64; 2]) -> ([f64; 3], [f64; 3]) {
     (point, normal)
 }
 
-/// Removal along z at a pixel of a tool along the normal at p, in three dimensions: the depth along the normal at the
-/// pixel, of a spot whose first axis is x turned with the normal by the shortest way in the plane of x and z.
+/// Returns the removal along z at a pixel of a tool along the normal at p, in three dimensions: the depth along the
+/// normal at the pixel, of a spot whose first axis is x turned with the normal by the shortest way in the plane of x
+/// and z.
 fn along_normal(p: [f64; 2], pixel: [f64; 2]) -> f64 {
     let ((contact, n), (point, at)) = (on_sphere(p), on_sphere(pixel));
     let d = between(contact, point);
@@ -159,8 +160,8 @@ fn along_normal(p: [f64; 2], pixel: [f64; 2]) -> f64 {
 /// Angle by which the part lies turned on the machine of [`along_normal_by_tilts`], degrees.
 const PART_ROTATION_DEG: f64 = 25.0;
 
-/// The same where a tilt a about x carries a tilt b about y, by the rotation `Rx(a) Ry(b)` of the machine, on which the
-/// part lies turned: the offset goes to the machine, back through the tilts, and back to the part.
+/// Returns the same where a tilt a about x carries a tilt b about y, by the rotation `Rx(a) Ry(b)` of the machine, on
+/// which the part lies turned: the offset goes to the machine, back through the tilts, and back to the part.
 fn along_normal_by_tilts(p: [f64; 2], pixel: [f64; 2]) -> f64 {
     let ((contact, n), (point, at)) = (on_sphere(p), on_sphere(pixel));
     let (sine, cosine) = PART_ROTATION_DEG.to_radians().sin_cos();
@@ -174,8 +175,8 @@ fn along_normal_by_tilts(p: [f64; 2], pixel: [f64; 2]) -> f64 {
     gaussian([cosine * x + sine * y, cosine * y - sine * x]) / at[2]
 }
 
-/// The same of rays from a source at this distance above the contact point, by the area that a bundle of rays has on a
-/// flat part in the plane of the contact point and on the sphere; the yield is cos^-0.8.
+/// Returns the same of rays from a source at this distance above the contact point, by the area that a bundle of rays
+/// has on a flat part in the plane of the contact point and on the sphere; the yield is cos^-0.8.
 fn along_rays(p: [f64; 2], pixel: [f64; 2], distance: f64) -> f64 {
     let ((contact, _), (point, n)) = (on_sphere(p), on_sphere(pixel));
     let source = [contact[0], contact[1], contact[2] + distance];

@@ -22,12 +22,13 @@ use crate::{
     statistics::{PathStatistics, statistics},
 };
 
-/// Ratio of a length along the surface to its projection, or the inverse, above which a warning is given. Larger: users
-/// are not told of wider lines. Smaller: warnings for parts where nothing can be seen.
+/// Ratio of a length along the surface to its projection, or of lengths along the surface to those in (u, v) or the
+/// inverse, above which a warning is given. Larger: users are not told of wider lines. Smaller: warnings for parts
+/// where nothing can be seen.
 const NOTEWORTHY: f64 = 1.05;
 
-/// Largest number of pixels at which the ratios of lengths (`stretches`) are computed; they change slowly over a part.
-/// Larger: more time. Smaller: the extreme ratios may be missed.
+/// Largest number of valid pixels at which the ratios of lengths along the surface to those in (u, v) are computed;
+/// they change slowly over a part. Larger: more time. Smaller: the extreme ratios may be missed.
 const MOST_PLACES: usize = 400;
 
 /// The surface of a curved part, along which a path is made. The coordinates (u, v) along it are unrolled about the
@@ -44,15 +45,16 @@ pub struct OnForm {
 pub struct AlongReport {
     /// Lengths, steps and turns of the path in the coordinates (u, v) along the surface.
     pub along_surface: PathStatistics,
-    /// Smallest and largest ratio of a length along the surface to the same length in the coordinates in which the path
-    /// was made, over the valid pixels.
+    /// Smallest (at most 1) and largest (at least 1) ratio of a length along the surface to the same length in the
+    /// coordinates (u, v) in which the path was made, over the valid pixels.
     pub stretches: [f64; 2],
     /// Largest ratio of a length along the surface to its projection, over the valid pixels.
     pub largest_over_projection: f64,
 }
 
 impl AlongReport {
-    /// Returns one sentence for each ratio of lengths that differs from 1 by more than 5 %; empty if none does.
+    /// Returns one sentence for each of two ratios that differs from 1 by more than 5 %: along the surface to
+    /// projection, and along the surface to (u, v). Empty if none does.
     pub fn warnings(&self) -> Vec<String> {
         let [low, high] = self.stretches;
         let mut warnings = Vec::new();
@@ -97,8 +99,8 @@ impl OnForm {
         1.0 / cosines.fold(1.0, f64::min)
     }
 
-    /// Returns a warning for a path that was made in projection over a part with this form; `None` if lengths differ by
-    /// at most 5 %.
+    /// Returns a warning for a path that was made in projection over a part with this form. Returns `None` if lengths
+    /// along the surface are at most 5 % longer than in projection at all valid pixels.
     pub fn warning_of_projection(&self, surface: &Surface) -> Option<String> {
         let ratio = self.largest_over_projection(surface);
         if ratio <= NOTEWORTHY {
@@ -196,7 +198,7 @@ fn continued(axis: &Axis, [low, high]: [f64; 2]) -> Result<Axis, Invalid> {
     Axis::new(start_mm, axis.step_mm(), (after - before) as usize + 1)
 }
 
-/// Returns the centres of the first and the last valid pixel of every row, and of every column, mm.
+/// Returns the centres [x, y] of the first and the last valid pixel of every row, and of every column, mm.
 fn border_mm(surface: &Surface) -> Vec<[f64; 2]> {
     let z = surface.height_nm();
     let grid = surface.grid();

@@ -146,7 +146,7 @@ impl FormArgs {
 struct PathOutcome<'a, R> {
     #[serde(flatten)]
     report: &'a PathReport<R>,
-    /// Report on the path along the surface; left out without a form of the part.
+    /// Report on the path along the surface of a curved part; left out without a form of the part.
     #[serde(skip_serializing_if = "Option::is_none")]
     form: Option<&'a AlongReport>,
 }

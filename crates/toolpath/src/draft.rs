@@ -33,7 +33,7 @@ impl Draft {
 }
 
 /// Returns the number of equal steps of at most `step` into which `length` is divided: `ceil(length / step)`, at least
-/// 1. `None` if with `already` it would exceed [`MAX_SEGMENTS`].
+/// 1. Returns `None` if with the `already` existing segments it would exceed [`MAX_SEGMENTS`].
 pub(crate) fn parts(length: f64, step: f64, already: usize) -> Option<usize> {
     let n = (length / step - SLACK).ceil().max(1.0);
     if already as f64 + n <= MAX_SEGMENTS as f64 { Some(n as usize) } else { None }

@@ -61,13 +61,14 @@ pub struct MazeSettings {
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0. Steps between cells are never longer than the pitch.
     pub step_mm: f64,
-    /// Distance that the path goes beyond the clear aperture, mm; >= 0.
+    /// Distance that the region of the cells goes beyond the clear aperture, mm; >= 0. It is at least half the pitch
+    /// and half a pixel.
     pub overscan_mm: f64,
     /// Radius of the corners, mm; from 0 (sharp) to half the pitch.
     pub corner_radius_mm: f64,
     /// Random tree around which the path goes.
     pub tree: Tree,
-    /// Leave out the step that leads back to the start.
+    /// True to leave out the step that leads back to the start, so that the path is open.
     pub open: bool,
     /// Seed of the random numbers (ChaCha8).
     pub seed: u64,
@@ -81,7 +82,7 @@ impl MazeSettings {
     }
 }
 
-/// Method that draws the random spanning tree of the blocks.
+/// Random spanning tree of the blocks (2 x 2 cells), around which the path goes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tree {
@@ -109,7 +110,7 @@ pub struct Maze {
 /// Makes a maze over the valid pixels of `surface`.
 ///
 /// # Errors
-/// Refuses settings out of their range, an aperture that is too thin for the pitch, and too many segments.
+/// Refuses settings out of their range, an aperture into which no 2 x 2 cells fit, and too many cells or segments.
 pub fn maze(surface: &Surface, settings: &MazeSettings) -> Result<Maze, ToolPathError> {
     check(settings)?;
     let lattice = Lattice::new(surface, settings)?;
@@ -230,7 +231,7 @@ impl Lattice {
         [0, 1].map(|a| self.origin_mm[a] + index[a] as f64 * self.pitch_mm)
     }
 
-    /// Returns the number to add to the index of a cell for its neighbour on that side (0 to 3: east, north, west,
+    /// Returns the number to add to the index of a cell to get its neighbour on that side (0 to 3: east, north, west,
     /// south).
     fn offset(&self, side: usize) -> isize {
         let w = self.width as isize;
@@ -300,8 +301,8 @@ impl Blocks {
         Self { corners, is_corner, part, phase, width }
     }
 
-    /// Returns true if two neighbouring cells would be in one block of their part. `low` has the smaller index, and
-    /// `side_by_side` says that they lie in one row.
+    /// Returns true if two neighbouring cells would be in one block of their connected part, if that had a block there.
+    /// `low` has the smaller index, and `side_by_side` says that they lie in one row.
     fn in_phase(&self, low: usize, side_by_side: bool) -> bool {
         let [x, y] = self.phase[self.part[low] as usize];
         if side_by_side { low % self.width % 2 == x } else { low / self.width % 2 == y }
@@ -462,7 +463,8 @@ impl<'a> Loops<'a> {
         [a, b].map(|k| k.wrapping_add_signed(right))
     }
 
-    /// Joins two loops: the step a -> b and the facing, antiparallel step c -> d become a -> d and c -> b.
+    /// Joins two loops: the step a -> b that begins at `a` and the facing, antiparallel step c -> d become a -> d and c
+    /// -> b.
     fn join(&mut self, a: usize) {
         let b = self.next[a] as usize;
         let [d, c] = self.on_the_right(a);
@@ -471,7 +473,8 @@ impl<'a> Loops<'a> {
         self.link(c, b);
     }
 
-    /// Adds free cells to the loops, two neighbouring ones at a time, where `allowed` returns true for them.
+    /// Adds cells that no loop passes to the loops, two neighbouring ones at a time, where `allowed` returns true for
+    /// them.
     fn absorb(&mut self, allowed: impl Fn(usize, usize) -> bool) {
         let mut queue: VecDeque<usize> =
             (0..self.next.len()).filter(|k| self.next[*k] != NONE).collect();
@@ -649,8 +652,8 @@ fn pieces(corners: &[[f64; 2]], radius_mm: f64) -> Vec<PathPiece> {
     pieces
 }
 
-/// Adds nodes at equal arc length along the pieces to `path`; `None` if it would have more than [`MAX_SEGMENTS`]
-/// segments.
+/// Adds nodes at equal arc length, at most `step_mm` apart, along the pieces to `path`, in the pass with the number
+/// `pass`. Returns `None` if the path would have more than [`MAX_SEGMENTS`] segments.
 fn follow(path: &mut Draft, pieces: &[PathPiece], step_mm: f64, pass: usize) -> Option<()> {
     let total: f64 = pieces.iter().map(PathPiece::length_mm).sum();
     // L / ceil(L/s)

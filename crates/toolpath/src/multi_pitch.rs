@@ -69,7 +69,7 @@ const MAX_CLASSES: usize = 100;
 pub struct MultiPitchSettings {
     /// Number of depth classes m, from 1 to 100.
     pub classes: usize,
-    /// Largest feed, mm/s; > 0. Only the class of the smallest depth may need more.
+    /// Largest feed, mm/s; > 0. Only the class of the smallest depth, or a pitch at its upper limit, may need more.
     pub max_velocity_mm_per_s: f64,
     /// Smallest pitch, mm; > 0: the finest that the machine can position.
     pub min_pitch_mm: f64,
@@ -86,7 +86,8 @@ pub struct MultiPitchSettings {
     pub links: Links,
 }
 
-/// Links from a line to the next one of its cell on which the tool stays on.
+/// Links from a line to the next one of its cell (a group of lines that continue each other) on which the tool stays
+/// on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Links {
@@ -124,7 +125,7 @@ pub struct MultiPitchReport {
 }
 
 impl MultiPitchReport {
-    /// Returns warnings for classes whose smallest depth needs a larger feed than the settings allow.
+    /// Returns a warning for each class but the first whose smallest depth needs a larger feed than the settings allow.
     pub fn warnings(&self, settings: &MultiPitchSettings) -> Vec<String> {
         let limit = settings.max_velocity_mm_per_s;
         let too_fast = self.classes.iter().enumerate().skip(1).filter_map(|(k, class)| {
@@ -153,7 +154,7 @@ pub struct DepthClass {
     /// Feed that removes the largest depth, mm/s; left out where that depth is 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub largest_depth_velocity_mm_per_s: Option<f64>,
-    /// Area of its regions, mm^2.
+    /// Area of the regions of the class, mm^2.
     pub area_mm2: f64,
     /// Part of that area where the depth would need more than the largest feed, mm^2.
     pub too_fast_mm2: f64,
@@ -168,14 +169,15 @@ pub struct PitchRegion {
     pub class: usize,
     /// Area within the aperture, mm^2.
     pub area_mm2: f64,
-    /// Number of its cells: stretches of the path without a lift.
+    /// Number of its cells: groups of lines that continue each other. The tool is lifted between cells.
     pub cells: usize,
 }
 
 /// Makes a multi-pitch raster for the desired removal `surface` with `tif`.
 ///
 /// # Errors
-/// Refuses settings out of their range, an aperture without room for two lines, and too many segments.
+/// Refuses settings out of their range, an aperture that is smaller in y than the largest pitch in use, and too many
+/// segments.
 pub fn multi_pitch(
     surface: &Surface,
     tif: &Tif,
@@ -287,7 +289,8 @@ fn check(settings: &MultiPitchSettings) -> Result<(), Invalid> {
     }
 }
 
-/// Refuses an aperture that is smaller in y than the smallest pitch, and so has no room for two lines.
+/// Refuses an aperture that is smaller in y than the pitch of the class of the smallest depth, the largest of
+/// `pitches`.
 fn check_size(surface: &Surface, pitches: &[f64]) -> Result<(), Invalid> {
     let grid = surface.grid();
     let aperture = Aperture::new(&grid.x, &grid.y, surface.height_nm().view());

@@ -18,8 +18,8 @@ pub struct PassesSettings {
     pub back: bool,
 }
 
-/// Repeats `path` as often as `settings` say. Passes of the path stay apart from those of its repetitions. Refuses one
-/// pass, and more segments or numbers of passes than a path may have.
+/// Repeats `path` as often as `settings` say. Passes of the path keep numbers of their own in every repetition. Refuses
+/// fewer than two passes, and more segments or numbers of passes than a path may have.
 pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, Invalid> {
     let PassesSettings { passes, back } = *settings;
     let n = path.len();
@@ -58,7 +58,7 @@ pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, In
     ToolPath::new(draft.point_mm, dwell_point_mm, draft.tool_on, draft.pass_idx)
 }
 
-/// Refuses one pass, and more segments than a path may have.
+/// Refuses fewer than two passes, and more than [`MAX_SEGMENTS`] segments in all passes, their lifts included.
 fn check_count(passes: usize, segments: usize) -> Result<(), Invalid> {
     // A lift between two passes is a segment more.
     let most = MAX_SEGMENTS / (segments + 1);

@@ -55,14 +55,14 @@ use serde::Serialize;
 use crate::{MAX_SEGMENTS, ToolPathError, region::check_length};
 use field::Field;
 
-/// Smallest area of the largest island (connected part of the region), in squared pitches; a smaller region is refused.
-/// Larger: more parts are refused. Smaller: regions without room for a random path are accepted.
+/// Smallest area of the largest island (connected part of the region), in squared pitches; with a smaller one the pitch
+/// is refused. Larger: more parts are refused. Smaller: regions without room for a random path are accepted.
 const MIN_AREA: f64 = 16.0;
 /// Largest number of passes of rounding that the settings accept. Each doubles the number of points. Larger: paths
 /// with more points. Smaller: sharper corners.
 const MAX_ROUNDING_PASSES: u32 = 4;
-/// Relative difference between wanted and reached pitch up to which the spacing is not scaled again. Larger: the pitch
-/// is less exact. Smaller: more trials.
+/// Logarithm of the ratio of reached to wanted pitch (about their relative difference) below which the spacing is not
+/// scaled again. Larger: the pitch is less exact. Smaller: more trials.
 const PITCH_TOLERANCE: f64 = 0.02;
 /// Largest number of times that the path is made anew with a scaled spacing. Larger: more time if the pitch is not
 /// reached. Smaller: the pitch may miss its tolerance.
@@ -82,7 +82,8 @@ pub struct RandomAdaptiveSettings {
     /// Distance that the region goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the removal at
     /// the edge equal to that inside.
     pub overscan_mm: f64,
-    /// Wanted length of a step (segment), mm; > 0. `None` keeps the nodes of the construction.
+    /// Longest step (segment), mm; > 0. Steps are also at most twice the local spacing. `None` keeps the nodes of the
+    /// construction.
     pub step_mm: Option<f64>,
     /// Exponent b of the density law of the module, 0 ..= 1: 0 is a uniform path, 1 a density proportional to the
     /// removal.
@@ -128,7 +129,7 @@ pub struct RandomAdaptiveReport {
     pub smallest_spacing_mm: f64,
     /// Largest local distance between strands (spacing) in the region, mm.
     pub largest_spacing_mm: f64,
-    /// Length of the longest step with the tool on, as a multiple of the local spacing at its middle.
+    /// Length of the longest step, those with the tool off included, as a multiple of the local spacing at its middle.
     pub longest_step_per_spacing: f64,
     /// Number of steps that would leave the region; the tool is off there, and the path is open.
     pub steps_off: usize,
@@ -140,8 +141,7 @@ pub struct RandomAdaptiveReport {
 }
 
 impl RandomAdaptiveReport {
-    /// Returns the largest local spacing, which is the pitch where the path is least dense, mm; rounded up to whole
-    /// micrometres.
+    /// Returns the largest local distance between strands (spacing), mm, rounded up to whole micrometres.
     pub fn largest_pitch_mm(&self) -> f64 {
         (1e3 * self.largest_spacing_mm).ceil() / 1e3
     }

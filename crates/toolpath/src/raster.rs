@@ -76,8 +76,8 @@ pub struct RasterSettings {
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0.
     pub step_mm: f64,
-    /// Distance that the path goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the removal at the
-    /// edge equal to that inside.
+    /// Distance that the path goes beyond the clear aperture, mm; >= 0. The usual one, half the TIF's size, keeps the
+    /// removal at the edge equal to that inside.
     pub overscan_mm: f64,
     /// Direction of the lines.
     pub scan: Scan,
@@ -95,8 +95,8 @@ pub struct RasterSettings {
 }
 
 impl RasterSettings {
-    /// Returns settings for lines along x, centred and one after the other, joined by square turns: what
-    /// `planish-toolpath raster` makes without further flags.
+    /// Returns settings for lines along x, centred and one after the other, joined by square turns: the defaults of
+    /// `planish-toolpath raster`.
     pub fn new(pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> Self {
         Self {
             pitch_mm,
@@ -116,7 +116,7 @@ impl RasterSettings {
         self.pitch_range_mm.map_or(self.pitch_mm, |[_, most]| most)
     }
 
-    /// Returns warnings for `path` with these settings, for example that it has one line only.
+    /// Returns the warning that `path` with these settings has one line only; empty if it has more.
     pub fn warnings(&self, path: &ToolPath) -> Vec<String> {
         let across = self.scan.axes()[1];
         let mut w = path.point_mm().iter().map(|p| p[0] * across[0] + p[1] * across[1]);
@@ -206,8 +206,8 @@ impl Turn {
 /// Makes a raster over the valid pixels of `surface`.
 ///
 /// # Errors
-/// Refuses settings out of their range or that contradict each other, an origin of lines that leaves none in the
-/// region, and too many segments.
+/// Refuses settings out of their range, turns other than lifts for lines in one direction or in random order, an origin
+/// together with a pitch range, an origin of lines that leaves none in the region, and too many segments.
 pub fn raster(surface: &Surface, settings: &RasterSettings) -> Result<ToolPath, ToolPathError> {
     check(settings)?;
     let axes = settings.scan.axes();
@@ -342,8 +342,8 @@ enum Link {
     Lift,
 }
 
-/// Decides how each pass is connected to the next (one value fewer than passes), and extends passes to their
-/// turn-arounds.
+/// Returns the connection of each pass to the next (one fewer than passes), and extends passes that a turn-around joins
+/// to the outer of their two ends.
 fn link(passes: &mut [Pass], turn: Turn) -> Vec<Link> {
     let own: Vec<Interval> = passes.iter().map(|p| p.along).collect();
     (1..passes.len())

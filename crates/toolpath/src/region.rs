@@ -20,9 +20,9 @@ use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 /// lengths are taken as equal. Smaller: rounding of coordinates adds a segment.
 pub(crate) const SLACK: f64 = 1e-9;
 
-/// Fraction of the volume of a TIF that may lie beyond its support, the square that sets the usual overscan. About half
-/// of it is missing at an edge of the part. Larger: the edge is left higher. Smaller: noise in the margin of a measured
-/// TIF counts, and the path spends time beyond the part.
+/// Fraction of the volume of a TIF that may lie beyond the square that sets the usual overscan. About half of it is
+/// missing at an edge of the part. Larger: the edge is left higher. Smaller: noise in the margin of a measured TIF
+/// counts, and the path spends time beyond the part.
 const BEYOND_SUPPORT: f64 = 5e-4;
 
 /// Returns the usual overscan, mm: half the side of the square around the TIF's centroid `off_centre_mm` beyond which
@@ -52,14 +52,14 @@ pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
     support
 }
 
-/// Returns the part of an aperture that is at least `inset_mm` from its edge, which runs half a pixel beyond the
-/// centres of the valid pixels at it:
+/// Returns the map with only those pixels valid that are at least `inset_mm` from the edge of the aperture. The edge
+/// runs half a pixel beyond the centres of the outermost valid pixels:
 ///
 /// ```text
 /// inset  the pixels with |x - b| + h/2 >= inset for every valid pixel b that has an invalid or no neighbour
 /// ```
 ///
-/// with the smaller pitch h. Returns an error if nothing is left.
+/// with h the smaller of the pixel's two sides. Refuses an `inset_mm` that is not finite, and one that leaves nothing.
 pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
     let z = surface.height_nm();
     let grid = surface.grid();

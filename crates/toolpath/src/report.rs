@@ -63,7 +63,7 @@ fn range_on_axis(points: &[[f64; 2]], machine: &Machine, axis: usize) -> [f64; 2
     positions.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
-/// Names of the machine axes in warnings.
+/// Names of the machine axes 0 and 1 in warnings.
 const AXES: [&str; 2] = ["x", "y"];
 
 /// Distance beyond the travel up to which a point counts as within it, mm. Larger: real violations pass without a

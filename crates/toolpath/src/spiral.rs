@@ -36,8 +36,8 @@ use crate::{
     region::{Aperture, check_length},
 };
 
-/// Longest chord (segment), in pitches. On the radius at which it spans 45 degrees it is 0.4 pitches from its arc.
-/// Larger: sharper turns near the centre. Smaller: more segments.
+/// Longest chord (segment), in pitches. Where such a chord spans 45 degrees, it is 0.4 pitches from its arc. Larger:
+/// sharper turns near the centre. Smaller: more segments.
 const LONGEST_CHORD: f64 = 4.0;
 
 /// Settings of a spiral.
@@ -83,8 +83,8 @@ pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, 
     Ok(path.finish()?)
 }
 
-/// Returns the angles of the nodes from the radius `inner` to `outer` (mm), radians, with chords of at most `step`;
-/// `None` if there are too many.
+/// Returns the angles of the nodes from the radius `inner` to `outer` (mm), radians from the pole, with chords of at
+/// most `step` mm and 45 degrees; `None` if there are more than `MAX_SEGMENTS` segments.
 fn angles(pitch: f64, step: f64, inner: f64, outer: f64) -> Option<Vec<f64>> {
     let [first, last, change] = [inner, outer, step / FRAC_PI_4].map(|r| 2.0 * PI * r / pitch);
     let change = change.clamp(first, last);

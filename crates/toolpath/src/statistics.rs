@@ -59,7 +59,7 @@ pub struct PathStatistics {
     pub length_mm: f64,
     /// Length with the tool lifted, mm.
     pub lift_length_mm: f64,
-    /// Number of passes.
+    /// Number of passes: runs of segments with one `pass_idx`.
     pub passes: usize,
     /// Number of lifts: runs of consecutive segments with the tool lifted.
     pub lifts: usize,
@@ -73,20 +73,21 @@ pub struct PathStatistics {
     pub longest_step_mm: f64,
     /// Mean change of direction between consecutive segments with the tool on, degrees; 0 without such a pair.
     pub mean_turn_deg: f64,
-    /// 90th percentile of the changes of direction, degrees.
+    /// 90th percentile of these changes of direction, degrees; 0 without any.
     pub p90_turn_deg: f64,
-    /// 99th percentile of the changes of direction, degrees.
+    /// 99th percentile of these changes of direction, degrees; 0 without any.
     pub p99_turn_deg: f64,
-    /// Largest change of direction, degrees.
+    /// Largest of these changes of direction, degrees; 0 without any.
     pub largest_turn_deg: f64,
-    /// Number of pairs of segments with the tool on that meet without being neighbours.
+    /// Number of pairs of segments with the tool on that have a point in common. Neighbours, and the first and last
+    /// segment of a closed line, do not count.
     pub crossings: usize,
     /// Effective pitch: area of the valid pixels over the length of the path within them, mm; left out when no dwell
     /// point lies in a valid pixel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub effective_pitch_mm: Option<f64>,
-    /// Largest distance of a valid pixel's centre from a segment with the tool on, mm; left out
-    /// without such a segment.
+    /// Largest distance of a valid pixel's centre from the nearest segment with the tool on, mm; left out if no such
+    /// segment has a length.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coverage_mm: Option<f64>,
 }
@@ -141,8 +142,8 @@ pub fn statistics(path: &ToolPath, surface: &Surface) -> PathStatistics {
     }
 }
 
-/// Returns the time below which no motion can pass all points of the path, lifts included, s: every segment at the
-/// largest velocity that the axes allow.
+/// Returns the sum of the times of all segments, lifts included, at the largest velocity that the axes allow, s. No
+/// motion through all points of the path is faster.
 pub fn time_lower_bound_s(path: &ToolPath, limits: &Limits) -> f64 {
     let v_max = limits.max_velocity_mm_per_s();
     // sum of max |d| / v_max

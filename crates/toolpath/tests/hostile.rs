@@ -49,7 +49,7 @@ const CASES: [Case; 5] = [
     ),
 ];
 
-/// `needs` without the flag under test.
+/// Returns `needs` without the flag under test.
 fn without<'a>(needs: &[&'a str], flag: &str) -> Vec<&'a str> {
     needs.iter().copied().filter(|n| n.split('=').next() != Some(flag)).collect()
 }

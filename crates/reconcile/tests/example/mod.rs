@@ -40,8 +40,8 @@ pub fn before() -> Surface {
     Surface::new(grid, height).unwrap()
 }
 
-/// A Gaussian of the peak 8 nm/s and 1 mm, stretched by `along` and `across` at the angle `angle_rad`, out to 4.5 mm, on the pixels of the map; the
-/// volume is that of the round one.
+/// Makes a Gaussian of the peak 8 nm/s and 1 mm, stretched by `along` and `across` at the angle `angle_rad`, out to 4.5
+/// mm, on the pixels of the map; the volume is that of the round one, times `scale`.
 pub fn gaussian(scale: f64, along: f64, across: f64, angle_rad: f64) -> Tif {
     let axis = Axis::new(-4.5, 0.3, 31).unwrap();
     let grid = Grid { x: axis, y: axis };
@@ -57,7 +57,8 @@ pub fn gaussian(scale: f64, along: f64, across: f64, angle_rad: f64) -> Tif {
 /// Function from a point of the plan to the position at which the machine executes it, mm.
 pub type Place<'a> = &'a dyn Fn([f64; 2]) -> [f64; 2];
 
-/// Lines 0.8 mm apart from 3 mm before the map to 3 mm beyond, in pieces of 0.8 mm; every point where `place` says.
+/// Makes lines 0.8 mm apart from 3 mm before the map to 3 mm beyond, in pieces of 0.8 mm; every point where `place`
+/// says.
 pub fn raster(place: Place<'_>) -> Trajectory {
     let mut motion = TrajectoryBuilder::default();
     for line in 0..23 {

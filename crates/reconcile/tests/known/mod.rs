@@ -86,7 +86,8 @@ struct Tool {
 }
 
 impl Tool {
-    /// Rate at (x, y) from its middle with the errors of its shape, nm/s; the volume is that of the tool without them.
+    /// Returns the rate at (x, y) from the middle of the tool with the errors of its shape, nm/s; the volume is that of
+    /// the tool without them.
     fn rate(&self, x: f64, y: f64, t: &Truth) -> f64 {
         // The inverse of w [[1 + e/2, d/2], [d/2, 1 - e/2]]
         let (w, e, d) = (1.0 + t.width, 0.5 * t.ellipticity, 0.5 * t.diagonal);
@@ -213,8 +214,8 @@ impl Case {
         }
     }
 
-    /// A run on the reference mirror, with its published raster and dwell times at even speed along each segment.
-    /// The tool is a Gaussian without an end, and its samples end at 1.3 % of its peak, as those of the published TIF do
+    /// Makes a run on the reference mirror, with its published raster and dwell times at even speed along each segment.
+    /// The tool is a Gaussian without an end, and its samples end at 1.3 % of its peak; those of the published TIF end
     /// at more.
     pub fn on_mirror(mirror: &Mirror, seed: u64, sigma_nm: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(3_000_000 + seed);
@@ -244,7 +245,7 @@ impl Case {
         }
     }
 
-    /// The same run, of which the planner has samples of the tool out to so many sigmas only.
+    /// Returns the same run with samples of the tool for the planner that end at `sigmas` standard deviations.
     pub fn with_cut_tool(mut self, sigmas: f64) -> Self {
         self.tif = self.tool.sampled_to(&Truth::default(), sigmas * self.tool.sigma_mm);
         self
@@ -262,7 +263,8 @@ impl Case {
         self.learn_from(&self.after)
     }
 
-    /// Both maps are measured in the same way, which hardly any of these plans leaves a sign of.
+    /// Reconciles the run with the map `after`. The settings say that both maps were measured in the same way, because
+    /// hardly any of these plans leaves a sign of that in the maps.
     pub fn learn_from(&self, after: &Surface) -> Reconciled {
         self.learn_by(after, true)
     }
@@ -283,7 +285,7 @@ impl Case {
         .unwrap()
     }
 
-    /// The same with the sizes from which the errors of these machines are drawn as an error budget.
+    /// Reconciles the run with an error budget: the sizes from which the errors of these machines are drawn.
     pub fn learn_with_budget(&self) -> Reconciled {
         let sizes = [
             ("rate_scale", 2.9, "%"),
@@ -339,7 +341,8 @@ impl Case {
         estimates.map(one).collect()
     }
 
-    /// The true residual of another mirror of the kind with what was learnt, without it, and with a known tool, nm RMS.
+    /// Returns the true residual of another mirror of the kind with what was learnt, without it, and with a known tool,
+    /// nm RMS.
     pub fn next_mirror_nm(&self, found: &Reconciled) -> [f64; 3] {
         let mut rng = ChaCha8Rng::seed_from_u64(1_000_000 + self.seed);
         let figure = Figure::new(&mut rng, self.tool.sigma_mm, 4.0);

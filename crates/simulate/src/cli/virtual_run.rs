@@ -47,7 +47,8 @@ pub struct VirtualRun {
     tif_as_sampled: bool,
 }
 
-/// Results of a run of the virtual machine that only its manifest has.
+/// Results of a run of the virtual machine for the manifest of the true removal; the manifest of the measured map has
+/// none of them.
 #[derive(Serialize)]
 struct RunReport {
     coverage: Coverage,

@@ -29,7 +29,8 @@ impl GaussianDecaySettings {
     }
 }
 
-/// Returns `map` (ny, nx) with a height on every pixel. Refuses a `sigma_mm` that is not positive.
+/// Returns `map` (ny, nx), which has the margin already, with a height on every pixel. Refuses a `sigma_mm` that is not
+/// positive.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,

@@ -34,7 +34,8 @@ const MOST_ITERATIONS: usize = 100_000;
 /// Cutoff of the spatial frequencies, and the rule that ends the steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GerchbergPapoulisSettings {
-    /// Cutoff frequency (f_c of the module), 1/mm; > 0, at most half the sampling frequency.
+    /// Cutoff frequency (f_c of the module), 1/mm; at least that of one wave over the enlarged map, and at most 1 / (2
+    /// step) for the larger step of the pixels.
     pub cutoff_per_mm: f64,
     /// Largest number of steps; each takes two Fourier transforms.
     pub max_iterations: usize,
@@ -49,8 +50,8 @@ impl GerchbergPapoulisSettings {
     }
 }
 
-/// Returns `map` (ny, nx) with a height on every pixel, and numbers for the report. Refuses settings out of their
-/// range.
+/// Returns `map` (ny, nx), which is enlarged by the margin already, with a height on every pixel, and numbers for the
+/// report. Refuses settings out of their range.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,

@@ -12,7 +12,8 @@ use planish_types::Grid;
 
 use crate::distance;
 
-/// Returns `map` (ny, nx) with a height on every pixel.
+/// Returns `map` (ny, nx), which has the margin already, with the height of the nearest valid pixel on every invalid
+/// one.
 pub(super) fn extend(map: &Array2<f64>, grid: &Grid) -> Array2<f64> {
     distance::nearest(map.view(), grid).place.mapv(|pixel| map[pixel])
 }

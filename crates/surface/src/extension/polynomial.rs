@@ -49,8 +49,8 @@ impl Default for PolynomialSettings {
     }
 }
 
-/// Returns `map` (ny, nx), which is enlarged by `margin_mm` already, with a height on every pixel, and numbers for the
-/// report.
+/// Returns the polynomial on every pixel of `map` (ny, nx), which is enlarged by `margin_mm` already, and numbers for
+/// the report. Refuses an order above 30, and pixels that do not determine the terms.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,

@@ -49,7 +49,7 @@ pub struct SlopeReport {
     pub base_mm: f64,
     /// RMS of the slopes without their mean, nrad.
     pub rms_nrad: f64,
-    /// Largest deviation of a slope from the mean, nrad.
+    /// Largest magnitude of the deviation of a slope from the mean slope, nrad.
     pub peak_nrad: f64,
     /// Position [x, y] of that slope, the middle of its base, mm.
     pub peak_at_mm: [f64; 2],
@@ -170,8 +170,8 @@ impl ShapeResidual {
             .ok_or_else(|| Invalid::whole("map", "has no valid pixel here", "give another zone"))
     }
 
-    /// Returns the position [x, y], mm, of the height that is farthest from the mean, and its distance from the mean,
-    /// nm.
+    /// Returns the position [x, y], mm, of the height that is farthest from the mean height, and its distance from it,
+    /// nm. Refuses a zone without a valid pixel.
     pub(crate) fn farthest_height(&self) -> Result<([f64; 2], f64), Invalid> {
         let mean = self.height()?.mean;
         let ((r, c), distance) = farthest(self.height_nm.view(), mean);
@@ -179,7 +179,8 @@ impl ShapeResidual {
     }
 
     /// Returns the statistics of the slopes along an axis. The base is the whole number of steps nearest to `base_mm`;
-    /// measured slopes are used as they are.
+    /// measured slopes are used as they are. Refuses what [`Self::slopes`] refuses, and no two valid pixels a base
+    /// apart.
     pub(crate) fn slope(&self, along: Direction, base_mm: f64) -> Result<SlopeReport, Invalid> {
         let (positions, values, base_mm) = self.slopes(along, base_mm)?;
         let slopes = statistics(values.view()).ok_or_else(|| {
@@ -195,7 +196,8 @@ impl ShapeResidual {
     }
 
     /// Returns the positions of the slopes along an axis (the middles of the bases), mm, the slopes, nrad, and the base
-    /// that was used, mm.
+    /// that was used, mm (0 for measured slopes). Refuses the radial direction, y of a profile, and a base that is not
+    /// positive or longer than the map.
     pub(super) fn slopes(
         &self,
         along: Direction,
@@ -249,8 +251,8 @@ impl ShapeResidual {
         spectra.as_ref().map_err(Clone::clone)
     }
 
-    /// Returns the lag along the axis at which the autocorrelation of the heights falls to 1/e, mm. `None` if it does
-    /// not, or if there are too few positions.
+    /// Returns the lag along the axis at which the autocorrelation of the heights falls to 1/e, mm. Returns `None` if
+    /// it does not fall so far, or if there are too few positions.
     pub(crate) fn autocorrelation_length_mm(&self, along: Direction) -> Option<f64> {
         let (position_mm, turned) = match along {
             Direction::Y => (&self.y_mm, self.height_nm.t().to_owned()),

@@ -20,7 +20,7 @@ pub(super) struct Columns {
     /// Middle of the y of the map, mm.
     pub y_middle_mm: f64,
     /// Square root S of the sum of (y - mean y)^2 within the columns, mm, and the sum of (y - mean y)(z - mean z) over
-    /// S. `None` if the pixels do not determine a tilt along y.
+    /// S, mm. `None` if the pixels do not determine a tilt along y.
     pub within: Option<[f64; 2]>,
 }
 
@@ -62,8 +62,8 @@ impl Columns {
         columns
     }
 
-    /// Returns every n-th column, so that at most twice `count` remain, or all if they are few. Fits are compared on
-    /// them.
+    /// Returns every n-th column, with n so that fewer than twice `count` remain; all if they are few. Starts of a fit
+    /// are compared on them.
     pub fn thinned(&self, count: usize) -> Self {
         let step = (self.x_mm.len() / count).max(1);
         let [x_mm, mean_mm, weight, y_mm] = [&self.x_mm, &self.mean_mm, &self.weight, &self.y_mm]

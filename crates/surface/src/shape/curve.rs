@@ -151,7 +151,8 @@ impl Curve {
         curve
     }
 
-    /// Returns curves with other ellipses, from which further fits begin; empty for other shapes.
+    /// Returns curves with other ellipses within the bounds, from which further fits begin; empty for other shapes, and
+    /// if no parameter of the ellipse is fitted.
     pub fn starts(&self) -> Vec<Self> {
         let moved = self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::starts);
         moved.into_iter().map(|e| Self { ellipse: Some(e), ..self.clone() }).collect()
@@ -163,8 +164,8 @@ impl Curve {
         self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::room)
     }
 
-    /// Returns the weighted differences of the column means from the curve. If the columns determine a tilt along y,
-    /// one more element follows, for the deviations from these means.
+    /// Returns the weighted differences of the column means (mm) or slopes (rad) from the curve. If the columns
+    /// determine a tilt along y, one more element follows, for the deviations from these means.
     pub fn left(&self, columns: &Columns) -> DVector<f64> {
         let n = columns.x_mm.len();
         let mut left = DVector::zeros(n + usize::from(columns.has_y()));

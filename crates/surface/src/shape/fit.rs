@@ -46,12 +46,13 @@ const COMPARED_COLUMNS: usize = 40;
 /// deepest minimum may be missed.
 const FOLLOWED: usize = 5;
 
-/// Relative decrease of the norm above which the fit from another start replaces the fit from the design. Larger: keeps
-/// the design although another minimum is deeper. Smaller: rounding decides.
+/// Relative decrease of the norm of the differences above which the fit from another start replaces the fit from the
+/// design. Larger: keeps the design although another minimum is deeper. Smaller: rounding decides.
 const NOTEWORTHY_GAIN: f64 = 1e-9;
 
-/// Fits `curve` to `columns` from the design. An ellipse is also fitted from starts all over its bounds,
-/// because the sum of squares has several minima along ellipses of equal curvature.
+/// Fits `curve` to `columns`, from the parameters that it has. An ellipse with free parameters is also fitted from
+/// starts all over its bounds, because the sum of squares has several minima along ellipses of equal curvature. Refuses
+/// points that do not determine the parameters.
 pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
     curve.middle_mm[1] = columns.y_middle_mm;
     let starts = curve.starts();
@@ -85,7 +86,8 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
     with_errors(best?, columns, shape)
 }
 
-/// Returns `curve` after at most `steps` steps, of which it keeps those that lower the sum of squares.
+/// Returns `curve` after at most `steps` steps, of which it keeps those that lower the sum of squares. Refuses points
+/// beyond the ends of the ellipse, in one place, or fewer than parameters.
 fn descended(
     mut curve: Curve,
     columns: &Columns,
@@ -206,7 +208,7 @@ fn scaled_jacobian(
     Ok((jacobian, scale))
 }
 
-/// Returns the weighted norm of the heights or slopes that are fitted.
+/// Returns the weighted norm (root of the sum of squares) of the heights, mm, or slopes, rad, that are fitted.
 fn size(columns: &Columns) -> f64 {
     let weighted = columns.mean_mm.iter().enumerate();
     let squares = weighted.map(|(i, v)| (v * columns.weight.get(i).unwrap_or(&1.0)).powi(2));

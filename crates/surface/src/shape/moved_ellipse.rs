@@ -47,7 +47,7 @@ impl MovedEllipse {
         self.by.len()
     }
 
-    /// Adds to every coordinate the number that `step` returns, called once per coordinate.
+    /// Adds to every coordinate of the fit the number that `step` returns, called once per coordinate.
     pub fn add(&mut self, mut step: impl FnMut() -> f64) {
         self.by.iter_mut().for_each(|v| *v += step());
     }

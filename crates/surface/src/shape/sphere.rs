@@ -15,7 +15,7 @@ pub(super) struct Sphere {
 
 impl Sphere {
     /// Fits the sphere of least squares by the Gauss-Newton method: the normal equations of these four unknowns are
-    /// well conditioned. Refuses heights that do not define a sphere.
+    /// well conditioned. Refuses heights that lie on one or two lines, or are steeper than any sphere.
     pub fn fitted(heights: &Heights) -> Result<Self, Invalid> {
         let Heights { x_mm: x, y_mm: y, .. } = *heights;
         let middle_mm = [0.5 * (x[0] + x[x.len() - 1]), 0.5 * (y[0] + y[y.len() - 1])];

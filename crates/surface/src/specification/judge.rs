@@ -48,7 +48,8 @@ impl<'a> ZoneResiduals<'a> {
     }
 }
 
-/// Returns the verdict on one limit, for heights with white noise of `noise_nm` RMS (0 if it is not known).
+/// Returns the verdict on one limit, for heights with white noise of `noise_nm` RMS (0 if it is not known). Refuses a
+/// quantity that cannot be measured in its zone.
 pub(super) fn judge(
     limit: &Limit,
     residuals: &mut ZoneResiduals,
@@ -69,8 +70,8 @@ struct LimitMeasurement<'a> {
 }
 
 impl LimitMeasurement<'_> {
-    /// Returns the verdict with the value that noise alone would have. The fit of the shape takes up a few of the
-    /// squares of the noise, which is neglected.
+    /// Returns the verdict on the limit, and beside it the value that the noise alone would have. The fit of the shape
+    /// takes up a few of the squares of the noise, which is neglected.
     fn report(&self) -> Result<LimitReport, Invalid> {
         let report = self.measured()?;
         let noise_nm = self.noise_nm;

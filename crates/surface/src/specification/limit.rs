@@ -140,7 +140,8 @@ fn plane() -> Shape {
 }
 
 impl Limit {
-    /// Checks the numbers and the combination of keys of this limit, which is limit `i` of the specification.
+    /// Checks the numbers and the combination of keys of this limit, which is limit `i` of the specification: base or
+    /// periods of a slope, a period with a direction, and what [`Self::check_periods`] checks.
     pub(super) fn check(&self, i: usize) -> Result<(), Invalid> {
         let refuse =
             |problem: String, remedy: &str| Err(Invalid::at_index("limits", i, problem, remedy));
@@ -179,7 +180,8 @@ impl Limit {
         self.check_periods(i)
     }
 
-    /// Checks the order of the periods, and the directions, of this limit, which is limit `i` of the specification.
+    /// Refuses periods of this limit (limit `i` of the specification) that do not ascend, and the radial direction for
+    /// other quantities than a PSD, an RMS height or a radius.
     fn check_periods(&self, i: usize) -> Result<(), Invalid> {
         let refuse =
             |problem: String, remedy: &str| Err(Invalid::at_index("limits", i, problem, remedy));

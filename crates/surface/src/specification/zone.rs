@@ -38,7 +38,8 @@ pub struct Zone {
 }
 
 impl Zone {
-    /// Checks that zone `i` of the specification is described in one way, with numbers that make sense.
+    /// Refuses zone `i` of the specification if it is described in no or in several ways, a range that does not ascend,
+    /// and a length that is not above 0.
     pub(super) fn check(&self, i: usize) -> Result<(), Invalid> {
         let rectangle = self.x_mm.is_some() || self.y_mm.is_some();
         let kinds =
@@ -168,7 +169,7 @@ fn from_outline(surface: &Surface) -> Result<Array2<f64>, Invalid> {
     Ok(to_marked(&outside, &grid).slice_move(s![1..=ny, 1..=nx]))
 }
 
-/// Returns the distance of every position of a profile from its nearer end, mm, as a map of one row.
+/// Returns the distance of every position of a profile (valid or not) from its nearer end, mm, as a map of one row.
 fn from_ends(x_mm: &[f64]) -> Array2<f64> {
     let ends = [x_mm[0], x_mm[x_mm.len() - 1]];
     Array2::from_shape_fn((1, x_mm.len()), |(_, c)| (x_mm[c] - ends[0]).min(ends[1] - x_mm[c]))

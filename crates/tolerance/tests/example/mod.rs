@@ -8,7 +8,7 @@ use planish_tolerance::{
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};
 
-/// 20 x 12 mm in pixels of 0.25 mm.
+/// Makes a map of 20 x 12 mm in pixels of 0.25 mm.
 pub fn desired() -> Surface {
     let axis = |n| Axis::new(0.0, 0.25, n).unwrap();
     let grid = Grid { x: axis(81), y: axis(49) };
@@ -24,7 +24,7 @@ pub fn desired() -> Surface {
     Surface::new(grid, height).unwrap()
 }
 
-/// A Gaussian of 1 mm out to 5 mm.
+/// Makes a Gaussian TIF with a standard deviation of 1 mm, out to 5 mm.
 #[allow(dead_code)] // the tests of a tool that varies have one of their own
 pub fn tif() -> Tif {
     let axis = Axis::new(-5.0, 0.25, 41).unwrap();
@@ -36,7 +36,7 @@ pub fn tif() -> Tif {
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }
 
-/// Lines 1 mm apart from 4 mm before the map to 4 mm beyond, in pieces of 1 mm whose time follows the map.
+/// Makes lines 1 mm apart from 4 mm before the map to 4 mm beyond, in pieces of 1 mm whose time follows the map.
 pub fn raster() -> Trajectory {
     let mut motion = TrajectoryBuilder::default();
     for line in 0..19 {
@@ -58,27 +58,27 @@ pub fn raster() -> Trajectory {
     motion.build().unwrap()
 }
 
-/// The process of a file.
+/// Reads and checks a process from the JSON of its file; returns the message of an error as text.
 #[allow(dead_code)] // the tests of the program write the file
 pub fn process(file: &Value) -> Result<ErrorBudget, String> {
     let file: ErrorBudgetFile = serde_json::from_value(file.clone()).map_err(|e| e.to_string())?;
     file.checked().map_err(|e| e.to_string())
 }
 
-/// One error of a process.
+/// Makes the JSON of one error of a process.
 #[allow(dead_code)] // the tests of the program write the file
 pub fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
     json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
 }
 
-/// The error with a setting of its kind.
+/// Returns the JSON of an error with a setting of its kind added.
 #[allow(dead_code)] // the tests of the program write the file
 pub fn with(mut error: Value, setting: &str, value: f64) -> Value {
     error[setting] = if setting == "degree" { json!(value as usize) } else { json!(value) };
     error
 }
 
-/// RMS over the valid pixels of [`desired`], the mean removed.
+/// Returns the RMS of a difference of maps over the valid pixels of [`desired`], about its mean.
 #[allow(dead_code)] // for the tests that simulate an error themselves
 pub fn rms(difference: Array2<f64>) -> f64 {
     let valid = desired().height_nm().mapv(|z| !z.is_nan());
@@ -88,7 +88,7 @@ pub fn rms(difference: Array2<f64>) -> f64 {
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// One of every kind of noise, each large enough to be seen in a hundred runs.
+/// Returns one error of every kind of noise, each large enough to be seen in a hundred runs.
 #[allow(dead_code)] // for the tests of noise
 pub fn noises() -> [Value; 4] {
     [

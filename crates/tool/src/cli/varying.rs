@@ -37,8 +37,8 @@ enum Acts {
     Tool,
 }
 
-/// Wanted error without `--error`: root mean square over the places, relative to the tool. Larger: plans that miss the
-/// real tool. Smaller: more kernels, each of which costs as much as a constant tool.
+/// Wanted error of kernels and weights without `--error`: root mean square over the places, relative to the tool.
+/// Larger: plans that miss the real tool. Smaller: more kernels, each of which costs as much as a constant tool.
 const DEFAULT_ERROR: f64 = 1e-3;
 
 /// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact
@@ -125,8 +125,8 @@ impl MakeArgs {
         })
     }
 
-    /// Checks the function `parameter` at the corners of the rectangle before anything is written. If it is undefined
-    /// anywhere, it is undefined at a corner.
+    /// Checks the function `parameter` of the place at the corners of the rectangle of tool positions before anything
+    /// is written. If it is undefined anywhere, it is undefined at a corner.
     fn check_corners<T>(
         &self,
         (surface, tif): (&Surface, &Tif),
@@ -140,7 +140,7 @@ impl MakeArgs {
     }
 
     /// Computes kernels and weights of the tool `local_tool` on `offsets`, and writes them with the pixel and time
-    /// factors of `base`. `counts` says at which places the tool is used.
+    /// factors of `base`. `counts` says at which places the tool is used. Refuses a `base` that turns with its motion.
     fn make<S: Serialize>(
         &self,
         name: Name,

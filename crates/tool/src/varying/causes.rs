@@ -17,7 +17,7 @@ pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
         .map_or_else(|| tif.rate_nm_per_s().clone(), |v| v.rate_at(Pose::along_x(tool_mm)))
 }
 
-/// Law of the factor of the removal rate, as a function of a parameter of the place.
+/// Law of the factor of the removal rate, as a function of a parameter of the place, for example the incidence.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RateLaw {
@@ -34,8 +34,7 @@ pub enum RateLaw {
 }
 
 impl RateLaw {
-    /// Checks the values of the law. Refuses an exponent that is not finite, and a table that is empty or does not
-    /// ascend.
+    /// Refuses an exponent that is not finite, and a table that is empty or whose parameters do not ascend.
     pub fn check(&self) -> Result<(), Invalid> {
         match self {
             Self::Cosine { exponent } if !exponent.is_finite() => {
@@ -76,8 +75,8 @@ fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
     }
 }
 
-/// Finds the interval of `count` ascending numbers that contains `value`. Returns the indices of its ends and the
-/// position between them, 0 to 1; beyond the numbers twice the same end.
+/// Finds the interval of `count` ascending numbers that contains `value`; `number(i)` is the i-th of them. Returns the
+/// indices of its ends and the position between them, 0 to 1; beyond the numbers twice the nearest end.
 fn between(count: usize, value: f64, number: impl Fn(usize) -> f64) -> (usize, usize, f64) {
     match (0..count).find(|i| number(*i) > value) {
         Some(0) => (0, 0, 0.0),
@@ -103,7 +102,8 @@ impl Spots {
     /// of them covers.
     ///
     /// # Errors
-    /// Refuses no spots, spots that vary over the part, and parameters that are no numbers or those of two spots.
+    /// Refuses an empty list, spots that vary over the part, parameters that are not finite, and two spots of one
+    /// parameter.
     pub fn new(mut measured: Vec<(f64, Tif)>) -> Result<Self, Invalid> {
         let Some((_, first)) = measured.first() else {
             return Err(Invalid::whole("spot", "is missing", "give at least one spot"));
@@ -188,8 +188,8 @@ pub struct Overhang<'a> {
     radius_mm: f64,
     /// Offsets of the points of the pad from its centre, mm.
     pad_mm: Vec<[f64; 2]>,
-    /// Positions of the tool at which enough of the pad is covered, mm. It is the middle of the part alone, or many
-    /// positions if the middle is not one.
+    /// Positions of the tool at which enough of the pad is covered, mm: only the middle of the part if it is one of
+    /// them, otherwise many positions over the part.
     covered_mm: Vec<[f64; 2]>,
 }
 
@@ -296,7 +296,7 @@ impl<'a> Overhang<'a> {
         self.pad_mm.iter().map(move |u| (*u, self.places.covered([p[0] + u[0], p[1] + u[1]])))
     }
 
-    /// Returns the fraction of the pad that lies on the part, for a tool at `p`, mm.
+    /// Returns the fraction of the pad, 0 to 1, that lies on the part, for a tool at `p`, mm.
     pub fn covered(&self, p: [f64; 2]) -> f64 {
         self.points(p).map(|(_, part)| part).sum::<f64>() / self.pad_mm.len() as f64
     }
@@ -319,8 +319,8 @@ impl<'a> Overhang<'a> {
         self.beside_edge(p).unwrap_or_else(|| self.covered(p) >= least)
     }
 
-    /// Returns the covered fraction for which the pressure is computed: `covered` itself, or a smooth function of it
-    /// that ends at the smallest allowed one.
+    /// Returns the covered fraction for which the pressure is computed: `covered` itself, or near and below the
+    /// smallest allowed fraction a larger one that passes smoothly to it.
     fn levelled_off(&self, covered: f64) -> f64 {
         let least = self.least_covered();
         let below = least + 0.5 * LEVELLED_OFF - covered;
@@ -333,8 +333,8 @@ impl<'a> Overhang<'a> {
         }
     }
 
-    /// Returns `p` itself if enough of the pad is covered there. Otherwise it returns the first position with enough
-    /// cover on the line to the nearest of `covered_mm`.
+    /// Returns `p` itself if its covered fraction is that for which the pressure is computed. Otherwise it returns the
+    /// first position with that fraction on the line to the nearest of `covered_mm`.
     fn covered_enough(&self, p: [f64; 2]) -> [f64; 2] {
         let covered = self.covered(p);
         if covered >= self.levelled_off(covered) {
@@ -353,7 +353,8 @@ impl<'a> Overhang<'a> {
         towards(high)
     }
 
-    /// Returns the samples of the tool at `p`, nm/s, shape of the offsets of its TIF.
+    /// Returns the samples of the tool at `p` (mm), nm/s, on the offsets of its TIF. The pressure factor multiplies all
+    /// samples, also those beyond the edge.
     pub fn tool(&self, p: [f64; 2]) -> Array2<f64> {
         let rate = self.tif.rate_nm_per_s();
         if self.beside_edge(p) == Some(true) {
@@ -393,9 +394,9 @@ fn nearest(places: &[[f64; 2]], [x, y]: [f64; 2]) -> Option<[f64; 2]> {
     squares.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, place)| place)
 }
 
-/// Makes a spot that turns about its centre with the azimuth of its place about `middle_mm`; at the azimuth 0 it is
-/// `tif`. Returns the offsets, which hold the spot in every direction, and the tool as a function of its place. Refuses
-/// a TIF that varies over the part.
+/// Makes a spot that turns about its centre with the azimuth of its place about `middle_mm`; at the azimuth 0 (towards
+/// positive x) it is `tif`. Returns the offsets, which hold the spot in every direction, and the tool as a function of
+/// its place. Refuses a TIF that varies over the part.
 pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'static>>), Invalid> {
     tif.same_everywhere("a spot that turns")?;
     let spot = tif.without_zero_margins().into_owned();

@@ -46,7 +46,7 @@ pub enum Direction {
     },
 }
 
-/// Axis of a machine that carries the other axis, with which it turns the tool to the normal.
+/// Rotary axis of a machine that carries the other rotary axis, with which it turns the tool to the normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Carrier {
@@ -100,7 +100,7 @@ impl ToolFrame {
         Ok(Self { carrier, to_machine })
     }
 
-    /// Returns the axis of the machine that carries the other one.
+    /// Returns the rotary axis of the machine that carries the other one.
     pub fn carrier(&self) -> Carrier {
         self.carrier
     }
@@ -166,8 +166,8 @@ struct Relative {
 }
 
 impl<'a> Footprint<'a> {
-    /// Makes the footprint of `tif` on the part of `places`. Refuses a part without a form, and a source below the
-    /// part.
+    /// Makes the footprint of `tif` on the part of `places`. Refuses a part without a form, and a source at a distance
+    /// of at most twice the depth by which the part falls under the tool.
     pub fn new(
         tif: &'a Tif,
         places: &'a Places<'a>,
@@ -216,7 +216,8 @@ impl<'a> Footprint<'a> {
         });
         differences.fold(0.0, f64::max)
     }
-    /// Returns the samples of the removal rate along z for a tool at `tool_mm`, nm/s.
+    /// Returns the samples of the removal rate along z for a tool at `tool_mm`, nm/s, on the offsets of
+    /// [`Self::offsets`].
     pub fn tool(&self, tool_mm: [f64; 2]) -> Array2<f64> {
         let form = self.places.form().expect("checked in the constructor");
         let here = form.point(tool_mm);
@@ -282,8 +283,8 @@ impl<'a> Footprint<'a> {
     }
 }
 
-/// Returns height and slopes at the offset (x, y) from the contact point, by the Taylor polynomial of second order
-/// there.
+/// Returns height and slopes, relative to the contact point, at the offset (x, y), mm, from it: the Taylor polynomial
+/// of second order there.
 fn continued(contact: &FormPoint, [x, y]: [f64; 2]) -> Relative {
     let [p, q] = contact.gradient();
     let [r, s, t] = contact.hessian();

@@ -26,8 +26,8 @@ use planish_types::{
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Largest number of places whose samples are used to compute the kernels. Larger: a larger matrix, and more time.
-/// Smaller: kernels that miss a tool which few places have.
+/// Largest number of places whose samples of the tool are used to compute the kernels. Larger: a larger matrix, and
+/// more time. Smaller: kernels that miss a tool which few places have.
 const MOST_TRAINING: usize = 400;
 
 /// Largest number of places at which weights are stored. Larger: finer grids for tools that change fast, and more time
@@ -54,8 +54,8 @@ const MOST_MEASURED: usize = 400;
 /// place with a larger error may be missed.
 const MOST_SEARCHED: usize = 2000;
 
-/// Number of cells with the largest errors in which the search goes on, and number of places along a side of each.
-/// Larger: more time. Smaller: a largest error that is stated too small.
+/// Number of cells with the largest errors in which the search for the largest error goes on, and number of tried
+/// places along a side of each. Larger: more time. Smaller: a largest error that is stated too small.
 const SEARCHED_FURTHER: (usize, usize) = (12, 5);
 
 /// Fractions of a cell, along x and y, by which the searched place moves from one cell to the next. Only the middles
@@ -131,14 +131,15 @@ pub struct LowRankReport {
     /// Error at the samples, from the limited number of kernels alone: root mean square over the places, relative to
     /// the tool.
     pub rank_error: f64,
-    /// Largest such error at a place, relative to the root mean square of the samples.
+    /// Largest error from the limited number of kernels alone at a sample, relative to the root mean square of the
+    /// samples.
     pub largest_rank_error: f64,
-    /// Error between the samples, from the number of kernels and from the interpolation: root mean square, relative to
-    /// the tool.
+    /// Error between the samples, from the number of kernels and from the interpolation, and at least `rank_error`:
+    /// root mean square, relative to the tool.
     pub error: f64,
-    /// Largest error that was found between the samples, relative to the root mean square of the samples.
+    /// Largest error that was found between or at the samples, relative to the root mean square of the samples.
     pub largest_error: f64,
-    /// Place or direction of the motion at which the largest error was found.
+    /// Place or direction of the motion between the samples at which the largest error there was found.
     pub largest_error_at: At,
     /// Wanted error, relative to the tool.
     pub wanted_error: f64,
@@ -169,8 +170,8 @@ impl std::fmt::Display for At {
 }
 
 impl LowRankReport {
-    /// Returns true if the wanted error is reached, or if the number of kernels alone causes a larger one, which more
-    /// samples do not mend.
+    /// Returns true if the wanted error is reached, or if the limited number of kernels alone causes a larger one,
+    /// which more samples do not mend.
     fn more_samples_do_not_help(&self) -> bool {
         self.error <= self.wanted_error || self.rank_error > self.wanted_error
     }
@@ -240,8 +241,9 @@ impl Lattice {
         }
     }
 
-    /// Returns the samples `used` and their neighbours. The interpolation between used places needs their weights too,
-    /// and kernels that do not know the tool there can add material.
+    /// Returns the indices `used` of samples and those of their neighbours; for angles of one turn only `used`. The
+    /// interpolation between used places needs their weights too, and kernels that do not know the tool there can add
+    /// material.
     fn with_neighbours(&self, used: &[usize]) -> Vec<usize> {
         let Self::Places(Grid { x, y }) = self else { return used.to_vec() };
         let nx = x.len();
@@ -598,7 +600,8 @@ impl Basis {
         Projected { products, square: dot(sample, sample) }
     }
 
-    /// Returns the square of the error at a place between the samples, (nm/s)^2. It is `|K - sum_k a_k phi_k|^2 = |K|^2
+    /// Returns the square of the error at a place `p` between the samples, (nm/s)^2. It is `|K - sum_k a_k phi_k|^2 =
+    /// |K|^2 - 2 a . (phi . K) + |a|^2` with the interpolated weights a.
     /// - 2 a . (phi . K) + |a|^2` with the interpolated weights a.
     fn square_error(
         &self,

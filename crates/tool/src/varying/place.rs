@@ -137,8 +137,8 @@ impl<'a> Places<'a> {
         r >= 0.0 && c >= 0.0 && z.get((r as usize, c as usize)).is_some_and(|z| !z.is_nan())
     }
 
-    /// Returns the fraction, 0 to 1, of the pixel around a point that counts as valid. It is linear between the centres
-    /// of the pixels: 1 at a valid one, 0 at an invalid one.
+    /// Returns how far a point (mm) counts as on the part, 0 to 1: bilinear between the centres of the pixels, with 1
+    /// at a valid one and 0 at an invalid one or beyond the map.
     pub fn covered(&self, [x, y]: [f64; 2]) -> f64 {
         let grid = self.surface.grid();
         let [(c, fx), (r, fy)] = [(&grid.x, x), (&grid.y, y)].map(|(axis, mm)| {
@@ -152,8 +152,9 @@ impl<'a> Places<'a> {
         (1.0 - fy) * lower + fy * upper
     }
 
-    /// Returns the value of a parameter at the point `p` of the part, in mm, or degrees for the incidence. Refuses the
-    /// incidence on a part without a form, or with one that is undefined in its middle.
+    /// Returns the value of a parameter at the point `p` of the part, in mm, or degrees for the incidence. Where the
+    /// form does not exist at `p`, the incidence is that of its nearest point. Refuses the incidence on a part without
+    /// a form, or with one that exists neither at `p` nor in the middle.
     pub fn parameter(&self, parameter: Parameter, p: [f64; 2]) -> Result<f64, Invalid> {
         Ok(match parameter {
             Parameter::X => p[0],

@@ -13,8 +13,9 @@ use crate::{
     region::SLACK,
 };
 
-/// Longest link along a border between two regions, in units of the larger of pitch and pixel: a slope of 14 degrees.
-/// Larger: longer links along borders. Smaller: more lifts.
+/// Longest distance along x between the ends of two neighbouring lines that are linked along a border between regions,
+/// in units of the larger of pitch and pixel. At 4 the border has a slope of 14 degrees. Larger: longer links along
+/// borders. Smaller: more lifts.
 const LONGEST_LINK: f64 = 4.0;
 
 /// Largest number of rounds of 2-opt. Larger: more time. Smaller: longer lifts between the cells.
@@ -28,21 +29,22 @@ const MAX_REVERSED: usize = 1000;
 struct Stretch {
     low: f64,
     high: f64,
-    /// True for the end (low, high) that lies on the border of another region.
+    /// True for the ends [low, high] that lie on the border of another region.
     inner: [bool; 2],
 }
 
 /// The raster lines of one region; line k has the y `first_mm + k * pitch_mm`.
 pub(super) struct Raster {
     pitch_mm: f64,
-    /// Longest link along a border, mm.
+    /// Longest distance along x between the ends of two lines that are linked along a border, mm.
     link_mm: f64,
     first_mm: f64,
     /// Intervals of each line with the tool on, ascending.
     lines: Vec<Vec<Stretch>>,
 }
 
-/// Returns the raster of every region with the pitches `pitch_mm`; `None` if they have too many segments.
+/// Returns the raster of every region, with the pitch `pitch_mm` of each; `None` if their lines cross more than twice
+/// [`MAX_SEGMENTS`] columns of pixels in all.
 pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
     let [hx, hy] = field.pixel_mm;
     let [x0, y0] = field.first_mm;
@@ -82,8 +84,8 @@ pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
     Some(rasters)
 }
 
-/// Returns the y of the first line of region `id`, mm, and the number of its lines, at the pitch `d`. The array is its
-/// bounding box: first and last row, first and last column.
+/// Returns the y of the first line of region `id`, mm, and the number of its lines (at least 1), at the pitch `d`, mm.
+/// The array is its bounding box in pixels: first and last row, first and last column.
 fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]) -> (f64, f64) {
     // Whether the outermost row has another region beyond it.
     let inner = [(r0, r0.wrapping_sub(1)), (r1, r1 + 1)].map(|(row, beyond)| {
@@ -109,7 +111,7 @@ fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]
 }
 
 /// Returns the intervals of a row of pixels, columns c0 to c1, that belong to region `id`. Gaps up to the pitch `d` or
-/// two pixels are bridged.
+/// two pixels are bridged if no pixel in them belongs to another region.
 fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64) -> Vec<Stretch> {
     let h = field.pixel_mm[0];
     let labels = field.label.row(row);
@@ -210,7 +212,8 @@ impl Stretch {
     }
 }
 
-/// Group of lines that continue each other one to one and are run without a lift, by ascending y.
+/// Group of lines of a region that continue each other one to one from line to line, by ascending y. It is run without
+/// a lift unless [`Links`] lifts the tool between lines.
 pub(super) struct Cell {
     /// Index of the region that it belongs to.
     pub region: usize,
@@ -221,7 +224,7 @@ pub(super) struct Cell {
 #[derive(Clone, Copy)]
 struct CellLine {
     across: f64,
-    /// The end at smaller x, then the end at larger x.
+    /// The x of the end at smaller x, then that of the end at larger x, mm.
     ends: [f64; 2],
     /// True for the ends that lie on the border of another region.
     inner: [bool; 2],
@@ -257,7 +260,8 @@ impl Raster {
         cells
     }
 
-    /// Returns true if the tool may stay on from `a` to `b`: links along a border are no longer than `link_mm`.
+    /// Returns true if the tool may stay on from `a` to `b`: ends on the border of another region are at most `link_mm`
+    /// apart along x.
     fn can_link(&self, a: &Stretch, b: &Stretch) -> bool {
         let ends = [(a.low, b.low), (a.high, b.high)];
         (0..2).all(|i| {
@@ -270,7 +274,7 @@ impl Raster {
 /// A cell of the order, with one of the four directions in which it can be run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Visit {
-    /// Index of the cell.
+    /// Index of the cell in the list of all cells.
     pub cell: usize,
     /// True if its lines are run from the largest y to the smallest.
     downwards: bool,
@@ -309,7 +313,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Returns an order of the cells with short lifts between them; the cells of a region follow each other.
+/// Returns an order and directions of the cells with short lifts between them; the cells of a region follow each other.
 pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     let lowest = (0..cells.len()).min_by(|a, b| {
         let [a, b] = [a, b].map(|i| cells[*i].lines[0]);
@@ -384,8 +388,8 @@ fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
     is_shorter
 }
 
-/// Returns the path through the cells in the order `visits`, with steps of at most `step` mm; `None` if it has too many
-/// segments.
+/// Returns the path through the cells in the order `visits`, with steps of at most `step` mm; `None` if it has more
+/// than [`MAX_SEGMENTS`] segments. `links` says where the tool stays on between lines.
 pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) -> Option<Draft> {
     let mut path = Draft::default();
     let mut pass = 0;

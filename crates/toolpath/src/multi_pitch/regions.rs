@@ -15,7 +15,7 @@ pub(super) const OUTSIDE: usize = usize::MAX;
 const CUT_OFF: f64 = 4.0;
 
 /// Returns the depth to be removed, nm, smoothed by a Gaussian of the standard deviation `sigma_mm` over the valid
-/// pixels; NaN elsewhere.
+/// pixels; NaN elsewhere. If the map has negative heights, its minimum is subtracted first.
 pub(super) fn depth_nm(surface: &Surface, sigma_mm: f64) -> Array2<f64> {
     let grid = surface.grid();
     let z = surface.height_nm();
@@ -68,8 +68,8 @@ pub(super) struct Components {
     pub pixels: Vec<usize>,
 }
 
-/// Returns the components of the classes `class_of`. Those with fewer pixels than `least_pixels` of their class are
-/// merged into a neighbour, if they have one.
+/// Returns the 4-connected components of the classes `class_of`. Those with fewer pixels than `least_pixels` of their
+/// class are merged into the class that is most frequent around them, if they have a neighbour.
 pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Components {
     let mut label = Array2::from_elem(class_of.dim(), OUTSIDE);
     let mut class: Vec<usize> = Vec::new();

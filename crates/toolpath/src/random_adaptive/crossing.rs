@@ -5,7 +5,8 @@
 use super::{Point, distance};
 use crate::segments::meet;
 
-/// Returns the indices (path, step) of both steps of every pair of steps that meet; neighbours in a path do not count.
+/// Returns the indices (path, step) of both steps of every pair of steps that meet. Each of `loops` is a closed path,
+/// and neighbouring steps of a path do not count.
 pub(super) fn crossings(loops: &[Vec<Point>]) -> Vec<[(usize, usize); 2]> {
     let mut segments: Vec<(Point, Point, usize, usize)> = Vec::new();
     for (l, nodes) in loops.iter().enumerate() {

@@ -27,8 +27,8 @@ use super::{EDGE_PER_SPACING, RandomAdaptiveSettings};
 /// Number of cells per pitch. Larger: more memory, and a border that follows the aperture more closely. Smaller: a
 /// coarser border.
 const CELLS_PER_PITCH: f64 = 3.0;
-/// Half the width of the gaps in the region that are closed, in cells. Larger: wider holes and slits are closed.
-/// Smaller: the path is divided at narrow gaps.
+/// Half the largest width of the gaps in the region that are closed, in cells. Larger: wider holes and slits are
+/// closed. Smaller: the path is divided at narrow gaps.
 const CLOSING_CELLS: usize = 2;
 /// Number of cells around the region, so that closing and its border stay within the lattice: one more than
 /// [`CLOSING_CELLS`].
@@ -42,8 +42,8 @@ pub(super) const LOWEST_RATIO: f64 = 0.25;
 /// Largest r / mean r in the density law, dimensionless. Larger: a finer path where much is removed. Smaller: less
 /// contrast.
 pub(super) const HIGHEST_RATIO: f64 = 4.0;
-/// Largest slope of the spacing, mm per mm. It is 0.3 for mesh edges, so that neighbouring triangles differ by a third
-/// at most. Larger: thinner triangles. Smaller: the spacing follows the removal less.
+/// Largest slope of the spacing, mm per mm: 1/8. Mesh edges then change by 0.3 mm per mm, so that neighbouring
+/// triangles differ by a third at most. Larger: thinner triangles. Smaller: the spacing follows the removal less.
 const MAX_SLOPE: f64 = 0.3 / EDGE_PER_SPACING;
 
 /// Island number of the cells outside the region.
@@ -171,7 +171,8 @@ impl Field {
         }
     }
 
-    /// Returns the density (rho of the module) of every cell, dimensionless.
+    /// Returns the density (rho of the module) of every cell, dimensionless; 1 everywhere if the removal is constant 0
+    /// or no cell lies in the aperture.
     fn density(&self, surface: &Surface, settings: &RandomAdaptiveSettings) -> Vec<f64> {
         let grid = surface.grid();
         let map = surface.height_nm();
@@ -290,7 +291,7 @@ impl Field {
         if is_inside { Some(i[1] as usize * self.count[0] + i[0] as usize) } else { None }
     }
 
-    /// Returns the number of the island at the point `p`, mm; `None` outside the region.
+    /// Returns the number of the island (connected part of the region) at the point `p`, mm; `None` outside the region.
     pub(super) fn island(&self, p: [f64; 2]) -> Option<usize> {
         self.island_of_cell(self.cell(p)?)
     }
@@ -321,7 +322,7 @@ impl Field {
         [0, 1].map(|a| self.count[a] as f64 * self.side_mm[a])
     }
 
-    /// Returns the area of the clear aperture in cells of the lattice, mm^2.
+    /// Returns the area of the cells of the lattice whose centre lies in the clear aperture, mm^2.
     pub(super) fn aperture_mm2(&self) -> f64 {
         let cells = self.aperture.iter().filter(|a| **a).count();
         cells as f64 * self.side_mm[0] * self.side_mm[1]
@@ -393,7 +394,8 @@ fn close(mask: Vec<bool>, count: [usize; 2]) -> Vec<bool> {
     spread(spread(mask, count, true), count, false)
 }
 
-/// Spreads the cells with the value `value` by [`CLOSING_CELLS`] in each direction.
+/// Spreads the cells of the mask with the value `value` by [`CLOSING_CELLS`] in each direction. `count` is the number
+/// of cells [along x, along y].
 fn spread(mut mask: Vec<bool>, count: [usize; 2], value: bool) -> Vec<bool> {
     for a in [0, 1] {
         let before = mask.clone();

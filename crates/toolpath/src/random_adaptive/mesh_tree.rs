@@ -38,17 +38,19 @@ use super::{EDGE_PER_SPACING, Loop, Point, field::Field, points::mesh_points};
 /// the path: with w = 1 it is 1.01 pitches away in a uniform path, with 1.4 it is 0.9 (measured). Larger: no gain,
 /// and sharper turns. Smaller: wider gaps.
 const VERTEX_WEIGHT: f64 = 1.4;
-/// Number of Lloyd iterations. Larger: more time, more even triangles. Smaller: less even triangles.
+/// Number of Lloyd iterations, which move the points of the mesh to the centroids of their cells. Larger: more time,
+/// more even triangles. Smaller: less even triangles.
 const LLOYD_ITERATIONS: usize = 20;
 /// Height of a border triangle, as a fraction of its longest edge, below which it is left out. Larger: gaps at the
 /// border. Smaller: needle-like triangles with short steps.
 const MIN_HEIGHT: f64 = 0.1;
-/// Point at which a step meets an edge that it would otherwise pass beyond its end. It is a fraction of the distance
-/// from `(w V + M)/(w + 1)` to that end. Larger: nearer to the end of the edge. Smaller: nearer to its middle.
+/// Point at which a step with two more nodes meets the edge between V and M. It is a fraction of the distance from `(w
+/// V + M)/(w + 1)` to the end of the edge beyond which the straight step passes. Larger: nearer to that end. Smaller:
+/// nearer to the middle.
 const MEETS_AT: f64 = 0.5;
 
-/// Returns one closed path for each part of the mesh whose triangles are connected by edges. `scale` multiplies the
-/// spacing.
+/// Returns one closed path for each part of the mesh whose triangles are connected by edges. `scale` is a factor on the
+/// spacing of the field.
 pub(super) fn mesh_tree(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
     let edge_mm = |p: Point| EDGE_PER_SPACING * scale * field.spacing_mm(p);
     let points = mesh_points(field, &edge_mm, LLOYD_ITERATIONS, rng);
@@ -100,8 +102,8 @@ impl Mesh {
         }
     }
 
-    /// Returns true for the edges that belong to random depth-first trees, which span every connected part, shape (F,
-    /// 3).
+    /// Returns true for the edges of triangles that belong to random depth-first spanning trees, one for every
+    /// connected part, shape (F, 3).
     fn tree(&self, rng: &mut ChaCha8Rng) -> Vec<[bool; 3]> {
         let mut tree = vec![[false; 3]; self.face.len()];
         let mut seen = vec![false; self.face.len()];
@@ -217,7 +219,8 @@ fn shuffled(rng: &mut ChaCha8Rng) -> [usize; 3] {
     order
 }
 
-/// Returns the triangle and its edge beyond every edge, shape (F, 3); `None` at the border.
+/// Returns for every edge of every triangle the triangle beyond it, and the number of the edge there, shape (F, 3);
+/// `None` at the border.
 fn beyond(face: &[[usize; 3]]) -> Vec<[Option<(usize, usize)>; 3]> {
     let mut half: Vec<_> = (0..3 * face.len())
         .map(|k| {

@@ -122,7 +122,7 @@ pub(super) fn mesh_points(
     points
 }
 
-/// Returns random points in the region that are at least the mean of their two `radius` values apart, mm.
+/// Returns random points in the region. Two points are at least the mean of their two values of `radius` apart, mm.
 pub(super) fn darts(
     field: &Field,
     radius: &impl Fn(Point) -> f64,
@@ -169,7 +169,7 @@ fn throw(
 }
 
 /// Makes one Lloyd iteration: moves every point but the first `fixed` to the centroid of its Voronoi cell, weighted by
-/// the edge length.
+/// the edge length to the power -4. Points whose centroid lies outside the region stay.
 fn lloyd(field: &Field, edge: &(impl Fn(Point) -> f64 + Sync), points: &mut [Point], fixed: usize) {
     let mut buckets = empty_buckets(field, edge);
     points.iter().enumerate().for_each(|(i, p)| buckets.insert(i, *p));
@@ -200,8 +200,8 @@ struct Arc {
     closed: bool,
 }
 
-/// Returns points at equal parts of the integral of ds / l along an arc (l: `length`); the end of an open arc is left
-/// to the next one.
+/// Returns points at equal parts of the integral of ds / l along an arc (l: `length`, mm). The end of an open arc is
+/// left out, because the next arc begins there.
 fn along(arc: &Arc, length: &impl Fn(Point) -> f64, rng: &mut ChaCha8Rng) -> Vec<Point> {
     let mut nodes = arc.nodes.clone();
     if arc.closed {
@@ -312,7 +312,7 @@ fn arcs(field: &Field, chain: &[[usize; 2]]) -> Vec<Arc> {
     arcs.collect()
 }
 
-/// Returns true if the border turns at node i, between straight runs on both sides.
+/// Returns true if the border turns at node i, between straight runs of [`CORNER_CELLS`] cells on both sides.
 fn is_corner(chain: &[[usize; 2]], i: usize) -> bool {
     let n = chain.len();
     n > 2 * CORNER_CELLS

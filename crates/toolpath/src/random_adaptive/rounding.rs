@@ -33,8 +33,8 @@ pub(super) fn round(loops: &mut [Vec<Point>]) -> usize {
     cut(loops, |_| false, |q, other, _| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]))
 }
 
-/// Cuts every corner of more than 90 degrees into two equal ones. Returns the number of corners that were left, because
-/// their cut would cross a step.
+/// Replaces every corner that turns by more than 90 degrees by two corners of half the angle. Returns the number of
+/// corners that were left, because their cut would cross a step.
 pub(super) fn blunt(loops: &mut [Vec<Point>]) -> usize {
     cut(
         loops,
@@ -112,8 +112,8 @@ fn cut_corners(
 /// Largest turn of the path along one step, radians. Larger: steps that cut hairpins. Smaller: more nodes.
 const MAX_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the spacing. Returns the number
-/// of nodes that had to be put back; `None` if there would be more than `most` steps.
+/// Divides closed paths that do not cross into steps of at most `step_mm` and twice the `spacing` along the path.
+/// Returns the number of nodes that had to be put back; `None` if there would be more than `most` steps.
 pub(super) fn divide(
     loops: &mut [Vec<Point>],
     step_mm: f64,

@@ -23,7 +23,7 @@ use super::{
 /// Least distance of the random points over the spacing of the path, dimensionless. Larger: fewer points, and a wider
 /// path. Smaller: more points, and a denser path.
 const RADIUS_PER_SPACING: f64 = 0.83;
-/// Number of neighbours of a point that the tour considers. Larger: more time. Smaller: a longer tour.
+/// Number of nearest neighbours of a point to which a move may connect it. Larger: more time. Smaller: a longer tour.
 const NEIGHBOURS: usize = 12;
 /// Length above which a step is long and is repaired, in units of the local spacing. Larger: longer steps remain.
 /// Smaller: more repairs.
@@ -33,11 +33,12 @@ const MOVED: usize = 3;
 /// Factor on the length of a step that leaves the region, in the length that the tour minimises, dimensionless. Larger:
 /// longer ways around holes. Smaller: more steps outside of the region.
 const DETOUR: f64 = 10.0;
-/// Largest number of rounds that remove steps which leave the region, and of rounds that remove long steps. Larger:
-/// more time. Smaller: more such steps remain.
+/// Largest number of rounds that remove steps which leave the region, and largest number of rounds that remove long
+/// steps. Larger: more time. Smaller: more such steps remain.
 const REPAIRS: usize = 4;
 
-/// Returns one closed path per island (connected part of the region). `scale` multiplies the spacing.
+/// Returns one closed path per island (connected part of the region) with at least three points. `scale` is a factor on
+/// the spacing of the field.
 pub(super) fn tour(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
     let spacing = |p: Point| scale * field.spacing_mm(p);
     let points = darts(field, &|p| RADIUS_PER_SPACING * spacing(p), rng);
@@ -117,7 +118,8 @@ fn nearest_neighbour(points: &[Point]) -> Vec<u32> {
     order
 }
 
-/// Returns the nodes with additional ones where a step is longer than [`LONG`] spacings: it is cut into equal parts.
+/// Returns the nodes of a closed path with additional ones where a step is longer than [`LONG`] spacings: it is cut
+/// into equal parts.
 fn cut_long(nodes: &[Point], spacing: &impl Fn(Point) -> f64) -> Vec<Point> {
     let mut out = Vec::new();
     for (i, a) in nodes.iter().enumerate() {
@@ -361,7 +363,8 @@ impl<'a> Tour<'a> {
         let local = spacing(self.points[a as usize]).min(spacing(self.points[b as usize]));
         self.distance(a, b) > LONG * local
     }
-    /// Moves points into long steps where this makes no other step long; returns the number of moved points.
+    /// Moves points into long steps where this makes no other step long; returns the number of moved points. `near` has
+    /// the nearest neighbours of each point.
     fn repair(&mut self, near: &[Vec<u32>], spacing: &impl Fn(Point) -> f64) -> usize {
         let mut moved = 0;
         for a in 0..self.len() as u32 {

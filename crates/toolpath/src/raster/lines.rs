@@ -10,8 +10,8 @@ use crate::{
     region::{Interval, SLACK},
 };
 
-/// Returns the coordinates w of the lines across them, mm, ascending; `None` if there are too many. Refuses a given
-/// origin with which no line lies in the region.
+/// Returns the coordinates w of the lines across them, mm, ascending; `None` if their segments would exceed
+/// [`MAX_SEGMENTS`]. Refuses a given origin with which no line lies in the region.
 pub(super) fn positions(
     surface: &Surface,
     runs: &Runs,
@@ -122,8 +122,9 @@ impl Count {
     }
 }
 
-/// Returns the mean of the desired removal, nm, in each row, and over all rows. Row j has the height `h` and is centred
-/// at part.low + j h; negative maps are lifted to 0. Rows without a valid pixel have the mean of the row before.
+/// Returns the mean of the desired removal, nm, in each row along the lines, and over all pixels. Row j is `h` mm high
+/// and centred at part.low + j h along the unit vector `across`. If heights are negative, the lowest is subtracted.
+/// Rows without a valid pixel have the mean of the row before.
 fn row_means(surface: &Surface, across: [f64; 2], part: Interval, h: f64) -> (Vec<f64>, f64) {
     let grid = surface.grid();
     let map = surface.height_nm();
