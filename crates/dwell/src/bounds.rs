@@ -124,7 +124,7 @@ fn weights_of_deviations(desired: &Surface) -> Option<Array2<f64>> {
 /// ```
 ///
 /// # Errors
-/// Refuses weights as [`pixel_weights`] does, if the map has deviations.
+/// Refuses weights as `pixel_weights` does, if the map has deviations.
 pub fn noise_of_deviations(
     desired: &Surface,
     weight: Option<&Array2<f64>>,

@@ -160,8 +160,9 @@ const MAX_TIME_OVER_MEAN: f64 = 20.0;
 /// as unknowns.
 ///
 /// # Errors
-/// Refuses settings out of range, squares of pixels for the dwell times of a path, what [`DwellModel::new`] refuses,
-/// and a map of dwell times for a TIF that varies over the part or that no unknown of the map reaches.
+/// Refuses settings out of range, squares of pixels for the dwell times of a path, and a map of dwell times if the TIF
+/// varies over the part. Every solver refuses weights and floors out of range, a floor that alone removes more than the
+/// PV of the map, a TIF that varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &LucyRichardsonSettings,

@@ -3,7 +3,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`columns`] | what one second at a dwell point removes, column by column |
-//! | `products` | products of the columns with each other, and an order of the columns in which the matrix of these is small |
+//! | `products` | products of the columns with each other, and an order of the columns for which their matrix is small |
 //! | `fft_operator` | the same removal without a matrix, in memory proportional to the map |
 //! | `place` | a place: one position of the tool in a column, with its fraction of the dwell time |
 //! | `varying` | the kernels of a tool that is not the same everywhere |

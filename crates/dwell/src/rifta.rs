@@ -99,8 +99,9 @@ impl RiftaReport {
 /// smallest of some smaller ones that costs less time and a residual within `margin_tolerance_nm`.
 ///
 /// # Errors
-/// Refuses settings out of range, what [`DwellModel::for_map`] refuses, and a TIF that varies over the part, is larger
-/// than the map along x or y, or has no positive sum at the pitch of the map.
+/// Refuses settings out of range, and a TIF that varies over the part, is larger than the map along x or y, or has no
+/// positive sum at the pitch of the map. Every solver refuses weights and floors out of range, a floor that alone
+/// removes more than the PV of the map, a TIF that varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &RiftaSettings,

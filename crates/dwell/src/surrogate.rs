@@ -28,7 +28,7 @@
 //! |---|---|
 //! | `ordered` | skyline Cholesky factorisations on the active sets |
 //! | `convolved` | products with H~ by FFT: conjugate gradients on the active sets, or gradient steps |
-//! | `two_level` | the preconditioner of these conjugate gradients: a lattice of B-splines and the penalty along the path |
+//! | `two_level` | the preconditioner of these conjugate gradients: a lattice of B-splines, and the penalty |
 //! | `stencils` | the matrix of that lattice |
 //! | `resolution` | how large the cells and how wide the splines are |
 

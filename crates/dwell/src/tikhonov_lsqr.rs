@@ -132,7 +132,8 @@ impl Damping {
 /// Finds the dwell times that minimise (1) of the module, with the given damping or that of the search.
 ///
 /// # Errors
-/// Refuses a damping or a noise that is not positive, and what [`DwellModel::new`] refuses.
+/// Refuses a damping or a noise that is not positive. Every solver refuses weights and floors out of range, a floor
+/// that alone removes more than the PV of the map, a TIF that varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &TikhonovLsqrSettings,

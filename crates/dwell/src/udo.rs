@@ -95,8 +95,9 @@ impl UdoReport {
 /// Finds the dwell times by the adjoint image (1) and the rounds (2) of the module.
 ///
 /// # Errors
-/// Refuses settings out of range, a TIF that varies over the part or is larger than the map along x or y, and what
-/// [`DwellModel::new`] refuses.
+/// Refuses settings out of range, a TIF that varies over the part or is larger than the map along x or y. Every solver
+/// refuses weights and floors out of range, a floor that alone removes more than the PV of the map, a TIF that varies
+/// in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &UdoSettings,

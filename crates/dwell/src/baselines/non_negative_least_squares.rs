@@ -76,8 +76,9 @@ impl NonNegativeReport {
 /// Finds the dwell times that minimise (1) of the module.
 ///
 /// # Errors
-/// Refuses an alpha that is negative or not finite, what [`normal_matrix`] refuses (more than 6000 dwell points, for
-/// example), and what [`DwellModel::new`] refuses.
+/// Refuses an alpha that is negative or not finite, and more than 6000 dwell points or 2.5e8 elements of B. Every
+/// solver refuses weights and floors out of range, a floor that alone removes more than the PV of the map, a TIF that
+/// varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &NonNegativeSettings,

@@ -79,7 +79,9 @@ impl TruncatedSvdReport {
 /// Computes the dwell times (1) of the module.
 ///
 /// # Errors
-/// Refuses a cut that is not between 0 and 1, a `max_iterations` of 0, and what [`DwellModel::new`] refuses.
+/// Refuses a cut that is not between 0 and 1, and a `max_iterations` of 0. Every solver refuses weights and floors out
+/// of range, a floor that alone removes more than the PV of the map, a TIF that varies in time, and a tool that does
+/// not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &TruncatedSvdSettings,

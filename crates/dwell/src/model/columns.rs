@@ -39,7 +39,7 @@ pub enum Columns {
 impl Columns {
     /// Returns the places of the tool in each column: positions with their fractions of the dwell time. A column has no
     /// places where the tool is off. A moving tool has the places of the three-point Gauss rule on the segment, or on
-    /// each of the fewest equal parts of it that are at most [`longest_part_mm`] long.
+    /// each of the fewest equal parts of it that are short compared with the TIF.
     pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<ToolPlace>> {
         self.places_in_parts(path, longest_part_mm(tif))
     }
