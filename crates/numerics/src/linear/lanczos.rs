@@ -44,7 +44,7 @@ const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 pub struct Truncated {
     /// Solution x (n).
     pub value: Vec<f64>,
-    /// Number of eigenvalues above the cut, which is a fraction of the largest one.
+    /// Number of eigenvalues that were found above the cut, which is a fraction of the largest one.
     pub rank: usize,
     /// Largest eigenvalue of H.
     pub largest: f64,
@@ -52,15 +52,16 @@ pub struct Truncated {
     pub smallest: f64,
     /// Number of steps of the Lanczos process, one product with H each.
     pub steps: usize,
-    /// True if x changed by less than the tolerance between the last two tests, or if the process spanned all of g.
+    /// True if x changed by at most the tolerance between the last two tests, or if the process spanned all of g or
+    /// took n steps. Also true for g = 0.
     pub converged: bool,
 }
 
-/// Computes the solution (1) of the module. `apply` is the product with H, and `cut` the smallest eigenvalue kept,
-/// relative to the largest.
+/// Computes the solution (1) of the module. `apply` is the product with H. Eigenvalues up to `cut` times the largest
+/// are left out.
 ///
-/// The process ends when it has spanned all of g, or when x changed by less than `tolerance` of its length in the last
-/// third of the steps. At every test `watch` gets the ratio of that change to the tolerance.
+/// The process ends when it has spanned all of g, when x changed by at most `tolerance` of its length in the last third
+/// of the steps, or after `max_steps` steps. At every test `watch` gets the ratio of that change to the tolerance.
 pub fn truncated(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     g: &[f64],

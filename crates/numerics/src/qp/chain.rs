@@ -47,7 +47,7 @@ pub struct ChainProgram {
     pub beside: Vec<f64>,
     /// Linear coefficients c (n); the objective contains -c' x.
     pub linear: Vec<f64>,
-    /// Flags of the free variables (n); the other variables are fixed at zero.
+    /// True for every free variable (n); the other variables are fixed at zero.
     pub free: Vec<bool>,
     /// Prices p (n-1) of the excess e_i of every link, > 0; empty if the rows are hard.
     pub price: Vec<f64>,
@@ -80,7 +80,7 @@ struct ChainRow {
 
 impl ChainRows {
     /// Adds the constraint `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the link i for which `rows` of [`solve`] was
-    /// called.
+    /// called. Without prices, `k` is ignored.
     pub fn add(&mut self, a: [f64; 2], k: f64, bound: f64) {
         let a = [a[0] * self.w[0], a[1] * self.w[1]];
         let k = if self.elastic { k } else { 0.0 };
@@ -105,7 +105,7 @@ impl ChainRows {
         self.end.push(self.row.len());
     }
 
-    /// Returns the range of the rows of link k.
+    /// Returns the range, in `row`, of the constraint rows of link k, counted from the end of the chain.
     fn of_link(&self, k: usize) -> Range<usize> {
         let start = if k == 0 { 0 } else { self.end[k - 1] };
         start..self.end[k]
