@@ -105,7 +105,7 @@ pub use settings::{BoundedSettings, Product, Program};
 /// it has any; otherwise every valid pixel counts 1.
 ///
 /// # Errors
-/// Refuses inputs that [`solve_within`] refuses, and bounds that are negative or not finite.
+/// Refuses inputs that [`solve_within`] or [`bounds`] refuses.
 pub fn solve(
     desired: &Surface,
     tif: &Tif,
@@ -274,7 +274,7 @@ pub fn solve_columns(
 /// Returns the lower and the upper bound of every dwell point (n), s, by the settings.
 ///
 /// # Errors
-/// Refuses bounds that are negative or not finite.
+/// Refuses bounds that are negative or not finite, and a lower bound above 1e7 s.
 pub fn bounds(
     path: &ToolPath,
     settings: &BoundedSettings,

@@ -109,10 +109,10 @@ const NO_POINT: u32 = u32::MAX;
 const NODE_ROWS_PER_TASK: usize = 64;
 
 impl NodeOwners {
-    /// Assigns every node of `grid` to the nearest dwell point with the tool on, unless that is too far away. The
-    /// limit is twice the median distance of the nodes in the `aperture` from their dwell points; in a cell of a
-    /// lattice the corner is 1.8 medians from the middle. `aperture` tests a position [x, y], mm, because bounds
-    /// cannot describe a disk.
+    /// Assigns every node of `grid` to the nearest dwell point with the tool on, unless that is too far away. The limit
+    /// is twice the median distance of the nodes in the `aperture` from their dwell points; in a cell of a lattice the
+    /// corner is 1.8 medians from the middle. `aperture` returns true for a position [x, y], mm, within the aperture,
+    /// which may have any shape.
     pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
         let points: Vec<(u32, [f64; 2])> = (0..path.len())
             .filter(|j| path.tool_on()[*j])
@@ -321,9 +321,9 @@ impl Buckets {
         Self { start, side, shape, grouped, points }
     }
 
-    /// Finds the nearest point, by its number, and its squared distance for every node of some rows that has a point
-    /// within the side of a square. Of equal distances the lowest number counts. In a lattice of square cells every
-    /// node has a point within 0.71 sides.
+    /// Writes the number of the nearest point to `nearest`, and its squared distance to `squares`, for every node of
+    /// the rows `rows` that has a point within the side of a square. Others stay as they are. Of equal distances the
+    /// lowest number counts. In a lattice of square cells every node has a point within 0.71 sides.
     fn within_a_side(
         &self,
         grid: &Grid,

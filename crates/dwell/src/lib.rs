@@ -56,7 +56,7 @@ pub enum DwellError {
     /// The inputs or settings are out of range, or contradict each other.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The tool does not reach the part.
+    /// The tool reaches no pixel that counts, or removes the same everywhere.
     #[error(
         "none of the {points} dwell points changes the shape of the surface: the tool reaches no \
          valid pixel, or removes the same everywhere; check that surface, tool path and TIF are in mm and in the same frame"

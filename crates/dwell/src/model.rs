@@ -3,7 +3,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`columns`] | what one second at a dwell point removes, column by column |
-//! | `products` | products of the columns with each other, and an order of the columns for which their matrix is small |
+//! | `products` | products of columns with each other, and an order of the columns that makes their matrix small |
 //! | `fft_operator` | the same removal without a matrix, in memory proportional to the map |
 //! | `place` | a place: one position of the tool in a column, with its fraction of the dwell time |
 //! | `varying` | the kernels of a tool that is not the same everywhere |
@@ -17,9 +17,9 @@ pub(crate) mod products;
 pub(crate) mod varying;
 
 /// Effect of a column on the map, as a fraction of the largest of all columns, below which the column counts as
-/// unreached. The effect is the energy (sum of the squared rates) or the sensitivity, as the solver says. Its effect is
-/// then rounding, and the density of its neighbours is continued there. Larger: weakly reached dwell points are not
-/// solved for. Smaller: rounding decides dwell times.
+/// unreached. The effect is the energy (sum of the squared rates) or the sensitivity (sum of the rates), as the solver
+/// says. A smaller effect is only rounding, and the density of the neighbours is continued there. Larger: weakly
+/// reached dwell points are not solved for. Smaller: rounding decides dwell times.
 pub(crate) const UNREACHED_FRACTION: f64 = 1e-9;
 
 /// Fraction of the largest value up to which a result of an FFT counts as rounding, that is, as no removal. Larger:

@@ -261,14 +261,15 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// + price sum_j t_j
 /// ```
 ///
-/// The sums are those of integrals over the part: with closer lines or points they go to
-/// `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
+/// The price of a second is its weight times the sum of the weights of the pixels. The sums are those of integrals over
+/// the part: with closer lines or points they go to `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along
+/// the path.
 #[derive(Clone, PartialEq)]
 pub struct Penalty {
     /// Diagonal element `alpha D A / a_j` of the Tikhonov term of every dwell time (n), with A in place of an area a_j
     /// of 0.
     alpha: Vec<f64>,
-    /// Weight of one second of dwell time, in the unit of the objective.
+    /// Price of one second of dwell time, in the unit of the objective.
     time: f64,
     lo: Vec<f64>,
     /// Every slope term `(v t_k - u t_{k-1})^2 / 2` as (index k, u, v).

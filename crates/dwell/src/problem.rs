@@ -414,7 +414,7 @@ impl<'a> DwellModel<'a> {
     /// their neighbours ([`Continuation`]), but not less than their floor.
     ///
     /// # Errors
-    /// Refuses dwell times that are not finite or negative.
+    /// Refuses dwell times that are negative or not finite.
     pub fn finish<R>(&self, mut dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
         let hi = vec![f64::INFINITY; dwell_s.len()];
         let unreached = Continuation::new(self.problem.path, |j| self.reached(j));
@@ -425,7 +425,7 @@ impl<'a> DwellModel<'a> {
     /// Returns the solution with exactly these dwell times (n), s.
     ///
     /// # Errors
-    /// Refuses dwell times that are not finite or negative.
+    /// Refuses dwell times that are negative or not finite.
     pub fn finish_as_they_are<R>(
         &self,
         dwell_s: Vec<f64>,

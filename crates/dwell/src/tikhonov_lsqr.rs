@@ -82,7 +82,8 @@ pub struct TikhonovLsqrReport {
     pub searched_rms_nm: Vec<f64>,
     /// Norm |t - t_ref| of the dwell times above the level of dwell, for every damping tried, s.
     pub searched_norm_s: Vec<f64>,
-    /// Level of dwell c, the common time that the floor asks for, s ((3) of [`crate::problem`]).
+    /// Level of dwell c, s: the reference dwell time of a segment of median length, as long as the floor asks for ((3)
+    /// of [`crate::problem`]).
     pub level_s: f64,
     /// Number of dwell times that are still below their floor at this level; they are set to it.
     pub clipped: usize,
@@ -106,9 +107,9 @@ impl TikhonovLsqrReport {
 /// larger number: more time. A narrower range: the corner may lie outside of it.
 const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
 
-/// Relative dampings of the search for a noise level: smallest, largest and number, eight per decade. With the largest
-/// damping nearly nothing is removed, because the noise may be a large part of the map. A smaller upper end: the search
-/// may not reach the noise.
+/// Relative dampings of the search for a noise level: smallest, largest and number, eight per decade. The noise may be
+/// a large part of the map, so the range goes up to a damping with which nearly nothing is removed. A smaller upper
+/// end: the search may not reach the noise.
 const SEARCHED_FOR_NOISE: (f64, f64, usize) = (1e-3, 1e1, 33);
 
 /// Number of parts into which the search divides the interval of two dampings between which the residual falls to the

@@ -1,7 +1,7 @@
 //! Loops over all threads, compiled once.
 //!
-//! `rayon` compiles its division of the work again for every closure and every chain of iterators, three times each. Here
-//! [`for_each`] is the only loop, and it takes its work by reference.
+//! `rayon` compiles its division of the work again for every closure and every chain of iterators, three times each.
+//! Here [`for_each`] is the only loop, and it takes its work by reference.
 //!
 //! No result depends on the number of threads: items have numbers, and results keep their order.
 

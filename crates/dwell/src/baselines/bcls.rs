@@ -57,9 +57,9 @@ impl Default for BclsSettings {
 /// Feeds, lengths and violations of the bounds (2) of the module.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BclsReport {
-    /// Pitch limit (3) of the module for the largest limits along a segment of the path, mm.
+    /// Largest pitch limit (3) of the module among the segments with a length, mm.
     pub pitch_limit_mm: f64,
-    /// Shortest segment with a length, mm.
+    /// Length of the shortest segment with a length above 0, mm; 0 if there is none.
     pub shortest_segment_mm: f64,
     /// Number of segments shorter than the pitch limit (3): on these the machine does not reach its largest feed.
     pub below_pitch_limit: usize,

@@ -52,7 +52,7 @@ const SAME_LINE_MM: f64 = 1e-6;
 
 /// Smallest fraction of the length with the tool on that must lie on parallel lines, dimensionless; the law refuses a
 /// path with less. Larger: rasters with long links are refused. Smaller: paths without a pitch are accepted. Chosen:
-/// above one half, the fraction of a maze.
+/// above one half, the fraction of a maze path along one of its two directions.
 const LEAST_PART_OF_LINES: f64 = 0.6;
 
 /// Settings of the feed law.
@@ -81,7 +81,8 @@ pub struct FeedLawReport {
 /// Computes the dwell times (2) of the module, and their effect in the removal model of the solvers.
 ///
 /// # Errors
-/// Refuses what [`dwell`] refuses, and what every solver refuses.
+/// Refuses what [`dwell`] refuses, weights out of range, a TIF that varies in time, and a tool that does not reach the
+/// map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &FeedLawSettings,

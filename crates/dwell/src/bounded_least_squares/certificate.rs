@@ -15,7 +15,7 @@
 ///
 /// The dwell times t may be beyond their bounds: `f(t)` minus the result is a lower bound of the minimum there, too.
 ///
-/// Returns `None` unless every `c_j` is above 0, which means that alpha is 0.
+/// Returns `None` if alpha is 0, so that the `c_j` are not above 0.
 pub fn gap(
     t: &[f64],
     q: &[f64],

@@ -120,7 +120,7 @@ pub struct Descent<'s> {
     /// Number of slow steps in a row, and the natural residual at the last look, s.
     slow: (usize, f64),
     first_gap: Option<f64>,
-    /// Largest lower bound of the minimum of (1) that was proven so far.
+    /// Largest lower bound of the minimum of (1) that was proven so far; minus infinity before the first one.
     bound: f64,
     /// Reason to end at the next look, if the last step changed the objective too little.
     settled: Option<End>,

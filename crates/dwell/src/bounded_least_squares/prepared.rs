@@ -33,8 +33,8 @@ const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 const ABRUPT_BORDER_TO_PEAK: f64 = 0.1;
 
 /// Factor on `max_factorised_points` of the settings for problems that the splines of the two-level method would
-/// represent badly: these are factorised up to this many more dwell points. Larger: more memory and time for the
-/// factor. Smaller: more problems take many steps of the two-level method.
+/// represent badly: these are factorised up to this many times as many dwell points. Larger: more memory and time for
+/// the factor. Smaller: more problems take many steps of the two-level method.
 const MORE_FACTORISED: usize = 10;
 
 /// Largest number of multiplications of one factorisation (one or two seconds) with which a problem of more than
@@ -218,7 +218,7 @@ impl<'a> BoundedProblem<'a> {
     /// for at most `max_factorised_points` dwell points: the map then does not determine their dwell times.
     ///
     /// # Errors
-    /// Refuses cells that no axis can have.
+    /// Refuses cells that [`Convolved::new`] refuses.
     pub fn without_factors(&mut self, penalty: &Penalty) -> Result<bool, Invalid> {
         if self.path.len() <= self.settings.max_factorised_points {
             return Ok(false);
@@ -235,7 +235,7 @@ impl<'a> BoundedProblem<'a> {
     /// `None` without splines).
     ///
     /// # Errors
-    /// Refuses cells that no axis can have.
+    /// Refuses cells that [`Convolved::new`] refuses.
     pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
         let grid = self.desired.grid();
         let free = self.settings.free;

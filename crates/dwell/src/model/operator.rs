@@ -118,8 +118,9 @@ impl Operator {
     }
 }
 
-/// The removal matrix B for a certificate: by FFT if the TIF has the pitch of the map, otherwise by columns if they fit
-/// into memory. Where a pixel has several samples of the TIF, an FFT of all of them takes longer than the columns.
+/// The removal matrix B for the exact gradient and the certificate of the bounded least squares: by FFT if the TIF has
+/// the pitch of the map, otherwise by columns if they fit into memory, otherwise by FFT. Where a pixel has several
+/// samples of the TIF, an FFT of all of them takes longer than the columns.
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
