@@ -105,7 +105,7 @@ pub use settings::{BoundedSettings, Product, Program};
 /// it has any; otherwise every valid pixel counts 1.
 ///
 /// # Errors
-/// Refuses inputs that [`solve_within`] or [`bounds`] refuses.
+/// Refuses inputs that [`solve_within`] or [`bounds()`] refuses.
 pub fn solve(
     desired: &Surface,
     tif: &Tif,

@@ -19,7 +19,8 @@
 //! path (`dwell_map.rs`).
 //!
 //! If the TIF is many pixels wide, a map of dwell times needs no detail at the scale of a pixel: on large maps it is
-//! solved on squares of pixels (`coarse.rs`). Its residual is always computed on all pixels.
+//! solved on squares of pixels (`coarse.rs`). The steps then compare means over the squares; the residual of the result
+//! is computed on all pixels.
 //!
 //! Accelerated, a step starts from a point extrapolated along the last two,
 //!

@@ -54,7 +54,7 @@ const MAX_HALVINGS: u32 = 12;
 /// between consecutive `breaks` (arc lengths, strictly ascending).
 ///
 /// A piece is halved until it is within `tolerance` in arc length, and within `max_velocity` and `max_acceleration`
-/// along the arc (infinite if there is no limit). After [`MAX_HALVINGS`] it is taken as it is, so the caller must check
+/// along the arc (infinite if there is no limit). After 12 halvings it is taken as it is, so the caller must check
 /// `largest_error`. The motion itself should stay somewhat below both limits.
 pub fn fit(
     time: impl Fn(f64) -> f64,
