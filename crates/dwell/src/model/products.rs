@@ -28,7 +28,7 @@ pub struct Bundle {
 
 impl Bundle {
     /// Bundles up to [`MOST_BUNDLED`] columns. They should be near each other, because the bundle covers the rectangle
-    /// around all. More columns are a panic.
+    /// around all. Panics if there are more columns.
     pub fn new<'a>(patches: impl Iterator<Item = &'a Patch> + Clone) -> Self {
         let [rows, columns] = [0, 1].map(|axis| {
             let ranges = patches.clone().filter(|p| !p.rate_nm_per_s.is_empty());

@@ -35,8 +35,8 @@ const FIRST_LOOK_AT_LARGEST: usize = 8;
 /// crowded. Smaller: a less exact eigenvalue.
 const MAX_STEPS_FOR_LARGEST: usize = 150;
 
-/// Residual of the largest eigenvalue, relative to it, at which [`largest_eigenvalue`] ends: 1e-3 of its
-/// square root. Larger: a less exact eigenvalue. Smaller: more steps.
+/// Residual of the largest eigenvalue, relative to it, at which [`largest_eigenvalue`] ends. The error of its square
+/// root is then at most 1e-3 of it. Larger: a less exact eigenvalue. Smaller: more steps.
 const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 
 /// Result of (1) of the module: a solution without the small eigenvalues.

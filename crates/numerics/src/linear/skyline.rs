@@ -232,8 +232,8 @@ impl Skyline {
     }
 
     /// Factorises the sum of this matrix and the elements `added`, whose rows ascend, in single precision. Only the
-    /// diagonal blocks are factorised and inverted in double precision. It takes half the time. `None` if the sum is
-    /// not positive definite to the rounding of single precision. Elements outside the skyline are a panic.
+    /// diagonal blocks are factorised and inverted in double precision. It takes half the time. Returns `None` if the
+    /// sum is not positive definite to the rounding of single precision. Panics if an element is outside the skyline.
     pub fn factorise_in_single(&self, added: &[Element]) -> Option<Factor<f32>> {
         assert!(added.is_sorted_by_key(|e| e.row), "elements whose rows ascend");
         assert!(added.last().is_none_or(|e| e.row < self.len()), "elements of this matrix");

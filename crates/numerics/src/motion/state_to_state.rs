@@ -12,10 +12,10 @@
 //! d_max = (2 w^2 - v0^2 - v1^2)/(2 A) + w (T - (2 w - v0 - v1)/A)                             (3)
 //! ```
 //!
-//! The smallest displacement is that of its mirror image. An axis can therefore arrive at T if and only if `d_min <= p1
-//! - p0 <= d_max`, and a weighted mean of both motions arrives. The result is the smallest duration that both axes can
-//! do, searched from below. Any duration is possible that is at least the one in which both axes brake to rest, move
-//! and start again.
+//! The smallest displacement is that of its mirror image. An axis can therefore arrive at T if and only if its
+//! displacement `p1 - p0` is from d_min to d_max; then a weighted mean of both motions arrives. The result is the
+//! smallest duration that both axes can do, searched from below. Any duration is possible that is at least the one in
+//! which both axes brake to rest, move and start again.
 //!
 //! | symbol | variable |
 //! |---|---|

@@ -315,7 +315,7 @@ pub struct ProductSolution {
     /// The minimiser of the objective over the free components of the last set, which may be beyond their bounds. The
     /// other components are at their bounds.
     pub unbounded: Vec<f64>,
-    /// Flags of the components that were free in the last set.
+    /// True for every component that was free in the last set.
     pub free: Vec<bool>,
 }
 
