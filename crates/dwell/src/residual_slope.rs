@@ -115,8 +115,8 @@ mod tests {
         Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.25, ny).unwrap() }
     }
 
-    /// Four whole periods along x: the mean square slope of `a sin(2 pi f x)` over a base b is
-    /// `(2 a sin(pi f b) / b)^2 / 2`.
+    /// The map has four whole periods along x: the mean square slope of `a sin(2 pi f x)` over a base b is `(2 a sin(pi
+    /// f b) / b)^2 / 2`.
     #[test]
     fn a_wave_has_the_slope_of_the_formula() {
         let (a, f, n) = (3.0, 0.2, 40);

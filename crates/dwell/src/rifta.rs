@@ -96,7 +96,7 @@ impl RiftaReport {
 }
 
 /// Finds the dwell times by the inverse filter (1) of the module. Its margin is the half size of the TIF, or the
-/// smallest of some smaller ones that costs less time and a residual within `margin_tolerance_nm`.
+/// smallest of some smaller ones that costs less time and raises the residual RMS by less than `margin_tolerance_nm`.
 ///
 /// # Errors
 /// Refuses settings out of range, and a TIF that varies over the part, is larger than the map along x or y, or has no

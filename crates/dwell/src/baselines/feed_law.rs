@@ -370,8 +370,8 @@ mod tests {
         Surface::new(Grid { x: axis, y: axis }, z).unwrap()
     }
 
-    /// Lines along x from -8 to 28 mm at these places, to and fro in steps of 1 mm, a pass each where `apart`;
-    /// turned by an angle about (10, 10).
+    /// Returns a path of lines from x = -8 to 28 mm at these y coordinates, mm, run to and fro in steps of 1 mm. Every
+    /// line is its own pass if `apart`. The path is turned by `angle`, rad, about (10, 10) mm.
     fn raster(places_mm: &[f64], apart: bool, angle: f64) -> ToolPath {
         let (sine, cosine) = angle.sin_cos();
         let turned = |x: f64, y: f64| {
@@ -402,7 +402,7 @@ mod tests {
         (operator.apply(dwell.dwell_s()), report)
     }
 
-    /// There and back over the same lines, and a third time over half of one in the middle.
+    /// The path runs there and back over the same lines, and a third time over half of the middle line.
     #[test]
     fn lines_that_are_run_several_times_remove_the_depth_once() {
         let flat = part(|_, _| 50.0);

@@ -228,11 +228,11 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// A product with B and one with its adjoint.
+    /// Name of a form of B, the product `B t` (ny, nx), and the adjoint product `B' m` (n).
     type Pair<'a> = (&'a str, Array2<f64>, Vec<f64>);
 
-    /// `<B t, m> = <t, B' m>` for every form of B, on a random map, tool and path; the pitch of the tool is
-    /// that of the map or another one.
+    /// Checks `<B t, m> = <t, B' m>` for every form of B, on a random map, tool and path; the pitch of the TIF is that
+    /// of the map or another one.
     fn adjoint_is_adjoint(seed: u64) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut axis = |step: f64, from: usize, to: usize| {
