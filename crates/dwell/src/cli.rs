@@ -109,7 +109,7 @@ struct Reported<'a, R> {
     report: &'a R,
 }
 
-/// The maps and the path that a solver works on, as read from the files.
+/// The inputs of a solver, as read from the files: desired removal, TIF, path, and weights of the pixels if given.
 struct Nouns {
     desired: Surface,
     tif: Tif,

@@ -40,8 +40,8 @@ const MIN_PIXELS_FOR_SQUARES: usize = 1_000_000;
 /// (docs/dwell.md).
 const SQUARES_ON_RISE: f64 = 7.0;
 
-/// Largest K, pixels along the side of a square; the settings accept no larger one. Larger: wider squares for tools
-/// that are large beside the pixels. Smaller: more squares, and more time, for such tools.
+/// Largest K, pixels along the side of a square; the settings accept no larger one. Larger: wider squares for TIFs that
+/// are very many pixels wide. Smaller: more squares, and more time, for such tools.
 pub(crate) const MAX_SQUARE_PIXELS: usize = 64;
 
 /// Returns the side K of the squares for a map, pixels: the largest that [`SQUARES_ON_RISE`] allows on both axes, from

@@ -115,17 +115,18 @@ impl Default for LucyRichardsonSettings {
 /// Report of the Lucy-Richardson deconvolution.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LucyRichardsonReport {
-    /// Reason for the end: `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` if the number of
-    /// steps was meant to end it.
+    /// Reason for the end: `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` if all steps were
+    /// done and the settings say that this is intended.
     pub end: End,
     /// Number of steps.
     pub iterations: usize,
-    /// Log-likelihood sum w (E ln m - m), with the removal m, before the first step and after each.
+    /// Log-likelihood sum w (E ln m - m) over the pixels, with the weights w, the positive desired removal E and the
+    /// removal m, before the first step and after each.
     pub log_likelihood: Vec<f64>,
     /// RMS of the difference E - m of desired and actual removal (mean removed), before the first step and after each,
     /// nm.
     pub rms_nm: Vec<f64>,
-    /// Number of unknowns that are solved for: those well within the reach of the tool.
+    /// Number of unknowns that are solved for: those whose sensitivity `B' w` is above 2 % of the largest.
     pub active: usize,
     /// Number of negative samples of the TIF that were taken as zero.
     pub clipped_tif_samples: usize,
@@ -248,7 +249,7 @@ fn positive_target(model: &DwellModel<'_>, settings: &LucyRichardsonSettings) ->
 struct Unknown<'a> {
     forward: &'a dyn Fn(&[f64]) -> Array2<f64>,
     adjoint: &'a dyn Fn(&Array2<f64>) -> Vec<f64>,
-    /// Curvature kappa of (2), from T and the mean of T.
+    /// Curvature kappa of (2) of the module, one per unknown, from T and the mean of T over the active unknowns.
     curvature: &'a dyn Fn(&[f64], f64) -> Vec<f64>,
     /// Sensitivity `B' w` of every unknown, with the nodes or dwell points that follow it, nm/s.
     sensitivity: &'a [f64],

@@ -17,9 +17,9 @@ pub(crate) mod products;
 pub(crate) mod varying;
 
 /// Effect of a column on the map, as a fraction of the largest of all columns, below which the column counts as
-/// unreached. The effect is the energy (sum of the squared rates) or the sensitivity (sum of the rates), as the solver
-/// says. A smaller effect is only rounding, and the density of the neighbours is continued there. Larger: weakly
-/// reached dwell points are not solved for. Smaller: rounding decides dwell times.
+/// unreached. The effect is the energy (sum of the squared rates) or the sensitivity (sum of the rates), which depends
+/// on the solver. A smaller effect is only rounding, and the density of the neighbours is continued there. Larger:
+/// weakly reached dwell points are not solved for. Smaller: rounding decides dwell times.
 pub(crate) const UNREACHED_FRACTION: f64 = 1e-9;
 
 /// Fraction of the largest value up to which a result of an FFT counts as rounding, that is, as no removal. Larger:

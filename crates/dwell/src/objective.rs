@@ -10,9 +10,9 @@ use planish_types::{Axis, Grid, Tif, ToolPath};
 
 use serde::Serialize;
 
-/// Length of a segment, as a fraction of the median length, up to which it counts as a rest. The length of a rest
-/// says nothing about the dwell times of its neighbours. Larger: short segments have no dwell-time density. Smaller:
-/// the tiny length of a rest makes its density huge.
+/// Length of a segment, as a fraction of the median length, up to which it counts as a rest. The dwell times of
+/// neighbours are not related to the length of a rest. Larger: short segments have no dwell-time density. Smaller: the
+/// tiny length of a rest makes its density huge.
 pub const REST_FRACTION: f64 = 0.01;
 
 /// Fraction of the square of a function that must remain after Gram-Schmidt; a function with less is left out.

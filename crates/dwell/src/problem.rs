@@ -130,7 +130,7 @@ impl Outcome {
 /// operator B.
 pub(crate) struct DwellModel<'a> {
     pub problem: Problem<'a>,
-    /// TIF on the lattice of the map.
+    /// TIF of the problem, sampled anew if its samples are not on the lattice of the map.
     pub tif: Cow<'a, Tif>,
     lattice: TifLattice,
     pub places: Vec<Vec<ToolPlace>>,
@@ -458,7 +458,7 @@ impl<'a> DwellModel<'a> {
 /// Dwell times (n), s, raised to their floor by a common level of dwell ((3) of the module).
 pub(crate) struct Levelled {
     pub dwell_s: Vec<f64>,
-    /// Level of dwell c of (3), s.
+    /// Level of dwell c of (3) of the module, s.
     pub level_s: f64,
     /// Number of reached dwell times below their floor at this level, which were set to it.
     pub clipped: usize,

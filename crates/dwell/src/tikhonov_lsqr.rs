@@ -82,7 +82,7 @@ pub struct TikhonovLsqrReport {
     pub searched_rms_nm: Vec<f64>,
     /// Norm |t - t_ref| of the dwell times above the level of dwell, for every damping tried, s.
     pub searched_norm_s: Vec<f64>,
-    /// Level of dwell c, s: the reference dwell time of a segment of median length, as long as the floor asks for ((3)
+    /// Level of dwell c, s: the reference dwell time of a segment of median length, the least that meets the floor ((3)
     /// of [`crate::problem`]).
     pub level_s: f64,
     /// Number of dwell times that are still below their floor at this level; they are set to it.

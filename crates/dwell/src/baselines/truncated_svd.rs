@@ -60,7 +60,7 @@ pub struct TruncatedSvdReport {
     pub largest_singular_value_nm_per_s: f64,
     /// Smallest singular value that was kept, nm/s; infinite if none was.
     pub smallest_singular_value_nm_per_s: f64,
-    /// Level of dwell c, s: the reference dwell time of a segment of median length, as long as the floor asks for ((3)
+    /// Level of dwell c, s: the reference dwell time of a segment of median length, the least that meets the floor ((3)
     /// of [`crate::problem`]).
     pub level_s: f64,
     /// Number of dwell times that are still below their floor at this level; they are set to it.

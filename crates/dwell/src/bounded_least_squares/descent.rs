@@ -117,12 +117,12 @@ pub struct Descent<'s> {
     pub iterations: usize,
     /// Number of steps found by the surrogate H~, each corrected by the exact gradient.
     pub corrections: usize,
-    /// Number of slow steps in a row, and the natural residual at the last look, s.
+    /// Number of slow steps in a row, and the natural residual before the last step, s.
     slow: (usize, f64),
     first_gap: Option<f64>,
     /// Largest lower bound of the minimum of (1) that was proven so far; minus infinity before the first one.
     bound: f64,
-    /// Reason to end at the next look, if the last step changed the objective too little.
+    /// Reason to end at the next call of [`Self::look`]; `None` unless the last step changed the objective too little.
     settled: Option<End>,
     /// Last step, for the plane of the next one; `None` at the start, or if the next step goes on without bounds.
     before: Option<Step>,
@@ -137,7 +137,7 @@ pub struct Descent<'s> {
 pub struct Look {
     objective: f64,
     gradient: Vec<f64>,
-    /// Natural residual: the largest move of a dwell time that the gradient still asks for, s.
+    /// Natural residual: the largest change of a dwell time in a projected gradient step, s; 0 at the minimum.
     pub natural_residual: f64,
     /// Proven distance of the objective from its minimum, relative to the objective; `None` if alpha is 0.
     pub relative_gap: Option<f64>,
@@ -152,7 +152,7 @@ pub enum Target {
     /// Dwell times towards which the objective falls, and the mask of the free ones if they were found without bounds
     /// (`None` by the surrogate).
     To(Vec<f64>, Option<Vec<bool>>),
-    /// No such dwell times: the descent ends for this reason.
+    /// Reason for which the descent ends, because there are no such dwell times.
     End(End),
 }
 

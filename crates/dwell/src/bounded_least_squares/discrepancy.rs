@@ -20,7 +20,7 @@ use super::{
 use crate::{DwellError, objective::Basis};
 
 /// Smallest smoothness beta from which the search begins, dimensionless. Larger: a map with little noise is smoothed
-/// more than its noise asks for. Smaller: more trials.
+/// until its residual exceeds the noise. Smaller: more trials.
 const MIN_SMOOTHNESS: f64 = 1e-9;
 /// Smoothness beta from which on no larger one is tried, dimensionless; the last trial may be up to
 /// [`SMOOTHNESS_FACTOR`] times as large. Larger: more trials if no smoothness makes the residual as large as the noise.

@@ -52,7 +52,7 @@ pub struct BoundedReport {
     /// alpha is 0: then `kkt_residual_s` alone certifies the result.
     #[serde(flatten)]
     pub proven: ProvenGap,
-    /// Smoothness beta that was used: the given one, or the one that the noise level asked for.
+    /// Smoothness beta that was used: the given one, or the larger one that the search for the noise level found.
     pub slope_weight: f64,
     /// Number of dwell points at their lower bound, unreached and lifted ones not counted.
     pub at_lower_bound: usize,

@@ -198,7 +198,7 @@ impl Convolved {
     /// that of [`LINEAR_SOLVE_ERROR`].
     ///
     /// The last factorisation of the spline matrix is used again if all dwell times that were free for it are free now.
-    /// It serves well if they are nearly all free ones.
+    /// It is a good preconditioner if they are nearly all that are free now.
     pub fn step(
         &mut self,
         penalty: &Penalty,

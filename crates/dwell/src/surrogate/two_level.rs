@@ -245,7 +245,7 @@ impl Nodes {
     }
 
     /// Adds `factor g g'` to `sums`. The vector g is the sum of the columns of V' for the given dwell points, which
-    /// must be near each other, each times the number beside it.
+    /// must be near each other, each times the number that is given with it.
     fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, sums: &mut Stencils) {
         const SIDE: usize = 1 + PENALTY_REACH;
         let r0 = columns.iter().map(|c| c.0.cell.0).min().unwrap_or(0);

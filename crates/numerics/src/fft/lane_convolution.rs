@@ -29,8 +29,7 @@ const STEP: usize = 16;
 /// shorter stretches of memory in a block are written at a time. It does not change the result.
 const ROWS: usize = 8;
 
-/// Returns true if a field (the array that is transformed) may have `n` rows or columns: a multiple of 16 without
-/// prime factors above 5.
+/// Returns true if a field may have `n` rows or columns: a multiple of 16, above 0, without prime factors above 5.
 pub fn is_field_size(n: usize) -> bool {
     n > 0 && n.is_multiple_of(STEP) && is_size(n)
 }
@@ -73,8 +72,8 @@ pub struct Workspace<T> {
 }
 
 impl<T: Lanes> LaneConvolution<T> {
-    /// Plans the convolution with `kernel` (gy, gx) in fields of the shape `size` (rows, columns). Both must be sizes
-    /// by [`is_field_size`], at least as large as the kernel.
+    /// Plans the convolution with `kernel` (gy, gx) in fields of the shape `size` (rows, columns). Panics unless
+    /// [`is_field_size`] is true for both, and both are at least those of the kernel.
     pub fn new(kernel: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(gy >= 1 && gx >= 1 && size.0 >= gy && size.1 >= gx, "kernel exceeds the field");

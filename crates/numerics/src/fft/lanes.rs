@@ -303,7 +303,7 @@ fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Elem
     [T::negate_mul_add(simd, a[1], b[1], re), T::mul_add(simd, a[1], b[0], im)]
 }
 
-/// Discrete Fourier transform of RADIX elements, which one level of a transform consists of.
+/// Discrete Fourier transform of RADIX elements, of which a level of a transform consists.
 trait Butterfly<const RADIX: usize> {
     fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; RADIX]) -> [Element<T, S>; RADIX];
 }

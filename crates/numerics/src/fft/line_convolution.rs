@@ -50,8 +50,8 @@ pub struct LineConvolution {
 pub type Sum<'a> = (&'a mut [Run], std::ops::Range<usize>);
 
 impl LineConvolution {
-    /// Plans convolutions with m kernels of g elements, (m, g), on lines of `size >= g` elements. `size` must be a
-    /// size by [`is_field_size`].
+    /// Plans convolutions with m kernels of g elements, (m, g), on lines of `size >= g` elements. Panics unless
+    /// [`is_field_size`] is true for `size`.
     pub fn new(kernels: ArrayView2<f64>, size: usize) -> Self {
         let (m, g) = kernels.dim();
         assert!(g >= 1 && size >= g, "kernel exceeds the line");

@@ -178,8 +178,8 @@ fn without_structure(j: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// Returns the eigenvalues and eigenvectors of the symmetric tridiagonal matrix T with the diagonal alpha and the
-/// elements beta beside it.
+/// Returns the eigenvalues and eigenvectors of the symmetric tridiagonal matrix T with the diagonal `alpha` and the
+/// elements `beta` next to it.
 fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     let k = alpha.len();
     let mut t = DMatrix::zeros(k, k);

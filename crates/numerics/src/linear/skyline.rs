@@ -51,9 +51,9 @@ struct RowBlock {
 /// An element of the lower triangle of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Element {
-    /// Row of the element.
+    /// Index of the row.
     pub row: usize,
-    /// Column of the element, at most `row`.
+    /// Index of the column, at most `row`.
     pub column: usize,
     /// Value of the element.
     pub value: f64,

@@ -28,8 +28,8 @@ const POWER_STEPS: usize = 40;
 /// one. Larger: shorter steps. Smaller: steps that are too long, so that the iteration may diverge.
 const EIGENVALUE_MARGIN: f64 = 1.02;
 
-/// Number of steps of [`projected_gradient`] between two tests of convergence. A test costs a product with H. Larger:
-/// more steps than necessary. Smaller: more tests.
+/// Number of steps of [`projected_gradient`] between two tests of convergence. A test takes one more product with H.
+/// Larger: more steps than necessary. Smaller: more tests.
 const STEPS_BETWEEN_LOOKS: usize = 50;
 
 /// Number of steps of [`projected_gradient`] that a caller should do after an active set method has failed. Larger:
@@ -88,8 +88,9 @@ impl Quadratic {
     }
 }
 
-/// The last set I of free components that [`active_set`] solved for, and the factor of its submatrix H_II. It serves
-/// another g with the same H: if one solution is corrected by another, the free components are soon the same again.
+/// The last set I of free components that [`active_set`] solved for, and the factor of its submatrix H_II. It can be
+/// used again for another g with the same H, if the set of free components is the same. This is soon so if one solution
+/// is corrected by another.
 #[derive(Debug, Default)]
 pub struct LastFactor(Option<(Vec<usize>, Woodbury)>);
 
