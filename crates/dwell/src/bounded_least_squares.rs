@@ -10,15 +10,16 @@
 //!   + 1/2 (z - c - B t)' S (z - c - B t)
 //! ```
 //!
-//! `w` are the weights of the pixels (0 where the map is invalid). `D` is the largest diagonal element of `B' W B`,
-//! and `A` the effective area of the TIF (at least that of 36 dwell points). `p` is the distance of neighbouring
-//! lines of the path, `l_k` the length of segment k, and `m_k` the distance between the middles of segments k - 1 and
-//! k. `a_k = p l_k` is the area of dwell point k, and `r` the dwell time per area.
+//! `w` are the weights of the pixels (0 where the map is invalid). `D` is the largest diagonal element of `B' W B - U
+//! U'` of (2), and `A` the effective area of the TIF (at least that of 36 dwell points). `p` is the distance of
+//! neighbouring lines of the path, `l_k` the length of segment k, and `m_k` the distance between the middles of
+//! segments k - 1 and k. `a_k = p l_k` is the area of dwell point k, and `r` the dwell time per area.
 //!
 //! `alpha` decides the dwell times that the map does not decide (outside the clear aperture). `beta` keeps neighbours
-//! alike, so that a machine can execute them. `lambda` is the weight of a second in half a mean square. Q, if a
-//! program has one, is any symmetric positive semidefinite matrix, of which only products are needed: the scatter
-//! that a process adds. S, if it is asked for, weighs the slope of the residual ([`crate::residual_slope`]).
+//! alike, so that a machine can execute them. `lambda` is the weight of one second in half the mean square of the
+//! residual. Q, if a program ([`Program`]) has one, is any symmetric positive semidefinite matrix, for example of the
+//! scatter that the process adds; only its products are needed. S, if it is asked for, weighs the slope of the residual
+//! ([`crate::residual_slope`]).
 //!
 //! A plane may be free in place of the piston. A Huber loss may replace the square; it counts residuals above `k`
 //! linearly, for maps with pits. The free functions are implicit: with functions `f` orthonormal under the weights
@@ -29,22 +30,22 @@
 //! g = B' W (z - its component in f) + alpha D A lo_j / a_j
 //! ```
 //!
-//! P takes the component in f away. With S and a free plane, the plane is the one that (1) has without S.
+//! P subtracts the component of a map in f. With S and a free plane, the plane is the one that (1) has without S.
 //!
-//! **Weights that mean the same at every pitch and pixel.** The two sums of squares are integrals over the part,
-//! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`. D grows with the number of pixels as the first term
-//! does. So with closer lines, points or pixels the minimum tends to that of one continuous problem. In units of the
-//! size of the TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the
-//! TIF has less than 36 of them, neighbours have the weights of 36: a machine executes a motion from point to point.
+//! **Weights that mean the same at every pitch and pixel.** The two sums of squares are integrals over the part, `alpha
+//! D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`. D grows with the number of pixels as the first term does. So
+//! with closer lines, points or pixels the minimum tends to that of one continuous problem. In units of the size of the
+//! TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the area of the
+//! TIF has less than 36 points, neighbours have the weights of 36, because a machine has to move from point to point.
 //!
-//! H is never made. Steps come from a cheap surrogate H~ of it without Q and S (`surrogate`), and each is corrected
-//! by the gradient of (1) itself, which also certifies the result. H~ has cells of pixels and the primal-dual active
-//! set method, with a skyline Cholesky factorisation. For many points it has the FFT and conjugate gradients with a
-//! spline lattice, after easier problems. If the lattice would be too large, it has projected gradient steps. B is
-//! applied by FFT, which is exact if the TIF has the pitch of the map. Otherwise its columns are stored, unless they
-//! are too many. Columns whose effect on the map is below 1e-9 of the largest stay at their lower bound in (1). In
-//! the result they have the density of their neighbours (`continuation`), which removes less than 1e-4 of a column
-//! there.
+//! H is never made. Steps come from a cheap surrogate H~ of it without Q and S (`surrogate`), and each is corrected by
+//! the gradient of (1) itself, which also certifies the result. H~ on cells of pixels is minimised by the primal-dual
+//! active set method, with a skyline Cholesky factorisation. For many points, it is applied by FFT and minimised by
+//! conjugate gradients with a spline lattice, after easier problems. If no lattice suits the problem, by projected
+//! gradient steps. B is applied by FFT, which is exact if the TIF has the pitch of the map. Otherwise its columns are
+//! stored, unless they are too many. Columns whose effect on the map is below 1e-9 of the largest stay at their lower
+//! bound in (1). In the result they have the density of their neighbours (`continuation`), which removes less than 1e-4
+//! of a column there.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
 //! Opt. Express 29 (2021) 38737, with the free piston, the density smoothness and the certificate.
@@ -62,9 +63,9 @@
 //! | `prepared` | (1) and (2) with everything that is computed once |
 //! | `minimise` | the steps, and the robust weights |
 //! | `weighted` | (1) itself, its gradient, and its least value along steps |
-//! | `certificate` | the bound on what is missing |
-//! | `unbounded` | how the two-level method comes to that bound |
-//! | `discrepancy` | the smoothness that the noise asks for |
+//! | `certificate` | the upper bound of the distance of the objective from its minimum |
+//! | `unbounded` | steps of the two-level method that make that bound small |
+//! | `discrepancy` | the choice of the smoothness by the noise |
 //! | `report` | the result in numbers |
 
 mod certificate;
@@ -100,10 +101,11 @@ pub use settings::{BoundedSettings, Product, Program};
 /// Finds the dwell times that minimise the objective (1) of the module for the desired removal along `path`, within
 /// the bounds of the settings.
 ///
-/// `weight` (ny, nx) >= 0 weighs the pixels; without it every valid pixel counts 1.
+/// `weight` (ny, nx) >= 0 weighs the pixels. Without it the weights follow from the standard deviations of the map, if
+/// it has any; otherwise every valid pixel counts 1.
 ///
 /// # Errors
-/// Refuses inputs that [`solve_within`] refuses, and bounds that are negative or not finite.
+/// Refuses inputs that [`solve_within`] or [`bounds()`] refuses.
 pub fn solve(
     desired: &Surface,
     tif: &Tif,
@@ -117,11 +119,14 @@ pub fn solve(
 /// Finds the dwell times that minimise the objective (1) of the module for the desired removal along `path`, within
 /// these bounds (n), s.
 ///
-/// If the rate of the tool depends on the time of the run, the problem is solved in rounds. Each has the rates at the
-/// times that the dwell times of the round before lead to.
+/// If the rate of the tool depends on the time of the run, the problem is solved in rounds. Each round uses the rates
+/// at the times of the run that follow from the dwell times of the round before. The rounds end if the rates no longer
+/// change, or after 12.
 ///
 /// # Errors
-/// Refuses weights, settings and bounds that are not in their range, and a tool that does not reach the map.
+/// Refuses weights, settings and bounds that are not in their range, a TIF that cannot be sampled on the lattice of the
+/// map or covers too many pixels, and a tool that does not reach the map. Fails if the surrogate of H is singular in
+/// every form.
 pub fn solve_within(
     desired: &Surface,
     tif: &Tif,
@@ -176,13 +181,13 @@ fn program<'a>(
     Program { places, lo: lo.to_vec(), hi: hi.to_vec(), guess, quadratic: None }
 }
 
-/// Largest number of rounds for a tool whose rate depends on the time of the run. The first solution has the removal
-/// of the last one but for bounds and regularisation, so that few rounds are enough. Larger: more time. Smaller: more
-/// plans are refused.
+/// Largest number of rounds for a tool whose rate depends on the time of the run. The first solution removes nearly as
+/// much as the last one, so that few rounds are enough. Larger: more time. Smaller: more plans are reported as not
+/// converged.
 const MAX_ROUNDS_OF_TIMES: usize = 12;
 
-/// Returns the mean factor of a time-dependent rate over each of the dwell times (n), s, spent one after the other
-/// from the start of the run.
+/// Returns the mean of the rate factor c(t) over each dwell time (n). The dwell times, s, follow each other from the
+/// start of the run.
 fn time_factors(time: &TimeFactor, dwell_s: &[f64]) -> Vec<f64> {
     let mut start_s = 0.0;
     let mut factors = Vec::with_capacity(dwell_s.len());
@@ -193,8 +198,8 @@ fn time_factors(time: &TimeFactor, dwell_s: &[f64]) -> Vec<f64> {
     factors
 }
 
-/// Returns the dwell times (n), s, that remove as much as `effective_s` at a rate factor of 1. They are spent one
-/// after the other from the start of the run.
+/// Returns the dwell times (n), s, that remove as much as the dwell times `effective_s` would at a rate factor of 1.
+/// They follow each other from the start of the run.
 fn times_of_effective(time: &TimeFactor, effective_s: &[f64]) -> Vec<f64> {
     let mut start_s = 0.0;
     let mut dwell_s = Vec::with_capacity(effective_s.len());
@@ -215,7 +220,8 @@ fn at_rate(places: &[ToolPlace], factor: f64) -> Vec<ToolPlace> {
 /// its places include the factors of a rate that depends on the time of the run.
 ///
 /// # Errors
-/// Refuses what [`solve_within`] refuses.
+/// Refuses what [`solve_within`] refuses, and a program that does not have one column, bound and guess for every dwell
+/// point.
 pub fn solve_columns(
     desired: &Surface,
     tif: &Tif,
@@ -268,7 +274,7 @@ pub fn solve_columns(
 /// Returns the lower and the upper bound of every dwell point (n), s, by the settings.
 ///
 /// # Errors
-/// Refuses bounds that are negative or not finite.
+/// Refuses bounds that are negative or not finite, and a lower bound above 1e7 s.
 pub fn bounds(
     path: &ToolPath,
     settings: &BoundedSettings,

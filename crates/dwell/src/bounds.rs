@@ -1,5 +1,4 @@
-//! Checks that every solver makes first: the bounds of the dwell times and the weights of the
-//! pixels.
+//! Bounds of the dwell times and weights of the pixels, with the checks that every solver makes first.
 
 use ndarray::{Array2, Zip};
 use planish_types::{Invalid, Surface, ToolPath};
@@ -68,7 +67,8 @@ const LONGEST_FLOOR_S: f64 = 1e7;
 /// deviations of the map, if it has any ([`weights_of_deviations`]), and are 1 otherwise.
 ///
 /// # Errors
-/// Refuses weights of another shape, negative ones, and weights that are 0 on every valid pixel.
+/// Refuses weights of another shape, weights that are negative or not finite, and weights that are 0 on every valid
+/// pixel.
 pub fn pixel_weights(
     desired: &Surface,
     weight: Option<&Array2<f64>>,
@@ -95,7 +95,7 @@ pub fn pixel_weights(
 }
 
 /// Returns the weights of the pixels (ny, nx) from the standard deviations s of their heights; `None` for a map without
-/// deviations.
+/// known deviations, or with deviations that are all 0.
 ///
 /// ```text
 /// w = 2 m^2 / (m^2 + s^2),    m^2 = mean of s^2 over the valid pixels with a known s
@@ -117,14 +117,14 @@ fn weights_of_deviations(desired: &Surface) -> Option<Array2<f64>> {
 }
 
 /// Returns the RMS of the standard deviations of the map under the weights of its pixels, nm: the noise level that a
-/// residual can reach. `None` for a map without deviations, or with deviations of 0.
+/// residual can reach. `None` for a map without deviations, or if they are 0 or unknown on all pixels that count.
 ///
 /// ```text
 /// sqrt(sum w s^2 / sum w)     over the valid pixels with a known s
 /// ```
 ///
 /// # Errors
-/// Refuses weights as `pixel_weights` does.
+/// Refuses weights as `pixel_weights` does, if the map has deviations.
 pub fn noise_of_deviations(
     desired: &Surface,
     weight: Option<&Array2<f64>>,

@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and what the solvers that face [`Problem`] have in common.
+//! The subcommands, one file each, with the arguments, input and output that the solvers of a [`Problem`] share.
 
 mod bcls;
 mod bounded_least_squares;
@@ -91,7 +91,7 @@ struct CommonArgs {
     output: OutputArgs,
 }
 
-/// Settings of a solver with those that all solvers have, as the manifest states them.
+/// Settings of a solver together with those that all solvers have, as the manifest states them.
 #[derive(Serialize)]
 struct Resolved<S> {
     columns: Columns,
@@ -100,7 +100,7 @@ struct Resolved<S> {
     solver: S,
 }
 
-/// Report of a solver with the numbers that all solvers have.
+/// Report of a solver together with the [`Outcome`] that all solvers have, as the manifest states them.
 #[derive(Serialize)]
 struct Reported<'a, R> {
     #[serde(flatten)]
@@ -109,7 +109,7 @@ struct Reported<'a, R> {
     report: &'a R,
 }
 
-/// The maps and the path that a solver works on, as read from the files.
+/// The inputs of a solver, as read from the files: desired removal, TIF, path, and weights of the pixels if given.
 struct Nouns {
     desired: Surface,
     tif: Tif,
@@ -135,11 +135,12 @@ struct Ended {
     end: End,
     /// Reason of a negative verdict; none if the verdict is positive.
     negative: Option<String>,
-    /// Further sentences for the user, printed after the numbers.
+    /// Further words for the user, within the printed line.
     words: String,
 }
 
-/// Reads the inputs, runs the solver, writes the dwell times, and prints one line.
+/// Reads the inputs, runs the solver, writes the dwell times, and prints one line. Returns without running it if the
+/// output of the same task and inputs exists.
 fn solve<S: Serialize, R: Serialize>(
     method: &'static str,
     common: &CommonArgs,

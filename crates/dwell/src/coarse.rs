@@ -1,7 +1,8 @@
 //! A map of dwell times on squares of K x K pixels.
 //!
-//! Unknown are the times T of every K-th node; between them the dwell map is linear, and what is
-//! compared are the means over K x K pixels. With hat(u) = max(1 - |u| / K, 0), on each axis
+//! The unknowns are the times T at every K-th tool position (*coarse node*) along x and y; between them the dwell map
+//! tau is linear. Removal and desired removal are compared by their means over K x K pixels (*squares*). With hat(u) =
+//! max(1 - |u| / K, 0), on each axis
 //!
 //! ```text
 //! tau[n] = sum_J hat(n - K J) T[J] / K                 the time is kept                     (1)
@@ -9,14 +10,14 @@
 //! G[D] = sum_a sum_k R[k] hat(K D + a + s - 1 - k) / K^2                                  (2)
 //! ```
 //!
-//! for the s samples of R: for maps of this form nothing is approximated but at pixels that do not
-//! count. Where some of a square do not, what is desired in its middle is found from the centroid of
-//! those that do, along the plane through the neighbouring squares.
+//! for the s samples of R. For dwell maps of this form the means are exact, unless pixels of a square have no weight.
+//! The desired mean of such a square is moved from the centroid of its pixels to its middle, along the plane through
+//! the neighbouring squares.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | T | `t` | coarse nodes | s |
-//! | tau | - | nodes | s |
+//! | tau | - | tool positions at the pitch of the map | s |
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 
 use ndarray::{Array2, ArrayView2};
@@ -33,18 +34,18 @@ use crate::dwell_map::lattice;
 /// maps are solved on their pixels, which takes longer. Smaller: smaller maps are solved on squares, too.
 const MIN_PIXELS_FOR_SQUARES: usize = 1_000_000;
 
-/// Number of squares on which the TIF rises from zero to its peak at its steepest slope, dimensionless. A Gaussian
-/// rises on 0.70 of its full width at half maximum, so that this is ten squares in that width. Larger: smaller
-/// squares, and more time. Smaller: larger squares, which resolve the TIF less. Chosen by the residuals with other
-/// values (docs/dwell.md).
+/// Number of squares in the length of peak over steepest slope of the TIF, dimensionless. For a Gaussian this length is
+/// 0.70 of its full width at half maximum, so that there are ten squares in that width. Larger: smaller squares, and
+/// more time. Smaller: larger squares, which resolve the TIF less. Chosen by the residuals with other values
+/// (docs/dwell.md).
 const SQUARES_ON_RISE: f64 = 7.0;
 
-/// Largest K, pixels along the side of a square; the settings accept no larger one. Larger: wider squares for tools
-/// that are large beside the pixels. Smaller: more squares, and more time, for such tools.
+/// Largest K, pixels along the side of a square; the settings accept no larger one. Larger: wider squares for TIFs that
+/// are very many pixels wide. Smaller: more squares, and more time, for such tools.
 pub(crate) const MAX_SQUARE_PIXELS: usize = 64;
 
-/// Returns the side K of the squares for a map, pixels: the largest that the TIF allows, or 1 for a map below
-/// [`MIN_PIXELS_FOR_SQUARES`].
+/// Returns the side K of the squares for a map, pixels: the largest that [`SQUARES_ON_RISE`] allows on both axes, from
+/// 1 to [`MAX_SQUARE_PIXELS`]. It is 1 for a map below [`MIN_PIXELS_FOR_SQUARES`].
 pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     let grid = desired.grid();
     if grid.x.len() * grid.y.len() < MIN_PIXELS_FOR_SQUARES {
@@ -74,7 +75,7 @@ fn rate_or_zero(rate: &Array2<f64>, (r, c): (isize, isize)) -> f64 {
     sample.copied().unwrap_or(0.0)
 }
 
-/// Operators (1) and (2) of the module for a map of dwell times on squares. `T` is the precision of their sums.
+/// Operators (1) and (2) of the module for a map of dwell times on squares. `T` is the number type of the FFT.
 pub(crate) struct CoarseMap<T: Lanes + Planned> {
     size: usize,
     /// Grid of all tool positions, not only of the coarse nodes.
@@ -87,7 +88,8 @@ pub(crate) struct CoarseMap<T: Lanes + Planned> {
 }
 
 impl<T: Lanes + Planned> CoarseMap<T> {
-    /// Makes the operators for maps on `grid` in squares of `size` x `size` pixels.
+    /// Makes the operators for maps on `grid` in squares of `size` x `size` pixels; with 1, the coarse nodes are all
+    /// tool positions.
     ///
     /// # Errors
     /// Refuses a TIF that varies over the part.
@@ -101,7 +103,7 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         Ok(Self { size, nodes, pixels, shape, convolution })
     }
 
-    /// Returns all tool positions, not only the coarse ones.
+    /// Returns the grid of all tool positions, not only of the coarse nodes.
     pub fn nodes(&self) -> &Grid {
         &self.nodes
     }
@@ -116,13 +118,14 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         self.convolution.valid(t)
     }
 
-    /// Applies the adjoint of [`Self::removal`] to a map on squares; the result is on the coarse nodes.
+    /// Applies the adjoint of [`Self::removal`] to a map with one value per square; the result has one value per coarse
+    /// node.
     pub fn adjoint(&self, map: &Array2<f64>) -> Array2<f64> {
         self.convolution.adjoint(map.view())
     }
 
-    /// Returns the values of a mask at the coarse nodes, (rows, columns). The outermost nodes may lie beyond all
-    /// pixels; they get the value at the border.
+    /// Returns the values, at the coarse nodes, of a mask over all tool positions (rows, columns). The outermost coarse
+    /// nodes may lie beyond all tool positions; they get the value at the border.
     pub fn at_nodes(&self, fine: &Array2<bool>) -> Array2<bool> {
         let (ny, nx) = fine.dim();
         Array2::from_shape_fn(self.shape, |(r, c)| {
@@ -163,8 +166,8 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         tau
     }
 
-    /// Returns the desired means and the weights of the squares, from the desired removal and the weights of the
-    /// pixels (ny, nx).
+    /// Returns the desired removal in the middle of every square, and the weight of every square (sum over its pixels),
+    /// from the desired removal e and the weights w of the pixels (ny, nx).
     pub fn restrict(&self, e: &Array2<f64>, w: &Array2<f64>) -> (Array2<f64>, Array2<f64>) {
         if self.size == 1 {
             return (e.clone(), w.clone());
@@ -210,12 +213,14 @@ impl<T: Lanes + Planned> CoarseMap<T> {
 struct Square {
     weight: f64,
     mean: f64,
-    /// Offset of the centroid of the valid pixels from the middle of the square, pixels [x, y].
+    /// Offset of the weighted centroid of the pixels from the middle of the square, pixels [x, y].
     centroid: [f64; 2],
 }
 
-/// Returns the value of a square in its middle: its mean over the valid pixels, moved from their centroid along the
-/// plane through the squares around. It is at least half the mean, so that the desired removal stays positive.
+/// Returns the value of a square in its middle: its weighted mean, moved from the centroid of its pixels along the
+/// plane through the squares around. It is at least half the mean, so that a desired removal stays positive. The mean
+/// itself is returned if the square has no weight, if the centroid is in the middle, or if the squares around determine
+/// no plane.
 fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) -> f64 {
     let own = squares[[r, c]];
     let off = own.centroid.iter().any(|d| d.abs() > 1e-9);
@@ -248,7 +253,8 @@ fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) 
     (own.mean - gx * own.centroid[0] - gy * own.centroid[1]).max(0.5 * own.mean)
 }
 
-/// Returns the kernel G of (2) of the module, on both axes, nm/s, from the samples of the TIF.
+/// Returns the kernel G of (2) of the module, applied along both axes, nm/s, from the samples of the TIF; for a `size`
+/// of 1 these samples.
 fn coarse_kernel(samples: &Array2<f64>, size: usize) -> Array2<f64> {
     if size == 1 {
         return samples.clone();

@@ -1,15 +1,16 @@
-//! Dwell times where the map decides none: the density of the neighbours goes on.
+//! Dwell times of points that the map does not decide (unreached ones): the density, dwell time per length, is
+//! continued from the neighbours.
 //!
 //! ```text
 //! q_j = (1 - w) q_a + w q_b,   w = (s_j - s_a) / (s_b - s_a),   t_j = l_j q_j                   (1)
 //! ```
 //!
-//! with the nearest decided dwell points a and b before and after j along the path, s their places on it.
-//! Before the first and after the last one the density is constant. A floor there instead would be a step of the
-//! density at the edge of the reach of the tool, which removes nothing but has to be executed: a scheduler
-//! that adds an offset to all densities, until its machine can follow, would be ruled by that step.
+//! with the nearest decided dwell points a and b before and after j along the path, and the path lengths s up to the
+//! middles of their segments. Before the first and after the last one the density is constant. The floor in their place
+//! would make the density jump where the tool leaves the map. The jump removes nothing, but the machine has to execute
+//! it. A scheduler that raises all densities until its machine can follow would then be limited by that jump.
 //!
-//! Lifted segments and rests have no density and are left alone.
+//! Segments with the tool off and rests have no density, and keep their dwell times.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -26,14 +27,15 @@ struct Tie {
     sources: [(usize, f64); 2],
 }
 
-/// Dwell times of the undecided points along a path as sums of others, (1) of the module; each is a tie.
+/// Rule (1) of the module for every undecided point of a path: its dwell time (a tie) is a sum of two others.
 pub(crate) struct Continuation {
     ties: Vec<Tie>,
 }
 
 impl Continuation {
-    /// Makes the ties of the dwell points j for which `decided(j)` is false: points that the map does not decide.
-    /// There are none if all points are decided, or if no segment has a length.
+    /// Makes the ties of the dwell points j for which `decided(j)` is false: points that the map does not decide. Only
+    /// segments with a density have ties. There are none if all or none of these are decided, or if no segment has a
+    /// length.
     pub fn new(path: &ToolPath, decided: impl Fn(usize) -> bool) -> Self {
         let Some(median) = median_length_mm(path) else { return Self { ties: Vec::new() } };
         let n = path.len();
@@ -85,7 +87,8 @@ impl Continuation {
         }
     }
 
-    /// Sets the dwell times of the undecided points by (1) of the module, limited to their bounds.
+    /// Sets the dwell times of the undecided points in t (n) by (1) of the module, limited to their bounds `lo` and
+    /// `hi` (n), s.
     pub fn apply_within(&self, t: &mut [f64], lo: &[f64], hi: &[f64]) {
         self.apply(t);
         for Tie { point, .. } in &self.ties {

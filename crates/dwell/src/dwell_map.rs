@@ -5,11 +5,10 @@
 //! t_j = sum of tau over the nodes whose nearest dwell point is j                          (2)
 //! ```
 //!
-//! The lattice has the pitch of the map and reaches as far as the tool reaches the map. (2) keeps the
-//! time, everywhere: on a raster it is the density times pitch times step. It averages over a cell of
-//! the path; interpolating tau at the dwell points instead would let what is rough in it (noise, the
-//! edge of a margin) alias into the shape of the part. What a path cannot follow between its lines is
-//! lost: the pitch must be fine against the TIF.
+//! The lattice has the pitch of the map and reaches as far as the tool reaches the map. (2) keeps the total time: on a
+//! raster, t_j is tau per area times pitch times step. It sums over the nodes around a dwell point. Interpolating tau
+//! at the dwell points instead would alias its rough parts (noise, the edge of a margin) into the shape of the part.
+//! Details of tau between the lines of the path are lost: the pitch must be fine against the TIF.
 
 use std::ops::Range;
 
@@ -32,7 +31,7 @@ pub(crate) struct DwellMap {
 }
 
 impl DwellMap {
-    /// Makes the lattice of tool positions for maps on `grid`.
+    /// Makes the lattice of tool positions for maps on `grid`, and the convolution with the TIF.
     ///
     /// # Errors
     /// Refuses a TIF that varies over the part.
@@ -42,13 +41,14 @@ impl DwellMap {
         Ok(Self { grid: nodes, rate_sum: kernel.sum(), convolution })
     }
 
-    /// Returns the removal, (1) of the module, (ny, nx), nm, for the times on the nodes of the lattice, s.
+    /// Returns the removal, (1) of the module, (ny, nx), nm, for the times on the nodes of the lattice (rows, columns),
+    /// s.
     pub fn removal(&self, seconds: ArrayView2<f64>) -> Array2<f64> {
         self.convolution.valid(seconds)
     }
 
-    /// Applies the adjoint of (1) of the module to a map (ny, nx), with `filter` of the spectrum of the TIF in place
-    /// of its conjugate. Returns a field on the lattice.
+    /// Applies the adjoint of (1) of the module to a map (ny, nx), with `filter` of the spectrum of the TIF in place of
+    /// its conjugate. Returns one value per node of the lattice.
     pub fn filtered(
         &self,
         map: &Array2<f64>,
@@ -58,7 +58,8 @@ impl DwellMap {
     }
 }
 
-/// Returns the TIF at the pitch of the map, and the lattice of the tool positions from which it reaches the map.
+/// Returns the TIF sampled at the pitch of the map, nm/s, and the lattice of the tool positions from which its samples
+/// reach the map.
 ///
 /// # Errors
 /// Refuses a TIF that varies over the part.
@@ -84,18 +85,19 @@ fn sample_mm(map: &Axis, tif: &Axis, k: usize) -> f64 {
     tif.start_mm() + k as f64 * map.step_mm()
 }
 
-/// Returns the tool positions along an axis. From the first one, the last of the `samples` of the TIF reaches the
-/// first pixel.
+/// Returns the tool positions along an axis. At the first one, the last of the `samples` of the TIF lies on the first
+/// pixel; at the last one, the first sample lies on the last pixel.
 fn tool_positions(map: &Axis, tif: &Axis, samples: usize) -> Result<Axis, Invalid> {
     let start = map.start_mm() - sample_mm(map, tif, samples - 1);
     Axis::new(start, map.step_mm(), map.len() + samples - 1)
 }
 
-/// Assignment of the nodes of a lattice to the dwell points of a path.
+/// Assignment of the nodes of a lattice of tool positions to the dwell points of a path.
 pub(crate) struct NodeOwners {
     grid: Grid,
     points: Buckets,
-    /// Index of the nearest dwell point of every node; [`NO_POINT`] if it is not near enough.
+    /// Index of the nearest dwell point of every node; [`NO_POINT`] if that is farther away than the limit of
+    /// [`Self::new`].
     nearest: Array2<u32>,
 }
 
@@ -107,10 +109,10 @@ const NO_POINT: u32 = u32::MAX;
 const NODE_ROWS_PER_TASK: usize = 64;
 
 impl NodeOwners {
-    /// Assigns every node of `grid` to the nearest dwell point with the tool on, unless that is too far away. The
-    /// limit is twice the median distance of the nodes in the `aperture` from their dwell points; in a cell of a
-    /// lattice the corner is 1.8 medians from the middle. `aperture` tests a position [x, y], mm, because bounds
-    /// cannot describe a disk.
+    /// Assigns every node of `grid` to the nearest dwell point with the tool on, unless that is too far away. The limit
+    /// is twice the median distance of the nodes in the `aperture` from their dwell points; in a cell of a lattice the
+    /// corner is 1.8 medians from the middle. `aperture` returns true for a position [x, y], mm, within the aperture,
+    /// which may have any shape.
     pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
         let points: Vec<(u32, [f64; 2])> = (0..path.len())
             .filter(|j| path.tool_on()[*j])
@@ -163,13 +165,13 @@ impl NodeOwners {
         Self { grid: *grid, points, nearest }
     }
 
-    /// Returns the mask of the nodes that have a dwell point near enough.
+    /// Returns the mask of the nodes with a dwell point within the limit of [`Self::new`].
     pub fn owned(&self) -> Array2<bool> {
         self.nearest.mapv(|j| j != NO_POINT)
     }
 
     /// Returns the times of `n` dwell points, s, from those on the nodes, by (2) of the module. The time on a node
-    /// without a dwell point near enough goes to the nearest dwell point, too.
+    /// beyond the limit of [`Self::new`] goes to the nearest dwell point, too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
         // Each row by itself, and neighbours with one dwell point together.
         let of_rows = parallel::map(seconds.nrows(), &|r| {
@@ -201,7 +203,7 @@ impl NodeOwners {
     }
 }
 
-/// Returns the squared distance of two points [x, y].
+/// Returns the squared distance of two points [x, y], mm^2.
 fn squared_distance(q: [f64; 2], p: [f64; 2]) -> f64 {
     (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
 }
@@ -229,15 +231,17 @@ fn upper_bits(v: f32) -> usize {
     (v.to_bits() >> 16) as usize
 }
 
-/// Nodes of a lattice that are no unknowns, each with the unknown whose time it gets.
+/// Nodes of a lattice that belong to a dwell point but are no unknowns. Each gets the time of the nearest unknown
+/// (active node).
 pub(crate) struct Spread {
     /// Pairs of a node and the unknown whose time it gets, both by index in the lattice, row by row.
     ties: Vec<(u32, u32)>,
 }
 
 impl Spread {
-    /// Finds, for the nodes that belong to a dwell point (`owned`) but are not `active` (both by rows), the nearest
-    /// active node. The distance is the number of steps to one of the eight neighbours.
+    /// Finds the nearest active node for the nodes that belong to a dwell point (`owned`, (rows, columns)) but are not
+    /// `active` (row by row). The path to it goes over owned nodes; its length is the number of steps, each to one of
+    /// the eight neighbours.
     pub fn new(owned: &Array2<bool>, active: &[bool]) -> Self {
         let (ny, nx) = owned.dim();
         let mut source: Vec<u32> = vec![NO_POINT; active.len()];
@@ -269,15 +273,15 @@ impl Spread {
         Self { ties }
     }
 
-    /// Sets the times of the nodes that are no unknowns to those of their unknowns.
+    /// Sets the times of these nodes, in t (row by row), to those of their unknowns.
     pub fn apply(&self, t: &mut [f64]) {
         for (node, source) in &self.ties {
             t[*node as usize] = t[*source as usize];
         }
     }
 
-    /// Applies the adjoint of [`Self::apply`]: adds the element of every such node to that of the unknown whose time
-    /// it gets.
+    /// Applies the adjoint of [`Self::apply`] to s (row by row): adds the element of every such node to that of the
+    /// unknown whose time it gets.
     pub fn gather(&self, s: &mut [f64]) {
         for (node, source) in &self.ties {
             s[*source as usize] += s[*node as usize];
@@ -317,9 +321,9 @@ impl Buckets {
         Self { start, side, shape, grouped, points }
     }
 
-    /// Finds the nearest point, by its number, and its squared distance for every node of some rows that has a point
-    /// within the side of a square. Of equal distances the lowest number counts. In a lattice of square cells every
-    /// node has a point within 0.71 sides.
+    /// Writes the number of the nearest point to `nearest`, and its squared distance to `squares`, for every node of
+    /// the rows `rows` that has a point within the side of a square. Others stay as they are. Of equal distances the
+    /// lowest number counts. In a lattice of square cells every node has a point within 0.71 sides.
     fn within_a_side(
         &self,
         grid: &Grid,
@@ -361,9 +365,9 @@ impl Buckets {
         );
     }
 
-    /// Returns the point nearest to p, mm: its index in `points` (for the next guess), its number, and its distance;
-    /// of equal distances, the lowest number. A nearer `guess` makes it quicker. Beyond the distance `reach` another
-    /// point than the nearest may be returned.
+    /// Returns the point nearest to p, mm: its index in `points` (for the next guess), its number, and its distance; of
+    /// equal distances, the lowest number. The closer `points[guess]` is to p, the quicker the search. If the nearest
+    /// point is farther than `reach`, another one may be returned; without points, [`NO_POINT`].
     fn nearest(&self, p: [f64; 2], guess: usize, reach: f64) -> (usize, (u32, f64)) {
         let own = [0, 1].map(|a| {
             let b = ((p[a] - self.start[a]) / self.side).floor();
@@ -424,7 +428,7 @@ fn rounded_up_square(distance: f64) -> f64 {
 struct NearestSearch<'a> {
     buckets: &'a Buckets,
     p: [f64; 2],
-    /// Index in the list of the best point so far.
+    /// Index in `points` of the best point so far.
     place: usize,
     best: (u32, f64),
     /// Squared distance above which a point is not better than the best one.

@@ -1,13 +1,13 @@
-//! A map beyond its aperture, for solvers that look there (inverse filter, adjoint image).
+//! Continuation of a map beyond its aperture, for solvers that need heights there (inverse filter, adjoint image).
 //!
 //! ```text
 //! odd   z(p) = 2 z(e) - z(2e - p),   e the valid pixel nearest to p                        (1)
 //! rise  z(p) = sum_ab c_ab T_a(y) T_b(x),   c fitted to the valid pixels and to a ring of (1)   (2)
 //! ```
 //!
-//! T_a are Chebyshev polynomials on the extended map. The ring (all that is at least the given
-//! distance from the aperture) keeps the polynomial from running away; valid pixels keep their value.
-//! Where the mirrored pixel `2e - p` is not valid, (1) is the nearest value z(e).
+//! T_a are Chebyshev polynomials on the extended map. The *ring* has all pixels that are at least a given distance from
+//! the aperture. It keeps the polynomial from growing without limit. Valid pixels keep their value. Where the mirrored
+//! pixel `2e - p` is not valid, (1) is the nearest value z(e).
 //!
 //! Source: T. Wang et al., Opt. Express 29 (2021) 15114 (the fit of correctable errors beyond the
 //! aperture; their ring is a natural-neighbour interpolation).
@@ -23,13 +23,13 @@ use planish_types::{Axis, Grid, Invalid};
 /// map more closely, and may swing beyond it. Smaller: it is smoother.
 const POLYNOMIALS_Y_X: (usize, usize) = (6, 9);
 
-/// A map with a border of pixels on every side, and the mask of its valid pixels.
+/// Grid of a map with a border of pixels on every side, and everything that its extension needs except the heights.
 pub(crate) struct Extension {
     /// Grid of the extended map.
     pub grid: Grid,
     /// Number of pixels of the border: [above and below, left and right].
     pub border: [usize; 2],
-    /// Valid pixels of the extended map.
+    /// Mask of the valid pixels of the extended map; the border has none.
     valid: Array2<bool>,
     /// Nearest valid pixel (row, column) of every pixel.
     nearest: Array2<(usize, usize)>,
@@ -45,7 +45,7 @@ impl Extension {
     /// `valid` is the mask. The ring of (2) of the module begins `ring_mm` from the nearest valid pixel.
     ///
     /// # Errors
-    /// Refuses a border that no axis can have.
+    /// Refuses a border for which the extended map has no valid axis.
     pub fn new(
         grid: &Grid,
         valid: &Array2<bool>,
@@ -92,8 +92,9 @@ impl Extension {
         map.slice(s![rows..ny - rows, columns..nx - columns]).to_owned()
     }
 
-    /// Returns the extended map for a map (ny, nx): valid pixels keep their values, the others follow (2) of the
-    /// module. The values of invalid pixels do not matter.
+    /// Returns the extended map for a map (ny, nx): valid pixels keep their values, those of the ring follow (1) of the
+    /// module, the others (2). If the fit (2) is singular, all others follow (1). The values of invalid pixels do not
+    /// matter.
     pub fn rise(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut z = Array2::zeros(self.valid.dim());
         let (ny, nx) = map.dim();
@@ -171,7 +172,7 @@ fn chebyshev(n: usize, count: usize) -> Array2<f64> {
 }
 
 /// Finds, for every pixel, the nearest valid one (row, column); at least one must be valid. The distance is Euclidean,
-/// between pixels of the size `dx` by `dy`.
+/// with a pitch of `dx` along a row and `dy` along a column.
 ///
 /// Exact in two passes: nearest in the column, then the lower envelope of the parabolas
 /// `(c - k)^2 dx^2 + d_k^2` along each row. Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory of

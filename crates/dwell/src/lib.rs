@@ -12,7 +12,7 @@
 //! | [`bounded_least_squares`] | least RMS of the residual, with bounds on every dwell time |
 //! | [`baselines::bcls`] | the same, with bounds from the feed and acceleration limits of a machine |
 //! | [`baselines::non_negative_least_squares`] | the same with a floor only, one component at a time |
-//! | [`tikhonov_lsqr`] | least RMS plus the length of the dwell times, without bounds |
+//! | [`tikhonov_lsqr`] | least sum of squares of the residual and of the dwell times (weighted), without bounds |
 //! | [`baselines::truncated_svd`] | least RMS in the space of the large singular values, without bounds |
 //! | [`lucy_richardson`] | largest Poisson likelihood by positive steps, total variation |
 //! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
@@ -56,7 +56,7 @@ pub enum DwellError {
     /// The inputs or settings are out of range, or contradict each other.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The tool does not reach the part.
+    /// The tool reaches no pixel that counts, or removes the same everywhere.
     #[error(
         "none of the {points} dwell points changes the shape of the surface: the tool reaches no \
          valid pixel, or removes the same everywhere; check that surface, tool path and TIF are in mm and in the same frame"

@@ -7,20 +7,20 @@
 //!
 //! `low` is the lowest height except for a given fraction of the pixels; otherwise one pit would decide the removal
 //! everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson process,
-//! which here is a device to keep T positive. Without smoothing the likelihood never falls, and after every step the
-//! removed volume is the desired one.
+//! which here serves to keep T positive. Without smoothing the likelihood never falls, and after every step the removed
+//! volume is the desired one.
 //!
-//! `B' w` in place of the volume of the TIF is the whole treatment of the boundary. A dwell point near it is judged
-//! by the pixels that it reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the
-//! best one reaches are no unknowns. They get the density of their neighbours in every step, so that their removal is
-//! counted.
+//! `B' w` in place of the volume of the TIF is the only treatment of the boundary. A dwell point near it counts by the
+//! pixels that it reaches, so the map needs no extension. Dwell points whose `B' w` is at most 2 % of the largest are
+//! no unknowns. They get the density of their neighbours in every step, so that their removal is counted.
 //!
 //! The unknowns are the dwell times of the path, with smoothness of the density along the path. Or they are a map of
 //! dwell times on the pixels, as in the source, with smoothness in two dimensions. The map is then transferred to the
 //! path (`dwell_map.rs`).
 //!
 //! If the TIF is many pixels wide, a map of dwell times needs no detail at the scale of a pixel: on large maps it is
-//! solved on squares of pixels (`coarse.rs`). Its residual is always computed on all pixels.
+//! solved on squares of pixels (`coarse.rs`). The steps then compare means over the squares; the residual of the result
+//! is computed on all pixels.
 //!
 //! Accelerated, a step starts from a point extrapolated along the last two,
 //!
@@ -32,7 +32,7 @@
 //! which has the same fixed points, reaches the same likelihood in several times fewer steps, and
 //! need not raise it in every one (D. Biggs and M. Andrews, Appl. Opt. 36 (1997) 1766, Eqs 4-9).
 //!
-//! It ends when ten steps lower the RMS of the residual by less than a given fraction.
+//! The steps end when ten of them lower the RMS of the residual by less than a given fraction.
 //!
 //! Source: trigonometric-spline scheduling, Opt. Express 32 (2024) 9255, Eq. 2, with the curvature in
 //! place of the printed Laplacian over gradient (N. Dey et al., Microsc. Res. Tech. 69 (2006) 260),
@@ -76,12 +76,13 @@ pub struct LucyRichardsonSettings {
     pub unknowns: Unknowns,
     /// Weight mu of the total variation, dimensionless; >= 0, useful up to 0.02.
     pub total_variation: f64,
-    /// Removal c at the lowest pixel, as a fraction of the range of the desired removal above `low` of (1) of the
-    /// module; > 0.
+    /// Removal c that is added everywhere, (1) of the module, as a fraction of the range of the desired removal from
+    /// `low` to its maximum; > 0.
     pub margin: f64,
-    /// Fraction of the pixels, the lowest ones, that may lie below `low` of (1) of the module; in [0, 1).
+    /// Fraction of the pixels, the lowest ones, that lie below `low` of (1) of the module; in [0, 1).
     pub pits: f64,
-    /// Relative decrease of the RMS over ten steps below which the solver ends.
+    /// Relative decrease of the RMS over ten steps below which the solver ends; with 0 it does all steps, unless the
+    /// RMS rises.
     pub min_decrease: f64,
     /// Largest number of steps.
     pub max_iterations: usize,
@@ -91,7 +92,7 @@ pub struct LucyRichardsonSettings {
     /// True if steps start from extrapolated points, (3) of the module.
     pub accelerated: bool,
     /// Side of the squares on which a map of dwell times is solved, pixels, from 1 to 64. Default: 1 for maps below a
-    /// million pixels, and for larger maps the largest side that the TIF allows.
+    /// million pixels, and for larger maps the largest side that the steepest slope of the TIF allows.
     pub pixels_per_cell: Option<usize>,
 }
 
@@ -114,17 +115,18 @@ impl Default for LucyRichardsonSettings {
 /// Report of the Lucy-Richardson deconvolution.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LucyRichardsonReport {
-    /// Reason for the end: `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` if the number of
-    /// steps was meant to end it.
+    /// Reason for the end: `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` if all steps were
+    /// done and the settings say that this is intended.
     pub end: End,
     /// Number of steps.
     pub iterations: usize,
-    /// Log-likelihood sum w (E ln m - m), with the removal m, before the first step and after each.
+    /// Log-likelihood sum w (E ln m - m) over the pixels, with the weights w, the positive desired removal E and the
+    /// removal m, before the first step and after each.
     pub log_likelihood: Vec<f64>,
     /// RMS of the difference E - m of desired and actual removal (mean removed), before the first step and after each,
     /// nm.
     pub rms_nm: Vec<f64>,
-    /// Number of unknowns that are solved for: those well within the reach of the tool.
+    /// Number of unknowns that are solved for: those whose sensitivity `B' w` is above 2 % of the largest.
     pub active: usize,
     /// Number of negative samples of the TIF that were taken as zero.
     pub clipped_tif_samples: usize,
@@ -147,20 +149,22 @@ impl LucyRichardsonReport {
     }
 }
 
-/// Sensitivity of a dwell point, as a fraction of the largest `B' w`, below which its density is continued from its
-/// neighbours. Larger: fewer dwell points at the rim are solved for. Smaller: dwell times at the rim, which hardly
+/// Sensitivity `B' w` of a dwell point or node, as a fraction of the largest, up to which its time is continued from
+/// its neighbours. Larger: fewer dwell points at the rim are solved for. Smaller: dwell times at the rim, which hardly
 /// change the map, may become very long.
 const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 
-/// Upper limit of a dwell time, over the mean dwell time. Larger: dwell times at the edge of the reach of the tool
-/// may grow without use. Smaller: the limit cuts dwell times that the map needs.
+/// Upper limit of a dwell time, as a multiple of the mean over the unknowns. Larger: dwell times at the edge of the
+/// reach of the tool may grow without use. Smaller: the limit cuts dwell times that the map needs.
 const MAX_TIME_OVER_MEAN: f64 = 20.0;
 
 /// Maximises the likelihood by the steps (2) of the module, with the dwell times of the path or a map of dwell times
 /// as unknowns.
 ///
 /// # Errors
-/// Refuses settings out of range, what every solver refuses, and a map of dwell times for a TIF that varies.
+/// Refuses settings out of range, squares of pixels for the dwell times of a path, and a map of dwell times if the TIF
+/// varies over the part. Every solver refuses weights and floors out of range, a floor that alone removes more than the
+/// PV of the map, a TIF that varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &LucyRichardsonSettings,
@@ -196,7 +200,8 @@ fn ready<'a>(problem: &Problem<'a>, unknowns: Unknowns) -> Result<DwellModel<'a>
     }
 }
 
-/// Refuses squares whose side is 0 or too large, and squares for the dwell times of a path, which has none.
+/// Refuses squares whose side is 0 or above [`MAX_SQUARE_PIXELS`], and squares of more than one pixel if the unknowns
+/// are the dwell times of the path.
 fn check_size(settings: &LucyRichardsonSettings) -> Result<(), DwellError> {
     let problem = match settings.pixels_per_cell {
         Some(size) if !(1..=MAX_SQUARE_PIXELS).contains(&size) => format!("is {size}"),
@@ -210,8 +215,9 @@ fn check_size(settings: &LucyRichardsonSettings) -> Result<(), DwellError> {
     Err(Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 
-/// Returns a TIF without negative rates, as the likelihood needs it: they become zero, and the rest is scaled to the
-/// same volume. Returns their number, too. A tool that varies keeps its kernels, which may be negative one by one.
+/// Returns a TIF without negative rates, as the likelihood needs it: they become zero, and the others are scaled to the
+/// same volume. Returns the number of negative rates, too. A TIF that varies stays as it is (number 0), because its
+/// kernels may be negative.
 fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
     if tif.variation().is_some() {
         return Ok((tif.clone(), 0));
@@ -238,13 +244,14 @@ fn positive_target(model: &DwellModel<'_>, settings: &LucyRichardsonSettings) ->
     e
 }
 
-/// Operators and vectors of the unknowns T that the step (2) of the module needs.
+/// Operators and vectors that the step (2) of the module needs for the unknowns T: dwell times of the path, or of a
+/// map.
 struct Unknown<'a> {
     forward: &'a dyn Fn(&[f64]) -> Array2<f64>,
     adjoint: &'a dyn Fn(&Array2<f64>) -> Vec<f64>,
-    /// Curvature kappa of (2), from T and the mean of T.
+    /// Curvature kappa of (2) of the module, one per unknown, from T and the mean of T over the active unknowns.
     curvature: &'a dyn Fn(&[f64], f64) -> Vec<f64>,
-    /// Weighted removal B' w of one second at every unknown, nm/s.
+    /// Sensitivity `B' w` of every unknown, with the nodes or dwell points that follow it, nm/s.
     sensitivity: &'a [f64],
     active: &'a [bool],
     /// Times T of a uniform dwell time per length or area, in any unit.
@@ -285,8 +292,8 @@ fn on_path(
 }
 
 /// Returns the curvature kappa of (2) of the module along the path (n), with the density q = t / (l_j / l), eps a
-/// fraction of the mean:
-/// `kappa_j = p_j - p_{j-1}`, `p_j = (q_{j+1} - q_j) / sqrt((q_{j+1} - q_j)^2 + eps^2)`.
+/// thousandth of the mean of T, and no difference across the border of the active points: `kappa_j = p_j - p_{j-1}`,
+/// `p_j = (q_{j+1} - q_j) / sqrt((q_{j+1} - q_j)^2 + eps^2)`.
 fn curvature_along_path(t: &[f64], shape: &[f64], active: &[bool], mean: f64) -> Vec<f64> {
     let mut before = 0.0;
     let mut kappa = Vec::with_capacity(t.len());
@@ -402,11 +409,11 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
     divergence.collect()
 }
 
-/// Number of elements of a partial sum in [`sum_of_products`]. Another value changes the last digits of the result.
+/// Number of elements of a partial sum of a long vector. Another value changes the last digits of the result.
 const ELEMENTS_PER_PIECE: usize = 1 << 13;
 
 /// Replaces t by the extrapolated point (3) of the module, from which the next step starts. `x` is the result of the
-/// step (2) from t. `extrapolated` has x_k and g_k of the step before, and is updated.
+/// step (2) from t. `extrapolated` has x_k and g_k of the step before (`None` before the first step), and is updated.
 fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64>, Vec<f64>)>) {
     // t becomes g, then the point to go on from.
     t.iter_mut().zip(&x).for_each(|(t, x)| *t = x - *t);
@@ -421,8 +428,8 @@ fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64
     *extrapolated = Some((x, std::mem::replace(t, y)));
 }
 
-/// Repeats the step (2) of the module until it settles or its number is used up; returns the times of the unknowns, s,
-/// and the report.
+/// Repeats the step (2) of the module until the RMS settles or all steps are done; returns the times of the unknowns,
+/// s, and the report. `w` are the weights, `e` the desired removal E.
 fn iterate(
     w: &Array2<f64>,
     e: &Array2<f64>,
@@ -505,8 +512,8 @@ fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     a.chunks(ELEMENTS_PER_PIECE).zip(b.chunks(ELEMENTS_PER_PIECE)).map(|(a, b)| dot(a, b)).sum()
 }
 
-/// Returns the log-likelihood `sum w (E ln m - m)` and the RMS (mean removed) of E - m for the removal m (ny, nx).
-/// Replaces m by w E / m.
+/// Returns the log-likelihood `sum w (E ln m - m)` and the RMS (mean removed) of E - m for the removal m (ny, nx), nm.
+/// Replaces m by w E / m, where m counts at least `floor`; 0 where w is 0.
 fn compared(e: &Array2<f64>, w: &Array2<f64>, floor: f64, m: &mut Array2<f64>) -> (f64, f64) {
     let mut parts = vec![[0.0; 4]; m.nrows()];
     parallel::consume(m.outer_iter_mut().zip(&mut parts), &|r, (mut m, sums)| {

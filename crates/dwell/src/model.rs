@@ -3,11 +3,11 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`columns`] | what one second at a dwell point removes, column by column |
-//! | `products` | their products with each other, and an order in which the matrix of these is small |
+//! | `products` | products of columns with each other, and an order of the columns that makes their matrix small |
 //! | `fft_operator` | the same removal without a matrix, in memory proportional to the map |
-//! | `place` | a place of the tool in a column |
+//! | `place` | a place: one position of the tool in a column, with its fraction of the dwell time |
 //! | `varying` | the kernels of a tool that is not the same everywhere |
-//! | `operator` | the choice between the two, and the normal matrix `B' W B` |
+//! | `operator` | the choice between stored columns and the FFT, and the normal matrix `B' W B` |
 
 pub mod columns;
 pub(crate) mod fft_operator;
@@ -16,13 +16,14 @@ mod place;
 pub(crate) mod products;
 pub(crate) mod varying;
 
-/// Effect of a column on the map (its energy, or its sensitivity), as a fraction of the largest, below which the
-/// column counts as unreached. Its effect is then rounding, and the density of its neighbours is continued there.
-/// Larger: weakly reached dwell points are not solved for. Smaller: rounding decides dwell times.
+/// Effect of a column on the map, as a fraction of the largest of all columns, below which the column counts as
+/// unreached. The effect is the energy (sum of the squared rates) or the sensitivity (sum of the rates), which depends
+/// on the solver. A smaller effect is only rounding, and the density of the neighbours is continued there. Larger:
+/// weakly reached dwell points are not solved for. Smaller: rounding decides dwell times.
 pub(crate) const UNREACHED_FRACTION: f64 = 1e-9;
 
-/// Rounding of an FFT where nothing is removed, as a fraction of the largest value. Larger: weak removals are
-/// refused. Smaller: rounding passes as removal.
+/// Fraction of the largest value up to which a result of an FFT counts as rounding, that is, as no removal. Larger:
+/// weak removals are refused. Smaller: rounding passes as removal.
 pub(crate) const FFT_ROUNDING: f64 = 1e-12;
 
 /// Number of rows of the map that one thread takes at a time. Sums over the map are sums over such bands, so that

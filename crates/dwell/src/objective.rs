@@ -1,4 +1,5 @@
-//! The terms of the bounded least squares beside the residual: what of it is free, and what is penalised.
+//! The terms of the bounded least squares other than the square of the residual: the free functions of the map, and the
+//! penalty on the dwell times.
 //!
 //! Both are quadratic in the dwell times, and their matrices are cheap: a few outer products U U', and the
 //! tridiagonal matrix L of the penalty. The equations are those of [`crate::bounded_least_squares`].
@@ -9,9 +10,9 @@ use planish_types::{Axis, Grid, Tif, ToolPath};
 
 use serde::Serialize;
 
-/// Length of a segment, as a fraction of the median length, up to which it counts as a rest. The length of a rest
-/// says nothing about the dwell times of its neighbours. Larger: short segments have no dwell-time density. Smaller:
-/// the tiny length of a rest makes its density huge.
+/// Length of a segment, as a fraction of the median length, up to which it counts as a rest. The dwell times of
+/// neighbours are not related to the length of a rest. Larger: short segments have no dwell-time density. Smaller: the
+/// tiny length of a rest makes its density huge.
 pub const REST_FRACTION: f64 = 0.01;
 
 /// Fraction of the square of a function that must remain after Gram-Schmidt; a function with less is left out.
@@ -48,7 +49,8 @@ pub struct Basis {
 }
 
 impl Basis {
-    /// Makes the functions for the pixels of `grid` with these weights (ny, nx).
+    /// Makes the functions for the pixels of `grid` with these weights (ny, nx): a constant, and for a free plane x and
+    /// y, without those that depend on the others on the pixels that count.
     pub fn new(grid: &Grid, weight: &Array2<f64>, free: Free) -> Self {
         let x_mm = from_middle_mm(&grid.x);
         let y_mm = from_middle_mm(&grid.y);
@@ -189,17 +191,16 @@ pub struct PenaltyWeights {
     pub time_weight_nm2_per_s: f64,
 }
 
-/// Smallest effective area A of the TIF in the penalty, in areas of a dwell point. However small the tool, the weights
-/// of neighbouring dwell times then do not fall below those of a path with this many points in the area of the TIF.
-/// Larger: smoother dwell times on coarse paths. Smaller: neighbouring dwell times may differ more than a machine can
-/// follow.
+/// Smallest effective area A of the TIF in the penalty, as a multiple of the area of a dwell point (line distance times
+/// median length). A smaller tool gets the weights of a path with this many points in the area of the TIF. Larger:
+/// smoother dwell times on coarse paths. Smaller: neighbouring dwell times may differ more than a machine can follow.
 pub const POINTS_PER_AREA: f64 = 36.0;
 
 /// Quantities of tool, map and path to which the weights of the penalty are relative, so that they mean the same at
 /// every pitch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyScale {
-    /// Largest diagonal element D of the matrix `B' W B`, nm^2/s^2.
+    /// Largest diagonal element D of the matrix `B' W B - U U'`, nm^2/s^2 (U: [`Basis::columns`]).
     pub strongest: f64,
     /// Sum of the weights of the pixels.
     pub pixel_weight: f64,
@@ -211,7 +212,7 @@ pub struct PenaltyScale {
 }
 
 impl PenaltyScale {
-    /// Makes the scale from the largest diagonal element of `B' W B`, the sum of the weights w, and `B' w` (n).
+    /// Makes the scale from D (`strongest`), the sum of the weights w (`pixel_weight`), and `B' w` (n).
     pub fn new(path: &ToolPath, tif: &Tif, strongest: f64, pixel_weight: f64, b_w: &[f64]) -> Self {
         let line_distance_mm = line_distance_mm(tif, pixel_weight, b_w, &lengths_mm(path));
         let point_mm2 = line_distance_mm * median_length_mm(path).unwrap_or(0.0);
@@ -221,7 +222,7 @@ impl PenaltyScale {
 }
 
 /// Returns the length along the path that every dwell time belongs to (n), mm: that of the segment, or the median
-/// length for a rest.
+/// length for a rest and for a segment with the tool off. All are 0 if no segment has a length.
 pub fn lengths_mm(path: &ToolPath) -> Vec<f64> {
     let median = median_length_mm(path);
     (0..path.len())
@@ -245,8 +246,7 @@ pub fn has_density(path: &ToolPath, j: usize, median_mm: f64) -> bool {
 /// p = V sum_i w_i / sum_j b_j l_j
 /// ```
 ///
-/// whatever shape the path has; of several passes all lines count. A path of rests alone has no lines: there it
-/// is 0.
+/// whatever shape the path has; lines of repeated passes count each. If no length or no removal is above 0, it is 0.
 pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f64]) -> f64 {
     let removed: f64 = b.iter().zip(lengths_mm).map(|(b, l)| b * l).sum();
     if removed > 0.0 { tif.vrr_nm_mm2_per_s() * pixel_weight / removed } else { 0.0 }
@@ -261,21 +261,24 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// + price sum_j t_j
 /// ```
 ///
-/// The sums are those of integrals over the part: with closer lines or points they go to
-/// `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
+/// The price of a second is its weight times the sum of the weights of the pixels. The sums are those of integrals over
+/// the part: with closer lines or points they go to `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along
+/// the path.
 #[derive(Clone, PartialEq)]
 pub struct Penalty {
-    /// Diagonal element `alpha D A / a_j` of the Tikhonov term of every dwell time (n).
+    /// Diagonal element `alpha D A / a_j` of the Tikhonov term of every dwell time (n), with A in place of an area a_j
+    /// of 0.
     alpha: Vec<f64>,
-    /// Weight of one second of dwell time, in the unit of the objective.
+    /// Price of one second of dwell time, in the unit of the objective.
     time: f64,
     lo: Vec<f64>,
-    /// Index k and factors u, v of every slope term `(v t_k - u t_{k-1})^2 / 2`.
+    /// Every slope term `(v t_k - u t_{k-1})^2 / 2` as (index k, u, v).
     steps: Vec<(usize, f64, f64)>,
 }
 
 impl Penalty {
-    /// Makes the penalty for the lower bounds `lo` (n), s.
+    /// Makes the penalty for the lower bounds `lo` (n), s. Slope terms join neighbouring segments that both have a
+    /// density ([`has_density`]).
     pub fn new(
         path: &ToolPath,
         lo: &[f64],

@@ -5,15 +5,15 @@
 //! A  = M W^1/2 B,   M = I - q q',   q = W^1/2 1 / |W^1/2 1|      the piston is free         (2)
 //! ```
 //!
-//! Least-squares solvers without bounds find `t = t_ref + u` near a level of dwell `t_ref = c l_j / l`
-//! (l_j the length of segment j, l their median). Both the map and the level enter linearly,
+//! Least-squares solvers without bounds find `t = t_ref + u`, deviations u from reference dwell times `t_ref = c l_j /
+//! l` (l_j the length of segment j, l their median) with a level c, s. Both the map and the level enter linearly,
 //!
 //! ```text
 //! t = a + c b,   a from z,   b = l_j / l + (solution for z = -B l_j / l)                    (3)
 //! ```
 //!
-//! so the least level c at which no dwell time is below its floor follows from two solutions. A
-//! piston alone would not do: where the tool hardly reaches the map it asks for absurd times.
+//! so the least level c at which no dwell time is below its floor follows from two solutions. A piston of the map in
+//! place of the level would not do: where the tool hardly reaches the map, it asks for absurd times.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -54,7 +54,8 @@ pub struct Problem<'a> {
     pub tif: &'a Tif,
     /// Tool path along which the dwell times are found.
     pub path: &'a ToolPath,
-    /// Weights of the pixels (ny, nx) >= 0; without them every valid pixel counts 1.
+    /// Weights of the pixels (ny, nx) >= 0. Without them the weights follow from the standard deviations of the map, if
+    /// it has any; otherwise every valid pixel counts 1.
     pub weight: Option<&'a Array2<f64>>,
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
@@ -63,15 +64,15 @@ pub struct Problem<'a> {
 }
 
 impl<'a> Problem<'a> {
-    /// Returns the same problem with the map and tool of [`Tif::centred_on`] in place of its own; unchanged if there
-    /// are none.
+    /// Returns the same problem with the map and the TIF of `centred` (from [`Tif::centred_on`]) in place of its own;
+    /// unchanged if `centred` is `None`.
     pub(crate) fn with(&self, centred: Option<&'a (Surface, Tif)>) -> Self {
         centred.map_or(*self, |(desired, tif)| Self { desired, tif, ..*self })
     }
 }
 
-/// Returns the RMS of the desired map before the plan, over the valid pixels whose weight is not 0. Weights of another
-/// shape do not fail here; the solver refuses them later.
+/// Returns the RMS of the desired map before the plan, over the valid pixels whose weight is not 0. If no such pixel
+/// exists, all valid pixels count. Weights of another shape do not fail here; the solver refuses them later.
 pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
     let Some(weight) = weight else { return Rms::of_surface(desired) };
     let mut height = desired.height_nm().clone();
@@ -85,7 +86,7 @@ pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
 pub struct Solution<R> {
     /// Dwell times along the path.
     pub dwell: DwellTime,
-    /// Numbers that every solver reports.
+    /// Effect of the dwell times, which every solver reports.
     pub outcome: Outcome,
     /// Report of the solver that found them.
     pub report: R,
@@ -102,9 +103,10 @@ pub struct Outcome {
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
-    /// Number of dwell points that reach the map and have the least allowed dwell time.
+    /// Number of reached dwell points whose dwell time is at the floor.
     pub at_floor: usize,
-    /// Number of dwell points that do not reach the map; they have the dwell time per length of their neighbours.
+    /// Number of dwell points that do not reach the map, those with the tool off included. Most solvers continue the
+    /// dwell time per length of the neighbours there.
     pub unreached_points: usize,
     /// Number of valid pixels with a weight above 0 that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
@@ -124,11 +126,11 @@ impl Outcome {
     }
 }
 
-/// A problem made ready for a solver: weights of the pixels, floor of the dwell times ((1) of the module), and removal
+/// A problem prepared for a solver: weights of the pixels, floor of the dwell times ((1) of the module), and removal
 /// operator B.
 pub(crate) struct DwellModel<'a> {
     pub problem: Problem<'a>,
-    /// TIF on the lattice of the map.
+    /// TIF of the problem, sampled anew if its samples are not on the lattice of the map.
     pub tif: Cow<'a, Tif>,
     lattice: TifLattice,
     pub places: Vec<Vec<ToolPlace>>,
@@ -138,7 +140,8 @@ pub(crate) struct DwellModel<'a> {
     pub lo: Vec<f64>,
     /// Removal B lo by the floor alone (ny, nx), nm; `None` if no floor is above 0.
     floor_removal: Option<Array2<f64>>,
-    /// Weighted removal B' w of one second at every dwell point (n), nm/s, called its sensitivity.
+    /// Sensitivity of every dwell point (n), nm/s: the sum over the pixels of its removal rate times their weights, B'
+    /// w.
     pub sensitivity: Vec<f64>,
     unreached_below: f64,
     /// Length of every segment over their median, l_j / l (n); at least [`REST_FRACTION`].
@@ -149,7 +152,7 @@ pub(crate) struct DwellModel<'a> {
 /// long runs are refused. Chosen: no plan needs a thousandth of it.
 const MAX_STEPS: usize = 1_000_000;
 
-/// Refuses a limit of steps above [`MAX_STEPS`], which no machine would do.
+/// Refuses a limit of steps above [`MAX_STEPS`].
 pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
     if steps <= MAX_STEPS {
         return Ok(());
@@ -162,23 +165,26 @@ impl<'a> DwellModel<'a> {
     /// Makes the model for a solver.
     ///
     /// # Errors
-    /// Refuses what [`Self::with_any_floor`] refuses, and a floor that alone removes more than the map has.
+    /// Refuses what [`Self::with_any_floor`] refuses, and a floor that alone removes more on average than the PV of the
+    /// map.
     pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
         let model = Self::with_any_floor(problem)?;
         model.refuse_a_floor_above_the_map()?;
         Ok(model)
     }
 
-    /// Makes the model for dwell times that follow a rule and are not solved for; accepts any removal by the floor.
+    /// Makes the model for dwell times that follow a rule without an optimisation; the removal by the floor may have
+    /// any size.
     ///
     /// # Errors
-    /// Refuses a TIF that varies in time, weights and floors out of range, and a tool that does not reach the map.
+    /// Refuses a TIF that varies in time, covers too many pixels or cannot be sampled on the lattice of the map.
+    /// Refuses weights and floors out of range, and a tool that does not reach the map.
     pub fn with_any_floor(problem: &Problem<'a>) -> Result<Self, DwellError> {
         Self::with_sensitivity(problem, Operator::adjoint)
     }
 
-    /// Makes the model for solvers whose unknown is a map of dwell times. They only ask whether a dwell point reaches
-    /// the map, so a point within two pixels of its reach counts as reaching it.
+    /// Makes the model for solvers whose unknown is a map of dwell times. They only need to know whether a dwell point
+    /// reaches the map. With the FFT, a point whose TIF ends a few pixels before the map counts as reached, too.
     ///
     /// # Errors
     /// Refuses what [`Self::new`] refuses.
@@ -249,8 +255,8 @@ impl<'a> DwellModel<'a> {
         Err(Invalid::at_index("min_dwell", j, problem, remedy))
     }
 
-    /// Calls `evaluate` with bands of rows of `map` and the weights there. Returns the results in the order of the
-    /// bands.
+    /// Calls `evaluate` in parallel with bands of rows of `map` and the weights there. Returns the results in the order
+    /// of the bands.
     fn by_bands<T: Send + Sync>(
         &self,
         map: &Array2<f64>,
@@ -320,8 +326,8 @@ impl<'a> DwellModel<'a> {
         self.sensitivity[j].abs() > self.unreached_below
     }
 
-    /// Returns the weighted removal without piston, `A t` of (2) of the module, for dwell times t (n), s: one element
-    /// per pixel, row by row.
+    /// Returns the weighted removal without piston, `A t` of (2) of the module, nm, for dwell times t (n), s: one
+    /// element per pixel, row by row.
     pub fn weighted(&self, t: &[f64]) -> Vec<f64> {
         self.project(&self.operator.apply(t))
     }
@@ -348,9 +354,9 @@ impl<'a> DwellModel<'a> {
         self.operator.adjoint(&(self.centred(map) * &self.weight))
     }
 
-    /// Returns the dwell times `a + c b` of (3) of the module. The level c is the least one that brings every dwell
-    /// time to its floor where a level can: where b > 0.1. Dwell times that are still below are put on their floor and
-    /// counted. Unreached dwell points are put on their floor, but not counted.
+    /// Returns the dwell times `a + c b` of (3) of the module. The level c >= 0 is the least one at which no reached
+    /// dwell time with b > 0.1 is below its floor. Others that are still below are set to their floor and counted.
+    /// Unreached dwell points are set to their floor, but not counted.
     pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
         let n = self.lo.len();
         let level = (0..n)
@@ -375,8 +381,8 @@ impl<'a> DwellModel<'a> {
         Levelled { dwell_s, level_s: level, clipped }
     }
 
-    /// Counts the pixels with a weight above 0 that no dwell point reaches. `removal` is the removal of the dwell times
-    /// `dwell_s`, nm.
+    /// Counts the pixels with a weight above 0 at which one second at every dwell point would remove no more than
+    /// rounding. `removal` is the removal by the dwell times `dwell_s`, nm.
     fn unreached(&self, removal: &Array2<f64>, dwell_s: &[f64]) -> usize {
         // With R >= 0 what is removed in B t is at most max(t) of what is in B 1, and that at most
         // 2 n peak (Keys' interpolation stays below 1.3 peak): most maps need no second removal.
@@ -405,10 +411,10 @@ impl<'a> DwellModel<'a> {
     }
 
     /// Returns the solution with these dwell times (n), s. Unreached dwell points get the dwell time per length of
-    /// their neighbours.
+    /// their neighbours ([`Continuation`]), but not less than their floor.
     ///
     /// # Errors
-    /// Refuses dwell times that are not finite or negative.
+    /// Refuses dwell times that are negative or not finite.
     pub fn finish<R>(&self, mut dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
         let hi = vec![f64::INFINITY; dwell_s.len()];
         let unreached = Continuation::new(self.problem.path, |j| self.reached(j));
@@ -419,7 +425,7 @@ impl<'a> DwellModel<'a> {
     /// Returns the solution with exactly these dwell times (n), s.
     ///
     /// # Errors
-    /// Refuses dwell times that are not finite or negative.
+    /// Refuses dwell times that are negative or not finite.
     pub fn finish_as_they_are<R>(
         &self,
         dwell_s: Vec<f64>,
@@ -452,14 +458,14 @@ impl<'a> DwellModel<'a> {
 /// Dwell times (n), s, raised to their floor by a common level of dwell ((3) of the module).
 pub(crate) struct Levelled {
     pub dwell_s: Vec<f64>,
-    /// Level of dwell c of (3), s.
+    /// Level of dwell c of (3) of the module, s.
     pub level_s: f64,
-    /// Number of reached dwell times that no level brings to their floor.
+    /// Number of reached dwell times below their floor at this level, which were set to it.
     pub clipped: usize,
 }
 
-/// Returns the length of every segment over their median, l_j / l (n); a rest (a point without a length) gets
-/// [`REST_FRACTION`].
+/// Returns the length of every segment over their median, l_j / l (n), at least [`REST_FRACTION`]; 1 for all if no
+/// segment has a length.
 fn shape(path: &ToolPath) -> Vec<f64> {
     match median_length_mm(path) {
         Some(median) => (0..path.len())

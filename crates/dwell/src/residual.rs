@@ -1,24 +1,25 @@
-//! The residual as a function of the time spent at chosen places, for methods that have other unknowns than
-//! dwell times, and other rows than bounds.
+//! The residual as a function of the times spent at given places of the tool, for methods whose unknowns are not dwell
+//! times, and whose constraints are not bounds.
 //!
 //! ```text
 //! f(t) = 1/2 sum_i w_i r_i^2 / sum_i w_i,   r = z - B t without its free part       nm^2       (1)
 //! gradient = -B' w r / sum_i w_i                                                    nm^2/s
 //! ```
 //!
-//! f is half the mean square of the residual. The places are fixed when it is made; what a method does with the
-//! times, a density along a curve for example, is its own affair. Its normal matrix for other columns, each a
-//! sum over places, is a [`Normal`]: on cells of pixels, as in [`crate::bounded_least_squares`], because the
-//! exact gradient corrects the steps that it makes. With P, the projection of a map on those that are the same on all
-//! pixels of a cell, and Q, that on what is free, it is
+//! f is half the mean square of the residual. The places are fixed when the function is made; how the times depend on
+//! the unknowns (a density along a curve, for example) is up to the method. A [`Normal`] is the normal matrix for
+//! columns that are sums over places. It is computed on cells of pixels, as in [`crate::bounded_least_squares`],
+//! because the exact gradient corrects the steps that it gives. P projects a map on those that are the same on all
+//! pixels of a cell, and Q on the free functions (piston or plane). Then it is
 //!
 //! ```text
 //! B' w^1/2 P (1 - Q) P w^1/2 B  <=  B' w^1/2 (1 - Q) w^1/2 B,   the curvature of f                (2)
 //! ```
 //!
-//! where P Q = Q, as what is free is the same on all pixels of a cell: a constant, but no plane. Then it can prove how
-//! far some f is at most above its least value, as long as both sides have one B: not where TIF and map have different
-//! pitches and the operator of f resamples the TIF. (2) has no negative eigenvalue in any case.
+//! The inequality holds if P Q = Q, that is, if the free functions are the same on all pixels of a cell: for a piston,
+//! but not for a plane. Then (2) gives an upper bound of the distance of f from its minimum, if both sides have the
+//! same B. This is not so if TIF and map have different pitches and the operator of f resamples the TIF. The left side
+//! has no negative eigenvalue in any case.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -67,11 +68,11 @@ pub struct Evaluation {
 
 impl<'a> Residual<'a> {
     /// Makes the function for a desired removal, a tool, and its positions `places_mm` (n) as [x, y]. Without weights
-    /// every valid pixel counts the same.
+    /// they follow from the standard deviations of the map, if it has any; otherwise every valid pixel counts the same.
     ///
     /// # Errors
-    /// Refuses weights as the solvers do, a TIF that has no place on the lattice of the map, and places that reach
-    /// nothing.
+    /// Refuses weights as the solvers do, a TIF that cannot be sampled on the lattice of the map or covers too many
+    /// pixels, and places from which the tool does not reach the map.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
@@ -143,8 +144,8 @@ impl<'a> Residual<'a> {
         Evaluation { half_mean_square_nm2: 0.5 * square, gradient_nm2_per_s: gradient }
     }
 
-    /// Returns the product of the second derivatives of f with some times at the places (n), s: the change of the
-    /// gradient (n), nm^2/s.
+    /// Returns the product of the matrix of the second derivatives of f with some times at the places (n), s: the
+    /// change of the gradient (n), nm^2/s.
     pub fn curvature(&self, time_s: &[f64]) -> Vec<f64> {
         let mut r = self.removal_nm(time_s);
         self.basis.project(&self.weight, &mut r);
@@ -156,10 +157,11 @@ impl<'a> Residual<'a> {
         (&self.removal_nm(time_s) * &self.weight).sum()
     }
 
-    /// Returns the normal matrix of m columns. Each column is a sum of places, given as pairs (index of the place,
-    /// time per unit of the column). The matrix has room for the coupling of every column with the next one.
+    /// Returns the normal matrix (2) of the module for m columns. Each column is a sum of places, given as pairs (index
+    /// of the place, time per unit of the unknown). The matrix stores an element for every column and the next one,
+    /// too, so that a caller can add to it.
     ///
-    /// Parts that are `known` from another matrix of the same map and tool are not computed again.
+    /// Parts that are `known` from another matrix of the same [`Residual`] are not computed again.
     ///
     /// # Errors
     /// Refuses a matrix beyond the memory budget.
@@ -221,11 +223,11 @@ impl<'a> Residual<'a> {
     }
 }
 
-/// Parts of the normal matrix of other columns that are used again, see [`Normal::for_next`].
+/// Parts of an earlier normal matrix that are used again for a new one, see [`Normal::for_next`].
 pub struct Known {
-    /// For every new column, the index of the equal column of the other matrix; `None` if there is none.
+    /// For every new column, the index of the equal column of the earlier matrix; `None` if there is none.
     column: Vec<Option<usize>>,
-    /// Row of every column in the other matrix.
+    /// Row of every column in the earlier matrix.
     row_of: Vec<usize>,
     k: Skyline,
     cells: Vec<Patch>,
@@ -237,14 +239,14 @@ impl Known {
         Self { column: vec![None; columns], row_of: Vec::new(), k, cells: Vec::new() }
     }
 
-    /// Returns the row of the other matrix for a new column; `None` if it is not known.
+    /// Returns the row of the earlier matrix for a new column; `None` if the column has no equal there.
     fn row(&self, column: usize) -> Option<KnownRow<'_>> {
         let row = self.row_of[self.column[column]?];
         Some(KnownRow { known: self, row, first: self.k.first(row), elements: self.k.row(row) })
     }
 }
 
-/// A row of the other normal matrix, for a known column.
+/// A row of the earlier normal matrix, for a known column.
 struct KnownRow<'a> {
     known: &'a Known,
     row: usize,
@@ -253,8 +255,8 @@ struct KnownRow<'a> {
 }
 
 impl KnownRow<'_> {
-    /// Returns the element of this row for another new column; `None` if that one is not known, or its element is not
-    /// in this row.
+    /// Returns the element of the earlier matrix for this column and another new column; `None` if the other one has no
+    /// equal there.
     fn coupling(&self, column: usize) -> Option<f64> {
         let Known { column: before, row_of, k, .. } = self.known;
         let other = row_of[before[column]?];
@@ -274,7 +276,8 @@ pub struct Normal {
     pub order: Vec<usize>,
     /// The matrix: second derivatives of f, nm^2 per square of the unit of the columns.
     pub matrix: Quadratic,
-    /// True if the matrix is at most the second derivatives of f, (2) of the module, so that it can prove bounds.
+    /// True if inequality (2) of the module holds: the matrix is at most that of the second derivatives of f, so that
+    /// it can prove bounds. This needs a free piston and an exact B.
     pub below_curvature: bool,
     /// Removal of every column on cells of pixels, for [`Normal::for_next`].
     cells: Vec<Patch>,
@@ -288,8 +291,8 @@ impl Normal {
         row_of
     }
 
-    /// Returns the parts that the normal matrix of other columns can take from this one. `column` holds, for every
-    /// other column, the index of the equal column here; `None` if there is none.
+    /// Returns the parts that a next normal matrix can take from this one. `column` holds, for every column of the next
+    /// matrix, the index of the equal column here; `None` if there is none.
     pub fn for_next(self, column: Vec<Option<usize>>) -> Known {
         Known { column, row_of: self.row_of(), k: self.matrix.k, cells: self.cells }
     }
@@ -309,8 +312,8 @@ impl Normal {
     }
 }
 
-/// Returns the mean positions of the columns along x (`axis` 0) or y (1), mm. A column without a place gets the
-/// position of its predecessor, so that their coupling costs nothing.
+/// Returns the mean positions of the columns along x (`axis` 0) or y (1), mm. A column without places gets the position
+/// of its predecessor (0 if it is the first), so that the element for both lies near the diagonal.
 fn positions_mm(columns: &[Vec<ToolPlace>], axis: usize) -> Vec<f64> {
     let mut positions: Vec<f64> = Vec::with_capacity(columns.len());
     for places in columns {

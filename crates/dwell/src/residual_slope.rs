@@ -8,7 +8,7 @@
 //! These are the finite differences by which a specification judges slopes. W is in mm^2: the term is then in nm^2, as
 //! the squares of heights are. A wave of spatial frequency f counts `1 + W (2 sin(pi f b) / b)^2` times what it counts
 //! without the term, which is `1 + W (2 pi f)^2` for waves that are long against the base. A pair with an invalid pixel
-//! does not count. Along an axis with fewer pixels than the base, there is no slope.
+//! does not count. An axis with too few pixels for one pair has no slopes.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -25,14 +25,14 @@ use serde::Serialize;
 /// Weight of the slope of the residual, and the base length of the slope.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ResidualSlope {
-    /// Weight W of the squared slope, in nm/mm, beside the squared height, in nm; mm^2, > 0.
+    /// Weight W of the squared slope ((nm/mm)^2) relative to the squared height (nm^2), mm^2; > 0.
     pub weight_mm2: f64,
     /// Base length of the slopes, mm; the nearest whole number of steps is used, at least one.
     pub base_mm: f64,
 }
 
 impl ResidualSlope {
-    /// Refuses a weight or a base length that is no positive number.
+    /// Refuses a weight or a base length that is not finite and above 0.
     pub(crate) fn check(&self) -> Result<(), Invalid> {
         let named = [
             ("residual_slope_weight_mm2", self.weight_mm2),
@@ -66,7 +66,8 @@ pub(crate) struct SlopeTerm {
 }
 
 impl SlopeTerm {
-    /// Makes the matrix S for the weights of the pixels (ny, nx). An axis shorter than the base has no slopes.
+    /// Makes the matrix S for the weights of the pixels (ny, nx). An axis for which [`steps_of_base`] returns `None`
+    /// has no slopes.
     pub fn new(slope: &ResidualSlope, grid: &Grid, weight: &Array2<f64>) -> Self {
         let along = [(Along::X, &grid.x), (Along::Y, &grid.y)];
         let directions = along.into_iter().filter_map(|(along, axis)| {
@@ -114,8 +115,8 @@ mod tests {
         Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.25, ny).unwrap() }
     }
 
-    /// Four whole periods along x: the mean square slope of `a sin(2 pi f x)` over a base b is
-    /// `(2 a sin(pi f b) / b)^2 / 2`.
+    /// The map has four whole periods along x: the mean square slope of `a sin(2 pi f x)` over a base b is `(2 a sin(pi
+    /// f b) / b)^2 / 2`.
     #[test]
     fn a_wave_has_the_slope_of_the_formula() {
         let (a, f, n) = (3.0, 0.2, 40);

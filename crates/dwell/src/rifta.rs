@@ -4,18 +4,18 @@
 //! T = max(0, IFFT(G Z)),   G = 1 / R where |R| > 1 / gamma,  gamma conj(R) / |R| elsewhere   (1)
 //! ```
 //!
-//! with the spectra Z of the extended desired removal and R of the TIF. gamma (s/nm) caps the gain: it
-//! is searched for the least RMS of the residual in the aperture. Two loops around (1):
+//! with the spectra Z of the extended desired removal and R of the TIF. gamma (s/nm) caps the gain: it is searched for
+//! the least RMS of the residual in the aperture. *Lattice* is that of the tool positions. Two loops around (1):
 //!
-//! * *piston*: T is cut at zero, so more is removed than desired somewhere; the map is lifted by the
-//!   largest excess, until the RMS changes no more;
-//! * *margin*: dwell times reach beyond the aperture by the half size of the TIF at most; the
-//!   smallest margin is taken that costs less time and hardly any residual.
+//! * *piston*: T is cut at zero, so more is removed than desired somewhere; the desired removal is raised (*lifted*) by
+//!   the largest excess, until the RMS changes no more;
+//! * *margin*: dwell times reach beyond the aperture by the half size of the TIF at most; of some smaller margins, the
+//!   smallest is taken that costs less time and hardly any residual.
 //!
-//! The dwell map then goes to the path (`dwell_map.rs`). Solves on the pixels of the map, so
-//! the pitch of the path must be fine against the TIF. A tool that removes beside its place is seen as one that
-//! removes around it ([`planish_types::Tif::centred_on`]), so that margin and half size are those of the removal. The
-//! map beyond the aperture is `extension.rs`, brought down to zero beyond the reach of the margin.
+//! The dwell map then goes to the path (`dwell_map.rs`). The unknowns are on the pixels of the map, so the pitch of the
+//! path must be fine against the TIF. A TIF that is not around the origin of its offsets is centred first
+//! ([`planish_types::Tif::centred_on`]), so that margin and half size are those of the removal. The map is continued
+//! beyond the aperture by `extension.rs`, and falls to zero beyond the reach of the margin.
 //!
 //! Source: T. Wang et al., Sci. Rep. 10 (2020) 8135, with the search in one dimension (theirs is a
 //! simplex) and the floor in the model.
@@ -44,7 +44,8 @@ use crate::{
 /// Settings of the robust iterative Fourier transform algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RiftaSettings {
-    /// Increase of the residual RMS at which a smaller margin is still taken, nm; >= 0.
+    /// Increase of the residual RMS, over that with the margin of the TIF, below which a smaller margin is still taken,
+    /// nm; >= 0.
     pub margin_tolerance_nm: f64,
     /// Change of the residual RMS below which the lifts of the map end, nm; > 0.
     pub piston_tolerance_nm: f64,
@@ -94,11 +95,13 @@ impl RiftaReport {
     }
 }
 
-/// Finds the dwell times by the inverse filter (1) of the module, with the margin that costs less time and hardly any
-/// residual.
+/// Finds the dwell times by the inverse filter (1) of the module. Its margin is the half size of the TIF, or the
+/// smallest of some smaller ones that costs less time and raises the residual RMS by less than `margin_tolerance_nm`.
 ///
 /// # Errors
-/// Refuses settings out of range, a TIF that varies or is larger than the map, and what every solver refuses.
+/// Refuses settings out of range, and a TIF that varies over the part, is larger than the map along x or y, or has no
+/// positive sum at the pitch of the map. Every solver refuses weights and floors out of range, a floor that alone
+/// removes more than the PV of the map, a TIF that varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &RiftaSettings,
@@ -157,8 +160,8 @@ pub fn solve(
 /// Smaller: the best margin may lie between two trials.
 const MARGINS_TRIED: usize = 8;
 
-/// Refuses a TIF larger than the map: most of the extended map would then be border, which is no measurement of the
-/// mirror.
+/// Refuses a TIF larger than the map along x or y: most of the extended map would then be border, which was not
+/// measured.
 pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<(), Invalid> {
     let map = problem.desired.grid();
     let tif = problem.tif.grid();
@@ -183,7 +186,8 @@ struct Fourier<'a> {
     map: DwellMap,
     cells: NodeOwners,
     extension: Extension,
-    /// Desired removal above the floor and above its minimum in the aperture, continued over the extended map, nm.
+    /// Desired removal minus the removal by the floor and minus its lowest value in the aperture without the pits,
+    /// continued over the extended map, nm.
     target: Array2<f64>,
     taper: Array2<f64>,
     /// Distance of every node of the lattice from the aperture, mm; 0 inside, infinite for nodes far from every dwell
@@ -235,8 +239,8 @@ impl<'a> Fourier<'a> {
         Ok(Self { model, map, cells, extension, target, taper, distance_mm, radius_mm })
     }
 
-    /// Returns the dwell map (1) of the module within the margin, s, its residual in the aperture, nm, and the RMS of
-    /// the residual. The map is lifted by `piston_nm`.
+    /// Returns the dwell map (1) of the module within the margin, s, its residual on the pixels of the map, nm, and the
+    /// RMS of the residual. For the dwell map, the desired removal is raised by `piston_nm`.
     fn apply(&self, piston_nm: f64, gamma: f64, margin_mm: f64) -> (Array2<f64>, Array2<f64>, f64) {
         let lifted = (&self.target + piston_nm) * &self.taper;
         let mut seconds = self.map.filtered(&lifted, |r| {
@@ -313,15 +317,15 @@ impl<'a> Fourier<'a> {
         unit * if rms < scan[k] { narrowed } else { ln_cap(k) }.exp()
     }
 
-    /// Returns the RMS of the residual for a cap of the gain and a margin, nm. The cap is given as the logarithm of
-    /// gamma over the gain for a constant.
+    /// Returns the RMS of the residual for a cap of the gain and a margin, nm, without a lift. The cap is given as the
+    /// natural logarithm of gamma over the gain for a constant.
     fn rms_of_cap(&self, ln_cap: f64, margin_mm: f64) -> f64 {
         let unit = 1.0 / self.map.rate_sum;
         self.apply(0.0, unit * ln_cap.exp(), margin_mm).2
     }
 }
 
-/// Returns the k-th cap of the scan, as the logarithm of gamma over the gain for a constant.
+/// Returns the k-th cap of the scan, as the natural logarithm of gamma over the gain for a constant.
 fn ln_cap(k: usize) -> f64 {
     1e3_f64.ln() * k as f64 / CAPS_SCANNED as f64
 }

@@ -4,9 +4,9 @@
 //! min || M W^1/2 (B t - z) ||^2 + delta^2 || t - t_ref ||^2                                (1)
 //! ```
 //!
-//! with a free piston M and a level of dwell t_ref just high enough for the floor
-//! ([`crate::problem`]). All dampings of the search share one bidiagonalisation
-//! ([`planish_numerics::linear::lsqr`]). delta is given, or found:
+//! where M subtracts the free piston, and t_ref are reference dwell times whose level is just high enough for the floor
+//! ([`crate::problem`]). All dampings of the search share one bidiagonalisation ([`planish_numerics::linear::lsqr`]).
+//! delta is given, or found:
 //!
 //! * *discrepancy*: the largest delta whose residual is not above the noise of the map;
 //! * *L-curve*: the corner of ln |residual| against ln |t - t_ref|, where the circle through three
@@ -48,7 +48,8 @@ pub enum Damping {
 pub struct TikhonovLsqrSettings {
     /// Choice of the damping delta.
     pub damping: Damping,
-    /// Relative size of the product of the residual with the columns at which LSQR ends; 0 at the minimum.
+    /// Relative size of the gradient, the product of the residual with the columns, at which LSQR ends; 0 at the
+    /// minimum.
     pub tolerance: f64,
     /// Largest number of steps of LSQR.
     pub max_iterations: usize,
@@ -75,16 +76,16 @@ pub struct TikhonovLsqrReport {
     pub damping_nm_per_s: f64,
     /// True if the residual is not above the given noise; always true without `discrepancy`.
     pub noise_reached: bool,
-    /// Relative dampings that the search tried.
+    /// Relative dampings that were tried; only one without a search.
     pub searched: Vec<f64>,
-    /// RMS (mean removed) of the residual for every damping tried, before the dwell times are raised to their floor,
-    /// nm.
+    /// RMS (mean removed) of the residual for every damping tried, nm, before the level of dwell is added.
     pub searched_rms_nm: Vec<f64>,
     /// Norm |t - t_ref| of the dwell times above the level of dwell, for every damping tried, s.
     pub searched_norm_s: Vec<f64>,
-    /// Level of dwell c, the common time that the floor asks for, s ((3) of [`crate::problem`]).
+    /// Level of dwell c, s: the reference dwell time of a segment of median length, the least that meets the floor ((3)
+    /// of [`crate::problem`]).
     pub level_s: f64,
-    /// Number of dwell times that no level brings to their floor; they are put there.
+    /// Number of dwell times that are still below their floor at this level; they are set to it.
     pub clipped: usize,
 }
 
@@ -106,13 +107,13 @@ impl TikhonovLsqrReport {
 /// larger number: more time. A narrower range: the corner may lie outside of it.
 const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
 
-/// Relative dampings of the search for a noise level: smallest, largest and number, eight per decade. The noise may
-/// be a large part of the map; with the largest damping nearly nothing is removed. A smaller upper end: the search
-/// may not reach the noise.
+/// Relative dampings of the search for a noise level: smallest, largest and number, eight per decade. The noise may be
+/// a large part of the map, so the range goes up to a damping with which nearly nothing is removed. A smaller upper
+/// end: the search may not reach the noise.
 const SEARCHED_FOR_NOISE: (f64, f64, usize) = (1e-3, 1e1, 33);
 
-/// Number of parts of the step in which the residual passes the noise; each part is 4 % of a damping. Larger: the
-/// residual meets the noise more closely, in more time.
+/// Number of parts into which the search divides the interval of two dampings between which the residual falls to the
+/// noise. Neighbours then differ by 4 %. Larger: the residual meets the noise more closely, in more time.
 const PARTS_AT_THE_NOISE: usize = 8;
 
 impl Damping {
@@ -129,10 +130,11 @@ impl Damping {
     }
 }
 
-/// Finds the dwell times that minimise (1) of the module, with the given damping or by the search for one.
+/// Finds the dwell times that minimise (1) of the module, with the given damping or that of the search.
 ///
 /// # Errors
-/// Refuses a damping or a noise that is not positive, and what every solver refuses.
+/// Refuses a damping or a noise that is not positive. Every solver refuses weights and floors out of range, a floor
+/// that alone removes more than the PV of the map, a TIF that varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &TikhonovLsqrSettings,
@@ -204,8 +206,8 @@ fn falling_dampings((from, to, count): (f64, f64, usize)) -> Vec<f64> {
     (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect()
 }
 
-/// Returns the solutions for the right-hand side b, one for each of the dampings `relative`, which are fractions of
-/// `largest`.
+/// Returns the solutions t - t_ref for the right-hand side b, one for each of the dampings `relative`, which are
+/// fractions of `largest`, the largest singular value.
 fn damped(
     model: &DwellModel<'_>,
     b: &[f64],
@@ -225,14 +227,15 @@ fn damped(
     )
 }
 
-/// Returns the RMS (mean removed) of the residual of each solution, nm.
+/// Returns the RMS (mean removed) of the residual `z - B t` of each solution, without the level of dwell, nm.
 fn residual_rms(model: &DwellModel<'_>, solutions: &[Damped]) -> Vec<f64> {
     let z = model.problem.desired.height_nm();
     solutions.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect()
 }
 
 /// Returns the index of the corner of the L-curve (ln residual, ln norm): the point with the largest Menger curvature
-/// `4 area / (product of the sides)` of it and its two neighbours, among those that turn towards the origin.
+/// `4 area / (product of the sides)` of it and its two neighbours, among those that turn towards the origin. Returns 0
+/// if there are fewer than three points.
 fn corner(residual: &[f64], norm: &[f64]) -> usize {
     let p: Vec<[f64; 2]> = residual.iter().zip(norm).map(|(r, n)| [r.ln(), n.ln()]).collect();
     (1..p.len().saturating_sub(1))
@@ -243,7 +246,8 @@ fn corner(residual: &[f64], norm: &[f64]) -> usize {
 }
 
 /// Returns the Menger curvature of three points, positive for a turn to the right. Damping falls along the curve: the
-/// residual first falls, then the norm rises, so that a turn to the right is the corner.
+/// residual first falls, then the norm rises, so that a turn to the right is the corner. Minus infinity if two points
+/// are the same.
 fn turn([a, b, c]: [[f64; 2]; 3]) -> f64 {
     let cross = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     let sides = distance(a, b) * distance(b, c) * distance(a, c);

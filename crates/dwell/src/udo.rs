@@ -5,15 +5,15 @@
 //! t <- t + beta gamma (b - min b)      for the map, then for what remains of it            (2)
 //! ```
 //!
-//! z_e is the map beyond the aperture by half the TIF (around where it removes:
-//! [`planish_types::Tif::centred_on`]), by polynomials (`extension.rs`), B_e the removal there. gamma is the step with
-//! the least RMS, in closed form: the objective is quadratic in it. It ends when the RMS falls below a threshold, rises
-//! (that step is discarded), or after a number of rounds.
+//! z_e is the map, extended beyond the aperture by half the size of the TIF, by polynomials (`extension.rs`). B_e is
+//! the removal on the extended map. The TIF is centred first ([`planish_types::Tif::centred_on`]). gamma is the step
+//! with the least RMS, in closed form: the objective is quadratic in it. The rounds (2) end when the RMS falls below a
+//! threshold, when it rises (that step is discarded), or after a number of rounds.
 //!
-//! The published method then lifts all dwell times alike to the floor. Where the dwell points are not
-//! uniformly spaced this removes another shape. Here the floor is in the model: the map is what the
-//! floor leaves, t are the times on top of it; from the second round on the step is `b` itself, cut
-//! where t would fall below zero, so the time does not grow with every round.
+//! The published method then adds the same time to all dwell times, so that none is below the floor. If the dwell
+//! points are not uniformly spaced, this changes the removed shape. Here the floor is in the model: z is the map minus
+//! the removal by the floor, and t are the times above it. From the second round on the step is `b` itself, and t is
+//! cut at 0, so that the time does not grow with every round.
 //!
 //! Source: T. Wang et al., Opt. Express 29 (2021) 38737, with the step in closed form and the odd
 //! reflection as the ring of the extension.
@@ -92,10 +92,12 @@ impl UdoReport {
     }
 }
 
-/// Finds the dwell times by the adjoint images (1) and rounds (2) of the module.
+/// Finds the dwell times by the adjoint image (1) and the rounds (2) of the module.
 ///
 /// # Errors
-/// Refuses settings out of range, a TIF that varies or is larger than the map, and what every solver refuses.
+/// Refuses settings out of range, a TIF that varies over the part or is larger than the map along x or y. Every solver
+/// refuses weights and floors out of range, a floor that alone removes more than the PV of the map, a TIF that varies
+/// in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &UdoSettings,
@@ -165,8 +167,8 @@ pub fn solve(
     }
 }
 
-/// Returns the step gamma of (1) of the module: the one with the least RMS of `z - gamma m` (means removed), for the
-/// maps m and z (ny, nx).
+/// Returns the step gamma of (1) of the module: the one >= 0 with the least RMS of `z - gamma m` (means removed), for
+/// the maps m and z (ny, nx). It is 0 if m is constant.
 fn best_step(model: &DwellModel<'_>, m: &Array2<f64>, z: &Array2<f64>) -> f64 {
     let m = model.centred(m);
     let mut cov = 0.0;

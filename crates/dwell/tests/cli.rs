@@ -128,7 +128,8 @@ fn planted_dwell_times_come_back_and_the_manifest_has_the_report() {
     assert!(text(&again.stdout).contains("unchanged"));
 }
 
-/// A rate that halves in 6 s: each dwell time removes at the rates of its own time, which begins after all before it.
+/// The rate halves in 6 s. Each dwell time removes at the rates of its own time in the run, which begins after all
+/// dwell times before it.
 #[test]
 fn planted_dwell_times_come_back_where_the_rate_halves_in_the_course_of_the_run() {
     let tmp = tempfile::tempdir().unwrap();
@@ -251,7 +252,7 @@ fn a_tif_larger_than_the_map_is_used_as_it_is() {
     assert!(expected > 0.01 && (found / expected - 1.0).abs() < 1e-12, "{found} {expected}");
 }
 
-/// Whatever the number of threads: every byte, both algorithms.
+/// Every byte of the output is the same for any number of threads, for both algorithms.
 #[test]
 fn the_bytes_do_not_depend_on_the_threads() {
     let by_threads = |more: &[&str], prepare: &dyn Fn(&Path)| {

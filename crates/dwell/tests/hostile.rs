@@ -1,4 +1,4 @@
-//! Flags that nobody means, degenerate maps and tools, mistaken units, through the binary.
+//! Absurd numbers in flags, degenerate maps and tools, and mistaken units, through the binary.
 
 use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 

@@ -258,7 +258,8 @@ struct Case {
     path: ToolPath,
 }
 
-/// A boustrophedon of 0.4 mm over the map and 1.6 mm beyond, and what may be wrong with one.
+/// Returns problems on a boustrophedon path of 0.4 mm pitch over the map and 1.6 mm beyond: a plain one, and ones with
+/// a difficult map, TIF or path.
 fn dense_cases() -> Vec<Case> {
     let line = |j: u32| {
         (0..34).map(move |i| {
@@ -589,8 +590,8 @@ fn strongest(path: &ToolPath) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// A quadratic term is what it says: the penalty that it writes out is a larger `tikhonov` where the least dwell time
-/// is 0, or a larger `slope_weight`.
+/// A quadratic term that writes out a part of the penalty has the effect of a larger `tikhonov` (with a least dwell
+/// time of 0) or of a larger `slope_weight`.
 #[test]
 fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
     let path = path(2.0);

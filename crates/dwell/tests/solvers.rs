@@ -1,5 +1,5 @@
-//! One table of tests for all solvers: the same small mirror, paths, floors, tools, bad input; then
-//! what each one claims for itself.
+//! One table of tests for all solvers, on the same small mirror, paths, floors, tools and bad input; then tests of
+//! properties of single solvers.
 
 use ndarray::{Array2, s};
 use planish_dwell::{
@@ -114,7 +114,8 @@ struct Case<'a> {
     floor_s_per_mm: f64,
 }
 
-/// Dwell times, and the numbers that all solvers report (bounded least squares and bcls have reports of their own).
+/// Dwell times, and the numbers that all solvers report; `None` for bounded least squares and bcls, which have other
+/// reports.
 struct Found {
     dwell: DwellTime,
     outcome: Option<Outcome>,
@@ -135,7 +136,7 @@ impl<'a> Case<'a> {
     }
 }
 
-/// Values that the table reads from the solution of a solver.
+/// Makes [`Found`] from the result of a solver.
 macro_rules! found {
     ($solution:expr) => {
         $solution.map(|s| Found { dwell: s.dwell, outcome: Some(s.outcome) })

@@ -13,8 +13,8 @@
 
 use ndarray::Array2;
 
-/// Returns the values of the four cubic B-splines that are not 0 on a cell, for knots at distance 1. The
-/// argument `f` in [0, 1] is the offset from the start of the cell.
+/// Returns the values of the four cubic B-splines that are not 0 on a cell between two knots, for knots at distance 1,
+/// in ascending order of their middles. The argument `f` in [0, 1] is the offset from the start of the cell.
 #[inline]
 pub fn on_a_cell(f: f64) -> [f64; 4] {
     let g = 1.0 - f;
@@ -31,7 +31,7 @@ fn inner_spline(f: f64) -> f64 {
 /// Degree of the splines: 3, cubic. [`Knots::basis`] and its callers assume it.
 const P: usize = 3;
 
-/// Clamped knots of cubic splines: strictly ascending, except for the fourfold ends.
+/// Clamped knots of cubic splines: strictly ascending, except that the first and the last knot occur four times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knots {
     t: Vec<f64>,
@@ -75,20 +75,21 @@ impl Knots {
     }
 
     /// Returns the index k of the knot interval that contains `s`: the largest k with `t_k <= s` and `t_k < t_{k+1}`.
+    /// For an `s` beyond the knots it is the first or the last interval.
     fn span(&self, s: f64) -> usize {
         let inner = &self.t[P + 1..self.len()];
         P + inner.partition_point(|t| *t <= s)
     }
 
-    /// Returns the index of the first B-spline that is not zero at `s`, and the values of `B_i .. B_{i+3}`; all
-    /// others are zero.
+    /// Returns the index i of the first B-spline that is not zero on the knot interval of `s`, and the values of `B_i
+    /// .. B_{i+3}` at `s`; all others are zero there.
     pub fn basis(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         (k - P, recurrence::<4>(|i| self.t[i], k, s))
     }
 
-    /// Returns the index i of the first B-spline that is not zero at `s`, and the derivatives of `B_i .. B_{i+3}`
-    /// there.
+    /// Returns the index i of the first B-spline that is not zero on the knot interval of `s`, and the derivatives of
+    /// `B_i .. B_{i+3}` at `s`.
     pub fn basis_derivative(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         let lower = recurrence::<3>(|i| self.t[i], k, s);
@@ -123,7 +124,8 @@ impl Knots {
         Integral { knots: self, e }
     }
 
-    /// Returns the knots without the inner knot with the index `k` in [`Self::breaks`], 0 < k < last.
+    /// Returns the knots without the inner knot that has the index `k` in [`Self::breaks`]; `k` is neither the first
+    /// nor the last index.
     pub fn without(&self, k: usize) -> Self {
         let mut t = self.t.clone();
         t.remove(P + k);

@@ -11,15 +11,16 @@ pub type Point = [f64; 2];
 /// A line segment, given by its two ends.
 pub type Chord = [Point; 2];
 
-/// Gap between the bounds of a distance, relative to it, at which the search ends. Larger: the stated distance is too
-/// large by as much. Smaller: more halvings.
+/// Gap between the upper and the lower bound of a distance, relative to it, at which the search ends. Larger: the
+/// returned distance is too large by as much. Smaller: more halvings.
 const RELATIVE_GAP: f64 = 1e-7;
 
 /// The same gap, absolute, in the unit of the cubic. It is far below any length of a machine in mm, and ends the
 /// search where the distance is 0.
 const ABSOLUTE_GAP: f64 = 1e-11;
 
-/// Largest number of halvings of the interval. After 40 of them the gap is rounding.
+/// Largest number of halvings of the interval. After 40 of them the gap is rounding. Larger: more time. Smaller: the
+/// returned distance may be too large by more than the gap.
 const MAX_HALVINGS: usize = 40;
 
 /// Returns the distance of `point` from the nearest point of the line segment `chord`.
@@ -35,7 +36,7 @@ pub fn from_chord(point: Point, chord: &Chord) -> f64 {
 }
 
 /// Returns the Bernstein coefficients, as points of the plane, of the cubic on [0, `end`]. `cubic` has the ascending
-/// coefficients of either axis.
+/// coefficients along [x, y].
 fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
     let per_axis = cubic.map(|c| {
         let first = c[1] * end;
@@ -54,9 +55,9 @@ fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
 /// Returns the largest distance of a plane cubic on [0, `end`] that is above `least`, or `least` if none is. The
 /// distance is an upper bound, and exact to 1e-7. It is infinite if `farthest` returns no finite number.
 ///
-/// `farthest(points, enough)` returns the largest distance of the points, for one chord or for the nearest of several:
-/// the smallest over the chords of the largest over the points. It may return any bound that is not above its second
-/// argument.
+/// `farthest(points, enough)` returns the largest distance of the points from a chord; with several chords, the
+/// smallest of these numbers. If that is not above `enough`, it may return any upper bound that is not above `enough`
+/// either.
 pub fn largest(
     cubic: &[[f64; 4]; 2],
     end: f64,

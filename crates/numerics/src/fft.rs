@@ -3,10 +3,10 @@
 //! | module | subject |
 //! |---|---|
 //! | [`transform`] | a map of any size, for its spectrum |
-//! | [`plan`] | transforms of a map, planned for both precisions |
+//! | [`plan`] | planned transforms of a map, in single and in double precision |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
 //! | [`tiles`] | one real map at a time, convolved with one kernel, tile by tile |
-//! | [`lane_convolution`] | two strips of a tile, as the real and imaginary parts of one field |
+//! | [`lane_convolution`] | two strips of a tile at a time, as the real and imaginary parts of one complex array |
 //! | [`lanes`] | as many lines at a time as a vector of the processor has lanes |
 //! | [`line_convolution`] | pairs of lines whose products with several kernels are summed before the inverse |
 //! | [`mod@line`] | single real lines whose products are summed before the inverse |
@@ -51,7 +51,7 @@ pub fn add_conjugate_products(sum: &mut [Complex64], a: &[Complex64], b: &[Compl
     );
 }
 
-/// Returns the smallest `m >= n` without prime factors above 7: a length whose transforms are fast.
+/// Returns the smallest `m >= n`, at least 1, without prime factors above 7: a length whose transforms are fast.
 pub fn smooth_size(n: usize) -> usize {
     (n.max(1)..)
         .find(|&m| {

@@ -20,7 +20,8 @@
 
 use ndarray::{Array2, ArrayView2, s};
 
-/// Returns Keys' weights `[w_-1, w_0, w_1, w_2]` at the offset `f` in [0, 1] from the node below.
+/// Returns Keys' weights `[w_-1, w_0, w_1, w_2]` at the offset `f` in [0, 1], in steps, from the node with the weight
+/// w_0.
 #[inline]
 pub fn weights(f: f64) -> [f64; 4] {
     [

@@ -50,7 +50,7 @@ pub fn zernike_index(n: u32, m: i32) -> usize {
 }
 
 /// Writes all Zernike polynomials `Z_n^m(x, y)` with n <= `order`, at x = rho cos(theta), y = rho sin(theta). Their
-/// places in `out` are those of [`zernike_index`], and `out` has [`zernike_terms`] elements.
+/// indices in `out` are those of [`zernike_index`]. Panics unless `out` has [`zernike_terms`] elements.
 pub fn zernike(order: u32, x: f64, y: f64, out: &mut [f64]) {
     let n_max = order as usize;
     assert_eq!(out.len(), zernike_terms(order), "one element per term");

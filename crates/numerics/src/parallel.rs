@@ -1,7 +1,7 @@
 //! Loops over all threads, compiled once.
 //!
-//! `rayon` compiles its division of the work again for every closure and every chain of iterators, three times each. Here
-//! [`for_each`] is the only loop, and it takes its work by reference.
+//! `rayon` compiles its division of the work again for every closure and every chain of iterators, three times each.
+//! Here [`for_each`] is the only loop, and it takes its work by reference.
 //!
 //! No result depends on the number of threads: items have numbers, and results keep their order.
 
@@ -10,8 +10,8 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use ndarray::{ArrayBase, ArrayViewMut, Axis, DataMut, Dimension, RemoveAxis};
 use rayon::prelude::*;
 
-/// Smallest number of parts of a loop for every thread, where the loop has so many items. More parts balance uneven
-/// items better, and each costs some 50 ns.
+/// Smallest number of parts of a loop for every thread, if the loop has so many items. Larger: uneven items are
+/// balanced better, and each part costs some 50 ns. Smaller: threads wait for the longest part.
 const PIECES_PER_THREAD: usize = 64;
 
 /// Calls `work` once with every number 0, 1, ... below `count`, on all threads.
@@ -42,8 +42,8 @@ pub fn consume<T: Send>(items: impl IntoIterator<Item = T>, work: &(dyn Fn(usize
     });
 }
 
-/// Calls `work(workspace, i, item)` once for every item, on all threads. `workspace` makes a new one where none is
-/// idle, and no two calls use one at the same time.
+/// Calls `work(workspace, i, item)` once for every item, on all threads. `workspace()` makes a new workspace if none is
+/// idle. No two calls use the same one at the same time.
 pub fn consume_with<W: Send, T: Send>(
     items: impl IntoIterator<Item = T>,
     workspace: &(dyn Fn() -> W + Sync),

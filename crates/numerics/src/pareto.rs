@@ -4,7 +4,7 @@
 //! one.
 
 /// Returns the indices in `points` of the points on the Pareto front, by ascending first quantity. Of equal points,
-/// only the first is on it. Points with NaN are not on it.
+/// only the first is on it. Points with NaN or with an infinite second quantity are not on it.
 pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|&i| !points[i].iter().any(|x| x.is_nan())).collect();
@@ -27,8 +27,8 @@ pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
 /// A = sum_i ln(x_(i+1) / x_i) ln(Y / y_i)        over the front x_1 < x_2 < ..., with x_(n+1) = X
 /// ```
 ///
-/// for the corner (X, Y). It grows with every new point on the front, and does not depend on the
-/// units.
+/// for the corner (X, Y). Points that are not below the corner in both quantities, or not above 0, do not count. The
+/// area grows with every new point on the front, and does not depend on the units.
 pub fn dominated_area(points: &[[f64; 2]], corner: [f64; 2]) -> f64 {
     let within: Vec<[f64; 2]> =
         points.iter().copied().filter(|p| (0..2).all(|k| p[k] > 0.0 && p[k] < corner[k])).collect();

@@ -1,4 +1,4 @@
-//! Double precision, and single precision where a proof shows that it is exact enough.
+//! Number types for double precision, and for single precision where a proof shows that it is exact enough.
 
 use rustfft::FftNum;
 

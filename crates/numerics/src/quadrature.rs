@@ -1,6 +1,6 @@
 //! Gauss-Legendre quadrature.
 
-/// Returns the nodes in (0, 1) and the weights of the `N`-point Gauss-Legendre rule. The weights sum to 1.
+/// Returns the `N`-point Gauss-Legendre rule on [0, 1] as pairs (node, weight), nodes ascending. The weights sum to 1.
 ///
 /// Exact for polynomials up to degree 2N - 1. The nodes are the roots of the Legendre
 /// polynomial P_N, found by Newton's method from Chebyshev's estimate

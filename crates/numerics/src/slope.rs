@@ -37,8 +37,8 @@ impl Along {
     }
 }
 
-/// Returns the number of sample steps of length `step`, at least one, that is nearest to the base length `base`.
-/// `None` if `n` samples do not contain that many steps.
+/// Returns the whole number of sample steps of length `step`, at least one, that is nearest to the base length `base`.
+/// `None` if `n` samples have fewer steps, or if the number is not finite.
 pub fn steps_of_base(base: f64, step: f64, n: usize) -> Option<usize> {
     let steps = (base / step).round().max(1.0);
     if steps.is_finite() && steps < n as f64 { Some(steps as usize) } else { None }

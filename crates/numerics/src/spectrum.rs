@@ -43,9 +43,9 @@ use crate::{
     statistics::{fit_plane, subtract_plane},
 };
 
-/// Smallest number of samples along an axis of a rectangle with a useful density. Larger: small
-/// maps have no density. Smaller: the density is meaningless, because the window takes the ends,
-/// and the bin at zero the mean.
+/// Smallest number of samples along an axis of a rectangle for which a density is computed. Larger: small maps have no
+/// density. Smaller: the density is meaningless, because the window suppresses the samples at the ends, and the bin at
+/// frequency 0 has only the mean.
 pub const MIN_SAMPLES: usize = 8;
 
 /// Smallest transfer function of a tool, relative to frequency 0, at which dwell times can correct
@@ -130,7 +130,8 @@ impl Density {
     }
 
     /// Returns the mean frequency and density of each of `count` rings. `ring_of` gives the index of the ring of a
-    /// radial frequency |f|, or `None` to leave the bin out. A ring without a bin is `None`.
+    /// radial frequency |f|; for `None` or an index from `count` on, the bin is left out. A ring without a bin is
+    /// `None`.
     pub fn rings(&self, count: usize, ring_of: impl Fn(f64) -> Option<usize>) -> Vec<Option<Ring>> {
         let mut sums = vec![(0.0, 0.0, 0_usize); count];
         for (f, s) in self.bins() {

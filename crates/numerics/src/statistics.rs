@@ -95,7 +95,8 @@ fn sums<const N: usize>(
     })
 }
 
-/// Adds `terms_of(x, y, value)` of neighbouring pixels of a row to their sums; each pixel has its own set of sums.
+/// Adds `terms_of(x, y, value)` of M neighbouring pixels of a row to `sums`, where pixel i of the M adds to the sums
+/// with the index i. NaN adds nothing.
 #[inline(always)]
 fn add<const M: usize, const N: usize>(
     pixels: &[f64; M],
@@ -179,8 +180,8 @@ pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
     above[0]
 }
 
-/// Step between the rows that [`lowest`] samples for an upper bound on its result. Larger: a weaker bound, so that
-/// more pixels are sorted. Smaller: more pixels are sampled. It does not change the result.
+/// Step between the rows that [`lowest`] samples for an upper bound of its result. Larger: a weaker bound, so that more
+/// pixels are sorted. Smaller: more pixels are sampled. It does not change the result.
 const ROWS_PER_LOOK: usize = 16;
 
 /// Returns the lowest valid pixel after leaving out the lowest `fraction`, in [0, 1). If weights (ny, nx) are

@@ -5,9 +5,8 @@
 //! when the program runs. The compiler keeps the order of sums and never contracts a product and a
 //! sum. Every bit is therefore the same on all processors.
 //!
-//! If the compiler does not use vectors there by itself, code is written for the lanes of any of
-//! them with [`Lanes`]. It multiplies and adds in one step if the processor can, so that its last
-//! bits depend on the processor.
+//! Loops that the compiler does not turn into vectors are written with [`Lanes`], for vectors of any number of lanes.
+//! It multiplies and adds in one step if the processor can, so that its last bits depend on the processor.
 
 use pulp::{Arch, Simd};
 

@@ -6,13 +6,13 @@
 //! d >= V^2 (1 - eta^2) / (2 A)                                                            (3)
 //! ```
 //!
-//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1). So a feed may change
-//! from the least to the largest allowed one, or back, in any segment: every sequence of dwell times within (2) can
-//! be executed by trapezoidal feeds. (3) is the pitch limit of the source: on shorter segments the machine does not
-//! reach its largest feed V. It is enforced through (2): there the least dwell time is `d / V*`, above `d / V`. V and
-//! A are the limits along the segment, the axis that reaches its own first. Where lengths differ, the least feed is
-//! eta times the largest V* of the segment and its neighbours, and the change is made in the longer one. Changes of
-//! direction are not part of the source's model: a corner asks for more.
+//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1). So a feed may change from
+//! the least to the largest allowed one, or back, in any segment: every sequence of dwell times within (2) can be
+//! executed by trapezoidal feeds. (3) is the pitch limit of the source: on shorter segments the machine does not reach
+//! its largest feed V. On these, (2) has the least dwell time `d / V*`, above `d / V`. V and A are the limits along the
+//! segment, set by the axis that reaches its own limit first. If lengths differ, the least feed is eta times the
+//! largest V* of the segment and its neighbours, and the feed changes in the longer one. Changes of direction are not
+//! part of the source's model: corners need more acceleration than the bounds allow for.
 //!
 //! The minimum within (2) is that of [`crate::bounded_least_squares`], almost without
 //! regularisation.
@@ -42,7 +42,7 @@ use crate::{
 pub struct BclsSettings {
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
-    /// Least feed eta as a fraction of the largest reachable feed; in [0, 1), 0 for none.
+    /// Least feed as a fraction eta of the reachable feed V* ((2) of the module); in [0, 1), 0 for no least feed.
     pub least_feed: f64,
     /// Weight alpha of the Tikhonov term of the [least squares](bounded_least_squares), dimensionless.
     pub tikhonov: f64,
@@ -57,12 +57,11 @@ impl Default for BclsSettings {
 /// Feeds, lengths and violations of the bounds (2) of the module.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BclsReport {
-    /// Pitch limit (3) of the module for the largest limits along a segment of the path, mm.
+    /// Largest pitch limit (3) of the module among the segments with a length, mm.
     pub pitch_limit_mm: f64,
-    /// Shortest segment with a length, mm.
+    /// Length of the shortest segment with a length above 0, mm; 0 if there is none.
     pub shortest_segment_mm: f64,
-    /// Number of segments shorter than the pitch limit (3): their least dwell time is longer than the largest feed of
-    /// the machine asks for.
+    /// Number of segments shorter than the pitch limit (3): on these the machine does not reach its largest feed.
     pub below_pitch_limit: usize,
     /// Smallest and largest reachable feed V* of (1) of the module, mm/s.
     pub reachable_mm_per_s: [f64; 2],
@@ -120,20 +119,23 @@ pub fn solve(
 pub struct Bounds {
     /// Least dwell time d / V*, s; 0 for a rest.
     pub lo: Vec<f64>,
-    /// Largest dwell time d / (eta V*), s.
+    /// Largest dwell time d / (eta V*), s, with the largest V* of the segment and its neighbours; infinite for a rest,
+    /// or if eta is 0.
     pub hi: Vec<f64>,
-    /// Largest reachable feed V* of every segment, mm/s.
+    /// Reachable feed V* of every segment, mm/s; 0 for a rest.
     reachable_mm_per_s: Vec<f64>,
     /// Largest acceleration A along every segment, mm/s^2.
     acceleration_mm_per_s2: Vec<f64>,
-    /// Least length of every segment at which the machine reaches its largest feed, (3) of the module, mm.
+    /// Length from which on the machine reaches its largest feed along the segment, (3) of the module, mm; 0 for a
+    /// rest.
     pitch_limit_mm: Vec<f64>,
 }
 
 /// Returns the reachable feeds (1) and the bounds (2) of the module for every segment.
 ///
 /// # Errors
-/// Refuses a least feed that is no fraction, and a path whose lengths differ too much for it.
+/// Refuses a least feed that is not in [0, 1), and a path on which the lengths of neighbouring segments differ too much
+/// for it.
 pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bounds, Invalid> {
     check(
         "least_feed",

@@ -1,24 +1,25 @@
-//! The feed law of multi-pitch rasters: as long on every segment as its own area asks for, without a solver.
+//! The feed law of multi-pitch rasters: the dwell time of a segment is its removal depth times its area over the VRR,
+//! without a solver.
 //!
 //! ```text
 //! v = VRR / (d r) <= v_max                                                                (1)
 //! t = l max(d r / (k VRR), 1 / v_max)                                                     (2)
 //! ```
 //!
-//! Lines a distance d apart, run at the feed v, remove the depth r on average. It is right where the depth varies
-//! slowly beside the TIF, and leaves the ripple of the lines; whatever one line removes beside itself it does not know.
-//! `1 / v_max` is the floor of the dwell times.
+//! Lines a distance d apart, run at the feed v, remove the depth r on average. The law is right where the depth varies
+//! slowly over the width of the TIF, and leaves the ripple of the lines. It ignores the removal of a line on its
+//! neighbours. `1 / v_max` is the floor of the dwell times, s/mm.
 //!
-//! * *Lines* are runs of segments with the tool on in the direction that most of the path has. What joins them is
-//!   run at the floor.
+//! * *Lines* are sequences of consecutive segments with the tool on in the direction that most of the path has. The
+//!   segments between them have the floor as dwell time.
 //! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their
 //!   distances to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the
 //!   lines on both sides of it, or the distance to the only one.
-//! * *Runs* k of a segment: how many lines go over it, as on a path that is run several times; each takes its part of
-//!   the depth.
-//! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around its
-//!   dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest
-//!   one. A map with negative heights is lifted until none is.
+//! * *Runs* k of a segment: the number of lines over its dwell point, as on a path that is run several times; each
+//!   removes 1/k of the depth.
+//! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around the
+//!   point where the tool removes (dwell point plus centroid of the TIF); where the square holds no valid pixel, that
+//!   of the nearest one. If the map has negative heights, a constant is added so that its minimum is 0.
 //!
 //! Source: Development of multi-pitch tool path in computer-controlled optical surfacing processes, JEOS-RP 13 (2017),
 //! Eqs 11 and 12.
@@ -41,17 +42,17 @@ use crate::{
     problem::{DwellModel, Problem, Solution, check},
 };
 
-/// Angle below which two segments are parallel, rad. Larger: segments of curves count as lines. Smaller: rounding of
-/// coordinates splits lines.
+/// Sine of the angle to the common direction up to which a segment belongs to a line. Larger: segments of curves count
+/// as lines. Smaller: rounding of coordinates splits lines.
 const PARALLEL: f64 = 1e-3;
 
 /// Distance below which two lines are the same line, mm. Larger: lines of a fine pitch are merged. Smaller: rounding
 /// of coordinates makes two lines of one, and a pitch near zero.
 const SAME_LINE_MM: f64 = 1e-6;
 
-/// Smallest fraction of the length of a path that lies on parallel lines, dimensionless; the law refuses a path with
-/// less. Larger: rasters with long links are refused. Smaller: paths without a pitch are accepted. Chosen: above one
-/// half, the fraction of a maze.
+/// Smallest fraction of the length with the tool on that must lie on parallel lines, dimensionless; the law refuses a
+/// path with less. Larger: rasters with long links are refused. Smaller: paths without a pitch are accepted. Chosen:
+/// above one half, the fraction of a maze path along one of its two directions.
 const LEAST_PART_OF_LINES: f64 = 0.6;
 
 /// Settings of the feed law.
@@ -70,8 +71,8 @@ pub struct FeedLawReport {
     pub lines: usize,
     /// Smallest and largest pitch d of the lines, mm.
     pub pitch_mm: [f64; 2],
-    /// Number of segments of lines on which the law asks for more than the largest feed. The tool removes more there
-    /// than is desired.
+    /// Number of segments of lines whose dwell time by the law is below the floor, which is used instead. The tool
+    /// removes more there than is desired.
     pub too_fast: usize,
     /// Height that was added to the map so that no height is negative, nm.
     pub lifted_nm: f64,
@@ -80,7 +81,8 @@ pub struct FeedLawReport {
 /// Computes the dwell times (2) of the module, and their effect in the removal model of the solvers.
 ///
 /// # Errors
-/// Refuses what [`dwell`] refuses, and what every solver refuses.
+/// Refuses what [`dwell`] refuses, weights out of range, a TIF that varies in time, and a tool that does not reach the
+/// map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &FeedLawSettings,
@@ -94,8 +96,8 @@ pub fn solve(
 /// Computes the dwell times (2) of the module alone, without their effect.
 ///
 /// # Errors
-/// Refuses a pitch that is not positive, a path without lines or with a line that has no pitch, a floor out of range,
-/// and a TIF that varies over the part.
+/// Refuses a pitch that is not positive, a path of which too little lies on parallel lines, a line without another one
+/// beside it if no pitch is given, a floor out of range, and a TIF that varies over the part.
 pub fn dwell(
     desired: &Surface,
     tif: &Tif,
@@ -161,8 +163,8 @@ struct RasterLine {
     along_mm: [f64; 2],
 }
 
-/// Returns the lines of a path, in its order, and the unit vector [x, y] of their direction. Refuses a path whose
-/// length is not mostly that of parallel lines.
+/// Returns the lines of a path, in its order, and the unit vector [x, y] of their direction. Refuses a path with less
+/// than [`LEAST_PART_OF_LINES`] of its length on parallel lines.
 fn lines(path: &ToolPath) -> Result<(Vec<RasterLine>, [f64; 2]), Invalid> {
     let is_on = |i: &usize| path.tool_on()[*i] && path.segment_length_mm(*i) > 0.0;
     let on: Vec<usize> = (0..path.len()).filter(is_on).collect();
@@ -234,8 +236,8 @@ fn main_direction(path: &ToolPath, segments: &[usize]) -> [f64; 2] {
     [angle.cos(), angle.sin()]
 }
 
-/// Returns, for each line, the intervals [start, end] along it, mm, of all other lines that have the same coordinate
-/// across.
+/// Returns, for each line, the intervals [start, end] along the lines, mm, of all other lines whose coordinate across
+/// differs by at most [`SAME_LINE_MM`].
 fn in_the_same_place(lines: &[RasterLine]) -> Vec<Vec<[f64; 2]>> {
     let order = across_order(lines);
     let mut others = vec![Vec::new(); lines.len()];
@@ -368,8 +370,8 @@ mod tests {
         Surface::new(Grid { x: axis, y: axis }, z).unwrap()
     }
 
-    /// Lines along x from -8 to 28 mm at these places, to and fro in steps of 1 mm, a pass each where `apart`;
-    /// turned by an angle about (10, 10).
+    /// Returns a path of lines from x = -8 to 28 mm at these y coordinates, mm, run to and fro in steps of 1 mm. Every
+    /// line is its own pass if `apart`. The path is turned by `angle`, rad, about (10, 10) mm.
     fn raster(places_mm: &[f64], apart: bool, angle: f64) -> ToolPath {
         let (sine, cosine) = angle.sin_cos();
         let turned = |x: f64, y: f64| {
@@ -400,7 +402,7 @@ mod tests {
         (operator.apply(dwell.dwell_s()), report)
     }
 
-    /// There and back over the same lines, and a third time over half of one in the middle.
+    /// The path runs there and back over the same lines, and a third time over half of the middle line.
     #[test]
     fn lines_that_are_run_several_times_remove_the_depth_once() {
         let flat = part(|_, _| 50.0);

@@ -5,11 +5,11 @@
 //! t = lo + s,  z' = z - B lo                                                               (1)
 //! ```
 //!
-//! M frees the piston, and D is the largest diagonal element of `B' W M B`. A is the effective area of the TIF (at
-//! least that of 36 dwell points), and `a_j` that of a dwell point. The same minimum as
-//! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that shares nothing
-//! with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the literature. One component changes
-//! at a time, so it is slow: minutes for thousands of points.
+//! M subtracts the piston, and D is the largest diagonal element of `B' W M B`. A is the effective area of the TIF (at
+//! least that of 36 dwell points), and `a_j` the area of dwell point j. It has the same minimum as
+//! [`crate::bounded_least_squares`] without an upper bound and without smoothness. Its method
+//! ([`planish_numerics::qp::nnls`]) shares nothing with that solver: it is a check of it, and serves for comparison
+//! with the literature. One dwell time changes its set at a time, so it is slow: minutes for thousands of points.
 //!
 //! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
 //!
@@ -34,7 +34,8 @@ use crate::{
 pub struct NonNegativeSettings {
     /// Weight alpha of the Tikhonov term, dimensionless; >= 0.
     pub tikhonov: f64,
-    /// Gradient at which the solver ends, as a fraction of the largest one at the floor.
+    /// Largest gradient component at which the solver ends, as a fraction of the largest one if all dwell times are at
+    /// their floor.
     pub tolerance: f64,
     /// Largest number of changes per dwell point; a change frees a dwell time or puts it back on its floor.
     pub max_changes_per_point: usize,
@@ -75,7 +76,9 @@ impl NonNegativeReport {
 /// Finds the dwell times that minimise (1) of the module.
 ///
 /// # Errors
-/// Refuses a negative alpha, more than 6000 dwell points, and what every solver refuses.
+/// Refuses an alpha that is negative or not finite, and more than 6000 dwell points or 2.5e8 elements of B. Every
+/// solver refuses weights and floors out of range, a floor that alone removes more than the PV of the map, a TIF that
+/// varies in time, and a tool that does not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &NonNegativeSettings,

@@ -4,13 +4,12 @@
 //! t = t_ref + sum over sigma_i > cut sigma_1 of  v_i (u_i' M W^1/2 (z - B t_ref)) / sigma_i   (1)
 //! ```
 //!
-//! where `u_i, sigma_i, v_i` are the singular vectors and values of `M W^1/2 B` (free piston M, level
-//! of dwell t_ref: [`crate::problem`]). A TIF is smooth: beyond a few hundred singular values, what
-//! they could correct is below the noise, and what they ask of the dwell times is absurd.
+//! where `u_i, sigma_i, v_i` are the singular vectors and values of `M W^1/2 B`, M subtracts the free piston, and t_ref
+//! are reference dwell times ([`crate::problem`]). A TIF is smooth: beyond a few hundred singular values, the part of
+//! the map that the vectors could correct is below the noise, and needs absurd dwell times.
 //!
-//! The sum is computed by the process of Lanczos on the normal equations
-//! ([`planish_numerics::linear::lanczos`]), which needs products only; up to 6000 dwell points with the
-//! normal matrix.
+//! The sum is computed by the process of Lanczos on the normal equations ([`planish_numerics::linear::lanczos`]), which
+//! needs products only. Up to 6000 dwell points they use the normal matrix, if B is small enough.
 //!
 //! Source: P. C. Hansen, Rank-Deficient and Discrete Ill-Posed Problems (1998), section 3.2.
 //!
@@ -37,7 +36,8 @@ pub struct TruncatedSvdSettings {
     pub cut: f64,
     /// Relative change of the dwell times at which the Lanczos process ends.
     pub tolerance: f64,
-    /// Largest number of steps of the Lanczos process; each keeps a vector of n numbers.
+    /// Largest number of steps of the Lanczos process; each keeps a vector of n numbers. Fewer are done if the memory
+    /// is too small for them.
     pub max_iterations: usize,
 }
 
@@ -58,11 +58,12 @@ pub struct TruncatedSvdReport {
     pub rank: usize,
     /// Largest singular value, nm/s.
     pub largest_singular_value_nm_per_s: f64,
-    /// Smallest singular value that was kept, nm/s.
+    /// Smallest singular value that was kept, nm/s; infinite if none was.
     pub smallest_singular_value_nm_per_s: f64,
-    /// Level of dwell c, the common time that the floor asks for, s ((3) of [`crate::problem`]).
+    /// Level of dwell c, s: the reference dwell time of a segment of median length, the least that meets the floor ((3)
+    /// of [`crate::problem`]).
     pub level_s: f64,
-    /// Number of dwell times that no level brings to their floor; they are put there.
+    /// Number of dwell times that are still below their floor at this level; they are set to it.
     pub clipped: usize,
 }
 
@@ -79,7 +80,9 @@ impl TruncatedSvdReport {
 /// Computes the dwell times (1) of the module.
 ///
 /// # Errors
-/// Refuses a cut that is no fraction, no steps at all, and what every solver refuses.
+/// Refuses a cut that is not between 0 and 1, and a `max_iterations` of 0. Every solver refuses weights and floors out
+/// of range, a floor that alone removes more than the PV of the map, a TIF that varies in time, and a tool that does
+/// not reach the map.
 pub fn solve(
     problem: &Problem<'_>,
     settings: &TruncatedSvdSettings,

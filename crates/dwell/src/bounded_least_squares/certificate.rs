@@ -1,6 +1,6 @@
 //! The certificate: how far the objective (1) of [`crate::bounded_least_squares`] can be above its minimum.
 //!
-//! It is proven by the exact gradient alone, so whatever the surrogate does, the claim in the report holds.
+//! It is proven by the exact gradient alone, so the bound in the report holds whatever the surrogate does.
 
 /// Returns an upper bound of the decrease of the objective (1) that is still possible at dwell times t with the
 /// gradient q. H is at least the diagonal matrix C of the Tikhonov term, `c_j = alpha D A / a_j`, so
@@ -9,13 +9,13 @@
 /// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - c_j (t_j - s)^2 / 2
 /// ```
 ///
-/// It is the gap of Fenchel's dual at the residual of t, with the c_j alone of the penalty's
-/// curvature: the bounds are exact in it, and where they are finite a component adds at most
-/// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever c_j.
+/// with the sum over the reached dwell points j. It is the gap of Fenchel's dual at the residual of t, with no
+/// curvature of the penalty but the c_j. Where the bounds are finite, a dwell time adds at most `q_j (t_j - lo_j)` or
+/// `q_j (t_j - hi_j)`, whatever c_j.
 ///
 /// The dwell times t may be beyond their bounds: `f(t)` minus the result is a lower bound of the minimum there, too.
 ///
-/// Returns `None` if alpha is 0.
+/// Returns `None` if alpha is 0, so that the `c_j` are not above 0.
 pub fn gap(
     t: &[f64],
     q: &[f64],

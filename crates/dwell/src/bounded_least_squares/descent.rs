@@ -9,9 +9,9 @@
 //! | state | transition |
 //! |---|---|
 //! | reweigh | with a Huber loss the pixels get the weights of their own residual |
-//! | look | the exact objective, its gradient q and the gap at t; is this an end? |
-//! | target | dwell times with a smaller objective, by H~ or without bounds; or an end |
-//! | advance | the exact minimum on the way there |
+//! | look | computes the exact objective, its gradient q and the gap at t, and decides whether the descent ends |
+//! | target | finds dwell times with a smaller objective, by H~ or without bounds; or ends |
+//! | advance | goes to the exact minimum on the way there |
 
 use ndarray::Array2;
 use planish_numerics::{
@@ -38,7 +38,7 @@ const USUAL_CORRECTIONS: f64 = 6.0;
 /// Largest fraction of the progress that is reported before the end, for the estimate of the remaining time only.
 const BEFORE_LAST: f64 = 0.9;
 
-/// Fraction of the natural residual above which a step counts as slow: the step leaves more than this. Larger: fewer
+/// Fraction of the natural residual before a step; a step that leaves more than this counts as slow. Larger: fewer
 /// steps count as slow. Smaller: the surrogate gets smaller cells earlier, and costs more.
 const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
 
@@ -46,9 +46,9 @@ const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
 /// Smaller: one slow step causes a new factorisation.
 const SLOW_STEPS_BEFORE_SHARPENING: usize = 2;
 
-/// Relative change of the mean square of the residual over 50 steps below which the gradient method ends; the RMS
-/// changes by half of it. The corrections of its result end if one changes the mean square by less. Larger: earlier
-/// end, larger residual. Smaller: more steps.
+/// Relative decrease of the objective over 50 gradient steps below which the gradient method ends; the RMS changes by
+/// about half of it. The descent ends, too, if one step of the gradient method lowers the objective by less. Larger:
+/// earlier end, larger residual. Smaller: more steps.
 const STAGNATION: f64 = 2e-4;
 
 /// Fraction of the natural residual that the search for a step by the two-level method may leave. Larger: more
@@ -67,8 +67,8 @@ const MAX_ROUNDS_WITHOUT_BOUNDS: usize = 3;
 /// end. Larger: an earlier end. Smaller: steps that only rounding decides.
 const STEP_ROUNDING: f64 = 1e-15;
 
-/// Length of the best step, over the whole step, above which the whole step is taken. Only a whole step puts the
-/// components that the surrogate has at their bounds on these bounds. Larger: more steps that stop short of the
+/// Length of the best step, over the whole step, above which the whole step is taken. Only a whole step puts the dwell
+/// times that are at bounds in the minimum of the surrogate on these bounds. Larger: more steps that stop short of the
 /// bounds. Smaller: whole steps that lower (1) less, or raise it.
 const WHOLE_STEP_FROM: f64 = 0.6;
 
@@ -101,7 +101,7 @@ impl Terms {
 /// A step of the dwell times (n), s, with the removal (ny, nx) that it adds, nm.
 type Step = (Vec<f64>, Array2<f64>);
 
-/// The descent to the minimum of (1), between two of the states of the module.
+/// The descent to the minimum of (1), with everything that one state of the module hands to the next.
 pub struct Descent<'s> {
     settings: &'s BoundedSettings,
     grid: Grid,
@@ -112,20 +112,21 @@ pub struct Descent<'s> {
     pub t: Vec<f64>,
     /// Removal B t of these dwell times (ny, nx), nm.
     pub removal_nm: Array2<f64>,
-    /// Number of sets of free dwell times that were solved for with the surrogate H~, or of products with it.
+    /// Number of sets of free dwell times that were solved for with the factorised surrogate H~, plus that of products
+    /// or gradient steps with the other one.
     pub iterations: usize,
     /// Number of steps found by the surrogate H~, each corrected by the exact gradient.
     pub corrections: usize,
     /// Number of slow steps in a row, and the natural residual before the last step, s.
     slow: (usize, f64),
     first_gap: Option<f64>,
-    /// Largest lower bound of the minimum of (1) that was proven so far.
+    /// Largest lower bound of the minimum of (1) that was proven so far; minus infinity before the first one.
     bound: f64,
-    /// Reason to end at the next look, if the steps changed too little.
+    /// Reason to end at the next call of [`Self::look`]; `None` unless the last step changed the objective too little.
     settled: Option<End>,
-    /// Step before the present one.
+    /// Last step, for the plane of the next one; `None` at the start, or if the next step goes on without bounds.
     before: Option<Step>,
-    /// Dwell times from which the next step goes on without bounds, if it does.
+    /// Dwell times from which the next step goes on without bounds; `None` if it goes by the surrogate.
     unbounded: Option<Unbounded>,
     rounds_without_bounds: usize,
     /// The factorised surrogate H~ with the matrix of the penalty.
@@ -136,11 +137,11 @@ pub struct Descent<'s> {
 pub struct Look {
     objective: f64,
     gradient: Vec<f64>,
-    /// Natural residual: the largest move of a dwell time that the gradient still asks for, s.
+    /// Natural residual: the largest change of a dwell time in a projected gradient step, s; 0 at the minimum.
     pub natural_residual: f64,
     /// Proven distance of the objective from its minimum, relative to the objective; `None` if alpha is 0.
     pub relative_gap: Option<f64>,
-    /// True if the natural residual is within the tolerance.
+    /// True if the natural residual is at most `tolerance_s` of the settings.
     is_still: bool,
     /// Reason for which the descent ends here; `None` if it goes on.
     pub end: Option<End>,
@@ -148,9 +149,10 @@ pub struct Look {
 
 /// Result of the search for a step.
 pub enum Target {
-    /// Dwell times with a smaller objective. If they were found without bounds, with the mask of the free ones.
+    /// Dwell times towards which the objective falls, and the mask of the free ones if they were found without bounds
+    /// (`None` by the surrogate).
     To(Vec<f64>, Option<Vec<bool>>),
-    /// No such dwell times: the descent ends for this reason.
+    /// Reason for which the descent ends, because there are no such dwell times.
     End(End),
 }
 
@@ -246,8 +248,8 @@ impl<'s> Descent<'s> {
         progress::done(usual.max(proven));
     }
 
-    /// Finds dwell times with a smaller objective: without bounds if the last step left such a start, otherwise by the
-    /// surrogate H~.
+    /// Finds dwell times towards which the objective falls: without bounds if the last step left a start for that,
+    /// otherwise by the surrogate H~. Ends if the objective would fall by rounding only.
     ///
     /// # Errors
     /// Refuses a problem whose H~ is singular in every form.
@@ -281,8 +283,9 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Minimises the objective without bounds, from the dwell times that the surrogate has left for it. Returns `None`
-    /// if it has left none, or if the objective would not fall.
+    /// Minimises the objective without bounds, from the dwell times that the last step has left for it, and puts the
+    /// result within the bounds. Returns `None` if there are no such dwell times, if the bounds cost too much, or if
+    /// the objective would not fall.
     fn without_bounds(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) -> Option<Target> {
         let from = self.unbounded.take()?;
         let most = self.settings.max_iterations.saturating_sub(self.iterations);
@@ -297,8 +300,8 @@ impl<'s> Descent<'s> {
         if falls { Some(Target::To(to, Some(end.free))) } else { None }
     }
 
-    /// Finds the minimum of the surrogate H~ within the bounds. If H~ is singular, uses one with smaller cells, or
-    /// without factors.
+    /// Finds the minimum of the surrogate H~ within the bounds. If a factorised H~ is singular, uses one with smaller
+    /// cells, or one that is not factorised. Ends if the limit of the iterations is reached.
     fn by_surrogate(
         &mut self,
         problem: &mut BoundedProblem<'_>,
@@ -354,8 +357,8 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Moves to the exact minimum on the way to the dwell times `to`, or to `to` itself, and notes whether the
-    /// objective has changed enough.
+    /// Moves by the step of [`Self::best_step`] to the dwell times `to` (`free` as in [`Target::To`]). Notes an end if
+    /// the objective falls too little; does not move if it does not fall.
     pub fn advance(
         &mut self,
         problem: &BoundedProblem<'_>,
@@ -394,8 +397,9 @@ impl<'s> Descent<'s> {
         self.corrections += 1;
     }
 
-    /// Returns the better of two steps, with the decrease of the objective: the one to the dwell times `to`, and the
-    /// best one in the plane of that and the step before.
+    /// Returns the better of two steps, with the decrease of the objective. One is the best step along the line to the
+    /// dwell times `to`, made whole from [`WHOLE_STEP_FROM`] on. The other is the best one in the plane of that and the
+    /// step before, clipped to the bounds.
     fn best_step(&self, problem: &BoundedProblem<'_>, look: &Look, to: &[f64]) -> (f64, Step) {
         let t = &self.t;
         let q = &look.gradient;

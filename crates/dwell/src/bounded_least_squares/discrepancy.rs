@@ -3,8 +3,9 @@
 //! A residual smaller than the noise of the measurement means that dwell times were spent on the noise. Source:
 //! V. A. Morozov, Soviet Math. Dokl. 7 (1966) 414.
 //!
-//! With a Huber loss there are pits that are neither noise nor removed, and an RMS would be theirs. Then residuals r
-//! beyond the k of the loss do not count, and normal noise of the given RMS s is taken in the same way:
+//! With a Huber loss the map has pits, which are neither noise nor removed, and they would decide the RMS. Then
+//! residuals r beyond the threshold k of the loss do not count, and the normal noise of the given RMS s is cut at k,
+//! too:
 //!
 //! ```text
 //! mean of r^2 over |r| <= k  against  the mean of x^2 over |x| <= k,   x normal with the deviation s         (1)
@@ -18,31 +19,33 @@ use super::{
 };
 use crate::{DwellError, objective::Basis};
 
-/// Smallest smoothness beta that the noise level may choose, dimensionless. Larger: a map with little noise is
-/// smoothed more than its noise asks for. Smaller: more trials.
+/// Smallest smoothness beta from which the search begins, dimensionless. Larger: a map with little noise is smoothed
+/// until its residual exceeds the noise. Smaller: more trials.
 const MIN_SMOOTHNESS: f64 = 1e-9;
-/// Largest smoothness beta that the noise level may choose, dimensionless. Larger: more trials with a noise that no
-/// smoothness reaches. Smaller: a large noise is not reached.
+/// Smoothness beta from which on no larger one is tried, dimensionless; the last trial may be up to
+/// [`SMOOTHNESS_FACTOR`] times as large. Larger: more trials if no smoothness makes the residual as large as the noise.
+/// Smaller: the residual may stay below a large noise.
 const MAX_SMOOTHNESS: f64 = 1e3;
 
-/// Factor between two trials of the smoothness while none is too smooth. Larger: a wider bracket, and more
-/// bisections. Smaller: more trials before the bracket.
+/// Factor between two trials of the smoothness until the residual of one exceeds the noise. Larger: more bisections
+/// afterwards. Smaller: more trials before them.
 const SMOOTHNESS_FACTOR: f64 = 10.0;
 
 /// Ratio of two trials of the smoothness, one too smooth and one not, at which the search ends. Larger: the residual
 /// meets the noise less closely. Smaller: more trials, each of which solves the problem.
 const SMOOTHNESS_RATIO: f64 = 1.05;
 
-/// Ratio of the threshold of the Huber loss to the standard deviation of the noise above which no noise lies beyond
-/// the threshold, to rounding. Larger: integrals whose value is known. Smaller: the tail of the noise is left out.
+/// Ratio of the threshold of the Huber loss to the standard deviation of the noise from which on no noise lies beyond
+/// the threshold, to rounding. Larger: integrals are computed although their result is the noise itself. Smaller: the
+/// cut of the noise is ignored where it matters.
 const BEYOND_NOISE: f64 = 8.0;
 
 /// Number of points of the Gauss rule for integrals over the normal distribution: exact to rounding over
 /// [`BEYOND_NOISE`] deviations. Smaller: errors of the expected noise.
 const QUADRATURE_POINTS: usize = 32;
 
-/// Solves the problem at the smoothness of the settings. If the noise of the map is given, raises the smoothness until
-/// the residual is no smaller than the noise.
+/// Solves the problem at the smoothness of the settings. If the noise of the map is given and the residual is smaller,
+/// raises the smoothness until the residual is about as large as the noise.
 ///
 /// # Errors
 /// Refuses a problem whose surrogate is singular in every form.
@@ -63,8 +66,8 @@ pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellEr
 
 impl BoundedProblem<'_> {
     /// Returns the largest smoothness beta at which the residual does not exceed the noise (Morozov's discrepancy
-    /// principle), and the minimum at that beta. `first` is the minimum at the beta of the settings, whose residual
-    /// does not exceed it.
+    /// principle), within the constants of the module, and the minimum at that beta. `first` is the minimum at the beta
+    /// of the settings, whose residual is below the noise.
     fn stop_at(&mut self, noise_nm: f64, first: Iterate) -> Result<(f64, Iterate), DwellError> {
         let mut low = self.settings.slope_weight.max(MIN_SMOOTHNESS);
         let mut best = first;
@@ -92,7 +95,7 @@ impl BoundedProblem<'_> {
     }
 
     /// Returns the RMS of the residual without its free part (piston or plane), nm; with a Huber loss only over the
-    /// pixels that (1) of the module counts.
+    /// pixels that (1) of the module counts. It is infinite if there is none.
     fn rms_nm(&self, iterate: &Iterate) -> f64 {
         let mut r = &self.z - &iterate.removal_nm;
         self.project_free(&self.weight, &mut r);
@@ -120,8 +123,8 @@ impl BoundedProblem<'_> {
     }
 }
 
-/// Returns the RMS of normal noise of the RMS `noise_nm` over those values that are at most `most_nm`: the root of the
-/// right-hand side of (1) of the module, nm.
+/// Returns the RMS of normal noise of the RMS `noise_nm` over those values whose size is at most `most_nm`, nm: the
+/// root of the right-hand side of (1) of the module.
 fn rms_within(noise_nm: f64, most_nm: f64) -> f64 {
     let c = most_nm / noise_nm;
     if c >= BEYOND_NOISE {

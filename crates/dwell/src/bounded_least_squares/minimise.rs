@@ -15,9 +15,9 @@ use crate::DwellError;
 /// problems end without a certificate. Chosen: measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
 
-/// Easier problems that are solved before (1), one after the other, see [`BoundedProblem::approach`]: weights of the
-/// penalty and pitch of the splines, both over those of (1). Chosen by the time that problems took: a third easier
-/// problem, or smaller steps of the weights, cost as much time as they save.
+/// Easier problems that are solved before (1), one after the other, see [`BoundedProblem::approach`]: (factor on the
+/// weights alpha and beta of (1), factor on the pitch of the splines). Chosen by the time that problems took: a third
+/// easier problem, or smaller steps of the weights, cost as much time as they save.
 const ROUGH_PROBLEMS: [(f64, f64); 2] = [(1e3, 2.0), (30.0, 1.5)];
 
 /// Ratio of the side of the cells of an easier problem to that for (1). Larger: cheaper and less exact easier
@@ -34,7 +34,7 @@ const MAX_ROUGH_TIKHONOV: f64 = 1e-2;
 const ROUGH_CORRECTIONS: usize = 1;
 
 /// Number of steps by the surrogate H~ for an easier problem with a Huber loss, whose weights come with the second
-/// step. Smaller: the next problem starts without these weights.
+/// step. Larger: more time. Smaller: the next problem starts without these weights.
 const ROUGH_CORRECTIONS_HUBER: usize = 3;
 
 /// Dwell times at the end of a descent, and how they were reached.
@@ -42,7 +42,8 @@ pub struct Iterate {
     pub t: Vec<f64>,
     /// Removal B t of the dwell times t (ny, nx), nm.
     pub removal_nm: Array2<f64>,
-    /// Number of sets of free dwell times that were solved for with the surrogate H~, or of products with it.
+    /// Number of sets of free dwell times that were solved for with the factorised surrogate H~, plus that of products
+    /// or gradient steps with the other one.
     pub iterations: usize,
     /// Number of steps found by H~, each corrected by the exact gradient.
     pub corrections: usize,
@@ -61,7 +62,8 @@ impl BoundedProblem<'_> {
     ///         t += p
     /// ```
     ///
-    /// If the two-level method finds d, the step after it is found by [`Self::without_bounds`].
+    /// If the two-level method finds d, the next steps are found by [`Self::without_bounds`] as long as that helps; not
+    /// with a Huber loss.
     ///
     /// d is a descent direction whatever H~ is, and vanishes only at the minimum of (1). With the
     /// step before, p, this is the conjugate gradient method preconditioned by H~ as soon as the
@@ -71,12 +73,12 @@ impl BoundedProblem<'_> {
         self.minimise_by(&BoundedSettings { slope_weight, ..*self.settings }, MAX_CORRECTIONS)
     }
 
-    /// Brings the two-level method near the minimum by easier problems, and returns the number of products with their
-    /// surrogates. Larger weights of the penalty make the dwell times smoother, so that wider splines and larger
-    /// cells can represent them. Fewer and cheaper steps then find the dwell times at their bounds. Some percent of
-    /// these change afterwards.
+    /// Solves the easier problems [`ROUGH_PROBLEMS`] to start the two-level method near the minimum, and returns the
+    /// number of products with their surrogates. Larger weights of the penalty make the dwell times smoother, so that
+    /// wider splines and larger cells can represent them. Fewer and cheaper steps then find which dwell times are at
+    /// their bounds. Some percent of these change afterwards.
     ///
-    /// Does nothing for other methods, or where a guess is given.
+    /// Returns 0 and does nothing for other methods, or if the program has a guess.
     pub(super) fn approach(&mut self, slope_weight: f64) -> Result<usize, DwellError> {
         let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
         if self.is_guessed {

@@ -1,5 +1,5 @@
-//! The problem (1) of [`crate::bounded_least_squares`] with everything that is computed once: the diagonal of
-//! H, what the tool does not reach, and the surrogate.
+//! The problem (1) of [`crate::bounded_least_squares`] with everything that is computed once: the diagonal of H, the
+//! mask of the reached columns, and the surrogate.
 
 use ndarray::{Array2, Zip};
 use planish_numerics::parallel;
@@ -17,8 +17,8 @@ use crate::{
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
-/// Smallest diagonal element of the Tikhonov term, as a fraction of D, for the two-level method. Below it, the
-/// rounding of the method is larger than the term. Larger: more problems take the slower gradient steps. Smaller:
+/// Smallest diagonal element of the Tikhonov term, as a fraction of D, at which the two-level method is used. Below it,
+/// the rounding of the method is larger than the term. Larger: more problems take the slower gradient steps. Smaller:
 /// rounding decides the steps.
 const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 
@@ -32,14 +32,15 @@ const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 /// the border slow the two-level method. Smaller: more problems are factorised.
 const ABRUPT_BORDER_TO_PEAK: f64 = 0.1;
 
-/// Factor on the number of dwell points up to which a problem is factorised if the splines of the two-level method
-/// represent too little. Larger: more memory and time for the factor. Smaller: more problems take many steps of the
-/// two-level method.
+/// Factor on `max_factorised_points` of the settings for problems that the splines of the two-level method would
+/// represent badly: these are factorised up to this many times as many dwell points. Larger: more memory and time for
+/// the factor. Smaller: more problems take many steps of the two-level method.
 const MORE_FACTORISED: usize = 10;
 
-/// Largest number of multiplications of a factorisation beyond the usual number of dwell points: one or two seconds.
-/// A problem takes ten (pads, and points that are far apart) to a hundred of them (wide spots that were cropped).
-/// Larger: longer factorisations. Smaller: more problems take many steps of the two-level method.
+/// Largest number of multiplications of one factorisation (one or two seconds) with which a problem of more than
+/// `max_factorised_points` dwell points is factorised. A problem takes ten factorisations (pads, and points that are
+/// far apart) to a hundred (wide TIFs that were cropped). Larger: longer factorisations. Smaller: more problems take
+/// many steps of the two-level method.
 const MOST_WORK: f64 = 1e11;
 
 /// The problem (1) with its inputs and everything that is computed once.
@@ -61,7 +62,8 @@ pub struct BoundedProblem<'a> {
     /// Upper bounds as given (n), s.
     pub hi_given: &'a [f64],
     pub reached: Vec<bool>,
-    /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2.
+    /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2, partly an estimate ([`energies`]); 0 for
+    /// unreached columns.
     pub diagonal: Vec<f64>,
     /// Quantities to which the weights of the penalty are relative: D, A and p of (1).
     pub scale: PenaltyScale,
@@ -81,10 +83,10 @@ pub struct BoundedProblem<'a> {
 }
 
 /// Returns the energy `sum_i w_i B_ij^2` of every column j (n). For stored columns it is exact. By FFT it is an
-/// estimate: the energy of the column on `cells`, or without cells the mean of R^2 along a segment in place of the
-/// square of the mean, with the spill over the border of the TIF.
+/// estimate. With `cells`, it is the energy of the column on them. Without cells, it has the mean of R^2 over the
+/// places of the column in place of the square of the mean, and includes the spill of `fft_operator`.
 ///
-/// A column so weak that the estimate would decide whether it reaches the map at all is computed exactly.
+/// The energy of a column whose estimate is below [`ESTIMATED_ENERGY_FRACTION`] of the largest is computed exactly.
 fn energies(
     b: &Removal,
     cells: Option<&[Patch]>,
@@ -112,7 +114,7 @@ impl<'a> BoundedProblem<'a> {
     /// Prepares the problem for a program and the weights of the pixels.
     ///
     /// # Errors
-    /// Refuses a program whose columns take too much memory, and a tool that does not reach the map.
+    /// Refuses a TIF that covers too many pixels of the map, and a tool that does not reach the map.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
@@ -212,11 +214,11 @@ impl<'a> BoundedProblem<'a> {
         true
     }
 
-    /// Replaces a factorised H~ that is singular to rounding by one that is only applied. Returns `false` for few
-    /// dwell points: the map then does not determine their dwell times.
+    /// Replaces a factorised H~ that is singular to rounding by one that is only multiplied by vectors. Returns `false`
+    /// for at most `max_factorised_points` dwell points: the map then does not determine their dwell times.
     ///
     /// # Errors
-    /// Refuses cells that no axis can have.
+    /// Refuses cells that [`Convolved::new`] refuses.
     pub fn without_factors(&mut self, penalty: &Penalty) -> Result<bool, Invalid> {
         if self.path.len() <= self.settings.max_factorised_points {
             return Ok(false);
@@ -229,11 +231,11 @@ impl<'a> BoundedProblem<'a> {
         Ok(true)
     }
 
-    /// Makes the surrogate H~ for many dwell points. `cells` is the side of its cells, pixels, and the pitch of its
-    /// splines, mm.
+    /// Makes the surrogate H~ for many dwell points. `cells` is (side of its cells, pixels; pitch of its splines, mm,
+    /// `None` without splines).
     ///
     /// # Errors
-    /// Refuses cells that no axis can have.
+    /// Refuses cells that [`Convolved::new`] refuses.
     pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
         let grid = self.desired.grid();
         let free = self.settings.free;
@@ -261,9 +263,10 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     centred
 }
 
-/// Returns the side of the cells, pixels, and the pitch of the splines, mm, of the surrogate for many dwell points.
-/// The pitch is `None` if `least_alpha`, the least diagonal element of the Tikhonov term, is small against D =
-/// `strongest`. It is also `None` if no pitch of splines suits the columns ([`surrogate::spline_pitch`]).
+/// Returns the side of the cells, pixels, and the pitch of the splines, mm, of the surrogate for many dwell points. The
+/// pitch is `None` if `least_alpha`, the least diagonal element of the Tikhonov term, is below
+/// [`MIN_TIKHONOV_TWO_LEVEL`] times D = `strongest`. It is also `None` if no pitch of splines suits the columns
+/// ([`surrogate::spline_pitch`]).
 fn cells_of_convolved(
     places: &[Vec<ToolPlace>],
     reached: &[bool],
@@ -295,8 +298,9 @@ fn convolved(
     Ok(Surrogate::Convolved(Box::new(h)))
 }
 
-/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for up to ten times as many if splines
-/// represent too little of the problem. These take at most [`MOST_WORK`] multiplications.
+/// Returns true if H~ is to be factorised: for up to `most` dwell points, and for up to [`MORE_FACTORISED`] times as
+/// many if splines represent too little of the problem and a factorisation takes at most [`MOST_WORK`] multiplications.
+/// Splines represent too little if the TIF ends abruptly or the columns are sparse.
 fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
     let n = places.len();
     let says_too_little =
@@ -321,7 +325,8 @@ fn penalty_scale(
     PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w)
 }
 
-/// Returns the largest element of the diagonal of H, computed exactly even if `diagonal` is an estimate.
+/// Returns D, the diagonal element of `B' W B - U U'` for the column at which `diagonal` is largest, computed exactly
+/// even if `diagonal` is an estimate, nm^2/s^2.
 fn strongest(
     diagonal: &[f64],
     places: &[Vec<ToolPlace>],

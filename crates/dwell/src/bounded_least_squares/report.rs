@@ -1,4 +1,4 @@
-//! Report of the solver.
+//! Report of the solver of the bounded least squares.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::{minimise::Iterate, prepared::BoundedProblem};
 use crate::{continuation::Continuation, model::FFT_ROUNDING, surrogate::Surrogate};
 
-/// Method that finds the steps of the surrogate; manifests hold its name in kebab case.
+/// Method that minimises the surrogate of H for every step; manifests hold its name in kebab case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Algorithm {
@@ -37,11 +37,12 @@ impl fmt::Display for Algorithm {
 pub struct BoundedReport {
     /// Method that found the steps.
     pub algorithm: Algorithm,
-    /// Number of sets of free dwell times that were solved for with the surrogate of H, or of products with it.
+    /// Number of sets of free dwell times that were solved for with the factorised surrogate of H, plus that of
+    /// products or gradient steps with the other one.
     pub iterations: usize,
     /// Number of steps found by the surrogate, each corrected by the exact gradient.
     pub corrections: usize,
-    /// Number of pixels along the side of a cell of the surrogate; 1 if its pixels are those of the map.
+    /// Number of pixels along the side of a cell of the surrogate; 1 if its cells are the pixels.
     pub cell_pixels: usize,
     /// Reason for which the steps ended: `optimal`, `stagnated` (the objective changes no more) or `iteration-limit`.
     pub end: End,
@@ -51,15 +52,16 @@ pub struct BoundedReport {
     /// alpha is 0: then `kkt_residual_s` alone certifies the result.
     #[serde(flatten)]
     pub proven: ProvenGap,
-    /// Smoothness beta that was used: the given one, or the one that the noise level asked for.
+    /// Smoothness beta that was used: the given one, or the larger one that the search for the noise level found.
     pub slope_weight: f64,
     /// Number of dwell points at their lower bound, unreached and lifted ones not counted.
     pub at_lower_bound: usize,
-    /// Number of dwell points at their upper bound.
+    /// Number of reached dwell points at their upper bound.
     pub at_upper_bound: usize,
-    /// Number of dwell points that do not reach the map; they have the dwell time per length of their neighbours.
+    /// Number of dwell points that do not reach the map, those with the tool off included. Segments with the tool on
+    /// get the dwell time per length of their neighbours.
     pub unreached_points: usize,
-    /// Number of valid pixels that no dwell point reaches: nothing can be corrected there.
+    /// Number of pixels with a weight above 0 that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm.
     pub model_rms_nm: f64,
@@ -85,7 +87,8 @@ pub(super) const SAME_TIME_FACTOR: f64 = 1e-5;
 /// Convergence of a plan for a tool whose rate depends on the time of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatesOfTime {
-    /// Number of problems that were solved, each with the rates at the times of the one before.
+    /// Number of problems that were solved: the first at the rate factor 1, each further one with the rates at the
+    /// times of the one before.
     pub rounds: usize,
     /// Largest relative difference of a rate in the model of the solver from that at the times of the plan.
     pub rate_error: f64,
@@ -107,11 +110,12 @@ impl RatesOfTime {
 }
 
 impl BoundedReport {
-    /// Returns the reason of a negative verdict; `None` if the verdict is positive. A result without its certificate
-    /// is not known to be the best, and the best one is no plan if it leaves more than the map, whose RMS is `before`.
+    /// Returns the reason of a negative verdict; `None` if the verdict is positive. It is negative if the rates of a
+    /// time-dependent tool did not converge, if the solver did not end at a proven minimum, or if
+    /// [`plausible::drawback`] finds one. `before` is the RMS of the map.
     ///
-    /// With a Huber loss, the loss itself is compared: the pits that it leaves alone would decide an RMS, and removal
-    /// around them deepens them.
+    /// With a Huber loss, the loss of the residual is compared with that of the map, because the pits would decide an
+    /// RMS.
     pub fn negative(&self, before: Rms) -> Option<String> {
         let plain = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
         let (before, after) = match self.robust_nm {
@@ -202,15 +206,15 @@ impl BoundedProblem<'_> {
         Ok(BoundedSolution { dwell: DwellTime::new(iterate.t)?, report })
     }
 
-    /// Counts the valid pixels whose removal is no more than the rounding of an FFT.
+    /// Counts the pixels with a weight above 0 whose removal is no more than the rounding of an FFT.
     fn unreached_pixels(&self, removal_nm: &Array2<f64>) -> usize {
         let floor = FFT_ROUNDING * removal_nm.iter().copied().fold(0.0, f64::max);
         removal_nm.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
     }
 }
 
-/// Number of steps of the iteration for the piston. Each halves the error at least, if more than half of the pixels
-/// are within k. Larger: more time. Smaller: the piston is not exact to rounding.
+/// Number of steps of the iteration for the piston in [`huber_rms`]. Each halves the error at least, if more than half
+/// of the pixels are within the threshold k. Larger: more time. Smaller: the piston is not exact to rounding.
 const PISTON_STEPS: usize = 50;
 
 /// Returns the root of twice the mean Huber loss rho of a map z with the threshold k, nm, at the piston p where it is
@@ -221,7 +225,7 @@ const PISTON_STEPS: usize = 50;
 /// rho(e) = e^2 / 2 up to |e| = k,     k (|e| - k / 2) beyond it
 /// ```
 ///
-/// It is the RMS if no pixel is farther than k from the mean.
+/// It is the RMS if no pixel is farther than k from the mean, and 0 if no pixel counts.
 fn huber_rms(z: &Array2<f64>, weight: &Array2<f64>, k: f64) -> f64 {
     let counted: Vec<(f64, f64)> =
         z.iter().zip(weight).filter(|(_, w)| **w > 0.0).map(|(z, w)| (*z, *w)).collect();

@@ -1,4 +1,4 @@
-//! Settings of the solver, and those inputs that may be given point by point.
+//! Settings of the solver, and the inputs that a program gives for every dwell point.
 
 use serde::Serialize;
 
@@ -26,21 +26,24 @@ pub struct BoundedSettings {
     pub time_weight_nm2_per_s: f64,
     /// Low-order terms of the map that need not be removed.
     pub free: Free,
-    /// Residual above which a pixel counts linearly instead of squared (Huber loss), nm; for maps with pits.
+    /// Residual above which a pixel counts linearly instead of squared (Huber loss), nm; for maps with pits. All pixels
+    /// count squared if absent.
     pub huber_nm: Option<f64>,
-    /// RMS of the noise of the map, nm: the smoothness beta is raised until the residual is no smaller. With a Huber
-    /// loss, pixels beyond its threshold do not count in this comparison.
+    /// RMS of the noise of the map, nm: if the residual is smaller, the smoothness beta is raised until it is about as
+    /// large. With a Huber loss, pixels beyond its threshold do not count in this comparison. No search if absent.
     pub noise_rms_nm: Option<f64>,
     /// Weight of the squared slope of the residual, and its base length; no such term if absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub residual_slope: Option<ResidualSlope>,
-    /// Largest number of dwell points for which the surrogate of H is factorised.
+    /// Largest number of dwell points up to which the surrogate of H is always factorised. Problems with up to ten
+    /// times as many are factorised if the splines of the two-level method suit them badly.
     pub max_factorised_points: usize,
-    /// Natural residual at which the solver ends, s.
+    /// Natural residual at which the solver ends, s, if alpha is 0 and nothing can be proven. Otherwise `relative_gap`
+    /// decides, and a natural residual below this only makes steps that change nothing any more count as optimal.
     pub tolerance_s: f64,
     /// Proven distance of the objective (1) from its minimum, relative to the objective, at which the solver ends.
     pub relative_gap: f64,
-    /// Largest number of products with the surrogate of H if it is not factorised.
+    /// Largest number of products with the surrogate of H, or of gradient steps, if it is not factorised.
     pub max_iterations: usize,
 }
 

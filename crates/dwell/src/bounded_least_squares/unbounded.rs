@@ -1,11 +1,12 @@
-//! The certificate of the two-level method, without new factors: steps on the free dwell times alone.
+//! The certificate of the two-level method, without new factorisations: steps on the free dwell times alone, without
+//! their bounds.
 //!
-//! By its own gradient alone a result within the bounds is proven late. The errors of the surrogate and the cuts at
-//! the bounds leave a gradient q on the free dwell times. The bound of [`super::certificate`] counts `q^2 / (2 c)` of
-//! it, as if the map did not depend on them: with c a hundred millionth of what it says, a result that is 1e-6 above
-//! the minimum seems to be 0.3 of it above. So the free dwell times are taken to where q is zero, whatever their
-//! bounds. That costs a few products with the factor that is at hand; beyond its bounds a dwell time costs the bound
-//! almost nothing; and within the bounds again the result is better than before, too.
+//! The errors of the surrogate and the cuts at the bounds leave a gradient q on the free dwell times. The bound of
+//! [`super::certificate`] counts `q^2 / (2 c)` for each, with the small curvature c of the Tikhonov term in place of
+//! the curvature of (1). If c is a hundred millionth of that, a result that is 1e-6 above the minimum seems to be 0.3
+//! of it above. So the free dwell times are moved to where q is zero, whatever their bounds. That takes a few products
+//! with the last factorisation. Dwell times slightly beyond their bounds hardly weaken the bound of the certificate,
+//! and put back within the bounds, the result is better than before.
 
 use ndarray::Array2;
 use planish_numerics::linear::skyline::dot;
@@ -29,17 +30,18 @@ const SLOW_GAP_FRACTION: f64 = 0.5;
 
 /// Result of [`BoundedProblem::without_bounds`].
 pub struct WithoutBounds {
-    /// Dwell times, of which free ones may be beyond their bounds; `None` if putting them back costs too much.
+    /// Dwell times, of which free ones may be beyond their bounds. `None` if putting the first ones back within the
+    /// bounds costs more than [`MAX_COST_OF_BOUNDS`], or if nothing is proven because alpha is 0.
     pub end: Option<Unbounded>,
-    /// Largest lower bound of the minimum of (1) that was proven.
+    /// Largest lower bound of the minimum of (1) that was proven; minus infinity if none was.
     pub bound: f64,
     /// Number of products with the surrogate H~.
     pub products: usize,
 }
 
 impl BoundedProblem<'_> {
-    /// Goes on from `from`, the minimum of the surrogate over the free dwell times without their bounds, to the
-    /// minimum of the objective (1) over them:
+    /// Goes on from `from`, dwell times whose free ones may be beyond their bounds, to the minimum of the objective (1)
+    /// over the free ones without bounds:
     ///
     /// ```text
     /// repeat  q = gradient of (1) at t                           exact
@@ -48,9 +50,9 @@ impl BoundedProblem<'_> {
     ///         t += p
     /// ```
     ///
-    /// Dwell times at a bound become free if (1) falls when they leave it. `objective` is (1) at the dwell times
-    /// within the bounds that were found with `from`. The steps end at the gap `relative_gap`, or after `max_products`
-    /// products with H~.
+    /// Dwell times at a bound become free if (1) falls when they leave it. `objective` is (1) at the dwell times within
+    /// the bounds that were found with `from`. The steps end at [`GAP_FRACTION`] of the gap `relative_gap`, after a
+    /// slow step, or after `max_products` products with H~.
     pub(super) fn without_bounds(
         &mut self,
         weighted: &Weighted,

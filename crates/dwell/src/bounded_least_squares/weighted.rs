@@ -21,7 +21,7 @@ pub struct Weighted<'a> {
     pub weight: &'a Array2<f64>,
     /// Product with the matrix Q of (1), if there is one.
     pub quadratic: Option<Product<'a>>,
-    /// Matrix S of the slope of the residual, if it counts.
+    /// Matrix S of (1), the slope of the residual, if the settings have one.
     pub slope: Option<&'a SlopeTerm>,
 }
 
@@ -64,7 +64,7 @@ impl Weighted<'_> {
         self.between((e, e_nm), (e, e_nm))
     }
 
-    /// Returns `d' H p` of two steps d and p, each given with its removal.
+    /// Returns `d' H p` of two steps d and p, each given as (step (n), its removal (ny, nx)).
     fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
         let mut curved = vec![0.0; p.0.len()];
         self.penalty.add_product(p.0, &mut curved);
@@ -85,7 +85,8 @@ impl Weighted<'_> {
         height + sloped + dot(&curved, d.0)
     }
 
-    /// Returns the factors [a, b] at which `q'e + e'He / 2` is least over the steps `e = a d + b p`. `dd` is d'Hd.
+    /// Returns the factors [a, b] at which `q'e + e'He / 2` is least over the steps `e = a d + b p`. The steps are
+    /// given with their removals, `dd` is d'Hd, and b is 0 if d and p are parallel to rounding.
     ///
     /// ```text
     /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
@@ -117,7 +118,7 @@ impl BoundedProblem<'_> {
 }
 
 /// Returns the weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,
-/// for the residual r without its free part.
+/// for the residual r (ny, nx) without its free part and the threshold k, both in nm.
 pub fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
     Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))
 }

@@ -6,10 +6,12 @@
 //! executed columns B_ij = sum_q w_q R(x_i - P_j(u_q h_j))                it moves as scheduled
 //! ```
 //!
-//! with the three-point Gauss rule along the chord of segment j, or in time along each piece of the
-//! trajectory that serves it. R is the interpolated TIF of [`planish_types::Tif`]. For a tool that varies, `R(x_i - p)`
-//! is K of [`planish_types::Variation`], with its factor of the time in the fractions of executed columns. This model
-//! is the solver's own; what the machine really does is predicted elsewhere, by code that shares nothing with it.
+//! with dwell point d_j, control points p_j, and the position P_j of the tool in the trajectory, whose duration for
+//! dwell point j is h_j. `s_q`, `u_q` and `w_q` are the nodes and weights of the three-point Gauss rule along segment
+//! j, or in time along each segment of the trajectory that serves dwell point j. R is the interpolated TIF of
+//! [`planish_types::Tif`]. For a tool that varies, `R(x_i - p)` is K of [`planish_types::Variation`], with its factor
+//! of the time in the fractions of executed columns. This model is the solver's own; what the machine really does is
+//! predicted elsewhere, by code that shares nothing with it.
 
 use std::{borrow::Cow, ops::Range};
 
@@ -35,9 +37,9 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// Returns the places of the tool in each column: positions with their fractions of the dwell time. A column is
-    /// empty if the tool is lifted. A segment has a three-point Gauss rule on the whole, or on equal parts that are
-    /// short beside the tool.
+    /// Returns the places of the tool in each column: positions with their fractions of the dwell time. A column has no
+    /// places where the tool is off. A moving tool has the places of the three-point Gauss rule on the segment, or on
+    /// each of the fewest equal parts of it that are short compared with the TIF.
     pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<ToolPlace>> {
         self.places_in_parts(path, longest_part_mm(tif))
     }
@@ -71,8 +73,9 @@ impl Columns {
 /// Returns the largest length along x and y of a part on which three Gauss points represent the removal of the moving
 /// tool, mm.
 ///
-/// It is two standard deviations of a Gaussian, found from the slopes of the TIF. A tool with steep flanks is narrow
-/// by these, and three points never represent it exactly; for such a tool it is half of the spread.
+/// For a Gaussian it is two standard deviations, found from the slopes of the TIF. The slopes of a tool with steep
+/// flanks give a much shorter length, and three points never represent it exactly. For such a tool it is half of the
+/// spread, the standard deviation of a Gaussian with the same width of R^2.
 fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     // 1 / (2 sigma^2) and sigma^2 / 2 of a Gaussian, weighted with R^2: noise far from the tool counts for nothing.
     let slopes = tif.slope_energy_per_mm2();
@@ -84,7 +87,7 @@ fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     })
 }
 
-/// Returns the moment `sum R^2 (x - about)^power / sum R^2` of a TIF R along x (`axis` 0) or y (1), in mm to this
+/// Returns the moment `sum R^2 (x - about_mm)^power / sum R^2` of a TIF R along x (`axis` 0) or y (1), in mm to this
 /// power.
 fn energy_moment(tif: &Tif, axis: usize, power: i32, about_mm: f64) -> f64 {
     let rate = tif.rate_nm_per_s();
@@ -110,8 +113,8 @@ fn parts(displacement_mm: [f64; 2], longest_mm: [f64; 2]) -> usize {
     (x.max(y) as usize).max(1)
 }
 
-/// Applies a quadrature rule on [0, 1], (node, weight), to each of `parts` equal parts of the interval. Returns
-/// `place(s, w)` for every node s and its weight w.
+/// Applies a quadrature rule on [0, 1], given as (node, weight), to each of `parts` equal parts of [0, 1]. Returns
+/// `place(s, w)` for every node s, as a fraction of the whole interval, and its weight w; all weights sum to 1.
 fn in_parts(
     rule: &[(f64, f64)],
     parts: usize,
@@ -123,8 +126,9 @@ fn in_parts(
 }
 
 /// Returns the places of the tool in each of `columns` columns of an executed motion; column j belongs to dwell point
-/// j. Every segment of the trajectory with the tool on has a three-point Gauss rule in time on the whole, or on equal
-/// parts that are short beside the tool.
+/// j, and has no places if no segment with the tool on serves it. Every segment of the trajectory with the tool on has
+/// the places of the three-point Gauss rule in time, on the whole or on equal parts that are short compared with the
+/// tool. The fractions of a column sum to its factor of [`time_factors`].
 pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<ToolPlace>> {
     let rule = gauss_legendre::<3>();
     let longest_mm = longest_part_mm(tif);
@@ -150,8 +154,9 @@ pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<T
     places
 }
 
-/// Returns, for each of `columns` columns of an executed motion, the mean factor of a rate that depends on the time of
-/// the run. It is 1 where no motion serves the column, and for other tools.
+/// Returns, for each of `columns` columns of an executed motion, the mean over its time of the factor c(t) of the
+/// removal rate, for a tool whose rate depends on the time of the run. It is 1 for other tools, and for columns that no
+/// segment with the tool on serves.
 pub fn time_factors(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<f64> {
     let Some(time) = tif.variation().and_then(|v| v.time_factor()) else {
         return vec![1.0; columns];
@@ -176,8 +181,8 @@ pub struct Patch {
     pub rate_nm_per_s: Array2<f64>,
 }
 
-/// Returns the columns of B for the places of the tool in each of them; a patch is empty where the tool reaches no
-/// pixel.
+/// Returns the columns of B for the places of the tool in each of them, on the pixels of `grid`; a patch is empty if
+/// the TIF covers no pixel from any of its places.
 pub fn patches(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
     let factor = tif.variation().and_then(|v| v.factor_on(grid));
     parallel::map(places.len(), &|j| {
@@ -194,8 +199,8 @@ fn nowhere() -> Patch {
     Patch { origin: (0, 0), rate_nm_per_s: Array2::zeros((0, 0)) }
 }
 
-/// Returns the first and last pixel, along x and along y, that the TIF covers from any of the places. `None` if it
-/// covers none.
+/// Returns the first and last pixel, [along x, along y], that the TIF covers from any of the places. `None` if it
+/// covers none along an axis.
 fn reach(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]> {
     let [x, y] = [0, 1].map(|axis| {
         let covered = places.iter().filter_map(|p| pixels(p.position_mm[axis], grid, tif, axis));
@@ -246,7 +251,7 @@ fn of_kernel(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     Patch { origin: (y.0, x.0), rate_nm_per_s }
 }
 
-/// Writes the sum of four rows of `rows`, each times its weight of `w`, to `out`.
+/// Writes the sum of the four rows of `rows`, each times its weight of `w`, to `out`.
 fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
     let n = out.len();
     let all = rows.as_slice().expect("whole rows of an array in C order");
@@ -256,8 +261,8 @@ fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
     }
 }
 
-/// A row of samples of a TIF, and the same samples by their phase in a pixel, so that the samples under neighbouring
-/// pixels are neighbours.
+/// A row of samples of a TIF, and the same samples sorted by phase (index modulo the number of samples per pixel), so
+/// that the samples under neighbouring pixels are adjacent.
 struct SampleRow {
     samples: Vec<f64>,
     by_phase: Vec<f64>,
@@ -285,7 +290,7 @@ impl SampleRow {
         }
     }
 
-    /// Returns `count` samples: that at the index `node`, and those one pixel further each.
+    /// Returns `count` samples, one pixel apart, from the index `node` on.
     fn under(&self, node: usize, count: usize) -> &[f64] {
         match self.stride {
             1 => &self.samples[node..node + count],
@@ -294,7 +299,8 @@ impl SampleRow {
     }
 }
 
-/// Returns the number of samples of a TIF to a pixel along an axis, the nearest whole number, at least 1.
+/// Returns the pitch of the map over that of the samples along an axis, rounded to a whole number, at least 1: the
+/// number of samples of the TIF to a pixel.
 fn stride(map: &Axis, samples: &Axis) -> usize {
     (map.step_mm() / samples.step_mm()).round().max(1.0) as usize
 }
@@ -313,9 +319,9 @@ fn pixels(p: f64, grid: &Grid, tif: &Tif, axis: usize) -> Option<(usize, usize)>
 
 /// The pixels along an axis under the TIF, and the samples of the TIF that each of them interpolates.
 struct Under {
-    /// First pixel under the TIF, counted from the start of the range.
+    /// First pixel under the TIF, counted from the first pixel of the range.
     pixel: usize,
-    /// Index of the first of the four samples of every pixel, counted with the ghost nodes.
+    /// Index of the first of the four samples that every pixel interpolates; index 0 is the ghost node.
     node: Vec<usize>,
     /// Keys' four weights for every pixel; they differ from pixel to pixel if the TIF and the map do not have exactly
     /// the same pitch.
@@ -324,9 +330,9 @@ struct Under {
     runs: Vec<Range<usize>>,
 }
 
-/// Difference of two offsets from a sample, in steps of the TIF, below which they are the same. Larger: the weights of
-/// one pixel serve another one at which they are wrong. Smaller: rounding of coordinates splits runs of pixels, which
-/// costs time.
+/// Difference of the offsets of two pixels from their samples, in steps of the TIF, below which both pixels get the
+/// same weights. Larger: a pixel gets weights that are wrong for it. Smaller: rounding of coordinates splits runs of
+/// pixels, which costs time.
 const SAME_OFFSET: f64 = 1e-11;
 
 /// Smallest number of pixels in a run that is computed as a run; shorter ones are faster pixel by pixel. Changes the
@@ -334,8 +340,8 @@ const SAME_OFFSET: f64 = 1e-11;
 const SHORTEST_RUN: usize = 8;
 
 impl Under {
-    /// Finds the pixels in `range` (first, last) along x (`axis` 0) or y (1) under a tool at `p`, mm. The weights are
-    /// those of Keys times `fraction`.
+    /// Finds the pixels in `range` (first, last) along x (`axis` 0) or y (1) that the TIF covers from the tool position
+    /// `p`, mm. The weights are those of Keys times `fraction`.
     fn new(
         p: f64,
         grid: &Grid,
@@ -371,7 +377,8 @@ impl Under {
         under
     }
 
-    /// Adds `sum_t w_t g[node + t]`, t = 0 .. 3, to the pixels in `out`, with the samples g of a row of the TIF.
+    /// Adds `sum_t w_t g[node + t]`, t = 0 .. 3, to the pixels of `out`, which begins at the first pixel of the range,
+    /// with the samples g of a row of the TIF.
     fn add(&self, row: &SampleRow, out: &mut [f64]) {
         let out = &mut out[self.pixel..self.pixel + self.node.len()];
         for run in &self.runs {
@@ -423,7 +430,8 @@ impl Patch {
             .sum()
     }
 
-    /// Returns the sum over the pixels of the squared rate times a weight (ny, nx), called the energy of the column.
+    /// Returns the energy of the column: the sum over its pixels of the squared rate times the weights of the map (ny,
+    /// nx).
     fn energy(&self, weight: &Array2<f64>) -> f64 {
         let rows = self.rows().map(|(r, c, rate)| {
             let w = weight.slice(s![r, c]);
@@ -489,12 +497,12 @@ impl Stored {
     }
 }
 
-/// Computes `P W^1/2 B`, the columns of B on cells of `size` x `size` pixels that are taken together: `sum_i w_i B_ij
-/// / sqrt(sum_i w_i)` over the pixels i of every cell. The columns of B are not kept.
+/// Computes `P W^1/2 B`, the columns of B on cells of `size` x `size` pixels: `sum_i w_i B_ij / sqrt(sum_i w_i)` over
+/// the pixels i of every cell, 0 in a cell without weight. The columns of B on the pixels are not kept.
 ///
 /// Where every cell that a column reaches has pixels of one weight, the weights of the interpolation are summed along
-/// either axis before they meet the samples g of the TIF. With those of pixel row r and pixel column c, a_t(r) and
-/// b_s(c) by Keys, for the four samples from p(r) and q(c) on:
+/// either axis before they meet the samples g of the TIF. The weights of Keys for pixel row r and pixel column c are
+/// a_t(r) and b_s(c), for the four samples from p(r) and q(c) on:
 ///
 /// ```text
 /// sum_r sum_c sum_t sum_s a_t(r) b_s(c) g[p(r) + t, q(c) + s] = sum_m A_m sum_n B_n g[m, n]              (1)
@@ -515,14 +523,15 @@ pub fn on_cells(
 }
 
 /// Computes `P W^-1/2 m`, a map m (ny, nx) on cells of `size` x `size` pixels: `sum_i m_i / sqrt(sum_i w_i)` over the
-/// pixels i of every cell.
+/// pixels i of every cell, 0 in a cell without weight.
 pub fn map_on_cells(map: &Array2<f64>, weight: &Array2<f64>, size: usize) -> Array2<f64> {
     let mut cells = sums(map, size);
     Zip::from(&mut cells).and(&sums(weight, size)).for_each(|v, w| *v *= reciprocal_root(*w));
     cells
 }
 
-/// Returns the sum of a map over the pixels of every cell of `size` x `size` pixels; cells at the end may be smaller.
+/// Returns the sum of a map over the pixels of every cell of `size` x `size` pixels; the last cell along an axis may be
+/// smaller.
 fn sums(map: &Array2<f64>, size: usize) -> Array2<f64> {
     by_cells(map, size, 0.0, |sum, pixels| pixels.iter().for_each(|v| *sum += v))
 }
@@ -610,7 +619,7 @@ impl<'a> PixelCells<'a> {
     }
 
     /// Computes the column for some places of the tool on the cells by the sums (1) of [`on_cells`]. `None` if it
-    /// reaches a cell whose pixels differ in weight, or if the pixels have factors.
+    /// reaches a cell whose pixels differ in weight, or if the tool has a factor for every pixel.
     fn by_sums(&self, places: &[ToolPlace]) -> Option<Patch> {
         let Self { tif, grid, size, .. } = *self;
         if self.factor.is_some() {
@@ -640,7 +649,8 @@ impl<'a> PixelCells<'a> {
         Some(Patch { origin: (top, left), rate_nm_per_s: cells })
     }
 
-    /// Sums Keys' weights of the pixels in a range of an axis, under the tool at one place, to cells.
+    /// Returns the sums over every cell of Keys' weights, times `fraction`, along x (`axis` 0) or y (1), for the pixels
+    /// in `range` (first, last) that the kernel covers from a place.
     fn summed(
         &self,
         kernel: &Tif,
@@ -654,13 +664,13 @@ impl<'a> PixelCells<'a> {
     }
 }
 
-/// The right side of (1) of [`on_cells`] for all cells under a column.
+/// Computes the right side of (1) of [`on_cells`] for all cells under a column.
 struct TwoSums<'a> {
     /// Samples g of the TIF with its ghost nodes.
     samples: &'a Array2<f64>,
     /// Sums `sum_m A_m g[m, n]` of one row of cells, for every sample column n.
     row: Vec<f64>,
-    /// Sums `sum_m A_m g[m, n]` of all rows of cells; those of one n are adjacent.
+    /// Sums `sum_m A_m g[m, n]` of all rows of cells; those of one sample column n are adjacent.
     rows: Vec<f64>,
     /// Results of (1): those of one column of cells are adjacent.
     cells: Vec<f64>,
@@ -680,8 +690,8 @@ impl<'a> TwoSums<'a> {
         }
     }
 
-    /// Adds the places of the tool on one line along x. `along_y` has the weights A of the line, from the row of cells
-    /// `top` on; `along_x` has the weights B of each place, from the column of cells `left` on.
+    /// Adds some places of the tool with the same y. `along_y` has their common weights A; `along_x` has the weights B
+    /// of each place. `top` and `left` are the first row and the first column of cells.
     fn add(&mut self, along_y: &Summed, top: usize, along_x: &[Summed], left: usize) {
         let Self { samples, row, rows, cells, height } = self;
         let nodes = samples.ncols();
@@ -724,14 +734,14 @@ struct Summed {
     cell: usize,
     /// Index of the first sample of every cell, counted with the ghost nodes.
     node: Vec<usize>,
-    /// Index in `weight` of the first weight of every cell, and the end of the last ones.
+    /// Index in `weight` of the first weight of every cell, and at the end the number of all weights.
     from: Vec<usize>,
     /// The weights of all cells, one after the other.
     weight: Vec<f64>,
 }
 
 impl Summed {
-    /// Sums the weights of the pixels under a tool to cells of `size` pixels. The range of `under` begins at pixel
+    /// Sums the weights of the pixels under a tool over cells of `size` pixels. The range of `under` begins at pixel
     /// `first` of the map.
     fn new(under: &Under, first: usize, size: usize) -> Self {
         let first = first + under.pixel;

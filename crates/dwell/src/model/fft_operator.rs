@@ -6,20 +6,20 @@
 //! S: dwell times -> seconds on the lattice (Keys' weights),   C: convolution with the samples of R
 //! ```
 //!
-//! E is what Keys' interpolation of the samples and their ghost nodes gives everywhere; R ends at its
-//! last samples. `ly` and `lx` are the indicators of the pixel rows and columns beyond them, at most
-//! three on each side of the TIF that E still reaches. A spilling row k of a tool in cell C at the
-//! offset f holds few samples,
+//! Keys' interpolation continues the samples of the TIF R, with ghost nodes beyond its border, a few pixels further,
+//! while R is zero beyond its last samples. E includes that removal, which is called *spill* here. `ly` and `lx` are
+//! the indicators of the pixel rows and columns that only spill reaches, at most three on each side of the TIF. In
+//! pixel row k, counted from the cell C of a tool at the offset f there, the spill comes from few rows of samples,
 //!
 //! ```text
 //! (E ly)[C + k, :] = sum_d w_d(f) g[k - d, :] * (seconds along the row)                   (2)
 //! ```
 //!
-//! so (1) takes convolutions along rows and columns, one transform for each cell and d, and a few
-//! pixels for each corner. Nothing is approximated for a TIF on the lattice of the map
-//! ([`planish_types::TifLattice`]): only sums are reordered. Where a pixel has several samples of the TIF,
-//! (1) is for all nodes of that lattice, of which the pixels are some. A surrogate samples a TIF at the pitch of its
-//! map.
+//! with Keys' weights w_d, d = -1 .. 2, and the rows g of the samples. So (1) takes convolutions along rows and
+//! columns, one transform for each cell and d, and a few pixels for each corner. Nothing is approximated for a TIF on
+//! the lattice of the map ([`planish_types::TifLattice`]): only sums are reordered. Where a pixel has several samples
+//! of the TIF, (1) is for all nodes of that lattice, of which the pixels are some. A surrogate samples a TIF at the
+//! pitch of its map.
 
 mod lattice;
 mod spill;
@@ -42,7 +42,8 @@ pub struct FftOperator {
     kernels: Vec<KernelOperator>,
     /// Factor of the removal at every pixel, if the tool has one.
     factor: Option<Array2<f64>>,
-    /// For a tool that varies: the mean tool, with the energy at every place that the tool has there.
+    /// For a tool that varies: the operator of the mean TIF, with places whose fractions are multiplied as
+    /// [`varying::by_energy`] says; `None` for other tools.
     by_energy: Option<Box<KernelOperator>>,
     /// Shape of the map (ny, nx).
     shape: (usize, usize),
@@ -50,7 +51,7 @@ pub struct FftOperator {
     parts: [usize; 2],
 }
 
-/// Operator (1) of the module for one kernel of the tool, and the places at which it removes.
+/// Operator (1) of the module for one kernel of the tool and its places, on the nodes of the lattice.
 struct KernelOperator {
     columns: usize,
     /// Samples g[j] of the TIF with ghost nodes, j = -1 ..= last on both axes.
@@ -64,9 +65,9 @@ struct KernelOperator {
     spills: bool,
 }
 
-/// Size of a sample at the border of the TIF, as a fraction of the peak, up to which its removal beyond the border
-/// (the spill) is left out. Larger: the removal errs by that fraction at the rim of the tool. Smaller: rounding in the
-/// margin of a TIF costs the time of the spill.
+/// Size of the samples at the border of the TIF, as a fraction of the peak, up to which the spill is not subtracted. It
+/// is subtracted if any sample there is larger. Larger: the removal errs by that fraction at the rim of the tool.
+/// Smaller: rounding in the margin of a TIF costs the time of the subtraction.
 const NEGLIGIBLE_SPILL: f64 = 1e-14;
 
 impl FftOperator {
@@ -75,8 +76,8 @@ impl FftOperator {
         Self::spreading(places, tif, grid, Spread::Keys, true)
     }
 
-    /// Makes the part E = C S of (1) of the module alone, with samples that are continued by zeros, for a surrogate.
-    /// With few samples Keys' weights are too rough, and ghost nodes are far from the TIF.
+    /// Makes the part E = C S of (1) of the module alone, for a surrogate: the spill is not subtracted, the ghost nodes
+    /// are zero, and the nodes are the points of `grid`. `spread` chooses the weights.
     pub fn without_border(
         places: &[Vec<ToolPlace>],
         tif: &Tif,
@@ -107,13 +108,15 @@ impl FftOperator {
         Self { kernels, factor, by_energy, shape: grid.shape(), parts }
     }
 
-    /// Returns true if (1) of the module is exact: the TIF is on the lattice of the map.
+    /// Returns true if (1) of the module is exact but for rounding: a pixel has a whole number of samples of the TIF
+    /// along either axis.
     pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
         let nodes = nodes(grid, parts(tif, grid));
         [0, 1].iter().all(|axis| Lattice::new(&nodes, tif, *axis, Spread::Keys).own)
     }
 
-    /// Returns true if (1) of the module is exact, and every node of the lattice is a pixel.
+    /// Returns true if (1) of the module is exact but for rounding, and the TIF has the pitch of the map: every node of
+    /// the lattice is a pixel.
     pub fn has_pitch_of(tif: &Tif, grid: &Grid) -> bool {
         parts(tif, grid) == [1, 1] && Self::is_exact(tif, grid)
     }
@@ -133,8 +136,8 @@ impl FftOperator {
         self.sum_of_adjoints(map, KernelOperator::adjoint)
     }
 
-    /// Returns the adjoint product `E' m` (n) of (1) of the module for a map m (ny, nx): with the spill over the
-    /// border of the TIF.
+    /// Returns the adjoint product `E' m` (n) for a map m (ny, nx), with E of (1) of the module, so the spill is not
+    /// subtracted.
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.sum_of_adjoints(map, KernelOperator::adjoint_with_spill)
     }
@@ -157,9 +160,9 @@ impl FftOperator {
         sums
     }
 
-    /// Returns the adjoint product `B' m` (n) with the squared TIF in place of the TIF; the spill over its border is
-    /// not subtracted. For a tool that varies, the TIF is the mean tool, with the energy that the tool has at every
-    /// place.
+    /// Returns the adjoint product `B' m` (n) for a map m (ny, nx) with the squared TIF, and the squared factor of the
+    /// pixels, in place of these; the spill is not subtracted. For a tool that varies, it is the squared mean TIF,
+    /// scaled at every place to the energy of the TIF there.
     pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let map = match &self.factor {
             Some(factor) => Cow::Owned(map * factor * factor),
@@ -191,7 +194,8 @@ impl FftOperator {
     }
 }
 
-/// Returns the number of samples of the TIF for each pixel along [x, y], the nearest whole numbers, at least 1.
+/// Returns the pitch of the map over that of the TIF along [x, y], rounded to whole numbers, at least 1: the number of
+/// samples of the TIF for each pixel.
 fn parts(tif: &Tif, grid: &Grid) -> [usize; 2] {
     [(&grid.x, &tif.grid().x), (&grid.y, &tif.grid().y)]
         .map(|(map, samples)| (map.step_mm() / samples.step_mm()).round().max(1.0) as usize)
@@ -276,12 +280,14 @@ impl KernelOperator {
         sums
     }
 
-    /// Returns the adjoint product `E' m` (n) of (1) of the module for a map m on the nodes: with the spill.
+    /// Returns the adjoint product `E' m` (n) for a map m on the nodes, with E of (1) of the module, so the spill is
+    /// not subtracted.
     fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
     }
 
-    /// Returns the adjoint product `B' m` (n) with the squared kernel in its place; the spill is not subtracted.
+    /// Returns the adjoint product `B' m` (n) for a map m on the nodes, with the squared kernel in place of the kernel;
+    /// the spill is not subtracted.
     fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let squared = kernel(&self.samples.mapv(|r| r * r), self.spread);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
@@ -290,7 +296,8 @@ impl KernelOperator {
     }
 }
 
-/// Returns true if node k of n along an axis is a border sample or a ghost node of the TIF.
+/// Returns true if node k of the n nodes of the TIF along an axis, ghost nodes included, is one of the first three or
+/// of the last four. Only these can spill.
 fn is_border(k: usize, n: usize) -> bool {
     k <= 2 || k + 4 >= n
 }

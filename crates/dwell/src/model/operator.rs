@@ -1,8 +1,7 @@
 //! B as an operator: by its columns, or by FFT.
 //!
-//! The columns are exact, but there may be too many of them to be stored. The FFT takes memory
-//! proportional to the map ([`crate::model::fft_operator`]), and is exact where the TIF has the pitch of the
-//! map.
+//! The columns are exact, but there may be too many of them to be stored. The FFT takes memory proportional to the map
+//! ([`crate::model::fft_operator`]). It is exact if a pixel of the map has a whole number of samples of the TIF.
 
 use ndarray::{Array2, Axis, s};
 use planish_numerics::parallel;
@@ -18,20 +17,20 @@ use crate::model::{
 /// the FFT.
 const MAX_STORED_ELEMENTS: f64 = 5e7;
 
-/// Largest number of elements of B that are held for a short time, or if they are more exact than the FFT (2 GB).
+/// Largest number of elements of B that are held for a short time, or for a certificate in place of the FFT (2 GB).
 /// Larger: more memory. Smaller: more problems use the FFT or are refused.
 pub const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 
-/// Largest number of pixels of the map under the TIF; a larger TIF is refused. The TIF may exceed the map, but not by
-/// orders of magnitude. Larger: mistakes in the pitch of a TIF exhaust the memory. Smaller: wide TIFs on fine maps
-/// are refused.
+/// Largest area of the TIF in pixels of the map; a larger TIF is refused. The TIF may exceed the map, but not by orders
+/// of magnitude. Larger: mistakes in the pitch of a TIF exhaust the memory. Smaller: wide TIFs on fine maps are
+/// refused.
 const MAX_TIF_PIXELS: f64 = 2.7e8;
 
 /// Largest number n of dwell points for which the normal matrix (n, n) is stored (288 MB); more are refused. Larger:
 /// memory grows with the square. Smaller: fewer problems can be solved.
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
-/// Returns the number of pixels of the map that the rectangle of the TIF covers.
+/// Returns the area of the rectangle of the TIF in pixels of the map, which may be more pixels than the map has.
 pub fn pixels_under(tif: &Tif, grid: &Grid) -> f64 {
     tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2()
 }
@@ -80,8 +79,8 @@ impl Operator {
         }
     }
 
-    /// Returns true if B is exact but for rounding: stored by columns, or by FFT if the TIF is on the lattice of the
-    /// map.
+    /// Returns true if B is exact but for rounding: stored by columns, or by FFT if [`FftOperator::is_exact`]. `tif`
+    /// and `grid` must be those of B.
     pub fn is_exact(&self, tif: &Tif, grid: &Grid) -> bool {
         matches!(self, Self::Stored(_)) || FftOperator::is_exact(tif, grid)
     }
@@ -94,8 +93,8 @@ impl Operator {
         }
     }
 
-    /// Returns an approximation of [`Self::adjoint`] that is faster by FFT: there the TIF ends up to two pixels beyond
-    /// its last samples. Stored columns give the exact product.
+    /// Returns [`Self::adjoint`] from stored columns, and a faster approximation of it by FFT. The approximation
+    /// includes the spill, by which the TIF extends a few pixels beyond its last samples.
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
             Self::Stored(_) => self.adjoint(map),
@@ -119,9 +118,9 @@ impl Operator {
     }
 }
 
-/// The removal matrix B for a certificate: by FFT if the TIF has the pitch of the map, otherwise by columns if they
-/// fit into memory. Where a pixel has several samples of the TIF, a transform of all of them takes longer than the
-/// columns.
+/// The removal matrix B for the exact gradient and the certificate of the bounded least squares: by FFT if the TIF has
+/// the pitch of the map, otherwise by columns if they fit into memory, otherwise by FFT. Where a pixel has several
+/// samples of the TIF, an FFT of all of them takes longer than the columns.
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
@@ -132,8 +131,9 @@ pub enum Removal {
 }
 
 impl Removal {
-    /// Makes B for the places of the tool in each column. It is stored by columns if they fit, `as_columns` allows it,
-    /// and the TIF does not have the pitch of the map.
+    /// Makes B for the places of the tool in each column. It is stored by columns if they have at most
+    /// [`MAX_COLUMN_ELEMENTS`], `as_columns` allows it, and the TIF does not have the pitch of the map; otherwise it is
+    /// by FFT.
     ///
     /// # Errors
     /// Refuses a TIF that covers so many pixels that the units must be wrong.
@@ -171,8 +171,9 @@ impl Removal {
     }
 }
 
-/// Returns the normal matrix (n, n) of the least squares with a free piston, `B' W B - b b' / sum(w)` with b = B' w,
-/// nm^2/s^2. Refuses one that does not fit into memory.
+/// Returns the normal matrix (n, n) of the least squares with a free piston, `B' W B - b b' / sum(w)` with b = B' w and
+/// the weights w (ny, nx) of the pixels. Its unit is nm^2/s^2. Refuses more than [`MAX_MATRIX_POINTS`] columns, and a B
+/// of more than [`MAX_COLUMN_ELEMENTS`].
 pub fn normal_matrix(
     places: &[Vec<ToolPlace>],
     tif: &Tif,
@@ -227,11 +228,11 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// A product with B and one with its adjoint.
+    /// Name of a form of B, the product `B t` (ny, nx), and the adjoint product `B' m` (n).
     type Pair<'a> = (&'a str, Array2<f64>, Vec<f64>);
 
-    /// `<B t, m> = <t, B' m>` for every form of B, on a random map, tool and path; the pitch of the tool is
-    /// that of the map or another one.
+    /// Checks `<B t, m> = <t, B' m>` for every form of B, on a random map, tool and path; the pitch of the TIF is that
+    /// of the map or another one.
     fn adjoint_is_adjoint(seed: u64) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut axis = |step: f64, from: usize, to: usize| {

@@ -3,15 +3,15 @@
 
 use planish_types::Pose;
 
-/// The tool spends this fraction of a dwell time at `position_mm`.
+/// A position of the tool in a column of the removal model, with the fraction of the dwell time that it spends there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolPlace {
     /// Position [x, y], mm.
     pub position_mm: [f64; 2],
     /// Direction of the motion there, rad from positive x towards positive y.
     pub heading_rad: f64,
-    /// Fraction of the dwell time; those of a column sum to 1. If the rate of the tool depends on the time of the run,
-    /// its factor is included.
+    /// Fraction of the dwell time; those of a column sum to 1 unless they include factors of the removal rate, for
+    /// example that of the time of the run.
     pub fraction: f64,
 }
 

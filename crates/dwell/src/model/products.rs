@@ -1,7 +1,7 @@
 //! Products of columns of B with each other: the elements of `B' B`.
 //!
-//! Columns meet only where their TIFs overlap. In the order of their positions along one axis of the map every row
-//! of the matrix begins near its diagonal, and a factor fills nothing outside of that.
+//! The product of two columns is zero unless their patches overlap. With the columns sorted along one axis of the map,
+//! every row of the matrix begins near its diagonal. A Cholesky factor has elements only there.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use planish_numerics::linear::{
 
 use super::columns::Patch;
 
-/// Largest number of patches of a [`Bundle`]: the number of products that the processor computes at once.
+/// Largest number of columns in a [`Bundle`] (8): the number of products that the processor computes at once.
 pub const MOST_BUNDLED: usize = interleaved::EIGHT;
 
 /// A few columns of B side by side, on the rectangle of pixels that contains all of them. Their products with another
@@ -27,7 +27,8 @@ pub struct Bundle {
 }
 
 impl Bundle {
-    /// Bundles up to [`MOST_BUNDLED`] columns, which should be near each other.
+    /// Bundles up to [`MOST_BUNDLED`] columns. They should be near each other, because the bundle covers the rectangle
+    /// around all. Panics if there are more columns.
     pub fn new<'a>(patches: impl Iterator<Item = &'a Patch> + Clone) -> Self {
         let [rows, columns] = [0, 1].map(|axis| {
             let ranges = patches.clone().filter(|p| !p.rate_nm_per_s.is_empty());
@@ -71,7 +72,8 @@ fn overlap(start: usize, len: usize, other: Range<usize>) -> Range<usize> {
     start.max(other.start)..(start + len).min(other.end)
 }
 
-/// Columns in an order in which the matrix of their products has a small skyline.
+/// Columns of B in an order in which the matrix of their products has a small skyline (few elements from the first
+/// stored one of each row to the diagonal).
 pub struct Order {
     /// Index of the column of B for every row of the matrix.
     pub order: Vec<usize>,
@@ -82,8 +84,9 @@ pub struct Order {
 }
 
 impl Order {
-    /// Orders some `columns` along that axis of the map for which the skyline is smaller. `position(axis, j)` is the
-    /// coordinate of column j along x (0) or y (1). The skyline also has room for the elements of `pairs` of columns.
+    /// Orders some `columns` (indices) along that axis of the map for which the skyline is smaller. `position(axis, j)`
+    /// is the coordinate of column j along x (0) or y (1), in any unit. The skyline also has room for the elements of
+    /// `pairs` of columns, if both are in `columns`.
     pub fn new(
         columns: &[usize],
         patches: &[Patch],
@@ -127,8 +130,8 @@ impl Order {
         Self { order, first, elements }
     }
 
-    /// Returns the matrix of the products of these columns of B. An element of row i and column l for which `known(i,
-    /// l)` returns a value is not computed.
+    /// Returns the matrix of the products of these columns of B. If `known(i, l)` returns a value, this is the element
+    /// of row i and column l of the matrix, which is then not computed.
     pub fn products(
         &self,
         patches: &[Patch],
@@ -153,7 +156,7 @@ impl Order {
     }
 }
 
-/// Returns, for every one of `columns` columns, its row in this order; `None` if it has none.
+/// Returns, for each of all `columns` columns of B, the row that `order` gives it; `None` if it is not in `order`.
 pub fn rows(order: &[usize], columns: usize) -> Vec<Option<usize>> {
     let mut rows = vec![None; columns];
     order.iter().enumerate().for_each(|(i, j)| rows[*j] = Some(i));

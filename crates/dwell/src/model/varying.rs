@@ -1,11 +1,13 @@
-//! The kernels of a tool that varies, each with the places at which it removes.
+//! The kernels of a tool whose TIF varies over the part, each with its places (positions of the tool with fractions of
+//! the dwell time).
 //!
 //! ```text
 //! B_ij = g(x_i) sum_k sum_q a_k(p_q) w_q phi_k(x_i - p_q)                                 (1)
 //! ```
 //!
-//! over the places q of column j: (1) of [`planish_types::Variation`]. A kernel sees the places of the tool with the
-//! fractions `a_k w`, so that every form of B for a constant tool serves each of them.
+//! over the kernels k and the places q of column j, at p_q with the fraction w_q: (1) of [`planish_types::Variation`].
+//! `a_k` is the weight of kernel phi_k, with its factor of the heading, and `g` the factor of the pixel. Each kernel
+//! gets the places with the fractions `a_k w_q`, so that every form of B for a constant tool serves it.
 
 use std::borrow::Cow;
 
@@ -13,8 +15,8 @@ use planish_types::{Tif, Variation};
 
 use super::place::ToolPlace;
 
-/// Returns the kernels of a tool, each with its places in the columns. A tool that does not vary is its own only
-/// kernel, with the same places.
+/// Returns the kernels of a tool, each with the places of every column, whose fractions are multiplied by the weights
+/// of the kernel. A tool that does not vary is its own only kernel, with the places unchanged.
 pub fn kernels<'a>(
     places: &'a [Vec<ToolPlace>],
     tif: &'a Tif,
@@ -32,14 +34,14 @@ pub fn kernels<'a>(
     })
 }
 
-/// Returns a place whose fraction is multiplied by the weight of one kernel of the variation there.
+/// Returns the place with its fraction multiplied by the weight of kernel number `kernel` at its position and heading.
 pub fn weighted(variation: &Variation, kernel: usize, place: &ToolPlace) -> ToolPlace {
     let weight = variation.weight(kernel, place.pose());
     ToolPlace { fraction: weight * place.fraction, ..*place }
 }
 
-/// Returns places whose fractions are multiplied by the energy of the tool there over that of the mean tool, `int K^2
-/// / int R^2`. The places of a tool that does not vary stay as they are.
+/// Returns places whose fractions are multiplied by `int K^2 / int R^2`: the energy of the TIF K at the place, without
+/// the factor of the pixels, over that of the mean TIF R. The places of a tool that does not vary stay as they are.
 pub fn by_energy<'a>(places: &'a [Vec<ToolPlace>], tif: &Tif) -> Cow<'a, [Vec<ToolPlace>]> {
     let Some(v) = tif.variation() else { return Cow::Borrowed(places) };
     let rates: Vec<_> = v.components().iter().map(|c| c.kernel().rate_nm_per_s()).collect();

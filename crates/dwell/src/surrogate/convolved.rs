@@ -24,12 +24,13 @@ use crate::{
 /// steps end before their set is found. Chosen: measured problems take 2 to 12.
 const MAX_ACTIVE_SETS: usize = 30;
 
-/// Decrease of the objective by one step of conjugate gradients, as a fraction of the decrease so far in the norm of
-/// H~, at which they end. Larger: more steps with inexact solutions. Smaller: more products per step.
+/// Relative error at which conjugate gradients end. They end if the decrease of the objective by the next step is about
+/// the square of this number times the decrease so far. Larger: more steps with inexact solutions. Smaller: more
+/// products per step.
 const LINEAR_SOLVE_ERROR: f64 = 0.1;
 
-/// The surrogate H~ of the normal matrix as an operator on cells: the TIF and the weights of the pixels are sampled
-/// there.
+/// The surrogate H~ of the normal matrix as an operator, (2) of [`super`]: the TIF and the weights of the pixels are
+/// sampled once in every cell.
 pub struct Convolved {
     h: Operator,
     /// Diagonal of H~ (n) without the penalty.
@@ -44,7 +45,7 @@ struct Operator {
 }
 
 impl Operator {
-    /// Returns the product `H~ t` (n), with the penalty.
+    /// Returns the product `H~ t` (n) for dwell times t (n), with the matrix of the penalty added to H~.
     fn product(&self, penalty: &Penalty, t: &[f64]) -> Vec<f64> {
         let mut h_t = self.b.adjoint(&(self.b.apply(t) * &self.weight));
         for u in &self.u {
@@ -56,14 +57,14 @@ impl Operator {
     }
 }
 
-/// Spline lattice and removal sums, from which [`TwoLevel`] is made.
+/// Lattice of splines, and the removal by the columns under each of them, from which [`TwoLevel`] is made.
 struct Splines {
     sums: Sums,
     nodes: Nodes,
     coarse: Coarse,
 }
 
-/// Dwell times of which the free ones may be beyond their bounds.
+/// Minimum of the objective over the free dwell times without their bounds, which they may therefore exceed.
 pub struct Unbounded {
     /// Dwell times, s.
     pub t: Vec<f64>,
@@ -75,18 +76,19 @@ pub struct Unbounded {
 pub struct Minimum {
     /// Dwell times within the bounds, s.
     pub t: Vec<f64>,
-    /// Minimum over the last set of free dwell times without their bounds; `None` after gradient steps.
+    /// Minimum over the last set of free dwell times, without their bounds; `None` if gradient steps found `t`.
     pub unbounded: Option<Unbounded>,
-    /// Number of products with H~, or of gradient steps.
+    /// Number of products with H~ by the active-set method, or number of gradient steps if these found `t`.
     pub iterations: usize,
 }
 
 impl Convolved {
-    /// Makes H~ for cells of `size` x `size` pixels. With a pitch of splines, its minimum is found by the two-level
-    /// method on active sets; without one, by gradient steps.
+    /// Makes H~ for cells of `size` x `size` pixels. With a pitch of splines, [`Self::minimum`] uses the two-level
+    /// method on active sets; without one, gradient steps. `weight` has the weights of the pixels (ny, nx); `reached`
+    /// is the mask of the reached columns (n).
     ///
     /// # Errors
-    /// Refuses cells that no axis can have.
+    /// Refuses sizes for which the cells, or the TIF sampled at their pitch, do not form a valid axis.
     pub fn new(
         places: &[Vec<ToolPlace>],
         reached: &[bool],
@@ -131,8 +133,9 @@ impl Convolved {
         Ok(Self { h: Operator { b, weight: cells, u }, diagonal, splines })
     }
 
-    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds, for steps d from the dwell times `t`. Columns that
-    /// are not reached keep their times.
+    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds (lower, upper), s, for steps d from the dwell times
+    /// `t`; `q` (n) is the gradient of the exact objective at `t`. Columns that are not reached, or have a zero
+    /// diagonal element, keep their times.
     pub fn minimum(
         &mut self,
         penalty: &Penalty,
@@ -190,10 +193,12 @@ impl Convolved {
         Minimum { t: descended.value, unbounded: None, iterations: descended.iterations }
     }
 
-    /// Returns the step that minimises `q'd + d'H~d / 2` over the free components alone, without bounds, and the
-    /// number of products with H~, at most `max_products`.
+    /// Returns the step d, s, that nearly minimises `q'd + d'H~d / 2` over the free components, without bounds, and the
+    /// number of products with H~. There are at most `max_products`; without splines the step is zero. The accuracy is
+    /// that of [`LINEAR_SOLVE_ERROR`].
     ///
-    /// The last factor is used again if all its components are free; these should be nearly all free ones.
+    /// The last factorisation of the spline matrix is used again if all dwell times that were free for it are free now.
+    /// It is a good preconditioner if they are nearly all that are free now.
     pub fn step(
         &mut self,
         penalty: &Penalty,
@@ -222,19 +227,22 @@ impl Convolved {
     }
 }
 
-/// Largest length of a column, in cells, that is represented by two places of the tool: half the width of the TIF.
-/// Larger: the surrogate errs more for long segments. Smaller: more places, and more time.
+/// Largest length of a column, in cells, that is represented by two places of the tool. In the cells of the two-level
+/// method it is half the width of the TIF. Larger: the surrogate errs more for long segments. Smaller: more places, and
+/// more time.
 const MAX_CELLS_IN_TWO: f64 = 3.0;
 
-/// Returns the axis of the cells: the first pixel of every cell of `size` pixels, and one beyond the last.
+/// Returns the axis of the samples, one at the first pixel of every cell of `size` pixels. The last sample is at the
+/// last pixel or beyond it.
 fn cell_axis(map: &Axis, size: usize) -> Result<Axis, Invalid> {
     let cells = (map.len() - 1).div_ceil(size) + 1;
     Axis::new(map.start_mm(), size as f64 * map.step_mm(), cells)
 }
 
-/// Returns two places of the tool in place of more, with the same mean, and the same spread along the line on which
-/// that is largest. Columns longer than `longest_mm` stay as they are. For uniform motion along a line it is Gauss'
-/// rule: `k^4 l^4 / 4320` of a wave k is lost on a length l.
+/// Returns two places of the tool instead of more, with the same mean, and the same variance in the direction in which
+/// it is largest. The places stay as they are if there are at most two, if the column is longer than `longest_mm`, or
+/// if their fractions do not sum to more than 0. For uniform motion along a line it is Gauss' rule: a wave of k rad/mm
+/// loses the fraction `k^4 l^4 / 4320` on a length of l mm.
 fn in_two(places: &[ToolPlace], longest_mm: f64) -> Vec<ToolPlace> {
     let total: f64 = places.iter().map(|p| p.fraction).sum();
     if places.len() <= 2 || length_mm(places) > longest_mm || total <= 0.0 {
@@ -262,8 +270,9 @@ fn mean(places: &[ToolPlace], total: f64, value: impl Fn(&ToolPlace) -> f64) -> 
     places.iter().map(|p| p.fraction * value(p)).sum::<f64>() / total
 }
 
-/// Returns the weights of the pixels, shared linearly by the nearest first pixels of cells of `size` pixels, in the
-/// shape `shape`. Sums over the pixels of anything that is linear between these are kept.
+/// Returns the weights of the samples (W_c), shape `shape`, one sample at the first pixel of every cell of `size`
+/// pixels. Every pixel shares its weight linearly between the samples around it. Weighted sums of anything that is
+/// linear between the samples are the same as over the pixels.
 fn on_cells(weight: &Array2<f64>, shape: (usize, usize), size: usize) -> Array2<f64> {
     let mut cells = Array2::<f64>::zeros(shape);
     for ((r, c), w) in weight.indexed_iter().filter(|(_, w)| **w > 0.0) {
@@ -284,8 +293,8 @@ fn shares(pixel: usize, size: usize) -> [(usize, f64); 2] {
     [(below, 1.0 - f), (below + usize::from(f > 0.0), f)]
 }
 
-/// Samples the TIF at the pitch of the cells, with three more samples at either end, because its spline goes on there:
-/// each further sample has 0.27 of the one before.
+/// Samples the TIF at the pitch of the cells, with three more samples at either end. The spline through its samples
+/// goes on there and falls to 0.27 per sample.
 fn sampled(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
     let [x, y] = [(&tif.grid().x, &map.x), (&tif.grid().y, &map.y)].map(|(own, map)| {
         const BEYOND: usize = 3;

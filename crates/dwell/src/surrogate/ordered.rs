@@ -1,7 +1,6 @@
 //! The surrogate as a matrix: few enough dwell points for skyline Cholesky factorisations.
 //!
-//! In the order of its columns along one axis of the map, H~ has a small skyline (few stored elements):
-//! `model::products`.
+//! With its columns sorted along one axis of the map, H~ has a small skyline (few stored elements): `model::products`.
 
 use planish_numerics::qp::bounded::{
     self, DESCENT_STEPS, End, GradientSettings, LastFactor, Quadratic,
@@ -15,31 +14,34 @@ use crate::{
     objective::Penalty,
 };
 
-/// Fraction of the natural residual that a step by H~ on cells may leave; the exact gradient corrects more than that.
-/// Larger: more corrections. Smaller: more factorisations per step.
+/// Fraction of the natural residual (how far the bounded problem is from its minimum) that a step by H~ on cells may
+/// leave; the error of the cells is larger than that. Larger: more corrections. Smaller: more factorisations per step.
 const RESIDUAL_FRACTION_ON_CELLS: f64 = 0.02;
 
-/// Number of factorisations after which the active-set method counts as cycling, from any start; gradient steps then
-/// give another start. Larger: a cycle takes longer. Smaller: slow problems get the other start without need. Chosen:
-/// measured problems take 10 to 20.
+/// Number of factorisations after which the first attempt of the active-set method counts as cycling; gradient steps
+/// then give another start. Larger: a cycle takes longer. Smaller: slow problems get the other start without need.
+/// Chosen: measured problems take 10 to 20.
 const MAX_FACTORISATIONS: usize = 30;
 
-/// Number of factorisations after which the active-set method from gradient steps is given up, and the result of the
-/// gradient steps is taken. They have found most of the active set, so that a longer attempt is justified.
+/// Number of factorisations after which the second attempt, which starts from the result of the gradient steps, is
+/// given up. The step is then the result of the gradient steps. They have found most of the active set, so that a
+/// longer attempt is justified.
 const MAX_FACTORISATIONS_AFTER_DESCENT: usize = 100;
 
-/// The surrogate H~ of the normal matrix as a skyline matrix, its columns in an order in which that is small.
+/// The surrogate H~ of the normal matrix as a skyline matrix, (1) of [`super`], its columns in an order in which the
+/// skyline is small.
 pub struct Ordered {
     /// Dwell point of every row of H~; unreached ones have no row.
     order: Vec<usize>,
     /// H~ without the penalty, with room for the elements that the penalty adds.
     data: Quadratic,
-    /// Fraction of the natural residual at which the search for a step ends.
+    /// Fraction of the natural residual at which the search for a step ends; 0 if the cells are pixels.
     enough: f64,
 }
 
 impl Ordered {
-    /// Makes H~ from the columns of B on the cells and the columns `u` of U; `exact` is true if the cells are pixels.
+    /// Makes H~ from the columns of B on the cells and the columns `u` of U (n each). Only columns of the mask
+    /// `reached` have a row; `exact` is true if the cells are pixels.
     pub fn new(
         cells: &[Patch],
         u: &[Vec<f64>],
@@ -89,9 +91,9 @@ pub struct Penalised {
 }
 
 impl Penalised {
-    /// Returns the dwell times that minimise `q'd + d'H~d / 2` within the bounds, for steps d from the dwell times
-    /// `t`. Returns the number of sets of free dwell times that were solved for, too. `None` if H~ is not positive
-    /// definite.
+    /// Returns the dwell times that minimise `q'd + d'H~d / 2` within the bounds `lo` and `hi`, s, for steps d from the
+    /// dwell times `t`. `q` (n) is the gradient of the objective at `t`. Returns the number of sets of free dwell times
+    /// that were solved for, too. `None` if H~ is not positive definite on such a set.
     pub fn minimum(
         &mut self,
         t: &[f64],

@@ -1,11 +1,13 @@
-//! Size of the cells and pitch of the splines of the surrogates.
+//! Size of the cells (squares of pixels) and pitch of the splines of the surrogates. The energy of the TIF is the
+//! integral of its square.
 
 use planish_types::{Grid, Tif};
 
 use crate::model::columns::ToolPlace;
 
-/// Fraction of the energy of the TIF that the cells may lose if H~ is factorised. Larger: larger cells, and more
-/// corrections by the exact gradient. Smaller: smaller cells, and more time per factorisation.
+/// Largest fraction of the energy of the TIF that the cells may lose if the surrogate H~ is factorised. The side of a
+/// cell is then at most 0.24 of the width of the TIF. Larger: larger cells, and more corrections by the exact gradient.
+/// Smaller: smaller cells, and more time per factorisation.
 pub const MAX_LOSS_FACTORISED: f64 = 5e-3;
 
 /// Loss that sets the cells of the two-level method, as a fraction of the energy of the TIF. The method samples its
@@ -22,17 +24,17 @@ pub const MAX_LOSS_GRADIENT: f64 = 2e-2;
 const MAX_CELL_PIXELS: usize = 16;
 
 /// Pitch of the splines as a multiple of the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma of a Gaussian).
-/// Larger: a smaller factor of their matrix, and more steps of conjugate gradients. Smaller: the reverse. Chosen by
-/// the time that problems took.
+/// Larger: a smaller Cholesky factor of their matrix, and more steps of conjugate gradients. Smaller: the reverse.
+/// Chosen by the time that problems took.
 const SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.8;
 
-/// Largest pitch of the splines, as a multiple of the width of the TIF, to which it is raised for a factor that is
-/// made quickly. Beyond it, conjugate gradients take several times as many steps to find the part that wider splines
-/// cannot represent.
+/// Largest pitch of the splines, as a multiple of the width of the TIF, to which it is raised so that the matrix of the
+/// splines is factorised quickly. Beyond it, conjugate gradients take several times as many steps to find the part that
+/// wider splines cannot represent.
 const MAX_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 1.0;
 
-/// Factor by which the pitch grows in each trial until the factor of the matrix is small enough. Larger: the pitch
-/// overshoots more. Smaller: more trials.
+/// Factor by which the pitch of the splines grows in each trial until their Cholesky factor is small enough. Larger:
+/// the pitch overshoots more. Smaller: more trials.
 const WIDENED_BY: f64 = 1.05;
 
 /// Smallest pitch of the splines as a multiple of the mean spacing of the columns. With many more splines than
@@ -44,16 +46,17 @@ const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
 /// Larger: splines represent long columns badly. Smaller: fewer columns take part in the coarse solution.
 const MAX_COLUMN_OVER_SPLINE_PITCH: f64 = 2.0;
 
-/// Number of elements of the factor of the matrix of the splines up to which the pitch is not widened: the factor
-/// takes seconds. Larger: longer factorisations. Smaller: wider splines, and more conjugate gradients.
+/// Number of elements of the Cholesky factor of the matrix of the splines up to which the pitch is not widened: the
+/// factorisation takes seconds. Larger: longer factorisations. Smaller: wider splines, and more conjugate gradients.
 const QUICK_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 
-/// Largest number of elements of the factor of the matrix of the splines (2.8 GB, twice that while it is made); with
-/// more there are no splines. Larger: more memory. Smaller: more problems without the two-level method.
+/// Largest number of elements of the Cholesky factor of the matrix of the splines (2.8 GB at 4 bytes each, twice that
+/// during the factorisation); with more there are no splines. Larger: more memory. Smaller: more problems without the
+/// two-level method.
 const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 7e8;
 
-/// Returns the side, in pixels of the map, of the largest cell that loses at most the fraction `max_loss` of the
-/// energy of the TIF, at most [`MAX_CELL_PIXELS`].
+/// Returns the side of the cells, in pixels of the map, at most [`MAX_CELL_PIXELS`]. It is the largest that loses at
+/// most the fraction `max_loss` of the energy of the TIF, or 1 if two pixels lose more.
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
     let hx = map.x.step_mm();
@@ -65,13 +68,14 @@ pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
     small_loss.next().unwrap_or(1)
 }
 
-/// Returns the larger of the extents of the places of a column along x and y, mm.
+/// Returns the larger of the extents of the places of a column along x and y, mm; 0 for a column without places.
 pub fn length_mm(places: &[ToolPlace]) -> f64 {
     let (low, high) = extent(places.iter().map(|p| &p.position_mm));
     (high[0] - low[0]).max(high[1] - low[1]).max(0.0)
 }
 
-/// Returns the mask of the reached columns that are short enough for splines of this pitch.
+/// Returns the mask of the reached columns whose length is at most [`MAX_COLUMN_OVER_SPLINE_PITCH`] times the pitch of
+/// the splines.
 pub fn are_short(places: &[Vec<ToolPlace>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
     places
         .iter()
@@ -82,9 +86,10 @@ pub fn are_short(places: &[Vec<ToolPlace>], reached: &[bool], pitch_mm: f64) -> 
         .collect()
 }
 
-/// Returns the pitch of splines that represent all that the TIF resolves, mm. `None` if most columns are too long for
-/// it, or if the matrix of the splines would be too large. Its size depends on the area under the reached columns, not
-/// on their number.
+/// Returns the pitch of the splines, mm: fine enough for what the TIF resolves, unless the reached columns are too
+/// sparse for it. `None` if at most half of the reached columns are short enough for it, or if the Cholesky factor of
+/// their matrix would be too large. The size of the factor depends on the area under the reached columns, not on their
+/// number.
 pub fn spline_pitch(places: &[Vec<ToolPlace>], reached: &[bool], tif: &Tif) -> Option<f64> {
     let of_reached = places.iter().zip(reached).filter(|(_, reached)| **reached).map(|(p, _)| p);
     let (size_mm, least_mm) = least_pitch_mm(of_reached);
@@ -98,8 +103,8 @@ fn count(mask: &[bool]) -> usize {
     mask.iter().filter(|is_set| **is_set).count()
 }
 
-/// Returns true if dwell points are so far apart that the splines over them are wider than the TIF resolves. The
-/// conjugate gradients then take many steps.
+/// Returns true if the columns with places are so far apart that the splines over them must be wider than the TIF
+/// resolves. The conjugate gradients then take many steps.
 pub fn are_sparse(places: &[Vec<ToolPlace>], tif: &Tif) -> bool {
     let (_, least_mm) = least_pitch_mm(places.iter().filter(|places| !places.is_empty()));
     least_mm > SPLINE_PITCH_OVER_TIF_WIDTH * width_mm(tif)
@@ -111,8 +116,8 @@ fn width_mm(tif: &Tif) -> f64 {
     1.0 / (along_x + along_y).sqrt()
 }
 
-/// Returns the size [x, y] of the rectangle that contains the columns, mm, and the least pitch of splines that the
-/// mean spacing of the columns allows, mm.
+/// Returns the size [x, y] of the rectangle that contains the places of the columns, mm, and the least pitch of splines
+/// that the mean spacing of the columns allows, mm.
 fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<ToolPlace>> + Clone) -> ([f64; 2], f64) {
     let count = places.clone().count();
     let (low, high) = extent(places.flatten().map(|p| &p.position_mm));
@@ -121,9 +126,10 @@ fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<ToolPlace>> + Clone) 
     (size_mm, MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm)
 }
 
-/// Returns the least pitch of splines, mm, for which their matrix is quickly factorised, or else is not too large;
-/// `None` if it is too large. `width_mm` is the width of the TIF. `size_mm` and `tif_mm` are the sizes [x, y] of the
-/// rectangle of the columns and of the TIF.
+/// Returns the least pitch of splines, mm, whose matrix is factorised quickly. If none up to
+/// [`MAX_SPLINE_PITCH_OVER_TIF_WIDTH`] is, returns the largest pitch of the trials; `None` if its Cholesky factor is
+/// too large. `width_mm` is the width of the TIF. `size_mm` and `tif_mm` are the sizes [x, y] of the rectangle of the
+/// columns and of the TIF.
 fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Option<f64> {
     let mut pitch_mm = SPLINE_PITCH_OVER_TIF_WIDTH * width_mm;
     while spline_factor_elements(pitch_mm, size_mm, tif_mm) > QUICK_SPLINE_FACTOR_ELEMENTS
@@ -135,8 +141,8 @@ fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Optio
     if elements <= MAX_SPLINE_FACTOR_ELEMENTS { Some(pitch_mm) } else { None }
 }
 
-/// Estimates the number of elements of the factor of the matrix of the splines, numbered along the axis with the
-/// narrower band.
+/// Estimates the number of elements of the Cholesky factor of the matrix of the splines, which are numbered along the
+/// axis that gives the narrower band. `size_mm` and `tif_mm` are as in [`affordable_pitch`].
 fn spline_factor_elements(pitch_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> f64 {
     let [x, y] = size_mm.map(|v| v / pitch_mm + 4.0);
     let reach_mm = spline_reach_mm(tif_mm, pitch_mm);
@@ -145,8 +151,8 @@ fn spline_factor_elements(pitch_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) ->
     x * y * (across_x * y).min(across_y * x)
 }
 
-/// Estimates the number of multiplications of a factorisation of the normal matrix of all columns. Its band has as
-/// many columns as lie within the TIF along one axis, that with the narrower band.
+/// Estimates the number of multiplications of a Cholesky factorisation of the normal matrix of all columns. The width
+/// of its band is the number of columns within the size of the TIF along one axis; the axis with fewer counts.
 pub fn factorisation_work(places: &[Vec<ToolPlace>], tif: &Tif) -> f64 {
     let n = places.len() as f64;
     let (low, high) = extent(places.iter().flatten().map(|p| &p.position_mm));

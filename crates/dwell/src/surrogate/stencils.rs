@@ -1,5 +1,6 @@
-//! Symmetric matrices of the nodes of a lattice that couple only near nodes. Before they are factorised they take an
-//! order of magnitude less memory than the skyline that their factor fills.
+//! Symmetric matrices with a row for every node of a lattice, whose elements are zero except for nodes near each other
+//! (coupled nodes). Before they are factorised they take an order of magnitude less memory than the skyline that their
+//! factor fills. A *line* is a line of nodes of the lattice.
 
 use std::ops::Range;
 
@@ -10,7 +11,7 @@ use planish_numerics::parallel;
 pub struct Stencils {
     /// Number of nodes of a line.
     per_line: usize,
-    /// Largest distance in nodes of two nodes that are coupled: across the lines, and along them.
+    /// Largest distance of two coupled nodes, in nodes: [across the lines, along them].
     reach: [usize; 2],
     /// Elements of every row at the nodes that are coupled with its node and do not come after it: ordered by the
     /// distance across the lines, then along them.
@@ -18,7 +19,8 @@ pub struct Stencils {
 }
 
 impl Stencils {
-    /// Makes the zero matrix for `nodes` nodes in lines of `per_line` nodes.
+    /// Makes the zero matrix for `nodes` nodes in lines of `per_line` nodes, with room for couplings up to `reach`
+    /// nodes [across, along] the lines.
     pub fn zeros(nodes: usize, per_line: usize, reach: [usize; 2]) -> Self {
         Self { per_line, reach, values: vec![0.0; nodes * Self::len(reach)] }
     }
@@ -28,14 +30,14 @@ impl Stencils {
         (reach[0] + 1) * (2 * reach[1] + 1)
     }
 
-    /// Returns the index in a row of an element. The node of the row is at s along its line; the other node is at m
-    /// along its line, which comes `before` lines earlier.
+    /// Returns the index of an element in the stored values of its row. The node of the row has the index s in its
+    /// line; the other node has the index m in its line, which is `before` lines earlier.
     fn index(reach: [usize; 2], before: usize, s: usize, m: usize) -> usize {
         before * (2 * reach[1] + 1) + m + reach[1] - s
     }
 
-    /// Returns the nodes that may be coupled with some of these rows of one line and do not come after the last of
-    /// them, as (number of lines before, index along the line).
+    /// Returns the nodes that may be coupled with a node of these rows, all of one line, and do not come after the last
+    /// of them. A node is (number of lines before this line, index in its line).
     fn near(
         rows: &Range<usize>,
         per_line: usize,
@@ -50,8 +52,8 @@ impl Stencils {
         })
     }
 
-    /// Returns the nodes that may be coupled with node i and do not come after it, and the indices of their elements
-    /// in row i.
+    /// Returns the nodes that may be coupled with node i and do not come after it, i included, and the indices of their
+    /// elements in row i.
     fn coupled(
         i: usize,
         per_line: usize,
@@ -63,8 +65,8 @@ impl Stencils {
             .map(move |(before, m)| ((l - before) * per_line + m, Self::index(reach, before, s, m)))
     }
 
-    /// Calls `write` for parts of the rows `rows`, which begin and end with whole lines. A part has up to `most` rows
-    /// of one line.
+    /// Calls `write`, in parallel, for parts of the rows `rows`, which must be those of whole lines of nodes. A part
+    /// has up to `most` rows of one line.
     pub fn fill(&mut self, rows: Range<usize>, most: usize, write: impl Fn(Near<'_>) + Sync) {
         let Self { per_line, reach, .. } = *self;
         let len = Self::len(reach);
@@ -79,8 +81,8 @@ impl Stencils {
         });
     }
 
-    /// Returns the rows divided into ranges so long that the nodes coupled with a row are in its range and in the
-    /// range before.
+    /// Returns the rows divided into ranges so long that the nodes that are coupled with a row and come before it are
+    /// in its range and in the range before.
     pub fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let rows = self.rows();
         let part = self.reach[0].max(1) * self.per_line;
@@ -104,8 +106,8 @@ impl Stencils {
         coupled
     }
 
-    /// Adds `value` to the element of two nodes, each given as [line, index along it]. The second node must not come
-    /// after the first.
+    /// Adds `value` to the element of two nodes, each given as [line, index in the line]. The second node must not come
+    /// after the first and must be within the reach of the matrix.
     #[inline]
     pub fn add(&mut self, [l, s]: [usize; 2], [k, m]: [usize; 2], value: f64) {
         let row = (l * self.per_line + s) * Self::len(self.reach);
@@ -117,8 +119,8 @@ impl Stencils {
         self.values.iter_mut().zip(&other.values).for_each(|(v, other)| *v += other);
     }
 
-    /// Adds row i to `to`, whose elements are those of the columns from `first` to the diagonal. Elements before
-    /// column `first` must be zero.
+    /// Adds row i of the matrix, up to the diagonal, to `to`, which begins with the element of column `first`. Elements
+    /// of the row before column `first` must be zero.
     pub fn add_row(&self, i: usize, first: usize, to: &mut [f64]) {
         let len = Self::len(self.reach);
         let row = &self.values[i * len..(i + 1) * len];
@@ -130,7 +132,7 @@ impl Stencils {
     }
 }
 
-/// Some neighbouring rows of [`Stencils`], all of one line, to be written.
+/// Some neighbouring rows of [`Stencils`], all of one line of nodes, to be written.
 pub struct Near<'a> {
     rows: Range<usize>,
     per_line: usize,
@@ -144,7 +146,7 @@ impl Near<'_> {
         self.rows.clone()
     }
 
-    /// Returns the nodes that may be coupled with some of these rows and do not come after the last of them.
+    /// Returns the nodes that may be coupled with a node of these rows and do not come after the last of them.
     pub fn coupled(&self) -> impl Iterator<Item = usize> + use<> {
         let per_line = self.per_line;
         let l = self.rows.start / per_line;
@@ -152,8 +154,8 @@ impl Near<'_> {
         near.map(move |(before, m)| (l - before) * per_line + m)
     }
 
-    /// Returns the element of row i of this part and node k, to be written. `None` if k comes after i or is too far
-    /// away.
+    /// Returns the element of row i, which must be in this part, and node k, to be written. `None` if k comes after i,
+    /// or is farther from it than coupled nodes are.
     pub fn element(&mut self, i: usize, k: usize) -> Option<&mut f64> {
         let [(l, s), (n, m)] = [i, k].map(|node| (node / self.per_line, node % self.per_line));
         let is_near = k <= i && l - n <= self.reach[0] && s.abs_diff(m) <= self.reach[1];

@@ -1,24 +1,24 @@
 //! Preconditioner of conjugate gradients for the normal matrix of [`crate::bounded_least_squares`], for dwell points
 //! that are much denser than the TIF can resolve.
 //!
-//! With L, the matrix of the penalty, that of the free dwell times is `H = B' W B - U U' + L`. B is a low pass: it
-//! depends on the part of the dwell times that smooth functions of the position represent. On everything rougher H is
-//! almost L, a chain that is solved in one sweep. So the smooth component is taken out exactly,
+//! Here `H = B' W B - U U' + L` is the normal matrix of the free dwell times, with the matrix L of the penalty. B is a
+//! low pass: it depends on the part of the dwell times that smooth functions of the position represent. On everything
+//! rougher H is almost L, a tridiagonal matrix (chain) along the path that is solved in one sweep. So the smooth
+//! component is taken out exactly,
 //!
 //! ```text
 //! Q = V (V' H V)^-1 V',   V[j, node] = b(x_j / p) b(y_j / p)                              (1)
 //! ```
 //!
-//! with cubic B-splines b on a lattice of pitch p over the dwell points (free ones only; a node with
-//! none stands alone), and conjugate gradients see `(1 - Q H) L^-1` ([`planish_numerics::qp::bounded`]).
-//! The number of steps of conjugate gradients depends on the part of the solution that the splines cannot
-//! represent. It does not depend on the number of dwell points.
+//! with cubic B-splines b on a lattice of pitch p over the dwell points (free ones only; a node without free dwell
+//! points under its spline stands alone). Conjugate gradients see `(1 - Q H) L^-1` ([`planish_numerics::qp::bounded`]).
+//! The number of steps of conjugate gradients depends on the part of the solution that the splines cannot represent. It
+//! does not depend on the number of dwell points.
 //!
-//! V' H V must be that of the H that is applied: an error of 1e-8 of its largest element is alpha. It
-//! is kept while the free dwell times change, and only the nodes over those that do are
-//! computed anew; where none does, its inverse is the one before. Of its factor single precision is kept: what that
-//! rounds is of the size of L, which conjugate gradients see to anyway (measured: the same number of products), and a
-//! solution takes as long as reading the factor.
+//! V' H V must belong to exactly the H that is applied: an error of 1e-8 of its largest element is as large as the
+//! penalty alpha. It is kept while the free dwell times change: only the rows of splines over changed ones are computed
+//! anew. If none changed, the last inverse serves again. The Cholesky factor is stored in single precision. The
+//! rounding is of the size of L, which conjugate gradients correct anyway (measured: the same number of products).
 
 use std::{ops::Range, sync::Arc};
 
@@ -50,13 +50,14 @@ pub struct Nodes {
     shape: (usize, usize),
     /// True if neighbouring rows of the matrix are nodes along x, false if along y.
     by_rows: bool,
-    /// Splines at every column (n); `None` if the column is not reached or too long.
+    /// Spline values at the centre of every column (n); `None` if the column is not reached or too long.
     weights: Vec<Option<Weights>>,
-    /// Columns grouped by their cells.
+    /// Columns grouped by the cells of the lattice that contain their centres.
     by_cell: Grouped,
 }
 
-/// Values of the splines at a column in cell (r, c): those of the nodes (r + i, c + k), i, k < 4.
+/// Values of the splines at the centre of a column in the lattice cell (r, c). The spline of node (r + i, c + k) has
+/// the value `y[i] x[k]`, i, k = 0 .. 3.
 #[derive(Clone, Copy)]
 struct Weights {
     cell: (u32, u32),
@@ -70,30 +71,33 @@ impl Weights {
         self.y.iter().flat_map(|y| self.x.iter().map(move |x| y * x))
     }
 
-    /// Returns true if the penalty on the difference of the two columns is in the matrix of the lattice as it is, not
-    /// as a bound.
+    /// Returns true if the two columns are at most [`MAX_COUPLED_CELLS`] cells apart. The penalty on their difference
+    /// then is in the matrix of the lattice exactly; otherwise an upper bound is.
     fn is_near(&self, other: &Self) -> bool {
         self.cell.0.abs_diff(other.cell.0) <= MAX_COUPLED_CELLS
             && self.cell.1.abs_diff(other.cell.1) <= MAX_COUPLED_CELLS
     }
 }
 
-/// Largest distance, in cells, of two columns for which the penalty on their difference is in the matrix of the
-/// lattice as it is. For columns farther apart, which would widen its skyline, the matrix has a bound of it. Larger: a
-/// larger factor. Smaller: a less exact matrix.
+/// Largest distance, in cells of the lattice, of two columns for which the penalty on their difference is exactly in
+/// the matrix of the lattice. For columns farther apart, which would widen its skyline, the matrix has an upper bound
+/// of the penalty. Larger: a larger factor. Smaller: a less exact matrix.
 const MAX_COUPLED_CELLS: u32 = 1;
 
-/// Increase of the diagonal of the matrix of the lattice, as a fraction of the part of `V' L V` without differences.
-/// Without it, splines that differ on no column would make the matrix singular. Larger: Q is less exact, and conjugate
-/// gradients take more steps. Smaller: the matrix may be singular to rounding.
+/// Increase of the diagonal of the matrix of the lattice, as a fraction of the part of the diagonal of `V' L V` that
+/// the terms alpha_j of single columns give. Without it, splines that differ on no column would make the matrix
+/// singular. Larger: Q is less exact, and conjugate gradients take more steps. Smaller: the matrix may be singular to
+/// rounding.
 const SPLINE_RIDGE: f64 = 1e-3;
 
-/// Largest number of elements of the removal by all splines that are kept from one set of free columns to the next
-/// (1.6 GB). With more, those near a spline that changes are computed again. Larger: more memory. Smaller: more time.
+/// Largest number of elements of the removals by all splines up to which these are kept from one set of free columns to
+/// the next (1.6 GB). With more, the removals by the splines near a changed one are computed again. Larger: more
+/// memory. Smaller: more time.
 const MAX_KEPT_PATCH_ELEMENTS: usize = 200_000_000;
 
 impl Nodes {
-    /// Makes the lattice of pitch `pitch_mm` over the reached columns, for a TIF of the size `tif_mm` [x, y].
+    /// Makes the lattice of pitch `pitch_mm` over the columns of the mask `reached`, for a TIF of the size `tif_mm` [x,
+    /// y]. The mask leaves out columns that are too long for splines.
     pub fn new(
         places: &[Vec<ToolPlace>],
         reached: &[bool],
@@ -149,7 +153,7 @@ impl Nodes {
         if self.by_rows { (i / nx, i % nx) } else { (i % ny, i / ny) }
     }
 
-    /// Returns true if the difference of two near columns couples the rows a and b of the matrix.
+    /// Returns true if the penalty on the difference of two near columns can couple the rows a and b of the matrix.
     fn are_linked(&self, a: usize, b: usize) -> bool {
         let ((ra, ca), (rb, cb)) = (self.node(a), self.node(b));
         ra.abs_diff(rb) <= PENALTY_REACH && ca.abs_diff(cb) <= PENALTY_REACH
@@ -161,7 +165,7 @@ impl Nodes {
         (0..16).map(move |k| self.row(r + k / 4, c + k % 4))
     }
 
-    /// Returns the product V' r (one element per node) for r (n); only free columns count.
+    /// Returns the product V' r (one element per row of the matrix) for r (n); only free columns count.
     fn restrict(&self, r: &[f64], free: &[bool]) -> Vec<f64> {
         let mut sums = vec![0.0; self.len()];
         for ((w, r), _) in self.weights.iter().zip(r).zip(free).filter(|(_, free)| **free) {
@@ -172,7 +176,8 @@ impl Nodes {
         sums
     }
 
-    /// Returns the product V c (n) for c (one element per node); 0 for columns that are not free.
+    /// Returns the product V c (n) for c (one element per row of the matrix); 0 for columns that are not free or have
+    /// no splines.
     fn prolong(&self, c: &[f64], free: &[bool]) -> Vec<f64> {
         parallel::map(self.weights.len(), &|j| match &self.weights[j] {
             Some(w) if free[j] => self.over(w).zip(w.products()).map(|(i, v)| v * c[i]).sum(),
@@ -200,8 +205,9 @@ impl Nodes {
         under
     }
 
-    /// Returns the matrix of the penalty on the lattice, V' L V, over the free columns. A difference of columns that
-    /// are not near is replaced by its bound `(v t_k - u t_{k-1})^2 <= 2 v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
+    /// Returns the matrix of the penalty on the lattice, V' L V, over the free columns. For columns that are not near
+    /// ([`Weights::is_near`]) the square of a difference is replaced by its upper bound, `(v t_k - u t_{k-1})^2 <= 2
+    /// v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
     fn penalty(&self, penalty: &Penalty, free: &[bool]) -> Stencils {
         let steps = penalty.steps();
         let parts = parallel::map(PENALTY_PARTS, &|part| {
@@ -233,12 +239,13 @@ impl Nodes {
         sums
     }
 
-    /// Returns the spline values of column j; `None` if it is not free or has none.
+    /// Returns the spline values of column j; `None` if the column is not free, not reached or too long.
     fn free_weights(&self, j: usize, free: &[bool]) -> Option<&Weights> {
         if free[j] { self.weights[j].as_ref() } else { None }
     }
 
-    /// Adds `factor g g'` to a matrix, with g the sum of some near columns of V', each times its number.
+    /// Adds `factor g g'` to `sums`. The vector g is the sum of the columns of V' for the given dwell points, which
+    /// must be near each other, each times the number that is given with it.
     fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, sums: &mut Stencils) {
         const SIDE: usize = 1 + PENALTY_REACH;
         let r0 = columns.iter().map(|c| c.0.cell.0).min().unwrap_or(0);
@@ -278,7 +285,8 @@ fn centre_mm(places: &[ToolPlace]) -> [f64; 2] {
     [0, 1].map(|k| places.iter().map(|p| p.fraction * p.position_mm[k]).sum::<f64>())
 }
 
-/// Returns the cell of a position along an axis, given in cells, and the values of the four splines there.
+/// Returns the index of the cell that contains a position along an axis, given in cells from the first one, and the
+/// values there of the four splines of the cell.
 fn cell_and_splines(position: f64, cells: usize) -> (u32, [f64; 4]) {
     let i = (position as usize).min(cells - 1);
     (i as u32, bspline::on_a_cell(position - i as f64))
@@ -296,16 +304,18 @@ const PENALTY_PARTS: usize = 2;
 /// the splines and [`MAX_COUPLED_CELLS`].
 const PENALTY_REACH: usize = 3 + MAX_COUPLED_CELLS as usize;
 
-/// Matrix `V' B' W B V` of the splines on the lattice, over some free columns.
+/// Matrix `V' B' W B V` of the splines on the lattice, over a set of free columns, which can be changed.
 pub struct Coarse {
     free: Vec<bool>,
-    /// Removal `W^1/2 B V` by the spline of every row: of all rows if they are kept, otherwise of the rows at work.
+    /// Removal rate `W^1/2 B V` by the spline of every row. If `keeps_patches` is false, patches exist only while the
+    /// rows near them are computed.
     patches: Vec<Patch>,
     keeps_patches: bool,
     matrix: Stencils,
     /// First stored column of every row of the factor.
     first: Vec<usize>,
-    /// Inverse that was made from this matrix last, for the same free columns, and the penalty that it is for.
+    /// Last inverse made from this matrix, for the same free columns, and its penalty; `None` before the first one, or
+    /// if the matrix was singular.
     last: Option<(Penalty, Arc<Woodbury<f32>>)>,
 }
 
@@ -317,8 +327,8 @@ fn meet(a: &Range<usize>, b: &Range<usize>) -> bool {
     a.start < b.end && b.start < a.end
 }
 
-/// Returns the largest number of lines between two lines of nodes whose removals overlap. `nodes` gives the line of
-/// every node, and the range of pixels that it reaches.
+/// Returns the largest difference of the indices of two lines of nodes whose removals overlap. `nodes` gives, for every
+/// node, the index of its line and the range of pixels that its removal reaches across the lines.
 fn line_reach<'a>(lines: usize, nodes: impl Iterator<Item = (usize, &'a Range<usize>)>) -> usize {
     let mut of_lines: Vec<Option<Range<usize>>> = vec![None; lines];
     for (line, reach) in nodes.filter(|(_, reach)| !reach.is_empty()) {
@@ -336,7 +346,7 @@ fn line_reach<'a>(lines: usize, nodes: impl Iterator<Item = (usize, &'a Range<us
 }
 
 impl Coarse {
-    /// Makes the zero matrix, for no free column, with room for all reached ones.
+    /// Makes the zero matrix, for no free column, with room for all columns of the mask `reached`.
     pub fn new(nodes: &Nodes, sums: &Sums, reached: &[bool]) -> Self {
         let extents: Vec<Extent> = parallel::map(nodes.len(), &|i| {
             sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j))
@@ -368,13 +378,15 @@ impl Coarse {
         }
     }
 
-    /// Returns true if the last inverse is for this penalty, and all columns of that inverse are free.
+    /// Returns true if the last inverse exists and is for this penalty, and all columns that were free for it are in
+    /// the mask `free`.
     pub fn is_of(&self, penalty: &Penalty, free: &[bool]) -> bool {
         let known = self.last.as_ref().is_some_and(|(last, _)| last == penalty);
         known && self.free.iter().zip(free).all(|(own, free)| *free || !own)
     }
 
-    /// Updates the matrix to another set of free columns.
+    /// Updates the matrix to the free columns of the mask `free`; computes only elements of splines over columns that
+    /// changed. `weight` has the weights of the samples (W_c).
     fn update(&mut self, nodes: &Nodes, sums: &Sums, weight: &Array2<f64>, free: &[bool]) {
         let mut changed = vec![false; nodes.len()];
         for (j, w) in nodes.weights.iter().enumerate() {
@@ -420,8 +432,8 @@ impl Coarse {
         }
     }
 
-    /// Returns the inverse `(V' H V)^-1` for the columns of the last [`Self::update`]; `None` if the matrix is
-    /// singular to rounding.
+    /// Returns the inverse `(V' H V)^-1` for the columns of the last [`Self::update`], whose mask `free` must be;
+    /// `None` if the matrix is singular to rounding. `u` has the columns of U (n each).
     fn inverse(
         &self,
         nodes: &Nodes,
@@ -465,8 +477,8 @@ pub struct TwoLevel<'a> {
 }
 
 impl<'a> TwoLevel<'a> {
-    /// Makes the preconditioner for some free columns, and updates `coarse` to them. `u` has the columns of U over all
-    /// dwell points.
+    /// Makes the preconditioner for the mask `free`, and updates `coarse` to it unless `coarse` is of this mask and
+    /// penalty already. `u` has the columns of U (n each).
     pub fn new(
         nodes: &'a Nodes,
         coarse: &mut Coarse,
@@ -485,8 +497,8 @@ impl<'a> TwoLevel<'a> {
         Self::again(nodes, coarse, penalty, free)
     }
 
-    /// Makes the preconditioner for free columns that include those of `coarse`, from its last inverse. The other free
-    /// columns take part in L only, not in V.
+    /// Makes the preconditioner from the last inverse of `coarse`, for free columns that include those of `coarse`. The
+    /// other free columns take part in L only, not in V.
     pub fn again(nodes: &'a Nodes, coarse: &Coarse, penalty: &Penalty, free: &[bool]) -> Self {
         let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());
         Self { nodes, free: coarse.free.clone(), chain: chain(penalty, free), inverse }
@@ -508,8 +520,8 @@ impl Deflation for TwoLevel<'_> {
     }
 }
 
-/// Returns the factor of L on the free columns, a tridiagonal matrix, because only neighbours along the path are
-/// coupled.
+/// Returns the factor of the penalty matrix L on the free columns. L is tridiagonal, because it couples only neighbours
+/// along the path.
 fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
     let mut diagonal = vec![0.0; free.len()];
     let mut below = vec![0.0; free.len()];

@@ -6,11 +6,11 @@
 //! valid[i, j] = sum_{a, b} g[a, b] s[i + gy-1 - a, j + gx-1 - b],   shape (sy-gy+1, sx-gx+1)
 //! ```
 //!
-//! This is the part of the convolution that never leaves the source. A circular convolution of the
-//! source's size (rounded up to 2^a 3^b 5^c 7^d) contains it: the wrapped part falls on the first
-//! g-1 elements, which are not used. Rows and columns are independent transforms, so the result
-//! does not depend on the number of threads. If tiles are less work, as for most maps and tools,
-//! sources are convolved tile by tile ([`super::tiles`]).
+//! This *valid part* has the elements of the convolution for which the whole kernel lies within the source. A circular
+//! convolution of the source's size (rounded up to 2^a 3^b 5^c 7^d) contains it: the wrapped part falls on the first
+//! g-1 elements, which are not used. Rows and columns are independent transforms, so the result does not depend on the
+//! number of threads. If tiles are less work, as for most maps and tools, sources are convolved tile by tile
+//! ([`super::tiles`]).
 //!
 //! In single precision (`T` = f32) a convolution takes two thirds of the time, and its transforms
 //! take half of the memory. Its input and output are in double precision. With the unit roundoff
@@ -20,10 +20,9 @@
 //! rms(error) <= 20 log2(N) u |g|_1 rms(s)                                               (1)
 //! ```
 //!
-//! because a transform has an error of at most `6.7 log2(N) u` of its 2-norm (N. Higham, Accuracy
-//! and Stability of Numerical Algorithms, 2nd ed., theorem 24.2), and there are three transforms.
-//! In single precision and for 1e6 elements, the bound is 2e-5 of the largest removal by dwell
-//! times of that RMS.
+//! because a transform has an error of at most `6.7 log2(N) u` of its 2-norm (N. Higham, Accuracy and Stability of
+//! Numerical Algorithms, 2nd ed., theorem 24.2), and there are three transforms. Example: for dwell times s, a kernel
+//! in nm/s, single precision and 1e6 elements, the bound is 2e-5 of `|g|_1 rms(s)`.
 
 use std::sync::{Arc, OnceLock};
 
@@ -56,8 +55,8 @@ pub struct Convolution<T: Lanes + Planned = f64> {
     inverse_y: Arc<dyn Fft<T>>,
     /// Spectrum of the kernel, [kx][ky], scaled by 1 / (number of elements); made at its first use.
     spectrum: OnceLock<Vec<Complex<T>>>,
-    /// Tiles for the valid part and for its adjoint, made at their first use; `None` if tiles are
-    /// no gain.
+    /// Tiles for the valid part and for its adjoint, made at their first use; `None` if one transform of the whole
+    /// array is less work.
     tiles: [OnceLock<Option<Tiles<T>>>; 2],
 }
 
@@ -113,8 +112,8 @@ impl<T: Lanes + Planned> Convolution<T> {
     }
 
     /// Applies the adjoint with `filter(G)` in place of the complex conjugate of G, where G is the spectrum of the
-    /// kernel. A filter near 1 / G gives a source whose valid part is near `map`. The result has the shape of the
-    /// source.
+    /// kernel. `map` has the shape of a valid part, and the result that of the source. A filter near 1 / G gives a
+    /// source whose valid part is near `map`.
     pub fn filtered(
         &self,
         map: ArrayView2<f64>,
@@ -131,9 +130,9 @@ impl<T: Lanes + Planned> Convolution<T> {
         (self.kernel.nrows() - 1, self.kernel.ncols() - 1)
     }
 
-    /// Puts `map` at `offset` (row, column) in a field of zeros, multiplies its spectrum by `filter` of the spectrum
-    /// of the kernel, and transforms back. Returns the part of `shape` that starts at `from`. The columns stay in the
-    /// cache between both transforms.
+    /// Puts `map` at `offset` (row, column) in an array of zeros of the size of the transform, multiplies its spectrum
+    /// by `filter` of the stored spectrum of the kernel, and transforms back. Returns the part of the shape `shape`
+    /// that starts at the element `from` (row, column).
     fn through(
         &self,
         map: ArrayView2<f64>,

@@ -10,7 +10,8 @@
 //! Finally the columns are transformed back. A map is transposed twice and never reordered, because
 //! the order of the frequencies does not matter ([`super::lanes`]).
 //!
-//! One thread does all work of a field. Many threads work on many fields at once.
+//! A *field* is the complex array that is transformed, with one source as its real and one as its imaginary part. One
+//! thread does all work of a field. Many threads work on many fields at once.
 
 use std::ops::Range;
 
@@ -20,17 +21,15 @@ use pulp::{Arch, Simd, WithSimd};
 use super::lanes::{Transform, elements, is_size, transpose};
 use crate::vectors::Lanes;
 
-/// Divisor of every length, elements: the largest number of lanes of a vector, which is that of
-/// single precision in 64 bytes. Derived. Smaller: a length is not a whole number of vectors.
-/// Larger: more padding.
+/// Divisor of the number of rows and of columns of a field. It is the largest number of lanes of a vector: single
+/// precision in 64 bytes. Smaller: a line may not be a whole number of vectors. Larger: more padding.
 const STEP: usize = 16;
 
-/// Number of map rows that are processed together. Larger: more rows than the processor can fetch
-/// ahead. Smaller: shorter runs of writing into a block. It does not change the result.
+/// Number of map rows that are read or written together. Larger: more rows than the processor can fetch ahead. Smaller:
+/// shorter stretches of memory in a block are written at a time. It does not change the result.
 const ROWS: usize = 8;
 
-/// Returns true if a field (the array that is transformed) may have `n` rows or columns: a multiple of 16 without
-/// prime factors above 5.
+/// Returns true if a field may have `n` rows or columns: a multiple of 16, above 0, without prime factors above 5.
 pub fn is_field_size(n: usize) -> bool {
     n > 0 && n.is_multiple_of(STEP) && is_size(n)
 }
@@ -58,23 +57,23 @@ pub struct LaneConvolution<T = f64> {
     kernel: (usize, usize),
     x: Transform<T>,
     y: Transform<T>,
-    /// Spectrum of the kernel, scaled by 1 / (number of elements). For each `lanes` frequencies
-    /// along y it has the elements along x, in the order of the transforms.
+    /// Spectrum of the kernel, scaled by 1 / (number of elements of a field). For each group of as many frequencies
+    /// along y as there are lanes, it has the elements along x, in the order of the transforms.
     spectrum: Vec<T>,
 }
 
 /// Buffers of one thread for a convolution.
 #[derive(Default)]
 pub struct Workspace<T> {
-    /// Field: elements along y for each group of `lanes` columns.
+    /// Field: the elements along y of each group of as many columns as there are lanes.
     field: Vec<T>,
-    /// Elements of the `lanes` rows that are processed together.
+    /// Elements of the rows that are processed together, as many as there are lanes.
     lines: Vec<T>,
 }
 
 impl<T: Lanes> LaneConvolution<T> {
-    /// Plans the convolution with `kernel` (gy, gx) in fields of the shape `size` (rows, columns). Both must be sizes
-    /// by [`is_field_size`], at least as large as the kernel.
+    /// Plans the convolution with `kernel` (gy, gx) in fields of the shape `size` (rows, columns). Panics unless
+    /// [`is_field_size`] is true for both, and both are at least those of the kernel.
     pub fn new(kernel: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(gy >= 1 && gx >= 1 && size.0 >= gy && size.1 >= gx, "kernel exceeds the field");
@@ -100,7 +99,7 @@ impl<T: Lanes> LaneConvolution<T> {
     }
 
     /// Computes the valid parts of both strips, for sources of the shape `source` (rows, columns), at most that of the
-    /// fields.
+    /// fields. Reads and writes them through `strips`.
     pub fn convolve(
         &self,
         source: (usize, usize),
@@ -110,7 +109,7 @@ impl<T: Lanes> LaneConvolution<T> {
         self.run(source, strips, work, None);
     }
 
-    /// Convolves the strips. If `spectrum` is given, writes their spectrum there instead.
+    /// Convolves the strips. If `spectrum` is given, only writes the spectrum of the strips there.
     fn run(
         &self,
         source: (usize, usize),
@@ -124,7 +123,7 @@ impl<T: Lanes> LaneConvolution<T> {
     }
 }
 
-/// The kernel as the left of two sources, times a scale; the right one is zero.
+/// The kernel as the left of two sources, times `scale`; the right one is zero.
 struct Kernel<'a> {
     samples: ArrayView2<'a, f64>,
     scale: f64,
@@ -166,13 +165,13 @@ struct Places {
 }
 
 impl Places {
-    /// Returns the range of the numbers of a block of columns in a group of rows: a square of lanes.
+    /// Returns the range, in the field, of the numbers of a square: a block of columns in a group of as many rows.
     fn square(&self, block: usize, group: usize) -> Range<usize> {
         let from = block * self.stride + group * self.square;
         from..from + self.square
     }
 
-    /// Returns the range of the numbers of a block of columns in one row.
+    /// Returns the range, in the field, of the numbers of a block of columns in one row.
     fn element(&self, block: usize, row: usize) -> Range<usize> {
         let from = block * self.stride + row * self.element;
         from..from + self.element
@@ -213,7 +212,7 @@ impl<T: Lanes, X: Strips<T>> WithSimd for ConvolutionRun<'_, T, X> {
 /// Steps of a convolution. All of them are inlined into the one function that may use the vectors
 /// of the processor.
 impl<T: Lanes> LaneConvolution<T> {
-    /// Reads the rows of the strips and transforms their columns.
+    /// Reads the first `rows` rows of the strips into the field and transforms its columns.
     #[inline(always)]
     fn columns_of<S: Simd>(
         &self,
@@ -243,7 +242,7 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Transforms the rows of a field whose columns are transformed already.
+    /// Writes to `spectrum` the transform of the rows of a field whose columns are transformed already.
     #[inline(always)]
     fn rows_of_spectrum<S: Simd>(&self, simd: S, field: &[T], spectrum: &mut [T], places: Places) {
         for (group, lines) in spectrum.chunks_exact_mut(self.x.size() * places.element).enumerate()
@@ -255,7 +254,8 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Convolves the rows of a field whose columns are transformed already.
+    /// Transforms the rows of a field whose columns are transformed already, multiplies by the spectrum of the kernel,
+    /// and transforms the rows back.
     #[inline(always)]
     fn convolve_rows<S: Simd>(&self, simd: S, work: &mut Workspace<T>, places: Places) {
         let Workspace { field, lines } = work;
@@ -308,8 +308,8 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Returns the number of blocks of columns that contain only wrapped elements of the circular convolution, and are
-    /// not used.
+    /// Returns the number of blocks of columns that contain only elements of the circular convolution outside the valid
+    /// part; they are not used.
     fn spoilt(&self, places: Places) -> usize {
         (self.kernel.1 - 1) / places.lanes
     }

@@ -1,17 +1,17 @@
 //! Transforms of as many lines at a time as a vector of the processor has lanes.
 //!
-//! With a line in every lane, nothing is shuffled within a vector, whatever the length. For a
-//! convolution, the spectra of the map and of the kernel only have to be in the same order. The
-//! forward transform therefore leaves its frequencies reversed in the digits of the radices
-//! (decimation in frequency), and the inverse takes them in this order (decimation in time). Both
-//! are in place. With the radices `r` and the rest `m = n / r` of a level
+//! With a line in every lane, nothing is shuffled within a vector, whatever the length. For a convolution, the spectra
+//! of the map and of the kernel only have to be in the same order. The forward transform therefore leaves its
+//! frequencies reversed in the digits of the radices (decimation in frequency), and the inverse takes them in this
+//! order (decimation in time). Both are in place. A transform of n elements is done in levels. On a level, blocks of n
+//! elements are divided by the radix `r` into r blocks of `m = n / r`:
 //!
 //! ```text
 //! y[p m' + j] = exp(-2 pi i j p / n) sum_q exp(-2 pi i p q / r) x[q m + j],   j < m, p < r         (1)
 //! ```
 //!
-//! and then each of the `r` blocks of `m` elements by itself. Blocks that fit into the fastest
-//! cache are processed level by level; larger ones are divided first.
+//! and the next level takes each of the `r` blocks by itself. Blocks that fit into the fastest cache are processed
+//! level by level; larger ones are divided first.
 //!
 //! `pulp` chooses the vectors when the program runs. Each lane is computed by itself. A result
 //! depends on the number of lanes only by the rounding of processors that multiply and add in one
@@ -23,9 +23,8 @@ use pulp::{NullaryFnOnce, Simd};
 
 use crate::vectors::Lanes;
 
-/// Largest number of elements, in all lanes, that are processed level by level: 16 KiB with vectors
-/// of 64 bytes. Larger: a block leaves the fastest cache. Smaller: more calls. It does not change
-/// the result.
+/// Largest number of elements of a line that are processed level by level: 16 KiB with two vectors of 64 bytes per
+/// element. Larger: a block leaves the fastest cache. Smaller: more calls. It does not change the result.
 const BLOCK: usize = 128;
 
 /// Returns true if there is a transform of `n` elements: n > 0 has no prime factors above 5.
@@ -63,7 +62,7 @@ struct Level<T> {
 }
 
 impl<T: Lanes> Transform<T> {
-    /// Plans transforms for lines of `len` elements, a size by [`is_size`].
+    /// Plans transforms for lines of `len` elements; panics unless [`is_size`].
     pub fn new(len: usize) -> Self {
         assert!(is_size(len), "no transform of {len} elements");
         let mut size = len;
@@ -86,8 +85,8 @@ impl<T: Lanes> Transform<T> {
         self.size
     }
 
-    /// Transforms lines in place, one per lane. The frequencies come out in the order of this type, which is not
-    /// ascending.
+    /// Transforms lines in place, one per lane. The frequencies come out in the order of the levels of this plan, which
+    /// is not ascending.
     #[inline(always)]
     pub fn forward<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Forward }.run();
@@ -99,8 +98,8 @@ impl<T: Lanes> Transform<T> {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Inverse }.run();
     }
 
-    /// Transforms lines, multiplies them by a spectrum in the order of this type, and transforms
-    /// them back.
+    /// Transforms lines in place, multiplies them by a spectrum in the order of [`Self::forward`], and transforms them
+    /// back, times the number of elements.
     #[inline(always)]
     pub fn convolve<S: Simd>(
         &self,
@@ -112,8 +111,8 @@ impl<T: Lanes> Transform<T> {
     }
 }
 
-/// Returns the radices of the levels of a transform of `len` elements. Eights come first, so that the blocks are soon
-/// small.
+/// Returns the radices of the levels of a transform of `len` elements, in descending order. Most factors of 2 are
+/// joined to eights, so that the blocks are soon small.
 fn radices(len: usize) -> Vec<usize> {
     let mut twos = len.trailing_zeros();
     let mut rest = len >> twos;
@@ -304,7 +303,7 @@ fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Elem
     [T::negate_mul_add(simd, a[1], b[1], re), T::mul_add(simd, a[1], b[0], im)]
 }
 
-/// Discrete Fourier transform of RADIX elements, which one level of a transform consists of.
+/// Discrete Fourier transform of RADIX elements, of which a level of a transform consists.
 trait Butterfly<const RADIX: usize> {
     fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; RADIX]) -> [Element<T, S>; RADIX];
 }

@@ -7,7 +7,7 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::{Complex64, smooth_size};
 
-/// Plan of the transforms of real lines of up to `len` elements.
+/// Plan of the transforms of real lines (sequences of numbers) of up to a given length.
 pub struct Lines {
     size: usize,
     forward: Arc<dyn RealToComplex<f64>>,
@@ -32,7 +32,8 @@ impl Lines {
         Self { size, forward, inverse }
     }
 
-    /// Returns the number of elements of the spectrum of a real line: half of the frequencies.
+    /// Returns the number of elements of the spectrum of a real line: only the frequencies from 0 to the Nyquist
+    /// frequency.
     pub fn half(&self) -> usize {
         self.size / 2 + 1
     }
@@ -47,7 +48,8 @@ impl Lines {
         }
     }
 
-    /// Makes the spectrum of a line: `write` puts its values on a line of zeros, and `spectrum` receives the result.
+    /// Computes the spectrum of a line. `write` puts its values into a line of zeros, and `spectrum`, of [`Self::half`]
+    /// elements, receives the result.
     pub fn forward(
         &self,
         write: impl FnOnce(&mut [f64]),

@@ -5,10 +5,9 @@
 //! and right, share one complex transform. A circular convolution of `n` elements contains the part that never leaves a
 //! source of `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
 //!
-//! [`GROUP`] lines are transformed at a time, in the lanes of vectors ([`super::lanes`]). A product
-//! handles the frequencies in runs of 16 ([`Run`]). All sums of a run come before the next run, so
-//! that data that several sums share stays in the fastest cache. No result depends on the grouping
-//! of the lines, nor on the number of threads.
+//! [`GROUP`] lines are transformed at a time, in the lanes of vectors ([`super::lanes`]). A product handles the
+//! frequencies in runs of 16 ([`Run`]). It computes all sums for one run before the next run, so that data that several
+//! sums share stays in the fastest cache. No result depends on the grouping of the lines, nor on the number of threads.
 
 use ndarray::ArrayView2;
 use pulp::{Arch, Simd, WithSimd};
@@ -27,11 +26,12 @@ pub const GROUP: usize = 8;
 /// more loops. It has to be a multiple of [`PAIR`] vectors of the widest processor.
 const RUN: usize = 16;
 
-/// A run: 16 neighbouring frequencies, first their real parts, then the imaginary ones.
+/// A run: a spectrum at 16 neighbouring frequencies, first the real parts, then the imaginary ones. For a line that is
+/// not transformed, 32 of its numbers.
 pub type Run = [f64; 2 * RUN];
 
-/// Number of runs between the end of a line and the start of the next. With 0, lines can be a power
-/// of two apart, and all of them fall on the same few lines of the cache. Larger: more memory.
+/// Number of unused runs between a line and the next. With 0, lines can be a power of two apart in memory, and all of
+/// them compete for the same few cache lines. Larger: more memory.
 const GAP: usize = 1;
 
 /// Plan of convolutions along one axis with several kernels. The spectra of their results are summed before the
@@ -45,12 +45,13 @@ pub struct LineConvolution {
     spectra: Vec<Run>,
 }
 
-/// A sum of products: the spectrum that receives it, and the range of its terms in the list of all terms.
+/// A sum of products for [`LineConvolution::subtract`]: the spectrum from which it is subtracted, and the range of its
+/// terms in the list of all terms.
 pub type Sum<'a> = (&'a mut [Run], std::ops::Range<usize>);
 
 impl LineConvolution {
-    /// Plans convolutions with m kernels of g elements, (m, g), on lines of `size >= g` elements. `size` must be a
-    /// size by [`is_field_size`].
+    /// Plans convolutions with m kernels of g elements, (m, g), on lines of `size >= g` elements. Panics unless
+    /// [`is_field_size`] is true for `size`.
     pub fn new(kernels: ArrayView2<f64>, size: usize) -> Self {
         let (m, g) = kernels.dim();
         assert!(g >= 1 && size >= g, "kernel exceeds the line");
@@ -70,8 +71,9 @@ impl LineConvolution {
         plan
     }
 
-    /// Returns the number of runs from one line to the next. As numbers, they are the elements of the left
-    /// line, those of the right one, and the gap. As a spectrum, they are its runs and the gap.
+    /// Returns the number of runs from the start of one line to that of the next. Before a transform, they hold the
+    /// elements of the left line, those of the right one, and the gap; afterwards, the runs of the spectrum and the
+    /// gap.
     pub fn runs(&self) -> usize {
         self.size / RUN + GAP
     }
@@ -107,8 +109,9 @@ impl LineConvolution {
         }
     }
 
-    /// Transforms back the spectra of one group, and passes the result on element by element: `write(i, first, left,
-    /// right)` gets element `i` of the left and of the right lines, from line `first` on.
+    /// Transforms back the spectra of one group of lines, and passes the result on element by element. `write(i, first,
+    /// left, right)` gets element `i` of as many left and right lines as a vector has lanes, from line `first` of the
+    /// group on.
     pub fn inverse_by_elements(
         &self,
         lines: &[Run],
@@ -125,8 +128,8 @@ impl LineConvolution {
         Arch::new().dispatch(Subtract { plan: self, sums, terms });
     }
 
-    /// Returns the index in the numbers of a line of element `i`: of the left line (part 0) or the right one (part 1).
-    /// In a spectrum: of its real (0) or imaginary (1) part.
+    /// Returns the index of element `i` in the numbers of a line: for the left line (`part` 0) or the right one (1). If
+    /// `SPECTRUM`, for the real (0) or the imaginary (1) part of frequency i.
     #[inline(always)]
     fn place<const SPECTRUM: bool>(&self, part: usize, i: usize) -> usize {
         if SPECTRUM { (i / RUN * 2 + part) * RUN + i % RUN } else { part * self.size + i }
@@ -254,7 +257,8 @@ impl WithSimd for Subtract<'_, '_> {
 /// more sums than registers. Smaller: fewer independent sums.
 const PAIR: usize = 2;
 
-/// Subtracts the products of run `k` of all terms from the same run of a sum, pair of vectors by pair.
+/// Subtracts the products of run `k` of all terms from the same run of a sum, [`PAIR`] vectors at a time. `spectra` has
+/// run `k` of all kernels.
 #[inline(always)]
 fn subtract_run<S: Simd>(
     simd: S,
@@ -287,7 +291,7 @@ fn subtract_run<S: Simd>(
     }
 }
 
-/// Returns pair `pair` of the vectors of a run, of its real parts (`part` 0) or of its imaginary ones (1).
+/// Returns group number `pair` of [`PAIR`] vectors of a run, of its real parts (`part` 0) or of its imaginary ones (1).
 #[inline(always)]
 fn part<S: Simd>(run: &Run, part: usize, pair: usize) -> &[<f64 as Lanes>::Vector<S>; PAIR] {
     let numbers = &run.as_chunks::<RUN>().0[part];

@@ -18,9 +18,8 @@ use super::{
 use crate::parallel;
 use crate::vectors::Lanes;
 
-/// Number of cores that the tiles are laid out for. It is fixed, because the result must not depend
-/// on the number of cores. Larger: more and smaller tiles, with more overlap. Smaller: cores are
-/// idle on small maps.
+/// Number of cores for which the sizes of the tiles are chosen. It is fixed, because the result must not depend on the
+/// number of cores. Larger: more and smaller tiles, with more overlap. Smaller: cores are idle on small maps.
 const CORES: usize = 2;
 
 /// Plan of the convolutions with one kernel whose valid parts have one shape, tile by tile.
@@ -34,9 +33,9 @@ pub struct Tiles<T> {
     idle: Mutex<Vec<Workspace<T>>>,
 }
 
-/// Returns the work of the forward and inverse transform of a field. The unit is the arithmetic of one element
-/// in one level of a transform. Reading, transposing and writing take as long as eight levels, and
-/// a field that exceeds the cache takes longer. Both were measured in double precision on fields of
+/// Returns an estimate of the work of the forward and inverse transform of a field of (ny, nx) complex elements. The
+/// unit is the arithmetic of one element in one level of a transform. Reading, transposing and writing take as long as
+/// eight levels, and a field that exceeds the cache takes longer. Both were measured in double precision on fields of
 /// 384 x 384 to 1536 x 1024 elements.
 pub fn field_work<T>((ny, nx): (usize, usize)) -> f64 {
     let elements = (ny * nx) as f64;
@@ -52,8 +51,8 @@ pub fn field_work<T>((ny, nx): (usize, usize)) -> f64 {
 }
 
 impl<T: Lanes> Tiles<T> {
-    /// Plans tiles for valid parts of this `shape` (rows, columns). `None` if one transform of the whole field, of
-    /// `whole` real elements, is less work.
+    /// Plans tiles for valid parts of this `shape` (rows, columns). `None` if one transform of the whole array, of
+    /// `whole` real elements, is not more work.
     pub fn new(kernel: ArrayView2<f64>, shape: (usize, usize), whole: usize) -> Option<Self> {
         let (gy, gx) = kernel.dim();
         // Two real elements count as one complex one, gathering and scattering of lines as a factor
@@ -107,7 +106,7 @@ impl<T: Lanes> Tiles<T> {
         out
     }
 
-    /// Locks the buffers that no thread is using.
+    /// Returns the list of the buffers that no thread is using, locked.
     fn idle(&self) -> MutexGuard<'_, Vec<Workspace<T>>> {
         self.idle.lock().expect("no thread panics with the lock")
     }

@@ -32,7 +32,7 @@ pub fn frequency(k: usize, n: usize) -> f64 {
     signed / n as f64
 }
 
-/// Transforms the rows and the columns of a field, without a scale.
+/// Transforms the rows and the columns of an array, without a scale.
 fn transform(mut field: Array2<Complex64>, direction: FftDirection) -> Array2<Complex64> {
     let mut planner = FftPlanner::new();
     for _axis in 0..2 {

@@ -4,10 +4,10 @@
 //! C -= A' B,      A (k, n), B (k, n), C (n, n),      n = BLOCK
 //! ```
 //!
-//! A row of either panel contains one column of [`BLOCK`] rows of the matrix, in the order in which
-//! the product reads it. A general matrix product copies both into such an order first. For panels
-//! as narrow as these, the copy takes half as long as the multiplications. Some elements of C stay
-//! in registers while the product reads a part of both panels that fits into the fastest cache.
+//! A *panel* is a block of [`BLOCK`] rows of a factor, stored column by column: row k of A or B contains column k of
+//! these rows. The product reads it in this order. A general matrix product copies both into such an order first. For
+//! panels as narrow as these, the copy takes half as long as the multiplications. Some elements of C stay in registers
+//! while the product reads a part of both panels that fits into the fastest cache.
 //!
 //! Every element of C is summed in the order of k, whatever the vector width.
 
@@ -19,8 +19,8 @@ use crate::vectors::Lanes;
 /// takes longer. Smaller: the matrix products do not run at full speed.
 pub(crate) const BLOCK: usize = 64;
 
-/// Number of rows of both panels that are used for all of C before the next ones: 32 KiB in single
-/// precision. Larger: they leave the fastest cache. Smaller: C is read and written more often.
+/// Number of rows of A and of B that are used for all of C before the next ones: 32 KiB for both in single precision.
+/// Larger: they leave the fastest cache. Smaller: C is read and written more often.
 const DEPTH: usize = 64;
 
 /// Number of rows of C in registers. Larger: more accumulators than registers. Smaller: elements of

@@ -35,8 +35,8 @@ const FIRST_LOOK_AT_LARGEST: usize = 8;
 /// crowded. Smaller: a less exact eigenvalue.
 const MAX_STEPS_FOR_LARGEST: usize = 150;
 
-/// Residual of the largest eigenvalue, relative to it, at which [`largest_eigenvalue`] ends: 1e-3 of its
-/// square root. Larger: a less exact eigenvalue. Smaller: more steps.
+/// Residual of the largest eigenvalue, relative to it, at which [`largest_eigenvalue`] ends. The error of its square
+/// root is then at most 1e-3 of it. Larger: a less exact eigenvalue. Smaller: more steps.
 const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 
 /// Result of (1) of the module: a solution without the small eigenvalues.
@@ -44,7 +44,7 @@ const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 pub struct Truncated {
     /// Solution x (n).
     pub value: Vec<f64>,
-    /// Number of eigenvalues above the cut, which is a fraction of the largest one.
+    /// Number of eigenvalues that were found above the cut, which is a fraction of the largest one.
     pub rank: usize,
     /// Largest eigenvalue of H.
     pub largest: f64,
@@ -52,15 +52,16 @@ pub struct Truncated {
     pub smallest: f64,
     /// Number of steps of the Lanczos process, one product with H each.
     pub steps: usize,
-    /// True if x changed by less than the tolerance between the last two tests, or if the process spanned all of g.
+    /// True if x changed by at most the tolerance between the last two tests, or if the process spanned all of g or
+    /// took n steps. Also true for g = 0.
     pub converged: bool,
 }
 
-/// Computes the solution (1) of the module. `apply` is the product with H, and `cut` the smallest eigenvalue kept,
-/// relative to the largest.
+/// Computes the solution (1) of the module. `apply` is the product with H. Eigenvalues up to `cut` times the largest
+/// are left out.
 ///
-/// The process ends when it has spanned all of g, or when x changed by less than `tolerance` of its length in the last
-/// third of the steps. At every test `watch` gets the ratio of that change to the tolerance.
+/// The process ends when it has spanned all of g, when x changed by at most `tolerance` of its length in the last third
+/// of the steps, or after `max_steps` steps. At every test `watch` gets the ratio of that change to the tolerance.
 pub fn truncated(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     g: &[f64],
@@ -177,8 +178,8 @@ fn without_structure(j: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// Returns the eigenvalues and eigenvectors of the symmetric tridiagonal matrix T with the diagonal alpha and the
-/// elements beta beside it.
+/// Returns the eigenvalues and eigenvectors of the symmetric tridiagonal matrix T with the diagonal `alpha` and the
+/// elements `beta` next to it.
 fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     let k = alpha.len();
     let mut t = DMatrix::zeros(k, k);

@@ -43,8 +43,9 @@ struct Lane {
 /// their order.
 ///
 /// `apply` is x (n) -> A x (m), and `adjoint` its adjoint, r (m) -> A' r (n). The iteration of a damping ends when
-/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`, with r = b - A x. After every step
-/// `watch` gets the largest ratio of the left side to the right one.
+/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`, with r = b - A x, or after
+/// `max_iterations` steps. After every step `watch` gets the largest ratio of the left side to the right one among the
+/// dampings that have not ended.
 pub fn lsqr(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     adjoint: impl Fn(&[f64]) -> Vec<f64>,

@@ -51,9 +51,9 @@ struct RowBlock {
 /// An element of the lower triangle of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Element {
-    /// Row of the element.
+    /// Index of the row.
     pub row: usize,
-    /// Column of the element, at most `row`.
+    /// Index of the column, at most `row`.
     pub column: usize,
     /// Value of the element.
     pub value: f64,
@@ -92,7 +92,8 @@ impl Skyline {
         self.first.is_empty()
     }
 
-    /// Counts the stored numbers, including the zeros that complete the blocks.
+    /// Counts the stored numbers, including the zeros that complete the blocks beyond the skyline and right of the
+    /// diagonal.
     pub fn elements(&self) -> usize {
         self.blocks.iter().map(|b| b.values.len()).sum()
     }
@@ -108,8 +109,8 @@ impl Skyline {
         self.fill_together(1, |rows, elements| write(rows.start, elements[0]));
     }
 
-    /// Writes up to `most` neighbouring rows at a time by `write(rows, elements)`, with the
-    /// elements of each row. `most` has to divide the number of rows of a block.
+    /// Writes up to `most` neighbouring rows at a time by `write(rows, elements)`; `elements` has one slice per row,
+    /// from its first stored column to the diagonal. `most` must divide the number of rows of a block (64).
     pub fn fill_together(
         &mut self,
         most: usize,
@@ -220,9 +221,9 @@ impl Skyline {
         self.factorise_keeping(|panel| panel)
     }
 
-    /// Factorises the matrix and rounds the factor to single precision. It needs half the memory,
-    /// and half the time per solution. It is meant for a preconditioner: a solution is that of a
-    /// matrix whose elements differ by 1e-7 of the largest ones.
+    /// Factorises the matrix and rounds the factor to single precision. The factor needs half the memory, and half the
+    /// time per solution. It is meant for a preconditioner: it solves a system whose matrix differs by about 1e-7 of
+    /// the largest elements. `None` if the matrix is not positive definite to rounding.
     pub fn factorise_to_single(self) -> Option<Factor<f32>> {
         self.factorise_keeping(|panel| Panel {
             start: panel.start,
@@ -230,9 +231,9 @@ impl Skyline {
         })
     }
 
-    /// Factorises the sum of this matrix and the elements `added`, whose rows ascend, in single
-    /// precision. Only the diagonal blocks are factorised and inverted in double precision. It
-    /// takes half the time, and more matrices are not positive definite to rounding.
+    /// Factorises the sum of this matrix and the elements `added`, whose rows ascend, in single precision. Only the
+    /// diagonal blocks are factorised and inverted in double precision. It takes half the time. Returns `None` if the
+    /// sum is not positive definite to the rounding of single precision. Panics if an element is outside the skyline.
     pub fn factorise_in_single(&self, added: &[Element]) -> Option<Factor<f32>> {
         assert!(added.is_sorted_by_key(|e| e.row), "elements whose rows ascend");
         assert!(added.last().is_none_or(|e| e.row < self.len()), "elements of this matrix");
@@ -266,9 +267,8 @@ impl Skyline {
 
 /// Number type of a factor: `f64` or `f32`.
 pub trait Number: Lanes + LinalgScalar {
-    /// Smallest square of a pivot, relative to the diagonal element of the matrix, that is not
-    /// rounding. Larger: nearly singular matrices are refused. Smaller: a pivot of rounding is
-    /// accepted.
+    /// Smallest squared diagonal element of L (pivot), relative to the diagonal element of the matrix, that is not
+    /// rounding. Larger: nearly singular matrices are refused. Smaller: a pivot that is only rounding is accepted.
     const LEAST_PIVOT: f64;
 }
 
@@ -611,8 +611,8 @@ fn inverse(l: &Array2<f64>) -> Array2<f64> {
     x
 }
 
-/// Replaces the lower triangle by L and the upper one by zero. `None` if the square of a pivot is
-/// not above its `least`.
+/// Replaces the lower triangle by L and the upper one by zero. `None` if a squared diagonal element of L (pivot) is not
+/// above the element of `least` for its row.
 fn factorise_unblocked(a: &mut Array2<f64>, least: &[f64]) -> Option<()> {
     let n = a.nrows();
     for i in 0..n {

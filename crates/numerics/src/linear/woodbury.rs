@@ -4,11 +4,10 @@
 //! (K - U U')^-1 = K^-1 + V S^-1 V',   V = K^-1 U,   S = 1 - U' V                          (1)
 //! ```
 //!
-//! K keeps its skyline, which the outer products would fill. `K - U U'` is positive definite
-//! exactly if K and S are. If U U' leaves little of K, S is the small difference of 1 and a product
-//! with the rounding of the factor of K. A factor in single precision then needs V to be refined
-//! ([`Woodbury::refined`]). Source: Golub and Van Loan, Matrix Computations, 4th ed., section
-//! 2.1.4.
+//! K keeps its skyline, which the outer products would fill. `K - U U'` is positive definite exactly if K and S are. If
+//! `K - U U'` is nearly singular, S is the small difference of 1 and of U' V, which has the rounding of the factor of
+//! K. A factor in single precision then needs V to be refined ([`Woodbury::refined`]). Source: Golub and Van Loan,
+//! Matrix Computations, 4th ed., section 2.1.4.
 
 use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
 
@@ -17,8 +16,8 @@ use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
 /// of the error.
 const MOST_REFINEMENTS: usize = 4;
 
-/// Largest change of S by the last step of a refinement, relative to the smallest square of a pivot of S: the part of K
-/// that is left along the directions of U. Larger: a less exact S. Smaller: more steps.
+/// Largest change of S by the last step of a refinement, relative to the smallest squared diagonal element (pivot) of
+/// the Cholesky factor of S. Larger: a less exact S. Smaller: more steps.
 const REFINED_TO: f64 = 1e-3;
 
 /// The inverse `(K - U U')^-1` of (1) of the module, as factors.
@@ -40,10 +39,9 @@ impl<T: Number> Woodbury<T> {
         Some(Self { factor, v, small })
     }
 
-    /// Makes the inverse with a refined V. V is refined if less than `enough` is left of K along the
-    /// directions of U, so that the rounding of the factor does not limit it. `product` is K times
-    /// a vector. `None` if `K - U U'` is not positive definite, or if the factor is too far from K
-    /// for a refinement.
+    /// Makes the inverse with a refined V, so that the rounding of the factor does not limit it. V stays unrefined if
+    /// the smallest pivot of S is at least `enough`. `product` is K times a vector. `None` if `K - U U'` is not
+    /// positive definite, or if the factor is too far from K for a refinement.
     pub fn refined(
         factor: Factor<T>,
         u: &[Vec<f64>],

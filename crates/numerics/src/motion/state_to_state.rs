@@ -12,10 +12,10 @@
 //! d_max = (2 w^2 - v0^2 - v1^2)/(2 A) + w (T - (2 w - v0 - v1)/A)                             (3)
 //! ```
 //!
-//! The smallest displacement is that of its mirror image. An axis can therefore arrive at T if and
-//! only if `d_min <= p1 - p0 <= d_max`, and a weighted mean of both motions arrives. The result is
-//! the smallest duration that both axes can do, searched from below. Every duration is possible
-//! from the one on in which both axes can stop, move and start again.
+//! The smallest displacement is that of its mirror image. An axis can therefore arrive at T if and only if its
+//! displacement `p1 - p0` is from d_min to d_max; then a weighted mean of both motions arrives. The result is the
+//! smallest duration that both axes can do, searched from below. Any duration is possible that is at least the one in
+//! which both axes brake to rest, move and start again.
 //!
 //! | symbol | variable |
 //! |---|---|
@@ -114,7 +114,8 @@ fn both_can_take(axes: &[AxisLink; 2], duration: f64) -> bool {
     axes.iter().all(|axis| axis.can_take(duration))
 }
 
-/// Motion of one axis that accelerates, holds its velocity and brakes, or its mirror image.
+/// Motion of one axis that accelerates, holds its velocity and brakes (largest displacement), or its mirror image
+/// (smallest).
 #[derive(Clone, Copy, Debug)]
 struct Profile {
     /// Acceleration before the first corner time; the acceleration after the second corner time is its opposite.
@@ -183,8 +184,8 @@ impl AxisLink {
         })
     }
 
-    /// Returns the weight, 0 to 1, of the motion with the largest displacement in the mean of both that reaches the
-    /// end.
+    /// Returns the weight, 0 to 1, of the motion with the largest displacement in the weighted mean of both motions
+    /// whose displacement is p1 - p0. It is 1 if both have the same displacement.
     fn weight(&self, lowest: &Profile, highest: &Profile) -> f64 {
         let room = highest.displacement - lowest.displacement;
         if room <= 0.0 {

@@ -28,18 +28,17 @@ pub struct TimingPiece {
     pub coefficient: [f64; 4],
 }
 
-/// Pieces that approximate a motion, and their largest distance from it.
+/// Pieces that approximate a motion, and their largest difference from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimingFit {
     /// Pieces in order along the arc.
     pub pieces: Vec<TimingPiece>,
-    /// Largest difference of arc length from the motion at equal times, among 15 places in every piece.
+    /// Largest difference of arc length from the motion at equal times, among 15 points in every piece.
     pub largest_error: f64,
 }
 
-/// Number of places inside a piece where it is compared with the motion. Larger: more time.
-/// Smaller: the largest distance can be missed by more. A test allows that 15 places miss it by 5
-/// %.
+/// Number of points inside a piece where it is compared with the motion. Larger: more time. Smaller: the largest
+/// difference of these can be below the true one by more. A test allows 5 % for 15 points.
 const PLACES: u32 = 15;
 
 /// Smallest useful tolerance of a fit, mm: a picometre. Smaller: pieces are halved because of the
@@ -54,8 +53,9 @@ const MAX_HALVINGS: u32 = 12;
 /// Fits the motion that passes the arc length s at the time `time(s)`, with the derivative `density(s)` = dt/ds,
 /// between consecutive `breaks` (arc lengths, strictly ascending).
 ///
-/// The fit is within `tolerance` in arc length, and within `max_velocity` and `max_acceleration` along the arc
-/// (infinite if there is no limit). The motion itself should stay somewhat below both limits.
+/// A piece is halved until it is within `tolerance` in arc length, and within `max_velocity` and `max_acceleration`
+/// along the arc (infinite if there is no limit). After 12 halvings it is taken as it is, so the caller must check
+/// `largest_error`. The motion itself should stay somewhat below both limits.
 pub fn fit(
     time: impl Fn(f64) -> f64,
     density: impl Fn(f64) -> f64,
@@ -102,8 +102,7 @@ fn hermite(
     TimingPiece { start, end, duration: h, coefficient }
 }
 
-/// Returns the largest difference of arc length between a piece and the motion at equal times, among [`PLACES`]
-/// places.
+/// Returns the largest difference of arc length between a piece and the motion at equal times, among [`PLACES`] points.
 fn largest_error(time: impl Fn(f64) -> f64, piece: &TimingPiece) -> f64 {
     let begin = time(piece.start);
     let errors = (1..=PLACES).map(|k| {

@@ -28,16 +28,16 @@ const POWER_STEPS: usize = 40;
 /// one. Larger: shorter steps. Smaller: steps that are too long, so that the iteration may diverge.
 const EIGENVALUE_MARGIN: f64 = 1.02;
 
-/// Number of steps of [`projected_gradient`] between two tests of convergence. A test costs a product with H. Larger:
-/// more steps than necessary. Smaller: more tests.
+/// Number of steps of [`projected_gradient`] between two tests of convergence. A test takes one more product with H.
+/// Larger: more steps than necessary. Smaller: more tests.
 const STEPS_BETWEEN_LOOKS: usize = 50;
 
 /// Number of steps of [`projected_gradient`] that a caller should do after an active set method has failed. Larger:
 /// more time. Smaller: less progress.
 pub const DESCENT_STEPS: usize = 300;
 
-/// Number of products with H without a smaller residual after which [`conjugate_gradients`] has reached the rounding
-/// of its coarse solutions and ends. Larger: more products without an effect. Smaller: it ends in a plateau.
+/// Number of products with H without a smaller `r' z` after which [`conjugate_gradients`] has reached the rounding of
+/// its coarse solutions and ends. Larger: more products without an effect. Smaller: it ends in a plateau.
 const PRODUCTS_WITHOUT_PROGRESS: usize = 60;
 
 /// Number of factorisations without a smaller natural residual after which [`active_set`] is
@@ -88,8 +88,9 @@ impl Quadratic {
     }
 }
 
-/// The last set I of free components that [`active_set`] solved for, and the factor of its submatrix H_II. It serves
-/// another g with the same H: if one solution is corrected by another, the free components are soon the same again.
+/// The last set I of free components that [`active_set`] solved for, and the factor of its submatrix H_II. It can be
+/// used again for another g with the same H, if the set of free components is the same. This is soon so if one solution
+/// is corrected by another.
 #[derive(Debug, Default)]
 pub struct LastFactor(Option<(Vec<usize>, Woodbury)>);
 
@@ -100,7 +101,8 @@ pub struct Solution {
     pub value: Vec<f64>,
     /// Natural residual (2) of the module: the largest move of a component in a projected step, in the unit of t.
     pub natural_residual: f64,
-    /// Number of iterations: sets of free components, products with H, or gradient steps.
+    /// Number of iterations. By [`active_set`]: sets of free components up to the one that gave `value`. By
+    /// [`active_set_by_products`]: products with H. By [`projected_gradient`]: steps.
     pub iterations: usize,
     /// Reason why the iteration ended.
     pub end: End,
@@ -109,7 +111,7 @@ pub struct Solution {
 /// Reason why an iteration ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The natural residual is within the tolerance.
+    /// The natural residual is within the tolerance, or the sets of components at their bounds repeat.
     Optimal,
     /// The objective no longer falls by enough between two tests.
     Stagnated,
@@ -135,14 +137,15 @@ pub fn natural_residual(
 /// Solves the bounded least squares problem (1) of the module by the primal-dual active set method, for an H that can
 /// be factorised.
 ///
-/// Source: Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865, algorithm of section 2. The
-/// sets of components at a bound are guessed from `t - q / c`, and the other components are solved
-/// for. If the sets repeat, (2) is zero to rounding. The method may cycle. Then the guess changes
-/// one component at a time (the one of largest index, Murty's rule), which ends.
+/// Source: Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865, algorithm of section 2. The sets of components at
+/// a bound are guessed from `t - q / c`, and the other components are solved for. If the sets are the same in two
+/// iterations, (2) is zero to rounding. The method may cycle. Then the guess changes one component at a time (the one
+/// of largest index, Murty's rule), which ends after finitely many steps.
 ///
-/// The components of `start` at a bound give the first sets. The method ends when the sets repeat, or as soon as the
-/// natural residual (2) is below `enough`. `last` holds the last factor of the same H, or is empty. `None` if H is not
-/// positive definite.
+/// The components of `start` at a bound give the first sets. The method ends when the sets repeat, as soon as the
+/// natural residual (2) is below `enough`, or after `max_iterations` sets, and returns the point with the smallest
+/// natural residual. `last` holds the last factor of the same H, or is empty. `None` if H is not positive definite on
+/// the free components.
 pub fn active_set(
     h: &Quadratic,
     g: &[f64],
@@ -286,7 +289,8 @@ fn solve_free(
 pub struct ProductSettings {
     /// Natural residual, (2) of the module, at which the method ends.
     pub enough: f64,
-    /// Largest error of a linear solve in the norm of H, relative to the step that it finds.
+    /// Largest error of a linear solve in the norm of H, relative to the step that it finds; see
+    /// [`conjugate_gradients`].
     pub inexact: f64,
     /// Largest number of sets of free components.
     pub max_sets: usize,
@@ -312,12 +316,13 @@ pub struct ProductSolution {
     /// The minimiser of the objective over the free components of the last set, which may be beyond their bounds. The
     /// other components are at their bounds.
     pub unbounded: Vec<f64>,
-    /// Flags of the components that were free in the last set.
+    /// True for every component that was free in the last set.
     pub free: Vec<bool>,
 }
 
 /// Returns the state of every component at the start `t` with the gradient `q`: at a bound if it is there and descent
-/// points beyond it. Components that do not move (`moves`) are not free.
+/// points beyond the bound, otherwise free. Components that do not move (false in `moves`) count as at their lower
+/// bound.
 fn first_places(
     t: &[f64],
     q: &[f64],
@@ -337,9 +342,9 @@ fn first_places(
 /// Solves (1) of the module as [`active_set`] does, for an H of which only products are known. Conjugate gradients
 /// solve for the free components, and `deflation(free)` makes their preconditioner.
 ///
-/// `apply(t)` is H t; components with H_jj <= 0 stay at `start`. The result is the point with the smallest objective
-/// during the iteration, `start` included. The method ends when the sets repeat or the natural residual (2) is small
-/// enough.
+/// `apply(t)` is H t; components with H_jj <= 0 or equal bounds stay at `start`. The result is the point with the
+/// smallest objective during the iteration, `start` included. The method ends when the sets repeat, when the natural
+/// residual (2) is small enough, or at the limits of `settings`.
 pub fn active_set_by_products<D: Deflation>(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     mut deflation: impl FnMut(&[bool]) -> D,
@@ -418,7 +423,8 @@ pub fn active_set_by_products<D: Deflation>(
     ProductSolution { solution, unbounded: x, free }
 }
 
-/// Puts the components that move (`moves`) on their bounds or, if they are free, within them.
+/// Puts the components that move (true in `moves`) on the bound that `state` says or, if they are free, within their
+/// bounds.
 fn put_on_bounds(x: &mut [f64], state: &[BoundState], moves: &[bool], (lo, hi): (&[f64], &[f64])) {
     for j in (0..x.len()).filter(|j| moves[*j]) {
         match state[j] {
@@ -437,9 +443,9 @@ fn put_on_bounds(x: &mut [f64], state: &[BoundState], moves: &[bool], (lo, hi): 
 /// t += Q r,   z = S r + Q (r - H S r)        then the residuals r stay orthogonal to V
 /// ```
 ///
-/// Source: J. M. Tang, R. Nabben, C. Vuik, Y. A. Erlangga, J. Sci. Comput. 39 (2009) 340, method A-DEF2.
-/// Ends if `r' z <= inexact^2 * (decrease of the objective so far)`, or if `r' z` no longer falls, or after `most`
-/// products with H. Returns the number of products.
+/// Source: J. M. Tang, R. Nabben, C. Vuik, Y. A. Erlangga, J. Sci. Comput. 39 (2009) 340, method A-DEF2. Ends if `r' z
+/// <= inexact^2 * (decrease of the objective so far)`, if `r' z` no longer falls, if a direction has no positive
+/// curvature, or after about `most` products with H. Returns the number of products.
 pub fn conjugate_gradients(
     apply: &impl Fn(&[f64]) -> Vec<f64>,
     deflation: &impl Deflation,
@@ -507,7 +513,7 @@ fn step(t: &mut [f64], q: &mut [f64], a: f64, (p, h_p): (&[f64], &[f64])) {
 /// Conditions at which [`projected_gradient`] ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GradientSettings {
-    /// Natural residual, (2) of the module, at which the iteration ends.
+    /// Natural residual, (2) of the module, at which the iteration ends as optimal.
     pub tolerance: f64,
     /// Largest number of steps.
     pub max_iterations: usize,
@@ -532,7 +538,8 @@ pub struct GradientSettings {
 /// theta+ = (1 + sqrt(1 + 4 theta^2)) / 2,   y = t+ + (theta - 1)/theta+ (t+ - t)
 /// ```
 ///
-/// `apply(t)` is H t, and `diagonal` its diagonal. Components with H_jj <= 0 stay at `lo`. `start` is the first guess.
+/// `apply(t)` is H t, and `diagonal` its diagonal. Components with H_jj <= 0 are set to `lo`. `start` is the first
+/// guess, clipped to the bounds.
 pub fn projected_gradient(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     diagonal: &[f64],

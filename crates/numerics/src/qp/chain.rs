@@ -47,7 +47,7 @@ pub struct ChainProgram {
     pub beside: Vec<f64>,
     /// Linear coefficients c (n); the objective contains -c' x.
     pub linear: Vec<f64>,
-    /// Flags of the free variables (n); the other variables are fixed at zero.
+    /// True for every free variable (n); the other variables are fixed at zero.
     pub free: Vec<bool>,
     /// Prices p (n-1) of the excess e_i of every link, > 0; empty if the rows are hard.
     pub price: Vec<f64>,
@@ -80,7 +80,7 @@ struct ChainRow {
 
 impl ChainRows {
     /// Adds the constraint `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the link i for which `rows` of [`solve`] was
-    /// called.
+    /// called. Without prices, `k` is ignored.
     pub fn add(&mut self, a: [f64; 2], k: f64, bound: f64) {
         let a = [a[0] * self.w[0], a[1] * self.w[1]];
         let k = if self.elastic { k } else { 0.0 };
@@ -105,7 +105,7 @@ impl ChainRows {
         self.end.push(self.row.len());
     }
 
-    /// Returns the range of the rows of link k.
+    /// Returns the range, in `row`, of the constraint rows of link k, counted from the end of the chain.
     fn of_link(&self, k: usize) -> Range<usize> {
         let start = if k == 0 { 0 } else { self.end[k - 1] };
         start..self.end[k]
@@ -196,16 +196,16 @@ impl ChainProgram {
     }
 }
 
-/// State of a variable y_k, called node, in the iteration.
+/// State of a scaled variable y_k, called node, in the iteration.
 #[derive(Clone, Copy, Default)]
 struct Node {
     y: f64,
     /// In the forward pass: the right-hand side of (2) of the module, eliminated and divided by the pivot. In the
     /// backward pass: the step of y.
     dy: f64,
-    /// Inverse of the pivot, 1 / D_kk, of the factorisation L D L' of the matrix of (2).
+    /// Inverse of the pivot of this node in the elimination of the matrix of (2).
     inverse: f64,
-    /// Element of L that couples this node with the next one towards the middle.
+    /// Element that couples this node with the next one towards the middle, divided by the pivot.
     below: f64,
 }
 impl Node {
@@ -215,14 +215,15 @@ impl Node {
         self.y
     }
 }
-/// Slack s and multiplier l of a row, or their steps.
+/// Slack s and multiplier l of a constraint row, or their steps ds and dl.
 #[derive(Clone, Copy, Default)]
 struct Pair {
     s: f64,
     l: f64,
 }
 
-/// Values of a row during a step.
+/// Values of a constraint row during a step: coefficients a of its nodes, coefficient k of its excess (`slack`), slack
+/// s, multiplier l, and step ds of s.
 struct RowStep {
     a: [f64; 2],
     slack: f64,
@@ -233,7 +234,7 @@ struct RowStep {
     ds: f64,
 }
 
-/// State of the excess e of a link.
+/// State of the excess e of a link, by which its rows may exceed their bounds.
 #[derive(Clone, Copy, Default)]
 struct Excess {
     e: f64,
@@ -250,7 +251,7 @@ struct Excess {
 struct Carry {
     /// Addition to the pivot of that node.
     pivot: f64,
-    /// Addition to its right-hand side.
+    /// Addition to its right-hand side of (2) of the module.
     right: f64,
     /// Addition to its element of c - P y.
     gradient: f64,
@@ -280,7 +281,8 @@ struct Block {
 
 impl Block {
     /// Adds a constraint row: D b b' to the matrix, and -D r_p a to the right-hand side. `a` has its coefficients, `d`
-    /// its D, and `primal` its r_p. `b` is a without the part in the excess, and equals a if the row is hard.
+    /// is D = l / s, and `primal` is its primal residual r_p. `b` is the vector `a_j - k_j m` of (3) of the module, or
+    /// a if the row is hard.
     #[inline(always)]
     fn add(&mut self, b: [f64; 2], a: [f64; 2], d: f64, primal: f64) {
         self.pivot[0] += d * b[0] * b[0];
@@ -290,7 +292,8 @@ impl Block {
         self.right[1] -= a[1] * d * primal;
     }
 
-    /// Eliminates the outer node, and returns the numbers that this adds to the inner one.
+    /// Eliminates the outer node of the link (towards the end of the chain), and returns the numbers that this adds to
+    /// the inner one.
     #[inline(always)]
     fn eliminate(self, node: &mut Node) -> Carry {
         let Self { pivot, off, right } = self;
@@ -333,8 +336,8 @@ impl Residual {
         }
     }
 
-    /// Returns true if primal residual and complementarity are within `tolerance`, and the dual residual within
-    /// [`DUAL_TOLERANCE`].
+    /// Returns true if primal residual and complementarity are at most `tolerance`, and the dual residual at most
+    /// [`DUAL_TOLERANCE`] or `tolerance`, whichever is larger.
     fn is_within(&self, tolerance: f64) -> bool {
         self.largest <= tolerance && self.largest_dual <= DUAL_TOLERANCE.max(tolerance)
     }
@@ -346,7 +349,7 @@ impl Residual {
     }
 }
 
-/// Inverse of the longest possible step, and the effect of the step on the complementarity.
+/// Inverse of the longest possible step, and the effect of the predictor's step on the complementarity s l.
 #[derive(Clone, Copy, Default)]
 struct Reach {
     /// Largest -ds / s or -dl / l over the rows: the inverse of the longest step with s >= 0 and l >= 0.
@@ -368,7 +371,7 @@ fn worse(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// A scaled program; `ELASTIC` if its rows have prices.
+/// A scaled program. `ELASTIC` is true if it has prices, so that rows may exceed their bounds.
 struct Chain<'a, const ELASTIC: bool> {
     program: &'a ChainProgram,
     /// Diagonal element of the scaled matrix P, the same for all variables.
@@ -376,7 +379,8 @@ struct Chain<'a, const ELASTIC: bool> {
 }
 
 impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
-    /// Returns the solution x = w y (n) of the program before it was scaled.
+    /// Returns the solution x = w y (n) of the program before it was scaled, from the scales `w` (n) and the rows as in
+    /// the public [`solve`].
     fn solve(
         &self,
         mut w: Vec<f64>,
@@ -457,7 +461,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         Ok(w)
     }
 
-    /// Makes the two halves of the chain, with the links from either end to the middle.
+    /// Makes the two halves of the chain (low, high), with the links from either end to the middle.
     fn halves(
         &self,
         w: &[f64],
@@ -478,8 +482,8 @@ fn values<const ELASTIC: bool>(low: &Half<ELASTIC>, middle: f64, high: &Half<ELA
     nodes.chain(high.node.iter().rev().map(|node| node.y)).collect()
 }
 
-/// Returns the centring parameter sigma of the corrector (Mehrotra), from the reach of the predictor and the number
-/// of rows m:
+/// Returns the centring parameter sigma of the corrector (Mehrotra), from the mean complementarity mu, the reach of the
+/// predictor and the number of rows m:
 ///
 /// ```text
 /// a     = min(1, 1 / max(-ds/s, -dl/l))
@@ -502,13 +506,15 @@ struct Half<'a, const ELASTIC: bool> {
     rows: ChainRows,
     node: Vec<Node>,
     pair: Vec<Pair>,
-    /// Steps ds and dl of every row; before the backward pass of the corrector, `l` contains its target t of (2).
+    /// Steps ds and dl of every row; before the backward pass of the corrector, `l` contains the t of (2) of the
+    /// module.
     step: Vec<Pair>,
     excess: Vec<Excess>,
 }
 
 impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
-    /// Collects the rows of the links of one half; `add(i, rows)` adds those of link i of the whole chain.
+    /// Collects the constraint rows of the links of one half; `add(i, rows)` adds those of link i of the whole chain.
+    /// `w` has the scales of the variables (n).
     fn new(
         program: &'a ChainProgram,
         diagonal: f64,
@@ -574,7 +580,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         (a, if ELASTIC { self.rows.slack[j] } else { 0.0 }, bound)
     }
 
-    /// Eliminates the system P y = c, without rows, from the end of the chain towards the middle.
+    /// Eliminates the system P y = c, without constraint rows, from the end of the chain towards the middle. Returns
+    /// what this adds to the middle node.
     fn eliminate_free(&mut self) -> Carry {
         let mut carry = Carry::default();
         for k in 0..self.links() {
@@ -608,7 +615,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
     }
 
     /// Moves by the fraction `length` of the last step, computes the residuals there, and eliminates (2) of the
-    /// predictor towards the middle.
+    /// predictor towards the middle. `middle` is the new y of the middle node. Returns what this adds to the middle
+    /// node, and the residuals.
     fn advance_and_eliminate(&mut self, length: f64, middle: f64) -> (Carry, Residual) {
         let mut carry = Carry::default();
         let mut r = Residual::default();
@@ -710,8 +718,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
     }
 
-    /// Returns the values of row j during a step: coefficients, slack s, multiplier l, primal residual r_p, and ds.
-    /// The arguments are y and e of its link, and their steps.
+    /// Returns the values of row j during a step. The arguments are y of the two nodes of its link and their steps, and
+    /// the excess e of the link and its step.
     #[inline(always)]
     fn step_of(&self, j: usize, y: [f64; 2], dy: [f64; 2], (e, de): (f64, f64)) -> RowStep {
         let (a, slack, bound) = self.row(j);
@@ -721,7 +729,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         RowStep { a, slack, s, l, primal, ds }
     }
 
-    /// Substitutes the predictor from the middle outwards. `middle` and `step` are y of the middle node and its step.
+    /// Computes the steps of the predictor by substitution from the middle outwards, and returns their reach. `middle`
+    /// and `step` are y of the middle node and its step.
     fn predict(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let mut y1 = middle;
@@ -744,7 +753,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
     }
 
     /// Eliminates (2) of the corrector towards the middle. `second` is the factor of the second-order term ds dl, and
-    /// `sigma_mu` the target of the complementarity.
+    /// `sigma_mu` the target of the complementarity. `middle` and `step` are y of the middle node and its step by the
+    /// predictor.
     fn eliminate_corrector(&mut self, second: f64, sigma_mu: f64, middle: f64, step: f64) -> Carry {
         let mut carry = Carry::default();
         let mut inner = self.y_and_step(0, middle, step);
@@ -791,7 +801,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         self.node.get(k).map_or((middle, step), |node| (node.y, node.dy))
     }
 
-    /// Substitutes the corrector from the middle outwards. `middle` and `step` are y of the middle node and its step.
+    /// Computes the steps of the corrector by substitution from the middle outwards, and returns their reach. `middle`
+    /// and `step` are y of the middle node and its step.
     fn correct(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let mut y1 = middle;

@@ -4,9 +4,9 @@
 //! min 1/2 x' H x - g' x   subject to   x >= 0,   H symmetric positive definite             (1)
 //! ```
 //!
-//! The classic active set method frees the component with the steepest descent and solves the free
-//! problem. Components that turn negative on the way are fixed at zero again. Every step lowers the
-//! objective, so the method ends. The factor of the free part of H gains and loses single rows.
+//! The classic active set method frees the component at zero with the most negative gradient, and solves for the free
+//! components without their bounds. Components that turn negative on the way are fixed at zero again. Every step lowers
+//! the objective, so the method ends. The factor of the free part of H gains and loses single rows.
 //!
 //! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23; on the
 //! normal equations, R. Bro, S. de Jong, J. Chemometrics 11 (1997) 393; the rows that leave the
@@ -24,14 +24,16 @@ pub struct NonNegative {
     /// Largest violation of the optimality conditions, with `q = H x - g`: `|q_j| / H_jj` of a free
     /// component, and `max(0, -q_j) / H_jj` of a component at zero.
     pub violation: f64,
-    /// True if the method ended before its limit of iterations.
+    /// True if the method ended because no component at zero would grow; false if it ended at its limit of iterations.
     pub converged: bool,
 }
 
 /// Solves the non-negative least squares problem (1) of the module; components with `H_jj <= 0` stay 0.
 ///
-/// Ends when no component at zero would grow: with the gradient q = H x - g, `-q_j <= tolerance max |g|`. Before every
-/// change of the active set `watch` gets the largest ratio of the left side to the right one.
+/// Ends when no component at zero would grow, that is, with the gradient q = H x - g, if `-q_j <= tolerance max |g|`
+/// for all of them, or after about `max_iterations` changes. Components whose columns depend on those of the free ones
+/// are left out. Before every change of the active set `watch` gets the largest ratio of the left side to the right
+/// one.
 pub fn nnls(
     h: &Array2<f64>,
     g: &[f64],

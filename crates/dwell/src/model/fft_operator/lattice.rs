@@ -1,4 +1,5 @@
-//! The lattice on which dwell times are spread: the pixels of the map, continued by the reach of the TIF.
+//! The lattice on which dwell times are spread: the nodes of the map, continued by the reach of the TIF. A *step* here
+//! is the distance of two nodes; a *cell* is the interval between them.
 
 use ndarray::{Array2, Axis as NdAxis, s};
 use planish_numerics::{
@@ -9,24 +10,25 @@ use planish_types::{Grid, Tif};
 
 use crate::model::columns::ToolPlace;
 
-/// Difference of the pitches of TIF and map, accumulated over the whole TIF, in steps, up to which they are the same.
-/// The same pitch may be rounded differently in two files. Larger: the removal shifts by up to that many steps.
-/// Smaller: rounded pitches cost the time of another lattice.
+/// Difference of the pitches of TIF and lattice, accumulated over all samples of the TIF, in steps, up to which they
+/// count as the same. The same pitch may be rounded differently in two files. Larger: the removal shifts by up to that
+/// many steps. Smaller: rounded pitches cost the time of another lattice.
 const SAME_PITCH: f64 = 1e-4;
 
-/// Weights by which the time of a tool between nodes is spread on four of them along an axis, with the kernel that
-/// belongs to these weights.
+/// Choice of the weights with which the dwell time of a tool between nodes is spread on four of them along an axis. It
+/// also sets the kernel with which the spread times are convolved.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Spread {
     /// Keys' weights. The kernel is the samples of the TIF with ghost nodes.
     Keys,
     /// Cubic B-splines. The kernel is the coefficients of the spline through the samples, which is 0 beyond them. It
-    /// serves samples so few that Keys' weights would be too rough: at a fifth of the sampling frequency these lose 3
-    /// % and have an image of 3 %, splines 0.4 %.
+    /// serves samples that are too few for Keys' weights: at a fifth of the sampling frequency, these lose 3 % of the
+    /// amplitude and add an alias of 3 %, splines 0.4 %.
     Splines,
 }
 
-/// One axis of the lattice: pixels i of the map, and samples j = -1 ..= last of the TIF.
+/// One axis of the lattice: nodes i of the map (called pixels), and samples j = -1 ..= last of the TIF, of which -1 and
+/// the last one or two are ghost nodes beyond its edges.
 #[derive(Clone, Copy)]
 pub struct Lattice {
     start_mm: f64,
@@ -34,7 +36,7 @@ pub struct Lattice {
     pub pixels: usize,
     tif_start_mm: f64,
     tif_end_mm: f64,
-    /// True if the samples of the TIF have the pitch of the map.
+    /// True if the samples of the TIF have the pitch of the lattice.
     pub own: bool,
     /// Upper edge of the TIF, counted from the lower one, in steps of the lattice.
     pub edge: f64,
@@ -44,7 +46,7 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// Makes the lattice of a map and a TIF along x (`axis` 0) or y (1).
+    /// Makes the lattice along x (`axis` 0) or y (1) with the nodes of `map` and a TIF.
     pub fn new(map: &Grid, tif: &Tif, axis: usize, spread: Spread) -> Self {
         let map = [&map.x, &map.y][axis];
         let samples = [&tif.grid().x, &tif.grid().y][axis];
@@ -94,16 +96,17 @@ impl Lattice {
         self.pixels + self.last as usize + 1
     }
 
-    /// Returns the cell of a tool at the coordinate p, mm, and its offset there in steps. `None` if it does not reach
-    /// the map.
+    /// Returns the cell that contains the first sample of the TIF for a tool at the coordinate p, mm, and the offset of
+    /// the sample in the cell, in steps (0 .. 1). The cell has the index of its lower node; pixel 0 has the index 0.
+    /// `None` if the TIF is more than two steps away from the map.
     pub fn place(&self, p: f64) -> Option<(i32, f64)> {
         let (cell, f) = keys::split((p + self.tif_start_mm - self.start_mm) / self.step_mm);
         let reaches = cell >= -self.last - 2 && cell <= self.pixels as isize + 1;
         if reaches { Some((cell as i32, f)) } else { None }
     }
 
-    /// Returns two pixel offsets k from the cell of a tool at the offset f. Pixels up to the first and from the second
-    /// one on are beyond the TIF: there k - f lies outside [0, edge].
+    /// Returns two pixel offsets k from the cell of a tool at the offset f, steps. Pixels up to the first offset and
+    /// from the second one on are beyond the TIF: there k - f lies outside [0, edge].
     pub fn spills(&self, f: f64) -> [isize; 2] {
         let low = if f > 0.0 { 0 } else { -1 };
         let (whole, _) = keys::split(self.edge + f);
@@ -111,7 +114,8 @@ impl Lattice {
     }
 }
 
-/// A place of the tool on the lattice. Pairs are [across, along] the lines of the lattice that are processed.
+/// A place of the tool on the lattice: cell and offset of [`Lattice::place`], fraction of the dwell time, and index of
+/// the column. Pairs are [across, along] the lines of the lattice that are processed.
 #[derive(Clone, Copy)]
 pub struct Placed {
     pub cell: [i32; 2],
@@ -175,8 +179,8 @@ pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     kernel
 }
 
-/// Returns the TIF at the nodes of the lattice, nm/s, with a ghost node before its lower edge and up to two beyond its
-/// upper edge.
+/// Returns the samples of the TIF at the pitch of the lattice (y, x), nm/s, with a ghost node before its lower edge and
+/// one or two beyond its upper edge on each axis.
 pub fn samples(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
     if x.own && y.own {
         return tif.with_ghosts().clone();

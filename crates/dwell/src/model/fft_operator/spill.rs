@@ -1,5 +1,6 @@
-//! Dwell times spread on lines across one axis, and what Keys' interpolation lets spill over the two
-//! borders of the TIF on that axis: (2) of [`crate::model::fft_operator`] and its adjoint.
+//! Dwell times spread on the lines of the lattice, and the spill: the removal that Keys' interpolation adds beyond the
+//! two edges of the TIF across these lines. It is (2) of [`crate::model::fft_operator`], with its adjoint. The lines
+//! are rows of the map or, with the axes swapped, columns.
 
 use std::ops::{Range, RangeInclusive};
 
@@ -19,11 +20,11 @@ pub struct Across {
     places: Vec<Placed>,
     groups: Vec<Group>,
     lines: line::Lines,
-    /// Samples of the TIF, across the lines, that spill: their indices j, and the spectra of their rows.
+    /// Lines of samples of the TIF that spill: their indices j across, and their spectra.
     border: Vec<(isize, Vec<Complex64>)>,
 }
 
-/// Places of one cell across that spill onto the same lines.
+/// Places with the same cell across the lines that spill onto the same lines.
 struct Group {
     cell: isize,
     /// Offsets from the cell: lines up to the first and from the second one on receive spill.
@@ -31,8 +32,8 @@ struct Group {
     places: Range<usize>,
 }
 
-/// Part of a line on which a tool is spread: its sources `start .. end`, and how many of the four weights fall before
-/// them.
+/// Part of a line on which a place is spread: its sources `start .. end`, and the number of the four weights that fall
+/// before them, beyond the line.
 struct Under {
     start: usize,
     end: usize,
@@ -40,7 +41,7 @@ struct Under {
 }
 
 impl Under {
-    /// Returns the sum of a line on this part, weighted with the four weights.
+    /// Returns the sum of the values of a line on this part, each times its weight of the four.
     fn sum(&self, weights: &[f64; 4], line: &[f64]) -> f64 {
         let on = line[self.start..self.end].iter().zip(&weights[self.skipped..]);
         on.map(|(v, w)| w * v).sum()
@@ -53,9 +54,9 @@ impl Under {
     }
 }
 
-/// Largest number of nodes of one axis that receive spill from the samples, and of samples that spill. The lower edge
-/// has three. The upper edge, which may lie between two nodes, has four nodes or five samples. A smaller number fails
-/// an assertion.
+/// Largest number of nodes along an axis that receive spill, and of samples along an axis that spill. The lower edge
+/// has three of each. The upper edge, which may lie between two nodes, has at most four nodes and five samples. A
+/// smaller number fails an assertion.
 const MAX_BORDER: usize = 8;
 
 /// A number for each of the nodes of one axis that receive spill.
@@ -65,15 +66,16 @@ type Nodes = [f64; MAX_BORDER];
 pub struct Corners {
     /// Offsets c along the lines, from the cell, of the nodes beyond the edges.
     nodes: Vec<isize>,
-    /// Samples g[j, c - e] of every node c, for every spilling sample j across and every weight e along.
+    /// Samples g[j, c - e] for every spilling sample j across, every weight e = -1 ..= 2 along, and every node c.
     samples: Vec<[Nodes; 4]>,
 }
 
-/// Number of lines that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more overhead.
+/// Number of lines of the lattice that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more
+/// overhead.
 pub const LINES_PER_TASK: usize = 32;
 
 impl Across {
-    /// Sorts the places by cells, and transforms those rows of the samples [across, along] that spill.
+    /// Sorts the places by their cells across, and transforms those lines of the samples [across, along] that spill.
     pub fn new(
         across: Lattice,
         along: Lattice,
@@ -110,12 +112,12 @@ impl Across {
         Self { across, along, places, groups, lines, border }
     }
 
-    /// Returns the spectrum of row j of the samples; `None` if it does not spill.
+    /// Returns the spectrum of line j of the samples; `None` if it does not spill.
     fn sample(&self, j: isize) -> Option<&[Complex64]> {
         self.border.iter().find(|(k, _)| *k == j).map(|(_, g)| g.as_slice())
     }
 
-    /// Returns the groups whose cells are in the range.
+    /// Returns the groups whose cells across are in the range.
     fn within(&self, cells: Range<isize>) -> &[Group] {
         let [from, to] =
             [cells.start, cells.end].map(|cell| self.groups.partition_point(|g| g.cell < cell));
@@ -148,7 +150,8 @@ impl Across {
         seconds
     }
 
-    /// Returns the four weights of a place across the lines, and the four along them.
+    /// Returns the four weights of a place across the lines, and the four along them, of the nodes -1 ..= 2 from its
+    /// cell.
     #[inline(always)]
     fn weights(&self, p: &Placed) -> ([f64; 4], [f64; 4]) {
         (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]))
@@ -163,7 +166,8 @@ impl Across {
         Under { start: start as usize, end: end as usize, skipped: (start - first) as usize }
     }
 
-    /// Adds to a line the seconds of all places of a group, each with its weight d across and its weights along.
+    /// Adds to a line the dwell times, s, of all places of a group, each times its weight d (-1 ..= 2) across and
+    /// spread with its weights along.
     fn spread(&self, group: &Group, d: isize, t: &[f64], line: &mut [f64]) {
         for p in &self.places[group.places.clone()] {
             let (across, along) = self.weights(p);
@@ -172,7 +176,8 @@ impl Across {
         }
     }
 
-    /// Returns the adjoint `S' f` of the spreading for a field f on the sources, summed by columns (n).
+    /// Returns the adjoint product `S' f` of the spreading for an array f on the sources (across, along): one number
+    /// for each of `columns` columns.
     pub fn gather(&self, field: &Array2<f64>, columns: usize) -> Vec<f64> {
         let field = field.as_slice().expect("in C order");
         let height = self.across.sources() as isize;
@@ -198,7 +203,8 @@ impl Across {
         sums
     }
 
-    /// Returns the offsets k of the lines onto which a group spills, over its lower or its upper edge.
+    /// Returns the offsets k, from the cell, of the lines onto which a group spills over the lower or the upper edge of
+    /// the TIF.
     fn lines_beyond(&self, group: &Group, upper: bool) -> RangeInclusive<isize> {
         if upper { group.spills[1]..=self.across.last + 2 } else { -2..=group.spills[0] }
     }
@@ -208,13 +214,14 @@ impl Across {
         if upper { (k - self.across.last).max(-1)..=2 } else { -1..=(k + 1).min(2) }
     }
 
-    /// Returns all pairs (line offset k, weight d) by which a group spills over its lower or its upper edge.
+    /// Returns all pairs (line offset k, weight d) by which a group spills over the lower or the upper edge of the TIF.
     fn pairs(&self, group: &Group, upper: bool) -> impl Iterator<Item = (isize, isize)> {
         self.lines_beyond(group, upper)
             .flat_map(move |k| self.weights_of(k, upper).map(move |d| (k, d)))
     }
 
-    /// Returns the range of cells that spill onto lines of the range, over their lower or their upper edge.
+    /// Returns the range of cells from which tools may spill onto lines of the range, over the lower or the upper edge
+    /// of the TIF.
     fn cells(&self, lines: &Range<isize>, upper: bool) -> Range<isize> {
         if upper {
             lines.start - self.across.last - 2..lines.end - self.across.edge.floor() as isize
@@ -223,8 +230,8 @@ impl Across {
         }
     }
 
-    /// Returns the removal that spills onto the lines of the map by (2), shape (across, along), nm, for dwell times t
-    /// (n), s. With `corners` the removal that spills over both edges is left out.
+    /// Returns the spill (2) of [`super`] onto the lines of the map, shape (across, along), nm, for dwell times t (n),
+    /// s. With `corners`, pixels beyond an edge across and an edge along are left out.
     pub fn spill(&self, t: &[f64], corners: Option<&Corners>) -> Array2<f64> {
         let pixels = self.along.pixels;
         let mut map = Array2::zeros((self.across.pixels, pixels));
@@ -291,7 +298,7 @@ impl Across {
         map
     }
 
-    /// Returns the samples at the corners of the TIF, from its samples [across, along].
+    /// Returns the samples that spill at the corners of the TIF, from its samples [across, along].
     pub fn corners(&self, samples: &Array2<f64>) -> Corners {
         let last = self.along.last;
         let beyond = keys::split(self.along.edge).0 + 1;
@@ -377,7 +384,8 @@ impl Across {
         }
     }
 
-    /// Subtracts the adjoint of [`Self::spill`] for a map from the sums of the columns (n).
+    /// Subtracts the adjoint of [`Self::spill`], with the same `corners`, applied to a map (across, along), from
+    /// `sums`, one number for each column.
     pub fn subtract_spill(
         &self,
         map: ArrayView2<f64>,
@@ -456,7 +464,7 @@ impl Across {
         }
     }
 
-    /// Subtracts the product of a map with the corners of the places of some groups from the values of these places.
+    /// Subtracts, from the value of each place of some groups, the sum of a map times its removal rate at its corners.
     fn subtract_corners(
         &self,
         groups: &[Group],

@@ -12,7 +12,8 @@ use crate::model::{
     varying,
 };
 
-/// Makes the removal of a few columns of `FftOperator::without_border` at a time, on the pixels that they reach.
+/// Computes the removal by a few columns at a time, on the pixels that they reach. The columns are those of
+/// `FftOperator::without_border`.
 pub struct Sums {
     kernels: Vec<KernelSums>,
     /// Factor of the removal at every pixel, if the tool has one.
@@ -26,13 +27,14 @@ struct KernelSums {
     placed: Vec<Placed>,
     /// Index in `placed` of the first place of every column: those of column j are `first[j] .. first[j + 1]`.
     first: Vec<u32>,
-    /// Largest number of nodes (y, x) for which `correlation` is planned.
+    /// Shape (y, x) of the nodes on which the columns of one call may be spread, for which `correlation` is planned.
     room: (usize, usize),
     correlation: Convolution,
 }
 
 impl Sums {
-    /// Plans the sums for columns whose places lie within a square with the side `size_mm`.
+    /// Plans the computation, on the pixels of `grid`. The places of the columns of one call must lie within a square
+    /// with the side `size_mm`.
     pub fn new(
         places: &[Vec<ToolPlace>],
         tif: &Tif,
@@ -53,7 +55,8 @@ impl Sums {
         self.kernels[0].extent(columns)
     }
 
-    /// Returns the removal `sum_j t_j B_j` of some columns, given as pairs (j, t_j).
+    /// Returns the removal `sum_j t_j B_j` of some columns, given as pairs (j, t_j), on a rectangle of pixels; empty if
+    /// they reach no pixel. Panics if their places exceed the planned square.
     pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let kernels = self.kernels.iter().map(|kernel| kernel.patch(t));
         let sum = kernels.reduce(|mut sum, patch| {
@@ -89,12 +92,13 @@ impl KernelSums {
         Self { x, y, placed, first, room, correlation }
     }
 
-    /// Returns the places of a column on the lattice.
+    /// Returns the places of a column on the lattice, without those that do not reach the map.
     fn places(&self, column: usize) -> &[Placed] {
         &self.placed[self.first[column] as usize..self.first[column + 1] as usize]
     }
 
-    /// Returns the first and the last node [y, x] on which the columns are spread; `None` if they have no places.
+    /// Returns the first and the last node [y, x] on which the columns are spread; `None` if none of their places
+    /// reaches the map.
     fn nodes(&self, columns: impl Iterator<Item = usize>) -> Option<[[isize; 2]; 2]> {
         let cells = columns.flat_map(|j| self.places(j)).map(|p| p.cell.map(|c| c as isize));
         let ends = cells.map(|c| [c.map(|c| c - 1), c.map(|c| c + 2)]);
