@@ -4,13 +4,14 @@
 //! roughness = sqrt(mean (q_{k+1} - q_k)^2) / mean q        q_k = t_k / l_k                 (1)
 //! ```
 //!
-//! over neighbours along the path that both have a length. A machine cannot follow dwell-time densities that differ
-//! much from segment to segment.
+//! The first mean is over consecutive dwell points k and k + 1 that both have a length of path (l > 0) and the tool
+//! on; the mean of q is over all such points. A machine cannot follow dwell-time densities q that differ much from
+//! point to point.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | t | `dwell` | (n) | s |
-//! | l | `segment_length_mm` | (n) | mm |
+//! | l, length of the path that belongs to a dwell point | `segment_length_mm` | (n) | mm |
 
 use planish_types::{
     DwellTime, Invalid, Removal, Surface, ToolPath,
@@ -97,7 +98,7 @@ impl Solver {
 }
 
 /// Returns the roughness of the dwell-time density ((1) of the module), dimensionless. `t` are the dwell times, s. It
-/// is 0 for a path without neighbours.
+/// is 0 if no two consecutive points count, or if all dwell times that count are 0.
 fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     let mut squares = 0.0;
     let mut pairs = 0.0;
@@ -138,7 +139,8 @@ const HEADINGS: [[&str; 2]; 12] = [
     ["memory", "MB"],
 ];
 
-/// Returns the table of the solvers for the mirror `fixture`, with notes below it; it ends with a newline.
+/// Returns the table of the solvers for the mirror `fixture`, with notes below it. RMS and PV of `desired`, the map
+/// before the run, stand above it.
 pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> String {
     let mut cells: Vec<Vec<String>> =
         (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();

@@ -1,7 +1,7 @@
 //! Residual that the errors of a process add to the plan of a run, as `planish-tolerance` found it.
 //!
 //! The keys are those of `process` in `summary.json`. Every RMS is without the terms of `free` (the mean, or the best
-//! plane).
+//! plane). A run is here one execution of the plan by the process, with random errors.
 
 use planish_types::{
     outcome::tolerance::{

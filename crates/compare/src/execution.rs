@@ -2,12 +2,13 @@
 //!
 //! ```text
 //! dwell error of point i = time with the tool on in its segments - dwell_i
-//! overshoot of point i   = distance by which its segments leave the interval between their first and last end
+//! overshoot of point i   = distance by which its segments leave the interval from their start to their end position
 //! jerk                   = |6 c3|
 //! ```
 //!
 //! The segments of a point are those that serve it: whose dwell index names it. A point whose segments all have the
-//! tool off has no dwell error. An overshoot counts above 1 nm.
+//! tool off has no dwell error. An overshoot is that of consecutive segments of one point, along x or y; a segment
+//! without a point counts alone. It counts above 1 nm.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -30,7 +31,7 @@ pub struct Execution {
     /// Dwell error of the largest magnitude, with its sign, s; `null` without dwell times, or if no segment names a
     /// dwell point.
     pub dwell_error_worst_s: Option<f64>,
-    /// Number of dwell points whose segments overshoot by more than 1 nm along [x, y].
+    /// Number of overshoots of more than 1 nm along [x, y]: of dwell points, and of segments that serve no point.
     pub overshoot_points: [usize; 2],
     /// Largest overshoot along [x, y], mm.
     pub max_overshoot_mm: [f64; 2],
@@ -71,7 +72,8 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Adds the overshoot of the segments from `first` to `end` (exclusive), which all serve one dwell point.
+    /// Adds the overshoot of the segments from `first` to `end` (exclusive), which all serve one dwell point; or of one
+    /// segment that serves none.
     fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, end: usize) {
         for axis in 0..2 {
             let last = trajectory.segment(end - 1);

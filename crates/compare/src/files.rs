@@ -43,7 +43,8 @@ use planish_types::{
 };
 use rayon::prelude::*;
 
-/// Returns the name of a run: the last component of the path of its directory.
+/// Returns the name of a run: the last component of the path of its directory. A path without one, such as `..`, is
+/// made absolute first.
 pub fn name_of(run: &Path) -> String {
     // A path such as `.` has no last component of its own.
     let whole = if run.file_name().is_none() { run.canonicalize().ok() } else { None };
@@ -52,7 +53,10 @@ pub fn name_of(run: &Path) -> String {
 }
 
 /// Reads the results of all methods of the run in the directory `run`. `number` distinguishes the runs in the roles
-/// of inputs. Returns the methods, and those that refused.
+/// of inputs; with `after_servo` a method also needs its prediction after the servo.
+///
+/// Returns the methods, and those that are left out: refused, incomplete, or with parts that do not belong together.
+/// Fails if no method remains.
 fn read_methods(
     inputs: &mut Inputs,
     number: usize,
@@ -124,7 +128,8 @@ fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
 /// Name of the file with the message of a stage, in place of the artifact that it refused to make.
 const MESSAGE: &str = "message.txt";
 
-/// Returns the reason for which a stage refused to make something, from its message file in `dir`.
+/// Returns the reason for which a stage refused to make something, from its message file in `dir`: its last line that
+/// begins with `error: `, without that prefix; otherwise its last line that is not blank.
 fn message_in(dir: &Path) -> Result<String, Failure> {
     let file = dir.join(MESSAGE);
     let text = read_text(&file)
@@ -299,8 +304,10 @@ impl Judge<'_> {
     }
 
     /// Reads the verdict in `run`/specified/`name`/specification. `judged` is the role and the hash of the artifact
-    /// that it must be about. Returns `None`, perhaps with a remark, if there is no verdict or it is about something
-    /// else.
+    /// that it must be about; `None` accepts any map.
+    ///
+    /// Returns `None` if there is no verdict. It also returns `None`, and adds a remark, if the verdict is about
+    /// another map, or by another specification than the first one.
     fn read(
         &mut self,
         name: &str,
@@ -337,7 +344,7 @@ impl Judge<'_> {
 }
 
 /// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. If no method has
-/// that motion now, it returns a remark instead.
+/// that motion now, it returns a remark instead; both are `None` if there is no such directory.
 fn read_process(
     inputs: &mut Inputs,
     role: &str,
@@ -803,8 +810,8 @@ impl Artifact for RoundsFile {
     }
 }
 
-/// Reads a run of several dwell solvers along one tool path: its surface, and the result of each solver except those
-/// in `skip`.
+/// Reads a run of several dwell solvers along one tool path: its surface, and one row per solver, by name. The row of
+/// a solver in `skip` only says that it was left out.
 ///
 /// # Errors
 /// Fails if an artifact cannot be read, or if the run holds no solver.

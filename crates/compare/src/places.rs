@@ -40,8 +40,8 @@ const REGIONS: usize = 3;
 /// Numbers of the division of a mirror into an edge zone and regions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DivisionReport {
-    /// Width of the edge zone, mm: the radius of the tool where it removes half of its peak rate; `null` if the tool
-    /// is not known.
+    /// Width of the edge zone, mm: the radius of a disc as large as the area where the tool removes at least half of
+    /// its peak rate; `null` if the tool is not known.
     pub edge_width_mm: Option<f64>,
     /// Fraction of the valid pixels that lie in the edge zone; `null` if the tool is not known.
     pub edge_fraction: Option<f64>,
@@ -78,7 +78,7 @@ pub struct WorstPlace {
 /// RMS of a map in the edge zone and inside of it, both about the mean of the whole map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ZoneRms {
-    /// RMS of the edge zone, nm; `null` if the tool is not known.
+    /// RMS of the edge zone, nm; `null` if it has no pixels or the tool is not known.
     pub edge_nm: Option<f64>,
     /// RMS of the other valid pixels, nm; `null` if there are none or the tool is not known.
     pub inside_nm: Option<f64>,
@@ -89,7 +89,7 @@ pub struct ZoneRms {
 pub struct Times {
     /// Time with the tool on above valid pixels of the edge zone; `null` if the tool is not known.
     pub edge_s: Option<f64>,
-    /// Time with the tool on above the other valid pixels.
+    /// Time with the tool on above the other valid pixels; above all valid pixels if the tool is not known.
     pub inside_s: f64,
     /// Time with the tool on beyond the valid pixels: overscan and turn-arounds.
     pub beyond_s: f64,
@@ -100,7 +100,7 @@ pub struct Times {
 /// Residual and time of one plan by position on the part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Places {
-    /// Points whose residual is farthest from the mean of the map, the worst first.
+    /// Points whose residual is farthest from the mean of the map, the worst first: at most five, not close together.
     pub worst: Vec<WorstPlace>,
     /// RMS of the residual in the edge zone and inside.
     pub zone_rms: ZoneRms,
@@ -191,7 +191,8 @@ impl Division {
         sums.map(|(squares, count)| if count > 0.0 { Some((squares / count).sqrt()) } else { None })
     }
 
-    /// Returns the points whose residual is farthest from the mean of the map, the worst first.
+    /// Returns up to [`WORST_COUNT`] pixels whose residual is farthest from the mean of the map, the worst first. Two
+    /// of them are at least `worst_apart_mm` of the division apart.
     fn worst(&self, residual: &Surface) -> Vec<WorstPlace> {
         let mean = residual.statistics().mean;
         let apart_mm = self.report.worst_apart_mm;

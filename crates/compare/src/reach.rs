@@ -37,7 +37,8 @@ pub struct ReachReport {
     pub period_mm: [Option<f64>; 2],
 }
 
-/// Waves of a map that are too short for a tool, with the rectangle of the map in which they are measured.
+/// Waves of a map that are too short for a tool, with the rectangle of the map in which they are measured. `origin` is
+/// the row and column of its first pixel, `step_mm` the pitch along [x, y].
 #[derive(Clone, Debug)]
 pub struct Reach {
     origin: (usize, usize),
@@ -88,7 +89,7 @@ impl Reach {
         self.report
     }
 
-    /// Returns the RMS of the waves of `surface` that are too short for the tool, nm.
+    /// Returns the short-wave RMS of `surface` (see the module), nm: the part at wavelengths too short for the tool.
     pub fn short_wave_rms_nm(&self, surface: &Surface) -> f64 {
         let (ny, nx) = self.is_short.dim();
         let (r, c) = self.origin;

@@ -61,8 +61,9 @@ const SAME_PIXEL: f64 = 1e-4;
 /// refused. Chosen far above that rounding, and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
 
-/// Largest difference between a dwell time and the time of the motion that executes it, s. Larger: motions of other
-/// dwell times are accepted. Smaller: rounding is refused. Chosen: the change that a dwell solver takes for none.
+/// Largest difference between a planned dwell time and its time in the motion that goes without a remark, s. Only plans
+/// with proven dwell times get the remark. Larger: real departures are not mentioned. Smaller: rounding gets a remark.
+/// Chosen: the change that a dwell solver takes for none.
 const SAME_DWELL_S: f64 = 1e-6;
 
 /// Base length of the slopes, mm; the nearest whole number of pixels is taken. Larger: slopes of longer waves only.
@@ -99,7 +100,8 @@ pub struct Summary {
     pub methods: Vec<(String, MethodResult)>,
     /// Methods that take no part in the comparison.
     pub left_out: Vec<LeftOut>,
-    /// Sentences on shared artifacts that are out of date, and on a machine that was assumed.
+    /// Sentences on shared artifacts that are out of date, on verdicts and predictions that were left out because they
+    /// are about another map or motion, and on a machine that was assumed.
     pub remarks: Vec<String>,
     /// Name of the method that is recommended; `null` if there is none.
     pub best: Option<String>,
@@ -116,7 +118,8 @@ impl Summary {
     }
 }
 
-/// A method that is left out of the comparison, because its artifacts do not belong to this run.
+/// A method that is left out of the comparison: its artifacts do not belong together or to this run, some are missing,
+/// or its stage refused to make a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LeftOut {
     /// Name of the method.
@@ -136,7 +139,8 @@ pub struct Initial {
     pub pv_nm: f64,
     /// RMS slope along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of the waves that are too short for the tool to correct, nm; `null` if the tool is not known.
+    /// RMS of the waves that are too short for the tool to correct, nm; `null` if the tool is not known, or the map has
+    /// no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
     /// RMS in the edge zone and inside of it.
     pub zone_rms: ZoneRms,
@@ -163,8 +167,8 @@ pub struct MethodResult {
     /// RMS slope of the residual along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base
     /// of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of the waves of the residual that are too short for the tool to correct, nm; `null` if the tool is not
-    /// known.
+    /// RMS of the waves of the residual that are too short for the tool to correct, nm. `null` if the tool is not known
+    /// or not that of the prediction, or if the map has no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
@@ -196,7 +200,8 @@ pub struct MethodResult {
     pub places: Places,
     /// State of the plan: certified, converged or not.
     pub plan: PlanStatus,
-    /// Verdict on the residual by a specification; `null` if there is no specification.
+    /// Verdict on the residual by a specification; `null` if there is none, or if it is about another map or by another
+    /// specification than the other verdicts of the run.
     pub specification: Option<SpecificationReport>,
     /// Result of the plan when all axes of the machine run it; absent if the run has no such motion.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -252,12 +257,13 @@ pub struct MethodFacts {
     pub machine: Option<String>,
     /// State of the plan: certified, converged or not.
     pub plan: PlanStatus,
-    /// RMS of the waves of the residual that are too short for the tool to correct, nm; `None` if the tool is not
-    /// known.
+    /// RMS of the waves of the residual that are too short for the tool to correct, nm. `None` if the tool is not known
+    /// or not that of the prediction, or if the map has no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
-    /// Verdict on the residual by a specification; `None` if there is no specification.
+    /// Verdict on the residual by a specification; `None` if there is none that counts.
     pub specification: Option<SpecificationReport>,
-    /// RMS of the residual after the servo of the machine, nm; `None` if the process has no servo.
+    /// RMS of the residual after the servo of the machine, nm; `None` if the process has no servo, or it was not asked
+    /// for.
     pub after_servo_rms_nm: Option<f64>,
     /// Result when all axes of the machine run the plan; `None` if the run has no such motion.
     pub on_axes: Option<OnAxes>,
@@ -296,7 +302,8 @@ impl MethodResult {
     /// Computes the numbers of one method. `dwell` are the planned dwell times; `None` if they are not known.
     ///
     /// # Errors
-    /// Refuses a removal of another surface, a verdict on another trajectory, and dwell times of another path.
+    /// Refuses a removal whose pixels or heights do not belong to `desired`, a verdict on a motion of another duration,
+    /// and, if `dwell` is known, a motion that names a dwell point which `dwell` does not have.
     pub fn new(
         desired: &Surface,
         division: &Division,
@@ -392,8 +399,9 @@ fn slope_rms_nrad(surface: &Surface) -> [Option<f64>; 2] {
 }
 
 impl Summary {
-    /// Collects the numbers of a run, and sorts the methods into the order of the documentation. `fixture` is the
-    /// name of the mirror.
+    /// Collects the numbers of a run, sorts the methods (by `ORDER`), and chooses the recommended one. A controller
+    /// program that was read back gets the state of the plan from which it was written. `fixture` is the name of the
+    /// mirror.
     pub fn new(
         pipeline: impl Into<String>,
         fixture: impl Into<String>,
@@ -465,11 +473,11 @@ impl Summary {
         }
     }
 
-    /// Recommends the row `name`, a controller program that was read back, because that motion will run. If that
-    /// program breaks a limit of the machine, no row is recommended.
+    /// Recommends the method `name`, a controller program that was read back, because that motion will run. If it may
+    /// not be recommended (see `is_candidate`), for example because it breaks a limit, no method is recommended.
     ///
     /// # Errors
-    /// Refuses a row that is not there, with the names of those that are.
+    /// Refuses a method that the summary does not have, with the names of those that it has.
     pub(crate) fn recommend(&mut self, name: &str) -> Result<(), String> {
         let Some((_, method)) = self.methods.iter().find(|(row, _)| row == name) else {
             let rows: Vec<&str> = self.methods.iter().map(|(row, _)| row.as_str()).collect();

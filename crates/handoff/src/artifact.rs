@@ -21,9 +21,9 @@ use crate::{
     system::directory_stamp,
 };
 
-/// Largest manifest that is read, bytes. Larger: a damaged file takes more memory and time.
-/// Smaller: manifests of long plans are refused, because some methods report about a hundred bytes
-/// for every segment that they stretched.
+/// Largest manifest that is read, bytes (256 MiB). Larger: a damaged file takes more memory and time. Smaller:
+/// manifests of long plans are refused, because some methods report about a hundred bytes for every segment that they
+/// stretched.
 const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
 
 /// A type that can be stored as an artifact directory: one `.npy` file per array, and a manifest.
@@ -102,8 +102,9 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Returns the BLAKE3 of the content that the manifest describes. A stage that reads the artifact records
-    /// it as its input. `None` if this version does not know the kind.
+    /// Returns the BLAKE3 of the content that the manifest describes: of the names and hashes of its arrays, or of its
+    /// outcome if readers of this kind use only that. A stage that reads the artifact records it as its input. `None`
+    /// if this version does not know the kind.
     pub fn content(&self) -> Option<String> {
         let kind = kind::ALL.iter().find(|kind| kind.name == self.kind)?;
         if kind.is_read_by_outcome() {
@@ -405,8 +406,8 @@ fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Se
     Ok((serde_json::from_str(text).map_err(unreadable)?, seal))
 }
 
-/// Reads the text of a regular file of at most `most` bytes. Pipes and devices are refused, because they may
-/// never end.
+/// Reads the text of a regular file of at most `most` bytes. It refuses larger files, text that is not UTF-8, and pipes
+/// and devices, because they may never end.
 pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> {
     String::from_utf8(read_file(path, most)?).map_err(|e| {
         let byte = e.utf8_error().valid_up_to();
@@ -425,7 +426,7 @@ pub fn read_regular(path: &Path) -> std::io::Result<Vec<u8>> {
     fs::read(path)
 }
 
-/// Reads the bytes of a regular file of at most `most` bytes.
+/// Reads the bytes of a regular file of at most `most` bytes. It refuses larger files, pipes and devices.
 pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError> {
     let io = |e| HandoffError::io(path, "read", &e);
     if !fs::metadata(path).map_err(io)?.is_file() {
@@ -452,7 +453,7 @@ pub struct ManifestHead {
 /// bad value is found later. Smaller: vector instructions help less. It does not change the result.
 const VALUES_PER_LOOK: usize = 1 << 12;
 
-/// Reads an array. Refuses values that its definition does not allow.
+/// Reads an array. Refuses infinity, NaN where the definition does not allow it, and flags other than 0 and 1.
 fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> {
     let loaded = npy::read(path, def.dtype)?;
     if let ArrayData::F64(a) = &loaded.array {
@@ -532,7 +533,8 @@ fn split_symbol(symbol: &'static str) -> (&'static str, usize) {
     symbol.strip_suffix("+1").map_or((symbol, 0), |name| (name, 1))
 }
 
-/// Compares an array that was read with its record in the manifest: unit, dtype, shape and hash.
+/// Compares an array that was read with its record in the manifest: unit, shape and hash. Refuses an array without a
+/// record.
 fn check_record(
     path: &Path,
     def: &ArrayDef,

@@ -89,8 +89,9 @@ pub struct PlanArgs {
 }
 
 impl PlanArgs {
-    /// Reads the tool path, its dwell times, and the overscan of the path, mm; `None` unless the path states one
-    /// above 0. Refuses dwell times that were made for another path.
+    /// Reads the tool path, its dwell times, and the overscan of the path (distance beyond the clear aperture), mm. The
+    /// overscan is `None` unless the manifest of the path states one above 0. Refuses dwell times that were made for
+    /// another path.
     pub fn read(
         &self,
         inputs: &mut Inputs,
@@ -140,6 +141,7 @@ impl TrajectoryArgs {
     }
 
     /// Reads the motion, in the coordinates of the part or of the machine, and the mirror (tool and desired removal).
+    /// Warns if the motion was made from another mirror.
     ///
     /// # Errors
     /// Fails if one of them cannot be read or is not valid.
@@ -288,8 +290,8 @@ pub struct PathDistanceArgs {
 }
 
 impl PathDistanceArgs {
-    /// Returns the largest allowed distance of a motion from `path`, mm. Without the flag it is the usual one, but
-    /// not more than the overscan of the path.
+    /// Returns the largest allowed distance of a motion from `path`, mm: the value of the flag, otherwise half the
+    /// distance of the lines of the path, but not more than `overscan_mm`, if that is known.
     ///
     /// # Errors
     /// Fails if the tolerance is negative or not finite.
@@ -313,12 +315,13 @@ pub struct NearPathArgs {
 }
 
 impl NearPathArgs {
-    /// Returns the distance of a motion, in the coordinates of the axes, from the tool path. Without a tool path it
-    /// is the distance that the manifest of the motion states; `None` if it states none.
+    /// Returns the distance of a motion, in the coordinates of the axes, from the tool path. Without a tool path it is
+    /// the distance that the manifest of the motion states; `None` if it states none. The flag sets the tolerance by
+    /// which it is judged, otherwise the manifest, otherwise the distance of the lines of the path.
     ///
     /// # Errors
-    /// Fails if the path is in other coordinates than the motion or belongs to another motion, or if the tolerance is
-    /// no length.
+    /// Fails if the path cannot be read, is in other coordinates than the motion or belongs to another motion, or if
+    /// the tolerance is negative or not finite.
     pub fn measure(
         &self,
         motion: &OnAxes,
@@ -350,7 +353,7 @@ impl NearPathArgs {
     /// if that is given. `None` if the manifest states none.
     ///
     /// # Errors
-    /// Refuses a tolerance that is no length.
+    /// Refuses a tolerance that is negative or not finite.
     pub fn stated(&self, made: Option<&Manifest>) -> Result<Option<PathDistance>, HandoffError> {
         let stated = made.and_then(path_distance_of);
         let tolerance_mm = self.distance.max_path_distance_mm;
@@ -385,8 +388,9 @@ pub struct FloorArgs {
 }
 
 impl FloorArgs {
-    /// Returns the smallest dwell time that the flags ask for. `seconds` makes it of a time per dwell point, s, and
-    /// `seconds_per_mm` of a time per length, s/mm. Without a flag it is 0 s.
+    /// Returns the smallest dwell time that the flags ask for; 0 s per dwell point without a flag. `seconds` makes the
+    /// bound from a time per dwell point, s, `seconds_per_mm` from a time per length, s/mm. A machine file gives one
+    /// over the largest velocity of its faster axis.
     ///
     /// # Errors
     /// Fails if the machine file cannot be read or is not valid.

@@ -403,7 +403,7 @@ pub const TOOL_PATH: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the dwell times of a tool path, s per segment.
+/// Kind of the dwell times of a tool path, s, one per segment.
 pub const DWELL: Kind = Kind {
     name: "dwell",
     version: 1,

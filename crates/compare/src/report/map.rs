@@ -16,7 +16,7 @@ pub struct ScreenMap {
     pub step_mm: [f64; 2],
     /// Numbers of columns and rows.
     pub size: [usize; 2],
-    /// Side of the block of the array, in pixels, whose mean one pixel here is.
+    /// Side, in pixels of the array, of the square block whose mean is one pixel of this map.
     pub every: usize,
     /// Mean of the valid pixels of the array, nm.
     pub mean_nm: f64,
@@ -34,7 +34,8 @@ pub struct ScreenMap {
     pub means_nm: Array2<f64>,
 }
 
-/// Returns the smallest side, in pixels, of a block that reduces `grid` to at most `most` blocks.
+/// Returns the smallest side, in pixels, of a square block that reduces `grid` to at most `most` blocks; `most` counts
+/// as 4 if it is smaller.
 pub(crate) fn block_side(grid: &Grid, most: usize) -> usize {
     (1..)
         .find(|k| grid.x.len().div_ceil(*k) * grid.y.len().div_ceil(*k) <= most.max(4))
@@ -108,7 +109,8 @@ const BINS: usize = 101;
 /// beyond the bins. Chosen: a Gaussian has 6e-5 of its pixels beyond it.
 const REACH_RMS: f64 = 4.0;
 
-/// Returns the histogram of a map, from four RMS below the mean to four RMS above it.
+/// Returns the histogram of a map, from four RMS below the mean to four RMS above it; for a flat map, from 1e-6 nm
+/// below to 1e-6 nm above.
 pub fn histogram(map: ArrayView2<f64>) -> Histogram {
     let s = statistics(map).expect("a map has a valid pixel");
     // A map that is flat but for rounding gets bins of some width all the same.

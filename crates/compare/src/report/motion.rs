@@ -152,8 +152,8 @@ pub struct Dwell {
     pub point_mm: Vec<[f64; 2]>,
     /// Planned dwell times, s.
     pub planned_s: Vec<f64>,
-    /// Executed dwell times, s: duration of the segments that serve the point. `None` for a motion that names no
-    /// dwell points, such as that of a program that was read back.
+    /// Executed dwell times, s: duration of the segments that serve the point, with the tool on or off. `None` for a
+    /// motion that names no dwell points, such as that of a program that was read back.
     pub executed_s: Option<Vec<f64>>,
     /// Number of dwell points of the plan for each point here.
     pub every: usize,
@@ -161,7 +161,8 @@ pub struct Dwell {
     pub total_error_s: Option<f64>,
 }
 
-/// Returns the times of at most `most` dwell points; `None` if path, plan and motion do not belong together.
+/// Returns the times of at most `most` dwell points, every second, third ... of a longer plan. `None` if the plan has
+/// another number of points than the path, or if the motion names a dwell point that the path does not have.
 pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> Option<Dwell> {
     let n = path.len();
     if plan.dwell_s().len() != n {

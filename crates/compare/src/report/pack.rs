@@ -5,7 +5,7 @@
 //! value = offset + scale q,   q = -32767 .. 32767,   q = -32768 stands for NaN
 //! ```
 //!
-//! so a value is off by at most half a step, `scale / 2`.
+//! so a value is off by at most half a step, `scale / 2`; by less than one step where it is rounded down or up.
 
 use serde::Serialize;
 

@@ -60,7 +60,8 @@ pub struct Spectrum {
     pub not_in_spectrum_rms_nm: f64,
 }
 
-/// Returns the spectrum of `map` (ny, nx), nm; `None` if no rectangle of valid pixels is large enough.
+/// Returns the spectrum of `map` (ny, nx), nm. `None` if the largest rectangle of valid pixels has fewer than
+/// [`MIN_SAMPLES`] pixels along x or y.
 pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let valid = map.mapv(|v| !v.is_nan());
     let ((row, column), (ny, nx)) = largest_rectangle(&valid);

@@ -106,8 +106,9 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     Some(svg.finish([width, height]))
 }
 
-/// Returns the volume removed per second, relative to its mean, in the cells of a coarse map of the part. The factor
-/// of the pixel is included; NaN beside the part.
+/// Returns the volume that the tool removes per second at each place, relative to its mean over the part, in the cells
+/// of a coarse map. The motion heads along x, and the factor that the tool has for each pixel is included. NaN at
+/// invalid pixels.
 fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
     let factor = variation.factor_on(surface.grid());
     let volume: Vec<f64> =

@@ -51,7 +51,7 @@ pub struct RunData {
     pub measured: Option<Surface>,
     /// Tool path; `None` if the run has none.
     pub path: Option<ToolPath>,
-    /// Picture of the tool as SVG; `None` for a tool that is the same everywhere.
+    /// Picture of the tool as SVG; `None` for a tool that is the same everywhere, or not known.
     pub tool: Option<String>,
     /// Data of the methods (schedulers or solvers) of the run.
     pub methods: Vec<RunMethod>,
@@ -158,7 +158,8 @@ pub fn views(runs: Vec<RunData>) -> Vec<View> {
     runs.into_iter().map(|run| view(run, &allotment)).collect()
 }
 
-/// Largest numbers of pixels, points, pieces and dwell points that the page shows of one method.
+/// Largest amounts of data on the page: pixels of one map, and, for one method, points of the motion, pieces with
+/// ranges, dwell points and pixels of all its frames.
 struct Allotment {
     pixels: usize,
     points: usize,
@@ -167,8 +168,8 @@ struct Allotment {
     frame_pixels: usize,
 }
 
-/// Returns the motion that the verdict is about: that of the axes, if their coordinates differ from those of the
-/// part.
+/// Returns the motion that the verdict is about: that of the machine axes if the verdict states how their coordinates
+/// follow from those of the part, otherwise `motion` itself.
 fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory> {
     verdict
         .part_to_axes

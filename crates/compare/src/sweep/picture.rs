@@ -26,8 +26,8 @@ const MARGIN_PX: [f64; 4] = [90.0, 40.0, 30.0, 60.0];
 /// slow page. Smaller: fewer plans in the picture. Chosen.
 const MOST_POINTS: usize = 4000;
 
-/// Factor by which an axis extends beyond the points at its ends. Larger: empty borders. Smaller: points on the
-/// frame. Chosen.
+/// Room of an axis beyond the points at its ends: a factor of the value on a logarithmic axis; on a linear one, the
+/// excess over 1 is a fraction of the range. Larger: empty borders. Smaller: points on the frame. Chosen.
 const ROOM: f64 = 1.1;
 
 /// Smallest ratio of the ends of an axis at which the axis is logarithmic. Larger: small values crowd at one end of a
