@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! now:       S0^2 = M0^2 - sigma^2                  M0 the RMS of the map
-//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish-tolerance`, at every part of the runs
+//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish-tolerance`, at every quantile over the runs
 //! gain:      G = S0 - S1
 //! ```
 //!
@@ -157,7 +157,8 @@ pub struct Decision {
     pub specification: Option<SpecificationKept>,
 }
 
-/// Decides whether to run again, by the rule of the module.
+/// Decides whether to run again: computes the gain of the next run by the equations of the module, and applies the rule
+/// of `verdict`.
 ///
 /// # Errors
 /// Fails if the least gain is not between 0 and 100 %.
@@ -214,8 +215,9 @@ pub fn decide(known: &Known, settings: &DecisionSettings) -> Result<Decision, In
     Ok(decision)
 }
 
-/// Returns the recommendation and its reason. The rule looks first at the specification, then at the certainty of the
-/// gain, then at its size.
+/// Returns the recommendation and its reason. A map that keeps the specification means stop, otherwise a plan that
+/// keeps it means run again. Without such a decision, a run must promise two gains: the one that 95 % of the runs
+/// exceed is above [`SEEN`] standard errors, and the median is at least `least_gain_percent`.
 fn verdict(d: &Decision, settings: &DecisionSettings) -> (Verdict, String) {
     let least = 0.01 * settings.least_gain_percent * d.now_rms_nm;
     let seen = SEEN * d.now_standard_error_nm;

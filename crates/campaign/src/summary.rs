@@ -1,5 +1,6 @@
 //! A campaign run by run: the residuals, the learnt parameters, and the decisions. A chain is a series of runs on one
-//! mirror that treats the errors of the machine in one way.
+//! mirror that treats the errors of the machine in one way. The place is the position of the tool relative to the part
+//! (offset, rotation, magnification).
 //!
 //! Three chains run on machines of the same hidden errors, from the same first map:
 //!
@@ -21,9 +22,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::Verdict;
 
-/// Returns the true value of `parameter` in the unit of its [`Estimate`]; `None` for an unknown name. The
-/// ellipticities of an otherwise round TIF that is rotated by phi transform as a tensor: (e, d) -> (e cos 2 phi - d
-/// sin 2 phi, e sin 2 phi + d cos 2 phi).
+/// Returns the true value of `parameter` in the unit of its [`Estimate`]: mm for an offset, degrees for the rotation, %
+/// for the others. `None` for an unknown name.
+///
+/// If the TIF is rotated by phi, its two ellipticities (e along the axes, d along the diagonals) transform as a tensor:
+/// (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
 pub fn true_value(truth: &Truth, parameter: &str) -> Option<f64> {
     let e = truth.tif_ellipticity;
     let d = truth.tif_diagonal_ellipticity;

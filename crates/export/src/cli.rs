@@ -37,7 +37,7 @@ struct AboutFile<'a> {
 #[derive(Debug)]
 pub struct Export {
     controller: ControllerKind,
-    /// Clock that the flags give, s; `None` for that of the machine's controller.
+    /// Clock that the flags give, s: for a Galil two samples. `None` for that of the machine's controller.
     tick_s: Option<f64>,
     pmac: pmac::PmacSettings,
     gcode: gcode::GcodeSettings,

@@ -10,15 +10,17 @@
 //!    segment, and compared with the plan. Where it is not, the plan is slowed down a little more there, and all of it
 //!    is done again.
 //!
-//! Between two lines that are joined (`linear`) the motion is a parabola over the half of the shorter line on both
-//! sides of the node, which the planner of a controller that blends can run:
+//! A controller that only knows straight lines (`linear`) joins them. Around the node between two lines the motion is
+//! then a parabola over half the shorter line on both sides, which the planner of a controller that blends can run:
 //!
 //! ```text
-//! a_k = (m_k - m_{k-1}) / b_k,   b_k = min(T_{k-1}, T_k)      m = dp / T; before and after the motion m = 0
+//! a_k = (m_k - m_{k-1}) / b_k,   b_k = min(T_{k-1}, T_k)      m_k = dp_k / T_k; before and after the motion m = 0
 //! ```
 //!
-//! So the executed motion of joined lines begins half a line before the first node and ends half a line after the last. A
-//! dwell (G4) begins when the motion before it has ended, so the parabolas beside it take their halves of its time.
+//! Here a_k is the acceleration around node k, b_k the duration of the parabola, T_k the duration and dp_k the distance
+//! of line k, which follows node k. So the executed motion of joined lines begins half a line before the first node and
+//! ends half a line after the last. A dwell (G4) begins when the motion before it has ended, so the parabolas beside it
+//! take their halves of its time.
 
 use std::array::from_fn;
 
@@ -73,8 +75,9 @@ const CHOSEN_DEVIATION: f64 = 0.6;
 /// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
-/// Smallest relative growth of the time of a segment that exceeds a limit, from round to round: for cubics, then for
-/// lines. Larger: more time is added than needed. Smaller: more rounds. Chosen: the excess of lines is rounding alone.
+/// Smallest relative growth of the time of a segment that exceeds a limit, from round to round: first for cubics, then
+/// for straight lines. Larger: more time is added than needed. Smaller: more rounds. Chosen: smaller for lines, because
+/// they exceed a limit by rounding alone.
 const LEAST_GROWTH: f64 = 2e-3;
 const LEAST_GROWTH_OF_LINES: f64 = 2e-4;
 
@@ -356,7 +359,8 @@ pub(crate) struct ExecutedCubic<const N: usize> {
 /// Returns the nodes of a program for `plan`, which is continuous, keeps the limits of the machine and rests at both
 /// ends ([`crate::limits::check_plan`]).
 ///
-/// Refuses settings that no controller has, and a plan for which no program within the limits is found.
+/// Refuses counts, a path deviation or a shortest segment that are not possible for this plan. Also refuses a plan for
+/// which no program within the limits is found, or which needs more memory than the budget.
 pub(crate) fn generate<const N: usize>(
     plan: &AxesPlan<N>,
     settings: &GeneratorSettings,
@@ -377,7 +381,7 @@ struct Generator<'a, const N: usize> {
 struct Faults<const N: usize> {
     /// Index of each segment that exceeds a limit, and the factor by which its time has to grow.
     slow: Vec<(usize, f64)>,
-    /// Indices of the segments that leave the path and can be made shorter.
+    /// Indices of the segments that leave the path, or the travel of an axis by far, and can be made shorter.
     long: Vec<usize>,
     /// Largest excess of the travel at the lower and the upper end of every axis, mm or deg.
     beyond: [[f64; 2]; N],
@@ -602,8 +606,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Ok(nodes)
     }
 
-    /// Returns true for each of `ticks` from which on the tool is on; the switches of the plan are at the ticks
-    /// `fixed`.
+    /// Returns the state of the tool in the segment that begins at each of `ticks`, true for on. The plan switches the
+    /// tool at the ticks `fixed`; if the program does not follow it, the tool is on in all segments.
     fn tool_states(&self, fixed: &[i64], ticks: &[i64]) -> Vec<bool> {
         let mut on = Vec::with_capacity(ticks.len());
         let mut state = self.plan.tool_on[0];
@@ -833,11 +837,11 @@ impl<const N: usize> ExecutedCubic<N> {
     }
 }
 
-/// Returns the shortest time of a segment, s, by the rounding of its positions. In it the rounding uses at most the
-/// fraction [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
+/// Returns the shortest time of a segment, s, by the rounding of its ends. In it the rounding to a count c and that to
+/// a unit of velocity q each use at most the fraction [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
 ///
 /// ```text
-/// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J
+/// 6 c / T^2 <= r A,   3 q / T <= r A,   12 c / T^3 <= r J,   6 q / T^2 <= r J
 /// ```
 fn least_for_rounding_s<const N: usize>(plan: &AxesPlan<N>) -> f64 {
     let mut least_s = 0.0_f64;
@@ -867,7 +871,8 @@ const LONGEST_LEAST_S: f64 = 0.05;
 /// Smaller: rounding is mended in further rounds. Chosen far below a count.
 const TRAVEL_ROUNDING: f64 = 1e-9;
 
-/// Returns the factor by which the time of a cubic has to grow so that it keeps all limits; at most 1 if it keeps them.
+/// Returns the factor by which the time of a cubic has to grow so that it keeps the limits on velocity, acceleration
+/// and, for a program of cubics, jerk; at most 1 if it keeps them.
 fn use_of_limits<const N: usize>(
     piece: &ExecutedCubic<N>,
     axes: &[MachineAxis; N],
@@ -891,7 +896,7 @@ fn use_of_limits<const N: usize>(
     most
 }
 
-/// Refuses counts that no program can hold, or that are implausible for this motion.
+/// Refuses counts that are not positive, that are below [`SMALLEST_COUNT`], or that are larger than the whole motion.
 fn check_counts<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let extents_mm = (0..N).map(|a| plan.lever[a] * plan.extent(a));
     let extent_mm = extents_mm.fold(f64::NEG_INFINITY, f64::max);

@@ -77,7 +77,7 @@ pub struct ProgramSettings {
 }
 
 /// Default of the largest distance of the program's path from the plan's, mm. Larger: fewer segments, and a removal
-/// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels of a fine map.
+/// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels (0.5 mm) of a fine map.
 pub const PATH_DEVIATION_MM: f64 = 0.005;
 
 impl Default for ProgramSettings {
@@ -170,7 +170,7 @@ pub struct About {
     /// distance that a point at its radius moves per degree.
     pub path_deviation_mm: f64,
     /// Largest distance of the executed contact point from that of the motion of the axes, mm, at eight points of every
-    /// segment. Absent in a program for x and y.
+    /// cubic of the executed motion. Absent in a program for x and y.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_deviation_mm: Option<f64>,
     /// Difference between the time of the program and that of the plan, s; positive if the program takes longer.
@@ -222,8 +222,10 @@ const MOST_UNEVEN: f64 = 2e-3;
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
 ///
 /// # Errors
-/// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs; what [`check`] refuses; and
-/// a motion that does not keep the limits of the machine, or of which no program within them is found.
+/// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs, and what [`check`]
+/// refuses. Refuses a motion whose removal rate changes, that does not keep the limits of the machine, or that lifts
+/// the tool where the program cannot (unless `always_on`). Also refuses it if no program within the limits, the
+/// segments of the controller and the dwell times of the plan is found.
 pub fn program(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -259,8 +261,10 @@ pub fn program(
 /// segments.
 ///
 /// # Errors
-/// Refuses a motion with another number of axes, what [`check`] refuses, and a motion that does not keep the limits of the
-/// machine, or of which no program within them is found.
+/// Refuses a motion with another number of axes, a form that the machine cannot follow, and what [`check`] refuses.
+/// Refuses a motion that does not keep the limits of the machine, or that lifts the tool where the program cannot
+/// (unless `always_on`). Also refuses it if no program within the limits, the segments of the controller and the dwell
+/// times of the plan is found.
 pub fn program_of_axes(
     motion: &AxesMotion,
     machine: &Machine,
@@ -284,7 +288,8 @@ pub fn program_of_axes(
 /// for `controller` on `machine`.
 ///
 /// # Errors
-/// Refuses what [`program`] and [`program_of_axes`] refuse of these settings.
+/// Refuses what [`program`] and [`program_of_axes`] refuse of these settings. The sample time of a Galil is checked for
+/// two axes, which allow the shortest one.
 pub fn check(
     machine: &Machine,
     controller: ControllerKind,
@@ -403,7 +408,8 @@ enum Tool {
 
 impl<const N: usize> Job<'_, N> {
     /// Makes the nodes of the program within the abilities `can` of the controller, and the description for the file
-    /// beside it.
+    /// beside it. Refuses a plan that exceeds the limits, or of which the controller has no program within them and
+    /// within its number of segments. Lines may change the dwell times by at most [`MOST_UNEVEN`].
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
@@ -477,8 +483,8 @@ impl<const N: usize> Job<'_, N> {
         Ok((nodes, about))
     }
 
-    /// Returns the error for lines that change the dwell times of the plan too much; it names counts and a clock that
-    /// are fine enough.
+    /// Returns the error for lines that change the dwell times of the plan too much. It names finer counts and a finer
+    /// clock, or asks for a plan with less acceleration if they are fine already.
     fn too_uneven(&self, nodes: &Nodes<N>) -> Invalid {
         let fine = self.grids.kind.model();
         let mut finer = Vec::new();

@@ -80,7 +80,8 @@ pub struct Peak {
     pub segment: usize,
 }
 
-/// Refuses a plan that exceeds the limits of the machine or leaves its travel; the error names the worst excess.
+/// Refuses a plan that exceeds the limits of the machine, leaves its travel, has steps, or does not begin and end at
+/// rest; the error names the worst excess. Also refuses numbers beyond [`LARGEST_NUMBER`].
 pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     check_magnitudes(plan)?;
     check_travel(plan)?;
@@ -109,7 +110,7 @@ pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Inval
     worst.verdict(plan.machine.name())
 }
 
-/// Refuses a plan that leaves the travel of an axis.
+/// Refuses a plan that leaves the travel of an axis by more than [`STEP`].
 fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     for (axis, limits) in plan.axes.iter().enumerate() {
         let Some([low, high]) = limits.travel else { continue };
@@ -135,8 +136,8 @@ fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
 /// A proof, and the lowest and highest position of every axis on the whole motion.
 type Proven<const N: usize> = (Proof, [[f64; 2]; N]);
 
-/// Proves that the motion which the controller executes keeps the limits and the travel. Refuses a program that does
-/// not.
+/// Proves that the motion which the controller executes keeps the limits, the travel and the shortest segment of the
+/// machine. Refuses a program that does not.
 pub(crate) fn prove<const N: usize>(
     nodes: &Nodes<N>,
     plan: &AxesPlan<N>,

@@ -60,7 +60,8 @@ impl Default for PmacSettings {
 }
 
 /// Returns the tick in s, the unit of time of the velocities in s, and the largest number of ticks of a segment.
-/// Refuses settings that no PMAC has.
+/// Refuses settings that no PMAC has. Also refuses a missing M-variable if the machine file says that the controller
+/// switches the tool.
 pub(crate) fn checked(
     grids: &ControllerModel,
     settings: &PmacSettings,

@@ -28,13 +28,15 @@
 //! The removal then differs from the plan's by time that is moved by at most R, and the program takes the plan's time.
 //!
 //! What remains delays the program against the plan by a part of a tick. The next stretch with room takes this part
-//! back or adds to it until the delay is a whole number of ticks (`Cells::whole_ticks`). The nodes after the stretch
-//! then lie at the same times of the plan as before, so mending one place does not spoil the others.
+//! back or adds to it until the delay is a whole number of ticks (`ClockCells::whole_ticks`). The nodes after the
+//! stretch then lie at the same times of the plan as before, so mending one place does not spoil the others.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
 //! | s, t | `plan_s`, `time_s` | s |
-//! | k | `factor` | - |
+//! | k, clock factor | `factor` | - |
+//! | P, p: position of an axis in the plan, in the program | `position` | mm or deg |
+//! | V, A, J: limits of an axis on velocity, acceleration, jerk | `limit` | per s, s^2, s^3 |
 
 use std::array::from_fn;
 
@@ -327,7 +329,8 @@ impl ClockCells {
         k
     }
 
-    /// Returns by how much `k` may be lowered at every border, length m+1; 0 where the program is slower than the plan.
+    /// Returns by how much `k` may be lowered at every border, length m+1. It is 0 where the program is slower than the
+    /// plan, where the generator has raised `k`, where the tool does not remove on both sides, and at both ends.
     fn rooms(&self, k: &[f64]) -> Vec<f64> {
         let m = self.need.len();
         let mut rooms = vec![0.0; m + 1];
@@ -354,7 +357,8 @@ impl ClockCells {
     /// ```
     ///
     /// with the unit u of the delay, the duration h of a cell, the delay D, and weights w_j. The weights are limited by
-    /// the room and by the slope that `k` may still take.
+    /// the room and by the slope that `k` may still take. A stretch that would need more than its weights stays as it
+    /// is.
     fn whole_ticks(&self, k: &mut [f64]) {
         let m = self.need.len();
         if m < 4 {

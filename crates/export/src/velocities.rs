@@ -10,8 +10,9 @@
 //! |6 (v_k + v_{k+1}) - 12 m| <= J T^2                                 m = dp / T
 //! ```
 //!
-//! The limits are reduced by what rounding the velocities to their unit q can add: 3 q / T of the acceleration,
-//! 6 q / T^2 of the jerk, q of the velocity.
+//! Here v_k is the velocity at node k, T_k the duration and dp_k the distance of segment k, which follows node k. V, A
+//! and J are the limits on velocity, acceleration and jerk. They are reduced by what rounding the velocities to their
+//! unit q can add: 3 q / T of the acceleration, 6 q / T^2 of the jerk, q of the velocity.
 
 use planish_numerics::{
     polynomial::{derivative, range},
@@ -87,7 +88,8 @@ impl Axis<'_> {
     }
 
     /// Solves the quadratic program. If `elastic` is true, limits may be exceeded at a price. Returns the velocities
-    /// (n+1); `None` if there is no solution.
+    /// (n+1); `None` if there is no solution, or if velocities within segments still exceed their limit after
+    /// [`MOST_PROGRAMS`] programs.
     fn program(&self, elastic: bool) -> Option<Vec<f64>> {
         let n = self.time_s.len();
         let t = self.time_s;

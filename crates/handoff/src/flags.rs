@@ -439,7 +439,8 @@ pub struct OutputFileArgs {
 }
 
 impl OutputFileArgs {
-    /// Refuses a file that must not be written. Call it before the work of the program.
+    /// Refuses an output file that is an input or a directory, that cannot be made, or that exists without `--force`.
+    /// Call it before the work of the program.
     pub fn begin(&self, inputs: &Inputs) -> Result<OutputFile, HandoffError> {
         OutputFile::begin("--out", &self.out, self.force, inputs)
     }

@@ -271,10 +271,11 @@ impl Inputs {
         })
     }
 
-    /// Reads one mask (shape ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`; 1 becomes true.
+    /// Reads one mask (shape ny, nx) from a `.npy` file given by the flag `--role`; 0 becomes false, 1 to 255 true.
     ///
     /// # Errors
-    /// Fails if the file cannot be read, or holds other values or another number of axes.
+    /// Fails if the file cannot be read, or holds other values than whole numbers from 0 to 255, or another number of
+    /// axes.
     pub fn read_mask(&mut self, role: &str, path: &Path) -> Result<Array2<bool>, HandoffError> {
         let ArrayData::U8(a) = self.read_array(role, path, Dtype::U8)? else {
             unreachable!("read as U8")

@@ -230,7 +230,8 @@ impl Output {
         Ok(())
     }
 
-    /// Refuses a `--wall-time` file that exists and holds something else, or that lies in an output.
+    /// Refuses a `--wall-time` file that exists and holds something else, that lies in an output, or that is an input
+    /// or lies in one.
     fn check_wall_time(&self, inputs: &Inputs) -> Result<(), HandoffError> {
         let Some(file) = &self.args.wall_time else { return Ok(()) };
         if self.directories.iter().any(|d| is_within(file, &d.path)) {
@@ -526,8 +527,8 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Checks the file; call it before the work. It refuses `path`, given by `flag`, if it is an
-    /// input or a directory. It also refuses an existing file, unless `force` is true.
+    /// Checks the file; call it before the work. It refuses `path`, given by `flag`, if it is an input, lies in one, is
+    /// a directory, or cannot be made. It also refuses an existing file, unless `force` is true.
     pub fn begin(
         flag: &str,
         path: &Path,

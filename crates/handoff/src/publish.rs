@@ -146,7 +146,8 @@ impl Staged {
         self.file.write_all(bytes).map_err(|e| HandoffError::io(&self.place, "write", &e))
     }
 
-    /// Refuses the final path if another program has put something there since the run began.
+    /// Refuses the final path if something is there that this output may not replace, because another program has put
+    /// it there since the run began.
     fn check_place(&self) -> Result<(), HandoffError> {
         let taken = match (self.what, is_absent(&self.place)) {
             (_, true) => false,
