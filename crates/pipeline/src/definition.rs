@@ -55,7 +55,7 @@ pub struct Setting {
     pub kind: Kind,
     /// Lines of the default: the first line whose condition holds counts. Empty if the setting has no default.
     pub default: Vec<DefinitionLine>,
-    /// True if the setting may be left empty: it has no default, here or in the shared file.
+    /// True if a user may give it an empty value: it has no default at all, or none in the shared file.
     pub may_be_empty: bool,
     /// Description of the setting for the user.
     pub help: String,
@@ -141,8 +141,8 @@ impl Definition {
         Some(Self::read(name, built_in_text(SHARED)?, own).expect("a test reads every file"))
     }
 
-    /// Returns the names of the settings on which the commands of `stage` depend, also through values and other
-    /// stages. It does not follow the names in `cut`.
+    /// Returns the names of the settings on which the commands of `stage` depend, also through values and other stages.
+    /// It leaves out the names in `cut`, and what only they depend on.
     pub fn settings_of(&self, stage: &str, cut: &[&str]) -> BTreeSet<String> {
         let mut seen: BTreeSet<String> = cut.iter().map(|name| name.to_string()).collect();
         let mut names = Vec::new();
@@ -255,8 +255,8 @@ impl Definition {
             .chain(stages.flat_map(|(name, stage)| stage.lines().map(move |line| (name, line))))
     }
 
-    /// Refuses unknown names, values and stages that refer to themselves, and lines that are neither commands nor
-    /// calls of stages.
+    /// Refuses a definition without a stage `run`, unknown names and stages, values, defaults and stages that refer to
+    /// themselves, and lines of a stage that are neither commands nor calls of stages.
     fn check(&self) -> Result<(), String> {
         if self.stage("run").is_none() {
             return Err("there is no stage 'run'; add it to `stages`".into());

@@ -32,7 +32,7 @@ pub struct Size {
 /// Time and memory that a job asks the cluster for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Resources {
-    /// Time limit of the job, minutes.
+    /// Time limit of the job, minutes; at least 10.
     pub runtime: u64,
     /// Memory limit of the job, MiB.
     pub mem_mb: u64,
@@ -63,7 +63,8 @@ const BYTES_PER_PIXEL: f64 = 1000.0;
 /// of memory.
 const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
-/// Returns the estimated time of a plan on one core, s.
+/// Returns the estimated time of a plan on one core, s. A plan without a pitch counts as one of 1 mm, and one without a
+/// step as one whose step is the pitch.
 pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     let pitch_mm = plan.number("pitch_mm").or(plan.number("min_pitch_mm")).unwrap_or(1.0);
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);

@@ -122,7 +122,9 @@ impl Step {
 }
 
 impl SweptPlan {
-    /// Makes a plan with these settings and the defaults of the others. Its name contains the hash of its inputs.
+    /// Makes a plan with these settings. It adds the default pitch and step of the path, and the varying tool of the
+    /// fixture, if they are not given; other settings keep their defaults unstated. Its name contains the hash of its
+    /// inputs.
     pub fn new(
         path: &str,
         method: &str,
@@ -465,7 +467,8 @@ fn resolved(
     names.map(|name| (name.to_string(), scope.text(name).unwrap_or_default())).collect()
 }
 
-/// Returns the directory, in the sweep, of the varying tool that a command makes of `tool`; `None` without a command.
+/// Returns the directory, in the sweep, of the varying tool that the command `text` makes of `tool`. `None` without a
+/// command, or for a command that is not in `ground`.
 fn varied_tool(tool: &str, text: Option<&str>, ground: &Ground) -> Option<String> {
     let command = value_of(&ground.varying, text?)?;
     let tif = value_of(&ground.tools, tool);
@@ -477,7 +480,8 @@ fn value_of<'a, T>(list: &'a [(String, T)], key: &str) -> Option<&'a T> {
     list.iter().find(|(known, _)| known == key).map(|(_, value)| value)
 }
 
-/// Adds the defaults of `just run` for settings that a stage needs and that are not given.
+/// Adds settings that are not given: the default `pitch_mm` and `step_mm` of a path that has them, and the command
+/// `varying` of the fixture unless a tool is named. Returns all in the order of the table of settings.
 fn with_defaults(
     path: &str,
     mut settings: Vec<(String, SettingValue)>,

@@ -51,8 +51,8 @@ pub fn growth(points: &[[f64; 2]], before: usize) -> f64 {
     if old > 0.0 { new / old - 1.0 } else { f64::INFINITY }
 }
 
-/// Returns `own` with its numbers half way to those of `other`. Whole numbers such as seeds and passes stay, because
-/// no values lie between them.
+/// Returns `own` with its numbers half way to those of `other`: the geometric mean of two positive numbers, otherwise
+/// the arithmetic one. Words stay, and so do whole numbers such as seeds and passes, which have no values between them.
 fn half_way(own: &SweptPlan, other: &SweptPlan, ground: &Ground) -> SweptPlan {
     let settings = own.settings.iter().map(|(key, value)| {
         let is_whole = SETTINGS.iter().any(|setting| setting.key == *key && setting.is_whole());

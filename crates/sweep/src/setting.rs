@@ -299,7 +299,8 @@ fn stem(key: &str) -> &str {
 const MOST_OF_A_RANGE: f64 = 10_000.0;
 
 /// Returns the numbers of a range `{from: A, to: B, step: S}` or `{from: A, to: B, count: N}`. With `spacing:
-/// logarithmic`, the latter has equal ratios between neighbours.
+/// logarithmic`, the latter has equal ratios between neighbours. Refuses A above B, a step that is not positive, a
+/// count below 2, and more than [`MOST_OF_A_RANGE`] values.
 fn range(
     key: &str,
     line: u64,

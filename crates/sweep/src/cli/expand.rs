@@ -64,8 +64,8 @@ impl Expand {
         Ok(Status::Done)
     }
 
-    /// Locks the sweep, if it has the lock file of a running workflow: its plans must not be replaced meanwhile.
-    /// `None` if there is no lock file.
+    /// Locks the sweep, if it has the lock file of a workflow: its plans must not be replaced while one runs. Fails if
+    /// another process holds the lock. `None` if there is no lock file.
     fn alone(&self) -> Result<Option<File>, Failure> {
         let Ok(lock) = OpenOptions::new().write(true).open(self.out.join("lock")) else {
             return Ok(None);
@@ -79,8 +79,8 @@ impl Expand {
         }
     }
 
-    /// Refuses an output directory that has files but is not the directory of a sweep, because the files belong to
-    /// somebody.
+    /// Refuses an output directory that has files but no `sweep.json`, because the files belong to somebody. It accepts
+    /// one whose first entry is `inputs`, which an expansion that was ended leaves.
     fn refuse_foreign(&self) -> Result<(), Failure> {
         let out = &self.out;
         if out.join("sweep.json").exists() {
