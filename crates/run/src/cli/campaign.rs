@@ -328,8 +328,8 @@ impl Course<'_> {
         format!("{run}/methods/{}/trajectory", self.planned)
     }
 
-    /// Simulates the measurement of the true map into the directory `to`. `run_number` selects the mirror and its
-    /// noise; `None` measures the first one.
+    /// Simulates the measurement of the true map into the directory `to`. `run_number` selects the random errors of the
+    /// measurement: those before this run, from 1; `None` takes those before run 1.
     fn measure(&mut self, to: &str, run_number: Option<u32>) -> Result<(), Failure> {
         let seed = format!("--seed={}", self.seed);
         let number = run_number.map(|k| format!("--run-number={k}"));
@@ -353,8 +353,9 @@ impl Course<'_> {
         self.quiet("planish-register", &flags)
     }
 
-    /// Runs the virtual machine with the true tool for run number `k`. The directory `at` gets the measured map and the
-    /// true one.
+    /// Runs `motion` on the virtual machine with the true tool, as run number `k` from the map `map`. `more` are
+    /// further flags. The directory `at` gets the map that is measured afterwards (`measured`) and the true result
+    /// (`truth`).
     fn machine_runs(
         &mut self,
         at: &str,

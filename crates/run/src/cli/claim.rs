@@ -207,8 +207,9 @@ impl Named {
         named
     }
 
-    /// Refuses a path inside the output directory, where a stage may replace it. A link in that directory is refused
-    /// too, even if it leads elsewhere.
+    /// Refuses a path inside the output directory, where a stage may replace it, and a link there, even if it leads
+    /// elsewhere. For a setting of the kind path it also refuses the output directory itself and a directory that
+    /// contains it. A word of flags counts only if something exists at its path.
     fn refuse_inside(&self, out: &Path) -> Result<(), Failure> {
         let Self { setting, path, is_path } = self;
         if *is_path {
@@ -270,7 +271,7 @@ fn resolved(path: &Path) -> PathBuf {
 }
 
 /// Locks the directory and returns the lock file. A directory without an owner gets `owner`. Refuses that of another
-/// owner, and one in use.
+/// owner, one with other content, and one in use. `command` describes this process to other runs.
 fn take(out: &Path, owner: &Owner, command: &str) -> Result<File, Failure> {
     let failed = |doing: &str, e: std::io::Error| {
         Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))
