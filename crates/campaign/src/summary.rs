@@ -98,7 +98,7 @@ pub struct RunRecord {
 pub struct LearntParameter {
     /// Name of the parameter, such as `rate_scale`.
     pub name: String,
-    /// Unit of the values.
+    /// Unit of the value, of its standard error, of the truth and of the corrections.
     pub unit: String,
     /// Value from all runs so far, in `unit`; `None` if no run determined it.
     pub value: Option<f64>,
@@ -106,7 +106,7 @@ pub struct LearntParameter {
     pub standard_error: Option<f64>,
     /// Hidden true value in `unit`; `None` if the virtual machine has no such parameter.
     pub truth: Option<f64>,
-    /// True if this run determined it.
+    /// True if the last of the runs so far determined the value, false if an earlier one did or none.
     pub is_of_this_run: bool,
     /// Reason for which this run did not determine the parameter; `None` if it did.
     pub refused: Option<String>,

@@ -48,7 +48,7 @@ pub struct Recorded {
 /// Artifacts that all methods of a run share. A method is one plan: a scheduler or solver with its results.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunRecords {
-    /// Map of the desired removal.
+    /// Map of the desired removal, which all methods shall remove.
     pub surface: Recorded,
     /// Tool path; `None` if the run has none.
     pub tool_path: Option<Recorded>,
@@ -56,12 +56,12 @@ pub struct RunRecords {
     pub dwell: Option<Recorded>,
 }
 
-/// Artifacts of one method of a run.
+/// Artifacts of one method of a run, each as its hash and its record.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodRecords {
-    /// Motion along the path.
+    /// Motion of the method along the tool path.
     pub trajectory: Recorded,
-    /// Predicted removal and residual.
+    /// Predicted removal of the motion, with the residual that it leaves.
     pub removal: Recorded,
     /// Record of the verdict on the limits of the machine.
     pub verdict: Record,

@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use crate::{plan::PlanStatus, table::align};
 
-/// Result of one dwell solver on a mirror.
+/// Result of one dwell solver on a mirror: its dwell times, and the residual that they leave without and with a motion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Solver {
     /// RMS of the residual (mean removed), predicted with the dwell times at the dwell points and without a motion,
@@ -45,7 +45,8 @@ pub struct Solver {
     pub wall_s: Option<f64>,
     /// Peak memory of the solver, MiB; `null` if it was not measured.
     pub peak_memory_mb: Option<f64>,
-    /// State of the dwell times: certified, converged or not.
+    /// State of the dwell times: whether their optimality is proven, or the solver converged at all (see
+    /// [`crate::plan`]).
     pub plan: PlanStatus,
 }
 
@@ -123,7 +124,7 @@ fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     if pairs > 0.0 && sum > 0.0 { f64::sqrt(squares / pairs) / (sum / count) } else { 0.0 }
 }
 
-/// Headings of the table: the two lines above each column.
+/// Headings of the columns of the table, two lines each; detilted means that the best plane is removed.
 const HEADINGS: [[&str; 2]; 12] = [
     ["", "solver"],
     ["position", "RMS nm"],

@@ -23,7 +23,7 @@ use serde::Serialize;
 /// Chosen: the tolerance of a position in `planish-verify`.
 const OVERSHOOT_MM: f64 = 1e-6;
 
-/// Numbers that describe how a motion executes its plan.
+/// Deviations of a motion from its planned dwell times, its overshoot, and its jerk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Execution {
     /// RMS of the dwell error over the points, s; `null` without dwell times, or if no segment names a dwell point.
@@ -33,7 +33,7 @@ pub struct Execution {
     pub dwell_error_worst_s: Option<f64>,
     /// Number of overshoots of more than 1 nm along [x, y]: of dwell points, and of segments that serve no point.
     pub overshoot_points: [usize; 2],
-    /// Largest overshoot along [x, y], mm.
+    /// Largest overshoot along [x, y], mm; 0 if no segment overshoots.
     pub max_overshoot_mm: [f64; 2],
     /// Largest magnitude of the jerk inside segments along [x, y], mm/s^3.
     pub max_jerk_mm_per_s3: [f64; 2],

@@ -55,14 +55,14 @@ pub struct DivisionReport {
 #[derive(Clone, Debug)]
 pub struct Division {
     grid: Grid,
-    /// True for the valid pixels (ny, nx).
+    /// True for the pixels that have a height, shape (ny, nx).
     valid: Array2<bool>,
     /// True for the valid pixels of the edge zone (ny, nx); `None` if the tool is not known.
     edge: Option<Array2<bool>>,
     report: DivisionReport,
 }
 
-/// A point of the map with a large residual.
+/// A pixel whose residual is among the farthest from the mean of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WorstPlace {
     /// Centre of the pixel along x, mm.
@@ -93,7 +93,7 @@ pub struct Times {
     pub inside_s: f64,
     /// Time with the tool on beyond the valid pixels: overscan and turn-arounds.
     pub beyond_s: f64,
-    /// Time with the tool off.
+    /// Time with the tool off, wherever the tool is.
     pub tool_off_s: f64,
 }
 
@@ -102,7 +102,7 @@ pub struct Times {
 pub struct Places {
     /// Points whose residual is farthest from the mean of the map, the worst first: at most five, not close together.
     pub worst: Vec<WorstPlace>,
-    /// RMS of the residual in the edge zone and inside.
+    /// RMS of the residual in the edge zone and inside of it, about the mean of the whole map.
     pub zone_rms: ZoneRms,
     /// RMS of the residual in each region, nm; rows from small y, columns from small x; `null` for a region without
     /// valid pixels.

@@ -81,7 +81,7 @@ pub struct Summary {
     pub pipeline: String,
     /// Name of the mirror.
     pub fixture: String,
-    /// Statistics of the desired removal.
+    /// RMS, PV and slopes of the desired removal, before the run.
     pub initial: Initial,
     /// Base length of the slopes along [x, y], mm; `null` along an axis that is shorter than the base.
     pub slope_base_mm: [Option<f64>; 2],
@@ -126,23 +126,23 @@ pub struct LeftOut {
     pub name: String,
     /// Validity of the method: `not-valid`, `out-of-date` or `refused`.
     pub standing: Standing,
-    /// Reasons why the method takes no part.
+    /// Reasons why the method takes no part in the comparison, as sentences.
     pub reasons: Vec<String>,
 }
 
 /// Statistics of the desired removal before the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Initial {
-    /// RMS of the heights, mean removed, nm.
+    /// RMS of the desired removal, mean removed, nm.
     pub rms_nm: f64,
-    /// Largest minus smallest height, nm.
+    /// Largest minus smallest desired removal, nm.
     pub pv_nm: f64,
     /// RMS slope along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
     /// RMS of the waves that are too short for the tool to correct, nm; `null` if the tool is not known, or the map has
     /// no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
-    /// RMS in the edge zone and inside of it.
+    /// RMS of the desired removal in the edge zone and inside of it, about the mean of the whole map.
     pub zone_rms: ZoneRms,
 }
 
@@ -196,9 +196,9 @@ pub struct MethodResult {
     pub simulate_wall_s: Option<f64>,
     /// Deviations of the motion from the plan: dwell times, overshoot, jerk.
     pub execution: Execution,
-    /// Residual and time by position on the part.
+    /// Residual and time by position on the part: worst points, edge zone, regions.
     pub places: Places,
-    /// State of the plan: certified, converged or not.
+    /// State of the plan: whether its optimality is proven, or the method converged at all (see [`crate::plan`]).
     pub plan: PlanStatus,
     /// Verdict on the residual by a specification; `null` if there is none, or if it is about another map or by another
     /// specification than the other verdicts of the run.
@@ -239,12 +239,12 @@ fn broken_limits(verdict: &Verdict) -> Vec<&'static str> {
     broken
 }
 
-/// Times that the stages of a method took; `None` if they were not measured.
+/// Wall times of two stages of a method; each is `None` if it was not measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WallTimes {
-    /// Time of the scheduler, s.
+    /// Wall time of the scheduler, s.
     pub schedule_s: Option<f64>,
-    /// Time of the simulation, s.
+    /// Wall time of the simulation, s.
     pub simulate_s: Option<f64>,
 }
 
@@ -255,7 +255,7 @@ pub struct MethodFacts {
     pub wall: WallTimes,
     /// Name of the machine that the verdict is about; `None` if it is not known.
     pub machine: Option<String>,
-    /// State of the plan: certified, converged or not.
+    /// State of the plan: whether its optimality is proven, or the method converged at all (see [`crate::plan`]).
     pub plan: PlanStatus,
     /// RMS of the waves of the residual that are too short for the tool to correct, nm. `None` if the tool is not known
     /// or not that of the prediction, or if the map has no rectangle large enough for a spectrum.

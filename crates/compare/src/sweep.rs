@@ -45,7 +45,7 @@ fn specification_in_words(numbers: &PlanNumbers) -> String {
 /// Choice of the residual by which plans are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Residual {
-    /// RMS of the residual without errors, nm.
+    /// RMS of the residual of the plan without errors of the process, nm.
     Nominal,
     /// RMS of the residual that 95 % of the runs are below, with the errors of the process, nm.
     Below95,

@@ -65,7 +65,7 @@ impl Bands {
     }
 
     /// Returns the index of the band that contains `value`, from 0. It is the first or the last band if the value is
-    /// outside the range, the middle band if the range is a single value, and otherwise the first band for NaN.
+    /// outside the range, and the first band for NaN. If the range is a single value, it is always the middle band.
     pub fn index(&self, value: f64) -> usize {
         let [low, high] = self.range;
         let fraction = if high > low { (value - low) / (high - low) } else { 0.5 };

@@ -39,7 +39,7 @@ const BAR_PX: [f64; 2] = [14.0, 12.0];
 /// Range of the values on an axis, and the rule (linear or logarithmic) that places them along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
-    /// Linear axis from the first value to the second.
+    /// Linear axis from the first value to the second, in the unit of the values; the first is smaller.
     Linear([f64; 2]),
     /// Linear axis of a count, from the first value to the second. Only whole numbers stand beside it.
     Counts([f64; 2]),

@@ -57,9 +57,9 @@ const LEAST_TOLERANCE_MM: f64 = 1e-6;
 /// Convention of the F word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Feed {
-    /// G93: lines per minute.
+    /// G93, inverse time: F is one over the duration of the line, 1/min.
     InverseTime,
-    /// G94: mm per minute.
+    /// G94, units per minute: F is the feedrate, mm/min.
     PerMinute,
 }
 

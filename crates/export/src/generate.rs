@@ -94,7 +94,7 @@ const CONTACT_POINTS: usize = 7;
 /// time. Smaller: a tighter bound that nobody needs.
 const WORTH: f64 = 0.3;
 
-/// Settings of the generator of nodes.
+/// Settings of the generator of nodes (the ends of the segments of a program).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct GeneratorSettings {
     /// Clock, counts and kind of motion between two nodes of the controller.
@@ -110,9 +110,9 @@ pub(crate) struct GeneratorSettings {
 /// Nodes of a program, in ticks and counts of a controller; n is the number of segments.
 #[derive(Clone, Debug)]
 pub(crate) struct Nodes<const N: usize> {
-    /// Size of a count of every axis, mm or deg.
+    /// Size of a count (unit of position of the controller) of every axis, mm or deg.
     pub count: [f64; N],
-    /// Duration of a tick, s.
+    /// Duration of a tick (unit of the clock of the program), s.
     pub tick_s: f64,
     /// Ticks from the start to every node, length n+1.
     pub ticks: Vec<i64>,
@@ -267,7 +267,8 @@ impl<const N: usize> Nodes<N> {
         self.tool_on = tool_on;
     }
 
-    /// Returns the cubics that the controller executes, in their order in time.
+    /// Returns the cubics that the controller executes, in their order in time: one per segment, or the straight pieces
+    /// and half parabolas of joined lines.
     pub(crate) fn pieces(&self) -> Vec<ExecutedCubic<N>> {
         match self.interpolation {
             Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
@@ -377,7 +378,7 @@ struct Generator<'a, const N: usize> {
     switches_s: Vec<f64>,
 }
 
-/// Faults of a program that the next round has to mend.
+/// Faults of a program that the next round has to mend: exceeded limits, and deviations from the path of the plan.
 struct Faults<const N: usize> {
     /// Index of each segment that exceeds a limit, and the factor by which its time has to grow.
     slow: Vec<(usize, f64)>,

@@ -97,7 +97,7 @@ impl Default for ProgramSettings {
 /// Origin of the motion of a program, stated in its header.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
-    /// Path of the motion, and its hash.
+    /// Sentence with the directory of the motion, the program that made it, and its BLAKE3 hash.
     pub made_from: String,
     /// Transform of the motion from the coordinates of the part to those of the axes; `None` if both are the same.
     pub part_to_axes: Option<TransformNumbers>,
@@ -119,11 +119,11 @@ pub struct Program {
 /// Description of a program, for the file beside it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct About {
-    /// Name of the controller.
+    /// Kind of the controller, such as `galil`.
     pub controller: &'static str,
     /// Name of the machine.
     pub machine: String,
-    /// Path of the motion, and its hash.
+    /// Sentence with the directory of the motion, the program that made it, and its BLAKE3 hash.
     pub made_from: String,
     /// Name and version of the program that wrote it.
     pub made_by: String,
@@ -158,7 +158,7 @@ pub struct About {
     pub tick_s: f64,
     /// Number of segments of the program.
     pub segments: usize,
-    /// Total time of the program, s.
+    /// Duration of the motion that the program executes, s.
     pub total_time_s: f64,
     /// Number of segments that the buffer of the controller holds; left out if the buffer is no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -223,9 +223,9 @@ const MOST_UNEVEN: f64 = 2e-3;
 ///
 /// # Errors
 /// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs, and what [`check`]
-/// refuses. Refuses a motion whose removal rate changes, that does not keep the limits of the machine, or that lifts
-/// the tool where the program cannot (unless `always_on`). Also refuses it if no program within the limits, the
-/// segments of the controller and the dwell times of the plan is found.
+/// refuses. Refuses a motion whose removal rate is not that of the TIF, that does not keep the limits of the machine,
+/// or that lifts the tool where the program cannot (unless `always_on`). Also refuses it if no program within the
+/// limits, the segments of the controller and the dwell times of the plan is found.
 pub fn program(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -261,10 +261,10 @@ pub fn program(
 /// segments.
 ///
 /// # Errors
-/// Refuses a motion with another number of axes, a form that the machine cannot follow, and what [`check`] refuses.
-/// Refuses a motion that does not keep the limits of the machine, or that lifts the tool where the program cannot
-/// (unless `always_on`). Also refuses it if no program within the limits, the segments of the controller and the dwell
-/// times of the plan is found.
+/// Refuses a motion with another number of axes, a placement of the part that has no inverse, and what [`check`]
+/// refuses. Refuses a motion that does not keep the limits of the machine, or that lifts the tool where the program
+/// cannot (unless `always_on`). Also refuses it if no program within the limits, the segments of the controller and the
+/// dwell times of the plan is found.
 pub fn program_of_axes(
     motion: &AxesMotion,
     machine: &Machine,

@@ -80,13 +80,13 @@ pub(crate) fn choose<const N: usize>(
     ticks
 }
 
-/// The wanted lengths of lines over the time of a program, at places `step` ticks apart.
+/// The wanted durations of lines over the time of a program, at places (instants) `step` ticks apart.
 struct Lengths {
-    /// Distance from one place to the next, ticks.
+    /// Time from one place to the next, ticks.
     step: i64,
-    /// Length of the shortest line, ticks.
+    /// Duration of the shortest line, ticks.
     least: i64,
-    /// Wanted length of a line at every place, ticks.
+    /// Wanted duration of a line at every place, ticks.
     ticks: Vec<f64>,
     /// Largest used fraction of an acceleration limit by the plan near every place, at least [`LITTLE_USE`].
     used: Vec<f64>,

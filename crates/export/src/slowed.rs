@@ -45,8 +45,9 @@ use planish_types::{AxisGrid, ControllerModel, Interpolation, MachineAxis};
 
 use crate::plan::{AxesPlan, length_mm};
 
-/// Fraction of the acceleration limit that one count may be in lines at the limit, where longer lines allow it. Larger:
-/// slower programs. Smaller: longer lines, within which the speed changes.
+/// Fraction of the acceleration limit that the rounding of a position by one count (c / T^2 in a line of T s) may use
+/// in lines at the limit, if lines of that length are allowed. Larger: slower programs. Smaller: longer lines, within
+/// which the speed changes.
 const ROUNDING: f64 = 2e-3;
 
 /// Shortest lines at the limit, as a fraction of the lines that leave the plan by the chosen deviation. Larger: a
@@ -126,8 +127,8 @@ const UNUSED: f64 = 0.5;
 /// does not change the removal.
 const SMALLEST_DELAY_S: f64 = 2e-3;
 
-/// Duration of a cell, s, and largest number of cells of a plan. The duration is shorter than what a stage can follow.
-/// Larger: a coarser clock factor. Smaller: more memory and time.
+/// Duration of a cell, s, and largest number of cells of a plan, whose cells are longer if it needs more. Larger: a
+/// coarser clock factor, or more memory. Smaller: more memory and time. Chosen: shorter than a machine can follow.
 const CELL_S: f64 = 2e-3;
 const MOST_CELLS: f64 = 2e6;
 
@@ -190,7 +191,7 @@ impl<const N: usize> Inwards<N> {
     }
 }
 
-/// A plan on the clock of its program.
+/// A plan on the clock of its program: the same path, slower where k > 1 (see the module).
 pub(crate) struct Slowed<'a, const N: usize> {
     plan: &'a AxesPlan<'a, N>,
     inwards: Inwards<N>,
@@ -211,7 +212,7 @@ pub(crate) struct ClockCells {
     on: Vec<bool>,
     /// Length of the path up to the borders of the cells, mm, length m+1.
     arc_mm: Vec<f64>,
-    /// Largest slope of k in every cell, 1/s, length m.
+    /// Largest allowed slope of k over the time of the plan in every cell, 1/s, length m.
     steepest: Vec<f64>,
     /// Factors on `need` that the generator raises where a program exceeds a limit, length m; >= 1.
     pub raised: Vec<f64>,

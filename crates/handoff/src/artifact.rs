@@ -36,7 +36,7 @@ pub trait Artifact: Sized {
     fn from_arrays(arrays: Arrays) -> Result<Self, Invalid>;
 }
 
-/// Arrays that were read from one artifact directory, by name.
+/// Arrays that were read from one artifact directory, by name; `take_...` removes them one by one.
 #[derive(Debug, Default)]
 pub struct Arrays(BTreeMap<&'static str, ArrayData<'static>>);
 
@@ -69,7 +69,7 @@ impl Arrays {
 /// Content of `manifest.json`: origin and result of an artifact, and the hashes of its files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// Name of the kind.
+    /// Name of the kind of artifact, such as `surface`.
     pub kind: String,
     /// Version of the layout of the kind, which says which arrays there are.
     pub version: u32,
@@ -221,7 +221,7 @@ pub struct ArrayRecord {
     pub blake3: String,
 }
 
-/// An artifact that has been read and checked.
+/// An artifact that has been read and checked, with its hash and manifest.
 #[derive(Debug)]
 pub struct Loaded<T> {
     /// Value of the artifact.

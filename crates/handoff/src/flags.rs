@@ -212,7 +212,7 @@ impl TrajectoryArgs {
     }
 }
 
-/// Motion in the coordinates of the axes of a machine.
+/// Motion in the coordinates of the axes of a machine, with the machine and the transform that took it there.
 #[derive(Clone, Debug)]
 pub struct OnAxes {
     /// Motion in the coordinates of the axes.
@@ -221,7 +221,7 @@ pub struct OnAxes {
     pub manifest: Option<Manifest>,
     /// Machine whose axes run the motion.
     pub machine: Machine,
-    /// True if the input was in machine coordinates already.
+    /// True if the motion that was read was in machine coordinates already, so that nothing transformed it.
     pub was_there: bool,
     /// Transform that was applied to the motion; `None` if the coordinates of part and axes are
     /// equal, or if the motion was in machine coordinates already.

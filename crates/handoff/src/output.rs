@@ -302,9 +302,9 @@ pub struct Writer {
     /// Outputs that are written to temporary places and not visible yet.
     staged: Vec<Staged>,
     progress: ProgressBar,
-    /// Time of every round of the work that has ended, s.
+    /// Duration of each round of the work (of an iterative method) that has ended, s.
     rounds: Arc<Mutex<Vec<f64>>>,
-    /// Frame of the coordinates; `None` if it is that of the kind.
+    /// Frame that the coordinates refer to, in words for the manifest; `None` if it is that of the kind.
     frame: Option<&'static str>,
 }
 

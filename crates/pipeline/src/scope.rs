@@ -41,7 +41,7 @@ impl Origins {
 /// A pipeline with the settings that the user gave, and the facts that are known so far.
 #[derive(Clone, Debug)]
 pub struct Scope<'a> {
-    /// Definition of the pipeline.
+    /// Definition of the pipeline, which has its settings, values and stages.
     pub definition: &'a Definition,
     given: BTreeMap<String, String>,
     fixed: Words,

@@ -21,11 +21,11 @@ use crate::plan::SweptPlan;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Size {
-    /// Number of pixels of the map.
+    /// Number of pixels of the map, invalid ones included.
     pub pixels: f64,
-    /// Area of the map, mm^2.
+    /// Area of all pixels of the map, mm^2, invalid ones included.
     pub area_mm2: f64,
-    /// Width of the tool, mm.
+    /// Width of the mirror's own TIF, mm; for a Gaussian it is the standard deviation.
     pub tool_width_mm: f64,
 }
 

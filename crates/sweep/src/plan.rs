@@ -27,7 +27,7 @@ pub struct Sweep {
     pub name: String,
     /// Name of the mirror that people read.
     pub mirror: String,
-    /// Stages that make the map and the tools.
+    /// Stages (runs of programs) that make the map and the tools, in their order.
     pub mirror_steps: Vec<Step>,
     /// Directory of the desired removal.
     pub surface: String,

@@ -12,7 +12,7 @@ use super::pack::{Packed, pack};
 pub struct ScreenMap {
     /// Coordinates of the centre of the first column and row, mm.
     pub start_mm: [f64; 2],
-    /// Distances of the columns and of the rows, mm.
+    /// Distances between neighbouring columns and between neighbouring rows, mm.
     pub step_mm: [f64; 2],
     /// Numbers of columns and rows.
     pub size: [usize; 2],
@@ -20,16 +20,16 @@ pub struct ScreenMap {
     pub every: usize,
     /// Mean of the valid pixels of the array, nm.
     pub mean_nm: f64,
-    /// RMS of the array about its mean, nm.
+    /// RMS of the valid pixels of the array about their mean, nm.
     pub rms_nm: f64,
-    /// Smallest and largest value of the array, nm.
+    /// Smallest and largest height of the array, nm.
     pub range_nm: [f64; 2],
     /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm. If that is 0, it is
     /// the largest distance, and 1 nm for a flat map.
     pub reach_99_nm: f64,
-    /// Heights (ny, nx), nm, as packed text for the page.
+    /// Heights of the pixels of this map (means over blocks), shape (ny, nx), nm, as packed text for the page.
     pub height_nm: Packed,
-    /// Heights (ny, nx), nm, as numbers.
+    /// The same heights as numbers, shape (ny, nx), nm; NaN for a block without valid pixels.
     #[serde(skip)]
     pub means_nm: Array2<f64>,
 }

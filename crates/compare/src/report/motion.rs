@@ -17,7 +17,7 @@ const MOST_PER_SEGMENT: usize = 4;
 /// Points along a motion, to draw it as a line in colours of the speed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SpeedLine {
-    /// Points [x, y], mm.
+    /// Points of the motion [x, y], mm.
     pub point_mm: Vec<[f64; 2]>,
     /// Times of the points from the start of the motion, s.
     pub time_s: Vec<f64>,
@@ -72,9 +72,9 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 /// Smallest and largest value of one quantity on one axis, for each piece (group of segments) of a motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
-    /// Smallest value in each piece.
+    /// Smallest value of the quantity in each piece, in its unit.
     pub low: Vec<f64>,
-    /// Largest value in each piece.
+    /// Largest value of the quantity in each piece, in its unit.
     pub high: Vec<f64>,
 }
 
@@ -111,7 +111,7 @@ pub struct Ranges {
     pub end_s: Vec<f64>,
     /// Envelopes by quantity (velocity mm/s, acceleration mm/s^2, jerk mm/s^3), then by axis (x, y).
     pub envelope: [[Envelope; 2]; 3],
-    /// Number of segments in a piece.
+    /// Number of segments in a piece; the last piece may have fewer.
     pub every: usize,
 }
 
@@ -155,7 +155,7 @@ pub struct Dwell {
     /// Executed dwell times, s: duration of the segments that serve the point, with the tool on or off. `None` for a
     /// motion that names no dwell points, such as that of a program that was read back.
     pub executed_s: Option<Vec<f64>>,
-    /// Number of dwell points of the plan for each point here.
+    /// Number of dwell points of the plan per point in these lists: the first of every `every` points is kept.
     pub every: usize,
     /// Sum of |executed - planned| over all dwell points of the plan, s; `None` if the executed times are not known.
     pub total_error_s: Option<f64>,

@@ -55,7 +55,7 @@ pub struct RunData {
     pub tool: Option<String>,
     /// Data of the methods (schedulers or solvers) of the run.
     pub methods: Vec<RunMethod>,
-    /// Manifests of the artifacts that the methods share.
+    /// Manifests of the artifacts that the methods share, for the section of the page that says how they were made.
     pub provenance: Vec<Made>,
 }
 
@@ -66,7 +66,7 @@ pub struct RunMethod {
     pub name: String,
     /// Motion along the path.
     pub trajectory: Trajectory,
-    /// Predicted removal and residual.
+    /// Predicted removal of the motion, with the residual that it leaves.
     pub removal: Removal,
     /// Verdict on the limits of the machine.
     pub verdict: Verdict,
@@ -78,7 +78,7 @@ pub struct RunMethod {
     pub rounds: Option<Rounds>,
     /// Picture of the motion of all axes as SVG; `None` if there is none.
     pub on_axes: Option<String>,
-    /// Manifests of the artifacts of the method.
+    /// Manifests of the artifacts of the method, for the section of the page that says how they were made.
     pub provenance: Vec<Made>,
 }
 
@@ -89,7 +89,7 @@ pub struct Frames {
     pub time_s: Vec<f64>,
     /// Removal until each time (m, ny, nx), nm.
     pub removal_nm: Array3<f64>,
-    /// Pixel centres of the maps.
+    /// Pixel centres of the maps; the pixels may be fewer than those of the desired removal.
     pub grid: Grid,
 }
 

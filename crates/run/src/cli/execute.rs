@@ -350,7 +350,7 @@ struct Rehearsal {
     out: String,
     /// Paths of the artifacts that the run has made so far.
     made: Vec<String>,
-    /// True after the second trial.
+    /// True once the second trial, before the first long step, has begun; no further trial follows.
     is_over: bool,
 }
 

@@ -15,7 +15,7 @@ use planish_types::Kinematics;
 /// Pipelines that end without a plan to execute, so that the commands for several runs refuse them.
 const NO_PLANS: [&str; 1] = ["compare-dwell"];
 
-/// Folders of an installed Planish or of a clone.
+/// Folders of an installed Planish or of a clone of its repository, and the working directory of the user.
 pub struct Installation {
     /// Folder with `pipelines/` and `fixtures/`.
     root: PathBuf,
