@@ -253,7 +253,8 @@ fn after_servo(name: &str, m: &MethodResult) -> String {
     })
 }
 
-/// Returns the reasons why no plan is to be run.
+/// Returns the reasons why no plan is to be run: the plans that exceed limits, or the sentence that the run has no plan
+/// that could be run.
 fn why_none(summary: &Summary) -> String {
     let exceeding = exceeding(summary);
     if exceeding.is_empty() {

@@ -31,7 +31,7 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Returns one line: `name: largest ... at [..] (a ..., b ...), RMS ...`.
+    /// Returns one line: `name: largest difference ... at [index] (A ..., B ...), RMS ...`, or `name: equal`.
     pub fn line(&self, name: &str) -> String {
         match &self.at {
             None => format!("{name}: equal"),

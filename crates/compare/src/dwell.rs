@@ -176,7 +176,7 @@ pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> 
     text
 }
 
-/// Returns the cells of the row of the solver `name`.
+/// Returns the cells of the row of the solver `name`, in the order of [`HEADINGS`]; a dash for what was not measured.
 fn line(name: &str, s: &Solver) -> Vec<String> {
     let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| fixed(v, d));
     vec![

@@ -938,7 +938,7 @@ fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Returns the names of the entries of `dir`, sorted.
+/// Returns the names of the entries of `dir`, sorted. Fails if it cannot be read, or if a name is not UTF-8.
 fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", dir.display()));
@@ -954,7 +954,7 @@ fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Reads a `.npy` array of any element type that artifacts have.
+/// Reads a `.npy` array of any element type that artifacts have: floats, integers, or flags, which become 0 and 1.
 fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     Ok(match npy::read(path, dtype_of(path)?)?.array {
         ArrayData::F64(a) => Elements::Float(a.into_owned()),

@@ -64,7 +64,8 @@ impl OnAxes {
         }
     }
 
-    /// Returns a sentence on the plan `name` when all axes of the machine run it.
+    /// Returns a sentence on the plan `name` when all axes of the machine run it: residual, time, deviations of the
+    /// tool, and whether the limits are kept.
     pub fn sentence(&self, name: &str) -> String {
         let mut longer = String::new();
         if self.added_tool_on_time_s > 0.0 {

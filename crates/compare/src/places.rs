@@ -152,7 +152,8 @@ impl Division {
         }
     }
 
-    /// Returns the RMS of `map`, on the pixels of this mirror, in the edge zone and inside.
+    /// Returns the RMS of `map`, on the pixels of this mirror, in the edge zone and inside, about the mean of the whole
+    /// map.
     pub fn zone_rms(&self, map: &Surface) -> ZoneRms {
         let Some(edge) = &self.edge else { return ZoneRms::default() };
         let [inside_nm, edge_nm] = self.rms_by(map, |index| usize::from(edge[index]));
@@ -165,7 +166,8 @@ impl Division {
         ((r * REGIONS / ny).min(REGIONS - 1), (c * REGIONS / nx).min(REGIONS - 1))
     }
 
-    /// Returns the RMS of `map` in each region, nm; `None` for a region without valid pixels.
+    /// Returns the RMS of `map` in each region about the mean of the whole map, nm; rows from small y, columns from
+    /// small x. `None` for a region without valid pixels.
     fn region_rms_nm(&self, map: &Surface) -> [[Option<f64>; REGIONS]; REGIONS] {
         let flat: [Option<f64>; REGIONS * REGIONS] = self.rms_by(map, |pixel| {
             let (row, column) = self.region(pixel);

@@ -123,7 +123,8 @@ impl Table {
         )
     }
 
-    /// Returns the names of the settings whose values differ between plans, in alphabetical order.
+    /// Returns the names of the settings whose values differ between plans, in alphabetical order. A setting that only
+    /// some plans have differs, too.
     pub fn varied(&self) -> Vec<&str> {
         let mut keys: Vec<&str> = self.setting_names().into_iter().collect();
         keys.retain(|key| {

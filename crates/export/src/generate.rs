@@ -186,7 +186,8 @@ impl<const N: usize> Nodes<N> {
         (self.segment_s(k) - 0.5 * parabolas_s).max(0.0)
     }
 
-    /// Returns the time of the executed motion, s.
+    /// Returns the duration of the executed motion, s. That of joined lines is longer than the time from the first to
+    /// the last node, because half a parabola lies outside at both ends.
     pub fn total_s(&self) -> f64 {
         let n = self.segments();
         let nodes_s = self.time_s(n) - self.time_s(0);
@@ -533,7 +534,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Err(Invalid::at_index("segment", k, problem, remedy))
     }
 
-    /// Makes the nodes of a program on the clock of `motion`, whose limits are not proven yet.
+    /// Makes the nodes of a program on the clock of `motion`; nothing proves yet that it keeps the limits. Refuses
+    /// times and positions that are too large for exact counts, and more segments than fit into the memory budget.
     fn nodes(&self, motion: &Slowed<N>, cells: &ClockCells) -> Result<Nodes<N>, Invalid> {
         let model = &self.settings.controller;
         let choice = Choice {
@@ -642,7 +644,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Returns the lowest and the highest count of an axis within its travel.
+    /// Returns the lowest and the highest count of an axis within its travel; all integers if its travel is not
+    /// limited.
     fn travel_counts(&self, axis: usize) -> [i64; 2] {
         let count = self.plan.grids[axis].count;
         match self.plan.axes[axis].travel {

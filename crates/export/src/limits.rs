@@ -282,7 +282,7 @@ fn exceeds(value: f64, limit: f64) -> bool {
     value > limit || value.is_nan()
 }
 
-/// Returns the step of the velocity of an axis that counts as rounding, in its unit per s.
+/// Returns the largest step in the velocity of an axis that counts as rounding, in the unit of the axis per s.
 fn velocity_step(limits: &MachineAxis) -> f64 {
     STEP_PER_S + LIMIT_ROUNDING * limits.max_velocity
 }

@@ -151,7 +151,8 @@ impl Lengths {
         if change * length < 1.0 { 0.0 } else { change.min(MOST_CHANGE) * self.step as f64 }
     }
 
-    /// Returns the largest relative change of the length for the used fraction of the acceleration limit.
+    /// Returns the largest relative change from the duration of one line to the next: (1 - u) / u of the module, for
+    /// the used fraction u of the acceleration limit.
     fn change(&self, used: f64) -> f64 {
         (1.0 - used) / used
     }
@@ -160,7 +161,7 @@ impl Lengths {
         ((tick / self.step).max(0) as usize).min(self.ticks.len() - 1)
     }
 
-    /// Returns the length of a line that begins or ends at `tick`, in ticks.
+    /// Returns the wanted duration of a line that begins or ends at `tick`, in ticks.
     fn length(&self, tick: i64) -> i64 {
         (self.ticks[self.place(tick)] as i64).max(self.least)
     }

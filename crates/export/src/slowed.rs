@@ -306,7 +306,8 @@ impl ClockCells {
         cells
     }
 
-    /// Returns the index of the cell that contains a time of the plan.
+    /// Returns the index of the cell that contains a time of the plan, s since its start; the first or the last cell
+    /// beyond its ends.
     pub fn index(&self, plan_s: f64) -> usize {
         ((plan_s / self.cell_s).max(0.0) as usize).min(self.need.len() - 1)
     }

@@ -41,7 +41,7 @@ pub trait Artifact: Sized {
 pub struct Arrays(BTreeMap<&'static str, ArrayData<'static>>);
 
 impl Arrays {
-    /// Removes and returns the float array `name`. Panics if the kind does not define it.
+    /// Removes and returns the float array `name`. Panics if the kind does not define it as floats, or if it was taken.
     pub fn take_f64(&mut self, name: &str) -> ArrayD<f64> {
         match self.0.remove(name) {
             Some(ArrayData::F64(a)) => a.into_owned(),
@@ -49,7 +49,8 @@ impl Arrays {
         }
     }
 
-    /// Removes and returns the integer array `name`. Panics if the kind does not define it.
+    /// Removes and returns the integer array `name`. Panics if the kind does not define it as integers, or if it was
+    /// taken.
     pub fn take_i64(&mut self, name: &str) -> ArrayD<i64> {
         match self.0.remove(name) {
             Some(ArrayData::I64(a)) => a.into_owned(),
@@ -57,7 +58,8 @@ impl Arrays {
         }
     }
 
-    /// Removes and returns the array of flags `name`. Panics if the kind does not define it.
+    /// Removes and returns the array of flags `name`. Panics if the kind does not define it as flags, or if it was
+    /// taken.
     pub fn take_bool(&mut self, name: &str) -> Vec<bool> {
         match self.0.remove(name) {
             Some(ArrayData::U8(a)) => a.iter().map(|v| *v != 0).collect(),
@@ -262,7 +264,8 @@ pub(crate) fn read_whole<T>(
     }
 }
 
-/// Reads the arrays in `dir`. `text` is the text of the manifest; `None` if there is none.
+/// Reads the arrays in `dir`, checks them against the kind and the manifest, and makes the value. `text` is the text of
+/// the manifest; `None` if there is none.
 pub(crate) fn read_arrays<T: Artifact>(
     dir: &Path,
     text: Option<&str>,

@@ -174,7 +174,8 @@ impl Staged {
         Ok(())
     }
 
-    /// Renames the previous output to a temporary path, so that the final path is free.
+    /// Renames the previous output to a temporary path, so that the final path is free; does nothing if nothing is
+    /// there.
     fn set_aside(&mut self) -> Result<(), HandoffError> {
         let failed = |e: io::Error| HandoffError::io(&self.place, "write", &e);
         if is_absent(&self.place) {

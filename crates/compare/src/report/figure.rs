@@ -208,7 +208,7 @@ fn axes(views: &[View], _: &Layout) -> Option<String> {
     m.on_axes.clone()
 }
 
-/// Draws the path of every method in colours of the speed.
+/// Draws the path of every method, one panel each, in colours of the speed; `None` if no run has a method.
 fn path(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -441,7 +441,7 @@ fn dwell_errors_s(d: &Dwell) -> Vec<f64> {
     executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
 }
 
-/// Draws histograms of the heights before and after, one panel per run.
+/// Draws histograms of the desired removal (before) and of the residual of every method (after), one panel per run.
 fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.histogram.sheet();
     for view in views {
@@ -465,7 +465,8 @@ fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws power spectral densities of the heights before and after, one panel per run.
+/// Draws power spectral densities of the desired removal (before) and of the residual of every method (after), one
+/// panel per run that has spectra.
 fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.spectrum.sheet();
     for view in views {
@@ -504,7 +505,7 @@ fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws the RMS of the residual after every round of each refinement.
+/// Draws the RMS of the executed residual in every round of each refinement; `None` if no method was refined.
 fn refinement(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.refinement.sheet();
     for (view, m) in methods(views) {

@@ -148,7 +148,7 @@ impl Programs {
         process
     }
 
-    /// Returns the result of a process, or a failure that names the program if it could not be started.
+    /// Passes the result of a process on. Fails with a message that names the program if it could not be started.
     fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
@@ -190,7 +190,7 @@ fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
     Ok((running.wait()?, message))
 }
 
-/// Returns the exit code of a process, or [`KILLED`] if a signal ended it.
+/// Returns the exit code of a process; [`KILLED`] if a signal ended it, or if its code is not from 0 to 255.
 fn code(status: ExitStatus) -> u8 {
     status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(KILLED)
 }
@@ -278,7 +278,8 @@ fn is_report(step: &Step) -> bool {
     }
 }
 
-/// Executes a step of a pipeline, a command or a line to print. Returns the exit code: 0, 1 or 2.
+/// Executes a step of a pipeline, a command or a line to print. Returns 0 if the run goes on, 1 for a negative verdict
+/// that ends it, and 2 for a command that refused or broke.
 fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Failure> {
     Ok(match step {
         Step::Run(command) => match &command.refusal_dir {

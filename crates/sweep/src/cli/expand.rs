@@ -357,7 +357,7 @@ impl Grounds<'_> {
     }
 }
 
-/// Returns the hash of a file, or of the names and contents of the files in a directory.
+/// Returns the first 12 digits of the hash of a file, or of the files directly in a directory: names and contents.
 fn content(path: &Path) -> Result<String, Failure> {
     let unreadable = |e: std::io::Error| super::super::files::unreadable(path, &e);
     let mut hasher = blake3::Hasher::new();
