@@ -144,7 +144,7 @@ pub struct Campaign {
     pub seed: u64,
     /// RMS of the mirror before the first run, nm.
     pub before_rms_nm: f64,
-    /// Runs in their order.
+    /// Runs of the campaign, in the order in which they were made.
     pub runs: Vec<CampaignRun>,
     /// Results of the first run on another mirror that is like the first, after all runs on the first.
     pub alike: Chains,

@@ -98,7 +98,8 @@ fn float_distance(a: f64, b: f64) -> Option<f64> {
     }
 }
 
-/// Returns the distance |a - b| without overflow; at least 1 if they differ, also after rounding to a float.
+/// Returns the distance |a - b| without overflow; at least 1 if they differ, also after rounding to a float. It is
+/// never `None`, since every integer counts.
 fn integer_distance(a: i64, b: i64) -> Option<f64> {
     Some(a.abs_diff(b) as f64)
 }

@@ -486,9 +486,9 @@ struct MethodFiles {
 }
 
 impl MethodFiles {
-    /// Returns the planned dwell times of the method: its own, or otherwise those of the run (`of_run`). A program
-    /// that was read back has those of its plan among `methods`, if that is there. A feed along lines
-    /// (`planish-bspline-feed`) has none.
+    /// Returns the planned dwell times of the method: its own, or otherwise those of the run (`of_run`); `None` if
+    /// neither exists. A program that was read back has those of its plan among `methods`, or `None` if that is not
+    /// there. A B-spline of the feed along the lines of a raster (`planish-bspline-feed`) has none.
     fn dwell<'a>(
         &'a self,
         methods: &'a [Self],

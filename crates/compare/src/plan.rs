@@ -83,9 +83,10 @@ impl PlanStatus {
         Self { state, word: word.into(), text: text.into() }
     }
 
-    /// Returns the state of the plan of the method `name`. `trajectory` and `dwell` are the manifests of its motion
-    /// and of the dwell times from which the motion was scheduled. `solved_for_another` holds the roles (such as
-    /// `surface`) for which those dwell times were solved with another artifact.
+    /// Returns the state of the plan of the method `name`. `trajectory` and `dwell` are the manifests of its motion and
+    /// of the dwell times from which the motion was scheduled; without one that matters the state is unknown.
+    /// `solved_for_another` holds the roles (such as `surface`) for which those dwell times were solved with another
+    /// artifact.
     pub fn of_method(
         name: &str,
         trajectory: Option<&Made>,

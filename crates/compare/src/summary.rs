@@ -190,9 +190,9 @@ pub struct MethodResult {
     pub after_servo_rms_nm: Option<f64>,
     /// Name of the machine that the verdict is about; `null` if its manifest does not say.
     pub machine: Option<String>,
-    /// Time that the scheduler took, s; `null` if it was not measured.
+    /// Wall time of the scheduler, s; `null` if it was not measured.
     pub schedule_wall_s: Option<f64>,
-    /// Time that the simulation took, s; `null` if it was not measured.
+    /// Wall time of the simulation, s; `null` if it was not measured.
     pub simulate_wall_s: Option<f64>,
     /// Deviations of the motion from the plan: dwell times, overshoot, jerk.
     pub execution: Execution,
@@ -239,12 +239,12 @@ fn broken_limits(verdict: &Verdict) -> Vec<&'static str> {
     broken
 }
 
-/// Wall times of two stages of a method; each is `None` if it was not measured.
+/// Wall times of two stages of a method, scheduler and simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WallTimes {
-    /// Wall time of the scheduler, s.
+    /// Wall time of the scheduler, s; `None` if it was not measured.
     pub schedule_s: Option<f64>,
-    /// Wall time of the simulation, s.
+    /// Wall time of the simulation, s; `None` if it was not measured.
     pub simulate_s: Option<f64>,
 }
 
@@ -498,6 +498,7 @@ impl Summary {
     }
 
     /// Returns the reasons why the run has no plan that can be recommended without reserve; empty if it has one.
+    /// Reasons are methods that are not valid, no recommended plan, or a recommended plan that did not converge.
     fn reserves(&self) -> Vec<String> {
         let mut reasons = Vec::new();
         for m in self.left_out.iter().filter(|m| m.standing == Standing::NotValid) {

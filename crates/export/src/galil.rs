@@ -1,6 +1,6 @@
-//! Galil DMC, PVT mode: two lines per segment, `PVA=dP,V,T` and `PVB=dP,V,T`, with the distance in
-//! counts, the velocity at the end in counts/s and the time in samples. A is x, B is y. A program of all axes has a line
-//! for every axis, A for the first axis of the machine file, B for the second and so on.
+//! Galil DMC, PVT mode: two lines per segment, `PVA=dP,V,T` and `PVB=dP,V,T`, with the distance in counts, the velocity
+//! at the end in counts/s and the time in samples. A is x, B is y. A program of all axes has a line for every axis, A
+//! for the first axis of the machine file, B for the second and so on.
 //!
 //! Limits of the controller: |dP| <= 44 000 000 counts, |V| <= 22 000 000 counts/s, T from 1 to 2048
 //! samples and for fast hosts a multiple of two, 255 segments of buffer. `BTAB` begins the motion; it

@@ -131,7 +131,8 @@ pub(crate) struct Nodes<const N: usize> {
     pub contact_mm: Option<f64>,
     /// Difference between the time of the program and that of the plan, s; positive if the program takes longer.
     pub added_s: f64,
-    /// Relative change of the dwell times of the plan, root mean square (see [`ClockCells::uneven`]).
+    /// Relative change of the dwell times of the plan by the slower clock, root mean square, as a fraction (see
+    /// [`ClockCells::uneven`]).
     pub uneven: f64,
 }
 

@@ -163,7 +163,8 @@ pub struct About {
     /// Number of segments that the buffer of the controller holds; left out if the buffer is no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_segments: Option<usize>,
-    /// Shortest time that a full buffer lasts, s: the host must add lines faster than that.
+    /// Shortest time that a full buffer lasts, s: the host must add lines faster than that. Left out if the buffer is
+    /// no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_lasts_s: Option<f64>,
     /// Largest distance of the executed path from that of the plan, mm. A rotary axis counts with its lever, the
@@ -515,8 +516,8 @@ impl<const N: usize> Job<'_, N> {
         Invalid::whole("program", problem, remedy)
     }
 
-    /// Returns the sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that lifts the
-    /// tool if the program cannot switch it, unless the tool may stay on.
+    /// Returns the sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that
+    /// lifts the tool if the program cannot switch it, unless the tool may stay on.
     fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
         let who = match tool {
             Tool::Switched(how) => return Ok((how, None)),

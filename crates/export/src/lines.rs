@@ -1,16 +1,17 @@
 //! The nodes of lines that are joined: their times on the clock of the controller, and their positions in its counts. A
 //! line is a straight segment of the program; a place is a point of a grid of times.
 //!
-//! The joined motion has the acceleration a_k near node k. The mean velocities m of a plan P give, for lines of T1 s before
-//! the node and T2 s after it,
+//! The joined motion has the acceleration a_k near node k. The mean velocities m of a plan P give, for lines of T1 s
+//! before the node and T2 s after it,
 //!
 //! ```text
 //! a_k = (m_k - m_{k-1}) / min(T1, T2)
 //! m_k - m_{k-1} = int P''(t_k + u) w(u) du      w = 1 + u / T1 before the node, 1 - u / T2 after it
 //! ```
 //!
-//! The integral of w is (T1 + T2) / 2. Between equal lines |a_k| is therefore at most the largest |P''| beside the node:
-//! such a program keeps the limit on acceleration wherever the plan does, at the times of the plan. Between unequal lines
+//! The integral of w is (T1 + T2) / 2. Between equal lines |a_k| is therefore at most the largest |P''| beside the
+//! node: such a program keeps the limit on acceleration wherever the plan does, at the times of the plan. Between
+//! unequal lines
 //! |a_k| is up to (T1 + T2) / (2 min(T1, T2)) times as large. So the lines change their length only where the plan leaves
 //! that much of the acceleration unused:
 //!

@@ -576,8 +576,8 @@ impl<'a, const N: usize> Slowed<'a, N> {
 }
 
 impl<const N: usize> Slowed<'_, N> {
-    /// Returns an upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of
-    /// the plan, mm. A bound below `worth_mm` is not made tighter.
+    /// Returns an upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the
+    /// path of the plan, mm. A bound below `worth_mm` is not made tighter.
     ///
     /// Any function s(u) from the time of the cubic to that of the plan gives a bound: the largest |c(u) - P(s(u))|.
     /// Piecewise linear functions that meet the nearest point at their ends leave a cubic per axis between two breaks

@@ -154,8 +154,8 @@ impl TrajectoryArgs {
         Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
     }
 
-    /// Reads a motion in the coordinates of the part, with its manifest. Refuses a motion in
-    /// machine coordinates.
+    /// Reads a motion in the coordinates of the part, with its manifest (`None` if it has none). Refuses a motion whose
+    /// manifest states other coordinates, and one that cannot be read or is not valid.
     pub fn read_on_part(
         &self,
         inputs: &mut Inputs,
@@ -274,7 +274,8 @@ impl AxesArgs {
 }
 
 impl MachineArgs {
-    /// Reads the limits of a motion along x and y of the part, which a plan has to keep.
+    /// Reads the limits of a motion along x and y of the part, which a plan has to keep. Fails if the machine file
+    /// cannot be read or describes no machine.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
         Ok(inputs.read_machine(&self.machine)?.limits_on_part())
     }

@@ -85,8 +85,7 @@ impl Inputs {
         Ok(self.read_with_manifest(role, dir)?.0)
     }
 
-    /// Reads an input artifact as [`Self::read`] does, and returns its manifest as well, if it has
-    /// one.
+    /// Reads an input artifact as [`Self::read`] does, and returns its manifest as well; `None` if it has none.
     ///
     /// # Errors
     /// Fails if the artifact cannot be read or is not valid.
@@ -137,7 +136,7 @@ impl Inputs {
         Ok(tif)
     }
 
-    /// Reads a tool as [`Self::read_tool`] does, and returns its manifest as well, if it has one.
+    /// Reads a tool as [`Self::read_tool`] does, and returns its manifest as well; `None` if it has none.
     fn read_tool_with_manifest(
         &mut self,
         role: &str,

@@ -55,8 +55,8 @@ pub struct ArrayDef {
     pub nan_allowed: bool,
     /// Value of all elements if a directory without a manifest lacks the file; `None` if the array has no such value.
     pub default: Option<u8>,
-    /// Version of the kind that added the array, if the array is optional. An artifact without it has the version
-    /// before, and its elements are `default`; without a default the array is empty.
+    /// Version of the kind that added the array, if the array is optional; otherwise `None`. An artifact without it has
+    /// the version before, and its elements are `default`; without a default the array is empty.
     pub optional_since: Option<u32>,
     /// Description of the array in one sentence.
     pub doc: &'static str,

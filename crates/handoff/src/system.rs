@@ -91,7 +91,7 @@ mod calls {
         opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
     }
 
-    /// Returns the identity of an open file or directory: its device and inode.
+    /// Returns the identity of an open file or directory: its device and inode; `None` if the system does not tell it.
     pub(crate) fn file_identity(file: &File) -> Option<(u64, u64)> {
         file.metadata().ok().map(|m| (m.dev(), m.ino()))
     }

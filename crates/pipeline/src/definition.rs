@@ -86,8 +86,8 @@ pub struct Definition {
 pub struct Stage {
     /// Commands and other stages, in their order.
     pub steps: Vec<DefinitionLine>,
-    /// Directory that receives the message of the first command if that refuses; the stage then ends and the run goes
-    /// on. Without a directory, a refusal ends the run.
+    /// Directory that receives the message of the first command if that refuses (exit code 2); the stage then ends and
+    /// the run goes on. With `None`, a refusal ends the run.
     pub optional: Option<DefinitionLine>,
     /// Sentence that the user sees when the stage has ended; `None` for no sentence.
     pub note: Option<DefinitionLine>,

@@ -217,7 +217,7 @@ pub fn hash(content: &Value) -> String {
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
 }
 
-/// Programs that make a mirror.
+/// Programs that may make a mirror; a step of the mirror runs no other.
 const MIRROR_PROGRAMS: [&str; 4] =
     ["planish-fixture", "planish-import", "planish-surface", "planish-tool"];
 

@@ -168,7 +168,7 @@ pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
 
 /// Draws the maps of every method: desired removal, predicted removal and residual. All are on one scale, that of the
 /// desired removal, and the residual also on its own scale, that of 99 % of its pixels. The residual on the common
-/// scale is left out if it would look empty ([`LEAST_CONTRAST`]).
+/// scale is left out if it would look empty ([`LEAST_CONTRAST`]). `None` if no run has a method.
 fn maps(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 2.0);
@@ -199,7 +199,7 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
 }
 
 /// Returns the picture of the motion of all axes: that of the recommended plan if it has one, otherwise of the first
-/// plan that has one.
+/// plan that has one; `None` if no plan has one.
 fn axes(views: &[View], _: &Layout) -> Option<String> {
     let with_axes: Vec<_> = methods(views).filter(|(_, m)| m.on_axes.is_some()).collect();
     let mut all = with_axes.iter();
@@ -222,7 +222,7 @@ fn path(views: &[View], layout: &Layout) -> Option<String> {
 }
 
 /// Draws the overview of every method in three panels: surface before the run, path in colours of the speed, residual
-/// on its own scale.
+/// on its own scale. `None` if no run has a method.
 fn overview(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -321,8 +321,8 @@ fn draw_path(svg: &mut Svg, frame: &Frame, line: &SpeedLine) {
     note_below(svg, frame, "99 % of the speeds are below the top");
 }
 
-/// Draws velocity, acceleration and jerk of every method against time. A limit of the machine is a dashed line if it is
-/// at most three times the largest value of the panel; otherwise a note names it.
+/// Draws velocity, acceleration and jerk of every method against time; `None` if no run has a method. A limit of the
+/// machine is a dashed line if it is at most three times the largest value of the panel; otherwise a note names it.
 fn motion(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let mut sheet = layout.motion.sheet();
@@ -378,8 +378,8 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Draws the dwell times of every method. If an executed time of any method differs from the planned one by more than
-/// [`ROUNDING_S`], it also draws executed minus planned times.
+/// Draws the dwell times of every method that has some; `None` if no method has. If an executed time of any method
+/// differs from the planned one by more than [`ROUNDING_S`], it also draws executed minus planned times.
 fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
     // Without a difference to show, one panel of a method takes the whole width.
@@ -441,7 +441,8 @@ fn dwell_errors_s(d: &Dwell) -> Vec<f64> {
     executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
 }
 
-/// Draws histograms of the desired removal (before) and of the residual of every method (after), one panel per run.
+/// Draws histograms of the desired removal (before) and of the residual of every method (after), one panel per run;
+/// `None` without runs.
 fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.histogram.sheet();
     for view in views {
@@ -466,7 +467,7 @@ fn histograms(views: &[View], layout: &Layout) -> Option<String> {
 }
 
 /// Draws power spectral densities of the desired removal (before) and of the residual of every method (after), one
-/// panel per run that has spectra.
+/// panel per run that has spectra; `None` if no run has.
 fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.spectrum.sheet();
     for view in views {

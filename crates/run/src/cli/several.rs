@@ -86,7 +86,8 @@ impl UserSettings {
         values.filter(|(key, _)| *key == name).map(|(_, value)| value.to_string()).next()
     }
 
-    /// Removes a setting that is not for the pipelines, and returns its path. An empty path counts as not given.
+    /// Removes a setting that is not for the pipelines, and returns its path, with `./` before a hyphen. `None` if the
+    /// user did not give it or left it empty.
     pub fn take_path(&mut self, name: &str) -> Option<String> {
         self.take(name).filter(|path| !path.is_empty()).map(|path| no_flag(&path))
     }
