@@ -217,7 +217,7 @@ pub fn decide(known: &Known, settings: &DecisionSettings) -> Result<Decision, In
 
 /// Returns the recommendation and its reason. A map that keeps the specification means stop, otherwise a plan that
 /// keeps it means run again. Without such a decision, a run must promise two gains: the one that 95 % of the runs
-/// exceed is above [`SEEN`] standard errors, and the median is at least `least_gain_percent`.
+/// exceed is above [`SEEN`] standard errors, and the median is at least `least_gain_percent`. `d` holds the numbers.
 fn verdict(d: &Decision, settings: &DecisionSettings) -> (Verdict, String) {
     let least = 0.01 * settings.least_gain_percent * d.now_rms_nm;
     let seen = SEEN * d.now_standard_error_nm;

@@ -133,8 +133,8 @@ pub(crate) fn to_json(runs: &[(&str, &Summary)]) -> Value {
     }
 }
 
-/// Returns the sentence on the plan `name`, such as "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst
-/// ...; the limits of the machine are kept."
+/// Returns the sentence on the plan `name`, such as "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst ...;
+/// the limits of the machine are kept." `summary` has the numbers of the run, and `m` those of the plan.
 fn sentence(summary: &Summary, name: &str, m: &MethodResult) -> String {
     let machine = m.machine.as_deref().map_or(String::new(), |machine| format!(" on {machine}"));
     let mut text = format!(
@@ -292,7 +292,8 @@ fn against(name: &str, m: &MethodResult) -> Vec<String> {
     reasons
 }
 
-/// Returns a clause that names the limits of a specification which a plan does not keep.
+/// Returns a clause that names the limits of a specification which a plan does not keep. `judged` is the verdict on the
+/// residual of the plan `name`.
 fn failing(name: &str, judged: &SpecificationReport) -> String {
     let failed = judged.limits.iter().filter(|limit| !limit.passed);
     let limits = failed.map(|l| {

@@ -99,7 +99,8 @@ impl Solver {
 }
 
 /// Returns the roughness of the dwell-time density ((1) of the module), dimensionless. `t` are the dwell times, s. It
-/// is 0 if no two consecutive points count, or if all dwell times that count are 0.
+/// is 0 if no two consecutive points count, or if all dwell times that count are 0. `path` has the lengths and the
+/// state of the tool.
 fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     let mut squares = 0.0;
     let mut pairs = 0.0;
@@ -141,7 +142,7 @@ const HEADINGS: [[&str; 2]; 12] = [
 ];
 
 /// Returns the table of the solvers for the mirror `fixture`, with notes below it. RMS and PV of `desired`, the map
-/// before the run, stand above it.
+/// before the run, stand above it. `rows` are pairs of the name of a solver and its row.
 pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> String {
     let mut cells: Vec<Vec<String>> =
         (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();
@@ -177,6 +178,7 @@ pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> 
 }
 
 /// Returns the cells of the row of the solver `name`, in the order of [`HEADINGS`]; a dash for what was not measured.
+/// `s` are its numbers.
 fn line(name: &str, s: &Solver) -> Vec<String> {
     let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| fixed(v, d));
     vec![

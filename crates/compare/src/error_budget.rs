@@ -148,7 +148,7 @@ impl ErrorBudget {
 }
 
 /// Returns a sentence on the expected residual of the plan `method`, on the error that adds most, and on the error
-/// whose removal would lower the residual most.
+/// whose removal would lower the residual most. `outcome` is the result of `planish-tolerance`.
 fn sentence(outcome: &ToleranceOutcome, method: &str) -> String {
     let [low, high] = outcome.residual.interval_95_percent_nm.map(|v| significant(v, 3));
     let mut sentence = format!(

@@ -102,7 +102,7 @@ fn read_methods(
 }
 
 /// Returns a sentence on the artifacts that the method in `dir` lacks because a run was ended before it made them.
-/// `None` if all are there.
+/// `None` if all are there. With `after_servo` the prediction after the servo is needed, too.
 fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
     let mut needed = vec!["trajectory", "removal", "verdict"];
     if after_servo {
@@ -144,7 +144,9 @@ fn message_in(dir: &Path) -> Result<String, Failure> {
 /// on it.
 type Valid = (MethodFiles, Option<SpecificationReport>, Vec<String>);
 
-/// Splits the methods into those whose artifacts belong together, and those that are left out with reasons.
+/// Splits the methods into those whose artifacts belong together, and those that are left out with reasons. `read`,
+/// `chains` and `judged` have one element per method: its files, the check of its artifacts, and its verdict by the
+/// specification.
 fn divided(
     read: Vec<MethodFiles>,
     chains: Vec<Chain>,
@@ -163,7 +165,7 @@ fn divided(
 }
 
 /// Reads and summarises a run: its surface, and the results of each method. `number` distinguishes the runs in the
-/// roles of inputs.
+/// roles of inputs. `names` are the names and files of the command line.
 ///
 /// # Errors
 /// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their
@@ -344,7 +346,8 @@ impl Judge<'_> {
 }
 
 /// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. If no method has
-/// that motion now, it returns a remark instead; both are `None` if there is no such directory.
+/// that motion now, it returns a remark instead; both are `None` if there is no such directory. `role` is the prefix of
+/// its role as an input; `records` and `names` are those of the methods.
 fn read_process(
     inputs: &mut Inputs,
     role: &str,
@@ -508,6 +511,7 @@ impl MethodFiles {
 }
 
 /// Reads the results of the method `name` in `dir`. Also returns the reasons for which they do not belong together.
+/// `role` is the prefix of the roles of its artifacts; with `after_servo` it also reads the prediction after the servo.
 fn read_method(
     inputs: &mut Inputs,
     role: &str,
@@ -576,7 +580,8 @@ fn read_method(
 }
 
 /// Reads the RMS of the residual of the motion in `dir` after the servo of the machine, nm; `None` if the process has
-/// no servo. If the prediction is of another motion, mirror or tool than `removal`, it adds a reason to `stale`.
+/// no servo. If the prediction is of another motion, mirror or tool than `removal`, it adds a reason to `stale`. `role`
+/// is the prefix of its role as an input.
 fn read_after_servo(
     inputs: &mut Inputs,
     role: &str,
@@ -843,7 +848,7 @@ pub(crate) fn read_solvers(
 }
 
 /// Reads the result of the solver `name` in `dir`. For a solver without dwell times it reads the message that it has
-/// left.
+/// left. `path` is the tool path of the run.
 fn read_solver(
     inputs: &mut Inputs,
     name: &str,

@@ -287,7 +287,8 @@ fn count(map: &Array2<bool>) -> f64 {
     map.iter().filter(|v| **v).count() as f64
 }
 
-/// Returns the radius of a disc, mm, with the area in which the tool removes at least half of its peak rate.
+/// Returns the radius of a disc, mm, with the area in which the tool removes at least half of its peak rate. It counts
+/// the samples of `tif`.
 fn tool_radius_mm(tif: &Tif) -> f64 {
     let half = 0.5 * tif.peak_nm_per_s();
     let count = tif.rate_nm_per_s().iter().filter(|rate| **rate >= half).count();
@@ -295,7 +296,7 @@ fn tool_radius_mm(tif: &Tif) -> f64 {
 }
 
 /// Returns the edge zone: the valid pixels whose centres are nearer than `width_mm` to the centre of an invalid pixel
-/// or of one beyond the map.
+/// or of one beyond the map. `valid` is true for the valid pixels, (ny, nx), and `grid` has their centres.
 fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     let (ny, nx) = valid.dim();
     let dx = grid.x.step_mm();

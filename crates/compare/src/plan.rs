@@ -260,7 +260,7 @@ fn baseline(manifest: &Made) -> Option<&str> {
 }
 
 /// Returns a clause on the optimality gap that a stage has proven, with the plans that it covers; `None` if it states
-/// no finite gap.
+/// no finite gap. The gap is relative to the objective if the stage states it so.
 fn proven(manifest: &Made) -> Option<String> {
     let PlanReport { proven, .. } = manifest.outcome.report.as_ref()?;
     let gap = proven.relative_gap.or(proven.gap)?;

@@ -108,7 +108,8 @@ impl Reach {
     }
 }
 
-/// Returns the period of the first positive frequency that is short, mm; `None` if there is none.
+/// Returns the period of the first positive frequency that is short, mm; `None` if there is none. `frequencies` ascend,
+/// 1/mm, and `is_short` says which of them belong to short waves.
 fn first_period_mm(frequencies: &[f64], is_short: ArrayView1<bool>) -> Option<f64> {
     let mut all = frequencies.iter().zip(is_short);
     all.find(|(f, is_short)| **f > 0.0 && **is_short).map(|(f, _)| 1.0 / f)

@@ -376,8 +376,8 @@ impl MethodResult {
     }
 }
 
-/// Returns the base of the slopes along x and y, as a number of pixels and its length, mm; `None` along an axis that
-/// is shorter.
+/// Returns the base of the slopes along x and y, as a number of pixels and its length, mm; `None` along an axis that is
+/// shorter. The base is [`SLOPE_BASE_MM`], rounded to whole pixels of `surface`.
 fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
     let grid = surface.grid();
     [&grid.x, &grid.y].map(|axis| {

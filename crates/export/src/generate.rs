@@ -228,7 +228,7 @@ impl<const N: usize> Nodes<N> {
     }
 
     /// Removes dwells that are shorter than the parabolas beside them. Their time goes to the line before, or else to
-    /// the line after.
+    /// the line after. A dwell stays if a line would become longer than `most_ticks`.
     fn drop_short_dwells(&mut self, most_ticks: i64) {
         let mut remaining = vec![0];
         let mut tool_on: Vec<bool> = Vec::new();
@@ -360,7 +360,7 @@ pub(crate) struct ExecutedCubic<const N: usize> {
 }
 
 /// Returns the nodes of a program for `plan`, which is continuous, keeps the limits of the machine and rests at both
-/// ends ([`crate::limits::check_plan`]).
+/// ends ([`crate::limits::check_plan`]). `settings` hold the clock, the counts and the allowed deviation.
 ///
 /// Refuses counts, a path deviation or a shortest segment that are not possible for this plan. Also refuses a plan for
 /// which no program within the limits is found, or which needs more memory than the budget.
@@ -659,7 +659,7 @@ impl<'a, const N: usize> Generator<'a, N> {
     }
 
     /// Returns a position in counts, moved into the travel. Refuses one that a float cannot hold exactly; `k` is the
-    /// node in the message.
+    /// node in the message. `position` is that of the axis number `axis`, mm or deg.
     fn count(&self, k: usize, axis: usize, position: f64) -> Result<i64, Invalid> {
         let count = self.plan.grids[axis].count;
         let counts = position / count;
@@ -685,7 +685,8 @@ impl<'a, const N: usize> Generator<'a, N> {
     }
 
     /// Returns the largest distance of the executed contact point from the one of the plan at the nearest instant, mm,
-    /// at points of every cubic. `None` if the plan knows no contact point.
+    /// at points of every cubic. `None` if the plan knows no contact point. `motion` is the plan on the clock of the
+    /// program, and `nodes` the program.
     fn contact_mm(&self, motion: &Slowed<N>, nodes: &Nodes<N>) -> Result<Option<f64>, Invalid> {
         let Some(contact) = self.plan.contact else { return Ok(None) };
         let mut largest: f64 = 0.0;
@@ -737,7 +738,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Computes the velocities of `nodes`, and returns the faults of the program.
+    /// Computes the velocities of `nodes`, and returns the faults of the program. `motion` is the plan on the clock of
+    /// the program, to which it is compared.
     fn finish(&self, motion: &Slowed<N>, nodes: &mut Nodes<N>) -> Faults<N> {
         let n = nodes.segments();
         let mut excess = vec![1.0_f64; n];

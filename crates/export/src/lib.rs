@@ -220,7 +220,8 @@ const WARNED_ADDED: f64 = 0.03;
 /// --at-limits`).
 const MOST_UNEVEN: f64 = 2e-3;
 
-/// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
+/// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`. `settings` are
+/// those of the program, and `origin` says where the motion comes from, for the header.
 ///
 /// # Errors
 /// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs, and what [`check`]
@@ -517,7 +518,8 @@ impl<const N: usize> Job<'_, N> {
     }
 
     /// Returns the sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that
-    /// lifts the tool if the program cannot switch it, unless the tool may stay on.
+    /// lifts the tool if the program cannot switch it, unless the tool may stay on. Without a warning the second value
+    /// is `None`.
     fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
         let who = match tool {
             Tool::Switched(how) => return Ok((how, None)),

@@ -252,7 +252,7 @@ fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
 type Limited<'a> = (&'static str, &'static str, f64, &'a [f64; 4]);
 
 /// Returns the limited quantities of an axis, each as name, unit, limit and polynomial: velocity, acceleration and,
-/// with a limit on it, jerk.
+/// with a limit on it, jerk. `orders` are the coefficients of its position and of the first three derivatives.
 fn limited<'a>(
     limits: &MachineAxis,
     orders: &'a [[f64; 4]; 4],
@@ -303,7 +303,7 @@ const REMEDY_OF_ROUNDING: &str = "give a smaller count or tick, or plan with low
 
 impl Peaks {
     /// Keeps the `value` of a segment if it is the worst so far. Refuses it if `used`, the fraction of its `limit`, is
-    /// above 1.
+    /// above 1. `what` names the quantity.
     fn take(
         &mut self,
         segment: usize,
@@ -372,7 +372,8 @@ impl WorstExcess {
     }
 
     /// Adds the steps of position, velocity and acceleration at the start of segment `i`; after the last segment the
-    /// axis rests. `beside_s` is the duration of both segments if the acceleration may step, else 0.
+    /// axis rests. `beside_s` is the duration of both segments if the acceleration may step, else 0. `before` and
+    /// `after` are position, velocity and acceleration on both sides.
     fn steps(
         &mut self,
         i: usize,

@@ -66,7 +66,8 @@ const LONGER_AT_SEAM: f64 = 1.2;
 /// time.
 const MOST_LINES_OF_SEAM: usize = 400;
 
-/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending); all of `fixed` are nodes.
+/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending); all of `fixed` are nodes. `motion` is the
+/// plan on the clock of the program, and `choice` has the limits, counts and shortest line.
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
     fixed: &[i64],

@@ -39,7 +39,8 @@ const ALONG_PATH: f64 = 2.0;
 const GROWTH: f64 = 1.4;
 
 /// Returns the ticks of the nodes, from 0 to the last of `fixed`; all of `fixed` are nodes. They ascend, and where
-/// possible they are at least the shortest segment apart.
+/// possible they are at least the shortest segment apart. `motion` is the plan on the clock of the program, and `cells`
+/// hold the longest segments that are still allowed.
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
     cells: &ClockCells,

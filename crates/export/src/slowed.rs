@@ -69,7 +69,8 @@ pub(crate) struct Choice<'a, const N: usize> {
 }
 
 /// Returns the duration of the lines where a plan is at its acceleration limits, s. It is at most that of a parabola
-/// that leaves the plan by `deviation_mm`, and no longer than rounding to the counts requires.
+/// that leaves the plan by `deviation_mm`, and no longer than rounding to the counts requires. `axes`, `grids` and
+/// `lever` are the limits, counts and levers of the axes.
 pub(crate) fn line_at_limit_s<const N: usize>(
     axes: &[MachineAxis; N],
     grids: &[AxisGrid; N],
@@ -589,7 +590,8 @@ impl<const N: usize> Slowed<'_, N> {
     }
 
     /// Returns the bound between two pairs of times (u, s), of the cubic and of the plan, mm, after up to `halvings`
-    /// halvings.
+    /// halvings. `start_s` is the time of the program at which the cubic `c` begins. A bound below `worth_mm` is not
+    /// made tighter.
     fn bound_between(
         &self,
         start_s: f64,
@@ -676,7 +678,7 @@ impl<const N: usize> Slowed<'_, N> {
 }
 
 /// Returns an upper bound of the length of a vector of cubics over `time_s`, from its extremes along a direction and
-/// across it.
+/// across it. `off` are the ascending coefficients of its components, and `direction` is a unit vector.
 fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s: f64) -> f64 {
     let peak = |c: [f64; 4]| range(&c, time_s).peak().0;
     let part = |w: [f64; N]| {

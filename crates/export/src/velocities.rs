@@ -122,7 +122,7 @@ impl Axis<'_> {
     }
 
     /// Returns the program without its constraints: the matrix H, the vector H v*, the free nodes, and the price of an
-    /// excess.
+    /// excess. An excess has a price only if `elastic` is true.
     fn objective(&self, elastic: bool) -> chain::ChainProgram {
         let n = self.time_s.len();
         let t = self.time_s;
@@ -158,7 +158,8 @@ impl Axis<'_> {
     }
 
     /// Adds the constraints of segment `k`; `within` has the positions in it, as fractions of its time, at which the
-    /// velocity is limited too.
+    /// velocity is limited too. `most_v` is the velocity limit less its margin and the rounding, and `rows` gets the
+    /// constraints.
     fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::ChainRows) {
         let t = self.time_s[k];
         let m = self.distance[k] / self.time_s[k];

@@ -370,7 +370,8 @@ pub(crate) fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> 
     read_text(&path, LARGEST_MANIFEST_BYTES).map(Some)
 }
 
-/// Parses a manifest, checks it against `kind`, and returns it with the state of its seal.
+/// Parses a manifest, checks it against `kind`, and returns it with the state of its seal. `text` is its text and `dir`
+/// its directory, for messages. Refuses another kind, a newer version, text that is no manifest, and a broken seal.
 fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Seal), HandoffError> {
     let path = dir.join(MANIFEST);
     let damaged = |what: String| {

@@ -102,7 +102,7 @@ impl PlanArgs {
 }
 
 /// Reads the dwell times of the flag `--dwell`. The tool path must have been read before; dwell times that were made
-/// for another path are refused.
+/// for another path are refused. Fails if they cannot be read or are not valid.
 pub fn read_dwell(dir: &Path, inputs: &mut Inputs) -> Result<DwellTime, HandoffError> {
     let (dwell, manifest) = inputs.read_with_manifest("dwell", dir)?;
     inputs.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
@@ -350,8 +350,8 @@ impl NearPathArgs {
         PathDistance::new(&motion.motion, &path, tolerance_mm).map(Some).map_err(refuse)
     }
 
-    /// Returns the distance from the path that the manifest of a motion states, judged by the tolerance of the flag
-    /// if that is given. `None` if the manifest states none.
+    /// Returns the distance from the path that the manifest of a motion states, judged by the tolerance of the flag if
+    /// that is given. `None` if the manifest states none. `made` is the manifest of the motion.
     ///
     /// # Errors
     /// Refuses a tolerance that is negative or not finite.

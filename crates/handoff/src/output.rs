@@ -114,14 +114,14 @@ impl Begin {
 }
 
 impl Output {
-    /// Announces one artifact of this kind as the output, in the directory `--out`.
+    /// Announces one artifact of this kind as the output, in the directory `--out`. `args` are the flags of the output.
     pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
         Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
             .and_directory("--out", &args.out, kind)
     }
 
     /// Announces several artifacts as the output. `parts` are the names of their directories in `--out`, and their
-    /// kinds.
+    /// kinds. `args` are the flags of the output.
     pub fn directories<const N: usize>(
         args: &OutputArgs,
         parts: [(&str, &'static Kind); N],
@@ -147,8 +147,8 @@ impl Output {
         self
     }
 
-    /// Checks the outputs. Call it before the work, when all inputs and settings are known. It
-    /// refuses an output that must not be replaced, and tells the user if there is nothing to do.
+    /// Checks the outputs. Call it before the work, when all inputs and settings are known. It refuses an output that
+    /// must not be replaced, and tells the user if there is nothing to do. `task` describes the work.
     pub fn begin(self, task: &Task, inputs: &Inputs) -> Result<Begin, HandoffError> {
         before_the_work();
         self.check_wall_time(inputs)?;
@@ -420,9 +420,9 @@ impl Drop for Writer {
     }
 }
 
-/// Starts the progress display on a terminal: the name of the work and its elapsed time. As soon as
-/// the work reports a fraction, it adds a bar and the remaining time. In a pipe it prints the remaining
-/// time of a long run on a few lines ([`FIRST_TOLD_AFTER`]).
+/// Starts the progress display on a terminal: the name of the work and its elapsed time. As soon as the work reports a
+/// fraction, it adds a bar and the remaining time. In a pipe it prints the remaining time of a long run on a few lines
+/// ([`FIRST_TOLD_AFTER`]). `message` is the name of the work.
 fn shown_progress(message: String) -> ProgressBar {
     let style = |template| ProgressStyle::with_template(template).expect("a valid template");
     let bar = ProgressBar::hidden();
@@ -600,7 +600,8 @@ fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(
     Ok(())
 }
 
-/// Writes `bytes` as a file and makes it visible. `replace` allows it to replace a regular file.
+/// Writes `bytes` as a file and makes it visible. `replace` allows it to replace a regular file. `path` is the final
+/// path.
 fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffError> {
     let mut staged = Staged::file(path, replace)?;
     staged.write_all(bytes)?;
@@ -615,8 +616,8 @@ fn peak_memory_mb() -> Option<f64> {
     Some((kilobytes / 1024.0).round())
 }
 
-/// Returns true if the output directory exists. A path that is something else, or cannot be
-/// created, is an error.
+/// Returns true if the output directory exists. A path that is something else, or cannot be created, is an error.
+/// `flag` gave it, for the message.
 fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(true),

@@ -325,7 +325,7 @@ fn circle<'a>(
 }
 
 /// Returns a cycle that the search finds from `name` on; `None` if there is none. `above` are the names on the way to
-/// `name`, and `done` those that were searched before.
+/// `name`, and `done` those that were searched before. `next` returns the names to which a name refers.
 fn circle_from(
     name: &str,
     next: &dyn Fn(&str) -> Vec<String>,

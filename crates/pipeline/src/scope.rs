@@ -47,8 +47,8 @@ pub struct Scope<'a> {
     fixed: Words,
 }
 
-/// Refuses a setting that is given twice. `first` is its value so far, `None` if it has none, and `second` the
-/// further value.
+/// Refuses a setting that is given twice. `first` is its value so far, `None` if it has none, and `second` the further
+/// value. `name` is that of the setting.
 ///
 /// # Errors
 /// Fails with a message if there is a first value.
@@ -194,7 +194,7 @@ impl<'a> Scope<'a> {
 
     /// Returns the words of a text, with every name in braces replaced. A name that is a whole word becomes all of its
     /// words; within a longer word it becomes its words joined by blanks. Words in brackets are left out if a name
-    /// among them stands for no word.
+    /// among them stands for no word. `local` is as in [`Scope::words`].
     ///
     /// # Errors
     /// Fails with a message if a name is not known yet, or if a bracket or a brace has no partner.

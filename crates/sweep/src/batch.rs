@@ -64,7 +64,7 @@ const BYTES_PER_PIXEL: f64 = 1000.0;
 const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
 /// Returns the estimated time of a plan on one core, s. A plan without a pitch counts as one of 1 mm, and one without a
-/// step as one whose step is the pitch.
+/// step as one whose step is the pitch. `size` is that of the mirror.
 pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     let pitch_mm = plan.number("pitch_mm").or(plan.number("min_pitch_mm")).unwrap_or(1.0);
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
@@ -85,7 +85,8 @@ pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     S_AT_LEAST + own_s
 }
 
-/// Returns the time and memory of a job that makes `plans`, of which it runs `jobs` at the same time.
+/// Returns the time and memory of a job that makes `plans`, of which it runs `jobs` at the same time. `size` is that of
+/// the mirror.
 pub fn resources(plans: &[&SweptPlan], size: &Size, jobs: usize) -> Resources {
     let estimated = plans.iter().map(|plan| estimated_s(plan, size));
     let (sum_s, longest_s) =

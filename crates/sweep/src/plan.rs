@@ -456,7 +456,8 @@ fn scope(path: &str, settings: &[(String, SettingValue)]) -> Result<Scope<'stati
     Scope::new(definition, &settings)
 }
 
-/// Returns the settings on which these stages depend, with their values in a plan, given or default.
+/// Returns the settings on which these stages depend, with their values in a plan, given or default. `path` is the
+/// family of the tool path.
 fn resolved(
     path: &str,
     settings: &[(String, SettingValue)],

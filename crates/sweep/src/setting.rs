@@ -75,7 +75,7 @@ pub fn pipeline(path: &str) -> Option<&'static Definition> {
     PIPELINES.iter().find(|definition| definition.name == path)
 }
 
-/// Returns the default, as text, of a setting that all pipelines share.
+/// Returns the default, as text, of a setting that all pipelines share. Panics for another name.
 pub fn default(name: &str) -> String {
     let scope = Scope::new::<&str>(&PIPELINES[0], &[]).expect("no settings");
     scope.text(name).expect("a setting that all pipelines share")

@@ -164,7 +164,7 @@ impl ReportCommand {
 }
 
 /// Makes the row `program` of the only run its recommendation; does nothing for `None`. Refuses a row if there are
-/// several runs.
+/// several runs. `read` are the runs of the command line.
 fn recommend(program: Option<&str>, read: &mut [RunData]) -> Result<(), Failure> {
     match (program, read) {
         (None, _) => Ok(()),

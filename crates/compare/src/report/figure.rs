@@ -279,7 +279,8 @@ fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&Scree
     note_below(svg, frame, "height from the mean");
 }
 
-/// Adds a note in small print below a panel, if the panel is wide enough for it beside the title of its axis.
+/// Adds a note in small print below a panel, if the panel is wide enough for it beside the title of its axis. `words`
+/// are the text.
 fn note_below(svg: &mut Svg, frame: &Frame, words: &str) {
     if frame.width >= NOTED_FROM_PX {
         frame.note(svg, words);
@@ -296,7 +297,8 @@ fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: 
     ));
 }
 
-/// Draws a path in colours of the speed, with its axes and its colour bar. Jumps are dotted.
+/// Draws a path in colours of the speed, with its axes and its colour bar. Jumps are dotted. A jump is where the motion
+/// continues at another position.
 fn draw_path(svg: &mut Svg, frame: &Frame, line: &SpeedLine) {
     let speeds: Vec<f64> = line.speed_mm_per_s.iter().copied().filter(|v| v.is_finite()).collect();
     let bands = Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, or_one(quantile(&speeds, 0.99))]);

@@ -29,7 +29,8 @@ const TIME_PX: f64 = 150.0;
 /// part.
 const PLACES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 
-/// Draws, as SVG, how the tool varies over the part; `None` for a tool that is the same everywhere.
+/// Draws, as SVG, how the tool varies over the part; `None` for a tool that is the same everywhere. `surface` is a map
+/// of the part, whose pixels the tool acts on.
 pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let variation = tif.variation()?;
     let mut svg = Svg::new(FONT_PX);

@@ -177,7 +177,7 @@ fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory>
         .map_or(Cow::Borrowed(motion), Cow::Owned)
 }
 
-/// Returns the data of one run for the report page.
+/// Returns the data of one run for the report page. `allotment` bounds the amount of data of each method.
 fn view(run: RunData, allotment: &Allotment) -> View {
     let grid = *run.desired.grid();
     let every = block_side(&grid, allotment.pixels);

@@ -35,7 +35,8 @@ const ROOM: f64 = 1.1;
 const DECADES_FROM: f64 = 10.0;
 
 /// Draws the plans that keep the constraints as points, each a link to its report; a line joins those on the front.
-/// `to_table` is the path from the picture to the folder of the table. Empty if there is no point.
+/// `to_table` is the path from the picture to the folder of the table. Empty if there is no point. `residual` chooses
+/// the residual of the vertical axis.
 pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     let front = table.front(residual);
     let points = points(table, residual, &front);

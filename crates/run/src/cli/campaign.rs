@@ -265,7 +265,8 @@ impl Course<'_> {
     }
 
     /// Computes the residual that the next plan is expected to leave, and decides whether the run is worth its time.
-    /// Both results go to the directory `at`. `knowledge` is the file with the errors of the process.
+    /// Both results go to the directory `at`. `knowledge` is the file with the errors of the process. `run` is the
+    /// directory of the next plan, and `tool` the TIF with which it was made.
     fn decide(&mut self, at: &str, run: &str, tool: &str, knowledge: &str) -> Result<(), Failure> {
         let motion = self.motion(run);
         let map = format!("{run}/surface");
@@ -419,7 +420,7 @@ impl Course<'_> {
 }
 
 /// Returns the flags that name two verdicts on a specification: on the map before the next run, and on the residual
-/// that its plan predicts.
+/// that its plan predicts. `run` is the directory of the plan, and `planned` the name of its method.
 pub fn specified(run: &str, planned: &str) -> Vec<String> {
     let [now, next] =
         ["before", planned].map(|part| format!("{run}/specified/{part}/specification"));

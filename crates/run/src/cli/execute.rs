@@ -393,7 +393,7 @@ impl Rehearsal {
 
     /// Tries the commands of a pipeline whose flags come from settings that the user gave, or from a setting that holds
     /// flags. It skips commands that may refuse without an end of the run, and the programs in [`NOT_REHEARSED`].
-    /// Returns false, and prints the reason, if one refuses.
+    /// Returns false, and prints the reason, if one refuses. `made` are the paths in the run that exist already.
     fn all(&self, programs: &Programs, mut ahead: Walk, made: &[String]) -> Result<bool, Failure> {
         while let Some(step) = ahead.step().map_err(Failure::new)? {
             let Step::Run(command) = step else { continue };

@@ -190,8 +190,8 @@ pub fn log() -> Result<File, Failure> {
     Ok(file)
 }
 
-/// Returns the settings of a plan that is one of several. Unless the user says otherwise, they ask for no pictures and
-/// no joint plan.
+/// Returns the settings of a plan that is one of several. Unless the user says otherwise, they ask for no frames (maps
+/// of the removal over time) and no joint plan, if the pipeline `definition` has these settings.
 pub fn with_plain(definition: &Definition, user: &UserSettings) -> Vec<String> {
     let mut settings = user.settings.clone();
     for (name, value) in [("frames", "0"), ("plan_joint", "no")] {

@@ -80,6 +80,7 @@ struct Whole<'a> {
 
 impl Whole<'_> {
     /// Refuses the artifact at the path `at` in the run if its inputs are not the present artifacts of the run.
+    /// `manifest` is its manifest; the artifacts that it was made from are checked in turn.
     fn check(&mut self, at: &Path, manifest: &Manifest) -> Result<(), Failure> {
         if !self.seen.insert(at.into()) {
             return Ok(());
@@ -106,7 +107,7 @@ impl Whole<'_> {
     }
 
     /// Refuses the artifact at the path `at` if its machine, error budget or specification is not that of the others.
-    /// `hash` is that of the file.
+    /// `hash` is that of the file. `role` is that of the file.
     fn check_shared(&mut self, at: &Path, role: &str, hash: &str) -> Result<(), Failure> {
         if !SHARED.contains(&role) {
             return Ok(());

@@ -314,7 +314,7 @@ impl Grounds<'_> {
     }
 
     /// Copies a file of the user into the directory of the sweep, so that all jobs read the same content. Returns the
-    /// path of the copy in the sweep and the first 12 digits of its hash.
+    /// path of the copy in the sweep and the first 12 digits of its hash. `role` names the file in messages.
     fn frozen(&mut self, role: &str, file: &str) -> Result<(String, String), Failure> {
         let path = self.folder.join(file);
         let bytes = self
