@@ -1,4 +1,5 @@
-//! Reading of runs: the directories of their artifacts, and the arrays in a directory.
+//! Reading of runs: the directories of their artifacts, and the arrays in a directory. The role of an input is the name
+//! under which the report records it, such as `0/surface` for the surface of the first run.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -461,8 +461,8 @@ impl Summary {
         }
     }
 
-    /// Returns the summary with the waves that the tool can correct (`reach`) and the verdicts by the specification
-    /// (`around`) added.
+    /// Returns the summary with the waves that the tool can correct (`reach`), the RMS of `desired` beyond them, and
+    /// the verdicts by the specification (`around`) added.
     pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
         let short_wave_rms_nm = reach.map(|reach| reach.short_wave_rms_nm(desired));
         Self {

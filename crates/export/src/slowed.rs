@@ -15,7 +15,8 @@
 //! ```
 //!
 //! times a factor that the generator raises where a program still exceeds a limit. Between cells `k` is linear, no
-//! steeper than `|P'| |k'| <= d_a A / 2`, or a part of what the plan leaves of A.
+//! steeper than `|P'| |k'| <= f A` with f = 0.01 (`FOR_CLOCK`), for lines at most d_a / 2. Without a limit on jerk,
+//! half of what the plan leaves of A counts instead if that is more.
 //!
 //! Time that is added removes more. So the clock gives it back nearby, where the plan uses less than its limits: with
 //! e = k - 1 > 0 where the plan is slowed down, the room r = 1 - (least k) elsewhere, and sums over the cells within a
@@ -54,7 +55,7 @@ const ROUNDING: f64 = 2e-3;
 /// removal that differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
 const SHORTEST: f64 = 0.65;
 
-/// Settings and limits for the choice of nodes.
+/// Limits, counts and settings by which the times of the nodes of a program are chosen.
 pub(crate) struct Choice<'a, const N: usize> {
     pub axes: &'a [MachineAxis; N],
     pub grids: [AxisGrid; N],
@@ -207,7 +208,7 @@ pub(crate) struct Slowed<'a, const N: usize> {
 pub(crate) struct ClockCells {
     cell_s: f64,
     /// Smallest k that keeps the margins in every cell, length m, before the factors `raised`. It is below 1 where the
-    /// plan uses less than its limits.
+    /// plan uses less than its limits, but at least [`LEAST_FACTOR`].
     need: Vec<f64>,
     /// True for the cells in which the tool removes all the time, length m.
     on: Vec<bool>,

@@ -1,4 +1,5 @@
-//! Table of the kinds of artifact directories. Readers, writers and `docs/formats.md` all use it.
+//! Table of the kinds of artifact directories: the arrays and files of each, with units and meaning. Readers, writers
+//! and `docs/formats.md` all use it.
 
 mod spectra;
 

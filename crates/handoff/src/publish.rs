@@ -17,7 +17,7 @@
 //!
 //! During steps 3 and 4 the process holds advisory locks on all parent directories, so that the
 //! outputs of two runs do not mix. A process that is killed leaves siblings whose lock is free, so the next
-//! run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
+//! run removes them. On SIGINT, SIGTERM and SIGHUP a process removes its own siblings. On a file
 //! system without advisory locks (some network file systems), all of this holds, except for the
 //! order of two runs into one place.
 

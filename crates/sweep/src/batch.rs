@@ -1,4 +1,5 @@
-//! Choice of the plans that a job runs, and estimates of the time and memory that a job needs.
+//! Choice of the plans that a job (one of several processes, perhaps on a cluster) runs, and estimates of the time and
+//! memory that it needs.
 //!
 //! Time and memory are those of the stages, estimated from the size of the map and the path:
 //!
@@ -6,7 +7,7 @@
 //! |---|---|
 //! | A | area of the map, mm^2 |
 //! | p | pitch, mm |
-//! | w | width of the tool, mm |
+//! | w | width of the tool, mm: the standard deviation of a Gaussian TIF |
 //! | N | pixels of the map |
 //!
 //! The path has the length A / p. A plan of motion and times as one problem has n = A / (0.6 p w) nodes, 0.6 w apart

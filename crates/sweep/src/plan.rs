@@ -1,7 +1,8 @@
 //! Plans of a sweep, and the stages that make them. A stage is a run of one program of Planish.
 //!
-//! The name of every result holds the hash of all its inputs. So results that several plans share are made once,
-//! and an existing result is never out of date.
+//! The name of every result holds the hash of all its inputs. So results that several plans share are made once, and an
+//! existing result is never out of date. The ground of a plan are the hashes of the inputs that all plans share; a
+//! round is a list of plans that are made together.
 
 use planish_pipeline::{
     scope::Scope,
