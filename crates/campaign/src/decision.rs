@@ -290,8 +290,8 @@ fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns the state of a mirror with a map of RMS `measured`, and a plan whose T1 is uniform from 0.9 to 1.1 of
-    /// `t`, nm.
+    /// Returns the data of a mirror with a map of RMS `measured`, nm, and a plan whose RMS T1 (see the module) is
+    /// uniform from 0.9 to 1.1 times `t`, nm.
     fn known(measured: f64, t: f64) -> Known {
         Known {
             measured_rms_nm: measured,
@@ -329,9 +329,9 @@ mod tests {
         assert!(decide(&known(1.0, 1.0), &DecisionSettings { least_gain_percent: -1.0 }).is_err());
     }
 
-    /// The mirror has waves of RMS s that the tool does not reach, measured with noise a. The map has (s^2 + a^2)^1/2,
-    /// the plan leaves the map as it is, and the tolerance adds the noise once more. The RMS on the mirror is s before
-    /// and after: nothing is gained, whatever the noise.
+    /// Checks that nothing is gained, whatever the noise, if the tool reaches nothing. The mirror has waves of RMS s
+    /// that the tool does not reach, measured with noise a. The map has (s^2 + a^2)^1/2, the plan leaves the map as it
+    /// is, and the tolerance adds the noise once more. The RMS on the mirror is s before and after.
     #[test]
     fn noise_that_the_tool_does_not_reach_is_no_gain() {
         let (s, a) = (0.3_f64, 0.5_f64);
@@ -348,7 +348,8 @@ mod tests {
         assert!((d.now_standard_error_nm - expected).abs() < 1e-12);
     }
 
-    /// A run transfers the noise that the tool reaches to the mirror: more noise means less gain.
+    /// Checks that more noise of the map means less gain, because a run transfers the noise that the tool reaches to
+    /// the mirror.
     #[test]
     fn noise_that_the_tool_reaches_is_brought_onto_the_mirror() {
         let (s, a) = (0.3_f64, 0.5_f64);

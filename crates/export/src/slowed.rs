@@ -1,7 +1,7 @@
 //! The plan on the clock of the program: the same path, a little slower where the plan uses a limit fully.
 //!
 //! ```text
-//! dt = k(s) ds            s: time of the plan,  t: time of the program,  k >= 1
+//! dt = k(s) ds            s: time of the plan,  t: time of the program,  k > 1: slower than the plan
 //! p(t) = P(s)
 //! p'   = P' / k
 //! p''  = P'' / k^2 - P' k' / k^3
@@ -28,9 +28,9 @@
 //!
 //! The removal then differs from the plan's by time that is moved by at most R, and the program takes the plan's time.
 //!
-//! What remains delays the program against the plan by a part of a tick. The next stretch with room takes this part
-//! back or adds to it until the delay is a whole number of ticks (`ClockCells::whole_ticks`). The nodes after the
-//! stretch then lie at the same times of the plan as before, so mending one place does not spoil the others.
+//! What remains delays the program against the plan. The next stretch with room takes a part of the delay back or adds
+//! to it, until the delay is a multiple of its unit, some ticks of 2 ms together (`ClockCells::whole_ticks`). The nodes
+//! after the stretch then lie at the same times of the plan as before, so mending one place does not spoil the others.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|

@@ -559,7 +559,7 @@ mod tests {
         );
     }
 
-    /// Every element type of NumPy that is read, with two numbers in its own bytes, in both byte orders.
+    /// Checks every element type of NumPy that is read, with two numbers in its own bytes, in both byte orders.
     #[test]
     fn other_element_types_are_converted_exactly() {
         let little: [(&str, Vec<u8>, [f64; 2]); 9] = [
@@ -616,7 +616,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any damage to a valid file gives an array or a message, never a panic.
+        /// Checks that any damage to a valid file gives an array or a message, never a panic.
         #[test]
         fn damaged_files_never_panic(
             cut in 0..=192_usize, damage in prop::collection::vec((0..192_usize, any::<u8>()), 0..4),

@@ -343,7 +343,7 @@ mod tests {
         }
     }
 
-    /// A run that is killed after any of its renames.
+    /// Checks the files that a run leaves if it is killed after any of its renames.
     #[test]
     fn outputs_of_two_runs_never_stand_beside_each_other_and_the_next_run_is_whole() {
         for renames_done in 0..=4 {
@@ -368,8 +368,7 @@ mod tests {
         }
     }
 
-    /// Earlier, each of two runs renamed one artifact before the other, and the directory held a
-    /// mixture.
+    /// Checks that two runs into one directory do not leave a mixture of their artifacts.
     #[test]
     fn a_run_waits_while_another_lets_its_artifacts_appear() {
         let dir = tempfile::tempdir().unwrap();
@@ -384,7 +383,7 @@ mod tests {
         assert_eq!(texts(dir.path()), ["new", "new"]);
     }
 
-    /// A place that was free when the run was ready, and taken when its turn came.
+    /// Checks that a run refuses a final path that was free when it was ready, and taken when its turn came.
     #[test]
     fn a_place_that_is_taken_while_a_run_waits_is_not_replaced() {
         let dir = tempfile::tempdir().unwrap();
@@ -399,7 +398,7 @@ mod tests {
         assert_eq!(text(&dir.path().join("c")), "mine");
     }
 
-    /// Earlier, every reader and writer carried out the renames that such a file listed.
+    /// Checks that no reader or writer carries out renames that a file in the directory lists.
     #[test]
     fn a_file_beside_an_output_is_not_carried_out() {
         let dir = tempfile::tempdir().unwrap();
