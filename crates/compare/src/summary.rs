@@ -130,7 +130,8 @@ pub struct LeftOut {
     pub reasons: Vec<String>,
 }
 
-/// Statistics of the desired removal before the run.
+/// Statistics of the desired removal before the run: RMS, peak-to-valley, slopes, and the RMS of its short waves and of
+/// its edge zone.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Initial {
     /// RMS of the desired removal, mean removed, nm.

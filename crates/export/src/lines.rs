@@ -146,8 +146,8 @@ impl Lengths {
         lengths
     }
 
-    /// Returns the largest change of lines of `length` ticks from place `k` to the next, in ticks; 0 if a change by one
-    /// tick is too much.
+    /// Returns the largest change of the length of lines from place `k` of the grid to the next, in ticks. The lines
+    /// have `length` ticks at `k`. It is 0 if one line may not differ from its neighbour by a tick.
     fn growth(&self, k: usize, length: f64) -> f64 {
         let change = self.change(self.used[k].max(self.used[k + 1]));
         if change * length < 1.0 { 0.0 } else { change.min(MOST_CHANGE) * self.step as f64 }

@@ -73,8 +73,8 @@ impl Axis<'_> {
         (rounded, excess)
     }
 
-    /// Returns the factor by which the time of segment `k` has to grow to keep the limits, with the velocities `v` at
-    /// its ends; 1 if they are kept.
+    /// Returns the factor by which the time of segment `k` has to grow to keep the limits on velocity, acceleration and
+    /// jerk; 1 if they are kept. `v` holds the velocities at its start and at its end.
     fn excess(&self, k: usize, v: [f64; 2]) -> f64 {
         let t = self.time_s[k];
         let c = hermite(self.distance[k], v, t);

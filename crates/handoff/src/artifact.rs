@@ -77,7 +77,7 @@ pub struct Manifest {
     pub version: u32,
     /// Name of the program that wrote the artifact, such as `planish-dwell`.
     pub tool: String,
-    /// Version of the program.
+    /// Version of the program that wrote the artifact.
     pub tool_version: String,
     /// Subcommand of the program that wrote the artifact.
     pub method: String,

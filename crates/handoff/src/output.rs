@@ -449,7 +449,8 @@ fn shown_progress(message: String) -> ProgressBar {
     bar
 }
 
-/// Prints the remaining time of a long run at intervals, from a thread of its own, until `bar` is finished.
+/// Prints lines with the remaining time of a long run, from a thread of its own, until `bar` is finished. The first
+/// comes after [`FIRST_TOLD_AFTER`], each further one after twice the time of the one before.
 fn tell_in_lines(message: String, bar: &ProgressBar) {
     let done = Arc::new(Mutex::new(0.0));
     let reported = done.clone();
@@ -565,8 +566,8 @@ impl OutputFile {
     /// Writes several files, given with their contents, which become visible together.
     ///
     /// # Errors
-    /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. No
-    /// file is then visible.
+    /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. None of
+    /// the new files is then visible.
     pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
         let mut all = Vec::with_capacity(N);
         for (file, bytes) in files {

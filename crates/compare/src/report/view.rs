@@ -16,8 +16,9 @@ use super::{
 };
 use crate::{made::Made, summary::Summary};
 
-/// Largest number of pixels of one map, and below it of all maps together (2 bytes each, 2.7 in base64). Larger:
-/// larger, slower pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a page.
+/// Largest number of pixels of one map of a page; `MAX_ALL_PIXELS` is that of all its maps together. A pixel takes 2
+/// bytes, 2.7 in base64. Larger: larger, slower pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a
+/// page.
 pub const MAX_MAP_PIXELS: usize = 400_000;
 const MAX_ALL_PIXELS: usize = 2_000_000;
 
