@@ -206,8 +206,9 @@ fn plan_of_program<'a>(
     Some((base, plan)).filter(|(_, plan)| plan.is_candidate())
 }
 
-/// Returns the reason for the choice of the plan `name` as a clause: it compares it with the plan of the least RMS
-/// among the others. `program` names the method that is the program of this plan, which does not count as another.
+/// Returns the reason for the choice of the plan `name`, with the result `m`, as a clause. It compares the plan with
+/// that of the least RMS among the other candidates; without another one, it says so. `program` names the method that
+/// is the program of this plan, which does not count as another.
 fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>) -> String {
     let rivals: Vec<&(String, MethodResult)> = summary
         .methods

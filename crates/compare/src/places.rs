@@ -87,13 +87,13 @@ pub struct ZoneRms {
 /// Duration of a motion, divided by the position and the state of the tool, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Times {
-    /// Time with the tool on above valid pixels of the edge zone; `null` if the tool is not known.
+    /// Time with the tool on above valid pixels of the edge zone, s; `null` if the tool is not known.
     pub edge_s: Option<f64>,
-    /// Time with the tool on above the other valid pixels; above all valid pixels if the tool is not known.
+    /// Time with the tool on above the other valid pixels, s; above all valid pixels if the tool is not known.
     pub inside_s: f64,
-    /// Time with the tool on beyond the valid pixels: overscan and turn-arounds.
+    /// Time with the tool on beyond the valid pixels, s: overscan and turn-arounds.
     pub beyond_s: f64,
-    /// Time with the tool off, wherever the tool is.
+    /// Time with the tool off, s, wherever the tool is.
     pub tool_off_s: f64,
 }
 

@@ -163,7 +163,8 @@ impl Lengths {
         ((tick / self.step).max(0) as usize).min(self.ticks.len() - 1)
     }
 
-    /// Returns the wanted duration of a line that begins or ends at `tick`, in ticks.
+    /// Returns the wanted duration of a line that begins or ends at `tick`, in ticks. It is that of the last place up
+    /// to `tick`, rounded down, and at least `least`.
     fn length(&self, tick: i64) -> i64 {
         (self.ticks[self.place(tick)] as i64).max(self.least)
     }

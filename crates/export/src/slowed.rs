@@ -220,7 +220,8 @@ pub(crate) struct ClockCells {
     pub raised: Vec<f64>,
     /// Longest segment that may lie in every cell, s, length m.
     pub longest_s: Vec<f64>,
-    /// Unit of the delay of the program against the plan, s, to whole multiples of which the delay is brought.
+    /// Unit of the delay of the program against the plan, s: after every stretch of cells whose k may be lowered, the
+    /// delay is brought to a whole multiple of it.
     delay_s: f64,
 }
 
