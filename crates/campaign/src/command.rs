@@ -18,7 +18,7 @@ struct CampaignCli {
     command: crate::cli::CampaignCommand,
 }
 
-/// The command `planish campaign`.
+/// The stage `planish-campaign` as the command `planish campaign`: its name, its main function, and its command line.
 pub const COMMAND: planish_handoff::Stage =
     planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: CampaignCli::command };
 

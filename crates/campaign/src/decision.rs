@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! now:       S0^2 = M0^2 - sigma^2                  M0 the RMS of the map
-//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish-tolerance`, at every part of the runs
+//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish-tolerance`, at every quantile over the runs
 //! gain:      G = S0 - S1
 //! ```
 //!
@@ -157,7 +157,8 @@ pub struct Decision {
     pub specification: Option<SpecificationKept>,
 }
 
-/// Decides whether to run again, by the rule of the module.
+/// Decides whether to run again: computes the gain of the next run by the equations of the module, and applies the rule
+/// of `verdict`.
 ///
 /// # Errors
 /// Fails if the least gain is not between 0 and 100 %.
@@ -214,8 +215,9 @@ pub fn decide(known: &Known, settings: &DecisionSettings) -> Result<Decision, In
     Ok(decision)
 }
 
-/// Returns the recommendation and its reason. The rule looks first at the specification, then at the certainty of the
-/// gain, then at its size.
+/// Returns the recommendation and its reason. A map that keeps the specification means stop, otherwise a plan that
+/// keeps it means run again. Without such a decision, a run must promise two gains: the one that 95 % of the runs
+/// exceed is above [`SEEN`] standard errors, and the median is at least `least_gain_percent`. `d` holds the numbers.
 fn verdict(d: &Decision, settings: &DecisionSettings) -> (Verdict, String) {
     let least = 0.01 * settings.least_gain_percent * d.now_rms_nm;
     let seen = SEEN * d.now_standard_error_nm;
@@ -288,8 +290,8 @@ fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns the state of a mirror with a map of RMS `measured`, and a plan whose T1 is uniform from 0.9 to 1.1 of
-    /// `t`, nm.
+    /// Returns the data of a mirror with a map of RMS `measured`, nm, and a plan whose RMS T1 (see the module) is
+    /// uniform from 0.9 to 1.1 times `t`, nm.
     fn known(measured: f64, t: f64) -> Known {
         Known {
             measured_rms_nm: measured,
@@ -327,9 +329,9 @@ mod tests {
         assert!(decide(&known(1.0, 1.0), &DecisionSettings { least_gain_percent: -1.0 }).is_err());
     }
 
-    /// The mirror has waves of RMS s that the tool does not reach, measured with noise a. The map has (s^2 + a^2)^1/2,
-    /// the plan leaves the map as it is, and the tolerance adds the noise once more. The RMS on the mirror is s before
-    /// and after: nothing is gained, whatever the noise.
+    /// Checks that nothing is gained, whatever the noise, if the tool reaches nothing. The mirror has waves of RMS s
+    /// that the tool does not reach, measured with noise a. The map has (s^2 + a^2)^1/2, the plan leaves the map as it
+    /// is, and the tolerance adds the noise once more. The RMS on the mirror is s before and after.
     #[test]
     fn noise_that_the_tool_does_not_reach_is_no_gain() {
         let (s, a) = (0.3_f64, 0.5_f64);
@@ -346,7 +348,8 @@ mod tests {
         assert!((d.now_standard_error_nm - expected).abs() < 1e-12);
     }
 
-    /// A run transfers the noise that the tool reaches to the mirror: more noise means less gain.
+    /// Checks that more noise of the map means less gain, because a run transfers the noise that the tool reaches to
+    /// the mirror.
     #[test]
     fn noise_that_the_tool_reaches_is_brought_onto_the_mirror() {
         let (s, a) = (0.3_f64, 0.5_f64);

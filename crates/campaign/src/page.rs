@@ -126,7 +126,8 @@ fn row(out: &mut String, name: &str, chains: &Chains) {
 }
 
 /// Writes a learnt value with its standard error, and its deviation from the truth in standard errors, as HTML text.
-/// The second text is empty if the truth is unknown. Brackets mark a value from an earlier run.
+/// The first is "not determined" if no run determined the value. The second is then empty, as it is if the truth is
+/// unknown or the standard error is 0. Brackets mark a value from an earlier run.
 pub fn value_and_deviation(parameter: &LearntParameter) -> (String, String) {
     let (Some(value), Some(error)) = (parameter.value, parameter.standard_error) else {
         return ("not determined".into(), String::new());
@@ -138,8 +139,8 @@ pub fn value_and_deviation(parameter: &LearntParameter) -> (String, String) {
     (number, off.unwrap_or_default())
 }
 
-/// Returns a sentence with the RMS on the mirror, nm, after the last run with learning, without learning and with a
-/// known tool. It is empty if there is no run.
+/// Returns sentences with the RMS on the mirror, nm, after the last run with learning, without learning and with a
+/// known tool, and after the first run on another mirror like it. They are empty if there is no run.
 pub fn answer(campaign: &Campaign) -> String {
     let Some(last) = campaign.runs.last() else { return String::new() };
     let count = match campaign.runs.len() {

@@ -1,5 +1,6 @@
 //! A campaign run by run: the residuals, the learnt parameters, and the decisions. A chain is a series of runs on one
-//! mirror that treats the errors of the machine in one way.
+//! mirror that treats the errors of the machine in one way. The place is the position of the tool relative to the part
+//! (offset, rotation, magnification).
 //!
 //! Three chains run on machines of the same hidden errors, from the same first map:
 //!
@@ -21,9 +22,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::Verdict;
 
-/// Returns the true value of `parameter` in the unit of its [`Estimate`]; `None` for an unknown name. The
-/// ellipticities of an otherwise round TIF that is rotated by phi transform as a tensor: (e, d) -> (e cos 2 phi - d
-/// sin 2 phi, e sin 2 phi + d cos 2 phi).
+/// Returns the true value of `parameter` in the unit of its [`Estimate`]: mm for an offset, degrees for the rotation, %
+/// for the others. `None` for an unknown name.
+///
+/// If the TIF is rotated by phi, its two ellipticities (e along the axes, d along the diagonals) transform as a tensor:
+/// (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
 pub fn true_value(truth: &Truth, parameter: &str) -> Option<f64> {
     let e = truth.tif_ellipticity;
     let d = truth.tif_diagonal_ellipticity;
@@ -95,7 +98,7 @@ pub struct RunRecord {
 pub struct LearntParameter {
     /// Name of the parameter, such as `rate_scale`.
     pub name: String,
-    /// Unit of the values.
+    /// Unit of the value, of its standard error, of the truth and of the corrections.
     pub unit: String,
     /// Value from all runs so far, in `unit`; `None` if no run determined it.
     pub value: Option<f64>,
@@ -103,7 +106,7 @@ pub struct LearntParameter {
     pub standard_error: Option<f64>,
     /// Hidden true value in `unit`; `None` if the virtual machine has no such parameter.
     pub truth: Option<f64>,
-    /// True if this run determined it.
+    /// True if the last of the runs so far determined the value, false if an earlier one did or none.
     pub is_of_this_run: bool,
     /// Reason for which this run did not determine the parameter; `None` if it did.
     pub refused: Option<String>,
@@ -141,7 +144,7 @@ pub struct Campaign {
     pub seed: u64,
     /// RMS of the mirror before the first run, nm.
     pub before_rms_nm: f64,
-    /// Runs in their order.
+    /// Runs of the campaign, in the order in which they were made.
     pub runs: Vec<CampaignRun>,
     /// Results of the first run on another mirror that is like the first, after all runs on the first.
     pub alike: Chains,

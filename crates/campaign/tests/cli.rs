@@ -99,7 +99,7 @@ fn program(dir: &Path, command: &str) {
     assert!(matches!(output.status.code(), Some(0 | 1)), "{command}: {}", text(&output.stderr));
 }
 
-/// One run of every chain, by the same plan: a campaign of one run, with its page; and its decision.
+/// Checks a campaign of one run, in which every chain runs the same plan: its numbers, its page and its decision.
 #[test]
 fn a_decision_and_a_page_say_what_the_artifacts_say() {
     let tmp = tempfile::tempdir().unwrap();

@@ -24,12 +24,13 @@ use crate::{
 /// that differ look equal. Chosen; the summary has all digits.
 const DIGITS: usize = 3;
 
-/// Durations from which a sentence uses minutes and hours instead of seconds, in s. Larger or smaller: numbers above
-/// 120, or below 2, in a sentence. Chosen: the number is then at least 2 in minutes and in hours.
+/// Duration from which a sentence uses minutes instead of seconds, s ([`HOURS_FROM_S`]: hours instead of minutes).
+/// Larger: numbers above 120 in a sentence. Smaller: numbers below 2. Chosen: two minutes, and two hours.
 const MINUTES_FROM_S: f64 = 120.0;
 const HOURS_FROM_S: f64 = 7200.0;
 
-/// Returns the answer of a run, for which `summary` must name the methods and the best plan.
+/// Returns the answer of a run: a sentence on the recommended plan (`summary.best`), and the reasons. If the summary
+/// recommends none of its methods, the answer says that nothing is to be run, and why.
 pub fn answer(summary: &Summary) -> Answer {
     let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
     let mut problems = summary.remarks.clone();
@@ -78,9 +79,11 @@ impl Winner {
     }
 }
 
-/// Returns the winner of several runs, by the rule of [`crate::recommended`]; `None` for a single run, or if no run
-/// has a plan. It names no run if the maps before the runs differ. The same holds if the plans are judged
-/// differently: by a specification, or after the servo.
+/// Returns the winner of several runs among their recommended plans, by the rule of [`crate::recommended`]. Returns
+/// `None` for fewer than two runs, or if no run has a recommended plan.
+///
+/// The winner names no run if the maps before the runs differ in RMS or PV. The same holds if the plans are judged by
+/// specifications of different names, or if only some of them are predicted after the servo.
 pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     let (_, first) = runs.first().filter(|_| runs.len() > 1)?;
     let same_map = |s: &Summary| {
@@ -118,8 +121,8 @@ pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     Some(Winner { run: Some(run.to_string()), method: Some(method.to_string()), sentence })
 }
 
-/// Returns the content of `summary.json`: the run itself if there is one; `{"winner": ..., "runs": [...]}` for
-/// several.
+/// Returns the content of `summary.json`: answer and summary of the run if there is one;
+/// `{"winner": ..., "runs": [...]}` otherwise. Each pair is the name of a run and its summary.
 pub(crate) fn to_json(runs: &[(&str, &Summary)]) -> Value {
     match runs {
         [(_, one)] => with_answer(one),
@@ -130,8 +133,8 @@ pub(crate) fn to_json(runs: &[(&str, &Summary)]) -> Value {
     }
 }
 
-/// Returns the sentence on the plan `name`, such as "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst
-/// ...; the limits of the machine are kept."
+/// Returns the sentence on the plan `name`, such as "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst ...;
+/// the limits of the machine are kept." `summary` has the numbers of the run, and `m` those of the plan.
 fn sentence(summary: &Summary, name: &str, m: &MethodResult) -> String {
     let machine = m.machine.as_deref().map_or(String::new(), |machine| format!(" on {machine}"));
     let mut text = format!(
@@ -191,8 +194,8 @@ fn why(summary: &Summary, name: &str, m: &MethodResult) -> String {
     )
 }
 
-/// Returns the plan from which the controller program `name` was written, if that program was read back. `None` if
-/// `name` is no program, or its plan is not in the run.
+/// Returns the plan from which the controller program `name` (such as `joint+galil`) was written, with its name. `None`
+/// if `m` was not read back from a program, or if its plan is not in the run or may not be recommended.
 fn plan_of_program<'a>(
     summary: &'a Summary,
     name: &str,
@@ -203,8 +206,9 @@ fn plan_of_program<'a>(
     Some((base, plan)).filter(|(_, plan)| plan.is_candidate())
 }
 
-/// Returns the reason for the choice of the plan `name` as a clause. The row `program` holds the program of this plan
-/// and does not count as its rival.
+/// Returns the reason for the choice of the plan `name`, with the result `m`, as a clause. It compares the plan with
+/// that of the least RMS among the other candidates; without another one, it says so. `program` names the method that
+/// is the program of this plan, which does not count as another.
 fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>) -> String {
     let rivals: Vec<&(String, MethodResult)> = summary
         .methods
@@ -239,7 +243,7 @@ fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>
     }
 }
 
-/// Returns the sentence that the plans are compared after the servo of the machine; empty if the process has no
+/// Returns the sentence that the plans are compared after the servo of the machine; empty if `m` has no RMS after the
 /// servo.
 fn after_servo(name: &str, m: &MethodResult) -> String {
     m.after_servo_rms_nm.map_or(String::new(), |rms_nm| {
@@ -250,7 +254,8 @@ fn after_servo(name: &str, m: &MethodResult) -> String {
     })
 }
 
-/// Returns the reasons why no plan is to be run.
+/// Returns the reasons why no plan is to be run: the plans that exceed limits, or the sentence that the run has no plan
+/// that could be run.
 fn why_none(summary: &Summary) -> String {
     let exceeding = exceeding(summary);
     if exceeding.is_empty() {
@@ -259,7 +264,8 @@ fn why_none(summary: &Summary) -> String {
     exceeding.trim_start().into()
 }
 
-/// Returns sentences that name the plans which a machine cannot follow, each with the limits that it breaks.
+/// Returns sentences that name the plans which exceed the limits of the machine, each with the limits that it breaks.
+/// Each sentence begins with a blank. Dwell times without a motion are left out; the text is empty if no plan remains.
 fn exceeding(summary: &Summary) -> String {
     let mut text = String::new();
     for (name, m) in &summary.methods {
@@ -274,7 +280,8 @@ fn exceeding(summary: &Summary) -> String {
     text
 }
 
-/// Returns the reasons against the plan `name`, although it is to be run: not optimal, or outside the specification.
+/// Returns the reasons against the plan `name`, although it is to be run: it did not converge, or it does not keep the
+/// specification. The list is empty if neither holds.
 fn against(name: &str, m: &MethodResult) -> Vec<String> {
     let mut reasons = Vec::new();
     if m.plan.state == State::Unconverged {
@@ -286,7 +293,8 @@ fn against(name: &str, m: &MethodResult) -> Vec<String> {
     reasons
 }
 
-/// Returns a clause that names the limits of a specification which a plan does not keep.
+/// Returns a clause that names the limits of a specification which a plan does not keep. `judged` is the verdict on the
+/// residual of the plan `name`.
 fn failing(name: &str, judged: &SpecificationReport) -> String {
     let failed = judged.limits.iter().filter(|limit| !limit.passed);
     let limits = failed.map(|l| {
@@ -305,24 +313,25 @@ fn failing(name: &str, judged: &SpecificationReport) -> String {
     format!("{name} does not keep the specification {}: {}", judged.name, limits.join("; "))
 }
 
-/// Largest number of digits in a comparison of two numbers. Larger: the rounding of a sum looks like a difference.
-/// Smaller: numbers that differ look equal. Chosen below the rounding of a sum of segments.
+/// Largest number of significant digits in a comparison of two numbers. Larger: the rounding of a sum looks like a
+/// difference. Smaller: numbers that differ look equal. Chosen: fewer digits than the rounding of a sum over the
+/// segments of a motion leaves intact.
 const MOST_DIGITS: usize = 9;
 
 /// Returns two numbers as text, with as many digits as tell them apart, from [`DIGITS`] to [`MOST_DIGITS`].
-/// `in_words` writes a number with a number of digits.
+/// `in_words` writes its first argument with as many significant digits as the second says.
 fn apart([a, b]: [f64; 2], in_words: impl Fn(f64, usize) -> String) -> [String; 2] {
     let digits = (DIGITS..MOST_DIGITS).find(|n| in_words(a, *n) != in_words(b, *n));
     let digits = digits.unwrap_or(if a == b { DIGITS } else { MOST_DIGITS });
     [in_words(a, digits), in_words(b, digits)]
 }
 
-/// Returns the duration `time_s` in seconds, minutes or hours, with three digits and the unit.
+/// Returns the duration `time_s` in seconds, minutes or hours, with three significant digits and the unit.
 pub fn duration(time_s: f64) -> String {
     duration_of(time_s, DIGITS)
 }
 
-/// Returns the duration `time_s` in seconds, minutes or hours, with this number of digits and the unit.
+/// Returns the duration `time_s` in seconds, minutes or hours, with `digits` significant digits and the unit.
 fn duration_of(time_s: f64, digits: usize) -> String {
     let (time, unit) = match time_s {
         t if t < MINUTES_FROM_S => (t, "s"),

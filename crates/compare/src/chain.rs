@@ -48,7 +48,7 @@ pub struct Recorded {
 /// Artifacts that all methods of a run share. A method is one plan: a scheduler or solver with its results.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunRecords {
-    /// Map of the desired removal.
+    /// Map of the desired removal, which all methods shall remove.
     pub surface: Recorded,
     /// Tool path; `None` if the run has none.
     pub tool_path: Option<Recorded>,
@@ -56,17 +56,17 @@ pub struct RunRecords {
     pub dwell: Option<Recorded>,
 }
 
-/// Artifacts of one method of a run.
+/// Artifacts of one method of a run, each as its hash and its record.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodRecords {
-    /// Motion along the path.
+    /// Motion of the method along the tool path.
     pub trajectory: Recorded,
-    /// Predicted removal and residual.
+    /// Predicted removal of the motion, with the residual that it leaves.
     pub removal: Recorded,
     /// Record of the verdict on the limits of the machine.
     pub verdict: Record,
-    /// True if the verdict finds the limits kept, and the same from the scheduler; `None` if the scheduler does not
-    /// say.
+    /// Two statements on the limits of the machine, true if they are kept: that of the verdict, and that of the
+    /// scheduler, which is `None` if the manifest of the motion has none.
     pub limits_kept: (bool, Option<bool>),
     /// Dwell times of the method's own; `None` if it uses those of the run.
     pub dwell: Option<Recorded>,
@@ -82,9 +82,12 @@ pub struct MethodRecords {
 pub enum Standing {
     /// The method takes part in the comparison.
     Valid,
-    /// The method is a plan for something else than this run has now, or a run was ended before all of it was made.
+    /// The method is a plan for another surface, tool, path or dwell times than the run has now. Or a part is missing,
+    /// because a run was ended early, or its parts `on-axes` or `removal-after-servo` were made from other artifacts.
     OutOfDate,
-    /// The verdict or the removal of the method belongs to another motion.
+    /// The artifacts of the method do not belong together. Verdict, removal or frames are of another motion, or the
+    /// removal is of another surface or tool. Or the machines, refinements or statements on the limits contradict each
+    /// other.
     NotValid,
     /// The stage of the method refused to make a plan.
     Refused,
@@ -97,7 +100,8 @@ pub struct Chain {
     pub standing: Standing,
     /// Reasons why the method takes no part; empty if it is valid.
     pub reasons: Vec<String>,
-    /// Remarks on a method that takes part; empty for the others.
+    /// Remarks on what could not be checked, and on a verdict about another machine. A report shows them only if the
+    /// method is valid.
     pub remarks: Vec<String>,
 }
 
@@ -112,8 +116,8 @@ pub fn check(run: &RunRecords, methods: &[MethodRecords]) -> Vec<Chain> {
     methods.iter().map(|method| context.check(method)).collect()
 }
 
-/// Returns the roles (`surface`, `tif`, `tool-path`) for which the dwell times of `artifact` were solved with another
-/// artifact than this run has.
+/// Returns those of the roles `surface` and `tool-path` for which the dwell times `artifact` record another input than
+/// the artifact that the run has now.
 pub(crate) fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static str> {
     let path = run.tool_path.as_ref().map(|p| p.digest.as_str());
     let known = [("surface", Some(run.surface.digest.as_str())), ("tool-path", path)];
@@ -121,7 +125,8 @@ pub(crate) fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&
     others.map(|(role, _)| *role).collect()
 }
 
-/// Returns sentences on shared artifacts of the run that are out of date; empty if none is.
+/// Returns sentences on shared artifacts of the run that are out of date: a tool path for another surface, or dwell
+/// times for another surface or tool path. The list is empty if none is.
 pub fn check_run(run: &RunRecords) -> Vec<String> {
     let mut sentences = Vec::new();
     let path = run.tool_path.as_ref();
@@ -138,7 +143,8 @@ pub fn check_run(run: &RunRecords) -> Vec<String> {
     sentences
 }
 
-/// Artifacts and hashes of the run with which those of a method are compared.
+/// Artifacts of the run with which those of a method are compared. `tif` is the BLAKE3 hash of its tool, `None` if no
+/// record names one; `one_machine` is true if all verdicts are about one machine file.
 struct Context<'a> {
     run: &'a RunRecords,
     tif: Option<&'a str>,
@@ -164,7 +170,9 @@ impl Context<'_> {
         Chain { standing, reasons, remarks: self.remarks(m) }
     }
 
-    /// Returns reasons against the method because its verdict, prediction or rounds belong to another motion.
+    /// Returns reasons against the method because its own artifacts do not belong together. Verdict, prediction,
+    /// frames, rounds or dwell times belong to another motion, or verdict and motion differ on the machine or its
+    /// limits.
     fn foreign(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let trajectory = m.trajectory.digest.as_str();
@@ -207,7 +215,8 @@ impl Context<'_> {
         reasons
     }
 
-    /// Returns reasons against the method because its removal was predicted with another surface or tool.
+    /// Returns reasons against the method because its removal or its frames were predicted with another surface or tool
+    /// than those of the run.
     fn elsewhere(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let surface = Some(self.run.surface.digest.as_str());
@@ -260,7 +269,8 @@ impl Context<'_> {
             .collect()
     }
 
-    /// Returns remarks on a method that takes part, such as artifacts without a record.
+    /// Returns remarks on a method: artifacts that could not be checked, since no record names their inputs, and a
+    /// verdict about another machine than the motion was scheduled for.
     fn remarks(&self, m: &MethodRecords) -> Vec<String> {
         let mut unknown: Vec<&str> = Vec::new();
         let known = |artifact: &Recorded, role: &str| record_input(artifact, role).is_some();
@@ -286,7 +296,8 @@ impl Context<'_> {
         remarks
     }
 
-    /// Returns true if the verdict is about another machine than that for which the motion was scheduled.
+    /// Returns true if the verdict is about another machine than that for which the motion was scheduled; false if
+    /// either machine is not recorded.
     fn machine_differs(&self, m: &MethodRecords) -> bool {
         differs(&m.trajectory, "machine", m.verdict.input("machine"))
     }

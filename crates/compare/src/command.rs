@@ -19,7 +19,7 @@ struct CompareCli {
     command: crate::cli::CompareCommand,
 }
 
-/// The command `planish compare`.
+/// The stage `planish-compare` as the command `planish compare`: its name, its main function, and its command line.
 pub const COMMAND: planish_handoff::Stage =
     planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: CompareCli::command };
 

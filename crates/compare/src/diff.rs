@@ -31,7 +31,7 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Returns one line: `name: largest ... at [..] (a ..., b ...), RMS ...`.
+    /// Returns one line: `name: largest difference ... at [index] (A ..., B ...), RMS ...`, or `name: equal`.
     pub fn line(&self, name: &str) -> String {
         match &self.at {
             None => format!("{name}: equal"),
@@ -98,7 +98,8 @@ fn float_distance(a: f64, b: f64) -> Option<f64> {
     }
 }
 
-/// Returns the distance |a - b| without overflow; at least 1 if they differ, also after rounding to a float.
+/// Returns the distance |a - b| without overflow; at least 1 if they differ, also after rounding to a float. It is
+/// never `None`, since every integer counts.
 fn integer_distance(a: i64, b: i64) -> Option<f64> {
     Some(a.abs_diff(b) as f64)
 }

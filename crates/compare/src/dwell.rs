@@ -4,13 +4,14 @@
 //! roughness = sqrt(mean (q_{k+1} - q_k)^2) / mean q        q_k = t_k / l_k                 (1)
 //! ```
 //!
-//! over neighbours along the path that both have a length. A machine cannot follow dwell-time densities that differ
-//! much from segment to segment.
+//! The first mean is over consecutive dwell points k and k + 1 that both have a length of path (l > 0) and the tool
+//! on; the mean of q is over all such points. A machine cannot follow dwell-time densities q that differ much from
+//! point to point.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | t | `dwell` | (n) | s |
-//! | l | `segment_length_mm` | (n) | mm |
+//! | l, length of the path that belongs to a dwell point | `segment_length_mm` | (n) | mm |
 
 use planish_types::{
     DwellTime, Invalid, Removal, Surface, ToolPath,
@@ -20,7 +21,7 @@ use serde::Serialize;
 
 use crate::{plan::PlanStatus, table::align};
 
-/// Result of one dwell solver on a mirror.
+/// Result of one dwell solver on a mirror: its dwell times, and the residual that they leave without and with a motion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Solver {
     /// RMS of the residual (mean removed), predicted with the dwell times at the dwell points and without a motion,
@@ -44,7 +45,8 @@ pub struct Solver {
     pub wall_s: Option<f64>,
     /// Peak memory of the solver, MiB; `null` if it was not measured.
     pub peak_memory_mb: Option<f64>,
-    /// State of the dwell times: certified, converged or not.
+    /// State of the dwell times: whether their optimality is proven, or the solver converged at all (see
+    /// [`crate::plan`]).
     pub plan: PlanStatus,
 }
 
@@ -97,7 +99,8 @@ impl Solver {
 }
 
 /// Returns the roughness of the dwell-time density ((1) of the module), dimensionless. `t` are the dwell times, s. It
-/// is 0 for a path without neighbours.
+/// is 0 if no two consecutive points count, or if all dwell times that count are 0. `path` has the lengths and the
+/// state of the tool.
 fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     let mut squares = 0.0;
     let mut pairs = 0.0;
@@ -122,7 +125,7 @@ fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     if pairs > 0.0 && sum > 0.0 { f64::sqrt(squares / pairs) / (sum / count) } else { 0.0 }
 }
 
-/// Headings of the table: the two lines above each column.
+/// Headings of the columns of the table, two lines each; detilted means that the best plane is removed.
 const HEADINGS: [[&str; 2]; 12] = [
     ["", "solver"],
     ["position", "RMS nm"],
@@ -138,7 +141,8 @@ const HEADINGS: [[&str; 2]; 12] = [
     ["memory", "MB"],
 ];
 
-/// Returns the table of the solvers for the mirror `fixture`, with notes below it; it ends with a newline.
+/// Returns the table of the solvers for the mirror `fixture`, with notes below it. RMS and PV of `desired`, the map
+/// before the run, stand above it. `rows` are pairs of the name of a solver and its row.
 pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> String {
     let mut cells: Vec<Vec<String>> =
         (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();
@@ -173,7 +177,8 @@ pub fn table(fixture: &str, desired: &Surface, rows: &[(String, SolverRow)]) -> 
     text
 }
 
-/// Returns the cells of the row of the solver `name`.
+/// Returns the cells of the row of the solver `name`, in the order of [`HEADINGS`]; a dash for what was not measured.
+/// `s` are its numbers.
 fn line(name: &str, s: &Solver) -> Vec<String> {
     let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| fixed(v, d));
     vec![

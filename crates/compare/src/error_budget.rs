@@ -1,7 +1,7 @@
 //! Residual that the errors of a process add to the plan of a run, as `planish-tolerance` found it.
 //!
 //! The keys are those of `process` in `summary.json`. Every RMS is without the terms of `free` (the mean, or the best
-//! plane).
+//! plane). A run is here one execution of the plan by the process, with random errors.
 
 use planish_types::{
     outcome::tolerance::{
@@ -19,25 +19,25 @@ use crate::report::map::{ScreenMap, block_side, screen_map};
 pub struct ErrorBudget {
     /// Name of the method whose motion is the plan.
     pub method: String,
-    /// Terms that are not part of the residual: `piston` or `plane`.
+    /// Terms that every RMS leaves out: `piston` (the mean) or `plane` (the best plane).
     pub free: String,
     /// Sentence with the expected residual.
     pub sentence: String,
-    /// Name of the process.
+    /// Name of the process, as its error budget states it.
     pub name: String,
-    /// RMS of the residual without errors, nm.
+    /// RMS of the residual that the plan leaves if the process has no errors, nm.
     pub nominal_rms_nm: f64,
     /// Expected RMS with all errors, nm: the square root of the mean square over the runs.
     pub expected_rms_nm: f64,
-    /// Distribution of the RMS over the runs.
+    /// Distribution of the RMS of the residual over the runs of the process, nm.
     pub residual: Quantiles,
-    /// True if the distribution comes from simulated runs.
+    /// True if the distribution comes from simulated runs, false if it is computed without them.
     pub simulated: bool,
     /// Errors of the process, each with the RMS that it adds.
     pub errors: Vec<ErrorEffect>,
     /// Error that is best improved first; `null` if no error adds anything.
     pub first: Option<First>,
-    /// Distribution of the RMS, and map of the deviation over the part.
+    /// Distribution of the RMS over the runs, and map of the standard deviation of the residual over the runs.
     #[serde(skip)]
     pub arrays: ToleranceArrays,
 }
@@ -53,11 +53,11 @@ pub struct ErrorEffect {
     pub unit: String,
     /// Shape of the distribution of the error over the runs, such as `normal`.
     pub distribution: Distribution,
-    /// RMS that this error adds alone, nm.
+    /// RMS of the residual that this error adds if it is the only one, nm.
     pub adds_rms_nm: f64,
-    /// RMS of the part of it that the tool can correct, nm.
+    /// RMS of the part of that added residual which the tool can correct, nm.
     pub reached_rms_nm: f64,
-    /// RMS of the part of it that the tool cannot correct, nm.
+    /// RMS of the part of that added residual which the tool cannot correct, nm.
     pub unreached_rms_nm: f64,
 }
 
@@ -74,7 +74,7 @@ impl From<ErrorLine> for ErrorEffect {
 pub struct First {
     /// Kind of the error, such as `rate_noise`.
     pub kind: String,
-    /// RMS that 95 % of the runs are below without this error, nm.
+    /// RMS of the residual, nm, that 95 % of the runs would be below if the process did not have this error.
     pub without_it_95_percent_nm: f64,
 }
 
@@ -147,7 +147,8 @@ impl ErrorBudget {
     }
 }
 
-/// Returns a sentence on the expected residual of the plan `method`, and on the error that adds most.
+/// Returns a sentence on the expected residual of the plan `method`, on the error that adds most, and on the error
+/// whose removal would lower the residual most. `outcome` is the result of `planish-tolerance`.
 fn sentence(outcome: &ToleranceOutcome, method: &str) -> String {
     let [low, high] = outcome.residual.interval_95_percent_nm.map(|v| significant(v, 3));
     let mut sentence = format!(

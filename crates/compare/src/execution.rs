@@ -2,12 +2,13 @@
 //!
 //! ```text
 //! dwell error of point i = time with the tool on in its segments - dwell_i
-//! overshoot of point i   = distance by which its segments leave the interval between their first and last end
+//! overshoot of point i   = distance by which its segments leave the interval from their start to their end position
 //! jerk                   = |6 c3|
 //! ```
 //!
 //! The segments of a point are those that serve it: whose dwell index names it. A point whose segments all have the
-//! tool off has no dwell error. An overshoot counts above 1 nm.
+//! tool off has no dwell error. An overshoot is that of consecutive segments of one point, along x or y; a segment
+//! without a point counts alone. It counts above 1 nm.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -22,7 +23,7 @@ use serde::Serialize;
 /// Chosen: the tolerance of a position in `planish-verify`.
 const OVERSHOOT_MM: f64 = 1e-6;
 
-/// Numbers that describe how a motion executes its plan.
+/// Deviations of a motion from its planned dwell times, its overshoot, and its jerk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Execution {
     /// RMS of the dwell error over the points, s; `null` without dwell times, or if no segment names a dwell point.
@@ -30,9 +31,9 @@ pub struct Execution {
     /// Dwell error of the largest magnitude, with its sign, s; `null` without dwell times, or if no segment names a
     /// dwell point.
     pub dwell_error_worst_s: Option<f64>,
-    /// Number of dwell points whose segments overshoot by more than 1 nm along [x, y].
+    /// Number of overshoots of more than 1 nm along [x, y]: of dwell points, and of segments that serve no point.
     pub overshoot_points: [usize; 2],
-    /// Largest overshoot along [x, y], mm.
+    /// Largest overshoot along [x, y], mm; 0 if no segment overshoots.
     pub max_overshoot_mm: [f64; 2],
     /// Largest magnitude of the jerk inside segments along [x, y], mm/s^3.
     pub max_jerk_mm_per_s3: [f64; 2],
@@ -71,7 +72,8 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Adds the overshoot of the segments from `first` to `end` (exclusive), which all serve one dwell point.
+    /// Adds the overshoot of the segments from `first` to `end` (exclusive), which all serve one dwell point; or of one
+    /// segment that serves none.
     fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, end: usize) {
         for axis in 0..2 {
             let last = trajectory.segment(end - 1);

@@ -1,4 +1,5 @@
-//! Reading of runs: the directories of their artifacts, and the arrays in a directory.
+//! Reading of runs: the directories of their artifacts, and the arrays in a directory. The role of an input is the name
+//! under which the report records it, such as `0/surface` for the surface of the first run.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -43,7 +44,8 @@ use planish_types::{
 };
 use rayon::prelude::*;
 
-/// Returns the name of a run: the last component of the path of its directory.
+/// Returns the name of a run: the last component of the path of its directory. A path without one, such as `..`, is
+/// made absolute first.
 pub fn name_of(run: &Path) -> String {
     // A path such as `.` has no last component of its own.
     let whole = if run.file_name().is_none() { run.canonicalize().ok() } else { None };
@@ -52,7 +54,10 @@ pub fn name_of(run: &Path) -> String {
 }
 
 /// Reads the results of all methods of the run in the directory `run`. `number` distinguishes the runs in the roles
-/// of inputs. Returns the methods, and those that refused.
+/// of inputs; with `after_servo` a method also needs its prediction after the servo.
+///
+/// Returns the methods, and those that are left out: refused, incomplete, or with parts that do not belong together.
+/// Fails if no method remains.
 fn read_methods(
     inputs: &mut Inputs,
     number: usize,
@@ -98,7 +103,7 @@ fn read_methods(
 }
 
 /// Returns a sentence on the artifacts that the method in `dir` lacks because a run was ended before it made them.
-/// `None` if all are there.
+/// `None` if all are there. With `after_servo` the prediction after the servo is needed, too.
 fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
     let mut needed = vec!["trajectory", "removal", "verdict"];
     if after_servo {
@@ -124,7 +129,8 @@ fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
 /// Name of the file with the message of a stage, in place of the artifact that it refused to make.
 const MESSAGE: &str = "message.txt";
 
-/// Returns the reason for which a stage refused to make something, from its message file in `dir`.
+/// Returns the reason for which a stage refused to make something, from its message file in `dir`: its last line that
+/// begins with `error: `, without that prefix; otherwise its last line that is not blank.
 fn message_in(dir: &Path) -> Result<String, Failure> {
     let file = dir.join(MESSAGE);
     let text = read_text(&file)
@@ -139,7 +145,9 @@ fn message_in(dir: &Path) -> Result<String, Failure> {
 /// on it.
 type Valid = (MethodFiles, Option<SpecificationReport>, Vec<String>);
 
-/// Splits the methods into those whose artifacts belong together, and those that are left out with reasons.
+/// Splits the methods into those whose artifacts belong together, and those that are left out with reasons. `read`,
+/// `chains` and `judged` have one element per method: its files, the check of its artifacts, and its verdict by the
+/// specification.
 fn divided(
     read: Vec<MethodFiles>,
     chains: Vec<Chain>,
@@ -158,7 +166,7 @@ fn divided(
 }
 
 /// Reads and summarises a run: its surface, and the results of each method. `number` distinguishes the runs in the
-/// roles of inputs.
+/// roles of inputs. `names` are the names and files of the command line.
 ///
 /// # Errors
 /// Fails if an artifact cannot be read, if the run holds no method, or if artifacts that belong together by their
@@ -299,8 +307,10 @@ impl Judge<'_> {
     }
 
     /// Reads the verdict in `run`/specified/`name`/specification. `judged` is the role and the hash of the artifact
-    /// that it must be about. Returns `None`, perhaps with a remark, if there is no verdict or it is about something
-    /// else.
+    /// that it must be about; `None` accepts any map.
+    ///
+    /// Returns `None` if there is no verdict. It also returns `None`, and adds a remark, if the verdict is about
+    /// another map, or by another specification than the first one.
     fn read(
         &mut self,
         name: &str,
@@ -337,7 +347,8 @@ impl Judge<'_> {
 }
 
 /// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. If no method has
-/// that motion now, it returns a remark instead.
+/// that motion now, it returns a remark instead; both are `None` if there is no such directory. `role` is the prefix of
+/// its role as an input; `records` and `names` are those of the methods.
 fn read_process(
     inputs: &mut Inputs,
     role: &str,
@@ -479,9 +490,9 @@ struct MethodFiles {
 }
 
 impl MethodFiles {
-    /// Returns the planned dwell times of the method: its own, or otherwise those of the run (`of_run`). A program
-    /// that was read back has those of its plan among `methods`, if that is there. A feed along lines
-    /// (`planish-bspline-feed`) has none.
+    /// Returns the planned dwell times of the method: its own, or otherwise those of the run (`of_run`); `None` if
+    /// neither exists. A program that was read back has those of its plan among `methods`, or `None` if that is not
+    /// there. A B-spline of the feed along the lines of a raster (`planish-bspline-feed`) has none.
     fn dwell<'a>(
         &'a self,
         methods: &'a [Self],
@@ -501,6 +512,7 @@ impl MethodFiles {
 }
 
 /// Reads the results of the method `name` in `dir`. Also returns the reasons for which they do not belong together.
+/// `role` is the prefix of the roles of its artifacts; with `after_servo` it also reads the prediction after the servo.
 fn read_method(
     inputs: &mut Inputs,
     role: &str,
@@ -569,7 +581,8 @@ fn read_method(
 }
 
 /// Reads the RMS of the residual of the motion in `dir` after the servo of the machine, nm; `None` if the process has
-/// no servo. If the prediction is of another motion, mirror or tool than `removal`, it adds a reason to `stale`.
+/// no servo. If the prediction is of another motion, mirror or tool than `removal`, it adds a reason to `stale`. `role`
+/// is the prefix of its role as an input.
 fn read_after_servo(
     inputs: &mut Inputs,
     role: &str,
@@ -803,8 +816,8 @@ impl Artifact for RoundsFile {
     }
 }
 
-/// Reads a run of several dwell solvers along one tool path: its surface, and the result of each solver except those
-/// in `skip`.
+/// Reads a run of several dwell solvers along one tool path: its surface, and one row per solver, by name. The row of
+/// a solver in `skip` only says that it was left out.
 ///
 /// # Errors
 /// Fails if an artifact cannot be read, or if the run holds no solver.
@@ -836,7 +849,7 @@ pub(crate) fn read_solvers(
 }
 
 /// Reads the result of the solver `name` in `dir`. For a solver without dwell times it reads the message that it has
-/// left.
+/// left. `path` is the tool path of the run.
 fn read_solver(
     inputs: &mut Inputs,
     name: &str,
@@ -931,7 +944,7 @@ fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Returns the names of the entries of `dir`, sorted.
+/// Returns the names of the entries of `dir`, sorted. Fails if it cannot be read, or if a name is not UTF-8.
 fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", dir.display()));
@@ -947,7 +960,7 @@ fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     Ok(names)
 }
 
-/// Reads a `.npy` array of any element type that artifacts have.
+/// Reads a `.npy` array of any element type that artifacts have: floats, integers, or flags, which become 0 and 1.
 fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     Ok(match npy::read(path, dtype_of(path)?)?.array {
         ArrayData::F64(a) => Elements::Float(a.into_owned()),

@@ -20,7 +20,7 @@ pub struct Made {
 /// Fields of a manifest that the report page shows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Shown {
-    /// Role of the artifact in the run, such as `trajectory`.
+    /// Role of the artifact in the run, which is the name of its directory, such as `trajectory`.
     pub role: String,
     /// Name of the program that made the artifact.
     pub tool: String,
@@ -32,7 +32,7 @@ pub struct Shown {
     pub command: String,
     /// Settings of the stage with their values, defaults included.
     pub settings: Value,
-    /// Inputs that the stage read, with their hashes.
+    /// Inputs that the stage read, as JSON: role (flag), path, kind and BLAKE3 hash of each.
     pub inputs: Value,
     /// Status of the stage at its end; `None` if the manifest does not say.
     pub status: Option<StageStatus>,

@@ -11,7 +11,7 @@ use serde::Serialize;
 /// Checks that the outcome of a motion names as many axes and units as the motion has, `axes`.
 ///
 /// # Errors
-/// Refuses an outcome that names another number of axes.
+/// Refuses an outcome that names another number of axes or of units.
 pub fn check_names(outcome: &MotionReport, axes: usize) -> Result<(), Invalid> {
     if outcome.axes.len() == axes && outcome.units.len() == axes {
         return Ok(());
@@ -64,7 +64,8 @@ impl OnAxes {
         }
     }
 
-    /// Returns a sentence on the plan `name` when all axes of the machine run it.
+    /// Returns a sentence on the plan `name` when all axes of the machine run it: residual, time, deviations of the
+    /// tool, and whether the limits are kept.
     pub fn sentence(&self, name: &str) -> String {
         let mut longer = String::new();
         if self.added_tool_on_time_s > 0.0 {
@@ -88,14 +89,15 @@ impl OnAxes {
     }
 }
 
-/// Returns the RMS of the residual along the normal of the form, nm. It leaves out pixels beside the form, and uses
-/// the heights (h) along z:
+/// Returns the RMS of the residual along the normal of the form, nm, from the heights (h) along z. It leaves out
+/// invalid pixels, and pixels at which the form is not defined:
 ///
 /// ```text
 /// RMS of (h - mean of h) cos(slope angle)
 /// ```
 ///
-/// A piston along z is free, as everywhere. It is removed first, because along the normal it would be a bowl.
+/// The mean along z does not count as residual, as in all RMS of a report. It is subtracted before the projection,
+/// because the projection of a constant onto the normal varies over the part.
 fn rms_along_normal_nm(residual: &Surface, form: &Form) -> f64 {
     let grid = residual.grid();
     let on_form: Vec<(f64, f64)> = residual

@@ -40,8 +40,8 @@ const REGIONS: usize = 3;
 /// Numbers of the division of a mirror into an edge zone and regions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DivisionReport {
-    /// Width of the edge zone, mm: the radius of the tool where it removes half of its peak rate; `null` if the tool
-    /// is not known.
+    /// Width of the edge zone, mm: the radius of a disc as large as the area where the tool removes at least half of
+    /// its peak rate; `null` if the tool is not known.
     pub edge_width_mm: Option<f64>,
     /// Fraction of the valid pixels that lie in the edge zone; `null` if the tool is not known.
     pub edge_fraction: Option<f64>,
@@ -55,14 +55,14 @@ pub struct DivisionReport {
 #[derive(Clone, Debug)]
 pub struct Division {
     grid: Grid,
-    /// True for the valid pixels (ny, nx).
+    /// True for the pixels that have a height, shape (ny, nx).
     valid: Array2<bool>,
     /// True for the valid pixels of the edge zone (ny, nx); `None` if the tool is not known.
     edge: Option<Array2<bool>>,
     report: DivisionReport,
 }
 
-/// A point of the map with a large residual.
+/// A pixel whose residual is among the farthest from the mean of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WorstPlace {
     /// Centre of the pixel along x, mm.
@@ -78,7 +78,7 @@ pub struct WorstPlace {
 /// RMS of a map in the edge zone and inside of it, both about the mean of the whole map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ZoneRms {
-    /// RMS of the edge zone, nm; `null` if the tool is not known.
+    /// RMS of the edge zone, nm; `null` if it has no pixels or the tool is not known.
     pub edge_nm: Option<f64>,
     /// RMS of the other valid pixels, nm; `null` if there are none or the tool is not known.
     pub inside_nm: Option<f64>,
@@ -87,22 +87,22 @@ pub struct ZoneRms {
 /// Duration of a motion, divided by the position and the state of the tool, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Times {
-    /// Time with the tool on above valid pixels of the edge zone; `null` if the tool is not known.
+    /// Time with the tool on above valid pixels of the edge zone, s; `null` if the tool is not known.
     pub edge_s: Option<f64>,
-    /// Time with the tool on above the other valid pixels.
+    /// Time with the tool on above the other valid pixels, s; above all valid pixels if the tool is not known.
     pub inside_s: f64,
-    /// Time with the tool on beyond the valid pixels: overscan and turn-arounds.
+    /// Time with the tool on beyond the valid pixels, s: overscan and turn-arounds.
     pub beyond_s: f64,
-    /// Time with the tool off.
+    /// Time with the tool off, s, wherever the tool is.
     pub tool_off_s: f64,
 }
 
 /// Residual and time of one plan by position on the part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Places {
-    /// Points whose residual is farthest from the mean of the map, the worst first.
+    /// Points whose residual is farthest from the mean of the map, the worst first: at most five, not close together.
     pub worst: Vec<WorstPlace>,
-    /// RMS of the residual in the edge zone and inside.
+    /// RMS of the residual in the edge zone and inside of it, about the mean of the whole map.
     pub zone_rms: ZoneRms,
     /// RMS of the residual in each region, nm; rows from small y, columns from small x; `null` for a region without
     /// valid pixels.
@@ -152,7 +152,8 @@ impl Division {
         }
     }
 
-    /// Returns the RMS of `map`, on the pixels of this mirror, in the edge zone and inside.
+    /// Returns the RMS of `map`, on the pixels of this mirror, in the edge zone and inside, about the mean of the whole
+    /// map.
     pub fn zone_rms(&self, map: &Surface) -> ZoneRms {
         let Some(edge) = &self.edge else { return ZoneRms::default() };
         let [inside_nm, edge_nm] = self.rms_by(map, |index| usize::from(edge[index]));
@@ -165,7 +166,8 @@ impl Division {
         ((r * REGIONS / ny).min(REGIONS - 1), (c * REGIONS / nx).min(REGIONS - 1))
     }
 
-    /// Returns the RMS of `map` in each region, nm; `None` for a region without valid pixels.
+    /// Returns the RMS of `map` in each region about the mean of the whole map, nm; rows from small y, columns from
+    /// small x. `None` for a region without valid pixels.
     fn region_rms_nm(&self, map: &Surface) -> [[Option<f64>; REGIONS]; REGIONS] {
         let flat: [Option<f64>; REGIONS * REGIONS] = self.rms_by(map, |pixel| {
             let (row, column) = self.region(pixel);
@@ -191,7 +193,8 @@ impl Division {
         sums.map(|(squares, count)| if count > 0.0 { Some((squares / count).sqrt()) } else { None })
     }
 
-    /// Returns the points whose residual is farthest from the mean of the map, the worst first.
+    /// Returns up to [`WORST_COUNT`] pixels whose residual is farthest from the mean of the map, the worst first. Two
+    /// of them are at least `worst_apart_mm` of the division apart.
     fn worst(&self, residual: &Surface) -> Vec<WorstPlace> {
         let mean = residual.statistics().mean;
         let apart_mm = self.report.worst_apart_mm;
@@ -284,7 +287,8 @@ fn count(map: &Array2<bool>) -> f64 {
     map.iter().filter(|v| **v).count() as f64
 }
 
-/// Returns the radius of a disc, mm, with the area in which the tool removes at least half of its peak rate.
+/// Returns the radius of a disc, mm, with the area in which the tool removes at least half of its peak rate. It counts
+/// the samples of `tif`.
 fn tool_radius_mm(tif: &Tif) -> f64 {
     let half = 0.5 * tif.peak_nm_per_s();
     let count = tif.rate_nm_per_s().iter().filter(|rate| **rate >= half).count();
@@ -292,7 +296,7 @@ fn tool_radius_mm(tif: &Tif) -> f64 {
 }
 
 /// Returns the edge zone: the valid pixels whose centres are nearer than `width_mm` to the centre of an invalid pixel
-/// or of one beyond the map.
+/// or of one beyond the map. `valid` is true for the valid pixels, (ny, nx), and `grid` has their centres.
 fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
     let (ny, nx) = valid.dim();
     let dx = grid.x.step_mm();

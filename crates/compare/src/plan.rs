@@ -5,11 +5,11 @@
 //! |---|---|
 //! | certified | the objective of the motion is proven to be within a stated fraction of its minimum |
 //! | dwell-optimal | the same is proven of the dwell times; a scheduler made the motion from them |
-//! | converged | the method ended by itself; nothing proves how near the optimum it is |
-//! | unconverged | it stagnated, reached a limit, or was solved for something else |
+//! | converged | the method ended by itself, or states no end; nothing proves how near the optimum it is |
+//! | unconverged | it stagnated, reached a limit, ended with a negative verdict, or was solved for something else |
 //! | baseline | made by a stage that exists to compare with the literature: never recommended |
 //! | without-motion | dwell times without a motion: nothing that runs |
-//! | unknown | no manifest states an end |
+//! | unknown | a manifest is missing, the motion was read back from a program, or its end says nothing of an optimum |
 
 use planish_types::{
     End,
@@ -54,15 +54,16 @@ pub enum State {
     Certified,
     /// The dwell times are proven to be near their optimum; nothing is proven of the motion.
     DwellOptimal,
-    /// The method ended by itself, without a proof.
+    /// The method ended by itself without a proof, or its manifest states no end.
     Converged,
-    /// The method stagnated or reached a limit, or the plan was solved for something else.
+    /// The method stagnated, reached a limit or ended with a negative verdict, or the dwell times were solved for
+    /// something else.
     Unconverged,
     /// The plan was made by a stage that exists to compare with the literature.
     Baseline,
     /// The result is dwell times without a motion, which is no plan.
     WithoutMotion,
-    /// No manifest states an end.
+    /// A manifest is missing, the motion was read back from a program, or the end says nothing of an optimum.
     Unknown,
 }
 
@@ -82,9 +83,10 @@ impl PlanStatus {
         Self { state, word: word.into(), text: text.into() }
     }
 
-    /// Returns the state of the plan of the method `name`. `trajectory` and `dwell` are the manifests of its motion
-    /// and of the dwell times from which the motion was scheduled. `solved_for_another` holds the roles (such as
-    /// `surface`) for which those dwell times were solved with another artifact.
+    /// Returns the state of the plan of the method `name`. `trajectory` and `dwell` are the manifests of its motion and
+    /// of the dwell times from which the motion was scheduled; without one that matters the state is unknown.
+    /// `solved_for_another` holds the roles (such as `surface`) for which those dwell times were solved with another
+    /// artifact.
     pub fn of_method(
         name: &str,
         trajectory: Option<&Made>,
@@ -148,7 +150,7 @@ impl PlanStatus {
         }
     }
 
-    /// Returns the state that follows from the end in the manifest of a stage.
+    /// Returns the state that follows from the status, the end and the optimality gap in the manifest of a stage.
     fn of_manifest(manifest: &Made) -> Self {
         let report = manifest.outcome.report.as_ref();
         // A stage that is not ours may end with a word of its own.
@@ -258,7 +260,7 @@ fn baseline(manifest: &Made) -> Option<&str> {
 }
 
 /// Returns a clause on the optimality gap that a stage has proven, with the plans that it covers; `None` if it states
-/// no finite gap.
+/// no finite gap. The gap is relative to the objective if the stage states it so.
 fn proven(manifest: &Made) -> Option<String> {
     let PlanReport { proven, .. } = manifest.outcome.report.as_ref()?;
     let gap = proven.relative_gap.or(proven.gap)?;

@@ -37,7 +37,8 @@ pub struct ReachReport {
     pub period_mm: [Option<f64>; 2],
 }
 
-/// Waves of a map that are too short for a tool, with the rectangle of the map in which they are measured.
+/// Waves of a map that are too short for a tool, with the rectangle of the map in which they are measured. `origin` is
+/// the row and column of its first pixel, `step_mm` the pitch along [x, y].
 #[derive(Clone, Debug)]
 pub struct Reach {
     origin: (usize, usize),
@@ -88,7 +89,7 @@ impl Reach {
         self.report
     }
 
-    /// Returns the RMS of the waves of `surface` that are too short for the tool, nm.
+    /// Returns the short-wave RMS of `surface` (see the module), nm: the part at wavelengths too short for the tool.
     pub fn short_wave_rms_nm(&self, surface: &Surface) -> f64 {
         let (ny, nx) = self.is_short.dim();
         let (r, c) = self.origin;
@@ -107,7 +108,8 @@ impl Reach {
     }
 }
 
-/// Returns the period of the first positive frequency that is short, mm; `None` if there is none.
+/// Returns the period of the first positive frequency that is short, mm; `None` if there is none. `frequencies` ascend,
+/// 1/mm, and `is_short` says which of them belong to short waves.
 fn first_period_mm(frequencies: &[f64], is_short: ArrayView1<bool>) -> Option<f64> {
     let mut all = frequencies.iter().zip(is_short);
     all.find(|(f, is_short)| **f > 0.0 && **is_short).map(|(f, _)| 1.0 / f)

@@ -25,7 +25,7 @@ const TIME_ELASTICITY: f64 = 0.5;
 pub struct Candidate {
     /// RMS of the residual by which the plan is compared with others, nm.
     pub rms_nm: f64,
-    /// Duration of the plan, s.
+    /// Duration of the motion by which the plan is compared with others, s.
     pub total_time_s: f64,
     /// True if the residual keeps the specification, or if there is none.
     pub keeps_specification: bool,

@@ -61,8 +61,9 @@ const SAME_PIXEL: f64 = 1e-4;
 /// refused. Chosen far above that rounding, and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
 
-/// Largest difference between a dwell time and the time of the motion that executes it, s. Larger: motions of other
-/// dwell times are accepted. Smaller: rounding is refused. Chosen: the change that a dwell solver takes for none.
+/// Largest difference between a planned dwell time and its time in the motion that goes without a remark, s. Only plans
+/// with proven dwell times get the remark. Larger: real departures are not mentioned. Smaller: rounding gets a remark.
+/// Chosen: the change that a dwell solver takes for none.
 const SAME_DWELL_S: f64 = 1e-6;
 
 /// Base length of the slopes, mm; the nearest whole number of pixels is taken. Larger: slopes of longer waves only.
@@ -80,7 +81,7 @@ pub struct Summary {
     pub pipeline: String,
     /// Name of the mirror.
     pub fixture: String,
-    /// Statistics of the desired removal.
+    /// RMS, PV and slopes of the desired removal, before the run.
     pub initial: Initial,
     /// Base length of the slopes along [x, y], mm; `null` along an axis that is shorter than the base.
     pub slope_base_mm: [Option<f64>; 2],
@@ -99,7 +100,8 @@ pub struct Summary {
     pub methods: Vec<(String, MethodResult)>,
     /// Methods that take no part in the comparison.
     pub left_out: Vec<LeftOut>,
-    /// Sentences on shared artifacts that are out of date, and on a machine that was assumed.
+    /// Sentences on shared artifacts that are out of date, on verdicts and predictions that were left out because they
+    /// are about another map or motion, and on a machine that was assumed.
     pub remarks: Vec<String>,
     /// Name of the method that is recommended; `null` if there is none.
     pub best: Option<String>,
@@ -116,29 +118,32 @@ impl Summary {
     }
 }
 
-/// A method that is left out of the comparison, because its artifacts do not belong to this run.
+/// A method that is left out of the comparison: its artifacts do not belong together or to this run, some are missing,
+/// or its stage refused to make a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LeftOut {
     /// Name of the method.
     pub name: String,
     /// Validity of the method: `not-valid`, `out-of-date` or `refused`.
     pub standing: Standing,
-    /// Reasons why the method takes no part.
+    /// Reasons why the method takes no part in the comparison, as sentences.
     pub reasons: Vec<String>,
 }
 
-/// Statistics of the desired removal before the run.
+/// Statistics of the desired removal before the run: RMS, peak-to-valley, slopes, and the RMS of its short waves and of
+/// its edge zone.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Initial {
-    /// RMS of the heights, mean removed, nm.
+    /// RMS of the desired removal, mean removed, nm.
     pub rms_nm: f64,
-    /// Largest minus smallest height, nm.
+    /// Largest minus smallest desired removal, nm.
     pub pv_nm: f64,
     /// RMS slope along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of the waves that are too short for the tool to correct, nm; `null` if the tool is not known.
+    /// RMS of the waves that are too short for the tool to correct, nm; `null` if the tool is not known, or the map has
+    /// no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
-    /// RMS in the edge zone and inside of it.
+    /// RMS of the desired removal in the edge zone and inside of it, about the mean of the whole map.
     pub zone_rms: ZoneRms,
 }
 
@@ -163,8 +168,8 @@ pub struct MethodResult {
     /// RMS slope of the residual along [x, y], mean removed, nrad; `null` along an axis that is shorter than the base
     /// of the slopes.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of the waves of the residual that are too short for the tool to correct, nm; `null` if the tool is not
-    /// known.
+    /// RMS of the waves of the residual that are too short for the tool to correct, nm. `null` if the tool is not known
+    /// or not that of the prediction, or if the map has no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
@@ -186,17 +191,18 @@ pub struct MethodResult {
     pub after_servo_rms_nm: Option<f64>,
     /// Name of the machine that the verdict is about; `null` if its manifest does not say.
     pub machine: Option<String>,
-    /// Time that the scheduler took, s; `null` if it was not measured.
+    /// Wall time of the scheduler, s; `null` if it was not measured.
     pub schedule_wall_s: Option<f64>,
-    /// Time that the simulation took, s; `null` if it was not measured.
+    /// Wall time of the simulation, s; `null` if it was not measured.
     pub simulate_wall_s: Option<f64>,
     /// Deviations of the motion from the plan: dwell times, overshoot, jerk.
     pub execution: Execution,
-    /// Residual and time by position on the part.
+    /// Residual and time by position on the part: worst points, edge zone, regions.
     pub places: Places,
-    /// State of the plan: certified, converged or not.
+    /// State of the plan: whether its optimality is proven, or the method converged at all (see [`crate::plan`]).
     pub plan: PlanStatus,
-    /// Verdict on the residual by a specification; `null` if there is no specification.
+    /// Verdict on the residual by a specification; `null` if there is none, or if it is about another map or by another
+    /// specification than the other verdicts of the run.
     pub specification: Option<SpecificationReport>,
     /// Result of the plan when all axes of the machine run it; absent if the run has no such motion.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -234,12 +240,12 @@ fn broken_limits(verdict: &Verdict) -> Vec<&'static str> {
     broken
 }
 
-/// Times that the stages of a method took; `None` if they were not measured.
+/// Wall times of two stages of a method, scheduler and simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WallTimes {
-    /// Time of the scheduler, s.
+    /// Wall time of the scheduler, s; `None` if it was not measured.
     pub schedule_s: Option<f64>,
-    /// Time of the simulation, s.
+    /// Wall time of the simulation, s; `None` if it was not measured.
     pub simulate_s: Option<f64>,
 }
 
@@ -250,14 +256,15 @@ pub struct MethodFacts {
     pub wall: WallTimes,
     /// Name of the machine that the verdict is about; `None` if it is not known.
     pub machine: Option<String>,
-    /// State of the plan: certified, converged or not.
+    /// State of the plan: whether its optimality is proven, or the method converged at all (see [`crate::plan`]).
     pub plan: PlanStatus,
-    /// RMS of the waves of the residual that are too short for the tool to correct, nm; `None` if the tool is not
-    /// known.
+    /// RMS of the waves of the residual that are too short for the tool to correct, nm. `None` if the tool is not known
+    /// or not that of the prediction, or if the map has no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
-    /// Verdict on the residual by a specification; `None` if there is no specification.
+    /// Verdict on the residual by a specification; `None` if there is none that counts.
     pub specification: Option<SpecificationReport>,
-    /// RMS of the residual after the servo of the machine, nm; `None` if the process has no servo.
+    /// RMS of the residual after the servo of the machine, nm; `None` if the process has no servo, or it was not asked
+    /// for.
     pub after_servo_rms_nm: Option<f64>,
     /// Result when all axes of the machine run the plan; `None` if the run has no such motion.
     pub on_axes: Option<OnAxes>,
@@ -296,7 +303,8 @@ impl MethodResult {
     /// Computes the numbers of one method. `dwell` are the planned dwell times; `None` if they are not known.
     ///
     /// # Errors
-    /// Refuses a removal of another surface, a verdict on another trajectory, and dwell times of another path.
+    /// Refuses a removal whose pixels or heights do not belong to `desired`, a verdict on a motion of another duration,
+    /// and, if `dwell` is known, a motion that names a dwell point which `dwell` does not have.
     pub fn new(
         desired: &Surface,
         division: &Division,
@@ -369,8 +377,8 @@ impl MethodResult {
     }
 }
 
-/// Returns the base of the slopes along x and y, as a number of pixels and its length, mm; `None` along an axis that
-/// is shorter.
+/// Returns the base of the slopes along x and y, as a number of pixels and its length, mm; `None` along an axis that is
+/// shorter. The base is [`SLOPE_BASE_MM`], rounded to whole pixels of `surface`.
 fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
     let grid = surface.grid();
     [&grid.x, &grid.y].map(|axis| {
@@ -392,8 +400,9 @@ fn slope_rms_nrad(surface: &Surface) -> [Option<f64>; 2] {
 }
 
 impl Summary {
-    /// Collects the numbers of a run, and sorts the methods into the order of the documentation. `fixture` is the
-    /// name of the mirror.
+    /// Collects the numbers of a run, sorts the methods (by `ORDER`), and chooses the recommended one. A controller
+    /// program that was read back gets the state of the plan from which it was written. `fixture` is the name of the
+    /// mirror.
     pub fn new(
         pipeline: impl Into<String>,
         fixture: impl Into<String>,
@@ -453,8 +462,8 @@ impl Summary {
         }
     }
 
-    /// Returns the summary with the waves that the tool can correct (`reach`) and the verdicts by the specification
-    /// (`around`) added.
+    /// Returns the summary with the waves that the tool can correct (`reach`), the RMS of `desired` beyond them, and
+    /// the verdicts by the specification (`around`) added.
     pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
         let short_wave_rms_nm = reach.map(|reach| reach.short_wave_rms_nm(desired));
         Self {
@@ -465,11 +474,11 @@ impl Summary {
         }
     }
 
-    /// Recommends the row `name`, a controller program that was read back, because that motion will run. If that
-    /// program breaks a limit of the machine, no row is recommended.
+    /// Recommends the method `name`, a controller program that was read back, because that motion will run. If it may
+    /// not be recommended (see `is_candidate`), for example because it breaks a limit, no method is recommended.
     ///
     /// # Errors
-    /// Refuses a row that is not there, with the names of those that are.
+    /// Refuses a method that the summary does not have, with the names of those that it has.
     pub(crate) fn recommend(&mut self, name: &str) -> Result<(), String> {
         let Some((_, method)) = self.methods.iter().find(|(row, _)| row == name) else {
             let rows: Vec<&str> = self.methods.iter().map(|(row, _)| row.as_str()).collect();
@@ -490,6 +499,7 @@ impl Summary {
     }
 
     /// Returns the reasons why the run has no plan that can be recommended without reserve; empty if it has one.
+    /// Reasons are methods that are not valid, no recommended plan, or a recommended plan that did not converge.
     fn reserves(&self) -> Vec<String> {
         let mut reasons = Vec::new();
         for m in self.left_out.iter().filter(|m| m.standing == Standing::NotValid) {

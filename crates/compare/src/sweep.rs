@@ -45,7 +45,7 @@ fn specification_in_words(numbers: &PlanNumbers) -> String {
 /// Choice of the residual by which plans are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Residual {
-    /// RMS of the residual without errors, nm.
+    /// RMS of the residual of the plan without errors of the process, nm.
     Nominal,
     /// RMS of the residual that 95 % of the runs are below, with the errors of the process, nm.
     Below95,
@@ -62,8 +62,8 @@ impl Residual {
 }
 
 impl Table {
-    /// Returns the point of a plan on the plane of the front: [time, s; residual, nm]. `None` if it has no numbers or
-    /// does not keep the constraints.
+    /// Returns the point of a plan in the plane of time and residual: [time, s; residual, nm]. `None` if the plan has
+    /// no numbers, lacks this residual, or does not keep the constraints.
     pub fn point(&self, row: &SweepPlan, residual: Residual) -> Option<[f64; 2]> {
         let numbers = row.numbers.as_ref()?;
         let nm = match residual {
@@ -73,7 +73,8 @@ impl Table {
         nm.filter(|_| numbers.keeps(&self.0.constraints)).map(|nm| [numbers.total_time_s, nm])
     }
 
-    /// Returns which residual the plans are chosen by: that with errors if the sweep has a process.
+    /// Returns the residual by which the plans are chosen: that with errors if the sweep has a process with errors,
+    /// otherwise that without.
     pub fn judged_by(&self) -> Residual {
         if self.0.has_process { Residual::Below95 } else { Residual::Nominal }
     }
@@ -86,8 +87,8 @@ impl Table {
         pareto::front(&points)
     }
 
-    /// Returns the index of the plan that is to be run, by the rule of the report of a run; `None` if no plan keeps
-    /// the constraints.
+    /// Returns the index of the plan that is to be run, by the rule of [`crate::recommended`]; `None` if no plan has a
+    /// point (see `point`).
     pub fn recommended(&self) -> Option<usize> {
         let mut candidates: Vec<(usize, Candidate)> = Vec::new();
         for (i, row) in self.0.plans.iter().enumerate() {
@@ -100,7 +101,8 @@ impl Table {
         recommended(&candidates)
     }
 
-    /// Returns a sentence that names the plan to be run, with the command that makes it again.
+    /// Returns a sentence that names the plan to be run, with the command that makes it again; or that says that no
+    /// plan keeps the constraints.
     pub fn sentence(&self) -> String {
         let count = self.0.plans.len();
         let Some(row) = self.recommended().map(|i| &self.0.plans[i]) else {
@@ -121,7 +123,8 @@ impl Table {
         )
     }
 
-    /// Returns the names of the settings whose values differ between plans, in alphabetical order.
+    /// Returns the names of the settings whose values differ between plans, in alphabetical order. A setting that only
+    /// some plans have differs, too.
     pub fn varied(&self) -> Vec<&str> {
         let mut keys: Vec<&str> = self.setting_names().into_iter().collect();
         keys.retain(|key| {
@@ -253,8 +256,8 @@ fn cell(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-/// Returns a word as the text of a cell. A spreadsheet evaluates a text that begins with `=`, `+`, `-` or `@` as a
-/// formula. After an apostrophe, which it does not show, it takes it as a text.
+/// Returns a word as the text of a cell. A spreadsheet may evaluate a text that begins with `=`, `+`, `-`, `@`, a tab
+/// or a carriage return as a formula. An apostrophe before it, which the spreadsheet does not show, prevents that.
 fn text_cell(word: &str) -> String {
     if word.starts_with(['=', '+', '-', '@', '\t', '\r']) {
         format!("'{word}")

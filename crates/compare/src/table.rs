@@ -175,7 +175,7 @@ fn cells(scheduler: &str, m: &MethodResult, mark: &str) -> [String; 15] {
 }
 
 /// Returns the row of a method that is left out: a dash in place of each number, and `word` in the column of the
-/// limits.
+/// limits. `scheduler` is its name.
 fn cells_left_out(scheduler: &str, word: &str) -> [String; 15] {
     std::array::from_fn(|column| match HEADINGS[column][1] {
         "method" => visible(scheduler).into_owned(),

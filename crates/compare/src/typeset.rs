@@ -1,7 +1,7 @@
 //! Conversion of a figure to PDF or PNG, with the same bytes on every machine: the font comes with the program.
 //!
 //! ```text
-//! PDF: 180 mm wide, texts embedded as a subset of the font      PNG: the same, 300 pixels an inch
+//! PDF: 180 mm wide, texts embedded as a subset of the font      PNG: the same size, by default 300 pixels an inch
 //! ```
 //!
 //! The font is DejaVu Sans (crate `dejavu`; the licence of the fonts is that of Bitstream Vera), the conversion that of

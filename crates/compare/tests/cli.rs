@@ -577,7 +577,7 @@ fn several_runs_share_one_table() {
     assert!(text(&run.stdout).contains("No run is named as the one to be run: their maps"));
 }
 
-/// A stage that refused has left its message in the place of a plan.
+/// Checks the report of a run in which a stage refused and left its message in place of a plan.
 #[test]
 fn a_method_that_its_stage_refused_is_a_row_with_the_reason() {
     let dir = tempfile::tempdir().unwrap();

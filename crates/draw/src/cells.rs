@@ -9,7 +9,8 @@ use crate::{
 };
 
 /// Draws `map` (shape ny, nx) over the whole of `frame`, row 0 at the lower edge of the frame. Averages blocks of
-/// pixels so that there are at most `most` rectangles along the longer axis. Invalid pixels (NaN) stay blank.
+/// pixels so that there are at most `most` rectangles along the longer axis. Invalid pixels (NaN) stay blank. `bands`
+/// give the colours of the means.
 pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Bands, most: usize) {
     let (means, block) = block_means(map, most);
     // One path for every band, with a rectangle for every run of its cells, in pixels of the map.

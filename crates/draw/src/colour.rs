@@ -1,13 +1,13 @@
 //! Colours on white paper that people with a colour vision deficiency can tell apart.
 
-/// Colour map of areas, from the smallest value to the largest: viridis, ascending in lightness (S.
-/// van der Walt, N. Smith, 2015).
+/// Colour map for filled areas such as the pixels of a map, from the smallest value to the largest: viridis,
+/// ascending in lightness (S. van der Walt, N. Smith, 2015).
 pub const VIRIDIS: [&str; 9] = [
     "#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30",
     "#fde725",
 ];
 
-/// Colour map of lines and small marks, from the smallest value to the largest. These are the colours of viridis,
+/// Colour map for lines and small marks, from the smallest value to the largest. These are the colours of viridis,
 /// with a darker light end so that a thin line is visible on white.
 pub const VIRIDIS_FOR_LINES: [&str; 8] =
     ["#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0b020", "#d8a010"];
@@ -28,8 +28,8 @@ pub fn of_line(k: usize) -> &'static str {
     LINES[k % LINES.len()]
 }
 
-/// Returns red, green and blue at `fraction` (0 to 1) between the first and the last of `stops`. Each stop
-/// is written `#rrggbb`.
+/// Returns red, green and blue (0 to 255) at `fraction` between the first (0) and the last (1) of `stops`, two or more
+/// colours written `#rrggbb`. A fraction outside 0 to 1 gives the colour of the nearer end.
 pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
     let position = fraction.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
     let i = (position as usize).min(stops.len() - 2);
@@ -42,7 +42,8 @@ pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
     })
 }
 
-/// Returns the colour at `fraction` (0 to 1) between the first and the last of `stops`, written `#rrggbb`.
+/// Returns the colour at `fraction` (0 to 1) between the first and the last of two or more `stops`. All colours are
+/// written `#rrggbb`.
 pub fn hex_at(stops: &[&str], fraction: f64) -> String {
     let [r, g, b] = rgb_at(stops, fraction);
     format!("#{r:02x}{g:02x}{b:02x}")
@@ -64,7 +65,7 @@ impl Bands {
     }
 
     /// Returns the index of the band that contains `value`, from 0. It is the first or the last band if the value is
-    /// outside the range, and the middle band if the range is a single value.
+    /// outside the range, and the first band for NaN. If the range is a single value, it is always the middle band.
     pub fn index(&self, value: f64) -> usize {
         let [low, high] = self.range;
         let fraction = if high > low { (value - low) / (high - low) } else { 0.5 };

@@ -8,8 +8,8 @@ use crate::{
     ticks::{round_logarithms, round_numbers},
 };
 
-/// Length of axis that each number needs, px. Larger: fewer numbers. Smaller: numbers overlap. The
-/// value is the same along x and y, so that two axes of one scale have the same steps.
+/// Length of axis that each number beside it needs, px. Larger: fewer numbers. Smaller: numbers overlap. The
+/// value is the same along x and y, so that two axes of one range and length have the same steps.
 const PX_PER_NUMBER: f64 = 50.0;
 
 /// Significant digits of the numbers beside an axis. Larger: rounding errors such as 0.30000000000000004 show.
@@ -39,7 +39,7 @@ const BAR_PX: [f64; 2] = [14.0, 12.0];
 /// Range of the values on an axis, and the rule (linear or logarithmic) that places them along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
-    /// Linear axis from the first value to the second.
+    /// Linear axis from the first value to the second, in the unit of the values; the first is smaller.
     Linear([f64; 2]),
     /// Linear axis of a count, from the first value to the second. Only whole numbers stand beside it.
     Counts([f64; 2]),
@@ -89,15 +89,16 @@ impl Scale {
         }
     }
 
-    /// Returns the round numbers to write beside an axis of `length_px`, ascending. If fewer than two fit at the
-    /// usual distance, they may stand twice as close.
+    /// Returns the round numbers to write beside an axis of `length_px`, ascending, about [`PX_PER_NUMBER`] or more
+    /// apart. If fewer than two fit at that distance, they may stand twice as close.
     fn numbers(&self, length_px: f64) -> Vec<f64> {
         let most = (length_px / PX_PER_NUMBER).max(2.0);
         let numbers = self.at_most(most);
         if numbers.len() < 2 { self.at_most(2.0 * most) } else { numbers }
     }
 
-    /// Returns the round numbers on the axis, ascending: at most about `most` + 1 of them.
+    /// Returns the round numbers on the axis, ascending: at most about `most` + 1 of them on a linear axis. An axis of
+    /// counts keeps the whole numbers only. A logarithmic axis may have more (see `round_logarithms`).
     fn at_most(&self, most: f64) -> Vec<f64> {
         match self {
             Self::Linear([low, high]) => round_numbers(*low, *high, most),
@@ -117,7 +118,8 @@ pub fn range(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
-/// Writes a number for an axis: as a decimal from 0.001 to 100000, otherwise with an exponent.
+/// Writes a number for an axis: as a decimal if it is 0 or its magnitude is at least 0.001 and below 100000, otherwise
+/// with an exponent.
 fn short(value: f64) -> String {
     if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
         significant(value, AXIS_DIGITS)
@@ -225,8 +227,8 @@ impl Frame {
         }
     }
 
-    /// Writes `words` as a note in small print at the right, below the title of the x axis. The descenders of its
-    /// letters end above the lower edge of the picture.
+    /// Writes `words` as a note in small print at the right, below the title of the x axis; nothing if `words` is
+    /// empty. The descenders of its letters end above the lower edge of the picture.
     pub fn note(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             let [_, _, margin_right, margin_below] = self.margin_px;
@@ -281,8 +283,8 @@ impl Frame {
         ));
     }
 
-    /// Draws a colour bar to the right of the frame: the colours of `bands`, the two ends of their range, and their
-    /// `unit`.
+    /// Draws a colour bar to the right of the frame: the colours of `bands`, the finite ends of their range as numbers,
+    /// and their `unit`.
     pub fn colour_bar(&self, svg: &mut Svg, bands: &Bands, unit: &str) {
         let height = self.height.max(LEAST_BAR_PX);
         let left = self.right() + BAR_PX[0];

@@ -26,8 +26,9 @@ pub(crate) fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
 /// as 2 and 5 are added. Larger: a denser axis. With 2, an axis of one decade shows its ends only.
 const FEWEST: usize = 3;
 
-/// Returns the powers of ten from `low` to `high` (0 < `low` < `high`), ascending. If there are more than `most`, it
-/// returns only every second, third ... of them. If there are fewer than three, it adds multiples of them.
+/// Returns the powers of ten from `low` to `high` (0 < `low` < `high`), ascending. If three or more exist, and more
+/// than `most`, it returns only every second, third ... of them. If fewer than three exist, it adds multiples of powers
+/// of ten: with 2 and 5, or with 1.5, 2, 3, 5 and 7 if that is too few.
 pub(crate) fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
     let powers = multiples_of_powers(low, high, &[1.0]);
     if powers.len() >= FEWEST {

@@ -37,7 +37,7 @@ struct AboutFile<'a> {
 #[derive(Debug)]
 pub struct Export {
     controller: ControllerKind,
-    /// Clock that the flags give, s; `None` for that of the machine's controller.
+    /// Clock that the flags give, s: for a Galil two samples. `None` for that of the machine's controller.
     tick_s: Option<f64>,
     pmac: pmac::PmacSettings,
     gcode: gcode::GcodeSettings,
@@ -352,7 +352,8 @@ impl MotionInput {
 }
 
 /// Refuses to replace the JSON file beside the program if no export wrote it, even with `--force`. Its name follows
-/// from that of the program, so the user did not name it.
+/// from that of the program, so the user did not name it. A file counts as written by an export if it is JSON with the
+/// keys `controller` and `segments`.
 fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
     let Ok(metadata) = fs::metadata(about) else { return Ok(()) };
     // A pipe would never end.

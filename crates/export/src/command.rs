@@ -21,7 +21,7 @@ struct ExportCli {
     export: crate::cli::Export,
 }
 
-/// The command `planish export`.
+/// The stage `planish-export` as the command `planish export`: its name, its main function, and its command line.
 pub const COMMAND: planish_handoff::Stage =
     planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: ExportCli::command };
 

@@ -1,8 +1,7 @@
 //! A table of the motion for controllers that are not known here: one row per end of a segment,
-//! `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`, with two columns for every further axis, `a_deg,va_deg_per_s` for one
-//! that turns. Between two rows the motion is the cubic through
-//! their positions and velocities; `tool_on` counts from its row to the next. The last row has 0: whoever
-//! switches at every row has the tool off at the end.
+//! `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`, with two columns for every further axis, `a_deg,va_deg_per_s` for
+//! one that turns. Between two rows the motion is the cubic through their positions and velocities; `tool_on` counts
+//! from its row to the next. The last row has 0: whoever switches at every row has the tool off at the end.
 
 use planish_types::Invalid;
 

@@ -1,16 +1,16 @@
-//! Galil DMC, PVT mode: two lines per segment, `PVA=dP,V,T` and `PVB=dP,V,T`, with the distance in
-//! counts, the velocity at the end in counts/s and the time in samples. A is x, B is y. A program of all axes has a line
-//! for every axis, A for the first axis of the machine file, B for the second and so on.
+//! Galil DMC, PVT mode: two lines per segment, `PVA=dP,V,T` and `PVB=dP,V,T`, with the distance in counts, the velocity
+//! at the end in counts/s and the time in samples. A is x, B is y. A program of all axes has a line for every axis, A
+//! for the first axis of the machine file, B for the second and so on.
 //!
 //! Limits of the controller: |dP| <= 44 000 000 counts, |V| <= 22 000 000 counts/s, T from 1 to 2048
 //! samples and for fast hosts a multiple of two, 255 segments of buffer. `BTAB` begins the motion; it
 //! stands after as many segments as the buffer holds, and the host sends the rest as room appears
 //! (`MG _PVA`).
 //!
-//! A sample is not what TM says: TM counts 1.024 us, "TM1000 actually specifies a servo update rate of
-//! 976 us", and 1024 samples are one second, while V is in counts per true second whatever TM is. So
-//! samples come in multiples of 1/32768 s (TM 31.25), and the normal firmware, which PVT mode needs, has at least two of
-//! them for two axes, four for three and four axes, five for five.
+//! The argument of TM is not the sample time in us: its unit is 1/1.024 us, "TM1000 actually specifies a servo update
+//! rate of 976 us". With it 1024 samples are one second, while V is in counts per true second whatever TM is. Samples
+//! come in multiples of 1/32768 s (TM 31.25). The normal firmware, which PVT mode needs, has at least two of these
+//! units for one or two axes, four for three and four axes, five for five.
 //!
 //! The tool: a segment cannot carry an output. `SB` and `CB` act when the controller reads them, and the
 //! segments are read up to a whole buffer before they run, so such a line would switch up to 255 segments
@@ -48,7 +48,7 @@ fn least_sample_units(axes: usize) -> f64 {
         _ => 5.0,
     }
 }
-/// Value of TM for a sample time of one second: TM counts 1/1.024e6 s. A fact of the controller.
+/// Argument of TM per second of sample time: its unit is 1/1.024e6 s. A fact of the controller.
 const TM_PER_S: f64 = 1.024e6;
 
 const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
@@ -60,7 +60,8 @@ const BUFFER: usize = 255;
 /// Letters of the axes in the program, in their order in the machine file.
 const LETTERS: [&str; 5] = ["A", "B", "C", "D", "E"];
 
-/// Returns the sample time, s. Refuses one that PVT mode does not have with this number of axes.
+/// Returns the sample time, s: half the clock of the program. Refuses one that PVT mode does not have with this number
+/// of axes.
 pub(crate) fn sample_s(grids: &ControllerModel, axes: usize) -> Result<f64, Invalid> {
     let sample_s = positive("sample_s", grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;

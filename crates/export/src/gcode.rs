@@ -5,15 +5,15 @@
 //! G94:  F = 60 length / dt     (mm/min)
 //! ```
 //!
-//! A program of all axes has the words X Y Z A B C, the rotary ones in degrees; a radius is X. Its lines are straight in
-//! the space of the axes. A feed of axes in mm and degrees means nothing, so such a program is one of inverse time. The
-//! tolerance of G64 bounds the linear axes only.
+//! A program of all axes has the words X Y Z A B C, the rotary ones in degrees; a radius is X. Its lines are straight
+//! in the space of the axes. A feed of axes in mm and degrees means nothing, so such a program is one of inverse time.
+//! The tolerance of G64 bounds the linear axes only.
 //!
-//! Inverse time (G93) is what removal wants: it depends on the time, not on the speed. A line of no
-//! length would silently lose its time there, so standing is written as `G4 P`. A G4 begins when the motion before it has
-//! ended, half a line after its last node, and the next motion begins half a line before its first one. P leaves these
-//! halves out. Between two lines the motion is straight and its speed is constant; a smaller `max_step_s` follows a
-//! schedule that is neither.
+//! Inverse time (G93) is what removal wants: it depends on the time, not on the speed. A line of no length would
+//! silently lose its time there, so standing is written as `G4 P`. A G4 begins when the motion before it has ended,
+//! half a line after its last node, and the next motion begins half a line before its first one. P leaves these halves
+//! out. Between two lines the motion is straight and its speed is constant; a smaller `max_step_s` follows a schedule
+//! that is neither.
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer.
 //!
@@ -41,9 +41,9 @@ use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 /// controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
 const DIGITS: usize = 9;
 
-/// Number of significant digits of F. Larger: longer lines. Smaller: times that are off, and with them the accelerations at
-/// nodes. Derived: nine let an acceleration at its limit exceed it by 2e-9, which `planish-verify` does not allow; thirteen
-/// are four orders more exact.
+/// Number of significant digits of F. Larger: longer lines. Smaller: times that are off, and with them the
+/// accelerations at nodes. Derived: nine let an acceleration at its limit exceed it by 2e-9, which `planish-verify`
+/// does not allow; thirteen are four orders more exact.
 const FEED_DIGITS: i32 = 13;
 
 /// Form of a comment. The interpreter `rs274` takes lines of up to 252 characters ("Command too long" at 253), although
@@ -57,9 +57,9 @@ const LEAST_TOLERANCE_MM: f64 = 1e-6;
 /// Convention of the F word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Feed {
-    /// G93: lines per minute.
+    /// G93, inverse time: F is one over the duration of the line, 1/min.
     InverseTime,
-    /// G94: mm per minute.
+    /// G94, units per minute: F is the feedrate, mm/min.
     PerMinute,
 }
 

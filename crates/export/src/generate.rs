@@ -10,15 +10,17 @@
 //!    segment, and compared with the plan. Where it is not, the plan is slowed down a little more there, and all of it
 //!    is done again.
 //!
-//! Between two lines that are joined (`linear`) the motion is a parabola over the half of the shorter line on both
-//! sides of the node, which the planner of a controller that blends can run:
+//! A controller that only knows straight lines (`linear`) joins them. Around the node between two lines the motion is
+//! then a parabola over half the shorter line on both sides, which the planner of a controller that blends can run:
 //!
 //! ```text
-//! a_k = (m_k - m_{k-1}) / b_k,   b_k = min(T_{k-1}, T_k)      m = dp / T; before and after the motion m = 0
+//! a_k = (m_k - m_{k-1}) / b_k,   b_k = min(T_{k-1}, T_k)      m_k = dp_k / T_k; before and after the motion m = 0
 //! ```
 //!
-//! So the executed motion of joined lines begins half a line before the first node and ends half a line after the last. A
-//! dwell (G4) begins when the motion before it has ended, so the parabolas beside it take their halves of its time.
+//! Here a_k is the acceleration around node k, b_k the duration of the parabola, T_k the duration and dp_k the distance
+//! of line k, which follows node k. So the executed motion of joined lines begins half a line before the first node and
+//! ends half a line after the last. A dwell (G4) begins when the motion before it has ended, so the parabolas beside it
+//! take their halves of its time.
 
 use std::array::from_fn;
 
@@ -73,8 +75,9 @@ const CHOSEN_DEVIATION: f64 = 0.6;
 /// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
-/// Smallest relative growth of the time of a segment that exceeds a limit, from round to round: for cubics, then for
-/// lines. Larger: more time is added than needed. Smaller: more rounds. Chosen: the excess of lines is rounding alone.
+/// Smallest relative growth of the time of a segment that exceeds a limit, from round to round: first for cubics, then
+/// for straight lines. Larger: more time is added than needed. Smaller: more rounds. Chosen: smaller for lines, because
+/// they exceed a limit by rounding alone.
 const LEAST_GROWTH: f64 = 2e-3;
 const LEAST_GROWTH_OF_LINES: f64 = 2e-4;
 
@@ -91,7 +94,7 @@ const CONTACT_POINTS: usize = 7;
 /// time. Smaller: a tighter bound that nobody needs.
 const WORTH: f64 = 0.3;
 
-/// Settings of the generator of nodes.
+/// Settings of the generator of nodes (the ends of the segments of a program).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct GeneratorSettings {
     /// Clock, counts and kind of motion between two nodes of the controller.
@@ -107,9 +110,9 @@ pub(crate) struct GeneratorSettings {
 /// Nodes of a program, in ticks and counts of a controller; n is the number of segments.
 #[derive(Clone, Debug)]
 pub(crate) struct Nodes<const N: usize> {
-    /// Size of a count of every axis, mm or deg.
+    /// Size of a count (unit of position of the controller) of every axis, mm or deg.
     pub count: [f64; N],
-    /// Duration of a tick, s.
+    /// Duration of a tick (unit of the clock of the program), s.
     pub tick_s: f64,
     /// Ticks from the start to every node, length n+1.
     pub ticks: Vec<i64>,
@@ -128,7 +131,8 @@ pub(crate) struct Nodes<const N: usize> {
     pub contact_mm: Option<f64>,
     /// Difference between the time of the program and that of the plan, s; positive if the program takes longer.
     pub added_s: f64,
-    /// Relative change of the dwell times of the plan, root mean square (see [`ClockCells::uneven`]).
+    /// Relative change of the dwell times of the plan by the slower clock, root mean square, as a fraction (see
+    /// [`ClockCells::uneven`]).
     pub uneven: f64,
 }
 
@@ -183,7 +187,8 @@ impl<const N: usize> Nodes<N> {
         (self.segment_s(k) - 0.5 * parabolas_s).max(0.0)
     }
 
-    /// Returns the time of the executed motion, s.
+    /// Returns the duration of the executed motion, s. That of joined lines is longer than the time from the first to
+    /// the last node, because half a parabola lies outside at both ends.
     pub fn total_s(&self) -> f64 {
         let n = self.segments();
         let nodes_s = self.time_s(n) - self.time_s(0);
@@ -223,7 +228,7 @@ impl<const N: usize> Nodes<N> {
     }
 
     /// Removes dwells that are shorter than the parabolas beside them. Their time goes to the line before, or else to
-    /// the line after.
+    /// the line after. A dwell stays if a line would become longer than `most_ticks`.
     fn drop_short_dwells(&mut self, most_ticks: i64) {
         let mut remaining = vec![0];
         let mut tool_on: Vec<bool> = Vec::new();
@@ -264,7 +269,8 @@ impl<const N: usize> Nodes<N> {
         self.tool_on = tool_on;
     }
 
-    /// Returns the cubics that the controller executes, in their order in time.
+    /// Returns the cubics that the controller executes, in their order in time: one per segment, or the straight pieces
+    /// and half parabolas of joined lines.
     pub(crate) fn pieces(&self) -> Vec<ExecutedCubic<N>> {
         match self.interpolation {
             Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
@@ -354,9 +360,10 @@ pub(crate) struct ExecutedCubic<const N: usize> {
 }
 
 /// Returns the nodes of a program for `plan`, which is continuous, keeps the limits of the machine and rests at both
-/// ends ([`crate::limits::check_plan`]).
+/// ends ([`crate::limits::check_plan`]). `settings` hold the clock, the counts and the allowed deviation.
 ///
-/// Refuses settings that no controller has, and a plan for which no program within the limits is found.
+/// Refuses counts, a path deviation or a shortest segment that are not possible for this plan. Also refuses a plan for
+/// which no program within the limits is found, or which needs more memory than the budget.
 pub(crate) fn generate<const N: usize>(
     plan: &AxesPlan<N>,
     settings: &GeneratorSettings,
@@ -373,11 +380,11 @@ struct Generator<'a, const N: usize> {
     switches_s: Vec<f64>,
 }
 
-/// Faults of a program that the next round has to mend.
+/// Faults of a program that the next round has to mend: exceeded limits, and deviations from the path of the plan.
 struct Faults<const N: usize> {
     /// Index of each segment that exceeds a limit, and the factor by which its time has to grow.
     slow: Vec<(usize, f64)>,
-    /// Indices of the segments that leave the path and can be made shorter.
+    /// Indices of the segments that leave the path, or the travel of an axis by far, and can be made shorter.
     long: Vec<usize>,
     /// Largest excess of the travel at the lower and the upper end of every axis, mm or deg.
     beyond: [[f64; 2]; N],
@@ -528,7 +535,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Err(Invalid::at_index("segment", k, problem, remedy))
     }
 
-    /// Makes the nodes of a program on the clock of `motion`, whose limits are not proven yet.
+    /// Makes the nodes of a program on the clock of `motion`; nothing proves yet that it keeps the limits. Refuses
+    /// times and positions that are too large for exact counts, and more segments than fit into the memory budget.
     fn nodes(&self, motion: &Slowed<N>, cells: &ClockCells) -> Result<Nodes<N>, Invalid> {
         let model = &self.settings.controller;
         let choice = Choice {
@@ -602,8 +610,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         Ok(nodes)
     }
 
-    /// Returns true for each of `ticks` from which on the tool is on; the switches of the plan are at the ticks
-    /// `fixed`.
+    /// Returns the state of the tool in the segment that begins at each of `ticks`, true for on. The plan switches the
+    /// tool at the ticks `fixed`; if the program does not follow it, the tool is on in all segments.
     fn tool_states(&self, fixed: &[i64], ticks: &[i64]) -> Vec<bool> {
         let mut on = Vec::with_capacity(ticks.len());
         let mut state = self.plan.tool_on[0];
@@ -637,7 +645,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Returns the lowest and the highest count of an axis within its travel.
+    /// Returns the lowest and the highest count of an axis within its travel; all integers if its travel is not
+    /// limited.
     fn travel_counts(&self, axis: usize) -> [i64; 2] {
         let count = self.plan.grids[axis].count;
         match self.plan.axes[axis].travel {
@@ -650,7 +659,7 @@ impl<'a, const N: usize> Generator<'a, N> {
     }
 
     /// Returns a position in counts, moved into the travel. Refuses one that a float cannot hold exactly; `k` is the
-    /// node in the message.
+    /// node in the message. `position` is that of the axis number `axis`, mm or deg.
     fn count(&self, k: usize, axis: usize, position: f64) -> Result<i64, Invalid> {
         let count = self.plan.grids[axis].count;
         let counts = position / count;
@@ -676,7 +685,8 @@ impl<'a, const N: usize> Generator<'a, N> {
     }
 
     /// Returns the largest distance of the executed contact point from the one of the plan at the nearest instant, mm,
-    /// at points of every cubic. `None` if the plan knows no contact point.
+    /// at points of every cubic. `None` if the plan knows no contact point. `motion` is the plan on the clock of the
+    /// program, and `nodes` the program.
     fn contact_mm(&self, motion: &Slowed<N>, nodes: &Nodes<N>) -> Result<Option<f64>, Invalid> {
         let Some(contact) = self.plan.contact else { return Ok(None) };
         let mut largest: f64 = 0.0;
@@ -728,7 +738,8 @@ impl<'a, const N: usize> Generator<'a, N> {
         }
     }
 
-    /// Computes the velocities of `nodes`, and returns the faults of the program.
+    /// Computes the velocities of `nodes`, and returns the faults of the program. `motion` is the plan on the clock of
+    /// the program, to which it is compared.
     fn finish(&self, motion: &Slowed<N>, nodes: &mut Nodes<N>) -> Faults<N> {
         let n = nodes.segments();
         let mut excess = vec![1.0_f64; n];
@@ -833,11 +844,11 @@ impl<const N: usize> ExecutedCubic<N> {
     }
 }
 
-/// Returns the shortest time of a segment, s, by the rounding of its positions. In it the rounding uses at most the
-/// fraction [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
+/// Returns the shortest time of a segment, s, by the rounding of its ends. In it the rounding to a count c and that to
+/// a unit of velocity q each use at most the fraction [`ROUNDING`] (r) of the limits on acceleration A and jerk J:
 ///
 /// ```text
-/// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J
+/// 6 c / T^2 <= r A,   3 q / T <= r A,   12 c / T^3 <= r J,   6 q / T^2 <= r J
 /// ```
 fn least_for_rounding_s<const N: usize>(plan: &AxesPlan<N>) -> f64 {
     let mut least_s = 0.0_f64;
@@ -867,7 +878,8 @@ const LONGEST_LEAST_S: f64 = 0.05;
 /// Smaller: rounding is mended in further rounds. Chosen far below a count.
 const TRAVEL_ROUNDING: f64 = 1e-9;
 
-/// Returns the factor by which the time of a cubic has to grow so that it keeps all limits; at most 1 if it keeps them.
+/// Returns the factor by which the time of a cubic has to grow so that it keeps the limits on velocity, acceleration
+/// and, for a program of cubics, jerk; at most 1 if it keeps them.
 fn use_of_limits<const N: usize>(
     piece: &ExecutedCubic<N>,
     axes: &[MachineAxis; N],
@@ -891,7 +903,7 @@ fn use_of_limits<const N: usize>(
     most
 }
 
-/// Refuses counts that no program can hold, or that are implausible for this motion.
+/// Refuses counts that are not positive, that are below [`SMALLEST_COUNT`], or that are larger than the whole motion.
 fn check_counts<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     let extents_mm = (0..N).map(|a| plan.lever[a] * plan.extent(a));
     let extent_mm = extents_mm.fold(f64::NEG_INFINITY, f64::max);

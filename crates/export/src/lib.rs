@@ -77,7 +77,7 @@ pub struct ProgramSettings {
 }
 
 /// Default of the largest distance of the program's path from the plan's, mm. Larger: fewer segments, and a removal
-/// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels of a fine map.
+/// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels (0.5 mm) of a fine map.
 pub const PATH_DEVIATION_MM: f64 = 0.005;
 
 impl Default for ProgramSettings {
@@ -97,7 +97,7 @@ impl Default for ProgramSettings {
 /// Origin of the motion of a program, stated in its header.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
-    /// Path of the motion, and its hash.
+    /// Sentence with the directory of the motion, the program that made it, and its BLAKE3 hash.
     pub made_from: String,
     /// Transform of the motion from the coordinates of the part to those of the axes; `None` if both are the same.
     pub part_to_axes: Option<TransformNumbers>,
@@ -119,11 +119,11 @@ pub struct Program {
 /// Description of a program, for the file beside it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct About {
-    /// Name of the controller.
+    /// Kind of the controller, such as `galil`.
     pub controller: &'static str,
     /// Name of the machine.
     pub machine: String,
-    /// Path of the motion, and its hash.
+    /// Sentence with the directory of the motion, the program that made it, and its BLAKE3 hash.
     pub made_from: String,
     /// Name and version of the program that wrote it.
     pub made_by: String,
@@ -158,19 +158,20 @@ pub struct About {
     pub tick_s: f64,
     /// Number of segments of the program.
     pub segments: usize,
-    /// Total time of the program, s.
+    /// Duration of the motion that the program executes, s.
     pub total_time_s: f64,
     /// Number of segments that the buffer of the controller holds; left out if the buffer is no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_segments: Option<usize>,
-    /// Shortest time that a full buffer lasts, s: the host must add lines faster than that.
+    /// Shortest time that a full buffer lasts, s: the host must add lines faster than that. Left out if the buffer is
+    /// no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_lasts_s: Option<f64>,
     /// Largest distance of the executed path from that of the plan, mm. A rotary axis counts with its lever, the
     /// distance that a point at its radius moves per degree.
     pub path_deviation_mm: f64,
     /// Largest distance of the executed contact point from that of the motion of the axes, mm, at eight points of every
-    /// segment. Absent in a program for x and y.
+    /// cubic of the executed motion. Absent in a program for x and y.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_deviation_mm: Option<f64>,
     /// Difference between the time of the program and that of the plan, s; positive if the program takes longer.
@@ -219,11 +220,14 @@ const WARNED_ADDED: f64 = 0.03;
 /// --at-limits`).
 const MOST_UNEVEN: f64 = 2e-3;
 
-/// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
+/// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`. `settings` are
+/// those of the program, and `origin` says where the motion comes from, for the header.
 ///
 /// # Errors
-/// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs; what [`check`] refuses; and
-/// a motion that does not keep the limits of the machine, or of which no program within them is found.
+/// Refuses a machine with other axes than x and y, of which [`program_of_axes`] writes programs, and what [`check`]
+/// refuses. Refuses a motion whose removal rate is not that of the TIF, that does not keep the limits of the machine,
+/// or that lifts the tool where the program cannot (unless `always_on`). Also refuses it if no program within the
+/// limits, the segments of the controller and the dwell times of the plan is found.
 pub fn program(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -259,8 +263,10 @@ pub fn program(
 /// segments.
 ///
 /// # Errors
-/// Refuses a motion with another number of axes, what [`check`] refuses, and a motion that does not keep the limits of the
-/// machine, or of which no program within them is found.
+/// Refuses a motion with another number of axes, a placement of the part that has no inverse, and what [`check`]
+/// refuses. Refuses a motion that does not keep the limits of the machine, or that lifts the tool where the program
+/// cannot (unless `always_on`). Also refuses it if no program within the limits, the segments of the controller and the
+/// dwell times of the plan is found.
 pub fn program_of_axes(
     motion: &AxesMotion,
     machine: &Machine,
@@ -284,7 +290,8 @@ pub fn program_of_axes(
 /// for `controller` on `machine`.
 ///
 /// # Errors
-/// Refuses what [`program`] and [`program_of_axes`] refuse of these settings.
+/// Refuses what [`program`] and [`program_of_axes`] refuse of these settings. The sample time of a Galil is checked for
+/// two axes, which allow the shortest one.
 pub fn check(
     machine: &Machine,
     controller: ControllerKind,
@@ -403,7 +410,8 @@ enum Tool {
 
 impl<const N: usize> Job<'_, N> {
     /// Makes the nodes of the program within the abilities `can` of the controller, and the description for the file
-    /// beside it.
+    /// beside it. Refuses a plan that exceeds the limits, or of which the controller has no program within them and
+    /// within its number of segments. Lines may change the dwell times by at most [`MOST_UNEVEN`].
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
@@ -477,8 +485,8 @@ impl<const N: usize> Job<'_, N> {
         Ok((nodes, about))
     }
 
-    /// Returns the error for lines that change the dwell times of the plan too much; it names counts and a clock that
-    /// are fine enough.
+    /// Returns the error for lines that change the dwell times of the plan too much. It names finer counts and a finer
+    /// clock, or asks for a plan with less acceleration if they are fine already.
     fn too_uneven(&self, nodes: &Nodes<N>) -> Invalid {
         let fine = self.grids.kind.model();
         let mut finer = Vec::new();
@@ -509,8 +517,9 @@ impl<const N: usize> Job<'_, N> {
         Invalid::whole("program", problem, remedy)
     }
 
-    /// Returns the sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that lifts the
-    /// tool if the program cannot switch it, unless the tool may stay on.
+    /// Returns the sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that
+    /// lifts the tool if the program cannot switch it, unless the tool may stay on. Without a warning the second value
+    /// is `None`.
     fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
         let who = match tool {
             Tool::Switched(how) => return Ok((how, None)),

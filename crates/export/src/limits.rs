@@ -80,7 +80,8 @@ pub struct Peak {
     pub segment: usize,
 }
 
-/// Refuses a plan that exceeds the limits of the machine or leaves its travel; the error names the worst excess.
+/// Refuses a plan that exceeds the limits of the machine, leaves its travel, has steps, or does not begin and end at
+/// rest; the error names the worst excess. Also refuses numbers beyond [`LARGEST_NUMBER`].
 pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     check_magnitudes(plan)?;
     check_travel(plan)?;
@@ -109,7 +110,7 @@ pub(crate) fn check_plan<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Inval
     worst.verdict(plan.machine.name())
 }
 
-/// Refuses a plan that leaves the travel of an axis.
+/// Refuses a plan that leaves the travel of an axis by more than [`STEP`].
 fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
     for (axis, limits) in plan.axes.iter().enumerate() {
         let Some([low, high]) = limits.travel else { continue };
@@ -135,8 +136,8 @@ fn check_travel<const N: usize>(plan: &AxesPlan<N>) -> Result<(), Invalid> {
 /// A proof, and the lowest and highest position of every axis on the whole motion.
 type Proven<const N: usize> = (Proof, [[f64; 2]; N]);
 
-/// Proves that the motion which the controller executes keeps the limits and the travel. Refuses a program that does
-/// not.
+/// Proves that the motion which the controller executes keeps the limits, the travel and the shortest segment of the
+/// machine. Refuses a program that does not.
 pub(crate) fn prove<const N: usize>(
     nodes: &Nodes<N>,
     plan: &AxesPlan<N>,
@@ -251,7 +252,7 @@ fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
 type Limited<'a> = (&'static str, &'static str, f64, &'a [f64; 4]);
 
 /// Returns the limited quantities of an axis, each as name, unit, limit and polynomial: velocity, acceleration and,
-/// with a limit on it, jerk.
+/// with a limit on it, jerk. `orders` are the coefficients of its position and of the first three derivatives.
 fn limited<'a>(
     limits: &MachineAxis,
     orders: &'a [[f64; 4]; 4],
@@ -281,7 +282,7 @@ fn exceeds(value: f64, limit: f64) -> bool {
     value > limit || value.is_nan()
 }
 
-/// Returns the step of the velocity of an axis that counts as rounding, in its unit per s.
+/// Returns the largest step in the velocity of an axis that counts as rounding, in the unit of the axis per s.
 fn velocity_step(limits: &MachineAxis) -> f64 {
     STEP_PER_S + LIMIT_ROUNDING * limits.max_velocity
 }
@@ -302,7 +303,7 @@ const REMEDY_OF_ROUNDING: &str = "give a smaller count or tick, or plan with low
 
 impl Peaks {
     /// Keeps the `value` of a segment if it is the worst so far. Refuses it if `used`, the fraction of its `limit`, is
-    /// above 1.
+    /// above 1. `what` names the quantity.
     fn take(
         &mut self,
         segment: usize,
@@ -371,7 +372,8 @@ impl WorstExcess {
     }
 
     /// Adds the steps of position, velocity and acceleration at the start of segment `i`; after the last segment the
-    /// axis rests. `beside_s` is the duration of both segments if the acceleration may step, else 0.
+    /// axis rests. `beside_s` is the duration of both segments if the acceleration may step, else 0. `before` and
+    /// `after` are position, velocity and acceleration on both sides.
     fn steps(
         &mut self,
         i: usize,

@@ -1,16 +1,17 @@
 //! The nodes of lines that are joined: their times on the clock of the controller, and their positions in its counts. A
 //! line is a straight segment of the program; a place is a point of a grid of times.
 //!
-//! The joined motion has the acceleration a_k near node k. The mean velocities m of a plan P give, for lines of T1 s before
-//! the node and T2 s after it,
+//! The joined motion has the acceleration a_k near node k. The mean velocities m of a plan P give, for lines of T1 s
+//! before the node and T2 s after it,
 //!
 //! ```text
 //! a_k = (m_k - m_{k-1}) / min(T1, T2)
 //! m_k - m_{k-1} = int P''(t_k + u) w(u) du      w = 1 + u / T1 before the node, 1 - u / T2 after it
 //! ```
 //!
-//! The integral of w is (T1 + T2) / 2. Between equal lines |a_k| is therefore at most the largest |P''| beside the node:
-//! such a program keeps the limit on acceleration wherever the plan does, at the times of the plan. Between unequal lines
+//! The integral of w is (T1 + T2) / 2. Between equal lines |a_k| is therefore at most the largest |P''| beside the
+//! node: such a program keeps the limit on acceleration wherever the plan does, at the times of the plan. Between
+//! unequal lines
 //! |a_k| is up to (T1 + T2) / (2 min(T1, T2)) times as large. So the lines change their length only where the plan leaves
 //! that much of the acceleration unused:
 //!
@@ -65,7 +66,8 @@ const LONGER_AT_SEAM: f64 = 1.2;
 /// time.
 const MOST_LINES_OF_SEAM: usize = 400;
 
-/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending); all of `fixed` are nodes.
+/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending); all of `fixed` are nodes. `motion` is the
+/// plan on the clock of the program, and `choice` has the limits, counts and shortest line.
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
     fixed: &[i64],
@@ -80,13 +82,13 @@ pub(crate) fn choose<const N: usize>(
     ticks
 }
 
-/// The wanted lengths of lines over the time of a program, at places `step` ticks apart.
+/// The wanted durations of lines over the time of a program, at places (instants) `step` ticks apart.
 struct Lengths {
-    /// Distance from one place to the next, ticks.
+    /// Time from one place to the next, ticks.
     step: i64,
-    /// Length of the shortest line, ticks.
+    /// Duration of the shortest line, ticks.
     least: i64,
-    /// Wanted length of a line at every place, ticks.
+    /// Wanted duration of a line at every place, ticks.
     ticks: Vec<f64>,
     /// Largest used fraction of an acceleration limit by the plan near every place, at least [`LITTLE_USE`].
     used: Vec<f64>,
@@ -144,14 +146,15 @@ impl Lengths {
         lengths
     }
 
-    /// Returns the largest change of lines of `length` ticks from place `k` to the next, in ticks; 0 if a change by one
-    /// tick is too much.
+    /// Returns the largest change of the length of lines from place `k` of the grid to the next, in ticks. The lines
+    /// have `length` ticks at `k`. It is 0 if one line may not differ from its neighbour by a tick.
     fn growth(&self, k: usize, length: f64) -> f64 {
         let change = self.change(self.used[k].max(self.used[k + 1]));
         if change * length < 1.0 { 0.0 } else { change.min(MOST_CHANGE) * self.step as f64 }
     }
 
-    /// Returns the largest relative change of the length for the used fraction of the acceleration limit.
+    /// Returns the largest relative change from the duration of one line to the next: (1 - u) / u of the module, for
+    /// the used fraction u of the acceleration limit.
     fn change(&self, used: f64) -> f64 {
         (1.0 - used) / used
     }
@@ -160,7 +163,8 @@ impl Lengths {
         ((tick / self.step).max(0) as usize).min(self.ticks.len() - 1)
     }
 
-    /// Returns the length of a line that begins or ends at `tick`, in ticks.
+    /// Returns the wanted duration of a line that begins or ends at `tick`, in ticks. It is that of the last place up
+    /// to `tick`, rounded down, and at least `least`.
     fn length(&self, tick: i64) -> i64 {
         (self.ticks[self.place(tick)] as i64).max(self.least)
     }

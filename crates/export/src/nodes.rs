@@ -7,8 +7,8 @@
 //! | Hermite | the cubic through the plan's positions and velocities is within the deviation of the plan, and within A and J reduced by the room | A: 6 c/T^2 + 3 q/T, J: 12 c/T^3 + 6 q/T^2 |
 //! | linear | the parabola that joins two lines leaves the plan by a T^2/8; [`lines`] says more | - |
 //!
-//! with the count c and the unit q of a velocity. Where no segment does, the one that comes nearest is taken, and the
-//! generator slows the plan down there.
+//! with the limits A on acceleration and J on jerk, the count c, the unit q of a velocity, and the acceleration a of
+//! the plan. Where no segment does, the one that comes nearest is taken, and the generator slows the plan down there.
 
 use std::array::from_fn;
 
@@ -38,8 +38,9 @@ const ALONG_PATH: f64 = 2.0;
 /// Smaller: more trials. Chosen.
 const GROWTH: f64 = 1.4;
 
-/// Returns the ticks of the nodes, from 0 to the last of `fixed`; all of `fixed` are nodes. They ascend and are at
-/// least the shortest segment apart.
+/// Returns the ticks of the nodes, from 0 to the last of `fixed`; all of `fixed` are nodes. They ascend, and where
+/// possible they are at least the shortest segment apart. `motion` is the plan on the clock of the program, and `cells`
+/// hold the longest segments that are still allowed.
 pub(crate) fn choose<const N: usize>(
     motion: &Slowed<N>,
     cells: &ClockCells,
@@ -62,8 +63,8 @@ pub(crate) fn choose<const N: usize>(
 }
 
 impl<const N: usize> Choice<'_, N> {
-    /// Returns a length near `n` ticks that leaves either nothing or a whole segment until the next fixed node, `rest`
-    /// ticks away.
+    /// Returns a length near `n` ticks that leaves, if possible, either nothing or a whole segment until the next fixed
+    /// node, `rest` ticks away.
     fn landing(&self, n: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let n = n.clamp(least, most);
@@ -81,7 +82,8 @@ impl<const N: usize> Choice<'_, N> {
         }
     }
 
-    /// Returns the length in ticks of the longest valid cubic from the tick `start`, at most `rest`.
+    /// Returns the length in ticks of the longest valid cubic from the tick `start`, at most `rest`. It may be shorter,
+    /// so that it ends where a segment of the plan ends. If no length is valid, it is the one nearest to that.
     fn longest(&self, motion: &Slowed<N>, cells: &ClockCells, start: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let most = most.min(rest);

@@ -1,6 +1,5 @@
-//! PMAC, PVT mode: `PVT<t>` in ms, then `X<p>:<v> Y<p>:<v>` with the absolute position in mm and the
-//! velocity at the end in mm per feedrate time unit (Isx90). Further axes are Z, A, B and C, the rotary ones in degrees;
-//! a radius is X.
+//! PMAC, PVT mode: `PVT<t>` in ms, then `X<p>:<v> Y<p>:<v>` with the absolute position in mm and the velocity at the
+//! end in mm per feedrate time unit (Isx90). Further axes are Z, A, B and C, the rotary ones in degrees; a radius is X.
 //!
 //! A segment takes up to 4095.9998 ms (Turbo PMAC, I42 = 0) in steps of the tick: 1 ms on a PMAC, down
 //! to 1/4 us on a Turbo PMAC. Absolute positions do not drift whatever the controller rounds.
@@ -60,7 +59,8 @@ impl Default for PmacSettings {
 }
 
 /// Returns the tick in s, the unit of time of the velocities in s, and the largest number of ticks of a segment.
-/// Refuses settings that no PMAC has.
+/// Refuses settings that no PMAC has. Also refuses a missing M-variable if the machine file says that the controller
+/// switches the tool.
 pub(crate) fn checked(
     grids: &ControllerModel,
     settings: &PmacSettings,

@@ -12,7 +12,7 @@ use crate::{Approach, Origin, decimal, limits::Proof, plan::AxesPlan};
 const DIGITS: usize = 4;
 
 /// Returns the sentences, one per line of a header, without brackets and semicolons, which end a comment on some
-/// controllers.
+/// controllers. `approach` says how the axes reach the start.
 pub(crate) fn sentences<const N: usize>(
     plan: &AxesPlan<N>,
     origin: &Origin,

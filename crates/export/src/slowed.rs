@@ -1,7 +1,7 @@
 //! The plan on the clock of the program: the same path, a little slower where the plan uses a limit fully.
 //!
 //! ```text
-//! dt = k(s) ds            s: time of the plan,  t: time of the program,  k >= 1
+//! dt = k(s) ds            s: time of the plan,  t: time of the program,  k > 1: slower than the plan
 //! p(t) = P(s)
 //! p'   = P' / k
 //! p''  = P'' / k^2 - P' k' / k^3
@@ -15,7 +15,8 @@
 //! ```
 //!
 //! times a factor that the generator raises where a program still exceeds a limit. Between cells `k` is linear, no
-//! steeper than `|P'| |k'| <= d_a A / 2`, or a part of what the plan leaves of A.
+//! steeper than `|P'| |k'| <= f A` with f = 0.01 (`FOR_CLOCK`), for lines at most d_a / 2. Without a limit on jerk,
+//! half of what the plan leaves of A counts instead if that is more.
 //!
 //! Time that is added removes more. So the clock gives it back nearby, where the plan uses less than its limits: with
 //! e = k - 1 > 0 where the plan is slowed down, the room r = 1 - (least k) elsewhere, and sums over the cells within a
@@ -27,14 +28,16 @@
 //!
 //! The removal then differs from the plan's by time that is moved by at most R, and the program takes the plan's time.
 //!
-//! What remains delays the program against the plan by a part of a tick. The next stretch with room takes this part
-//! back or adds to it until the delay is a whole number of ticks (`Cells::whole_ticks`). The nodes after the stretch
-//! then lie at the same times of the plan as before, so mending one place does not spoil the others.
+//! What remains delays the program against the plan. The next stretch with room takes a part of the delay back or adds
+//! to it, until the delay is a multiple of its unit, some ticks of 2 ms together (`ClockCells::whole_ticks`). The nodes
+//! after the stretch then lie at the same times of the plan as before, so mending one place does not spoil the others.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
 //! | s, t | `plan_s`, `time_s` | s |
-//! | k | `factor` | - |
+//! | k, clock factor | `factor` | - |
+//! | P, p: position of an axis in the plan, in the program | `position` | mm or deg |
+//! | V, A, J: limits of an axis on velocity, acceleration, jerk | `limit` | per s, s^2, s^3 |
 
 use std::array::from_fn;
 
@@ -43,15 +46,16 @@ use planish_types::{AxisGrid, ControllerModel, Interpolation, MachineAxis};
 
 use crate::plan::{AxesPlan, length_mm};
 
-/// Fraction of the acceleration limit that one count may be in lines at the limit, where longer lines allow it. Larger:
-/// slower programs. Smaller: longer lines, within which the speed changes.
+/// Fraction of the acceleration limit that the rounding of a position by one count (c / T^2 in a line of T s) may use
+/// in lines at the limit, if lines of that length are allowed. Larger: slower programs. Smaller: longer lines, within
+/// which the speed changes.
 const ROUNDING: f64 = 2e-3;
 
 /// Shortest lines at the limit, as a fraction of the lines that leave the plan by the chosen deviation. Larger: a
 /// removal that differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
 const SHORTEST: f64 = 0.65;
 
-/// Settings and limits for the choice of nodes.
+/// Limits, counts and settings by which the times of the nodes of a program are chosen.
 pub(crate) struct Choice<'a, const N: usize> {
     pub axes: &'a [MachineAxis; N],
     pub grids: [AxisGrid; N],
@@ -66,7 +70,8 @@ pub(crate) struct Choice<'a, const N: usize> {
 }
 
 /// Returns the duration of the lines where a plan is at its acceleration limits, s. It is at most that of a parabola
-/// that leaves the plan by `deviation_mm`, and no longer than rounding to the counts requires.
+/// that leaves the plan by `deviation_mm`, and no longer than rounding to the counts requires. `axes`, `grids` and
+/// `lever` are the limits, counts and levers of the axes.
 pub(crate) fn line_at_limit_s<const N: usize>(
     axes: &[MachineAxis; N],
     grids: &[AxisGrid; N],
@@ -124,8 +129,8 @@ const UNUSED: f64 = 0.5;
 /// does not change the removal.
 const SMALLEST_DELAY_S: f64 = 2e-3;
 
-/// Duration of a cell, s, and largest number of cells of a plan. The duration is shorter than what a stage can follow.
-/// Larger: a coarser clock factor. Smaller: more memory and time.
+/// Duration of a cell, s, and largest number of cells of a plan, whose cells are longer if it needs more. Larger: a
+/// coarser clock factor, or more memory. Smaller: more memory and time. Chosen: shorter than a machine can follow.
 const CELL_S: f64 = 2e-3;
 const MOST_CELLS: f64 = 2e6;
 
@@ -188,7 +193,7 @@ impl<const N: usize> Inwards<N> {
     }
 }
 
-/// A plan on the clock of its program.
+/// A plan on the clock of its program: the same path, slower where k > 1 (see the module).
 pub(crate) struct Slowed<'a, const N: usize> {
     plan: &'a AxesPlan<'a, N>,
     inwards: Inwards<N>,
@@ -203,19 +208,20 @@ pub(crate) struct Slowed<'a, const N: usize> {
 pub(crate) struct ClockCells {
     cell_s: f64,
     /// Smallest k that keeps the margins in every cell, length m, before the factors `raised`. It is below 1 where the
-    /// plan uses less than its limits.
+    /// plan uses less than its limits, but at least [`LEAST_FACTOR`].
     need: Vec<f64>,
     /// True for the cells in which the tool removes all the time, length m.
     on: Vec<bool>,
     /// Length of the path up to the borders of the cells, mm, length m+1.
     arc_mm: Vec<f64>,
-    /// Largest slope of k in every cell, 1/s, length m.
+    /// Largest allowed slope of k over the time of the plan in every cell, 1/s, length m.
     steepest: Vec<f64>,
     /// Factors on `need` that the generator raises where a program exceeds a limit, length m; >= 1.
     pub raised: Vec<f64>,
     /// Longest segment that may lie in every cell, s, length m.
     pub longest_s: Vec<f64>,
-    /// Unit of the delay of the program against the plan, s, to whole multiples of which the delay is brought.
+    /// Unit of the delay of the program against the plan, s: after every stretch of cells whose k may be lowered, the
+    /// delay is brought to a whole multiple of it.
     delay_s: f64,
 }
 
@@ -303,7 +309,8 @@ impl ClockCells {
         cells
     }
 
-    /// Returns the index of the cell that contains a time of the plan.
+    /// Returns the index of the cell that contains a time of the plan, s since its start; the first or the last cell
+    /// beyond its ends.
     pub fn index(&self, plan_s: f64) -> usize {
         ((plan_s / self.cell_s).max(0.0) as usize).min(self.need.len() - 1)
     }
@@ -327,7 +334,8 @@ impl ClockCells {
         k
     }
 
-    /// Returns by how much `k` may be lowered at every border, length m+1; 0 where the program is slower than the plan.
+    /// Returns by how much `k` may be lowered at every border, length m+1. It is 0 where the program is slower than the
+    /// plan, where the generator has raised `k`, where the tool does not remove on both sides, and at both ends.
     fn rooms(&self, k: &[f64]) -> Vec<f64> {
         let m = self.need.len();
         let mut rooms = vec![0.0; m + 1];
@@ -354,7 +362,8 @@ impl ClockCells {
     /// ```
     ///
     /// with the unit u of the delay, the duration h of a cell, the delay D, and weights w_j. The weights are limited by
-    /// the room and by the slope that `k` may still take.
+    /// the room and by the slope that `k` may still take. A stretch that would need more than its weights stays as it
+    /// is.
     fn whole_ticks(&self, k: &mut [f64]) {
         let m = self.need.len();
         if m < 4 {
@@ -570,8 +579,8 @@ impl<'a, const N: usize> Slowed<'a, N> {
 }
 
 impl<const N: usize> Slowed<'_, N> {
-    /// Returns an upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of
-    /// the plan, mm. A bound below `worth_mm` is not made tighter.
+    /// Returns an upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the
+    /// path of the plan, mm. A bound below `worth_mm` is not made tighter.
     ///
     /// Any function s(u) from the time of the cubic to that of the plan gives a bound: the largest |c(u) - P(s(u))|.
     /// Piecewise linear functions that meet the nearest point at their ends leave a cubic per axis between two breaks
@@ -583,7 +592,8 @@ impl<const N: usize> Slowed<'_, N> {
     }
 
     /// Returns the bound between two pairs of times (u, s), of the cubic and of the plan, mm, after up to `halvings`
-    /// halvings.
+    /// halvings. `start_s` is the time of the program at which the cubic `c` begins. A bound below `worth_mm` is not
+    /// made tighter.
     fn bound_between(
         &self,
         start_s: f64,
@@ -670,7 +680,7 @@ impl<const N: usize> Slowed<'_, N> {
 }
 
 /// Returns an upper bound of the length of a vector of cubics over `time_s`, from its extremes along a direction and
-/// across it.
+/// across it. `off` are the ascending coefficients of its components, and `direction` is a unit vector.
 fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s: f64) -> f64 {
     let peak = |c: [f64; 4]| range(&c, time_s).peak().0;
     let part = |w: [f64; N]| {

@@ -10,8 +10,9 @@
 //! |6 (v_k + v_{k+1}) - 12 m| <= J T^2                                 m = dp / T
 //! ```
 //!
-//! The limits are reduced by what rounding the velocities to their unit q can add: 3 q / T of the acceleration,
-//! 6 q / T^2 of the jerk, q of the velocity.
+//! Here v_k is the velocity at node k, T_k the duration and dp_k the distance of segment k, which follows node k. V, A
+//! and J are the limits on velocity, acceleration and jerk. They are reduced by what rounding the velocities to their
+//! unit q can add: 3 q / T of the acceleration, 6 q / T^2 of the jerk, q of the velocity.
 
 use planish_numerics::{
     polynomial::{derivative, range},
@@ -72,8 +73,8 @@ impl Axis<'_> {
         (rounded, excess)
     }
 
-    /// Returns the factor by which the time of segment `k` has to grow to keep the limits, with the velocities `v` at
-    /// its ends; 1 if they are kept.
+    /// Returns the factor by which the time of segment `k` has to grow to keep the limits on velocity, acceleration and
+    /// jerk; 1 if they are kept. `v` holds the velocities at its start and at its end.
     fn excess(&self, k: usize, v: [f64; 2]) -> f64 {
         let t = self.time_s[k];
         let c = hermite(self.distance[k], v, t);
@@ -87,7 +88,8 @@ impl Axis<'_> {
     }
 
     /// Solves the quadratic program. If `elastic` is true, limits may be exceeded at a price. Returns the velocities
-    /// (n+1); `None` if there is no solution.
+    /// (n+1); `None` if there is no solution, or if velocities within segments still exceed their limit after
+    /// [`MOST_PROGRAMS`] programs.
     fn program(&self, elastic: bool) -> Option<Vec<f64>> {
         let n = self.time_s.len();
         let t = self.time_s;
@@ -120,7 +122,7 @@ impl Axis<'_> {
     }
 
     /// Returns the program without its constraints: the matrix H, the vector H v*, the free nodes, and the price of an
-    /// excess.
+    /// excess. An excess has a price only if `elastic` is true.
     fn objective(&self, elastic: bool) -> chain::ChainProgram {
         let n = self.time_s.len();
         let t = self.time_s;
@@ -156,7 +158,8 @@ impl Axis<'_> {
     }
 
     /// Adds the constraints of segment `k`; `within` has the positions in it, as fractions of its time, at which the
-    /// velocity is limited too.
+    /// velocity is limited too. `most_v` is the velocity limit less its margin and the rounding, and `rows` gets the
+    /// constraints.
     fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::ChainRows) {
         let t = self.time_s[k];
         let m = self.distance[k] / self.time_s[k];

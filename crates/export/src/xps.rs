@@ -1,6 +1,6 @@
-//! Newport XPS, PVT trajectory file: one line `dt, dx, vx, dy, vy` per element, with two columns for every further
-//! positioner of the group, distances relative, velocities at the end, in mm (or degrees) and s. The file has no header, so what it is made from is in the file
-//! beside it only.
+//! Newport XPS, PVT trajectory file: one line `dt, dx, vx, dy, vy` per element (segment), with two columns for every
+//! further positioner of the group. Distances are relative and velocities those at the end, in mm (or degrees) and s.
+//! The file has no header, so what it is made from is in the file beside it only.
 //!
 //! The controller refuses an element without time and a last velocity that is not zero. It does not
 //! check where a relative motion ends: the start must be where `start_mm` says.

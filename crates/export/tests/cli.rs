@@ -1,4 +1,5 @@
-//! The binary: what it writes, and that whatever it refuses ends with 2, one message and no file.
+//! Tests of the program `planish-export`: the files that it writes, and that a refusal ends with exit code 2, one
+//! message and no file.
 
 use std::{
     fs,
@@ -10,7 +11,7 @@ use planish_handoff::npy::ArrayData;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-/// A trajectory without a manifest, and a machine.
+/// Directory of a test with a trajectory without a manifest, and a machine file.
 struct Bench {
     tmp: TempDir,
 }
@@ -32,7 +33,8 @@ impl Bench {
         bench
     }
 
-    /// Makes a motion from rest at (1, -2) by 1 mm along x to rest in 0.1 s, then 3 s of standing: v = 15, a = 600.
+    /// Makes a motion from rest at (1, -2) mm by 1 mm along x to rest in 0.1 s, then 3 s of standing. Its largest
+    /// velocity is 15 mm/s, its largest acceleration 600 mm/s^2.
     fn simple() -> Self {
         let x = [1.0, 0.0, 300.0, -2000.0];
         let y = [-2.0, 0.0, 0.0, 0.0];
@@ -260,7 +262,7 @@ fn absurd_numbers_are_one_message() {
     );
 }
 
-/// A plan names the machine file that it was made with; on another one its positions would go to other axes.
+/// Checks that a plan that was made with another machine file is refused, since its positions would go to other axes.
 #[test]
 fn a_plan_for_another_machine_is_refused() {
     let bench = Bench::simple();
@@ -276,7 +278,7 @@ fn a_plan_for_another_machine_is_refused() {
     assert!(code == Some(0) && said.contains("warning: t: was made for another machine"), "{said}");
 }
 
-/// Names are a user's: no line may end or begin something else, and none may be too long.
+/// Checks that names of the user cannot end a comment or begin a command in a program, and that no line is too long.
 #[test]
 fn names_and_paths_stay_within_a_comment() {
     let bench = Bench::simple();
@@ -309,7 +311,8 @@ fn names_and_paths_stay_within_a_comment() {
     }
 }
 
-/// A machine that turns its part, and a motion of its axes r and c: 1 mm and 90 degrees in 2 s, from rest to rest.
+/// Checks the programs of a machine that turns its part, for a motion of its axes r and c: 1 mm and 90 degrees in 2 s,
+/// from rest to rest.
 #[test]
 fn a_motion_of_all_axes_has_its_own_flag() {
     let bench = Bench::simple();

@@ -1,4 +1,4 @@
-//! The limits of the machine on the motion that a program asks for.
+//! Tests that the motion that a program asks for keeps the limits of the machine.
 
 use planish_export::{About, Origin, ProgramSettings, program};
 use planish_types::{
@@ -23,7 +23,8 @@ fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
     .unwrap()
 }
 
-/// Makes a motion from rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
+/// Makes a motion from rest to rest over `d`, mm, in `t`, s. Its velocity is 1.5 d/t in the middle, its acceleration 6
+/// d/t^2 at the ends, its jerk 12 d/t^3.
 fn rest_to_rest(d: f64, t: f64) -> Trajectory {
     let c = [[0.0, 0.0, 3.0 * d / (t * t), -2.0 * d / (t * t * t)], [0.0; 4]];
     Trajectory::new(vec![0.0, t], vec![c], vec![true], vec![Some(0)]).unwrap()
@@ -45,7 +46,7 @@ fn export(
     Ok(made.about)
 }
 
-/// At the ends of this plan the velocity is zero: its limit must be checked within the segment.
+/// Checks that the velocity limit holds within a segment, for a plan whose velocity is zero at its ends.
 #[test]
 fn a_limit_within_a_segment_is_found_for_every_controller() {
     // v = 15, a = 60 mm/s^2, j = 120 mm/s^3 (and a step of the acceleration at both ends).
@@ -70,8 +71,8 @@ fn a_limit_within_a_segment_is_found_for_every_controller() {
     }
 }
 
-/// A motion from rest to rest at its limits, 0.125 s and a = 385.88 mm/s^2. Whatever the clock and the count, the
-/// program keeps the limits and takes at most a few percent longer.
+/// Checks the programs of a motion from rest to rest at its limits, 0.125 s long with 385.88 mm/s^2. Whatever the clock
+/// and the count, the program keeps the limits and takes at most a few percent longer.
 #[test]
 fn a_plan_at_its_limits_is_a_program_within_them() {
     let plan = rest_to_rest(1.0049, 0.125);
@@ -120,8 +121,8 @@ fn no_segment_is_shorter_than_the_machine_takes() {
     assert_eq!((about.segments, about.total_time_s), (1, 3.0 * 256.0 / 32768.0));
 }
 
-/// A motion that turns between two nodes, at the end of the travel: 2.5 mm beyond the ends of its segments in the plan,
-/// which the head of the program says, and a program that goes no further whatever its clock.
+/// Checks a motion that turns between two nodes, at the end of the travel, 2.5 mm beyond the ends of its segments. The
+/// head of the program states that reach, and the program goes no further, whatever its clock.
 #[test]
 fn the_travel_holds_between_the_nodes_too() {
     let hermite = |p: [f64; 2], v: [f64; 2], h: f64| {
@@ -158,7 +159,7 @@ fn the_travel_holds_between_the_nodes_too() {
     }
 }
 
-/// The executed motion of random plans, judged by sampling the numbers of the table.
+/// Checks the executed motion of random plans, by samples of the motion that the numbers of the table define.
 #[test]
 fn largest_values_are_those_of_the_program() {
     for (d, t) in [(3.0, 0.4), (-7.0, 1.3), (0.02, 0.05), (55.0, 4.0)] {

@@ -1,6 +1,5 @@
-//! The programs of a motion, line by line. That they run as planned is shown where
-//! both sides are seen: `crates/testkit/tests/programs.rs` reads them back with the reader of
-//! `planish-import`.
+//! Tests of the programs of a motion, line by line. Another test, `crates/testkit/tests/programs.rs`, checks that they
+//! run as planned: it reads them back with the reader of `planish-import`.
 
 use planish_export::{Origin, ProgramSettings, gcode, pmac, program};
 use planish_types::{ControllerKind, Counts, Limits, MachineFile, MachineFileAxis, Trajectory};
@@ -22,7 +21,8 @@ fn machine() -> Limits {
     .unwrap()
 }
 
-/// Makes a motion from rest at (1, -2) by 1.00004 mm along x to rest in 0.125 s, then 3 s of standing.
+/// Makes a motion from rest at (1, -2) mm by 1.00004 mm along x to rest in 0.125 s, then 3 s of standing. `tool_on` has
+/// the state of the tool in both segments.
 fn motion(tool_on: [bool; 2]) -> Trajectory {
     let d = 1.00004;
     // 3 d u^2 / T^2 - 2 d u^3 / T^3

@@ -6,12 +6,13 @@ use planish_types::{ControllerKind, Limits, MachineFile, MachineFileAxis, Trajec
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Actions of the axes, each with the state of the tool during it.
+/// Actions of the axes (lines of a program), each with the state of the tool during it, true for on.
 type Events = Vec<(String, bool)>;
 
-/// LinuxCNC, M-codes, "M62 - M65 Digital Output Control": M62 and M63 are queued, the change happens at the
-/// beginning of the next motion command, and if there is none it does not happen; M64 and M65 happen at once.
-/// A dwell (G4) is no motion command. The run before was aborted and has left the output on.
+/// Returns the actions of a G-code program `text` by the manual of LinuxCNC (M-codes, "M62 - M65 Digital Output
+/// Control"). M62 and M63 are queued: the change happens at the beginning of the next motion command, and not at all
+/// without one. M64 and M65 happen at once. A dwell (G4) is no motion command. The run before was aborted and has left
+/// the output on.
 fn linuxcnc(text: &str) -> Events {
     let (mut on, mut queued) = (true, None);
     let mut events = Events::new();
@@ -37,8 +38,9 @@ fn linuxcnc(text: &str) -> Events {
     panic!("no end");
 }
 
-/// Turbo PMAC user manual, "Synchronous M-Variable Assignment": `==` is executed at the start of the next move
-/// or dwell, and not at all after the last one; `=` when the line is read, one or two moves early among moves.
+/// Returns the actions of a PMAC program `text` by the Turbo PMAC user manual ("Synchronous M-Variable Assignment").
+/// `==` is executed at the start of the next move or dwell, and not at all after the last one; `=` when the line is
+/// read, one or two moves early among moves.
 fn pmac(text: &str) -> Events {
     let (mut on, mut queued) = (true, None);
     let mut events = Events::new();
@@ -107,7 +109,8 @@ fn text(plan: &Trajectory, controller: ControllerKind, settings: &ProgramSetting
     program(plan, &limits().into(), controller, settings, &origin).unwrap().text
 }
 
-/// The states in their order, each once: a segment of the plan is several lines, and several are one.
+/// Returns the states of the tool in their order, equal neighbours once, because a segment of the plan can be several
+/// lines of the program, and several segments one line.
 fn states(events: &[(String, bool)]) -> Vec<bool> {
     changes(events.iter().map(|e| e.1).collect())
 }
@@ -154,7 +157,7 @@ fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
     }
 }
 
-/// An older form of the programs, with synchronised switches only.
+/// Checks that the replay finds the fault of an older form of the programs, which had synchronised switches only.
 #[test]
 fn synchronised_switches_alone_leave_the_tool_on() {
     let old = "G21 G90 G17 G40 G49 G94\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 Y-2 F600\nM63 P0\nG4 P3\nM62 P0\n\

@@ -23,9 +23,9 @@ use planish_types::budget;
 
 use crate::publish;
 
-/// Bytes that a thread allocates or frees before it adds them to the common counter. Larger: the
-/// process exceeds its budget by more before it ends. Smaller: more writes to a counter that all
-/// cores share, each of which can cost more than an allocation.
+/// Net bytes (64 KiB) that a thread allocates or frees before it adds them to the common counter. Larger: the process
+/// exceeds its budget by more before it ends. Smaller: more writes to a counter that all cores share, each of which can
+/// cost more than an allocation.
 const REPORTED_BYTES: i64 = 1 << 16;
 
 /// Bytes in use that all threads have added to the common counter.
@@ -50,8 +50,8 @@ thread_local! {
 pub struct Allocator;
 
 impl Allocator {
-    /// Adds `bytes` (negative if freed) to the count of this thread. It ends the process if the sum over all threads
-    /// exceeds the budget.
+    /// Adds `bytes` (negative if freed) to the count of this thread. If the count reaches [`REPORTED_BYTES`], it goes
+    /// to the common counter, and the process ends if that then exceeds the budget.
     fn count(bytes: i64) {
         // A thread that ends has no counter any more; memory that it frees afterwards is not
         // counted.

@@ -21,9 +21,9 @@ use crate::{
     system::directory_stamp,
 };
 
-/// Largest manifest that is read, bytes. Larger: a damaged file takes more memory and time.
-/// Smaller: manifests of long plans are refused, because some methods report about a hundred bytes
-/// for every segment that they stretched.
+/// Largest manifest that is read, bytes (256 MiB). Larger: a damaged file takes more memory and time. Smaller:
+/// manifests of long plans are refused, because some methods report about a hundred bytes for every segment that they
+/// stretched.
 const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
 
 /// A type that can be stored as an artifact directory: one `.npy` file per array, and a manifest.
@@ -36,12 +36,12 @@ pub trait Artifact: Sized {
     fn from_arrays(arrays: Arrays) -> Result<Self, Invalid>;
 }
 
-/// Arrays that were read from one artifact directory, by name.
+/// Arrays that were read from one artifact directory, by name; `take_...` removes them one by one.
 #[derive(Debug, Default)]
 pub struct Arrays(BTreeMap<&'static str, ArrayData<'static>>);
 
 impl Arrays {
-    /// Removes and returns the float array `name`. Panics if the kind does not define it.
+    /// Removes and returns the float array `name`. Panics if the kind does not define it as floats, or if it was taken.
     pub fn take_f64(&mut self, name: &str) -> ArrayD<f64> {
         match self.0.remove(name) {
             Some(ArrayData::F64(a)) => a.into_owned(),
@@ -49,7 +49,8 @@ impl Arrays {
         }
     }
 
-    /// Removes and returns the integer array `name`. Panics if the kind does not define it.
+    /// Removes and returns the integer array `name`. Panics if the kind does not define it as integers, or if it was
+    /// taken.
     pub fn take_i64(&mut self, name: &str) -> ArrayD<i64> {
         match self.0.remove(name) {
             Some(ArrayData::I64(a)) => a.into_owned(),
@@ -57,7 +58,8 @@ impl Arrays {
         }
     }
 
-    /// Removes and returns the array of flags `name`. Panics if the kind does not define it.
+    /// Removes and returns the array of flags `name`. Panics if the kind does not define it as flags, or if it was
+    /// taken.
     pub fn take_bool(&mut self, name: &str) -> Vec<bool> {
         match self.0.remove(name) {
             Some(ArrayData::U8(a)) => a.iter().map(|v| *v != 0).collect(),
@@ -69,13 +71,13 @@ impl Arrays {
 /// Content of `manifest.json`: origin and result of an artifact, and the hashes of its files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// Name of the kind.
+    /// Name of the kind of artifact, such as `surface`.
     pub kind: String,
     /// Version of the layout of the kind, which says which arrays there are.
     pub version: u32,
     /// Name of the program that wrote the artifact, such as `planish-dwell`.
     pub tool: String,
-    /// Version of the program.
+    /// Version of the program that wrote the artifact.
     pub tool_version: String,
     /// Subcommand of the program that wrote the artifact.
     pub method: String,
@@ -102,8 +104,9 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Returns the BLAKE3 of the content that the manifest describes. A stage that reads the artifact records
-    /// it as its input. `None` if this version does not know the kind.
+    /// Returns the BLAKE3 of the content that the manifest describes: of the names and hashes of its arrays, or of its
+    /// outcome if readers of this kind use only that. A stage that reads the artifact records it as its input. `None`
+    /// if this version does not know the kind.
     pub fn content(&self) -> Option<String> {
         let kind = kind::ALL.iter().find(|kind| kind.name == self.kind)?;
         if kind.is_read_by_outcome() {
@@ -220,7 +223,7 @@ pub struct ArrayRecord {
     pub blake3: String,
 }
 
-/// An artifact that has been read and checked.
+/// An artifact that has been read and checked, with its hash and manifest.
 #[derive(Debug)]
 pub struct Loaded<T> {
     /// Value of the artifact.
@@ -261,7 +264,8 @@ pub(crate) fn read_whole<T>(
     }
 }
 
-/// Reads the arrays in `dir`. `text` is the text of the manifest; `None` if there is none.
+/// Reads the arrays in `dir`, checks them against the kind and the manifest, and makes the value. `text` is the text of
+/// the manifest; `None` if there is none.
 pub(crate) fn read_arrays<T: Artifact>(
     dir: &Path,
     text: Option<&str>,
@@ -366,7 +370,8 @@ pub(crate) fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> 
     read_text(&path, LARGEST_MANIFEST_BYTES).map(Some)
 }
 
-/// Parses a manifest, checks it against `kind`, and returns it with the state of its seal.
+/// Parses a manifest, checks it against `kind`, and returns it with the state of its seal. `text` is its text and `dir`
+/// its directory, for messages. Refuses another kind, a newer version, text that is no manifest, and a broken seal.
 fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Seal), HandoffError> {
     let path = dir.join(MANIFEST);
     let damaged = |what: String| {
@@ -405,8 +410,8 @@ fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Se
     Ok((serde_json::from_str(text).map_err(unreadable)?, seal))
 }
 
-/// Reads the text of a regular file of at most `most` bytes. Pipes and devices are refused, because they may
-/// never end.
+/// Reads the text of a regular file of at most `most` bytes. It refuses larger files, text that is not UTF-8, and pipes
+/// and devices, because they may never end.
 pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> {
     String::from_utf8(read_file(path, most)?).map_err(|e| {
         let byte = e.utf8_error().valid_up_to();
@@ -425,7 +430,7 @@ pub fn read_regular(path: &Path) -> std::io::Result<Vec<u8>> {
     fs::read(path)
 }
 
-/// Reads the bytes of a regular file of at most `most` bytes.
+/// Reads the bytes of a regular file of at most `most` bytes. It refuses larger files, pipes and devices.
 pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError> {
     let io = |e| HandoffError::io(path, "read", &e);
     if !fs::metadata(path).map_err(io)?.is_file() {
@@ -452,7 +457,7 @@ pub struct ManifestHead {
 /// bad value is found later. Smaller: vector instructions help less. It does not change the result.
 const VALUES_PER_LOOK: usize = 1 << 12;
 
-/// Reads an array. Refuses values that its definition does not allow.
+/// Reads an array. Refuses infinity, NaN where the definition does not allow it, and flags other than 0 and 1.
 fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> {
     let loaded = npy::read(path, def.dtype)?;
     if let ArrayData::F64(a) = &loaded.array {
@@ -532,7 +537,8 @@ fn split_symbol(symbol: &'static str) -> (&'static str, usize) {
     symbol.strip_suffix("+1").map_or((symbol, 0), |name| (name, 1))
 }
 
-/// Compares an array that was read with its record in the manifest: unit, dtype, shape and hash.
+/// Compares an array that was read with its record in the manifest: unit, shape and hash. Refuses an array without a
+/// record.
 fn check_record(
     path: &Path,
     def: &ArrayDef,

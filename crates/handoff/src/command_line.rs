@@ -167,8 +167,9 @@ fn baselines(command: &clap::Command) -> Option<String> {
     Some(text)
 }
 
-/// Returns the text that `arguments` ask for with `--completions`, `--man` or `--describe`; `None` for other
-/// arguments. The text also shows the hidden subcommands. The error is the message for a wrong value.
+/// Returns the text that `arguments` ask for with `--completions`, `--man` or `--describe`; `None` for other arguments.
+/// The text also shows the hidden subcommands. The error is the message for a wrong value. `definition` makes the
+/// definition of the command line.
 pub(crate) fn generated(
     definition: impl Fn() -> clap::Command,
     arguments: &[OsString],

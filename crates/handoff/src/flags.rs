@@ -89,8 +89,9 @@ pub struct PlanArgs {
 }
 
 impl PlanArgs {
-    /// Reads the tool path, its dwell times, and the overscan of the path, mm; `None` unless the path states one
-    /// above 0. Refuses dwell times that were made for another path.
+    /// Reads the tool path, its dwell times, and the overscan of the path (distance beyond the clear aperture), mm. The
+    /// overscan is `None` unless the manifest of the path states one above 0. Refuses dwell times that were made for
+    /// another path.
     pub fn read(
         &self,
         inputs: &mut Inputs,
@@ -101,7 +102,7 @@ impl PlanArgs {
 }
 
 /// Reads the dwell times of the flag `--dwell`. The tool path must have been read before; dwell times that were made
-/// for another path are refused.
+/// for another path are refused. Fails if they cannot be read or are not valid.
 pub fn read_dwell(dir: &Path, inputs: &mut Inputs) -> Result<DwellTime, HandoffError> {
     let (dwell, manifest) = inputs.read_with_manifest("dwell", dir)?;
     inputs.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
@@ -140,6 +141,7 @@ impl TrajectoryArgs {
     }
 
     /// Reads the motion, in the coordinates of the part or of the machine, and the mirror (tool and desired removal).
+    /// Warns if the motion was made from another mirror.
     ///
     /// # Errors
     /// Fails if one of them cannot be read or is not valid.
@@ -152,8 +154,8 @@ impl TrajectoryArgs {
         Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
     }
 
-    /// Reads a motion in the coordinates of the part, with its manifest. Refuses a motion in
-    /// machine coordinates.
+    /// Reads a motion in the coordinates of the part, with its manifest (`None` if it has none). Refuses a motion whose
+    /// manifest states other coordinates, and one that cannot be read or is not valid.
     pub fn read_on_part(
         &self,
         inputs: &mut Inputs,
@@ -210,7 +212,7 @@ impl TrajectoryArgs {
     }
 }
 
-/// Motion in the coordinates of the axes of a machine.
+/// Motion in the coordinates of the axes of a machine, with the machine and the transform that took it there.
 #[derive(Clone, Debug)]
 pub struct OnAxes {
     /// Motion in the coordinates of the axes.
@@ -219,7 +221,7 @@ pub struct OnAxes {
     pub manifest: Option<Manifest>,
     /// Machine whose axes run the motion.
     pub machine: Machine,
-    /// True if the input was in machine coordinates already.
+    /// True if the motion that was read was in machine coordinates already, so that nothing transformed it.
     pub was_there: bool,
     /// Transform that was applied to the motion; `None` if the coordinates of part and axes are
     /// equal, or if the motion was in machine coordinates already.
@@ -272,7 +274,8 @@ impl AxesArgs {
 }
 
 impl MachineArgs {
-    /// Reads the limits of a motion along x and y of the part, which a plan has to keep.
+    /// Reads the limits of a motion along x and y of the part, which a plan has to keep. Fails if the machine file
+    /// cannot be read or describes no machine.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
         Ok(inputs.read_machine(&self.machine)?.limits_on_part())
     }
@@ -288,8 +291,8 @@ pub struct PathDistanceArgs {
 }
 
 impl PathDistanceArgs {
-    /// Returns the largest allowed distance of a motion from `path`, mm. Without the flag it is the usual one, but
-    /// not more than the overscan of the path.
+    /// Returns the largest allowed distance of a motion from `path`, mm: the value of the flag, otherwise half the
+    /// distance of the lines of the path, but not more than `overscan_mm`, if that is known.
     ///
     /// # Errors
     /// Fails if the tolerance is negative or not finite.
@@ -313,12 +316,13 @@ pub struct NearPathArgs {
 }
 
 impl NearPathArgs {
-    /// Returns the distance of a motion, in the coordinates of the axes, from the tool path. Without a tool path it
-    /// is the distance that the manifest of the motion states; `None` if it states none.
+    /// Returns the distance of a motion, in the coordinates of the axes, from the tool path. Without a tool path it is
+    /// the distance that the manifest of the motion states; `None` if it states none. The flag sets the tolerance by
+    /// which it is judged, otherwise the manifest, otherwise the distance of the lines of the path.
     ///
     /// # Errors
-    /// Fails if the path is in other coordinates than the motion or belongs to another motion, or if the tolerance is
-    /// no length.
+    /// Fails if the path cannot be read, is in other coordinates than the motion or belongs to another motion, or if
+    /// the tolerance is negative or not finite.
     pub fn measure(
         &self,
         motion: &OnAxes,
@@ -346,11 +350,11 @@ impl NearPathArgs {
         PathDistance::new(&motion.motion, &path, tolerance_mm).map(Some).map_err(refuse)
     }
 
-    /// Returns the distance from the path that the manifest of a motion states, judged by the tolerance of the flag
-    /// if that is given. `None` if the manifest states none.
+    /// Returns the distance from the path that the manifest of a motion states, judged by the tolerance of the flag if
+    /// that is given. `None` if the manifest states none. `made` is the manifest of the motion.
     ///
     /// # Errors
-    /// Refuses a tolerance that is no length.
+    /// Refuses a tolerance that is negative or not finite.
     pub fn stated(&self, made: Option<&Manifest>) -> Result<Option<PathDistance>, HandoffError> {
         let stated = made.and_then(path_distance_of);
         let tolerance_mm = self.distance.max_path_distance_mm;
@@ -385,8 +389,9 @@ pub struct FloorArgs {
 }
 
 impl FloorArgs {
-    /// Returns the smallest dwell time that the flags ask for. `seconds` makes it of a time per dwell point, s, and
-    /// `seconds_per_mm` of a time per length, s/mm. Without a flag it is 0 s.
+    /// Returns the smallest dwell time that the flags ask for; 0 s per dwell point without a flag. `seconds` makes the
+    /// bound from a time per dwell point, s, `seconds_per_mm` from a time per length, s/mm. A machine file gives one
+    /// over the largest velocity of its faster axis.
     ///
     /// # Errors
     /// Fails if the machine file cannot be read or is not valid.
@@ -435,7 +440,8 @@ pub struct OutputFileArgs {
 }
 
 impl OutputFileArgs {
-    /// Refuses a file that must not be written. Call it before the work of the program.
+    /// Refuses an output file that is an input or a directory, that cannot be made, or that exists without `--force`.
+    /// Call it before the work of the program.
     pub fn begin(&self, inputs: &Inputs) -> Result<OutputFile, HandoffError> {
         OutputFile::begin("--out", &self.out, self.force, inputs)
     }

@@ -85,8 +85,7 @@ impl Inputs {
         Ok(self.read_with_manifest(role, dir)?.0)
     }
 
-    /// Reads an input artifact as [`Self::read`] does, and returns its manifest as well, if it has
-    /// one.
+    /// Reads an input artifact as [`Self::read`] does, and returns its manifest as well; `None` if it has none.
     ///
     /// # Errors
     /// Fails if the artifact cannot be read or is not valid.
@@ -137,7 +136,7 @@ impl Inputs {
         Ok(tif)
     }
 
-    /// Reads a tool as [`Self::read_tool`] does, and returns its manifest as well, if it has one.
+    /// Reads a tool as [`Self::read_tool`] does, and returns its manifest as well; `None` if it has none.
     fn read_tool_with_manifest(
         &mut self,
         role: &str,
@@ -156,7 +155,8 @@ impl Inputs {
     /// Reads the manifest of an artifact, for a command that uses the numbers of its outcome.
     ///
     /// # Errors
-    /// Fails if there is no manifest, if it is of another kind, or if its seal is not that of its content.
+    /// Fails if the manifest is missing, unreadable, of another kind or of a newer version. It also fails if the
+    /// manifest has no seal (hash of its text), or was changed after it was sealed.
     pub fn read_manifest(
         &mut self,
         role: &str,
@@ -260,7 +260,7 @@ impl Inputs {
     /// Reads one float map (shape ny, nx) from a `.npy` file given by the flag `--role`; NaN marks an invalid pixel.
     ///
     /// # Errors
-    /// Fails if the file cannot be read, or holds no finite or invalid heights along two axes.
+    /// Fails if the file cannot be read as floats, or has another number of axes.
     pub fn read_map(&mut self, role: &str, path: &Path) -> Result<Array2<f64>, HandoffError> {
         let ArrayData::F64(a) = self.read_array(role, path, Dtype::F64)? else {
             unreachable!("read as F64")
@@ -270,10 +270,11 @@ impl Inputs {
         })
     }
 
-    /// Reads one mask (shape ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`; 1 becomes true.
+    /// Reads one mask (shape ny, nx) from a `.npy` file given by the flag `--role`; 0 becomes false, 1 to 255 true.
     ///
     /// # Errors
-    /// Fails if the file cannot be read, or holds other values or another number of axes.
+    /// Fails if the file cannot be read, or holds other values than whole numbers from 0 to 255, or another number of
+    /// axes.
     pub fn read_mask(&mut self, role: &str, path: &Path) -> Result<Array2<bool>, HandoffError> {
         let ArrayData::U8(a) = self.read_array(role, path, Dtype::U8)? else {
             unreachable!("read as U8")
@@ -311,8 +312,8 @@ impl Inputs {
     }
 
     /// Refuses inputs that do not belong together: the manifest `made` of the input `role` says that it was made from
-    /// another artifact than the input `from`. Arrays without a manifest are accepted, because nothing states their
-    /// origin.
+    /// another artifact than the input `from`. It accepts arrays without a manifest, and a manifest whose origins name
+    /// no artifact of the kind of `from`.
     pub fn refuse_unrelated(
         &self,
         role: &str,
@@ -350,7 +351,8 @@ impl Inputs {
     }
 
     /// Returns a sentence if the motion with the manifest `made` was made for another machine file than the one that
-    /// was read. It is `None` if the machines are the same, or if the motion names no machine.
+    /// was read. It is `None` if the machines are the same, if no machine was read, or if the motion has no manifest or
+    /// names no machine.
     pub fn made_for_another_machine(&self, made: Option<&Manifest>) -> Option<String> {
         let is_machine = |i: &&InputRecord| i.role == "machine";
         let here = self.records.iter().find(is_machine)?;
@@ -390,7 +392,7 @@ impl Inputs {
     }
 }
 
-/// Returns true if two paths lead to the same file or directory.
+/// Returns true if two paths lead to the same file or directory; false if one of them does not exist.
 pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

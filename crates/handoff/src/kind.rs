@@ -1,4 +1,5 @@
-//! Table of the kinds of artifact directories. Readers, writers and `docs/formats.md` all use it.
+//! Table of the kinds of artifact directories: the arrays and files of each, with units and meaning. Readers, writers
+//! and `docs/formats.md` all use it.
 
 mod spectra;
 
@@ -55,8 +56,8 @@ pub struct ArrayDef {
     pub nan_allowed: bool,
     /// Value of all elements if a directory without a manifest lacks the file; `None` if the array has no such value.
     pub default: Option<u8>,
-    /// Version of the kind that added the array, if the array is optional. An artifact without it has the version
-    /// before, and its elements are `default`; without a default the array is empty.
+    /// Version of the kind that added the array, if the array is optional; otherwise `None`. An artifact without it has
+    /// the version before, and its elements are `default`; without a default the array is empty.
     pub optional_since: Option<u32>,
     /// Description of the array in one sentence.
     pub doc: &'static str,
@@ -403,7 +404,7 @@ pub const TOOL_PATH: Kind = Kind {
     files: &[],
 };
 
-/// Kind of the dwell times of a tool path, s per segment.
+/// Kind of the dwell times of a tool path, s, one per segment.
 pub const DWELL: Kind = Kind {
     name: "dwell",
     version: 1,

@@ -1,5 +1,4 @@
-//! Files, messages and command lines: the only crate that accesses files, and the shell that all
-//! programs share.
+//! Files, messages and command lines: reading and writing of artifacts, and the shell that all programs share.
 //!
 //! * [`Allocator`]: mimalloc within the memory budget of the process; a program selects it.
 //! * [`kind`]: table of the kinds of artifact directories. Readers, writers and `docs/formats.md` all

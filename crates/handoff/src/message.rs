@@ -23,8 +23,8 @@ pub(crate) fn complain(message: &str) {
     let _ = writeln!(std::io::stderr(), "{}", shortened(&message));
 }
 
-/// Shortens a message to [`MOST_CHARACTERS`]. It replaces the middle of a longer one by the number
-/// of omitted characters.
+/// Shortens a message of more than [`MOST_CHARACTERS`]: keeps its beginning and its end ([`KEPT_CHARACTERS`]), and
+/// replaces its middle by the number of omitted characters.
 pub(crate) fn shortened(message: &str) -> Cow<'_, str> {
     let count = message.chars().count();
     if count <= MOST_CHARACTERS {

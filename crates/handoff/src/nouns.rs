@@ -187,8 +187,9 @@ fn turn_arrays<'a>(turn: &TurnWeights) -> [ArrayData<'a>; 2] {
     [ArrayData::F64(weights.into_dyn().into()), floats(turn.angle_deg())]
 }
 
-/// Removes the factors and angles of a turn from the arrays. Returns `None` if they are absent or are a single factor
-/// of 1. Refuses angles without factors.
+/// Removes from the arrays the factors (`weights`) of the kernels by an angle of the tool, and the angles (`angles`),
+/// which are names of arrays. Returns `None` if they are absent, or if there is one angle and all factors are 1.
+/// Refuses angles without factors.
 fn take_turn(
     arrays: &mut Arrays,
     weights: &'static str,

@@ -144,13 +144,14 @@ pub struct Loaded {
     pub array: ArrayData<'static>,
     /// BLAKE3 hash of the file.
     pub blake3: String,
-    /// Note about an exact conversion, such as "holds >f4 in Fortran order, converted exactly". It is `None` if the
-    /// file has the wanted element type and order.
+    /// Note about an exact conversion, such as "holds >f4 in Fortran order, converted exactly". It is `None` if nothing
+    /// was converted, and for booleans that are read as 0 and 1.
     pub note: Option<String>,
 }
 
 /// Reads `path` as an array of `dtype`. Other element types, byte orders and Fortran order are converted if no value
-/// changes, and refused otherwise.
+/// changes, and refused otherwise. It also refuses scalars, empty arrays, and files that are shorter or longer than
+/// their header says. NaN and infinity are read.
 ///
 /// The memory that it allocates is limited by the size of the file, whatever the header says.
 pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
@@ -375,8 +376,8 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Checks that a file of `file_bytes` bytes holds exactly one array that can be read as `dtype`. `bytes` is the
-/// beginning of the file, with at least the whole header.
+/// Checks that a file of `file_bytes` bytes holds exactly one array with elements, that its element type can be read as
+/// `dtype`, and that it fits into the memory budget. `bytes` is the beginning of the file with the whole header.
 fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> {
     if file_bytes == 0 {
         return Err("is empty (0 bytes); write it with numpy.save".into());
@@ -558,7 +559,7 @@ mod tests {
         );
     }
 
-    /// Every element type of NumPy that is read, with two numbers in its own bytes, in both byte orders.
+    /// Checks every element type of NumPy that is read, with two numbers in its own bytes, in both byte orders.
     #[test]
     fn other_element_types_are_converted_exactly() {
         let little: [(&str, Vec<u8>, [f64; 2]); 9] = [
@@ -615,7 +616,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any damage to a valid file gives an array or a message, never a panic.
+        /// Checks that any damage to a valid file gives an array or a message, never a panic.
         #[test]
         fn damaged_files_never_panic(
             cut in 0..=192_usize, damage in prop::collection::vec((0..192_usize, any::<u8>()), 0..4),

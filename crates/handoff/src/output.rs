@@ -114,14 +114,14 @@ impl Begin {
 }
 
 impl Output {
-    /// Announces one artifact of this kind as the output, in the directory `--out`.
+    /// Announces one artifact of this kind as the output, in the directory `--out`. `args` are the flags of the output.
     pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
         Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
             .and_directory("--out", &args.out, kind)
     }
 
     /// Announces several artifacts as the output. `parts` are the names of their directories in `--out`, and their
-    /// kinds.
+    /// kinds. `args` are the flags of the output.
     pub fn directories<const N: usize>(
         args: &OutputArgs,
         parts: [(&str, &'static Kind); N],
@@ -147,8 +147,8 @@ impl Output {
         self
     }
 
-    /// Checks the outputs. Call it before the work, when all inputs and settings are known. It
-    /// refuses an output that must not be replaced, and tells the user if there is nothing to do.
+    /// Checks the outputs. Call it before the work, when all inputs and settings are known. It refuses an output that
+    /// must not be replaced, and tells the user if there is nothing to do. `task` describes the work.
     pub fn begin(self, task: &Task, inputs: &Inputs) -> Result<Begin, HandoffError> {
         before_the_work();
         self.check_wall_time(inputs)?;
@@ -230,7 +230,8 @@ impl Output {
         Ok(())
     }
 
-    /// Refuses a `--wall-time` file that exists and holds something else, or that lies in an output.
+    /// Refuses a `--wall-time` file that exists and holds something else, that lies in an output, or that is an input
+    /// or lies in one.
     fn check_wall_time(&self, inputs: &Inputs) -> Result<(), HandoffError> {
         let Some(file) = &self.args.wall_time else { return Ok(()) };
         if self.directories.iter().any(|d| is_within(file, &d.path)) {
@@ -301,9 +302,9 @@ pub struct Writer {
     /// Outputs that are written to temporary places and not visible yet.
     staged: Vec<Staged>,
     progress: ProgressBar,
-    /// Time of every round of the work that has ended, s.
+    /// Duration of each round of the work (of an iterative method) that has ended, s.
     rounds: Arc<Mutex<Vec<f64>>>,
-    /// Frame of the coordinates; `None` if it is that of the kind.
+    /// Frame that the coordinates refer to, in words for the manifest; `None` if it is that of the kind.
     frame: Option<&'static str>,
 }
 
@@ -419,9 +420,9 @@ impl Drop for Writer {
     }
 }
 
-/// Starts the progress display on a terminal: the name of the work and its elapsed time. As soon as
-/// the work reports a fraction, it adds a bar and the remaining time. In a pipe it prints the remaining
-/// time of a long run on a few lines ([`FIRST_TOLD_AFTER`]).
+/// Starts the progress display on a terminal: the name of the work and its elapsed time. As soon as the work reports a
+/// fraction, it adds a bar and the remaining time. In a pipe it prints the remaining time of a long run on a few lines
+/// ([`FIRST_TOLD_AFTER`]). `message` is the name of the work.
 fn shown_progress(message: String) -> ProgressBar {
     let style = |template| ProgressStyle::with_template(template).expect("a valid template");
     let bar = ProgressBar::hidden();
@@ -448,7 +449,8 @@ fn shown_progress(message: String) -> ProgressBar {
     bar
 }
 
-/// Prints the remaining time of a long run at intervals, from a thread of its own, until `bar` is finished.
+/// Prints lines with the remaining time of a long run, from a thread of its own, until `bar` is finished. The first
+/// comes after [`FIRST_TOLD_AFTER`], each further one after twice the time of the one before.
 fn tell_in_lines(message: String, bar: &ProgressBar) {
     let done = Arc::new(Mutex::new(0.0));
     let reported = done.clone();
@@ -526,8 +528,8 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Checks the file; call it before the work. It refuses `path`, given by `flag`, if it is an
-    /// input or a directory. It also refuses an existing file, unless `force` is true.
+    /// Checks the file; call it before the work. It refuses `path`, given by `flag`, if it is an input, lies in one, is
+    /// a directory, or cannot be made. It also refuses an existing file, unless `force` is true.
     pub fn begin(
         flag: &str,
         path: &Path,
@@ -564,8 +566,8 @@ impl OutputFile {
     /// Writes several files, given with their contents, which become visible together.
     ///
     /// # Errors
-    /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. No
-    /// file is then visible.
+    /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. None of
+    /// the new files is then visible.
     pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
         let mut all = Vec::with_capacity(N);
         for (file, bytes) in files {
@@ -599,7 +601,8 @@ fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(
     Ok(())
 }
 
-/// Writes `bytes` as a file and makes it visible. `replace` allows it to replace a regular file.
+/// Writes `bytes` as a file and makes it visible. `replace` allows it to replace a regular file. `path` is the final
+/// path.
 fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffError> {
     let mut staged = Staged::file(path, replace)?;
     staged.write_all(bytes)?;
@@ -614,8 +617,8 @@ fn peak_memory_mb() -> Option<f64> {
     Some((kilobytes / 1024.0).round())
 }
 
-/// Returns true if the output directory exists. A path that is something else, or cannot be
-/// created, is an error.
+/// Returns true if the output directory exists. A path that is something else, or cannot be created, is an error.
+/// `flag` gave it, for the message.
 fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(true),

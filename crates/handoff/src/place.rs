@@ -79,7 +79,8 @@ pub(crate) fn special_file(path: &Path) -> Option<String> {
     }
 }
 
-/// Refuses a directory that holds a file which no artifact of `kind` has, because the file would be lost.
+/// Refuses a directory that holds what would be lost: a directory, a file that no artifact of `kind` has, a pipe or
+/// device, or any file if there is no manifest. An empty directory passes.
 pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     let is_bare = is_absent(&dir.join(MANIFEST));
     let entries = fs::read_dir(dir).map_err(|e| HandoffError::io(dir, "read", &e))?;

@@ -17,7 +17,7 @@
 //!
 //! During steps 3 and 4 the process holds advisory locks on all parent directories, so that the
 //! outputs of two runs do not mix. A process that is killed leaves siblings whose lock is free, so the next
-//! run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
+//! run removes them. On SIGINT, SIGTERM and SIGHUP a process removes its own siblings. On a file
 //! system without advisory locks (some network file systems), all of this holds, except for the
 //! order of two runs into one place.
 
@@ -146,7 +146,8 @@ impl Staged {
         self.file.write_all(bytes).map_err(|e| HandoffError::io(&self.place, "write", &e))
     }
 
-    /// Refuses the final path if another program has put something there since the run began.
+    /// Refuses the final path if something is there that this output may not replace, because another program has put
+    /// it there since the run began.
     fn check_place(&self) -> Result<(), HandoffError> {
         let taken = match (self.what, is_absent(&self.place)) {
             (_, true) => false,
@@ -173,7 +174,8 @@ impl Staged {
         Ok(())
     }
 
-    /// Renames the previous output to a temporary path, so that the final path is free.
+    /// Renames the previous output to a temporary path, so that the final path is free; does nothing if nothing is
+    /// there.
     fn set_aside(&mut self) -> Result<(), HandoffError> {
         let failed = |e: io::Error| HandoffError::io(&self.place, "write", &e);
         if is_absent(&self.place) {
@@ -341,7 +343,7 @@ mod tests {
         }
     }
 
-    /// A run that is killed after any of its renames.
+    /// Checks the files that a run leaves if it is killed after any of its renames.
     #[test]
     fn outputs_of_two_runs_never_stand_beside_each_other_and_the_next_run_is_whole() {
         for renames_done in 0..=4 {
@@ -366,8 +368,7 @@ mod tests {
         }
     }
 
-    /// Earlier, each of two runs renamed one artifact before the other, and the directory held a
-    /// mixture.
+    /// Checks that two runs into one directory do not leave a mixture of their artifacts.
     #[test]
     fn a_run_waits_while_another_lets_its_artifacts_appear() {
         let dir = tempfile::tempdir().unwrap();
@@ -382,7 +383,7 @@ mod tests {
         assert_eq!(texts(dir.path()), ["new", "new"]);
     }
 
-    /// A place that was free when the run was ready, and taken when its turn came.
+    /// Checks that a run refuses a final path that was free when it was ready, and taken when its turn came.
     #[test]
     fn a_place_that_is_taken_while_a_run_waits_is_not_replaced() {
         let dir = tempfile::tempdir().unwrap();
@@ -397,7 +398,7 @@ mod tests {
         assert_eq!(text(&dir.path().join("c")), "mine");
     }
 
-    /// Earlier, every reader and writer carried out the renames that such a file listed.
+    /// Checks that no reader or writer carries out renames that a file in the directory lists.
     #[test]
     fn a_file_beside_an_output_is_not_carried_out() {
         let dir = tempfile::tempdir().unwrap();

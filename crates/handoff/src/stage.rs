@@ -51,7 +51,8 @@ pub trait Subcommands: clap::Subcommand {
 /// raster`.
 const RUNNER: &str = "planish-run";
 
-/// Runs the stage that the name of this process or its first argument names, and returns its exit code.
+/// Runs the stage that the name of this process or its first argument names, and returns its exit code. Without a stage
+/// it prints help, version or completions, or refuses the command.
 ///
 /// A subcommand of `planish-run`, such as `show`, needs no `run` before it. Where it is also the name of a stage, such
 /// as `compare`, the word after it decides: a flag or a subcommand of the stage starts the stage.
@@ -144,8 +145,8 @@ fn definition(stages: &[Stage]) -> clap::Command {
 }
 
 /// Returns the command that runs the stage program `name`. It is the file of this name in the first of `folders` that
-/// has it, such as a script of the user. Otherwise it is this program, if it is `planish`, with the name as its first
-/// argument.
+/// has it, such as a script of the user. Otherwise it is this program with the name as its first argument, if it is
+/// `planish` and the name begins with `planish-`. Otherwise the system looks for the name.
 pub fn stage_command(name: &str, folders: impl IntoIterator<Item = PathBuf>) -> Command {
     let file = format!("{name}{}", env::consts::EXE_SUFFIX);
     if let Some(program) =

@@ -39,8 +39,8 @@ pub(crate) fn rename_or_exchange(_: &Path, _: &Path) -> io::Result<bool> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// Ends this process by SIGTERM when its parent ends. Elsewhere than on Linux, and where the system does not know it,
-/// the process goes on to its end, which is no harm.
+/// Asks the system to end this process by SIGTERM when its parent ends. If the system is not Linux or refuses that, the
+/// process goes on to its own end, which does no harm.
 pub fn end_with_parent() {
     #[cfg(target_os = "linux")]
     {
@@ -91,7 +91,7 @@ mod calls {
         opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
     }
 
-    /// Returns the identity of an open file or directory: its device and inode.
+    /// Returns the identity of an open file or directory: its device and inode; `None` if the system does not tell it.
     pub(crate) fn file_identity(file: &File) -> Option<(u64, u64)> {
         file.metadata().ok().map(|m| (m.dev(), m.ino()))
     }

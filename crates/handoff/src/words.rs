@@ -1,7 +1,7 @@
 //! Conversion between a text of several words, such as `--unit m --variable 'my map'`, and the list of its words.
 //!
-//! Words are separated by spaces, tabs and line ends. Characters that a shell would evaluate (`$`,
-//! backticks, `*`, `~`, `;`, `#`, ...) have no special meaning. Quoting is that of a POSIX shell:
+//! Words are separated by spaces, tabs and line feeds. Characters that a shell would evaluate (`$`, backticks, `*`,
+//! `~`, `;`, `#`, ...) have no special meaning. Quoting is that of a POSIX shell:
 //!
 //! | written | means |
 //! |---|---|

@@ -494,7 +494,7 @@ fn an_input_is_not_an_output() {
     assert_eq!(snapshot(dir.path()), before);
 }
 
-/// A rename fails if the new name ends with a dot or a slash; it was once tried for ever.
+/// Checks output paths that end with a dot or a slash, to which the system does not rename.
 #[test]
 fn an_output_that_does_not_exist_may_end_with_a_dot_or_a_slash() {
     for (out, made) in [
@@ -553,7 +553,7 @@ fn an_output_that_cannot_be_is_refused_before_the_work() {
     assert_eq!(snapshot(dir.path()), before);
 }
 
-/// Earlier, `--force` replaced a pipe, as root a device, and a link that leads to itself.
+/// Checks that `--force` replaces no pipe, no device, and no link that leads to itself.
 #[test]
 fn what_is_no_regular_file_is_never_replaced() {
     let dir = tempfile::tempdir().unwrap();
@@ -597,7 +597,7 @@ fn what_is_no_regular_file_is_never_replaced() {
     assert_eq!(fs::read(at("mine")).unwrap(), b"new");
 }
 
-/// Earlier, a journal could not hold such a name, and an input of such a name was not found again.
+/// Checks inputs and outputs whose names are not UTF-8.
 #[test]
 fn names_that_are_not_utf_8_are_names() {
     use std::os::unix::ffi::OsStrExt;

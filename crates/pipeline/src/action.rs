@@ -38,8 +38,8 @@ impl<'a> Action<'a> {
     /// Reads a line of a stage.
     ///
     /// # Errors
-    /// Fails with a message if the line is neither a command nor a stage. For a word of earlier pipelines the message
-    /// names its replacement.
+    /// Fails with a message if the line has the form of neither a command nor a call; whether the stage exists is not
+    /// checked here. For a word of earlier pipelines the message names its replacement.
     pub fn read(text: &'a str) -> Result<Self, String> {
         let verb = text.split(' ').next().unwrap_or_default();
         if verb.starts_with("planish-") {

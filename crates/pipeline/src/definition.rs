@@ -55,7 +55,7 @@ pub struct Setting {
     pub kind: Kind,
     /// Lines of the default: the first line whose condition holds counts. Empty if the setting has no default.
     pub default: Vec<DefinitionLine>,
-    /// True if the setting may be left empty: it has no default, here or in the shared file.
+    /// True if a user may give it an empty value: it has no default at all, or none in the shared file.
     pub may_be_empty: bool,
     /// Description of the setting for the user.
     pub help: String,
@@ -86,8 +86,8 @@ pub struct Definition {
 pub struct Stage {
     /// Commands and other stages, in their order.
     pub steps: Vec<DefinitionLine>,
-    /// Directory that receives the message of the first command if that refuses; the stage then ends and the run goes
-    /// on. Without a directory, a refusal ends the run.
+    /// Directory that receives the message of the first command if that refuses (exit code 2); the stage then ends and
+    /// the run goes on. With `None`, a refusal ends the run.
     pub optional: Option<DefinitionLine>,
     /// Sentence that the user sees when the stage has ended; `None` for no sentence.
     pub note: Option<DefinitionLine>,
@@ -141,8 +141,8 @@ impl Definition {
         Some(Self::read(name, built_in_text(SHARED)?, own).expect("a test reads every file"))
     }
 
-    /// Returns the names of the settings on which the commands of `stage` depend, also through values and other
-    /// stages. It does not follow the names in `cut`.
+    /// Returns the names of the settings on which the commands of `stage` depend, also through values and other stages.
+    /// It leaves out the names in `cut`, and what only they depend on.
     pub fn settings_of(&self, stage: &str, cut: &[&str]) -> BTreeSet<String> {
         let mut seen: BTreeSet<String> = cut.iter().map(|name| name.to_string()).collect();
         let mut names = Vec::new();
@@ -255,8 +255,8 @@ impl Definition {
             .chain(stages.flat_map(|(name, stage)| stage.lines().map(move |line| (name, line))))
     }
 
-    /// Refuses unknown names, values and stages that refer to themselves, and lines that are neither commands nor
-    /// calls of stages.
+    /// Refuses a definition without a stage `run`, unknown names and stages, values, defaults and stages that refer to
+    /// themselves, and lines of a stage that are neither commands nor calls of stages.
     fn check(&self) -> Result<(), String> {
         if self.stage("run").is_none() {
             return Err("there is no stage 'run'; add it to `stages`".into());
@@ -325,7 +325,7 @@ fn circle<'a>(
 }
 
 /// Returns a cycle that the search finds from `name` on; `None` if there is none. `above` are the names on the way to
-/// `name`, and `done` those that were searched before.
+/// `name`, and `done` those that were searched before. `next` returns the names to which a name refers.
 fn circle_from(
     name: &str,
     next: &dyn Fn(&str) -> Vec<String>,

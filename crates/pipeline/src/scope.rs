@@ -41,14 +41,14 @@ impl Origins {
 /// A pipeline with the settings that the user gave, and the facts that are known so far.
 #[derive(Clone, Debug)]
 pub struct Scope<'a> {
-    /// Definition of the pipeline.
+    /// Definition of the pipeline, which has its settings, values and stages.
     pub definition: &'a Definition,
     given: BTreeMap<String, String>,
     fixed: Words,
 }
 
-/// Refuses a setting that is given twice. `first` is its value so far, `None` if it has none, and `second` the
-/// further value.
+/// Refuses a setting that is given twice. `first` is its value so far, `None` if it has none, and `second` the further
+/// value. `name` is that of the setting.
 ///
 /// # Errors
 /// Fails with a message if there is a first value.
@@ -125,7 +125,7 @@ impl<'a> Scope<'a> {
     /// Checks the combination of settings against the `refuse` lines of the definition.
     ///
     /// # Errors
-    /// Fails with the message of the definition if they do not.
+    /// Fails with the text of the first `refuse` line whose condition holds.
     pub fn check(&self) -> Result<(), String> {
         let none = Words::new();
         for line in &self.definition.refuse {
@@ -136,11 +136,13 @@ impl<'a> Scope<'a> {
         Ok(())
     }
 
-    /// Returns the words that a name stands for. `local` are the words that calls of the running stages gave to
-    /// names; they take precedence.
+    /// Returns the words that a name stands for; none for an empty setting, or if no line of its default or value has a
+    /// condition that holds. `local` are the words that calls of the running stages gave to names; they take
+    /// precedence.
     ///
     /// # Errors
-    /// Fails with a message if it stands for nothing yet, or if its words or conditions cannot be read.
+    /// Fails with a message if the name is no setting and no value, and is not set as a fact yet. Also fails if its
+    /// words or conditions cannot be read.
     pub fn words(&self, name: &str, local: &Words) -> Result<Vec<String>, String> {
         if let Some(words) = local.get(name).or_else(|| self.fixed.get(name)) {
             return Ok(words.clone());
@@ -190,11 +192,12 @@ impl<'a> Scope<'a> {
         Ok(true)
     }
 
-    /// Returns the words of a text, with every name in braces replaced. A name that is a whole word becomes all of
-    /// its words; a name within a longer word must stand for one word.
+    /// Returns the words of a text, with every name in braces replaced. A name that is a whole word becomes all of its
+    /// words; within a longer word it becomes its words joined by blanks. Words in brackets are left out if a name
+    /// among them stands for no word. `local` is as in [`Scope::words`].
     ///
     /// # Errors
-    /// Fails with a message if a name stands for nothing, or if a bracket or a brace has no partner.
+    /// Fails with a message if a name is not known yet, or if a bracket or a brace has no partner.
     pub fn expand(&self, text: &str, local: &Words) -> Result<Vec<String>, String> {
         let mut expanded = Vec::new();
         for group in groups(text)? {

@@ -40,7 +40,7 @@ pub enum Step {
 #[derive(Clone)]
 struct Frame<'a> {
     lines: std::slice::Iter<'a, DefinitionLine>,
-    /// Directory for the message of the first command, if that may refuse; taken when that command is made.
+    /// Directory for the message of the first command; `None` if that may not refuse, and after it has been made.
     optional: Option<&'a DefinitionLine>,
     note: Option<&'a DefinitionLine>,
     local: Words,

@@ -19,7 +19,7 @@ struct RunCli {
     command: crate::cli::RunCommand,
 }
 
-/// The command `planish run`.
+/// The stage `planish-run` as the command `planish run`: its name, its main function, and its command line.
 pub const COMMAND: planish_handoff::Stage =
     planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: RunCli::command };
 

@@ -1,4 +1,5 @@
-//! Choice of the plans that a job runs, and estimates of the time and memory that a job needs.
+//! Choice of the plans that a job (one of several processes, perhaps on a cluster) runs, and estimates of the time and
+//! memory that it needs.
 //!
 //! Time and memory are those of the stages, estimated from the size of the map and the path:
 //!
@@ -6,7 +7,7 @@
 //! |---|---|
 //! | A | area of the map, mm^2 |
 //! | p | pitch, mm |
-//! | w | width of the tool, mm |
+//! | w | width of the tool, mm: the standard deviation of a Gaussian TIF |
 //! | N | pixels of the map |
 //!
 //! The path has the length A / p. A plan of motion and times as one problem has n = A / (0.6 p w) nodes, 0.6 w apart
@@ -21,18 +22,18 @@ use crate::plan::SweptPlan;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Size {
-    /// Number of pixels of the map.
+    /// Number of pixels of the map, invalid ones included.
     pub pixels: f64,
-    /// Area of the map, mm^2.
+    /// Area of all pixels of the map, mm^2, invalid ones included.
     pub area_mm2: f64,
-    /// Width of the tool, mm.
+    /// Width of the mirror's own TIF, mm; for a Gaussian it is the standard deviation.
     pub tool_width_mm: f64,
 }
 
 /// Time and memory that a job asks the cluster for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Resources {
-    /// Time limit of the job, minutes.
+    /// Time limit of the job, minutes; at least 10.
     pub runtime: u64,
     /// Memory limit of the job, MiB.
     pub mem_mb: u64,
@@ -63,7 +64,8 @@ const BYTES_PER_PIXEL: f64 = 1000.0;
 /// of memory.
 const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
-/// Returns the estimated time of a plan on one core, s.
+/// Returns the estimated time of a plan on one core, s. A plan without a pitch counts as one of 1 mm, and one without a
+/// step as one whose step is the pitch. `size` is that of the mirror.
 pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     let pitch_mm = plan.number("pitch_mm").or(plan.number("min_pitch_mm")).unwrap_or(1.0);
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
@@ -84,7 +86,8 @@ pub fn estimated_s(plan: &SweptPlan, size: &Size) -> f64 {
     S_AT_LEAST + own_s
 }
 
-/// Returns the time and memory of a job that makes `plans`, of which it runs `jobs` at the same time.
+/// Returns the time and memory of a job that makes `plans`, of which it runs `jobs` at the same time. `size` is that of
+/// the mirror.
 pub fn resources(plans: &[&SweptPlan], size: &Size, jobs: usize) -> Resources {
     let estimated = plans.iter().map(|plan| estimated_s(plan, size));
     let (sum_s, longest_s) =

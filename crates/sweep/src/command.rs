@@ -20,7 +20,7 @@ struct SweepCli {
     command: crate::cli::SweepCommand,
 }
 
-/// The command `planish sweep`.
+/// The stage `planish-sweep` as the command `planish sweep`: its name, its main function, and its command line.
 pub const COMMAND: planish_handoff::Stage =
     planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: SweepCli::command };
 

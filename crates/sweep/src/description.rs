@@ -20,7 +20,7 @@ pub struct Description {
     pub process: Option<String>,
     /// Path of the specification of the mirror, if the plans are also judged by its limits; otherwise `None`.
     pub specification: Option<String>,
-    /// Constraints that a plan must keep to be recommended.
+    /// Constraints that a plan must keep to be on the front and to be recommended.
     pub constraints: Constraints,
     /// True if each plan gets a report page of its own.
     pub reports: bool,

@@ -18,7 +18,8 @@ pub const VERSION: u32 = 1;
 /// Reads `sweep.json` in the directory `dir`.
 ///
 /// # Errors
-/// Fails if there is none, if it cannot be read, or if no expansion of this version has written it.
+/// Fails if there is none, if it cannot be read, or if no expansion of this version can have written it: it has no
+/// plans, a plan names a tool that it lacks, or `Sweep::check` refuses it.
 pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
     let path = dir.join("sweep.json");
     if !path.exists() {

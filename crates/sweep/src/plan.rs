@@ -1,7 +1,8 @@
 //! Plans of a sweep, and the stages that make them. A stage is a run of one program of Planish.
 //!
-//! The name of every result holds the hash of all its inputs. So results that several plans share are made once,
-//! and an existing result is never out of date.
+//! The name of every result holds the hash of all its inputs. So results that several plans share are made once, and an
+//! existing result is never out of date. The ground of a plan are the hashes of the inputs that all plans share; a
+//! round is a list of plans that are made together.
 
 use planish_pipeline::{
     scope::Scope,
@@ -27,7 +28,7 @@ pub struct Sweep {
     pub name: String,
     /// Name of the mirror that people read.
     pub mirror: String,
-    /// Stages that make the map and the tools.
+    /// Stages (runs of programs) that make the map and the tools, in their order.
     pub mirror_steps: Vec<Step>,
     /// Directory of the desired removal.
     pub surface: String,
@@ -122,7 +123,9 @@ impl Step {
 }
 
 impl SweptPlan {
-    /// Makes a plan with these settings and the defaults of the others. Its name contains the hash of its inputs.
+    /// Makes a plan with these settings. It adds the default pitch and step of the path, and the varying tool of the
+    /// fixture, if they are not given; other settings keep their defaults unstated. Its name contains the hash of its
+    /// inputs.
     pub fn new(
         path: &str,
         method: &str,
@@ -215,7 +218,7 @@ pub fn hash(content: &Value) -> String {
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
 }
 
-/// Programs that make a mirror.
+/// Programs that may make a mirror; a step of the mirror runs no other.
 const MIRROR_PROGRAMS: [&str; 4] =
     ["planish-fixture", "planish-import", "planish-surface", "planish-tool"];
 
@@ -454,7 +457,8 @@ fn scope(path: &str, settings: &[(String, SettingValue)]) -> Result<Scope<'stati
     Scope::new(definition, &settings)
 }
 
-/// Returns the settings on which these stages depend, with their values in a plan, given or default.
+/// Returns the settings on which these stages depend, with their values in a plan, given or default. `path` is the
+/// family of the tool path.
 fn resolved(
     path: &str,
     settings: &[(String, SettingValue)],
@@ -465,7 +469,8 @@ fn resolved(
     names.map(|name| (name.to_string(), scope.text(name).unwrap_or_default())).collect()
 }
 
-/// Returns the directory, in the sweep, of the varying tool that a command makes of `tool`; `None` without a command.
+/// Returns the directory, in the sweep, of the varying tool that the command `text` makes of `tool`. `None` without a
+/// command, or for a command that is not in `ground`.
 fn varied_tool(tool: &str, text: Option<&str>, ground: &Ground) -> Option<String> {
     let command = value_of(&ground.varying, text?)?;
     let tif = value_of(&ground.tools, tool);
@@ -477,7 +482,8 @@ fn value_of<'a, T>(list: &'a [(String, T)], key: &str) -> Option<&'a T> {
     list.iter().find(|(known, _)| known == key).map(|(_, value)| value)
 }
 
-/// Adds the defaults of `just run` for settings that a stage needs and that are not given.
+/// Adds settings that are not given: the default `pitch_mm` and `step_mm` of a path that has them, and the command
+/// `varying` of the fixture unless a tool is named. Returns all in the order of the table of settings.
 fn with_defaults(
     path: &str,
     mut settings: Vec<(String, SettingValue)>,

@@ -23,7 +23,8 @@ const BEYOND: f64 = 1.1;
 pub type Made<'a> = (&'a SweptPlan, [f64; 2]);
 
 /// Proposes the plans to try next: two between each pair of neighbours on the front. `made` are the plans that can be
-/// on the front, and `all` those that exist and are not proposed again.
+/// on the front, and `all` those that exist and are not proposed again. `ground` holds the hashes of the inputs that
+/// all plans share.
 pub fn proposals(made: &[Made<'_>], all: &[&SweptPlan], ground: &Ground) -> Vec<SweptPlan> {
     let points: Vec<[f64; 2]> = made.iter().map(|(_, point)| *point).collect();
     let front = front(&points);
@@ -51,8 +52,9 @@ pub fn growth(points: &[[f64; 2]], before: usize) -> f64 {
     if old > 0.0 { new / old - 1.0 } else { f64::INFINITY }
 }
 
-/// Returns `own` with its numbers half way to those of `other`. Whole numbers such as seeds and passes stay, because
-/// no values lie between them.
+/// Returns `own` with its numbers half way to those of `other`: the geometric mean of two positive numbers, otherwise
+/// the arithmetic one. Words stay, and so do whole numbers such as seeds and passes, which have no values between them.
+/// `ground` is that of the sweep.
 fn half_way(own: &SweptPlan, other: &SweptPlan, ground: &Ground) -> SweptPlan {
     let settings = own.settings.iter().map(|(key, value)| {
         let is_whole = SETTINGS.iter().any(|setting| setting.key == *key && setting.is_whole());

@@ -75,7 +75,7 @@ pub fn pipeline(path: &str) -> Option<&'static Definition> {
     PIPELINES.iter().find(|definition| definition.name == path)
 }
 
-/// Returns the default, as text, of a setting that all pipelines share.
+/// Returns the default, as text, of a setting that all pipelines share. Panics for another name.
 pub fn default(name: &str) -> String {
     let scope = Scope::new::<&str>(&PIPELINES[0], &[]).expect("no settings");
     scope.text(name).expect("a setting that all pipelines share")
@@ -299,7 +299,8 @@ fn stem(key: &str) -> &str {
 const MOST_OF_A_RANGE: f64 = 10_000.0;
 
 /// Returns the numbers of a range `{from: A, to: B, step: S}` or `{from: A, to: B, count: N}`. With `spacing:
-/// logarithmic`, the latter has equal ratios between neighbours.
+/// logarithmic`, the latter has equal ratios between neighbours. Refuses A above B, a step that is not positive, a
+/// count below 2, and more than [`MOST_OF_A_RANGE`] values.
 fn range(
     key: &str,
     line: u64,

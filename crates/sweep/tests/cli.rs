@@ -166,8 +166,8 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     assert!(said.contains("has no row; make the plans of round 1 first"), "{said}");
 }
 
-/// A tool that varies is made with the mirror, once for each command, and its table begins in the folder of the file.
-/// The command beside the recipe of a fixture is that of the plans without the setting.
+/// Checks that a varying tool is made with the mirror, once for each command, and that its table is found from the
+/// folder of the sweep's file. The command beside the recipe of a fixture counts for the plans without the setting.
 #[test]
 fn a_tool_that_varies_is_made_with_the_mirror() {
     let dir = tempfile::tempdir().unwrap();
@@ -213,8 +213,8 @@ fn a_tool_that_varies_is_made_with_the_mirror() {
     assert!(of(plans.as_array().unwrap().last().unwrap()).starts_with("incidence "));
 }
 
-/// The residual of every plan is judged by the specification; its limits are columns of the table, and a plan that
-/// misses one counts only where the sweep says so.
+/// Checks that the residual of every plan is judged by the specification. Its limits are columns of the table, and a
+/// plan that misses one counts only if the sweep says so.
 #[test]
 fn a_specification_is_a_constraint_and_its_limits_are_columns() {
     let dir = tempfile::tempdir().unwrap();
@@ -328,7 +328,7 @@ fn a_directory_that_is_somebody_elses_is_left_alone() {
     assert!(said.contains("sweep.json: cannot read"), "{said}");
 }
 
-/// The file of a sweep may come from anywhere; it named any program, and its plans were written anywhere.
+/// Checks that a `sweep.json` from elsewhere cannot run any program or write outside of the directory of the sweep.
 #[test]
 fn a_sweep_that_no_expansion_wrote_runs_nothing() {
     let dir = tempfile::tempdir().unwrap();

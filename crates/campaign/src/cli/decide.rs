@@ -129,7 +129,7 @@ fn words(d: &Decision) -> String {
 }
 
 /// Returns the distribution of the residual in a tolerance artifact: (fraction of the simulated runs, RMS in nm that
-/// this fraction does not exceed). Refuses a distribution that does not ascend.
+/// this fraction does not exceed). Refuses fewer than two pairs, pairs that do not ascend, and a negative RMS.
 fn levels(arrays: &ToleranceArrays) -> Result<Vec<(f64, f64)>, Invalid> {
     let levels: Vec<(f64, f64)> =
         arrays.part.iter().copied().zip(arrays.rms_nm.iter().copied()).collect();

@@ -120,7 +120,8 @@ impl CampaignReport {
     }
 
     /// Reads the true result of run `k` of one chain from the directory `place`. All runs must be of the same virtual
-    /// machine: its seed and its true errors go into `hidden`. `is_known` requires a machine without errors.
+    /// machine: its seed and its true errors go into `hidden`. Refuses another run than `k`, and a machine with errors
+    /// if `is_known` is true, or without errors if it is false.
     fn left(
         &self,
         inputs: &mut Inputs,

@@ -119,8 +119,8 @@ impl Figures {
     }
 }
 
-/// Returns the run with only the method that is to be drawn: `wanted`, or the recommended one. The error says which
-/// methods there are.
+/// Returns the run with only the method that is to be drawn: `wanted`, or the recommended one. Refuses a name that no
+/// valid method has, and `None` if no plan is recommended; the error says which methods there are.
 fn with_one_method(mut run: RunData, wanted: Option<&str>) -> Result<RunData, String> {
     let there: Vec<String> = run.methods.iter().map(|m| m.name.clone()).collect();
     let there = there.join(", ");

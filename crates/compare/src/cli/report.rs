@@ -74,7 +74,7 @@ enum Plots {
 }
 
 impl Plots {
-    /// Returns true if the plots are printed here.
+    /// Returns true if the small plots are printed: with `always`, and with `auto` if standard output is a terminal.
     fn are_wanted(self) -> bool {
         match self {
             Self::Always => true,
@@ -164,7 +164,7 @@ impl ReportCommand {
 }
 
 /// Makes the row `program` of the only run its recommendation; does nothing for `None`. Refuses a row if there are
-/// several runs.
+/// several runs. `read` are the runs of the command line.
 fn recommend(program: Option<&str>, read: &mut [RunData]) -> Result<(), Failure> {
     match (program, read) {
         (None, _) => Ok(()),
@@ -202,7 +202,7 @@ fn tell(runs: &[(&str, &Summary)]) {
     }
 }
 
-/// Prints a warning for every method that is out of date.
+/// Prints a warning on standard error for every method that is out of date, with the reasons.
 fn warn_of_old(runs: &[(&str, &Summary)]) {
     for (name, left) in runs.iter().flat_map(|(n, s)| s.left_out.iter().map(move |l| (n, l))) {
         if left.standing == Standing::OutOfDate {

@@ -9,7 +9,7 @@ use planish_types::text::visible;
 use serde_json::json;
 
 /// Largest size of a table, bytes. Larger: a wrong file fills the memory. Smaller: large sweeps are refused. Chosen:
-/// a million plans.
+/// a million plans of about 1 KiB each.
 const LARGEST_TABLE_BYTES: u64 = 1 << 30;
 
 #[derive(Args)]
@@ -77,8 +77,8 @@ impl Sweep {
         Ok(status)
     }
 
-    /// Returns the path from the page of the sweep to the folder of the table, to which the reports are relative. It
-    /// is one step up if the page is beside the table, otherwise absolute.
+    /// Returns the prefix of links from the page of the sweep to the folder of the table. It is `../` if the directory
+    /// of the page is in that folder, otherwise the absolute path. It is empty if the folder cannot be found.
     fn to_table(&self) -> String {
         let [table, out] = [&self.table, &self.output.out]
             .map(|path| Path::new(".").join(path.parent()?).canonicalize().ok());

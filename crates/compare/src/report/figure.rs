@@ -19,8 +19,8 @@ use super::{
 };
 use crate::{answer::duration, plan::WITHOUT_MOTION};
 
-/// Number of colours for the lines and squares of a picture. Larger: finer steps, larger files. Smaller: coarser
-/// steps. Chosen.
+/// Number of colours of the path (lines) and of the dwell points (squares) in a picture. Larger: finer steps, larger
+/// files. Smaller: coarser steps. Chosen.
 const BINS: usize = 24;
 
 /// Number of colour steps of the colour bar beside a map. Larger: a smoother bar. Smaller: visible steps. Chosen.
@@ -123,17 +123,17 @@ impl Layout {
 /// numbers that do not fit. Chosen for numbers of two digits.
 const MARGIN_OF_THREE_PX: f64 = 134.0;
 
-/// Ratio of height to width of a path below which the panels of its overview stand one below the other. Larger: more
-/// overviews of this kind. Smaller: very flat maps side by side. Chosen.
+/// Ratio of height to width of the extent of a path below which the panels of its overview stand one below the other.
+/// Larger: more overviews of this kind. Smaller: very flat maps side by side. Chosen.
 const NARROW: f64 = 0.4;
 
 /// Smallest width of a panel that gets a note in small print below it, px. Larger: fewer notes. Smaller: notes that
 /// do not fit. Chosen.
 const NOTED_FROM_PX: f64 = 500.0;
 
-/// Smallest scale of a residual, relative to that of the desired removal, at which it is also drawn on the latter
-/// scale. Larger: fewer such maps. Smaller: maps that look empty. Chosen: below it the map spans less than one colour
-/// of the bar to either side.
+/// Smallest scale of a residual, relative to the scale of the desired removal, at which the residual is also drawn on
+/// the scale of the desired removal. Larger: fewer such maps. Smaller: maps that look empty. Chosen: below it the map
+/// spans less than one colour of the bar to either side of the mean.
 const LEAST_CONTRAST: f64 = 0.05;
 
 /// Largest difference between planned and executed dwell times that is the rounding of a sum of segments, s. Larger:
@@ -166,9 +166,9 @@ pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
 // ---------------------------------------------------------------------------------------------
 // The figures
 
-/// Draws the maps of every method: desired removal, predicted removal and residual. All are on one scale, and the
-/// residual also on its own scale, that of 99 % of its pixels. The residual on the common scale is left out if it
-/// would look empty.
+/// Draws the maps of every method: desired removal, predicted removal and residual. All are on one scale, that of the
+/// desired removal, and the residual also on its own scale, that of 99 % of its pixels. The residual on the common
+/// scale is left out if it would look empty ([`LEAST_CONTRAST`]). `None` if no run has a method.
 fn maps(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 2.0);
@@ -199,7 +199,7 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
 }
 
 /// Returns the picture of the motion of all axes: that of the recommended plan if it has one, otherwise of the first
-/// plan that has one.
+/// plan that has one; `None` if no plan has one.
 fn axes(views: &[View], _: &Layout) -> Option<String> {
     let with_axes: Vec<_> = methods(views).filter(|(_, m)| m.on_axes.is_some()).collect();
     let mut all = with_axes.iter();
@@ -208,7 +208,7 @@ fn axes(views: &[View], _: &Layout) -> Option<String> {
     m.on_axes.clone()
 }
 
-/// Draws the path of every method in colours of the speed.
+/// Draws the path of every method, one panel each, in colours of the speed; `None` if no run has a method.
 fn path(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -222,7 +222,7 @@ fn path(views: &[View], layout: &Layout) -> Option<String> {
 }
 
 /// Draws the overview of every method in three panels: surface before the run, path in colours of the speed, residual
-/// on its own scale.
+/// on its own scale. `None` if no run has a method.
 fn overview(views: &[View], layout: &Layout) -> Option<String> {
     let (_, first) = methods(views).next()?;
     let shape = shape_of(&first.line.point_mm);
@@ -258,8 +258,8 @@ fn overview(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Draws a map in colours over the whole of `frame`, with axes and colour bar. `image` is the map as PNG, and `scale`
-/// the distance from the mean of the last colours, nm.
+/// Draws a map in colours over the whole of `frame`, with axes and colour bar. `image` is the map as PNG. The colours
+/// run from `scale` below the mean of the map to `scale` above it, nm.
 fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
     let corner = [frame.left, frame.top];
     put_image(svg, corner, [frame.width, frame.height], image);
@@ -268,7 +268,8 @@ fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
     note_below(svg, frame, "height from the mean");
 }
 
-/// Draws a map as [`draw_map`] does, but at its coordinates within a larger frame.
+/// Draws a map as [`draw_map`] does, but at its coordinates within a larger frame. The last argument is the map and its
+/// scale, nm.
 fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&ScreenMap, f64)) {
     let [x, y] = extent(map);
     let [[left, top], [right, bottom]] = [[x[0], y[1]], [x[1], y[0]]].map(|p| frame.px(p));
@@ -278,7 +279,8 @@ fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&Scree
     note_below(svg, frame, "height from the mean");
 }
 
-/// Adds a note in small print below a panel, if the panel is wide enough for it beside the title of its axis.
+/// Adds a note in small print below a panel, if the panel is wide enough for it beside the title of its axis. `words`
+/// are the text.
 fn note_below(svg: &mut Svg, frame: &Frame, words: &str) {
     if frame.width >= NOTED_FROM_PX {
         frame.note(svg, words);
@@ -295,7 +297,8 @@ fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: 
     ));
 }
 
-/// Draws a path in colours of the speed, with its axes and its colour bar. Jumps are dotted.
+/// Draws a path in colours of the speed, with its axes and its colour bar. Jumps are dotted. A jump is where the motion
+/// continues at another position.
 fn draw_path(svg: &mut Svg, frame: &Frame, line: &SpeedLine) {
     let speeds: Vec<f64> = line.speed_mm_per_s.iter().copied().filter(|v| v.is_finite()).collect();
     let bands = Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, or_one(quantile(&speeds, 0.99))]);
@@ -320,7 +323,8 @@ fn draw_path(svg: &mut Svg, frame: &Frame, line: &SpeedLine) {
     note_below(svg, frame, "99 % of the speeds are below the top");
 }
 
-/// Draws velocity, acceleration and jerk of every method against time, with the limits of the machine.
+/// Draws velocity, acceleration and jerk of every method against time; `None` if no run has a method. A limit of the
+/// machine is a dashed line if it is at most three times the largest value of the panel; otherwise a note names it.
 fn motion(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let mut sheet = layout.motion.sheet();
@@ -376,7 +380,8 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
     Some(sheet.finish())
 }
 
-/// Draws the dwell times of every method, and executed minus planned times if they differ.
+/// Draws the dwell times of every method that has some; `None` if no method has. If an executed time of any method
+/// differs from the planned one by more than [`ROUNDING_S`], it also draws executed minus planned times.
 fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
     // Without a difference to show, one panel of a method takes the whole width.
@@ -438,7 +443,8 @@ fn dwell_errors_s(d: &Dwell) -> Vec<f64> {
     executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
 }
 
-/// Draws histograms of the heights before and after, one panel per run.
+/// Draws histograms of the desired removal (before) and of the residual of every method (after), one panel per run;
+/// `None` without runs.
 fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.histogram.sheet();
     for view in views {
@@ -462,7 +468,8 @@ fn histograms(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws power spectral densities of the heights before and after, one panel per run.
+/// Draws power spectral densities of the desired removal (before) and of the residual of every method (after), one
+/// panel per run that has spectra; `None` if no run has.
 fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.spectrum.sheet();
     for view in views {
@@ -501,7 +508,7 @@ fn spectra(views: &[View], layout: &Layout) -> Option<String> {
     sheet.finish_if_any()
 }
 
-/// Draws the RMS of the residual after every round of each refinement.
+/// Draws the RMS of the executed residual in every round of each refinement; `None` if no method was refined.
 fn refinement(views: &[View], layout: &Layout) -> Option<String> {
     let mut sheet = layout.refinement.sheet();
     for (view, m) in methods(views) {
@@ -539,7 +546,8 @@ fn curves_of(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
     frame.legend(svg, &names);
 }
 
-/// A figure under construction: panels of equal size in rows.
+/// A figure under construction: panels of equal size, row by row. `size_px` is the size of a panel without its margins,
+/// `count` the number of panels so far.
 struct Sheet {
     columns: usize,
     size_px: [f64; 2],
@@ -606,7 +614,8 @@ fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     })
 }
 
-/// Returns the ratio of height to width of the extent of `points`, limited to the shapes that a panel can show.
+/// Returns the ratio of height to width of the extent of `points`, limited to 0.15 to 1.2 as the shape of a panel; 1 if
+/// the ratio is not finite.
 fn shape_of(points: &[[f64; 2]]) -> f64 {
     let [w, h] = [0, 1].map(|a| {
         let [low, high] = range(points.iter().map(|p| p[a]));
@@ -629,7 +638,7 @@ fn scale_of(map: &ScreenMap) -> f64 {
     if reach > FLAT * low.abs().max(high.abs()) { reach } else { 1.0 }
 }
 
-/// Rounds `value` up to two significant digits.
+/// Rounds the positive `value` up to two significant digits.
 fn two_digits_up(value: f64) -> f64 {
     let step = 10.0_f64.powf(value.log10().floor() - 1.0);
     (value / step).ceil() * step
@@ -664,8 +673,8 @@ fn quantile(values: &[f64], fraction: f64) -> f64 {
         .unwrap_or(1.0)
 }
 
-/// Returns the map in colours as PNG, row 0 at the bottom. `scale` is the distance from the mean of the last colours,
-/// nm; invalid pixels are transparent.
+/// Returns the map in colours as PNG, row 0 at the bottom. The colours run from `scale` below the mean of the map to
+/// `scale` above it, nm; invalid pixels are transparent.
 fn png_of(map: &ScreenMap, scale: f64) -> Vec<u8> {
     let [nx, ny] = map.size;
     let mut palette = vec![255; 3];

@@ -12,29 +12,30 @@ use super::pack::{Packed, pack};
 pub struct ScreenMap {
     /// Coordinates of the centre of the first column and row, mm.
     pub start_mm: [f64; 2],
-    /// Distances of the columns and of the rows, mm.
+    /// Distances between neighbouring columns and between neighbouring rows, mm.
     pub step_mm: [f64; 2],
     /// Numbers of columns and rows.
     pub size: [usize; 2],
-    /// Side of the block of the array, in pixels, whose mean one pixel here is.
+    /// Side, in pixels of the array, of the square block whose mean is one pixel of this map.
     pub every: usize,
     /// Mean of the valid pixels of the array, nm.
     pub mean_nm: f64,
-    /// RMS of the array about its mean, nm.
+    /// RMS of the valid pixels of the array about their mean, nm.
     pub rms_nm: f64,
-    /// Smallest and largest value of the array, nm.
+    /// Smallest and largest height of the array, nm.
     pub range_nm: [f64; 2],
     /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm. If that is 0, it is
     /// the largest distance, and 1 nm for a flat map.
     pub reach_99_nm: f64,
-    /// Heights (ny, nx), nm, as packed text for the page.
+    /// Heights of the pixels of this map (means over blocks), shape (ny, nx), nm, as packed text for the page.
     pub height_nm: Packed,
-    /// Heights (ny, nx), nm, as numbers.
+    /// The same heights as numbers, shape (ny, nx), nm; NaN for a block without valid pixels.
     #[serde(skip)]
     pub means_nm: Array2<f64>,
 }
 
-/// Returns the smallest side, in pixels, of a block that reduces `grid` to at most `most` blocks.
+/// Returns the smallest side, in pixels, of a square block that reduces `grid` to at most `most` blocks; `most` counts
+/// as 4 if it is smaller.
 pub(crate) fn block_side(grid: &Grid, most: usize) -> usize {
     (1..)
         .find(|k| grid.x.len().div_ceil(*k) * grid.y.len().div_ceil(*k) <= most.max(4))
@@ -108,7 +109,8 @@ const BINS: usize = 101;
 /// beyond the bins. Chosen: a Gaussian has 6e-5 of its pixels beyond it.
 const REACH_RMS: f64 = 4.0;
 
-/// Returns the histogram of a map, from four RMS below the mean to four RMS above it.
+/// Returns the histogram of a map, from four RMS below the mean to four RMS above it; for a flat map, from 1e-6 nm
+/// below to 1e-6 nm above.
 pub fn histogram(map: ArrayView2<f64>) -> Histogram {
     let s = statistics(map).expect("a map has a valid pixel");
     // A map that is flat but for rounding gets bins of some width all the same.

@@ -17,7 +17,7 @@ const MOST_PER_SEGMENT: usize = 4;
 /// Points along a motion, to draw it as a line in colours of the speed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SpeedLine {
-    /// Points [x, y], mm.
+    /// Points of the motion [x, y], mm.
     pub point_mm: Vec<[f64; 2]>,
     /// Times of the points from the start of the motion, s.
     pub time_s: Vec<f64>,
@@ -27,7 +27,8 @@ pub struct SpeedLine {
     pub every: usize,
 }
 
-/// Returns about `most` points along a motion.
+/// Returns about `most` points along a motion: up to [`MOST_PER_SEGMENT`] per segment, or the last of every group of
+/// segments. A jump adds a point.
 pub fn line(t: &Trajectory, most: usize) -> SpeedLine {
     let every = t.len().div_ceil(most.max(1));
     let per_segment = (most / t.len()).clamp(1, MOST_PER_SEGMENT);
@@ -72,9 +73,9 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 /// Smallest and largest value of one quantity on one axis, for each piece (group of segments) of a motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
-    /// Smallest value in each piece.
+    /// Smallest value of the quantity in each piece, in its unit.
     pub low: Vec<f64>,
-    /// Largest value in each piece.
+    /// Largest value of the quantity in each piece, in its unit.
     pub high: Vec<f64>,
 }
 
@@ -111,7 +112,7 @@ pub struct Ranges {
     pub end_s: Vec<f64>,
     /// Envelopes by quantity (velocity mm/s, acceleration mm/s^2, jerk mm/s^3), then by axis (x, y).
     pub envelope: [[Envelope; 2]; 3],
-    /// Number of segments in a piece.
+    /// Number of segments in a piece; the last piece may have fewer.
     pub every: usize,
 }
 
@@ -152,16 +153,17 @@ pub struct Dwell {
     pub point_mm: Vec<[f64; 2]>,
     /// Planned dwell times, s.
     pub planned_s: Vec<f64>,
-    /// Executed dwell times, s: duration of the segments that serve the point. `None` for a motion that names no
-    /// dwell points, such as that of a program that was read back.
+    /// Executed dwell times, s: duration of the segments that serve the point, with the tool on or off. `None` for a
+    /// motion that names no dwell points, such as that of a program that was read back.
     pub executed_s: Option<Vec<f64>>,
-    /// Number of dwell points of the plan for each point here.
+    /// Number of dwell points of the plan per point in these lists: the first of every `every` points is kept.
     pub every: usize,
     /// Sum of |executed - planned| over all dwell points of the plan, s; `None` if the executed times are not known.
     pub total_error_s: Option<f64>,
 }
 
-/// Returns the times of at most `most` dwell points; `None` if path, plan and motion do not belong together.
+/// Returns the times of at most `most` dwell points, every second, third ... of a longer plan. `None` if the plan has
+/// another number of points than the path, or if the motion names a dwell point that the path does not have.
 pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> Option<Dwell> {
     let n = path.len();
     if plan.dwell_s().len() != n {

@@ -71,7 +71,8 @@ pub fn picture(
 }
 
 /// Returns the range of the derivative `order` (0: position) of an axis over [`COLUMNS`] columns of equal duration.
-/// Each column is (middle of its time, s; smallest and largest value), exact for every cubic segment.
+/// Each column is (middle of its time, s; smallest and largest value), exact for every cubic segment. The unit is that
+/// of the axis (mm or deg) per s^`order`.
 fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Vec<(f64, f64, f64)> {
     let mut envelope = Envelope::default();
     for i in 0..motion.len() {

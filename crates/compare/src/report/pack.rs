@@ -5,7 +5,7 @@
 //! value = offset + scale q,   q = -32767 .. 32767,   q = -32768 stands for NaN
 //! ```
 //!
-//! so a value is off by at most half a step, `scale / 2`.
+//! so a value is off by at most half a step, `scale / 2`; by less than one step where it is rounded down or up.
 
 use serde::Serialize;
 
@@ -44,7 +44,8 @@ pub fn pack(values: impl Iterator<Item = f64> + Clone) -> Packed {
     pack_between(values, low, high, Rounding::Nearest)
 }
 
-/// Packs `values`, which all lie from `low` to `high`, with offset and scale of that range.
+/// Packs `values`, which all lie from `low` to `high`, with offset and scale of that range; NaN stays NaN. `rounding`
+/// says to which of the two neighbouring integers a value goes.
 pub fn pack_between(
     values: impl Iterator<Item = f64>,
     low: f64,

@@ -21,8 +21,8 @@ pub const MOST_CELLS: usize = 60;
 pub const BANDS: usize = 32;
 
 /// Returns a quantity in at most [`MOST_CELLS`] x [`MOST_CELLS`] cells (ny, nx), each with the value at its middle
-/// pixel. NaN if that pixel is not valid. `quantity` takes the position [x, y], mm, and the index [row, column] of
-/// the pixel.
+/// pixel. NaN if that pixel is not valid. `quantity` takes the position [x, y], mm, and the index [row, column] of the
+/// pixel. The pixels are those of `surface`.
 pub fn cells(surface: &Surface, quantity: impl Fn([f64; 2], [usize; 2]) -> f64) -> Array2<f64> {
     let grid = surface.grid();
     let every = grid.x.len().max(grid.y.len()).div_ceil(MOST_CELLS);
@@ -50,7 +50,7 @@ pub struct Look<'a> {
 }
 
 /// Draws `map`, the cells of a quantity on `surface`. The panel has its upper left corner at `corner`, and the map is
-/// [left, top] px from there. Returns the frame of the map.
+/// [left, top] px from there. Returns the frame of the map. `look` has its colours, unit and title.
 pub fn draw(
     svg: &mut Svg,
     (corner, [left, top]): ([f64; 2], [f64; 2]),

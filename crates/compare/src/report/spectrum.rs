@@ -60,7 +60,8 @@ pub struct Spectrum {
     pub not_in_spectrum_rms_nm: f64,
 }
 
-/// Returns the spectrum of `map` (ny, nx), nm; `None` if no rectangle of valid pixels is large enough.
+/// Returns the spectrum of `map` (ny, nx), nm. `None` if the largest rectangle of valid pixels has fewer than
+/// [`MIN_SAMPLES`] pixels along x or y. `grid` has the pixel centres, mm.
 pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let valid = map.mapv(|v| !v.is_nan());
     let ((row, column), (ny, nx)) = largest_rectangle(&valid);
@@ -122,9 +123,9 @@ fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f
     z - mean
 }
 
-/// Returns the mean squares of the three bands in the rectangle, nm^2; `None` for a band that is not resolved.
-/// Together they do not exceed the mean square of the rectangle, `rectangle_nm2`. `size_mm` is the size of the
-/// rectangle, and `step_mm` that of its pixels.
+/// Returns the mean squares of the three bands in the rectangle, nm^2; `None` for a band that is not resolved. Together
+/// they do not exceed the mean square of the rectangle, `rectangle_nm2`. `size_mm` is the size of the rectangle, and
+/// `step_mm` that of its pixels. `density` is the two-dimensional spectrum of the rectangle.
 fn bands(
     density: &Density,
     size_mm: [f64; 2],

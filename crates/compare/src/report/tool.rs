@@ -29,7 +29,8 @@ const TIME_PX: f64 = 150.0;
 /// part.
 const PLACES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 
-/// Draws, as SVG, how the tool varies over the part; `None` for a tool that is the same everywhere.
+/// Draws, as SVG, how the tool varies over the part; `None` for a tool that is the same everywhere. `surface` is a map
+/// of the part, whose pixels the tool acts on.
 pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let variation = tif.variation()?;
     let mut svg = Svg::new(FONT_PX);
@@ -106,8 +107,9 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     Some(svg.finish([width, height]))
 }
 
-/// Returns the volume removed per second, relative to its mean, in the cells of a coarse map of the part. The factor
-/// of the pixel is included; NaN beside the part.
+/// Returns the volume that the tool removes per second at each place, relative to its mean over the part, in the cells
+/// of a coarse map. The motion heads along x, and the factor that the tool has for each pixel is included. NaN at
+/// invalid pixels.
 fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
     let factor = variation.factor_on(surface.grid());
     let volume: Vec<f64> =

@@ -16,8 +16,9 @@ use super::{
 };
 use crate::{made::Made, summary::Summary};
 
-/// Largest number of pixels of one map, and below it of all maps together (2 bytes each, 2.7 in base64). Larger:
-/// larger, slower pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a page.
+/// Largest number of pixels of one map of a page; `MAX_ALL_PIXELS` is that of all its maps together. A pixel takes 2
+/// bytes, 2.7 in base64. Larger: larger, slower pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a
+/// page.
 pub const MAX_MAP_PIXELS: usize = 400_000;
 const MAX_ALL_PIXELS: usize = 2_000_000;
 
@@ -51,11 +52,11 @@ pub struct RunData {
     pub measured: Option<Surface>,
     /// Tool path; `None` if the run has none.
     pub path: Option<ToolPath>,
-    /// Picture of the tool as SVG; `None` for a tool that is the same everywhere.
+    /// Picture of the tool as SVG; `None` for a tool that is the same everywhere, or not known.
     pub tool: Option<String>,
     /// Data of the methods (schedulers or solvers) of the run.
     pub methods: Vec<RunMethod>,
-    /// Manifests of the artifacts that the methods share.
+    /// Manifests of the artifacts that the methods share, for the section of the page that says how they were made.
     pub provenance: Vec<Made>,
 }
 
@@ -66,7 +67,7 @@ pub struct RunMethod {
     pub name: String,
     /// Motion along the path.
     pub trajectory: Trajectory,
-    /// Predicted removal and residual.
+    /// Predicted removal of the motion, with the residual that it leaves.
     pub removal: Removal,
     /// Verdict on the limits of the machine.
     pub verdict: Verdict,
@@ -78,7 +79,7 @@ pub struct RunMethod {
     pub rounds: Option<Rounds>,
     /// Picture of the motion of all axes as SVG; `None` if there is none.
     pub on_axes: Option<String>,
-    /// Manifests of the artifacts of the method.
+    /// Manifests of the artifacts of the method, for the section of the page that says how they were made.
     pub provenance: Vec<Made>,
 }
 
@@ -89,7 +90,7 @@ pub struct Frames {
     pub time_s: Vec<f64>,
     /// Removal until each time (m, ny, nx), nm.
     pub removal_nm: Array3<f64>,
-    /// Pixel centres of the maps.
+    /// Pixel centres of the maps; the pixels may be fewer than those of the desired removal.
     pub grid: Grid,
 }
 
@@ -158,7 +159,8 @@ pub fn views(runs: Vec<RunData>) -> Vec<View> {
     runs.into_iter().map(|run| view(run, &allotment)).collect()
 }
 
-/// Largest numbers of pixels, points, pieces and dwell points that the page shows of one method.
+/// Largest amounts of data on the page: pixels of one map, and, for one method, points of the motion, pieces with
+/// ranges, dwell points and pixels of all its frames.
 struct Allotment {
     pixels: usize,
     points: usize,
@@ -167,8 +169,8 @@ struct Allotment {
     frame_pixels: usize,
 }
 
-/// Returns the motion that the verdict is about: that of the axes, if their coordinates differ from those of the
-/// part.
+/// Returns the motion that the verdict is about: that of the machine axes if the verdict states how their coordinates
+/// follow from those of the part, otherwise `motion` itself.
 fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory> {
     verdict
         .part_to_axes
@@ -176,7 +178,7 @@ fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory>
         .map_or(Cow::Borrowed(motion), Cow::Owned)
 }
 
-/// Returns the data of one run for the report page.
+/// Returns the data of one run for the report page. `allotment` bounds the amount of data of each method.
 fn view(run: RunData, allotment: &Allotment) -> View {
     let grid = *run.desired.grid();
     let every = block_side(&grid, allotment.pixels);

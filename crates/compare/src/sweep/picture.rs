@@ -26,8 +26,8 @@ const MARGIN_PX: [f64; 4] = [90.0, 40.0, 30.0, 60.0];
 /// slow page. Smaller: fewer plans in the picture. Chosen.
 const MOST_POINTS: usize = 4000;
 
-/// Factor by which an axis extends beyond the points at its ends. Larger: empty borders. Smaller: points on the
-/// frame. Chosen.
+/// Room of an axis beyond the points at its ends: a factor of the value on a logarithmic axis; on a linear one, the
+/// excess over 1 is a fraction of the range. Larger: empty borders. Smaller: points on the frame. Chosen.
 const ROOM: f64 = 1.1;
 
 /// Smallest ratio of the ends of an axis at which the axis is logarithmic. Larger: small values crowd at one end of a
@@ -35,7 +35,8 @@ const ROOM: f64 = 1.1;
 const DECADES_FROM: f64 = 10.0;
 
 /// Draws the plans that keep the constraints as points, each a link to its report; a line joins those on the front.
-/// `to_table` is the path from the picture to the folder of the table. Empty if there is no point.
+/// `to_table` is the path from the picture to the folder of the table. Empty if there is no point. `residual` chooses
+/// the residual of the vertical axis.
 pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     let front = table.front(residual);
     let points = points(table, residual, &front);

@@ -10,7 +10,8 @@ use super::MotionInput;
 ///
 /// # Errors
 ///
-/// Fails for a plan that leaves its path by more than the tolerance, and for a path of another plan.
+/// Fails for a plan that leaves its path by more than the tolerance, for a path of another plan, and for a path beside
+/// a motion of all axes, whose manifest states the distance.
 pub(super) fn checked(
     flags: &NearPathArgs,
     motion: &MotionInput,

@@ -265,7 +265,8 @@ impl Course<'_> {
     }
 
     /// Computes the residual that the next plan is expected to leave, and decides whether the run is worth its time.
-    /// Both results go to the directory `at`. `knowledge` is the file with the errors of the process.
+    /// Both results go to the directory `at`. `knowledge` is the file with the errors of the process. `run` is the
+    /// directory of the next plan, and `tool` the TIF with which it was made.
     fn decide(&mut self, at: &str, run: &str, tool: &str, knowledge: &str) -> Result<(), Failure> {
         let motion = self.motion(run);
         let map = format!("{run}/surface");
@@ -328,8 +329,8 @@ impl Course<'_> {
         format!("{run}/methods/{}/trajectory", self.planned)
     }
 
-    /// Simulates the measurement of the true map into the directory `to`. `run_number` selects the mirror and its
-    /// noise; `None` measures the first one.
+    /// Simulates the measurement of the true map into the directory `to`. `run_number` selects the random errors of the
+    /// measurement: those before this run, from 1; `None` takes those before run 1.
     fn measure(&mut self, to: &str, run_number: Option<u32>) -> Result<(), Failure> {
         let seed = format!("--seed={}", self.seed);
         let number = run_number.map(|k| format!("--run-number={k}"));
@@ -353,8 +354,9 @@ impl Course<'_> {
         self.quiet("planish-register", &flags)
     }
 
-    /// Runs the virtual machine with the true tool for run number `k`. The directory `at` gets the measured map and the
-    /// true one.
+    /// Runs `motion` on the virtual machine with the true tool, as run number `k` from the map `map`. `more` are
+    /// further flags. The directory `at` gets the map that is measured afterwards (`measured`) and the true result
+    /// (`truth`).
     fn machine_runs(
         &mut self,
         at: &str,
@@ -418,7 +420,7 @@ impl Course<'_> {
 }
 
 /// Returns the flags that name two verdicts on a specification: on the map before the next run, and on the residual
-/// that its plan predicts.
+/// that its plan predicts. `run` is the directory of the plan, and `planned` the name of its method.
 pub fn specified(run: &str, planned: &str) -> Vec<String> {
     let [now, next] =
         ["before", planned].map(|part| format!("{run}/specified/{part}/specification"));

@@ -45,7 +45,7 @@ pub struct Claim {
     pub fixture: Option<PathBuf>,
     /// Path of the measured surface error map; `None` for a simulated mirror.
     pub surface: Option<PathBuf>,
-    /// Path of the tool influence function of a measured mirror.
+    /// Path of the tool influence function of a measured mirror; `None` for a simulated one.
     pub tif: Option<PathBuf>,
     /// Path of the machine file.
     pub machine: PathBuf,
@@ -66,7 +66,8 @@ pub struct Named {
 impl Claim {
     /// Checks the inputs, locks the directory and copies the machine file into it. The lock holds until the returned
     /// file is closed, here and in all processes that have inherited it. Other runs that want the directory are shown
-    /// `command`. The text beside the lock is a warning if the machine file states no jerk limit and one is assumed.
+    /// `command`. The text beside the lock is a warning that a jerk limit is assumed; `None` if the machine file states
+    /// one.
     ///
     /// # Errors
     /// Fails if an input is missing or overlaps the directory, or if the directory belongs to another run or is in use.
@@ -108,8 +109,8 @@ impl Claim {
     }
 }
 
-/// Reads the machine file as the stages of the run get it, in `copy`. A file that states no jerk limit gets an assumed
-/// time to full acceleration, and a warning is returned with it.
+/// Returns the content of the machine file as the stages of the run get it, from `copy`. If an axis has no jerk limit
+/// stated, it gets an assumed time to full acceleration, and a warning is returned; otherwise `None`.
 fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
     let failed = |e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot be read: {e}", machine.display()))
@@ -207,8 +208,9 @@ impl Named {
         named
     }
 
-    /// Refuses a path inside the output directory, where a stage may replace it. A link in that directory is refused
-    /// too, even if it leads elsewhere.
+    /// Refuses a path inside the output directory, where a stage may replace it, and a link there, even if it leads
+    /// elsewhere. For a setting of the kind path it also refuses the output directory itself and a directory that
+    /// contains it. A word of flags counts only if something exists at its path.
     fn refuse_inside(&self, out: &Path) -> Result<(), Failure> {
         let Self { setting, path, is_path } = self;
         if *is_path {
@@ -270,7 +272,7 @@ fn resolved(path: &Path) -> PathBuf {
 }
 
 /// Locks the directory and returns the lock file. A directory without an owner gets `owner`. Refuses that of another
-/// owner, and one in use.
+/// owner, one with other content, and one in use. `command` describes this process to other runs.
 fn take(out: &Path, owner: &Owner, command: &str) -> Result<File, Failure> {
     let failed = |doing: &str, e: std::io::Error| {
         Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))

@@ -32,7 +32,7 @@ const LEFT_OUT: [&str; 2] = ["dwell", "trajectory"];
 /// Name of the file for the messages of a command that may refuse, in the directory of its result.
 const MESSAGE: &str = "message.txt";
 
-/// Exit code that stands for a process ended by a signal. No stage uses it.
+/// Exit code that stands for a process that a signal ended, or whose own code is not from 0 to 255. No stage uses it.
 const KILLED: u8 = 128;
 
 /// Programs that make mirror, tool and tool path, in short time. The programs after them may take hours.
@@ -106,7 +106,7 @@ impl Programs {
         Ok(code(self.ended(command, ended(&mut process))?))
     }
 
-    /// Runs a command without showing its output. Returns its message if it failed, `None` if it succeeded.
+    /// Runs a command without showing its output. Returns its message if its exit code is not 0; otherwise `None`.
     fn refusal(&self, command: &StageCommand) -> Result<Option<String>, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
@@ -119,7 +119,8 @@ impl Programs {
     }
 
     /// Runs a command up to the point where its work begins. `run` is the directory of the run, and `made` the paths in
-    /// it that exist already. Returns the message of a command that refuses its flags or inputs.
+    /// it that exist already. Returns the message of a command that refuses its flags or inputs (exit code 2); `None`
+    /// for any other end.
     fn rehearsal(
         &self,
         command: &StageCommand,
@@ -147,7 +148,7 @@ impl Programs {
         process
     }
 
-    /// Returns the result of a process, or a failure that names the program if it could not be started.
+    /// Passes the result of a process on. Fails with a message that names the program if it could not be started.
     fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
@@ -189,13 +190,13 @@ fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
     Ok((running.wait()?, message))
 }
 
-/// Returns the exit code of a process, or [`KILLED`] if a signal ended it.
+/// Returns the exit code of a process; [`KILLED`] if a signal ended it, or if its code is not from 0 to 255.
 fn code(status: ExitStatus) -> u8 {
     status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(KILLED)
 }
 
-/// Runs a stage of a pipeline while its directory is locked. All commands are tried first, so that mistakes in settings
-/// are found early.
+/// Runs a stage of a pipeline while its directory is locked. The commands whose flags come from settings of the user
+/// are tried first, so that mistakes in settings are found early; if one is refused, the run ends with exit code 2.
 ///
 /// # Errors
 /// Fails if an input is missing, if the directory belongs to another run or is in use, or if a command cannot be run.
@@ -277,7 +278,8 @@ fn is_report(step: &Step) -> bool {
     }
 }
 
-/// Executes a step of a pipeline, a command or a line to print. Returns the exit code: 0, 1 or 2.
+/// Executes a step of a pipeline, a command or a line to print. Returns 0 if the run goes on, 1 for a negative verdict
+/// that ends it, and 2 for a command that refused or broke.
 fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Failure> {
     Ok(match step {
         Step::Run(command) => match &command.refusal_dir {
@@ -331,7 +333,7 @@ fn estimate_of_rounds(program: &str, took_s: &BTreeMap<String, f64>) -> Option<S
 }
 
 /// Returns the sentence that names the assumed machine, for a pipeline that plans for a part or a tool of the user.
-/// Returns `None` if the user named a machine.
+/// Returns `None` if the user named a machine, or if part and tool are those of a fixture.
 ///
 /// # Errors
 /// Fails if the pipeline does not define these names.
@@ -349,7 +351,7 @@ struct Rehearsal {
     out: String,
     /// Paths of the artifacts that the run has made so far.
     made: Vec<String>,
-    /// True after the second trial.
+    /// True once the second trial, before the first long step, has begun; no further trial follows.
     is_over: bool,
 }
 
@@ -359,7 +361,8 @@ impl Rehearsal {
         Ok(Self { made: vec![format!("{out}/machine")], out, is_over: false })
     }
 
-    /// Tries all commands before anything is made. Returns false, and prints the reason, if one of them refuses.
+    /// Tries the commands before anything is made (see `all`). Returns false, and prints the reason, if one of them
+    /// refuses.
     fn before_the_run(&self, programs: &Programs, walk: &Walk) -> Result<bool, Failure> {
         let mut ahead = walk.clone();
         // The copy in the directory of the run is made later.
@@ -388,8 +391,9 @@ impl Rehearsal {
         self.all(programs, ahead, &self.made)
     }
 
-    /// Tries the commands of a pipeline whose flags come from settings that the user gave. Commands that a comparison
-    /// may leave out are skipped.
+    /// Tries the commands of a pipeline whose flags come from settings that the user gave, or from a setting that holds
+    /// flags. It skips commands that may refuse without an end of the run, and the programs in [`NOT_REHEARSED`].
+    /// Returns false, and prints the reason, if one refuses. `made` are the paths in the run that exist already.
     fn all(&self, programs: &Programs, mut ahead: Walk, made: &[String]) -> Result<bool, Failure> {
         while let Some(step) = ahead.step().map_err(Failure::new)? {
             let Step::Run(command) = step else { continue };
@@ -412,7 +416,8 @@ impl Rehearsal {
 }
 
 /// Returns the reason why the program of a run cannot follow its tool path: the path lifts the tool, and the controller
-/// cannot switch it. Returns `None` if the run writes no program, or if it can.
+/// cannot switch it. Returns `None` if the run writes no program, if its path does not exist or never lifts the tool,
+/// or if the export settings switch the tool or leave it on.
 fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     let text = |name: &str| walk.scope.text(name).map_err(Failure::new);
     let export = text("export")?;
@@ -442,8 +447,9 @@ fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     )))
 }
 
-/// Runs a command that may refuse. In that case its message replaces its result in `dir`, and the stage ends. Results
-/// of an earlier run in `dir` are removed.
+/// Runs a command that may refuse; its messages go to a file in `dir`. If it refuses (exit code 2), the artifacts
+/// [`LEFT_OUT`] of an earlier run in `dir` are removed, the stage ends, and the run goes on. Returns 0 then and for a
+/// negative verdict, and 2 if the command broke.
 fn attempt(
     programs: &Programs,
     walk: &mut Walk,
@@ -466,8 +472,9 @@ fn attempt(
     Ok(if code > 1 { 2 } else { 0 })
 }
 
-/// Sets the fact `recommended` of the pipeline to the plan that the report recommends, unless the user named a plan. It
-/// stays empty if a command of the stage `export` refuses that plan; a program of all axes is not tried.
+/// Sets the fact `recommended` of the pipeline to the plan that the report recommends. The fact stays empty if the run
+/// writes no program, if the user named a plan, or if the report recommends none. It also stays empty, with a message,
+/// if a command of the stage `export` refuses that plan; a program of all axes is not tried.
 fn state_recommended(programs: &Programs, scope: &mut Scope) -> Result<(), Failure> {
     let text = |name: &str| scope.text(name).map_err(Failure::new);
     let export = text("export")?;

@@ -15,7 +15,7 @@ use planish_types::Kinematics;
 /// Pipelines that end without a plan to execute, so that the commands for several runs refuse them.
 const NO_PLANS: [&str; 1] = ["compare-dwell"];
 
-/// Folders of an installed Planish or of a clone.
+/// Folders of an installed Planish or of a clone of its repository, and the working directory of the user.
 pub struct Installation {
     /// Folder with `pipelines/` and `fixtures/`.
     root: PathBuf,
@@ -32,7 +32,7 @@ impl Installation {
     /// are above the program, and the other programs are beside it.
     ///
     /// # Errors
-    /// Fails if there are no pipelines.
+    /// Fails if PLANISH_SHARE is not set and no folder above the program has pipelines.
     pub fn find() -> Result<Self, Failure> {
         let [share, programs] = ["PLANISH_SHARE", "PLANISH_PROGRAMS"]
             .map(|name| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from));
@@ -189,7 +189,9 @@ impl Installation {
     }
 }
 
-/// Returns the kind of an input as a pipeline names it: none, file, artifact, or a directory of arrays alone.
+/// Returns the kind of an input as a pipeline names it. It is `none` for an empty path, `file` if there is no
+/// directory, `artifact` for a directory with a manifest or with the weights of a varying tool, and otherwise `bare`
+/// (arrays alone).
 fn kind_of(path: &str) -> &'static str {
     let dir = Path::new(path);
     if path.is_empty() {
@@ -217,7 +219,7 @@ pub fn name_of(path: &Path) -> String {
 }
 
 /// Returns a text as a name for a directory: every character that is neither a letter, a digit nor one of `._+-`
-/// becomes `_`.
+/// becomes `_`. So does a dot at the beginning; an empty text, or one of dots only, becomes `_`.
 pub fn directory_name(name: &str) -> String {
     let characters = name.chars();
     let plain: String = characters

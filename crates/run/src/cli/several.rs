@@ -86,7 +86,8 @@ impl UserSettings {
         values.filter(|(key, _)| *key == name).map(|(_, value)| value.to_string()).next()
     }
 
-    /// Removes a setting that is not for the pipelines, and returns its path. An empty path counts as not given.
+    /// Removes a setting that is not for the pipelines, and returns its path, with `./` before a hyphen. `None` if the
+    /// user did not give it or left it empty.
     pub fn take_path(&mut self, name: &str) -> Option<String> {
         self.take(name).filter(|path| !path.is_empty()).map(|path| no_flag(&path))
     }
@@ -189,8 +190,8 @@ pub fn log() -> Result<File, Failure> {
     Ok(file)
 }
 
-/// Returns the settings of a plan that is one of several. Unless the user says otherwise, they ask for no pictures and
-/// no joint plan.
+/// Returns the settings of a plan that is one of several. Unless the user says otherwise, they ask for no frames (maps
+/// of the removal over time) and no joint plan, if the pipeline `definition` has these settings.
 pub fn with_plain(definition: &Definition, user: &UserSettings) -> Vec<String> {
     let mut settings = user.settings.clone();
     for (name, value) in [("frames", "0"), ("plan_joint", "no")] {

@@ -94,7 +94,8 @@ impl Tolerance {
     }
 }
 
-/// Returns the name of the mirror (reference, map or fixture) in a form that a directory can have.
+/// Returns the name of the mirror (reference, map or fixture) as a name for a directory. It is `default` if the user
+/// named no mirror, and `mirror` if its name is empty, hidden or has a slash.
 fn mirror(user: &UserSettings, is_reference: bool) -> String {
     let name = match (
         is_reference,

@@ -37,8 +37,8 @@ impl Verdict {
     }
 }
 
-/// Collects the negative verdicts on the artifacts directly in `run` and in each of `plans`, with the
-/// programs that gave them.
+/// Collects the negative verdicts on the artifacts directly in `run` and in each of `plans`, with the programs that
+/// gave them. Refuses a motion without its removal or verdict, and artifacts that were not made from each other.
 fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     let mut negative = Vec::new();
     let mut whole = Whole { run, seen: BTreeSet::new(), shared: BTreeMap::new() };
@@ -80,6 +80,7 @@ struct Whole<'a> {
 
 impl Whole<'_> {
     /// Refuses the artifact at the path `at` in the run if its inputs are not the present artifacts of the run.
+    /// `manifest` is its manifest; the artifacts that it was made from are checked in turn.
     fn check(&mut self, at: &Path, manifest: &Manifest) -> Result<(), Failure> {
         if !self.seen.insert(at.into()) {
             return Ok(());
@@ -106,7 +107,7 @@ impl Whole<'_> {
     }
 
     /// Refuses the artifact at the path `at` if its machine, error budget or specification is not that of the others.
-    /// `hash` is that of the file.
+    /// `hash` is that of the file. `role` is that of the file.
     fn check_shared(&mut self, at: &Path, role: &str, hash: &str) -> Result<(), Failure> {
         if !SHARED.contains(&role) {
             return Ok(());
@@ -134,7 +135,8 @@ impl Whole<'_> {
 }
 
 /// Returns the path of the run at the time when the artifact `at` was made, from the command in its manifest. It can
-/// differ from the present path, because a run may be moved.
+/// differ from the present path, because a run may be moved. `None` if the command has no `--out` that ends with `at`
+/// or a directory above it.
 fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     let words = words::split(&manifest.command).ok()?;
     let mut values = words.iter().skip_while(|word| *word != "--out").skip(1);

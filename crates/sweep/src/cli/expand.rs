@@ -64,8 +64,8 @@ impl Expand {
         Ok(Status::Done)
     }
 
-    /// Locks the sweep, if it has the lock file of a running workflow: its plans must not be replaced meanwhile.
-    /// `None` if there is no lock file.
+    /// Locks the sweep, if it has the lock file of a workflow: its plans must not be replaced while one runs. Fails if
+    /// another process holds the lock. `None` if there is no lock file.
     fn alone(&self) -> Result<Option<File>, Failure> {
         let Ok(lock) = OpenOptions::new().write(true).open(self.out.join("lock")) else {
             return Ok(None);
@@ -79,8 +79,8 @@ impl Expand {
         }
     }
 
-    /// Refuses an output directory that has files but is not the directory of a sweep, because the files belong to
-    /// somebody.
+    /// Refuses an output directory that has files but no `sweep.json`, because the files belong to somebody. It accepts
+    /// one whose first entry is `inputs`, which an expansion that was ended leaves.
     fn refuse_foreign(&self) -> Result<(), Failure> {
         let out = &self.out;
         if out.join("sweep.json").exists() {
@@ -314,7 +314,7 @@ impl Grounds<'_> {
     }
 
     /// Copies a file of the user into the directory of the sweep, so that all jobs read the same content. Returns the
-    /// path of the copy in the sweep and the first 12 digits of its hash.
+    /// path of the copy in the sweep and the first 12 digits of its hash. `role` names the file in messages.
     fn frozen(&mut self, role: &str, file: &str) -> Result<(String, String), Failure> {
         let path = self.folder.join(file);
         let bytes = self
@@ -357,7 +357,7 @@ impl Grounds<'_> {
     }
 }
 
-/// Returns the hash of a file, or of the names and contents of the files in a directory.
+/// Returns the first 12 digits of the hash of a file, or of the files directly in a directory: names and contents.
 fn content(path: &Path) -> Result<String, Failure> {
     let unreadable = |e: std::io::Error| super::super::files::unreadable(path, &e);
     let mut hasher = blake3::Hasher::new();

@@ -78,7 +78,8 @@ pub enum Layer {
     Plans,
 }
 
-/// Content of the file that a job writes when it is finished: how many of its results exist, and how many failed.
+/// Content of the file that a job writes when it is finished: the number of its plans or tool paths, and how many of
+/// those that it made now failed.
 #[derive(Serialize, Deserialize)]
 struct Finished {
     made_or_found: usize,
@@ -269,8 +270,8 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Makes the tool paths of these plans and their first dwell times. Returns how many were made, and how many
-    /// failed.
+    /// Makes the tool paths of these plans and their first dwell times. Returns how many were tried, and how many of
+    /// them failed.
     fn paths(&self, job: &Job, plans: &[&SweptPlan]) -> Result<(usize, usize), Failure> {
         let made = AtomicUsize::new(0);
         let failed = AtomicUsize::new(0);
@@ -307,8 +308,8 @@ impl Work<'_> {
         self.dir.join("paths").join(&plan.path_id).join("failed.json")
     }
 
-    /// Makes the plans and writes their rows of the table. Returns how many were made now, and how many of all
-    /// failed.
+    /// Makes the plans that are not made yet and writes their rows of the table. Returns how many were tried now, and
+    /// how many of them failed.
     fn plans(&self, plans: &[&SweptPlan]) -> Result<(usize, usize), Failure> {
         let newest = self.stages.newest(&[
             "planish-joint",
@@ -373,7 +374,8 @@ impl Work<'_> {
         Ok((to_do.len(), failed.into_inner()))
     }
 
-    /// Returns true if the row of a plan exists and was made by the present programs. Failed plans are tried again.
+    /// Returns true if the row of a plan exists, is not that of a failure, and is not older than the programs. `newest`
+    /// is the build time of the newest program; `None` if it is not known.
     fn is_made(&self, plan: &SweptPlan, newest: Option<SystemTime>) -> Result<bool, Failure> {
         let path = row_path(self.dir, &plan.id);
         let modified = fs::metadata(&path).and_then(|m| m.modified()).ok();
