@@ -27,7 +27,7 @@ pub struct SpeedLine {
     pub every: usize,
 }
 
-/// Returns about `most` points along a motion: up to [`MOST_PER_SEGMENT`] per segment, or the last of every group of
+/// Returns about `most` points along a motion: up to `MOST_PER_SEGMENT` per segment, or the last of every group of
 /// segments. A jump adds a point.
 pub fn line(t: &Trajectory, most: usize) -> SpeedLine {
     let every = t.len().div_ceil(most.max(1));
