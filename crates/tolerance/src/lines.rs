@@ -30,7 +30,7 @@ pub struct Linear {
     /// Removal that the error adds at size one, without the free terms, shape (ny, nx), nm per size; the residual
     /// changes by minus this.
     pub field: Array2<f64>,
-    /// Size of the error, in the unit of the calculation; for one polynomial, its share of the size.
+    /// Size of the error, in the unit of the calculation; for one polynomial, its fraction of the size.
     pub size: f64,
 }
 
