@@ -136,10 +136,12 @@ impl<'a> Runs<'a> {
             if moved.abs() > largest {
                 let stated = &error.stated;
                 let problem = format!(
-                    "{} of {} {} moves the tool by {moved:.3e} mm, and the TIF is {largest:.3e} mm wide",
+                    "{} of {} {} moves the tool by {} mm, and the TIF is {} mm wide",
                     stated.kind.name(),
                     stated.size,
-                    stated.unit
+                    stated.unit,
+                    significant(moved, 4),
+                    significant(largest, 4)
                 );
                 let most = significant(largest / moved.abs() * stated.size.abs(), 3);
                 let remedy = format!(

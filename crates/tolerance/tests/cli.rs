@@ -135,7 +135,7 @@ fn what_is_no_process_is_refused_by_name() {
         ),
         (
             one(error("offset_x", 50.0, "mm")),
-            "errors[0]: offset_x of 50 mm moves the tool by 5.000e1 mm, and the TIF is 1.000e1 mm wide; give at most \
+            "errors[0]: offset_x of 50 mm moves the tool by 50 mm, and the TIF is 10 mm wide; give at most \
              10",
         ),
         (one(error("wobble", 1.0, "um")), "unknown variant `wobble`, expected one of `rate_scale`"),

@@ -12,7 +12,7 @@
 
 use planish_numerics::statistics;
 
-use crate::{Invalid, Surface, Tif, ToolPath};
+use crate::{Invalid, Surface, Tif, ToolPath, text::significant};
 
 /// Longest useful run, s: 30 days. Larger: plans in mistaken units pass. Smaller: runs of days on
 /// large mirrors fail. Chosen: a run of months is stopped, measured and planned anew long before
@@ -74,10 +74,11 @@ pub fn check_tool(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
         return Err(Invalid::whole(
             "rate_nm_per_s",
             format!(
-                "has the volumetric removal rate {:.3e} nm mm^2/s and the peak {:.3e} nm/s: the volume \
-                 of the map takes at least {least_s:.3e} s",
-                tif.vrr_nm_mm2_per_s(),
-                tif.peak_nm_per_s()
+                "has the volumetric removal rate {} nm mm^2/s and the peak {} nm/s: the volume \
+                 of the map takes at least {} s",
+                significant(tif.vrr_nm_mm2_per_s(), 4),
+                significant(tif.peak_nm_per_s(), 4),
+                significant(least_s, 4)
             ),
             "rates in m/s or um/s? give nm/s; or heights that are no heights? mark invalid pixels by NaN",
         ));
@@ -147,9 +148,10 @@ pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
     let flat = before.rms_nm <= 0.0;
     if !flat && after.rms_nm > before.rms_nm && after.detilted_nm > before.detilted_nm {
         return Some(format!(
-            "the plan makes the surface worse: {:.4e} nm RMS before, {:.4e} nm RMS after; are the \
+            "the plan makes the surface worse: {} nm RMS before, {} nm RMS after; are the \
              heights in nm, and does the least dwell time remove less than there is? in ms, it has to be given in s",
-            before.rms_nm, after.rms_nm
+            significant(before.rms_nm, 5),
+            significant(after.rms_nm, 5)
         ));
     }
     too_long(total_time_s)
@@ -161,8 +163,9 @@ pub fn too_long(total_time_s: f64) -> Option<String> {
         return None;
     }
     Some(format!(
-        "the run takes {total_time_s:.4e} s, {:.0} days, more than {:.0} days; are the heights and \
+        "the run takes {} s, {:.0} days, more than {:.0} days; are the heights and \
          rates in nm and nm/s, and invalid pixels NaN?",
+        significant(total_time_s, 5),
         total_time_s / 86_400.0,
         LONGEST_RUN_S / 86_400.0
     ))
@@ -241,7 +244,10 @@ fn check_heights(surface: &Surface) -> Result<(), Invalid> {
     if pv > ROUNDING * largest && pv < LEAST_PV_NM {
         return Err(Invalid::whole(
             "height_nm",
-            format!("spans {pv:.3e} nm from its lowest to its highest pixel, less than an atom"),
+            format!(
+                "spans {} nm from its lowest to its highest pixel, less than an atom",
+                significant(pv, 4)
+            ),
             "heights in metres? give nm",
         ));
     }
@@ -404,7 +410,7 @@ mod tests {
         assert_eq!(drawback(rms(6.0, 5.0), rms(9.0, 0.2), 450.0), None);
         assert_eq!(drawback(rms(0.0, 0.0), rms(0.1, 0.1), 450.0), None);
         let worse = drawback(rms(6.0, 5.0), rms(11.4, 11.0), 450.0).unwrap();
-        assert!(worse.contains("6.0000e0 nm RMS before, 1.1400e1 nm RMS after"), "{worse}");
+        assert!(worse.contains("6 nm RMS before, 11.4 nm RMS after"), "{worse}");
         let long = drawback(rms(6.0, 5.0), rms(0.2, 0.2), 14_957_996.0).unwrap();
         assert!(long.contains("173 days, more than 30 days"), "{long}");
         assert_eq!(too_long(LONGEST_RUN_S), None);
