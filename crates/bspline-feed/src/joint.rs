@@ -12,7 +12,14 @@
 //! (H + J' W/S J) step = -f' + J' (w + (sigma mu - s w - ds dw - w (c - s)) / s)              (2)
 //! ```
 //!
-//! with slacks s, dual variables w >= 0 and the rows' coefficients J. All lines change together, where sweeps over the
+//! with m slacks s, dual variables w >= 0 and the rows' coefficients J. The predictor is (2) with 0 in place of
+//! `sigma mu - ds dw`. The corrector has its ds and dw, and, with the longest step a <= 1 of the predictor,
+//!
+//! ```text
+//! mu = s'w / m,   sigma = ((s + a ds)'(w + a dw) / s'w)^3,   sigma mu at least 0.3 of the tolerance over m
+//! ```
+//!
+//! All lines change together, where sweeps over the
 //! lines leave what no line can change alone. The tangents are drawn again after every step: D^3 is convex, so a slack
 //! only grows by it. When the steps gain no more, the tangents are kept for the proof of the feed where they touch.
 //!

@@ -187,7 +187,7 @@ pub struct PenaltyWeights {
     pub tikhonov: f64,
     /// Weight beta of the squared slope of the dwell time per area along the path, dimensionless.
     pub slope_weight: f64,
-    /// Weight of one second of dwell time in half the mean square of the residual, nm^2/s.
+    /// Weight lambda of one second of dwell time in half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
 }
 
@@ -200,7 +200,9 @@ pub const POINTS_PER_AREA: f64 = 36.0;
 /// every pitch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyScale {
-    /// Largest diagonal element D of the matrix `B' W B - U U'`, nm^2/s^2 (U: [`Basis::columns`]).
+    /// Diagonal element D of the matrix `B' W B - U U'`, nm^2/s^2 (U: [`Basis::columns`]): that of one column, exact.
+    /// The column is the one at which the diagonal is largest, by an estimate if B is applied by FFT. The weights W are
+    /// those of the map, without those of a Huber loss.
     pub strongest: f64,
     /// Sum of the weights of the pixels.
     pub pixel_weight: f64,
@@ -261,9 +263,10 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// + price sum_j t_j
 /// ```
 ///
-/// The price of a second is its weight times the sum of the weights of the pixels. The sums are those of integrals over
-/// the part: with closer lines or points they go to `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along
-/// the path.
+/// The price of a second is its weight lambda times the sum of the weights of the pixels. It is a constant of the
+/// gradient of the penalty, `alpha D A (t_j - lo_j) / a_j + .. + price`, and so a part of g in (2) of
+/// [`crate::bounded_least_squares`]. The sums are those of integrals over the part: with closer lines or points they go
+/// to `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
 #[derive(Clone, PartialEq)]
 pub struct Penalty {
     /// Diagonal element `alpha D A / a_j` of the Tikhonov term of every dwell time (n), with A in place of an area a_j

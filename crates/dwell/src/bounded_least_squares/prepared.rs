@@ -65,7 +65,7 @@ pub struct BoundedProblem<'a> {
     /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2, partly an estimate ([`energies`]); 0 for
     /// unreached columns.
     pub diagonal: Vec<f64>,
-    /// Quantities to which the weights of the penalty are relative: D, A and p of (1).
+    /// Quantities to which the weights of the penalty are relative: D, A, p and sum w of (1).
     pub scale: PenaltyScale,
     /// Columns of U of (2), one (n) for each free function of the map (piston, or plane).
     u: Vec<Vec<f64>>,

@@ -115,8 +115,8 @@ impl Products {
         }
     }
 
-    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`. It lowers no
-    /// product by more than ten times `mu`.
+    /// Returns the change of the products by (4) of [`super`], which brings outliers back to within a decade of the
+    /// target `mu`. It lowers no product by more than ten times `mu`.
     fn correction(&self, mu: f64) -> Self {
         let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
             let clamped = products.iter().map(|v| v.clamp(mu / OUTLIER, mu * OUTLIER));
@@ -224,7 +224,7 @@ impl<'a> Iterate<'a> {
     }
 
     /// Returns the iterate that keeps the limits, with its proven gap. While tangents are kept this is the anchor,
-    /// whose gap follows from the proven `gap` of the present iterate, nm^2.
+    /// whose gap follows by (5) of [`super`] from the proven `gap` of the present iterate, nm^2.
     pub(super) fn executable(&mut self, gap: f64) -> Executable {
         let (density, value, gap) = match &mut self.anchor {
             None => (&self.density, self.f.value, gap),
@@ -289,7 +289,7 @@ impl<'a> Iterate<'a> {
     }
 
     /// Returns Mehrotra's target mu, from a predictor step that aims at products of 0, and the products at which the
-    /// step aims.
+    /// step aims: (3) of [`super`].
     fn centred(&self, inverse: &Inverse<'_>) -> (f64, Products) {
         let rows = self.c.len();
         let bounds = self.room.len();
@@ -303,8 +303,8 @@ impl<'a> Iterate<'a> {
         (mu, centred.combined(&self.second_order(&predictor), |a, b| a - b))
     }
 
-    /// Returns the step towards the products `target` with Gondzio's corrections, and the products at which it then
-    /// aims.
+    /// Returns the step towards the products `target` with Gondzio's corrections, (4) of [`super`], and the products at
+    /// which it then aims.
     fn without_outliers(
         &self,
         inverse: &Inverse<'_>,
