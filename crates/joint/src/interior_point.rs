@@ -44,23 +44,22 @@
 //! fallen to a tenth, and at every iterate of which something is to be proven. Between these iterates H gives the
 //! change.
 //!
-//! An objective that no longer falls need not be the least one: z fits rows that bend from step to step, and is
-//! always a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it
-//! is and its tangents are kept. The steps go on for the convex program with these tangents in the place of the rows.
-//! Its slacks may first be larger than the tangents allow (an infeasible start). They end when its dual variables
-//! prove how far the iterate is above its least value ([`crate::certificate`]). With the iterate K that stays, and the
-//! gap G(D) that the certificate proves of a later D under the tangents at K,
+//! An objective that no longer falls need not be the least one: z fits rows that bend from step to step, and is always
+//! a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and
+//! its tangents are kept. The steps go on for the convex program with these tangents in the place of the rows. Its
+//! slacks may first be larger than the tangents allow (an infeasible start). They end when its dual variables prove how
+//! far the iterate is above its least value ([`crate::certificate`]). With the iterate D_0 that stays, and the gap G(D)
+//! that the certificate proves of a later D under the tangents at D_0,
 //!
 //! ```text
-//! f(K) - least f under the tangents <= f(K) - f(D) + G(D),   G(D) >= f(D) - that least f          (5)
+//! f(D_0) - least f under the tangents <= f(D_0) - f(D) + G(D),   G(D) >= f(D) - that least f      (5)
 //! ```
 //!
-//! and the least right side of all D is the gap of K. While the slacks of D still have an excess x over those that the
-//! tangents allow, G has `z'(c - x)` for `z'c`. If the gap is more than is wanted, the
-//! iterate moves towards the solution of this convex program, as far as the rows themselves allow. The steps under the
-//! rows then go on.
+//! and the least right side of all D is the gap of D_0. While the slacks of D still have an excess x over those that
+//! the tangents allow, G has `z'(c - x)` for `z'c`. If the gap is more than is wanted, the iterate moves towards the
+//! solution of this convex program, as far as the rows themselves allow. The steps under the rows then go on.
 //!
-//! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for programs that
+//! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for problems that
 //! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263; for the second-order correction
 //! A. Wächter and L. T. Biegler, Math. Program. 106 (2006) 25.
 //!
@@ -96,7 +95,7 @@ pub const NEAR_THE_MINIMUM: f64 = 0.3;
 /// the rows of the coarser mesh. Chosen.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
-/// Minimises the program (1) of the module from densities strictly inside the limits. The objective may change from
+/// Minimises the problem (1) of the module from densities strictly inside the limits. The objective may change from
 /// step to step while its price is still being found; nothing is proven or compared before. Returns `None` if the
 /// matrix is singular to rounding.
 /// # Errors
@@ -146,7 +145,7 @@ pub struct Approach {
     pub iterations: usize,
 }
 
-/// Goes towards the minimum of the program (1) of the module without a proof. It ends after `max_iterations` steps, or
+/// Goes towards the minimum of the problem (1) of the module without a proof. It ends after `max_iterations` steps, or
 /// when the complementarity is at most the fraction `near` of the objective, but not before three steps. Returns `None`
 /// if the matrix is singular to rounding.
 ///

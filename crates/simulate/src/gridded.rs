@@ -90,7 +90,7 @@ const BYTES_PER_SAMPLE: usize = 64;
 /// Data that depend on the TIF and the map only and serve many trajectories. A tool that varies has several kernels:
 ///
 /// ```text
-/// removal(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
+/// M(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
 /// ```
 ///
 /// by (1) of [`planish_types::Variation`]: phi_k are the kernels, a_k their weights at the position P(t) of the tool, c

@@ -80,7 +80,7 @@ impl BoundedProblem<'_> {
     /// wider splines and larger cells can represent them. Fewer and cheaper steps then find which dwell times are at
     /// their bounds. Some percent of these change afterwards.
     ///
-    /// Returns 0 and does nothing for other methods, or if the program has a guess.
+    /// Returns 0 and does nothing for other methods, or if the problem has a guess.
     pub(super) fn approach(&mut self, slope_weight: f64) -> Result<usize, DwellError> {
         let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
         if self.is_guessed {

@@ -50,8 +50,9 @@ const FIRST_RELATIVE_GAP: f64 = 0.3;
 /// of the given dual variables are changed. Smaller: products far below the mean make the first steps short. Chosen.
 const LEAST_PRODUCT: f64 = 0.1;
 
-/// Gap at which the program of the tangents counts as solved, over the gap that is wanted. Larger: the method moves on
-/// earlier, towards a less exact solution. Smaller: more steps for a program that does not prove enough. Chosen.
+/// Gap at which the convex program of the tangents counts as solved, over the gap that is wanted. Larger: the method
+/// moves on earlier, towards a less exact solution. Smaller: more steps for a convex program that does not prove
+/// enough. Chosen.
 pub(super) const PROGRAM_SOLVED: f64 = 0.1;
 
 /// Least fraction of the way to the solution under the tangents that the iterate moves; if the rows allow less it
@@ -75,7 +76,7 @@ const ACTIVE_SLACK: f64 = 0.1;
 pub struct Start {
     /// Densities of the nodes (D, n), s/mm, strictly inside the limits.
     pub density: Vec<f64>,
-    /// Dual variables of the rows (z) and of the bounds (y) of a program with nearly the same rows; `None` if there was
+    /// Dual variables of the rows (z) and of the bounds (y) of a problem with nearly the same rows; `None` if there was
     /// none.
     pub duals: Option<[Vec<f64>; 2]>,
 }
@@ -203,7 +204,8 @@ impl<'a> Iterate<'a> {
         let Some(inverse) = inverse else { return simple };
         r.iter_mut().zip(&self.y).for_each(|(r, y)| *r -= y);
         let products = of_tangents + dot(&self.room, &self.y);
-        // Gap that proves that the iterate whose tangents are kept is good enough, or that their program is solved.
+        // Gap that proves that the iterate whose tangents are kept is good enough, or that their convex program is
+        // solved.
         let wanted = match &self.anchor {
             None => relative_gap * self.f.value,
             Some(anchor) => (relative_gap * anchor.value - (anchor.value - self.f.value))
