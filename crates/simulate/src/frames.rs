@@ -4,7 +4,7 @@
 //! M(x, t_i) = M(x, t_(i-1)) + integral over t_(i-1) .. t_i, tool on, of w(t) R(x - P(t)) dt,   M(x, 0) = 0
 //! ```
 //!
-//! with the TIF R, the rate factor w and the position P of the tool as in the [crate](crate), `t_i = T i / m` from the
+//! with the TIF R, the rate factor w and the position P of the tool as in the [crate], `t_i = T i / m` from the
 //! start of the motion, and `T` its duration. Every part of the motion is simulated once, as [`crate::simulate`] does,
 //! and the last frame is the removal of the run.
 //!

@@ -1,7 +1,7 @@
 //! Expected mean square of the residual as a quadratic in the dwell times: the part of a process that they decide.
 //!
 //! With b_j what a second at dwell point j of a motion removes, t_j the times, independent errors eta_k of variance
-//! s_k^2, and z, M and P of the [crate](crate),
+//! s_k^2, and z, M and P of the [crate],
 //!
 //! ```text
 //! E |e|^2 = |P (z - M - m)|^2 + t'Q t + constant
