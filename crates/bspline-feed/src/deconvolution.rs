@@ -10,12 +10,12 @@
 //! over the valid pixels; K is the largest diagonal element of the `G_m'G_m`. A TIF wider than the pitch
 //! couples the lines: what one removes its neighbours need not. The convex-concave procedure solves (1) for all
 //! lines at once and proves how good it is (`joint`). Knot removal, a procedure for one line, goes by
-//! block Gauss-Seidel sweeps: with the residual r of all lines,
+//! block Gauss-Seidel sweeps: with the residual e of all lines,
 //!
 //! ```text
 //! P_m = G_m'G_m + alpha K I + beta K (second differences)'(second differences)
-//! q_m = G_m'(r + G_m d_m) + alpha K / F
-//! d_m <- the solution for line m (crate::limited),   r <- r - G_m (change of d_m)           (2)
+//! q_m = G_m'(e + G_m d_m) + alpha K / F
+//! d_m <- the solution for line m (crate::limited),   e <- e - G_m (change of d_m)           (2)
 //! ```
 //!
 //! Its steps may raise (1), because each starts from all knots again. A sweep that raises (1) is given up, and ends the
@@ -28,7 +28,7 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | d_m | `d` | (passes, n_m) | s/mm |
-//! | r | `residual_nm` | (ny, nx) | nm |
+//! | e | `residual_nm` | (ny, nx) | nm |
 //! | c | `piston_nm` | - | nm |
 
 use ndarray::Array2;
@@ -219,7 +219,7 @@ impl Problem {
 
     /// Returns the weights alpha K and beta K of the penalties in (1) of the module; alpha counts as at least 1e-12.
     pub(crate) fn weights(&self, settings: &DeconvolutionSettings) -> [f64; 2] {
-        // A trace of the identity makes the program definite where the tool reaches nothing.
+        // A trace of the identity makes the quadratic program definite where the tool reaches nothing.
         [settings.tikhonov.max(1e-12), settings.curvature_weight].map(|w| w * self.strongest)
     }
 
@@ -260,7 +260,7 @@ impl Problem {
     /// the motion.
     fn start(&self, surface: &Surface, other_nm: &Array2<f64>, start: Start) -> State {
         let Start { d, piston_nm } = start;
-        // r = z + c - other - G d on the valid pixels
+        // e = z + c - other - G d on the valid pixels
         let mut residual_nm = surface.height_nm() - other_nm + piston_nm;
         residual_nm.mapv_inplace(|r| if r.is_nan() { 0.0 } else { r });
         for (line, d) in self.lines.iter().zip(&d) {

@@ -12,7 +12,14 @@
 //! (H + J' W/S J) step = -f' + J' (w + (sigma mu - s w - ds dw - w (c - s)) / s)              (2)
 //! ```
 //!
-//! with slacks s, dual variables w >= 0 and the rows' coefficients J. All lines change together, where sweeps over the
+//! with m slacks s, dual variables w >= 0 and the rows' coefficients J. The predictor is (2) with 0 in place of
+//! `sigma mu - ds dw`. The corrector has its ds and dw, and, with the longest step a <= 1 of the predictor,
+//!
+//! ```text
+//! mu = s'w / m,   sigma = ((s + a ds)'(w + a dw) / s'w)^3,   sigma mu at least 0.3 of the tolerance over m
+//! ```
+//!
+//! All lines change together, where sweeps over the
 //! lines leave what no line can change alone. The tangents are drawn again after every step: D^3 is convex, so a slack
 //! only grows by it. When the steps gain no more, the tangents are kept for the proof of the feed where they touch.
 //!
@@ -49,8 +56,8 @@ use crate::{
 };
 
 /// Initial number of places per span between two knots at which the acceleration limit is a constraint, (2) of
-/// [`crate::limited`]. Others are added where the acceleration exceeds the limit between them. Larger: larger programs.
-/// Smaller: more rounds with added constraints.
+/// [`crate::limited`]. Others are added where the acceleration exceeds the limit between them. Larger: larger quadratic
+/// programs. Smaller: more rounds with added constraints.
 const PLACES: usize = 16;
 
 /// Fraction of the way to the boundary of the slacks and dual variables that a step may take. Larger: iterates close
@@ -70,13 +77,14 @@ const FIRST_SLACK: f64 = 0.1;
 /// close. Smaller: short steps after the constraint is added.
 const LEAST_SLACK: f64 = 1e-3;
 
-/// Fraction of the wanted gap to which a program with kept tangents is solved before its bound is compared. The rest is
-/// for the change of the tangents. Larger: more rounds of tangents. Smaller: more steps per program.
+/// Fraction of the wanted gap to which a quadratic program with kept tangents is solved before its bound is compared.
+/// The rest is for the change of the tangents. Larger: more rounds of tangents. Smaller: more steps per quadratic
+/// program.
 const PROGRAM_TOLERANCE: f64 = 0.3;
 
 /// Smallest complementarity (sum of the products s w) at which a step aims, as a fraction of the tolerance to which a
-/// program is solved. Closer to the boundary nothing is gained, and the next tangents would make the steps short.
-/// Larger: the program may not reach its tolerance. Smaller: short steps.
+/// quadratic program is solved. Closer to the boundary nothing is gained, and the next tangents would make the steps
+/// short. Larger: the quadratic program may not reach its tolerance. Smaller: short steps.
 const CENTRED: f64 = 0.3;
 
 /// Smallest objective to which a gap is compared, as a fraction of the objective without removal: 1e-5 of the RMS of
@@ -87,8 +95,8 @@ const EXACT: f64 = 1e-10;
 /// start is farther from the given feed. Smaller: short first steps.
 const INSIDE: f64 = 1.0 + 1e-3;
 
-/// The program (1) of the module, with the parts of (2) that are the same in all steps; n is the number of control
-/// values.
+/// The quadratic program (1) of the module, with the parts of (2) that are the same in all steps; n is the number of
+/// control values.
 pub(crate) struct Joint<'a> {
     problem: &'a Problem,
     surface: &'a Surface,
@@ -192,7 +200,7 @@ impl<'a> Joint<'a> {
         let mut first_gap = None;
         let mut gap = None;
         while steps < self.settings.max_sweeps {
-            // How far a program is solved before its bound is compared.
+            // How far a quadratic program is solved before its bound is compared.
             let solved = PROGRAM_TOLERANCE * tolerance * scale(now.objective);
             let complementarity = dot(&iterate.s, &iterate.w);
             if let Some((d, held_objective)) = &held {
@@ -802,7 +810,7 @@ mod tests {
             for (m, line) in problem.lines.iter().enumerate() {
                 let peak = limited::highest_peak(&line.knots, &state.d[m]);
                 assert!(peak.acceleration_mm_per_s2 <= line.limits.max_acceleration_mm_per_s2);
-                // The same line, alone, under its tangents: by the program of another solver.
+                // The same line, alone, under its tangents: by the quadratic program of another solver.
                 let range = joint.first[m]..joint.first[m + 1];
                 let n = range.len();
                 let p = Array2::from_shape_fn((n, n), |(i, j)| {

@@ -1,11 +1,11 @@
 //! Desired removal, TIF and tool path become a feed profile and its motion: dwell and feed at once.
 //!
 //! On every straight pass of the path the dwell-time density (the inverse of the feed) is a cubic
-//! B-spline of the arc length, and the removal is linear in its control values:
+//! B-spline of the arc length, and the removal M is linear in its control values:
 //!
 //! ```text
 //! D_m(s) = sum_i d_mi B_i(s) >= 1/F_max                    s/mm
-//! z(x) = sum_m sum_i d_mi G_mi(x),   G_mi(x) = integral R(x - P_m(s)) B_i(s) ds               (1)
+//! M(x) = sum_m sum_i d_mi G_mi(x),   G_mi(x) = integral R(x - P_m(s)) B_i(s) ds               (1)
 //! a = -D'/D^3,   |a| <= A                                  mm/s^2
 //! ```
 //!

@@ -4,7 +4,7 @@
 //! F(s) = VRR / (z(P(s)) p),   D(s) = z p / VRR >= 1/F_max                                   (1)
 //! ```
 //!
-//! with the desired removal z at the place of the tool and the distance p of neighbouring passes. It is
+//! with the desired removal z at the position of the tool and the distance p of neighbouring passes. It is
 //! right where z varies slowly against the TIF; elsewhere the TIF blurs it. (1) is a feed that no
 //! machine follows; what is scheduled is the spline closest to it within the limits,
 //!

@@ -1,9 +1,9 @@
 //! Residual and time of a plan by position on the part: worst points, edge zone, regions, travel.
 //!
 //! ```text
-//! tool radius      = sqrt(area where T >= max T / 2  /  pi)          width of the edge zone
+//! tool radius      = sqrt(area where R >= max R / 2  /  pi)          width of the edge zone
 //! edge zone        = valid pixels nearer than that to a pixel that is invalid or beyond the map
-//! RMS of a zone    = sqrt(mean over its pixels of (z - mean z)^2)    mean z of the whole map
+//! RMS of a zone    = sqrt(mean over its pixels of (e - mean e)^2)    mean e of the whole map
 //! time of a region = time of the motion, tool on, whose position lies in it
 //! travel           = smallest and largest position of the motion along each axis
 //! ```
@@ -13,8 +13,8 @@
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | z | `residual` | (ny, nx) | nm |
-//! | T | `tif` | (my, mx) | nm/s |
+//! | e | `residual` | (ny, nx) | nm |
+//! | R | `tif` | (my, mx) | nm/s |
 
 use std::f64::consts::PI;
 

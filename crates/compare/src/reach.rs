@@ -1,7 +1,7 @@
 //! Part of a residual at wavelengths that are too short for the tool to correct.
 //!
 //! ```text
-//! G(f) = |sum T exp(-2 pi i f u)| / |sum T|                        transfer function of the TIF
+//! G(f) = |sum R exp(-2 pi i f u)| / |sum R|                        transfer function of the TIF
 //! short-wave fraction = sum of S(f) where G(f) < threshold / sum of S(f)
 //! short-wave RMS      = RMS sqrt(fraction),   RMS of the plane-free map
 //! ```
@@ -18,7 +18,7 @@
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | T, removal rate at the offset u from the tool centre | `tif` | (my, mx) | nm/s |
+//! | R, removal rate at the offset u from the tool centre | `tif` | (my, mx) | nm/s |
 //! | S, power spectral density of the residual at the frequency f | `density` | (ny, nx) | nm^2 mm^2 |
 
 use ndarray::{Array2, ArrayView1, s};

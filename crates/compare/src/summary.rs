@@ -1,17 +1,17 @@
-//! Numbers of a run, method by method. A method is one plan: a scheduler or solver with its results.
+//! Numbers of a run, method by method. A method is one way to a plan, with the plan that it made and its results.
 //!
 //! ```text
-//! RMS       = sqrt(mean((z - mean z)^2))        over the valid pixels of the residual z
-//! detilted  = RMS of z - plane(z)               least-squares plane
-//! PV        = max z - min z
-//! slope     = (z(x + base) - z(x)) / base       RMS without the mean, along x and along y
+//! RMS       = sqrt(mean((e - mean e)^2))        over the valid pixels of the residual e
+//! detilted  = RMS of e - plane(e)               least-squares plane
+//! PV        = max e - min e
+//! slope     = (e(x + base) - e(x)) / base       RMS without the mean, along x and along y
 //! ```
 //!
 //! The keys of these structures are those of `summary.json`, which other programs read.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | z | `residual` | (ny, nx) | nm |
+//! | e | `residual` | (ny, nx) | nm |
 
 use planish_numerics::{
     slope::{Along, slopes, steps_of_base},

@@ -1,8 +1,8 @@
 //! Plans of a sweep: the front of the best ones, and the plan that is to be run.
 //!
 //! A plan is a point of residual against time. On the front are the plans that no other plan beats in both. The
-//! residual is that of the plan without errors. If the sweep has a process, there is a second front with the residual
-//! that 95 % of the runs are below.
+//! residual is that of the plan without errors. If the sweep has an error budget, there is a second front with the
+//! residual that 95 % of the runs are below.
 
 mod picture;
 
@@ -73,7 +73,7 @@ impl Table {
         nm.filter(|_| numbers.keeps(&self.0.constraints)).map(|nm| [numbers.total_time_s, nm])
     }
 
-    /// Returns the residual by which the plans are chosen: that with errors if the sweep has a process with errors,
+    /// Returns the residual by which the plans are chosen: that with errors if the sweep has an error budget,
     /// otherwise that without.
     pub fn judged_by(&self) -> Residual {
         if self.0.has_process { Residual::Below95 } else { Residual::Nominal }

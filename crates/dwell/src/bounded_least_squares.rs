@@ -3,37 +3,54 @@
 //! ```text
 //! min over lo <= t <= hi, and a free piston c:
 //!   1/2 sum_i w_i (z_i - c - (B t)_i)^2
-//!   + 1/2 alpha D A sum_j (t_j - lo_j)^2 / a_j
-//!   + 1/2 beta D A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     r_k = t_k / a_k            (1)
+//!   + 1/2 alpha K A sum_j (t_j - lo_j)^2 / a_j
+//!   + 1/2 beta K A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     r_k = t_k / a_k            (1)
 //!   + lambda sum_i w_i sum_j t_j
 //!   + 1/2 t' Q t
 //!   + 1/2 (z - c - B t)' S (z - c - B t)
 //! ```
 //!
-//! `w` are the weights of the pixels (0 where the map is invalid). `D` is the largest diagonal element of `B' W B - U
-//! U'` of (2), and `A` the effective area of the TIF (at least that of 36 dwell points). `p` is the distance of
-//! neighbouring lines of the path, `l_k` the length of segment k, and `m_k` the distance between the middles of
-//! segments k - 1 and k. `a_k = p l_k` is the area of dwell point k, and `r` the dwell time per area.
+//! `w` are the weights of the pixels (0 where the map is invalid). `K` is the diagonal element of `B' W B - U U'` of
+//! (2) for the column at which it is largest. If B is applied by FFT, an estimate of the diagonal finds the column, and
+//! the element itself is exact. `A` is the effective area of the TIF (at least that of 36 dwell points). `p` is the
+//! distance of neighbouring lines of the path, `l_k` the length of segment k, and `m_k` the distance between the
+//! middles of segments k - 1 and k. `a_k = p l_k` is the area of dwell point k, and `r` the dwell time per area.
 //!
 //! `alpha` decides the dwell times that the map does not decide (outside the clear aperture). `beta` keeps neighbours
 //! alike, so that a machine can execute them. `lambda` is the weight of one second in half the mean square of the
-//! residual. Q, if a program ([`Program`]) has one, is any symmetric positive semidefinite matrix, for example of the
+//! residual. Q, if the problem ([`Program`]) has one, is any symmetric positive semidefinite matrix, for example of the
 //! scatter that the process adds; only its products are needed. S, if it is asked for, weighs the slope of the residual
 //! ([`crate::residual_slope`]).
 //!
-//! A plane may be free in place of the piston. A Huber loss may replace the square; it counts residuals above `k`
-//! linearly, for maps with pits. The free functions are implicit: with functions `f` orthonormal under the weights
-//! and `U = B' W f`,
+//! A plane may be free in place of the piston. The free functions are implicit: with functions `f` orthonormal under
+//! the weights and `U = B' W f`, (1) is t' H t / 2 - g' t and a constant, with
 //!
 //! ```text
 //! H = B' W B - U U' + L + Q + B' P' S P B,     L the matrix of the terms with alpha and beta (2)
-//! g = B' W (z - its component in f) + alpha D A lo_j / a_j
+//! g_j = (B' W P z + B' P' S P z)_j + alpha K A lo_j / a_j - lambda sum_i w_i
 //! ```
 //!
 //! P subtracts the component of a map in f. With S and a free plane, the plane is the one that (1) has without S.
 //!
+//! **Huber loss.** For maps with pits, a loss that is linear beyond the threshold `k` may replace the first square of
+//! (1), with the residual `e = P (z - B t)`:
+//!
+//! ```text
+//! sum_i w_i rho(e_i),   rho(e) = e^2 / 2 up to |e| = k,   k |e| - k^2 / 2 beyond it               (3)
+//! v_i = w_i min(1, k / |e_i|)                        so that v_i e_i = w_i rho'(e_i)              (4)
+//! ```
+//!
+//! Every step minimises (1) with the weights v of the residual before it in place of w (iteratively reweighted least
+//! squares). v also takes the place of w in P, but not in K, A, p and lambda sum w. The gap and the objective are those
+//! of (1) with the weights v at the last step. Where the free part of a residual is the same under v and under the v
+//! before, (1) has the gradient of (3) at t. The gap then bounds the distance from the least (3), too, because its
+//! proof needs no more than that gradient, the convexity, and the Tikhonov term (`certificate`).
+//!
+//! Source of the loss: P. J. Huber, Ann. Math. Stat. 35 (1964) 73; of (4): P. W. Holland and R. E. Welsch, Commun.
+//! Stat. A 6 (1977) 813.
+//!
 //! **Weights that mean the same at every pitch and pixel.** The two sums of squares are integrals over the part, `alpha
-//! D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`. D grows with the number of pixels as the first term does. So
+//! K A int (r - lo)^2` and `beta K A^2 int (dr/ds)^2`. K grows with the number of pixels as the first term does. So
 //! with closer lines, points or pixels the minimum tends to that of one continuous problem. In units of the size of the
 //! TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the area of the
 //! TIF has less than 36 points, neighbours have the weights of 36, because a machine has to move from point to point.
@@ -59,7 +76,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | `settings` | how to solve, and the columns and bounds of a program |
+//! | `settings` | how to solve, and the columns and bounds of a problem |
 //! | `prepared` | (1) and (2) with everything that is computed once |
 //! | `minimise` | the steps, and the robust weights |
 //! | `weighted` | (1) itself, its gradient, and its least value along steps |
@@ -171,7 +188,7 @@ pub fn solve_within(
     }
 }
 
-/// Returns the program (columns, bounds and first guess) for the places of the tool in each column, with bounds (n),
+/// Returns the input (columns, bounds and first guess) for the places of the tool in each column, with bounds (n),
 /// s.
 fn program<'a>(
     places: &'a [Vec<ToolPlace>],
@@ -216,12 +233,12 @@ fn at_rate(places: &[ToolPlace], factor: f64) -> Vec<ToolPlace> {
     places.iter().map(|p| ToolPlace { fraction: factor * p.fraction, ..*p }).collect()
 }
 
-/// Finds the dwell times that minimise (1) of the module with the columns and bounds of a program. The fractions of
+/// Finds the dwell times that minimise (1) of the module with the columns and bounds of `program`. The fractions of
 /// its places include the factors of a rate that depends on the time of the run.
 ///
 /// # Errors
-/// Refuses what [`solve_within`] refuses, and a program that does not have one column, bound and guess for every dwell
-/// point.
+/// Refuses what [`solve_within`] refuses, and a `program` that does not have one column, bound and guess for every
+/// dwell point.
 pub fn solve_columns(
     desired: &Surface,
     tif: &Tif,

@@ -1,12 +1,12 @@
 //! A map of dwell times on squares of K x K pixels.
 //!
-//! The unknowns are the times T at every K-th tool position (*coarse node*) along x and y; between them the dwell map
+//! The unknowns are the times t at every K-th tool position (*coarse node*) along x and y; between them the dwell map
 //! tau is linear. Removal and desired removal are compared by their means over K x K pixels (*squares*). With hat(u) =
 //! max(1 - |u| / K, 0), on each axis
 //!
 //! ```text
-//! tau[n] = sum_J hat(n - K J) T[J] / K                 the time is kept                     (1)
-//! mean over a < K of (R * tau)[K I + a] = sum_J G[I - J] T[J]
+//! tau[n] = sum_J hat(n - K J) t[J] / K                 the time is kept                     (1)
+//! mean over a < K of (R * tau)[K I + a] = sum_J G[I - J] t[J]
 //! G[D] = sum_a sum_k R[k] hat(K D + a + s - 1 - k) / K^2                                  (2)
 //! ```
 //!
@@ -16,7 +16,7 @@
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | T | `t` | coarse nodes | s |
+//! | t | `t` | coarse nodes | s |
 //! | tau | - | tool positions at the pitch of the map | s |
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 

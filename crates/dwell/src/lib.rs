@@ -1,10 +1,10 @@
 //! Dwell times of a tool along its path.
 //!
 //! Every solver is a file and faces the same removal model ([`columns`]): the removal is linear
-//! in the dwell times,
+//! in the dwell times t,
 //!
 //! ```text
-//! removal = B t,   B_ij = mean of R(x_i - P) over the dwell point or segment j
+//! removal  M = B t,   B_ij = mean of R(x_i - P) over the dwell point or segment j
 //! ```
 //!
 //! | solver | what it does |

@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! E = max(z - B lo - low, 0) + c                           positive on the aperture            (1)
-//! T <- T / (1 - mu kappa) * (B' (w E / B T)) / (B' w)      kappa = div(grad T / |grad T|)      (2)
+//! t <- t / (1 - mu kappa) * (B' (w E / B t)) / (B' w)      kappa = div(grad t / |grad t|)      (2)
 //! ```
 //!
 //! `low` is the lowest height except for a given fraction of the pixels; otherwise one pit would decide the removal
-//! everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson process,
-//! which here serves to keep T positive. Without smoothing the likelihood never falls, and after every step the removed
+//! everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B t, of a Poisson process,
+//! which here serves to keep t positive. Without smoothing the likelihood never falls, and after every step the removed
 //! volume is the desired one.
 //!
 //! `B' w` in place of the volume of the TIF is the only treatment of the boundary. A dwell point near it counts by the
@@ -41,7 +41,7 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | E | `e` | (ny, nx) | nm |
-//! | T | `t` | (n) or lattice | s |
+//! | t | `t` | (n) or lattice | s |
 //! | mu | `total_variation` | - | 1 |
 //! | lo | `min_dwell` | (n) | s |
 
@@ -244,17 +244,17 @@ fn positive_target(model: &DwellModel<'_>, settings: &LucyRichardsonSettings) ->
     e
 }
 
-/// Operators and vectors that the step (2) of the module needs for the unknowns T: dwell times of the path, or of a
+/// Operators and vectors that the step (2) of the module needs for the unknowns t: dwell times of the path, or of a
 /// map.
 struct Unknown<'a> {
     forward: &'a dyn Fn(&[f64]) -> Array2<f64>,
     adjoint: &'a dyn Fn(&Array2<f64>) -> Vec<f64>,
-    /// Curvature kappa of (2) of the module, one per unknown, from T and the mean of T over the active unknowns.
+    /// Curvature kappa of (2) of the module, one per unknown, from t and the mean of t over the active unknowns.
     curvature: &'a dyn Fn(&[f64], f64) -> Vec<f64>,
     /// Sensitivity `B' w` of every unknown, with the nodes or dwell points that follow it, nm/s.
     sensitivity: &'a [f64],
     active: &'a [bool],
-    /// Times T of a uniform dwell time per length or area, in any unit.
+    /// Times t of a uniform dwell time per length or area, in any unit.
     uniform: &'a [f64],
 }
 
@@ -292,7 +292,7 @@ fn on_path(
 }
 
 /// Returns the curvature kappa of (2) of the module along the path (n), with the density q = t / (l_j / l), eps a
-/// thousandth of the mean of T, and no difference across the border of the active points: `kappa_j = p_j - p_{j-1}`,
+/// thousandth of the mean of t, and no difference across the border of the active points: `kappa_j = p_j - p_{j-1}`,
 /// `p_j = (q_{j+1} - q_j) / sqrt((q_{j+1} - q_j)^2 + eps^2)`.
 fn curvature_along_path(t: &[f64], shape: &[f64], active: &[bool], mean: f64) -> Vec<f64> {
     let mut before = 0.0;
@@ -386,7 +386,7 @@ fn index_of_cell(axis: &Axis, p: f64) -> Option<usize> {
     if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
 }
 
-/// Returns the curvature `div(grad T / sqrt(|grad T|^2 + eps^2))` of a map T (ny, nx), by forward differences, and
+/// Returns the curvature `div(grad t / sqrt(|grad t|^2 + eps^2))` of a map t (ny, nx), by forward differences, and
 /// backward ones of their result. No difference is taken across the border of the active nodes.
 fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) -> Vec<f64> {
     let mut normal = vec![[0.0; 2]; t.len()];
@@ -471,7 +471,7 @@ fn iterate(
         if iterations == settings.max_iterations {
             break;
         }
-        // x = T (B' rho) / (B' w) / (1 - mu kappa)
+        // x = t (B' rho) / (B' w) / (1 - mu kappa)
         let mut x = adjoint(&rho);
         let sums = t.chunks(ELEMENTS_PER_PIECE).map(|t| t.iter().sum::<f64>());
         let mean = sums.sum::<f64>() / count as f64;
@@ -544,7 +544,7 @@ mod tests {
 
     #[test]
     fn the_curvature_of_a_cone_is_one_over_the_radius() {
-        // T = |p - p0|: div(grad T / |grad T|) = 1 / r in the plane.
+        // t = |p - p0|: div(grad t / |grad t|) = 1 / r in the plane.
         let (ny, nx) = (61, 71);
         let r = |k: usize| ((k / nx) as f64 - 30.3).hypot((k % nx) as f64 - 35.4);
         let t: Vec<f64> = (0..ny * nx).map(r).collect();

@@ -187,7 +187,7 @@ pub struct PenaltyWeights {
     pub tikhonov: f64,
     /// Weight beta of the squared slope of the dwell time per area along the path, dimensionless.
     pub slope_weight: f64,
-    /// Weight of one second of dwell time in half the mean square of the residual, nm^2/s.
+    /// Weight lambda of one second of dwell time in half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
 }
 
@@ -200,7 +200,9 @@ pub const POINTS_PER_AREA: f64 = 36.0;
 /// every pitch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyScale {
-    /// Largest diagonal element D of the matrix `B' W B - U U'`, nm^2/s^2 (U: [`Basis::columns`]).
+    /// Diagonal element K of the matrix `B' W B - U U'`, nm^2/s^2 (U: [`Basis::columns`]): that of one column, exact.
+    /// The column is the one at which the diagonal is largest, by an estimate if B is applied by FFT. The weights W are
+    /// those of the map, without those of a Huber loss.
     pub strongest: f64,
     /// Sum of the weights of the pixels.
     pub pixel_weight: f64,
@@ -212,7 +214,7 @@ pub struct PenaltyScale {
 }
 
 impl PenaltyScale {
-    /// Makes the scale from D (`strongest`), the sum of the weights w (`pixel_weight`), and `B' w` (n).
+    /// Makes the scale from K (`strongest`), the sum of the weights w (`pixel_weight`), and `B' w` (n).
     pub fn new(path: &ToolPath, tif: &Tif, strongest: f64, pixel_weight: f64, b_w: &[f64]) -> Self {
         let line_distance_mm = line_distance_mm(tif, pixel_weight, b_w, &lengths_mm(path));
         let point_mm2 = line_distance_mm * median_length_mm(path).unwrap_or(0.0);
@@ -256,17 +258,18 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// dwell point stands for, and `r_j = t_j / a_j`, the dwell time per area:
 ///
 /// ```text
-/// 1/2 alpha D A   sum_j a_j (r_j - lo_j / a_j)^2
-/// + 1/2 beta D A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     m_k = (l_{k-1} + l_k) / 2
-/// + price sum_j t_j
+/// 1/2 alpha K A   sum_j a_j (r_j - lo_j / a_j)^2
+/// + 1/2 beta K A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     m_k = (l_{k-1} + l_k) / 2
+/// + lambda sum_i w_i sum_j t_j
 /// ```
 ///
-/// The price of a second is its weight times the sum of the weights of the pixels. The sums are those of integrals over
-/// the part: with closer lines or points they go to `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along
-/// the path.
+/// The price of a second is its weight lambda times the sum of the weights of the pixels. It is a constant of the
+/// gradient of the penalty, `alpha K A (t_j - lo_j) / a_j + .. + lambda sum_i w_i`, and so a part of g in (2) of
+/// [`crate::bounded_least_squares`]. The sums are those of integrals over the part: with closer lines or points they go
+/// to `alpha K A int (r - lo)^2` and `beta K A^2 int (dr/ds)^2`, s along the path.
 #[derive(Clone, PartialEq)]
 pub struct Penalty {
-    /// Diagonal element `alpha D A / a_j` of the Tikhonov term of every dwell time (n), with A in place of an area a_j
+    /// Diagonal element `alpha K A / a_j` of the Tikhonov term of every dwell time (n), with A in place of an area a_j
     /// of 0.
     alpha: Vec<f64>,
     /// Price of one second of dwell time, in the unit of the objective.
@@ -314,12 +317,12 @@ impl Penalty {
         self.lo.len()
     }
 
-    /// Returns the diagonal `alpha D A / a_j` of the Tikhonov term (n).
+    /// Returns the diagonal `alpha K A / a_j` of the Tikhonov term (n).
     pub fn alpha(&self) -> &[f64] {
         &self.alpha
     }
 
-    /// Returns the least diagonal element `alpha D A / a_j` of the Tikhonov term: a lower bound of the eigenvalues of
+    /// Returns the least diagonal element `alpha K A / a_j` of the Tikhonov term: a lower bound of the eigenvalues of
     /// L.
     pub fn least_alpha(&self) -> f64 {
         self.alpha.iter().copied().fold(f64::INFINITY, f64::min)

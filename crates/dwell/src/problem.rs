@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! z' = z - B lo        the floor is in the model: what remains for t' = t - lo >= 0        (1)
-//! A  = M W^1/2 B,   M = I - q q',   q = W^1/2 1 / |W^1/2 1|      the piston is free         (2)
+//! A  = P W^1/2 B,   P = I - q q',   q = W^1/2 1 / |W^1/2 1|      the piston is free         (2)
 //! ```
 //!
 //! Least-squares solvers without bounds find `t = t_ref + u`, deviations u from reference dwell times `t_ref = c l_j /
@@ -332,10 +332,10 @@ impl<'a> DwellModel<'a> {
         self.project(&self.operator.apply(t))
     }
 
-    /// Returns `M W^1/2 z` of (2) of the module for a map z (ny, nx): its deviation from the mean times the root of
+    /// Returns `P W^1/2 z` of (2) of the module for a map z (ny, nx): its deviation from the mean times the root of
     /// the weight, one element per pixel, row by row.
     pub fn project(&self, map: &Array2<f64>) -> Vec<f64> {
-        // M W^1/2 z = W^1/2 (z - mean z)
+        // P W^1/2 z = W^1/2 (z - mean z)
         let centred = self.centred(map);
         centred.iter().zip(&self.weight).map(|(z, w)| w.sqrt() * z).collect()
     }
@@ -343,13 +343,13 @@ impl<'a> DwellModel<'a> {
     /// Returns the adjoint product `A' y` of (2) of the module (n), for y with one element per pixel, row by row.
     pub fn weighted_adjoint(&self, y: &[f64]) -> Vec<f64> {
         let y = ArrayView2::from_shape(self.weight.dim(), y).expect("one per pixel");
-        // W^1/2 M y = W^1/2 (y - W^1/2 sum(W^1/2 y) / sum(w))
+        // W^1/2 P y = W^1/2 (y - W^1/2 sum(W^1/2 y) / sum(w))
         let root = self.weight.mapv(f64::sqrt);
         let mean = (&root * &y).sum() / self.weight.sum();
         self.operator.adjoint(&((&y - &(&root * mean)) * &root))
     }
 
-    /// Returns `B' W M z` (n) of (2) of the module for a map z (ny, nx): the right-hand side of the normal equations.
+    /// Returns `B' W P z` (n) of (2) of the module for a map z (ny, nx): the right-hand side of the normal equations.
     pub fn gradient(&self, map: &Array2<f64>) -> Vec<f64> {
         self.operator.adjoint(&(self.centred(map) * &self.weight))
     }

@@ -2,21 +2,21 @@
 //! times, and whose constraints are not bounds.
 //!
 //! ```text
-//! f(t) = 1/2 sum_i w_i r_i^2 / sum_i w_i,   r = z - B t without its free part       nm^2       (1)
-//! gradient = -B' w r / sum_i w_i                                                    nm^2/s
+//! f(t) = 1/2 sum_i w_i e_i^2 / sum_i w_i,   e = z - B t without its free part       nm^2       (1)
+//! gradient = -B' w e / sum_i w_i                                                    nm^2/s
 //! ```
 //!
 //! f is half the mean square of the residual. The places are fixed when the function is made; how the times depend on
 //! the unknowns (a density along a curve, for example) is up to the method. A [`Normal`] is the normal matrix for
 //! columns that are sums over places. It is computed on cells of pixels, as in [`crate::bounded_least_squares`],
-//! because the exact gradient corrects the steps that it gives. P projects a map on those that are the same on all
+//! because the exact gradient corrects the steps that it gives. C projects a map on those that are the same on all
 //! pixels of a cell, and Q on the free functions (piston or plane). Then it is
 //!
 //! ```text
-//! B' w^1/2 P (1 - Q) P w^1/2 B  <=  B' w^1/2 (1 - Q) w^1/2 B,   the curvature of f                (2)
+//! B' w^1/2 C (1 - Q) C w^1/2 B  <=  B' w^1/2 (1 - Q) w^1/2 B,   the curvature of f                (2)
 //! ```
 //!
-//! The inequality holds if P Q = Q, that is, if the free functions are the same on all pixels of a cell: for a piston,
+//! The inequality holds if C Q = Q, that is, if the free functions are the same on all pixels of a cell: for a piston,
 //! but not for a plane. Then (2) gives an upper bound of the distance of f from its minimum, if both sides have the
 //! same B. This is not so if TIF and map have different pitches and the operator of f resamples the TIF. The left side
 //! has no negative eigenvalue in any case.
@@ -188,7 +188,7 @@ impl<'a> Residual<'a> {
         let rows: Vec<Option<KnownRow>> = ordered.order.iter().map(|j| known.row(*j)).collect();
         let k = ordered.products(&cells, |i, l| rows[i].as_ref()?.coupling(ordered.order[l]));
         let order = ordered.order;
-        // U = B' w^1/2 P w^1/2 f of the free functions f
+        // U = B' w^1/2 C w^1/2 f of the free functions f
         let size = self.cell_size;
         let u = self.basis.columns(&self.weight, |m| {
             let m = columns::map_on_cells(m, &self.weight, size);

@@ -1,8 +1,8 @@
 //! Slope of the residual as a term of the objective.
 //!
 //! ```text
-//! s_a(i) = (r(i + k_a) - r(i)) / b_a,     b_a = k_a steps, the whole number of steps nearest to the base
-//! term   = 1/2 W sum over a = x, y, sum over i  (w(i) w(i + k_a))^1/2  s_a(i)^2 = 1/2 r' S r      (1)
+//! s_a(i) = (e(i + k_a) - e(i)) / b_a,     b_a = k_a steps, the whole number of steps nearest to the base
+//! term   = 1/2 W sum over a = x, y, sum over i  (w(i) w(i + k_a))^1/2  s_a(i)^2 = 1/2 e' S e      (1)
 //! ```
 //!
 //! These are the finite differences by which a specification judges slopes. W is in mm^2: the term is then in nm^2, as
@@ -12,7 +12,7 @@
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | r | residual map | (ny, nx) | nm |
+//! | e | residual map | (ny, nx) | nm |
 //! | w | `weight` | (ny, nx) | 1 |
 //! | W | `weight_mm2` | - | mm^2 |
 //! | b | base | (2) | mm |
@@ -81,14 +81,14 @@ impl SlopeTerm {
         }
     }
 
-    /// Returns the product S r of the matrix of (1) of the module with a residual map r (ny, nx).
+    /// Returns the product S e of the matrix of (1) of the module with a residual map e (ny, nx).
     pub fn product(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(map.dim());
         for (axis, steps, base_mm) in &self.directions {
             let pairs_along = map.len_of(*axis) - steps;
             let near = Slice::from(..pairs_along);
             let far = Slice::from(*steps..);
-            // D r, weighted
+            // D e, weighted
             let factor = self.weight_mm2 / (base_mm * base_mm);
             let mut pairs = Zip::from(map.slice_axis(*axis, near))
                 .and(map.slice_axis(*axis, far))

@@ -1,14 +1,14 @@
 //! Robust iterative Fourier transform algorithm: an inverse filter with an optimised threshold.
 //!
 //! ```text
-//! T = max(0, IFFT(G Z)),   G = 1 / R where |R| > 1 / gamma,  gamma conj(R) / |R| elsewhere   (1)
+//! tau = max(0, IFFT(G Z)),   G = 1 / R where |R| > 1 / gamma,  gamma conj(R) / |R| elsewhere   (1)
 //! ```
 //!
 //! with the spectra Z of the extended desired removal and R of the TIF. gamma (s/nm) caps the gain: it is searched for
 //! the least RMS of the residual in the aperture. *Lattice* is that of the tool positions. Two loops around (1):
 //!
-//! * *piston*: T is cut at zero, so more is removed than desired somewhere; the desired removal is raised (*lifted*) by
-//!   the largest excess, until the RMS changes no more;
+//! * *piston*: tau is cut at zero, so more is removed than desired somewhere; the desired removal is raised (*lifted*)
+//!   by the largest excess, until the RMS changes no more;
 //! * *margin*: dwell times reach beyond the aperture by the half size of the TIF at most; of some smaller margins, the
 //!   smallest is taken that costs less time and hardly any residual.
 //!
@@ -23,7 +23,7 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | Z | `lifted` | extended map | nm |
-//! | T | `seconds` | lattice | s |
+//! | tau | `seconds` | lattice | s |
 //! | gamma | `gamma` | - | s/nm |
 
 use std::f64::consts::PI;

@@ -1,10 +1,10 @@
 //! Damped least squares without bounds, by LSQR.
 //!
 //! ```text
-//! min || M W^1/2 (B t - z) ||^2 + delta^2 || t - t_ref ||^2                                (1)
+//! min || P W^1/2 (B t - z) ||^2 + delta^2 || t - t_ref ||^2                                (1)
 //! ```
 //!
-//! where M subtracts the free piston, and t_ref are reference dwell times whose level is just high enough for the floor
+//! where P subtracts the free piston, and t_ref are reference dwell times whose level is just high enough for the floor
 //! ([`crate::problem`]). All dampings of the search share one bidiagonalisation ([`planish_numerics::linear::lsqr`]).
 //! delta is given, or found:
 //!
@@ -31,7 +31,7 @@ use crate::{
 };
 
 /// Choice of the damping delta. Relative dampings are fractions of the largest singular value of the weighted removal
-/// matrix `M W^1/2 B`.
+/// matrix `P W^1/2 B`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Damping {

@@ -754,7 +754,7 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
 
 #[test]
 fn a_price_on_time_is_its_derivative() {
-    // At the optimum of f + L T the fall of f per second is L: between two prices,
+    // At the optimum of f + lambda T the fall of f per second is lambda: between two prices,
     // L1 <= -(f2 - f1) / (T2 - T1) <= L2 with f half the mean square plus the other terms.
     let path = path(2.0);
     let free = BoundedSettings { tikhonov: 1e-9, slope_weight: 0.0, ..settings() };
@@ -839,8 +839,8 @@ fn one_continuous_problem_is_solved_whatever_the_pitch_the_pixels_and_the_size()
         println!("pixels of {pixel} mm, lines of {pitch} mm: {found:?} s/mm^2, {expected:?}");
         assert!(largest_difference(found) < 0.03, "{found:?} {expected:?}");
     }
-    // With weights of the dwell times themselves, which would be a quarter for lines and points at half the distance, and
-    // a sixteenth for the slope, the plan is another one: 7 % were found.
+    // With weights of the dwell times themselves, which would be a quarter for lines and points at half the distance,
+    // and a sixteenth for the slope, the plan is another one: 7 % were found.
     let other = density(&plan(0.25, 0.25, 1.0, 0.25), 0.25);
     println!("weights of dwell times: {other:?}");
     assert!(largest_difference(other) > 0.06, "{other:?} {expected:?}");

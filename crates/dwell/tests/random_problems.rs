@@ -239,7 +239,7 @@ fn conditions_hold(seed: u64, pitch_mm: f64, max_factorised_points: usize) {
         .map(|d| definition.natural_residual(&case, t, d))
         .fold(f64::INFINITY, f64::min);
     // What the solver was asked for, in the scale of its own H_jj (2 % as above), and the rounding of q_j:
-    // some hundred times that of a sum |B_j| |r|, by FFT |R| |r|, over H_jj >= alpha D A / a_j, where A / a_j is above 10: lines and points of 0.4 mm
+    // some hundred times that of a sum |B_j| |r|, by FFT |R| |r|, over H_jj >= alpha K A / a_j, where A / a_j is above 10: lines and points of 0.4 mm
     // under a bell of some 8 mm^2.
     let norm = |m: &Array2<f64>| m.iter().map(|v| v * v).sum::<f64>().sqrt();
     let left = norm(&definition.residual(&case, t));

@@ -454,7 +454,7 @@ fn a_flat_map_asks_for_next_to_nothing() {
 }
 
 fn certificate(case: &Case<'_>, t: &[f64], tikhonov: f64) -> f64 {
-    // q = B' W (M (B t - z)) + alpha D A (t - lo) / a, from columns and the definition.
+    // q = B' W (P (B t - z)) + alpha K A (t - lo) / a, from columns and the definition.
     let columns = patches(&Columns::Segment.places(case.path, case.tif), case.tif, &grid());
     let mut r = case.desired.height_nm() - &removal(case.path, case.tif, t);
     let mean = r.mean().unwrap();
@@ -765,7 +765,7 @@ fn lucy_richardson_says_what_a_tool_with_noise_removes() {
 
 #[test]
 fn lucy_richardson_stays_where_the_removal_is_the_desired_one() {
-    // E = B T* is a fixed point: from a map whose lowest pixel has the margin that E gets.
+    // E = B t* is a fixed point: from a map whose lowest pixel has the margin that E gets.
     let (tool, path) = (bell(), path(2.0));
     let t = planted(&path);
     let height = removal(&path, &tool, &t);

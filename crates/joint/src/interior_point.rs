@@ -14,11 +14,29 @@
 //! dz = mu/c - z - Z/c J d,   dy = mu/(D - lo) - y - Y/(D - lo) d                                  (2)
 //! ```
 //!
-//! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. Gondzio's
-//! corrections then bring outlying products of slacks and dual variables back towards mu. Without them the steps end
-//! early at a few rows that are far from being active. A step ends where a row would lose more than most of its
-//! slack, measured on c itself, so every iterate can be executed. If the bends of the rows end a step much before the
-//! tangents do, a second-order correction follows. Its right-hand side has the distance of the rows from their
+//! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. The predictor
+//! (d, dz, dy) is (2) with mu = 0, and dc = J d its change of the slacks by their tangents. a is the longest part of d,
+//! and b that of dz and dy, that a step may take. With N rows and bounds,
+//!
+//! ```text
+//! g     = z'c + y'(D - lo)                                              the complementarity
+//! g_ab  = (z + b dz)'(c + a dc) + (y + b dy)'(D - lo + a d)             that after the predictor
+//! sigma = (g_ab / g)^3,   at least 1e-3 and at most 1;    mu = sigma g / N                        (3)
+//! mu - dz_i dc_i  for row i,   mu - dy_j d_j  for bound j               in place of mu in (2)
+//! ```
+//!
+//! Gondzio's corrections then bring outlying products of slacks and dual variables back towards mu. They measure the
+//! products v after both parts of the step, each 0.3 longer and at most 1, and project them on the range from mu / 10
+//! to 10 mu. The change by the projection is added to the targets of (3):
+//!
+//! ```text
+//! target_i += max(clip(v_i, mu / 10, 10 mu) - v_i, -10 mu)                                        (4)
+//! ```
+//!
+//! A correction is kept, and another one tried, if neither part becomes shorter and one becomes longer by 0.03. Without
+//! them the steps end early at a few rows that are far from being active. A step ends where a row would lose 95 % of
+//! its slack, measured on c itself, so every iterate can be executed. If the bends of the rows end a step much before
+//! the tangents do, a second-order correction follows. Its right-hand side has the distance of the rows from their
 //! tangents at the end of the step, and the factor is the same. The matrix keeps the skyline of H, because a row
 //! couples neighbours only.
 //!
@@ -26,15 +44,22 @@
 //! fallen to a tenth, and at every iterate of which something is to be proven. Between these iterates H gives the
 //! change.
 //!
-//! An objective that no longer falls need not be the least one: z fits rows that bend from step to step, and is
-//! always a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it
-//! is and its tangents are kept. The steps go on for the convex program with these tangents in the place of the rows.
-//! Its slacks may first be larger than the tangents allow (an infeasible start). They end when its dual variables
-//! prove how far the iterate is above its least value ([`crate::certificate`]). If that is more than is wanted, the
-//! iterate moves towards the solution of this program, as far as the rows themselves allow. The steps under the rows
-//! then go on.
+//! An objective that no longer falls need not be the least one: z fits rows that bend from step to step, and is always
+//! a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and
+//! its tangents are kept. The steps go on for the convex program with these tangents in the place of the rows. Its
+//! slacks may first be larger than the tangents allow (an infeasible start). They end when its dual variables prove how
+//! far the iterate is above its least value ([`crate::certificate`]). With the iterate D_0 that stays, and the gap G(D)
+//! that the certificate proves of a later D under the tangents at D_0,
 //!
-//! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for programs that
+//! ```text
+//! f(D_0) - least f under the tangents <= f(D_0) - f(D) + G(D),   G(D) >= f(D) - that least f      (5)
+//! ```
+//!
+//! and the least right side of all D is the gap of D_0. While the slacks of D still have an excess x over those that
+//! the tangents allow, G has `z'(c - x)` for `z'c`. If the gap is more than is wanted, the iterate moves towards the
+//! solution of this convex program, as far as the rows themselves allow. The steps under the rows then go on.
+//!
+//! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for problems that
 //! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263; for the second-order correction
 //! A. Wächter and L. T. Biegler, Math. Program. 106 (2006) 25.
 //!
@@ -70,7 +95,7 @@ pub const NEAR_THE_MINIMUM: f64 = 0.3;
 /// the rows of the coarser mesh. Chosen.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
-/// Minimises the program (1) of the module from densities strictly inside the limits. The objective may change from
+/// Minimises the problem (1) of the module from densities strictly inside the limits. The objective may change from
 /// step to step while its price is still being found; nothing is proven or compared before. Returns `None` if the
 /// matrix is singular to rounding.
 /// # Errors
@@ -120,7 +145,7 @@ pub struct Approach {
     pub iterations: usize,
 }
 
-/// Goes towards the minimum of the program (1) of the module without a proof. It ends after `max_iterations` steps, or
+/// Goes towards the minimum of the problem (1) of the module without a proof. It ends after `max_iterations` steps, or
 /// when the complementarity is at most the fraction `near` of the objective, but not before three steps. Returns `None`
 /// if the matrix is singular to rounding.
 ///
@@ -270,8 +295,8 @@ mod tests {
             let solution = solve(&program, start, &stop, &mut merit).unwrap().unwrap();
             assert_eq!(solution.end, End::Optimal);
             let d = &solution.density;
-            // Where it ended f is that of the removal itself; far from there what the cells lose is missing, some percent
-            // of what the difference of the densities removes.
+            // Where it ended f is that of the removal itself; far from there what the cells lose is missing, some
+            // percent of what the difference of the densities removes.
             let there = Progress { iteration: 0, complementarity: 0.0 };
             let (value, gradient) = objective(d);
             // Rounding of sums over the pixels, by two orders of the same terms.

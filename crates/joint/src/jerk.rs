@@ -291,7 +291,7 @@ mod tests {
             // At rest at both ends, where the motion was.
             let ends = [smooth.segment(0), smooth.segment(smooth.len() - 1)];
             let [first, last] = ends.map(|s| [0.0, s.duration_s].map(|u| s.position_mm(u)[0]));
-            // Rounding of a place of 3 mm; the last one is the end of a sum over the pieces.
+            // Rounding of a position of 3 mm; the last one is the end of a sum over the pieces.
             assert!((first[0] - 3.0).abs() < 1e-12 && (last[1] - 3.0).abs() < 1e-9);
             // Both times run from the same moment: the average begins earlier by so much.
             let before_s = 0.5 * (smooth.total_time_s() - motion.total_time_s());
@@ -333,7 +333,7 @@ mod tests {
             let ([a, b], times) = (pair.0, pair.1) else { unreachable!() };
             let h = times[1] - times[0];
             for axis in 0..2 {
-                // Rounding of places of some mm.
+                // Rounding of positions of some mm.
                 assert!((polynomial::evaluate(&a[axis], h) - b[axis][0]).abs() < 1e-12);
             }
         }

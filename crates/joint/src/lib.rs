@@ -26,8 +26,8 @@
 //! Words of this crate: a node is a point of the curve with an unknown density, and a span the part of the curve
 //! between two nodes. A row is a constraint `c >= 0` on the densities that a limit of the machine imposes. The pull is
 //! the Tikhonov term of the objective, which draws the densities to their least values. A round is one solution of the
-//! program, after which limits are tightened or new tangents are taken. The judge is the proof that a motion keeps the
-//! limits, by `planish-verify` or by [`axes`]. Further axes are those beyond x and y.
+//! convex program, after which limits are tightened or new tangents are taken. The judge is the proof that a motion
+//! keeps the limits, by `planish-verify` or by [`axes`]. Further axes are those beyond x and y.
 
 // The command line names this library as any other program does.
 extern crate self as planish_joint;

@@ -97,7 +97,7 @@ const FAR_SLACK: f64 = 0.5;
 /// the fourth derivatives. Smaller: rounding. Chosen between the two.
 const DIFFERENCE: f64 = 1e-4;
 
-/// Row of the program (a constraint `c >= 0`): its span, and the quantity that it limits.
+/// Row of the problem (a constraint `c >= 0`): its span, and the quantity that it limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct LimitRow {
     span: usize,

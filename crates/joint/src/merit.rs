@@ -1,17 +1,17 @@
 //! Objective of the plan, as a function of the densities of the nodes.
 //!
 //! ```text
-//! 1/2 mean square of the residual + price T
+//! 1/2 mean square of the residual + lambda T
 //!      + 1/2 alpha K sum (D - lo)^2 + 1/2 beta K sum (difference of neighbours)^2        (1)
 //! ```
 //!
 //! K is the largest diagonal element of the normal matrix, so alpha and beta have no unit.
 //!
-//! The price is given, or follows from the elasticity of the plan. If the mean square of the residual falls by x %
-//! when the time grows by 1 %, x is the elasticity; at the minimum of (1)
+//! The price lambda of a second is given, or follows from the elasticity of the plan. If the mean square of the
+//! residual falls by x % when the time grows by 1 %, x is the elasticity; at the minimum of (1)
 //!
 //! ```text
-//! d(1/2 mean square) / dT = -price,   x = 2 price T / mean square                        (2)
+//! d(1/2 mean square) / dT = -lambda,   x = 2 lambda T / mean square                        (2)
 //! ```
 //!
 //! and the price is the one that gives the elasticity of the settings.
@@ -30,7 +30,7 @@
 //! ```
 //!
 //! is added to the mean square. The gradient of the mean square at D_k is then that of the motion. (4) does not
-//! change the curvature, so the program stays convex. The solver simulates the motion at every iterate at which it
+//! change the curvature, so the problem stays convex. The solver simulates the motion at every iterate at which it
 //! computes the mean square exactly, up to the first one of which it proves something. Up to there g is zero, because
 //! steps by another curvature than that of the motion need a line search. The rounds after it have one (`problem`).
 

@@ -55,7 +55,7 @@ const RADIUS_OVER_TIF_WIDTH: f64 = 1.0;
 const JERK_DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
 
 /// Least spacing of the nodes over the width of the TIF. Larger: spacings that make sense are refused. Smaller: a
-/// spacing in the wrong unit makes a very large program. Chosen.
+/// spacing in the wrong unit makes a very large problem. Chosen.
 const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 
 /// Largest number of multiplications of one factorisation of the normal matrix at the default spacing; above it the
@@ -113,7 +113,7 @@ pub struct JointReport {
     /// Reason for the end of the solver: `optimal` or `iteration-limit`.
     pub end: End,
     /// Proven bound on the excess of the objective over the least one of the last convex program, relative to it.
-    /// This program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
+    /// This convex program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
     /// motion.
     #[serde(flatten)]
     pub proven: ProvenGap,

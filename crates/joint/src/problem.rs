@@ -34,7 +34,7 @@ use crate::{
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
 /// Largest number of rounds in which the limits of spans are tightened because their motion exceeds a limit, and the
-/// program is solved again. Larger: more time before the plan is refused. Smaller: plans are refused that could still
+/// problem is solved again. Larger: more time before the plan is refused. Smaller: plans are refused that could still
 /// be mended. Chosen.
 const MAX_ROUNDS: usize = 8;
 
@@ -293,7 +293,7 @@ fn solve_on_cells(
     Ok(Solved { mesh, nodes_of_meshes, outcome })
 }
 
-/// Program on a mesh, without its rows (the limits).
+/// Optimisation problem on a mesh, without its rows (the limits).
 struct OnMesh<'a> {
     mesh: &'a Mesh,
     residual: Residual<'a>,
@@ -398,7 +398,7 @@ impl<'a> OnMesh<'a> {
         (0.5 * x * m / total_s, m * total_s.powf(x))
     }
 
-    /// Solves the program, and again with a lower weight while the pull is too large a part of the objective. Returns
+    /// Solves the problem, and again with a lower weight while the pull is too large a part of the objective. Returns
     /// the last plan that is proven, or the first one. Its number of steps includes the `iterations` before.
     fn solve_with_less_pull(
         &mut self,
@@ -426,7 +426,7 @@ impl<'a> OnMesh<'a> {
         }
     }
 
-    /// Solves the program in at most [`MAX_ROUNDS`] rounds, until the motion keeps the limits. An excess of a further
+    /// Solves the problem in at most [`MAX_ROUNDS`] rounds, until the motion keeps the limits. An excess of a further
     /// axis above [`HOPELESS`] ends the rounds too. Each round tightens the limits that the motion exceeds. Rounds with
     /// new tangents follow if the limits are kept and the solution is proven.
     fn solve(
@@ -551,9 +551,9 @@ impl<'a> OnMesh<'a> {
         };
         let Some(mut solution) = solution else { return Ok(None) };
         solution.objective.splice(0..0, from.objective.iter().copied());
-        // Proven: no density of the program has an objective below this, nm^2. The gap of a density that is taken in
-        // the place of the solution follows from it. The bound under the tangents before holds too: what the executed
-        // objective falls by comes nearer to it.
+        // Proven: no density of the convex program has an objective below this, nm^2. The gap of a density that is
+        // taken in the place of the solution follows from it. The bound under the tangents before holds too: what the
+        // executed objective falls by comes nearer to it.
         let least_nm2 = (1.0 - solution.relative_gap) * merit.value_nm2(&solution.density);
         let gap = |density: &[f64], merit: &Merit<'_>| {
             let value_nm2 = merit.value_nm2(density);

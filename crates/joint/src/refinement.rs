@@ -49,7 +49,7 @@ pub struct Refined {
     pub same: Vec<Option<usize>>,
 }
 
-/// Inputs of the program that are the same for all meshes.
+/// Inputs of the problem that are the same for all meshes.
 pub struct MeshInputs<'a> {
     pub curves: &'a [Curve],
     pub path: &'a ToolPath,

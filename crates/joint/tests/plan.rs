@@ -333,10 +333,10 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
         assert!(ratio < 1.25, "{ratio} at {x}");
     }
     // Nodes 0.6 widths apart, as with a tool that is narrow for the part, leave more at the same price: 4 and 15 % of
-    // the merit were seen, by the meshes that follow from the first one.
+    // the objective were seen, by the meshes that follow from the first one.
     let price = half.report.price_nm2_per_s;
     let node_spacing_mm = Some(0.6 * tif.width_mm());
-    // The same pull to the floor, which is part of neither merit.
+    // The same pull to the floor, which is part of neither objective.
     let with_spacing = |node_spacing_mm: Option<f64>| {
         planned(JointSettings { node_spacing_mm, tikhonov: Some(1e-8), ..at_price(price) })
     };

@@ -3,7 +3,7 @@
 //! | module | subject |
 //! |---|---|
 //! | [`transform`] | a map of any size, for its spectrum |
-//! | [`plan`] | planned transforms of a map, in single and in double precision |
+//! | [`plan`] | prepared transforms of a map, in single and in double precision |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
 //! | [`tiles`] | one real map at a time, convolved with one kernel, tile by tile |
 //! | [`lane_convolution`] | two strips of a tile at a time, as the real and imaginary parts of one complex array |

@@ -4,7 +4,7 @@
 //! reach. The densities are those of the largest rectangle of valid pixels, plane removed, Hann window
 //! (`planish_numerics::spectrum`), as in the report of a plan; their sums over adjoining bands add up. The transfer of
 //! a band is the coefficient by which the predicted removal fits the measured one there,
-//! `sum Re(M conj(F)) / sum |F|^2`: 1 where the prediction is right, 0 where what is measured has nothing of it.
+//! `sum Re(d conj(F)) / sum |F|^2`: 1 where the prediction is right, 0 where what is measured has nothing of it.
 
 use ndarray::{Array2, s};
 use planish_numerics::spectrum::{Density, MIN_SAMPLES, hann, largest_rectangle, without_plane};
@@ -19,7 +19,7 @@ const PERIODS_OVER_WIDTH: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
 pub struct Maps<'a> {
     /// Measured removal: the difference of the maps without the terms of the metrology (d - Q c).
     pub measured: &'a Array2<f64>,
-    /// Removal that the plan predicts without errors (R(0)).
+    /// Removal that the plan predicts without errors (M(0)).
     pub planned: &'a Array2<f64>,
     /// Removal with the fitted parameters (F(p)).
     pub predicted: &'a Array2<f64>,
@@ -67,7 +67,7 @@ pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -
             predicted_rms_nm: f.sqrt(),
             measured_less_planned_rms_nm: less_p.sqrt(),
             rest_rms_nm: r.sqrt(),
-            // 2 Re(M conj(F)) = |M|^2 + |F|^2 - |M - F|^2
+            // 2 Re(d conj(F)) = |d|^2 + |F|^2 - |d - F|^2
             transfer: if f > 0.0 { Some(0.5 * (m + f - r) / f) } else { None },
         });
     }

@@ -10,30 +10,30 @@
 //! ```
 //!
 //! The noise of two maps is independent, so X has no part of it, and sigma is its scatter if the maps have nothing in
-//! common (Bartlett's formula; N(h), C(h): pairs of pixels that are h apart, and the covariance of a map). Another reading of the
-//! map after, with X_k in place of X, is less probable than the given one by the factor
+//! common (Bartlett's formula; N(h), C(h): pairs of pixels that are h apart, and the covariance of a map). Another
+//! reading of the map after, with X_k in place of X, is less probable than the given one by the factor
 //!
 //! ```text
 //! exp(-X (X - X_k) / sigma^2)
 //! ```
 //!
-//! That holds for the map with its sign turned (X_k = -X), for another part (half of X^2, X_k = 0), for the
-//! map turned or mirrored, and for the map at another place (X(h)). Where a reading is not [`ODDS`] less probable, the
-//! maps do not tell, and nothing of the fit is applied, unless the user states that both maps were measured in the same way.
+//! That holds for the map with its sign turned (X_k = -X), for another part (half of X^2, X_k = 0), for the map turned
+//! or mirrored, and for the map at another place (X(h)). Where a reading is not [`ODDS`] less probable, the maps do not
+//! tell, and nothing of the fit is applied, unless the user states that both maps were measured in the same way.
 //!
-//! The scale s of the map after lies within bounds that no noise passes (Frisch's bounds of two maps with errors), and where
-//! white noise can be told from the figure, the noise is taken off them:
+//! The scale s of the map after lies within bounds that no noise passes (Frisch's bounds of two maps with errors), and
+//! where white noise can be told from the figure, the noise is taken off them:
 //!
 //! ```text
 //! X / <p, p>  <=  s  <=  <a, a> / X             X / (<p, p> - N n_p^2),   (<a, a> - N n_a^2) / X
 //! ```
 //!
-//! If they do not tell 1 from 1/2 and 2, equal noise of both maps does, because two maps of one instrument have about the
-//! same. How much of the planned removal is between the maps is a regression of before - after on it: 1 is expected, 0 is a map
-//! that was measured twice, and -1 is two maps that were exchanged.
+//! If they do not tell 1 from 1/2 and 2, equal noise of both maps does, because two maps of one instrument have about
+//! the same. How much of the planned removal is between the maps is a regression of before - after on it: 1 is
+//! expected, 0 is a map that was measured twice, and -1 is two maps that were exchanged.
 //!
-//! Maps of no known mistake are found by their size: the fit explains less than half of what the plan missed, the rest is
-//! at least a quarter of the measured removal, and it is no noise from pixel to pixel.
+//! Maps of no known mistake are found by their size: the fit explains less than half of what the plan missed, the rest
+//! is at least a quarter of the measured removal, and it is no noise from pixel to pixel.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -269,7 +269,7 @@ fn filled(name: &str, map: &Array2<f64>, valid: &Array2<f64>) -> Option<String> 
 /// nothing but terms of the metrology.
 ///
 /// ```text
-/// f = <d, R> / <R, R>,   error^2 = <R, C R> / <R, R>^2     R without the terms of the metrology, C of the noise
+/// f = <d, M> / <M, M>,   error^2 = <M, C M> / <M, M>^2     M without the terms of the metrology, C of the noise
 /// ```
 fn removal_factor(
     data: &Data<'_>,

@@ -1,10 +1,10 @@
 //! Reconciliation of a run: the true rate, place, width and shape of the tool from the maps before and after it.
 //!
 //! ```text
-//! d = before - after = (1 + a) R(s, theta, m, w, e) + Q c + n                                 (1)
+//! d = before - after = (1 + a) M(s, theta, m, w, e) + Q c + n                                 (1)
 //! ```
 //!
-//! R is the removal of the executed motion with its deviations (`planish_simulate::runs`, the model by which
+//! M is the removal of the executed motion with its deviations (`planish_simulate::runs`, the model by which
 //! `planish-tolerance` judges a plan and the virtual machine runs it), Q the low-order terms that an interferometer
 //! does not measure (piston, tilt, power; more where asked for), n noise of any correlation. Least squares over the
 //! pixels that are valid in both maps, by Gauss and Newton's steps, give all unknowns together ([`fit`]).
@@ -22,7 +22,7 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | d | `data` | (ny, nx) | nm |
-//! | R | `planish_simulate::runs::Runs::removal_nm` | (ny, nx) | nm |
+//! | M | `planish_simulate::runs::Runs::removal_nm` | (ny, nx) | nm |
 //! | a, s, theta, m, w, e | `parameter::Parameter` | | 1, mm, rad |
 //! | Q | `metrology::Term` | (ny, nx) | 1 |
 //! | c | | | nm |

@@ -1,12 +1,12 @@
 //! The removal as a function of the parameters, and its derivatives.
 //!
 //! ```text
-//! F(p) = (1 + a) R(q),   dF/da = R(q),   dF/dq_i = (1 + a) (R(q + h_i) - R(q - h_i)) / (2 h_i)
+//! F(p) = (1 + a) M(q),   dF/da = M(q),   dF/dq_i = (1 + a) (M(q + h_i) - M(q - h_i)) / (2 h_i)
 //! ```
 //!
-//! with q all parameters but the rate a. A step h_i moves the tool, or changes the TIF, by 4 % of its width:
-//! what a central difference has wrong is (h/sigma)^2 / 6 = 3e-4 of the derivative. A smaller step would see the kinks of
-//! a sampled TIF (Keys' convolution has a continuous slope and no more), which change from one point to the next.
+//! with q all parameters but the rate a. A step h_i moves the tool, or changes the TIF, by 4 % of its width: what a
+//! central difference has wrong is (h/sigma)^2 / 6 = 3e-4 of the derivative. A smaller step would see the kinks of a
+//! sampled TIF (Keys' convolution has a continuous slope and no more), which change from one point to the next.
 
 use ndarray::Array2;
 use planish_numerics::parallel;

@@ -4,12 +4,12 @@
 //! E |e|^2 = |P (e - m)|^2 + t'Q t + constant                                             (1)
 //! ```
 //!
-//! with the residual e of the motion, the additional removal m by the fixed errors of the process, and the
-//! quadratic Q of the variances ([`planish_tolerance::quadratic`]). The loop first lowers |e|, as without a
-//! process, and goes on from there with (1). Its rounds keep the best plan by (1), so by (1) the result is no worse
-//! than the plan without the process. The times that the machine needed remain lower bounds. Q and m are those of
-//! the best motion so far, like the columns. Q enters the dwell solver as products, in its exact gradient and
-//! curvature, and its certificate holds with them.
+//! with the residual e of the motion, the additional removal m by the fixed errors of the process, and the quadratic Q
+//! of the variances ([`planish_tolerance::quadratic`]). The loop first lowers |e|, as without an error budget, and goes
+//! on from there with (1). Its rounds keep the best plan by (1), so by (1) the result is no worse than the plan without
+//! the error budget. The times that the machine needed remain lower bounds. Q and m are those of the best motion so
+//! far, like the columns. Q enters the dwell solver as products, in its exact gradient and curvature, and its
+//! certificate holds with them.
 //!
 //! [`planish_tolerance::tolerance`] judges both plans with the whole process, the constant included, and the plan
 //! with the smaller expected RMS is kept. That can be the first plan, if the errors are too large for Q, which is
@@ -38,7 +38,7 @@ pub struct PlanRisk {
     pub total_time_s: f64,
 }
 
-/// Comparison of the plans made without and with the process.
+/// Comparison of the plans made without and with the error budget.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Price {
     /// Name of the process, from its error budget.
@@ -48,11 +48,12 @@ pub struct Price {
     /// Kinds of errors that are not in the objective of the loop: their effect does not depend on the dwell times, or
     /// has no derivative by them.
     pub not_in_the_objective: Vec<String>,
-    /// Risk of the plan made without the process.
+    /// Risk of the plan made without the error budget.
     pub without: PlanRisk,
-    /// Risk of the plan made for the process; the same as `without` if no error is in the objective.
+    /// Risk of the plan made with the error budget; the same as `without` if no error is in the objective.
     pub with: PlanRisk,
-    /// True if the plan made for the process is kept, because its expected RMS is smaller; false if the other one is.
+    /// True if the plan made with the error budget is kept, because its expected RMS is smaller; false if the other one
+    /// is.
     pub kept: bool,
 }
 

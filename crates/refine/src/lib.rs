@@ -33,9 +33,9 @@
 //! the objective of the dwell solver. With a noise level the first correction chooses the smoothness at
 //! which the residual reaches the noise, and all corrections keep it.
 //!
-//! With a process ([`error_budget`]) the loop goes on from its result. The expected square replaces e^2: the errors of
-//! the process add a quadratic t'Q t of the dwell times. The additional removal by its fixed errors is subtracted
-//! from the map.
+//! With an error budget ([`error_budget`]) the loop goes on from its result. The expected square replaces e^2: the
+//! errors of the process add a quadratic t'Q t of the dwell times. The additional removal by its fixed errors is
+//! subtracted from the map.
 //!
 //! The scheduler is any [`Scheduler`] of `planish-schedule`. It states h: the time of every segment that is not its
 //! dwell time. A segment that takes less than its dwell time (`trig-spline` gives the time of a segment without length
@@ -168,12 +168,12 @@ pub struct Iterate {
     pub rms_nm: f64,
     /// RMS of the executed residual with its best-fit plane removed, nm.
     pub detilted_nm: f64,
-    /// Root of the expected mean square of the residual with a process, nm, without the part that does not depend on
-    /// the dwell times ([`error_budget`]); `None` without a process.
+    /// Root of the expected mean square of the residual with an error budget, nm, without the part that does not depend
+    /// on the dwell times ([`error_budget`]); `None` without an error budget.
     pub expected_rms_nm: Option<f64>,
     /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm, with the price lambda and the total time T. The noise
-    /// replaces an RMS below it, and with a process the expected square replaces rms^2. If the slope of the residual
-    /// has a weight, its weighted mean square is added to the square.
+    /// replaces an RMS below it, and with an error budget the expected square replaces rms^2. If the slope of the
+    /// residual has a weight, its weighted mean square is added to the square.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,

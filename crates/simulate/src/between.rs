@@ -2,13 +2,13 @@
 //!
 //! Nothing is known of a tool between the samples of its TIF. Of a smooth TIF Keys' cubics are right to the third order
 //! in the step, and straight lines to the second; of a hard edge that falls within a step neither is right, and the
-//! prediction depends on the choice. So the residual r is compared with the one that straight lines give:
+//! prediction depends on the choice. So the residual e is compared with the one that straight lines give:
 //!
 //! ```text
-//! r_linear = r + d,   d(x) = integral of (K - B)(x - P(t)) w(t) dt
+//! e_linear = e + d,   d(x) = integral of (R - B)(x - P(t)) w(t) dt
 //! ```
 //!
-//! with K Keys' convolution of the samples and B their bilinear interpolation, on some pixels that are spread over the
+//! with R Keys' convolution of the samples and B their bilinear interpolation, on some pixels that are spread over the
 //! map (the sequence of M. Roberts' generalised golden ratio), by the midpoint rule. The change of the RMS is a ratio
 //! of two means over the same pixels; its standard error is stated.
 

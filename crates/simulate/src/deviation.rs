@@ -149,9 +149,8 @@ impl Deviation {
             let remedy = "leave tif_ellipticity and tif_diagonal_ellipticity out";
             return Err(Invalid::whole("tif", TURNS, remedy));
         }
-        // T'(c + u) = T(c + S^-1 u) about the centroid c, so that the tool stays where it removes; S is a rotation after
-        // the stretch
-        //     w [[1 + e/2, d/2], [d/2, 1 - e/2]];    the volume is kept.
+        // R'(c + u) = R(c + S^-1 u) about the centroid c, so that the tool stays where it removes; S is a rotation
+        // after the stretch     w [[1 + e/2, d/2], [d/2, 1 - e/2]];    the volume is kept.
         let w = 1.0 + shape[0];
         let e = 0.5 * shape[1];
         let d = 0.5 * shape[2];

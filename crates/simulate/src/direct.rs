@@ -1,10 +1,12 @@
 //! Midpoint quadrature, pixel by pixel: slow and simple, the independent check (oracle) of [`crate::gridded`].
 //!
 //! ```text
-//! removal(x) = sum over segments, sum_{q=0}^{m-1} (h / m) R(x - P((q + 1/2) h / m))
+//! M(x) = sum over segments with the tool on, w sum_{q=0}^{m-1} (h / m) R(x - P((q + 1/2) h / m))
 //! ```
 //!
-//! For a tool that varies, R is K of [`planish_types::Variation`] at the place and the time of each step.
+//! with the duration h of a segment, its rate factor w (1 but for logs that have a beam current), m = `steps`, and the
+//! position P in the time of the segment. For a tool that varies, R(x - P) is K(x; P, t) of
+//! [`planish_types::Variation`] at the position and the time of each step.
 //!
 //! Order 2 in 1/m for a TIF that ends smoothly, order 1 where its samples end with a step.
 

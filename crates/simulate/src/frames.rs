@@ -1,18 +1,23 @@
-//! The removal at chosen times of the run.
+//! The removal at equal steps of time in the course of the run.
 //!
 //! ```text
-//! removal(x, t_i) = removal(x, t_(i-1)) + integral over t_(i-1) .. t_i, tool on, of R(x - P(t)) dt
+//! M(x, t_i) = M(x, t_(i-1)) + integral over t_(i-1) .. t_i, tool on, of w(t) R(x - P(t)) dt,   M(x, 0) = 0
 //! ```
 //!
-//! with `t_i = T i / m` and `T` the duration of the motion: every part of the motion is simulated
-//! once, as [`crate::simulate`] does, and the last frame is its removal. A frame keeps every s-th
-//! row and column, the values themselves, not means over several pixels.
+//! with the TIF R, the rate factor w and the position P of the tool as in the [crate], `t_i = T i / m` from the
+//! start of the motion, and `T` its duration. Every part of the motion is simulated once, as [`crate::simulate`] does,
+//! and the last frame is the removal of the run.
+//!
+//! A frame keeps every s_y-th row and every s_x-th column, the values themselves, not means over several pixels. s_x
+//! and s_y are the same number s, the smallest with which a frame has at most [`MAX_PIXELS`] pixels. Along an axis of n
+//! pixels it is at most n - 1, so that two rows and columns stay: a map of 90 000 x 2 pixels has s_x = 9 and s_y = 1.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | m | `count` | - | - |
 //! | t | `time_s` | (m) | s |
-//! | removal | `removal_nm` | (m, ny/s, nx/s) | nm |
+//! | M | `removal_nm` | (m, ceil(ny / s_y), ceil(nx / s_x)) | nm |
+//! | s_x, s_y | `stride` | (2) | pixels of the map |
 
 use ndarray::{Array2, Array3, Axis as NdAxis, s};
 use planish_numerics::polynomial::{derivative, evaluate};
@@ -21,7 +26,8 @@ use rayon::prelude::*;
 
 use crate::{SimulationPlan, SimulationSettings, coverage::Coverage};
 
-/// Largest number of pixels of a frame; 24 frames take 4 MB. Larger: larger files. Smaller: coarser pictures.
+/// Largest number of pixels of a frame, for every map; 24 frames of 8 bytes per pixel take 4 MB. Larger: larger files.
+/// Smaller: coarser pictures.
 pub const MAX_PIXELS: usize = 20_000;
 
 /// Largest number of frames; more are refused. Larger: large files and long runs. Smaller: coarser steps in time.
@@ -34,7 +40,7 @@ const SIDE_BY_SIDE: usize = 2;
 /// The removal up to several times of the run.
 #[derive(Clone, Debug)]
 pub struct Frames {
-    /// Times from the start of the motion to the end of each of m equal steps, s.
+    /// Times from the start of the motion to the end of each of m equal steps (m), s.
     pub time_s: Vec<f64>,
     /// Removal up to each time on the pixels of the frames, shape (m, rows, columns), nm.
     pub removal_nm: Array3<f64>,

@@ -14,6 +14,18 @@
 //! `w_d(f)` (sixteen in two dimensions). The field of seconds is convolved with the samples. No approximation is
 //! made: sums are only reordered.
 //!
+//! The `w_d` are the weights of [`planish_numerics::keys`], where they interpolate at a coordinate *above* a node:
+//!
+//! ```text
+//! K(s) = sum_e w_e(1 - f) g[k - 1 + e],   s = k - f = (k - 1) + (1 - f),   e = -1..2
+//! w_e(1 - f) = w_(1-e)(f)                 Keys' kernel is symmetric,   so with d = 1 - e it is (1)
+//!
+//! w_-1 = -(f - 2 f^2 + f^3) / 2,   w_0 = 1 - (5 f^2 - 3 f^3) / 2
+//! w_1  = (f + 4 f^2 - 3 f^3) / 2,  w_2 = -(f^2 - f^3) / 2
+//! ```
+//!
+//! For 0 < f they also need `g[-1]` and `g[n]`, the ghost nodes of that module.
+//!
 //! # The border
 //!
 //! `R` ends at its last samples, `K` of (1) goes on for up to three pixels on the way to zero.
@@ -41,10 +53,10 @@
 //!
 //! # Other pixels
 //!
-//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only
-//! some of the nodes are pixels. A TIF of any other pitch is first sampled anew on the lattice of the map
-//! ([`planish_types::TifLattice`]). The edge of R then lies between two lattice points, which (2) takes into account. The
-//! error of the new samples is reported.
+//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only some
+//! of the nodes are pixels. A TIF of any other pitch is first sampled anew on the lattice of the map
+//! ([`planish_types::TifLattice`]). The edge of R then lies between two lattice points, which (2) takes into account.
+//! The error of the new samples is reported.
 
 use std::{borrow::Cow, ops::Range, sync::Mutex};
 
@@ -78,7 +90,7 @@ const BYTES_PER_SAMPLE: usize = 64;
 /// Data that depend on the TIF and the map only and serve many trajectories. A tool that varies has several kernels:
 ///
 /// ```text
-/// removal(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
+/// M(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
 /// ```
 ///
 /// by (1) of [`planish_types::Variation`]: phi_k are the kernels, a_k their weights at the position P(t) of the tool, c

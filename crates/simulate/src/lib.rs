@@ -1,7 +1,7 @@
 //! Removal of a trajectory: the time integral of the TIF along the motion.
 //!
 //! ```text
-//! removal(x) = integral over the time the tool is on of  w(t) R(x - P(t)) dt
+//! M(x) = integral over the time the tool is on of  w(t) R(x - P(t)) dt
 //! ```
 //!
 //! with the TIF `R` of [`planish_types::Tif`]. The position `P` is that of the trajectory, never of the dwell points.
@@ -28,7 +28,7 @@
 //! |---|---|---|---|
 //! | R | `tif` | (my, mx) | nm/s |
 //! | P | `trajectory` | (k, 2, 4) | mm |
-//! | removal | `removal_nm` | (ny, nx) | nm |
+//! | M | `removal_nm` | (ny, nx) | nm |
 
 // The command line names this library as any other program does.
 extern crate self as planish_simulate;

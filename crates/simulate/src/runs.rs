@@ -1,20 +1,20 @@
 //! A plan, and the removal of runs whose motion and TIF deviate from it.
 //!
 //! ```text
-//! R(run) = R + (S(run) - S(no error))
+//! M(run) = M + (S(run) - S(no error))
 //! ```
 //!
-//! R is executed with the TIF of the plan, S with the TIF that errors move ([`crate::tool`]): the noise of a measured
+//! M is executed with the TIF of the plan, S with the TIF that errors move ([`crate::tool`]): the noise of a measured
 //! TIF and the step where its samples end belong to its measurement, and a displacement must not move them over the
-//! pixels. Where the TIF of the plan is moved as it is, R(run) is S(run).
+//! pixels. Where the TIF of the plan is moved as it is, M(run) is S(run).
 //!
-//! A tool that varies over the part does so in the coordinates of the part: a displaced tool has the weights of the place
-//! where it is, and the factor of a pixel stays with the pixel. A factor of the time belongs to the times of the plan; R
-//! has it as it is, and S its mean over every piece of the motion.
+//! A tool that varies over the part does so in the coordinates of the part: a displaced tool has the weights of the
+//! place where it is, and the factor of a pixel stays with the pixel. A factor of the time belongs to the times of the
+//! plan; M has it as it is, and S its mean over every piece of the motion.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | R | `executed` | (ny, nx) | nm |
+//! | M | `executed` | (ny, nx) | nm |
 //! | S(no error) | `unchanged` | (ny, nx) | nm |
 
 use std::borrow::Cow;
@@ -46,7 +46,7 @@ pub struct Runs<'a> {
     plan: gridded::GriddedPlan,
     /// Motion of the plan in pieces.
     pub motion: Motion,
-    /// Removal of the plan with its own TIF (R of the module), shape (ny, nx), nm.
+    /// Removal of the plan with its own TIF (M of the module), shape (ny, nx), nm.
     pub executed: Array2<f64>,
     /// Removal without errors with the TIF that errors change (S(no error)), shape (ny, nx), nm.
     pub unchanged: Array2<f64>,
@@ -87,7 +87,7 @@ impl<'a> Runs<'a> {
         })
     }
 
-    /// Returns the removal R(run) of the module for one run, shape (ny, nx), nm.
+    /// Returns the removal M(run) of the module for one run, shape (ny, nx), nm.
     ///
     /// # Errors
     ///

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! true before = measured before + m_1
-//! true after  = true before - R(run)
+//! true after  = true before - M(run)
 //! measured after = true after - m_2
 //! ```
 //!
-//! R(run) is the removal of the motion with one draw of the errors of a process ([`Runs`]). m_1 and m_2 are the
+//! M(run) is the removal of the motion with one draw of the errors of a process ([`Runs`]). m_1 and m_2 are the
 //! errors of the two measurements (`map_noise` and `map_low_order`). They are drawn independently, so that the
 //! difference of the two maps has twice the variance of either. A reader of the measured map sees neither. The truth
 //! is written elsewhere, for comparison with what is learnt.
@@ -165,7 +165,7 @@ pub fn draw_run(
     }
     let removal = runs.removal_nm(&deviation)?;
     let [m_1, m_2] = [run - 1, run].map(|k| measurement_error(before, process, seed, k));
-    // true before = measured before + m_1, true after = true before - R, measured after = true after - m_2
+    // true before = measured before + m_1, true after = true before - M, measured after = true after - m_2
     let true_before = Surface::new(*before.grid(), before.height_nm() + &m_1)?;
     let removal = Removal::new(&true_before, removal)?;
     let measured = Surface::new(*before.grid(), removal.residual().height_nm() - &m_2)?;

@@ -202,7 +202,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     assert_eq!((known.hidden.truth.rate_scale, known.hidden.errors[0].value), (0.0, Some(0.0)));
     let rate = 1.0 + first.hidden.truth.rate_scale;
     let plan = removal(&raster([0.0; 2]));
-    // (rate + noise) R: the noise acts on the rate of the plan.
+    // (rate + noise) M: the noise acts on the rate of the plan.
     let expected = first.removal.removal_nm() - &((rate - 1.0) * &plan);
     // Sums of some thousand terms of 20 nm.
     assert!(apart(known.removal.removal_nm(), &expected) < 1e-9);

@@ -1,12 +1,12 @@
 //! A mirror line: a profile becomes the desired removal of a strip, and the tool is integrated across it.
 //!
-//! A profile h(x) says nothing of the other direction, so the removal has to be the same across. The tool moves along
+//! A profile z(x) says nothing of the other direction, so the removal has to be the same across. The tool moves along
 //! the middle of a strip, and what counts is the mean of the removal across:
 //!
 //! ```text
 //! R1(x) = 1 / W  int from -W/2 to W/2  R(x, y) dy      a strip of the width W, one pass                  (1)
 //! R1(x) = 1 / d  int over all y        R(x, y) dy      a part much wider than the tool, lines d apart    (2)
-//! int R1(x - p) D(p) dp = h(x)
+//! int R1(x - p) D(p) dp = z(x)
 //! ```
 //!
 //! Both are written as artifacts of the usual kinds, so that every stage plans and judges them as it does maps. The map
@@ -16,11 +16,11 @@
 //!
 //! The integral is that of Keys' interpolant of the samples, by Gauss's rule with two nodes between neighbouring
 //! samples, which is exact for its cubics. Slopes are integrated by trapezoids: `s[i]` are those of the profile, and
-//! `h[i] = h[i-1] + (s[i-1] + s[i]) (x[i] - x[i-1]) / 2`.
+//! `z[i] = z[i-1] + (s[i-1] + s[i]) (x[i] - x[i-1]) / 2`.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
-//! | h | `surface` | (3, nx), rows alike | nm |
+//! | z | `surface` | (3, nx), rows alike | nm |
 //! | R | `tif` | (my, mx) | nm/s |
 //! | R1 | `across` | (5, mx) | nm/s |
 //! | W, d | [`Across`] | - | mm |

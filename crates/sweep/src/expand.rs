@@ -146,7 +146,7 @@ mod tests {
         assert!(changed(Ground { surface: "other".into(), ..ground() }, 1.0, 0.0));
         assert!(changed(Ground { tools: vec![("".into(), "o".into())], ..ground() }, 1.0, 0.0));
         assert!(changed(ground(), 1.5, 0.0));
-        // The path is judged by the travel of the machine, and knows neither process nor price.
+        // The path is judged by the travel of the machine, and knows neither error budget nor price.
         assert!(changed(Ground { machine: "other".into(), ..ground() }, 1.0, 0.0));
         assert!(!changed(Ground { process: Some("p".into()), ..ground() }, 1.0, 0.0));
         assert!(!changed(ground(), 1.0, 1e-4));

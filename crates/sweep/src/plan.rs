@@ -395,7 +395,7 @@ impl Sweep {
     /// Returns the settings of `just run` that make a plan again; the first word is the name of the pipeline.
     pub fn again(&self, plan: &SweptPlan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
-        // A plan of motion and times as one problem does not depend on the process.
+        // A plan of motion and times as one problem does not depend on the error budget.
         let is_joint = plan.method == "joint";
         let has_tool = plan.get("tool").is_some();
         for word in &self.again {

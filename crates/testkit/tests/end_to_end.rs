@@ -424,7 +424,7 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
         assert!(rows[3][1] > 64.0, "{said}");
     }
     assert!(said.contains("volume / VRR: 64.0 s"), "{said}");
-    // The merit that both minimise, from the printed numbers. Motion and times as one problem is never
+    // The objective that both minimise, from the printed numbers. Motion and times as one problem is never
     // above the closed loop by more than the rounding of these numbers, and the gap at which it ends, 1e-3.
     for (a, b) in closed_loop.iter().zip(&feed) {
         let merit = |row: &Vec<f64>| 0.5 * row[2] * row[2] + row[0] * row[1];

@@ -1,10 +1,10 @@
 //! Errors that a process adds to the residual of a plan.
 //!
 //! ```text
-//! e = P (h - R) = e0 - sum_i eta_i f_i - n
+//! e = P (z - M) = e0 - sum_i eta_i f_i - n
 //! ```
 //!
-//! h is the desired removal, R what is executed, P removes what is free (a piston, or a plane). To first order
+//! z is the desired removal, M what is executed, P removes what is free (a piston, or a plane). To first order
 //! every error that one number decides adds a field f_i, the derivative of the executed removal: one pair of
 //! simulations with the error of opposite signs ([`planish_simulate::deviation`], `lines`). Errors of their own in
 //! every piece of the motion, and fluctuations in time, add a Gaussian field n, whose covariance is known from the

@@ -1,13 +1,13 @@
 //! Expected mean square of the residual as a quadratic in the dwell times: the part of a process that they decide.
 //!
-//! With b_j what a second at dwell point j of a motion removes, t_j the times, and independent errors eta_k of
-//! variance s_k^2,
+//! With b_j what a second at dwell point j of a motion removes, t_j the times, independent errors eta_k of variance
+//! s_k^2, and z, M and P of the [crate],
 //!
 //! ```text
-//! E |e|^2 = |P (h - R - m)|^2 + t'Q t + constant
+//! E |e|^2 = |P (z - M - m)|^2 + t'Q t + constant
 //! t'Q t   = sum_k s_k^2 |P sum_j t_j c_kj|^2                         one number eta_k
 //!         + s^2 sum_kl C_kl t_j(k) t_j(l) <P b_k, P b_l>             noise of the rate, of pieces k and l
-//!         + s^2 sum_j t_j^2 (|P db_j/dx|^2 + |P db_j/dy|^2)          noise of the places
+//!         + s^2 sum_j t_j^2 (|P db_j/dx|^2 + |P db_j/dy|^2)          noise of the positions
 //! ```
 //!
 //! c_kj is the derivative of b_j by eta_k. The TIF acts in seven ways (`Kernels`): as it is, displaced along x and y,

@@ -21,7 +21,7 @@ pub struct Work<'a> {
     runs: Runs<'a>,
     pub inner: Inner,
     pub process: &'a ErrorBudget,
-    /// Residual of the plan without errors, P (h - R) of the crate's documentation, shape (ny, nx), nm.
+    /// Residual of the plan without errors, P (z - M) of the crate's documentation, shape (ny, nx), nm.
     pub nominal: Array2<f64>,
     /// Coverage of the map by the plan.
     pub coverage: Coverage,

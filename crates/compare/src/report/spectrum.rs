@@ -8,7 +8,7 @@
 //! ```text
 //! PSD(|f|) = mean of S over the ring of |f|             nm^2 mm^2
 //! mean square of a band  = sum of S df over it, at most what the shorter bands leave of that of the rectangle
-//! contribution of a band = sqrt(mean square of the band * pixels of the rectangle / all pixels)
+//! contribution of a band = sqrt(mean square of the band * pixels of the rectangle / valid pixels of the map)
 //! not in the spectrum    = sqrt(mean square of z - contributions^2)
 //! ```
 //!
@@ -17,8 +17,9 @@
 //! weight than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of
 //! the rectangle, heights at its edges, and its own plane.
 //!
-//! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its
-//! frequencies (the mean, the corners of the plane of frequencies) count in the next band.
+//! The band of long periods is not resolved if the longer side of the rectangle is at most 10 mm, and the band of short
+//! periods if the smaller pixel pitch is above 0.5 mm. The frequencies of a band that is not resolved (the mean, the
+//! corners of the plane of frequencies) count in the middle band.
 
 use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::{
@@ -50,10 +51,11 @@ pub struct Spectrum {
     pub frequency_per_mm: Vec<f64>,
     /// Mean over each ring of the two-dimensional power spectral density, nm^2 mm^2.
     pub psd_nm2_mm2: Vec<f64>,
-    /// RMS of all valid pixels without their plane, nm.
+    /// RMS of all valid pixels of the map without their plane, nm, also of those outside of the rectangle.
     pub rms_detilted_nm: f64,
-    /// Contributions to `rms_detilted_nm`, nm, of periods above 10 mm, from 10 mm to 1 mm, and of 1 mm and below in
-    /// the rectangle. `null` for a band that the map does not resolve; the middle band is never `null`.
+    /// Contributions to `rms_detilted_nm`, nm, of the periods p > 10 mm, 10 mm >= p > 1 mm, and p <= 1 mm in the
+    /// rectangle. `null` for a band that the rectangle does not resolve; its frequencies then count in the middle band,
+    /// which is never `null`.
     pub band_rms_nm: [Option<f64>; 3],
     /// Rest of the RMS beside the bands, nm: pixels outside of the rectangle, and the part that the window and the
     /// plane of the rectangle hide.
@@ -173,7 +175,8 @@ mod tests {
         let s = spectrum(z.view(), &g).unwrap();
         // Power a^2/2; the window sees 19 and 71 periods, so its leakage is far below 1e-3.
         let band = s.band_rms_nm.map(Option::unwrap);
-        // The mean square over cut periods differs from a^2/2 by up to 1 / (2 pi 19) of it, and the plane takes as little.
+        // The mean square over cut periods differs from a^2/2 by up to 1 / (2 pi 19) of it, and the plane takes as
+        // little.
         assert!((band[1] / 3.0 * 2.0_f64.sqrt() - 1.0).abs() < 0.01, "{band:?}");
         assert!((band[2] / 0.5 * 2.0_f64.sqrt() - 1.0).abs() < 0.01, "{band:?}");
         // What is left of that difference: up to 1 % of 4.5 nm^2.
@@ -227,8 +230,9 @@ mod tests {
         // 0.1 / sqrt(2) between 1 and 10 mm, and what the window lets through of the low order.
         let ripple = s.band_rms_nm[1].unwrap() / s.fraction_of_valid_pixels.sqrt();
         assert!((ripple * 2.0_f64.sqrt() / 0.1 - 1.0).abs() < 0.05, "{s:?}");
-        // Of the sum of squares of the saddle x y, pi r^6 / 24 over the disc, its square |x|, |y| < a = r / sqrt(2) holds
-        // 4 a^6 / 9: 2/3 of 2/pi. The rest at least is not in the spectrum; the rows of pixels at its edge are 2 % of it.
+        // Of the sum of squares of the saddle x y, pi r^6 / 24 over the disc, its square |x|, |y| < a = r / sqrt(2)
+        // holds 4 a^6 / 9: 2/3 of 2/pi. The rest at least is not in the spectrum; the rows of pixels at its edge are 2
+        // % of it.
         let missing = s.not_in_spectrum_rms_nm.powi(2) / s.rms_detilted_nm.powi(2);
         assert!(missing > 1.0 - 2.0 / PI * 2.0 / 3.0 - 0.05, "{missing}");
     }

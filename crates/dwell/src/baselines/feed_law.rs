@@ -421,7 +421,7 @@ mod tests {
             let several = ToolPath::through(points, vec![true; pass.len()], pass).unwrap();
             let (removed, report) = removal_nm(&flat, &several);
             assert_eq!(report.lines, 2 * places(1.0).len() + 1);
-            // Rounding of places of up to 40 mm.
+            // Rounding of positions of up to 40 mm.
             assert!(
                 report.pitch_mm.iter().all(|d| (d - 1.0).abs() < 1e-9),
                 "{:?}",
@@ -442,7 +442,7 @@ mod tests {
                 let path = raster(&places(pitch_mm), apart, angle);
                 let (removed, report) = removal_nm(&flat, &path);
                 assert_eq!((report.lines, report.too_fast), (places(pitch_mm).len(), 0));
-                // Rounding of places of up to 40 mm.
+                // Rounding of positions of up to 40 mm.
                 assert!(report.pitch_mm.iter().all(|d| (d / pitch_mm - 1.0).abs() < 1e-9));
                 // In the middle, farther than 7 mm from the ends of the lines: the mean is the depth, and the
                 // ripple of lines is 4 exp(-2 pi^2 / d^2) of it.
@@ -464,7 +464,7 @@ mod tests {
         // Neighbours at different distances: half the distance between them.
         let uneven = raster(&[0.0, 1.0, 3.0, 4.0], true, 0.0);
         let found = |path: &ToolPath| measured(&lines(path).unwrap().0).unwrap();
-        // Rounding of places of up to 40 mm.
+        // Rounding of positions of up to 40 mm.
         let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
         assert!(near(&found(&uneven), &[1.0, 1.5, 1.5, 1.0]));
         // Two regions, 0.3 mm from each other, the first with a part beyond the second: the lines at the borders
@@ -493,7 +493,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         let (lines, _) = lines(&path).unwrap();
         assert_eq!(lines.len(), 20);
-        // Rounding of places up to 42 mm.
+        // Rounding of positions up to 42 mm.
         assert!(measured(&lines).unwrap().iter().all(|d| (d - 1.0).abs() < 1e-12));
     }
 
@@ -530,7 +530,7 @@ mod tests {
         let n = path.len();
         let beside = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         for (a, b) in of(&tif, &path).iter().zip(of(&off, &beside)) {
-            // Rounding of places of 30 mm on slopes of 20 nm/mm.
+            // Rounding of positions of 30 mm on slopes of 20 nm/mm.
             assert!((a - b).abs() < 1e-11 * a.max(1.0), "{a} {b}");
         }
     }

@@ -1,11 +1,11 @@
 //! Least squares with a floor, by the active set method of Lawson and Hanson.
 //!
 //! ```text
-//! min over s >= 0:  1/2 || M W^1/2 (B s - z') ||^2 + 1/2 alpha D A sum_j s_j^2 / a_j,
+//! min over s >= 0:  1/2 || P W^1/2 (B s - z') ||^2 + 1/2 alpha K A sum_j s_j^2 / a_j,
 //! t = lo + s,  z' = z - B lo                                                               (1)
 //! ```
 //!
-//! M subtracts the piston, and D is the largest diagonal element of `B' W M B`. A is the effective area of the TIF (at
+//! P subtracts the piston, and K is the largest diagonal element of `B' W P B`. A is the effective area of the TIF (at
 //! least that of 36 dwell points), and `a_j` the area of dwell point j. It has the same minimum as
 //! [`crate::bounded_least_squares`] without an upper bound and without smoothness. Its method
 //! ([`planish_numerics::qp::nnls`]) shares nothing with that solver: it is a check of it, and serves for comparison

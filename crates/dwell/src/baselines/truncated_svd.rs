@@ -1,10 +1,10 @@
 //! Least squares in the space of the large singular values, without bounds.
 //!
 //! ```text
-//! t = t_ref + sum over sigma_i > cut sigma_1 of  v_i (u_i' M W^1/2 (z - B t_ref)) / sigma_i   (1)
+//! t = t_ref + sum over sigma_i > cut sigma_1 of  v_i (u_i' P W^1/2 (z - B t_ref)) / sigma_i   (1)
 //! ```
 //!
-//! where `u_i, sigma_i, v_i` are the singular vectors and values of `M W^1/2 B`, M subtracts the free piston, and t_ref
+//! where `u_i, sigma_i, v_i` are the singular vectors and values of `P W^1/2 B`, P subtracts the free piston, and t_ref
 //! are reference dwell times ([`crate::problem`]). A TIF is smooth: beyond a few hundred singular values, the part of
 //! the map that the vectors could correct is below the noise, and needs absurd dwell times.
 //!

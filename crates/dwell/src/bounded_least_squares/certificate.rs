@@ -3,7 +3,7 @@
 //! It is proven by the exact gradient alone, so the bound in the report holds whatever the surrogate does.
 
 /// Returns an upper bound of the decrease of the objective (1) that is still possible at dwell times t with the
-/// gradient q. H is at least the diagonal matrix C of the Tikhonov term, `c_j = alpha D A / a_j`, so
+/// gradient q. H is at least the diagonal matrix C of the Tikhonov term, `c_j = alpha K A / a_j`, so
 ///
 /// ```text
 /// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - c_j (t_j - s)^2 / 2

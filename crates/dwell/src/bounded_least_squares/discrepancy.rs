@@ -4,11 +4,11 @@
 //! V. A. Morozov, Soviet Math. Dokl. 7 (1966) 414.
 //!
 //! With a Huber loss the map has pits, which are neither noise nor removed, and they would decide the RMS. Then
-//! residuals r beyond the threshold k of the loss do not count, and the normal noise of the given RMS s is cut at k,
+//! residuals e beyond the threshold k of the loss do not count, and the normal noise of the given RMS s is cut at k,
 //! too:
 //!
 //! ```text
-//! mean of r^2 over |r| <= k  against  the mean of x^2 over |x| <= k,   x normal with the deviation s         (1)
+//! mean of e^2 over |e| <= k  against  the mean of x^2 over |x| <= k,   x normal with the deviation s         (1)
 //! ```
 
 use ndarray::{Array2, Zip};

@@ -56,19 +56,21 @@ impl BoundedProblem<'_> {
     /// Minimises the objective (1) with the smoothness beta = `slope_weight`, by steps of its surrogate:
     ///
     /// ```text
-    /// repeat  q = gradient of (1) at t                           exact
-    ///         d = argmin q'd + d'H~d / 2,  lo <= t + d <= hi     by H~
-    ///         p = argmin of (1) over t + a d + b p, clipped      exact
-    ///         t += p
+    /// repeat  q = gradient of (1) at t                                             exact
+    ///         d = argmin q'd + d'H~d / 2,  lo <= t + d <= hi                       by H~
+    ///         s = argmin of (1) over t + s d,  and s = 1 where that is above 0.6   exact
+    ///         e = argmin of (1) over t + a d + b p,  then clipped to the bounds    exact
+    ///         p = that of s d and e with the lower (1),   t += p
     /// ```
     ///
-    /// If the two-level method finds d, the next steps are found by [`Self::without_bounds`] as long as that helps; not
-    /// with a Huber loss.
+    /// p is the step before; without one, p = s d. A whole step (s = 1) puts the dwell times on the bounds on which the
+    /// minimum of H~ has them. If the two-level method finds d, the next steps are found by [`Self::without_bounds`] as
+    /// long as that helps; not with a Huber loss.
     ///
-    /// d is a descent direction whatever H~ is, and vanishes only at the minimum of (1). With the
+    /// d is a descent direction for every positive definite H~, and vanishes only at the minimum of (1). With the
     /// step before, p, this is the conjugate gradient method preconditioned by H~ as soon as the
-    /// components at their bounds are settled. With a Huber loss every q has the weights of its own
-    /// residual ([`super::weighted::huber_weights`]).
+    /// components at their bounds are settled. With a Huber loss every q has the weights v of (4) there, but the first,
+    /// which has those of the map.
     pub(super) fn minimise(&mut self, slope_weight: f64) -> Result<Iterate, DwellError> {
         self.minimise_by(&BoundedSettings { slope_weight, ..*self.settings }, MAX_CORRECTIONS)
     }
@@ -78,7 +80,7 @@ impl BoundedProblem<'_> {
     /// wider splines and larger cells can represent them. Fewer and cheaper steps then find which dwell times are at
     /// their bounds. Some percent of these change afterwards.
     ///
-    /// Returns 0 and does nothing for other methods, or if the program has a guess.
+    /// Returns 0 and does nothing for other methods, or if the problem has a guess.
     pub(super) fn approach(&mut self, slope_weight: f64) -> Result<usize, DwellError> {
         let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
         if self.is_guessed {

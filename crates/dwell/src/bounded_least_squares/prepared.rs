@@ -17,7 +17,7 @@ use crate::{
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
-/// Smallest diagonal element of the Tikhonov term, as a fraction of D, at which the two-level method is used. Below it,
+/// Smallest diagonal element of the Tikhonov term, as a fraction of K, at which the two-level method is used. Below it,
 /// the rounding of the method is larger than the term. Larger: more problems take the slower gradient steps. Smaller:
 /// rounding decides the steps.
 const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
@@ -65,7 +65,7 @@ pub struct BoundedProblem<'a> {
     /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2, partly an estimate ([`energies`]); 0 for
     /// unreached columns.
     pub diagonal: Vec<f64>,
-    /// Quantities to which the weights of the penalty are relative: D, A and p of (1).
+    /// Quantities to which the weights of the penalty are relative: K, A, p and sum w of (1).
     pub scale: PenaltyScale,
     /// Columns of U of (2), one (n) for each free function of the map (piston, or plane).
     u: Vec<Vec<f64>>,
@@ -78,7 +78,7 @@ pub struct BoundedProblem<'a> {
     pub start: Vec<f64>,
     /// True if `start` is a guess of the caller.
     pub is_guessed: bool,
-    /// Product with the matrix Q of (1), if the program has one.
+    /// Product with the matrix Q of (1), if the problem has one.
     pub quadratic: Option<Product<'a>>,
 }
 
@@ -111,7 +111,7 @@ fn energies(
 }
 
 impl<'a> BoundedProblem<'a> {
-    /// Prepares the problem for a program and the weights of the pixels.
+    /// Prepares the problem from its columns and bounds (`program`) and the weights of the pixels.
     ///
     /// # Errors
     /// Refuses a TIF that covers too many pixels of the map, and a tool that does not reach the map.
@@ -145,7 +145,7 @@ impl<'a> BoundedProblem<'a> {
         }
         let reached: Vec<bool> =
             diagonal.iter().map(|d| *d > UNREACHED_FRACTION * largest).collect();
-        // D decides the weights of (1): the element itself, not the estimate.
+        // K decides the weights of (1): the element itself, not the estimate.
         let strongest = strongest(&diagonal, program.places, (tif, grid), &basis, &weight);
         for j in (0..n).filter(|j| !reached[*j]) {
             diagonal[j] = 0.0;
@@ -265,7 +265,7 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
 
 /// Returns the side of the cells, pixels, and the pitch of the splines, mm, of the surrogate for many dwell points. The
 /// pitch is `None` if `least_alpha`, the least diagonal element of the Tikhonov term, is below
-/// [`MIN_TIKHONOV_TWO_LEVEL`] times D = `strongest`. It is also `None` if no pitch of splines suits the columns
+/// [`MIN_TIKHONOV_TWO_LEVEL`] times K = `strongest`. It is also `None` if no pitch of splines suits the columns
 /// ([`surrogate::spline_pitch`]).
 fn cells_of_convolved(
     places: &[Vec<ToolPlace>],
@@ -325,7 +325,7 @@ fn penalty_scale(
     PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w)
 }
 
-/// Returns D, the diagonal element of `B' W B - U U'` for the column at which `diagonal` is largest, computed exactly
+/// Returns K, the diagonal element of `B' W B - U U'` for the column at which `diagonal` is largest, computed exactly
 /// even if `diagonal` is an estimate, nm^2/s^2.
 fn strongest(
     diagonal: &[f64],

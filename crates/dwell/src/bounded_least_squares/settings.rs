@@ -1,4 +1,4 @@
-//! Settings of the solver, and the inputs that a program gives for every dwell point.
+//! Settings of the solver, and the inputs of a problem for every dwell point.
 
 use serde::Serialize;
 
@@ -53,8 +53,8 @@ impl Default for BoundedSettings {
             columns: Columns::Segment,
             min_dwell: Bound::Seconds(0.0),
             max_dwell: None,
-            // Flat optima of the executed residual, as measured on a mirror with 36 dwell points in the area of the TIF:
-            // 1e-5 / 36 and 1e-2 / 36^2.
+            // Flat optima of the executed residual, as measured on a mirror with 36 dwell points in the area of the
+            // TIF: 1e-5 / 36 and 1e-2 / 36^2.
             tikhonov: 2.78e-7,
             slope_weight: 7.72e-6,
             time_weight_nm2_per_s: 0.0,
@@ -85,7 +85,7 @@ impl BoundedSettings {
 /// Function that multiplies a vector by a symmetric positive semidefinite matrix Q (n, n): from t (n) to Q t (n).
 pub type Product<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 
-/// A program: the columns of the removal matrix B, and the bounds of their dwell times.
+/// Input of one problem: the columns of the removal matrix B, and the bounds of their dwell times.
 #[derive(Clone)]
 pub struct Program<'a> {
     /// Places of the tool in each of the n columns: positions with their fractions of the dwell time.

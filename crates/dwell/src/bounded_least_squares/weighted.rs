@@ -117,8 +117,9 @@ impl BoundedProblem<'_> {
     }
 }
 
-/// Returns the weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,
-/// for the residual r (ny, nx) without its free part and the threshold k, both in nm.
+/// Returns the weights v of (4) of [`crate::bounded_least_squares`], `w min(k / |r|, 1)`, for the residual r (ny, nx)
+/// without its free part and the threshold k, both in nm. With them the gradient of the weighted squares is that of the
+/// Huber loss.
 pub fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
     Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))
 }

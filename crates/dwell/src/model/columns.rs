@@ -896,7 +896,7 @@ mod tests {
         let c = [[0.0, 4.0, 0.0, 0.0], [0.0; 4]];
         let t = Trajectory::new(vec![0.0, 3.0], vec![c], vec![true], vec![Some(0)]).unwrap();
         for (a, b) in executed(&t, 1, &tif)[0].iter().zip(&places[0]) {
-            // Below: rounding of fractions and of places of up to 12 mm.
+            // Below: rounding of fractions and of positions of up to 12 mm.
             assert!((a.fraction - b.fraction).abs() < 1e-14);
             assert!((a.position_mm[0] - b.position_mm[0]).abs() < 1e-13);
         }

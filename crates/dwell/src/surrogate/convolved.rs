@@ -342,7 +342,7 @@ mod tests {
         let two = 0.5 / 3.0_f64.sqrt();
         for (found, expected) in [(a, along(-two, 0.5)), (b, along(two, 0.5))] {
             let apart = (0..2).map(|k| (found.position_mm[k] - expected.position_mm[k]).abs());
-            // Rounding of places of 3 mm.
+            // Rounding of positions of 3 mm.
             assert!(apart.fold(0.0, f64::max) < 1e-14 && found.fraction == 0.5, "{found:?}");
         }
         // Farther apart than they may be, or two already.
@@ -353,7 +353,7 @@ mod tests {
         let corner = [at(-0.2, 0.0), at(-0.1, 0.0), at(0.0, 0.1), at(0.0, 0.2)];
         let [a, b] = in_two(&corner, 1.0).try_into().unwrap();
         let d = [0, 1].map(|k| b.position_mm[k] - a.position_mm[k]);
-        // Below: rounding of places of the order 0.1 mm, and of a root.
+        // Below: rounding of positions of the order 0.1 mm, and of a root.
         assert!((d[0] - d[1]).abs() < 1e-14 && d[0] > 0.0, "{d:?}");
         let variance = corner.iter().map(|p| {
             0.25 * ((p.position_mm[0] + 0.075) + (p.position_mm[1] - 0.075)).powi(2) / 2.0

@@ -7,9 +7,9 @@ use planish_types::{Tif, ToolPath};
 /// The penalty `1/2 sum_j alpha_j (t_j - lo_j)^2 + 1/2 sum_k beta_k (t_k / l_k - t_{k-1} / l_{k-1})^2` of the bounded
 /// least squares, by its definition.
 pub struct Penalty {
-    /// Factors `alpha D A / (p l_j)` of the Tikhonov term (n).
+    /// Factors `alpha K A / (p l_j)` of the Tikhonov term (n).
     pub alpha: Vec<f64>,
-    /// Factors `beta D A^2 / (p m_k)` of the slope between segments k - 1 and k (n); 0 if one of them has no density.
+    /// Factors `beta K A^2 / (p m_k)` of the slope between segments k - 1 and k (n); 0 if one of them has no density.
     pub beta: Vec<f64>,
     /// Lengths l of the segments (n), mm.
     pub length_mm: Vec<f64>,

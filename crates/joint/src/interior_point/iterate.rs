@@ -50,8 +50,9 @@ const FIRST_RELATIVE_GAP: f64 = 0.3;
 /// of the given dual variables are changed. Smaller: products far below the mean make the first steps short. Chosen.
 const LEAST_PRODUCT: f64 = 0.1;
 
-/// Gap at which the program of the tangents counts as solved, over the gap that is wanted. Larger: the method moves on
-/// earlier, towards a less exact solution. Smaller: more steps for a program that does not prove enough. Chosen.
+/// Gap at which the convex program of the tangents counts as solved, over the gap that is wanted. Larger: the method
+/// moves on earlier, towards a less exact solution. Smaller: more steps for a convex program that does not prove
+/// enough. Chosen.
 pub(super) const PROGRAM_SOLVED: f64 = 0.1;
 
 /// Least fraction of the way to the solution under the tangents that the iterate moves; if the rows allow less it
@@ -75,7 +76,7 @@ const ACTIVE_SLACK: f64 = 0.1;
 pub struct Start {
     /// Densities of the nodes (D, n), s/mm, strictly inside the limits.
     pub density: Vec<f64>,
-    /// Dual variables of the rows (z) and of the bounds (y) of a program with nearly the same rows; `None` if there was
+    /// Dual variables of the rows (z) and of the bounds (y) of a problem with nearly the same rows; `None` if there was
     /// none.
     pub duals: Option<[Vec<f64>; 2]>,
 }
@@ -115,8 +116,8 @@ impl Products {
         }
     }
 
-    /// Returns the change of the products that brings outliers back to within a decade of the target `mu`. It lowers no
-    /// product by more than ten times `mu`.
+    /// Returns the change of the products by (4) of [`super`], which brings outliers back to within a decade of the
+    /// target `mu`. It lowers no product by more than ten times `mu`.
     fn correction(&self, mu: f64) -> Self {
         let [rows, bounds] = [&self.rows, &self.bounds].map(|products| {
             let clamped = products.iter().map(|v| v.clamp(mu / OUTLIER, mu * OUTLIER));
@@ -203,7 +204,8 @@ impl<'a> Iterate<'a> {
         let Some(inverse) = inverse else { return simple };
         r.iter_mut().zip(&self.y).for_each(|(r, y)| *r -= y);
         let products = of_tangents + dot(&self.room, &self.y);
-        // Gap that proves that the iterate whose tangents are kept is good enough, or that their program is solved.
+        // Gap that proves that the iterate whose tangents are kept is good enough, or that their convex program is
+        // solved.
         let wanted = match &self.anchor {
             None => relative_gap * self.f.value,
             Some(anchor) => (relative_gap * anchor.value - (anchor.value - self.f.value))
@@ -224,7 +226,7 @@ impl<'a> Iterate<'a> {
     }
 
     /// Returns the iterate that keeps the limits, with its proven gap. While tangents are kept this is the anchor,
-    /// whose gap follows from the proven `gap` of the present iterate, nm^2.
+    /// whose gap follows by (5) of [`super`] from the proven `gap` of the present iterate, nm^2.
     pub(super) fn executable(&mut self, gap: f64) -> Executable {
         let (density, value, gap) = match &mut self.anchor {
             None => (&self.density, self.f.value, gap),
@@ -289,7 +291,7 @@ impl<'a> Iterate<'a> {
     }
 
     /// Returns Mehrotra's target mu, from a predictor step that aims at products of 0, and the products at which the
-    /// step aims.
+    /// step aims: (3) of [`super`].
     fn centred(&self, inverse: &Inverse<'_>) -> (f64, Products) {
         let rows = self.c.len();
         let bounds = self.room.len();
@@ -303,8 +305,8 @@ impl<'a> Iterate<'a> {
         (mu, centred.combined(&self.second_order(&predictor), |a, b| a - b))
     }
 
-    /// Returns the step towards the products `target` with Gondzio's corrections, and the products at which it then
-    /// aims.
+    /// Returns the step towards the products `target` with Gondzio's corrections, (4) of [`super`], and the products at
+    /// which it then aims.
     fn without_outliers(
         &self,
         inverse: &Inverse<'_>,

@@ -1,4 +1,4 @@
-//! Program (1) of [`super`], its matrix, and the largest step of an iterate.
+//! Problem (1) of [`super`], its matrix, and the largest step of an iterate.
 
 use planish_dwell::residual::Normal;
 use planish_numerics::{
@@ -25,7 +25,7 @@ const BACKTRACKING: f64 = 0.8;
 /// rounding of the products.
 const LEFT_TO_SINGLE: f64 = 1e-4;
 
-/// Program (1) of [`super`]: curvature of the objective, bounds and rows.
+/// Problem (1) of [`super`]: curvature of the objective, bounds and rows.
 pub struct Program<'a> {
     /// Second derivatives of half the mean square of the residual (the normal matrix), with the nodes in an order of
     /// their own.

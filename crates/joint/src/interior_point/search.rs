@@ -12,7 +12,7 @@
 //! | look | how small is the complementarity; is something to be proven here? |
 //! | refer | f with the removal itself, where something is to be proven or the last such f is far away |
 //! | prove | the gap at the iterate |
-//! | conclude | an end; or tangents are kept; or the program of the tangents is solved; or a step |
+//! | conclude | an end; or tangents are kept; or the convex program of the tangents is solved; or a step |
 //! | keep tangents | the rows give way to their tangents at the iterate |
 //! | move | the iterate moves towards the solution under the tangents, and the rows come back |
 //! | step | the step by (2), as far as it is allowed |
@@ -159,7 +159,7 @@ impl Look {
 pub(super) enum Next {
     /// The search ends for this reason.
     End(End),
-    /// The program of the tangents is solved, and proves too little: the iterate moves towards its solution.
+    /// The convex program of the tangents is solved, and proves too little: the iterate moves towards its solution.
     Move,
     /// The tangents at the iterate replace the rows.
     KeepTangents,

@@ -18,7 +18,17 @@
 //! predictor: t = 0;   corrector: t = (sigma mu - ds dl) / s  with ds, dl of the predictor
 //! ```
 //!
-//! (`s (l + dl) + l ds = s t` is the target of the complementarity.) Since a row couples neighbours
+//! (`s (l + dl) + l ds = s t` is the target of the complementarity.) With m rows, and the longest step
+//! a <= 1 of the predictor that keeps s and l at or above 0,
+//!
+//! ```text
+//! mu = s'l / m,   sigma = ((s + a ds)'(l + a dl) / s'l)^3                                (4)
+//! ```
+//!
+//! If mu has not fallen by a tenth below its lowest value so far, the corrector has sigma = 0.3 and no
+//! `ds dl`. Its step, one length for x, s and l, ends a little before s or l would be 0.
+//!
+//! Since a row couples neighbours
 //! only, the matrix of (2) is tridiagonal. Time and memory of an iteration are therefore
 //! proportional to the length of the chain. The `e_i` of a link is eliminated within the link. The
 //! remainder is a sum of squares again, without a difference,
@@ -482,8 +492,8 @@ fn values<const ELASTIC: bool>(low: &Half<ELASTIC>, middle: f64, high: &Half<ELA
     nodes.chain(high.node.iter().rev().map(|node| node.y)).collect()
 }
 
-/// Returns the centring parameter sigma of the corrector (Mehrotra), from the mean complementarity mu, the reach of the
-/// predictor and the number of rows m:
+/// Returns the centring parameter sigma of the corrector (Mehrotra, (4) of the module), from the mean complementarity
+/// mu, the reach of the predictor and the number of rows m:
 ///
 /// ```text
 /// a     = min(1, 1 / max(-ds/s, -dl/l))

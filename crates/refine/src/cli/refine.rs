@@ -56,8 +56,8 @@ pub struct Refine {
     /// the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
-    /// RMS of the noise of the map, nm. The smoothness is raised until the residual reaches it. [default: the RMS of the
-    /// standard deviations of the map, if it has them]
+    /// RMS of the noise of the map, nm. The smoothness is raised until the residual reaches it. [default: the RMS of
+    /// the standard deviations of the map, if it has them]
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
     /// Weight of the mean square slope of the residual beside its mean square, mm^2: a wave of length L counts
@@ -261,7 +261,7 @@ fn read_process(path: &Path, inputs: &mut Inputs) -> Result<ErrorBudget, Failure
 struct RefineOutcome<'a> {
     #[serde(flatten)]
     plan: PlanOutcome,
-    /// Comparison of the plans without and with the process; left out without an error budget.
+    /// Comparison of the plans without and with the error budget; left out without an error budget.
     #[serde(skip_serializing_if = "Option::is_none")]
     error_budget: Option<&'a Price>,
     /// Lattice of the map on which the TIF was resampled; left out if the TIF was used as it is.
@@ -288,7 +288,7 @@ fn outcome<'a>(
     RefineOutcome { plan, error_budget: price, tif_lattice: refined.tif_lattice }
 }
 
-/// Returns the sentence that compares residuals and times of the plans made without and with the process.
+/// Returns the sentence that compares residuals and times of the plans made without and with the error budget.
 fn words(price: &Price) -> String {
     let Price { name, without, with, kept, not_in_the_objective, .. } = price;
     let objective = match not_in_the_objective.as_slice() {

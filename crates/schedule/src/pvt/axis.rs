@@ -1,7 +1,7 @@
 //! Node velocities of one axis: equation (4) of [`super`] under the limits of the machine.
 //!
 //! The free minimiser is a tridiagonal solution. If it exceeds a limit, a quadratic program is solved.
-//! If that has no solution, the program with the least excess over the limits shows the segments that
+//! If that has no solution, the quadratic program with the least excess over the limits shows the segments that
 //! need more time, and [`super::shortest`] finds the times. Equation numbers are those of [`super`].
 
 use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
@@ -45,9 +45,9 @@ enum Bounds {
     },
 }
 
-/// Largest number of quadratic programs until all limits that become active have rows. Every program reaches four times
-/// as many neighbours as the one before, and the times of the largest velocity settle after a few. Larger: an endless
-/// case runs longer. Smaller: a solvable program is given up.
+/// Largest number of quadratic programs until all limits that become active have rows. Every quadratic program reaches
+/// four times as many neighbours as the one before, and the times of the largest velocity settle after a few. Larger:
+/// an endless case runs longer. Smaller: a solvable program is given up.
 const MAX_PROGRAMS: usize = 24;
 
 /// Weight of the acceleration energy relative to the penalty for exceeding the limits. Larger: limits
@@ -137,7 +137,7 @@ pub(super) fn joined(parts: Vec<Part>) -> Solved {
 /// constraints).
 #[derive(Debug)]
 struct Limited {
-    /// True for each segment (N) whose limits are rows of the program.
+    /// True for each segment (N) whose limits are rows of the quadratic program.
     segment: Vec<bool>,
     /// Times, as parts of the duration, at which the velocity of a segment is bounded in addition to its middle, by
     /// segment.
@@ -253,7 +253,7 @@ impl AxisProblem<'_> {
         {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
-        drop(free); // its memory is the program's
+        drop(free); // its memory is the quadratic program's
         if let Some(velocity) = self.quadratic_program(h, Bounds::Hard, limited) {
             return Ok(Solved { velocity, solver: Solver::QuadraticProgram });
         }

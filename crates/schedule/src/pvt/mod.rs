@@ -20,7 +20,7 @@
 //!
 //! with `v_0 = v_N = 0`. Its free minimiser has `a-` = `a+` at every node: the clamped cubic
 //! spline. If that exceeds a limit, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
-//! segments as a quadratic program. If the program has no solution, the program with the least excess
+//! segments as a quadratic program. If it has no solution, the quadratic program with the least excess
 //! over the limits shows the segments that need more time. `shortest` searches for the shortest times
 //! there, and (4) is solved again at those. The report has the additional times.
 //!
@@ -31,8 +31,8 @@
 //! whose times have changed are solved again.
 //!
 //! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. If the machine limits
-//! it, *monotone* has it as rows of its program. Its acceleration still steps at the nodes, which no
-//! limit on jerk allows, and the claim says so. *smooth* must not use a program then, because an
+//! it, *monotone* has it as rows of its quadratic program. Its acceleration still steps at the nodes, which no
+//! limit on jerk allows, and the claim says so. *smooth* must not use a quadratic program then, because an
 //! active row makes the acceleration step. It is the spline whose acceleration also starts and ends
 //! at zero. That needs one more node, at a free position, at half the time of the first and of the
 //! last segment. With `tau = h/2`, the jerk `j` of the first half is, from rest to `v` at `dp`,
@@ -223,7 +223,7 @@ fn schedule_stretched(
     axes.iter_mut().for_each(|axis| axis.velocity_range = Cow::Borrowed(&[]));
     let held_nodes = solve_near_path(&mut axes, &near, &h, &mut parts);
     take_least_times(&mut parts, &shortest.velocity, |part| matches!(part.solved, Some(Err(_))));
-    // One axis by the program and the other one by the search may leave the path together.
+    // One axis by the quadratic program and the other one by the search may leave the path together.
     let [x, y] = parts.each_ref().map(|parts| velocity_of_parts(parts));
     if !near.far_segments([&x, &y], &h).is_empty() {
         take_least_times(&mut parts, &shortest.velocity, |_| true);
@@ -445,7 +445,7 @@ mod tests {
                 let settings = PvtSettings::new(mode);
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
-                // The search leaves 0.001 free for the program (`shortest::ROOM`).
+                // The search leaves 0.001 free for the quadratic program (`shortest::ROOM`).
                 assert!(total_s < 1.0011 * stops_s, "{seed} {mode:?}: {total_s} {stops_s}");
             }
         }

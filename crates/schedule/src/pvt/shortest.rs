@@ -636,7 +636,8 @@ mod tests {
             let found = Search::new(&axes, &anywhere(&axes), &asked).run(&rest, &[true; 300]);
             let total_s: f64 = found.duration_s.iter().sum();
             assert!(total_s > 3.1666, "{mode:?}: {total_s}");
-            // The part that the search leaves to the program, and a first segment whose acceleration falls linearly.
+            // The part that the search leaves to the quadratic program, and a first segment whose acceleration falls
+            // linearly.
             assert!(total_s < 3.1667 * (1.0 + 2.0 * ROOM) + 0.02, "{mode:?}: {total_s}");
             for (i, h) in found.duration_s.iter().enumerate() {
                 let [v0, v1] = [0, 1].map(|end| found.velocity[0][i + end]);

@@ -110,7 +110,7 @@ pub struct PlanNumbers {
     pub rms_nm: f64,
     /// RMS of the residual, plane removed, nm.
     pub rms_detilted_nm: f64,
-    /// RMS of the residual that 95 % of the runs are below, nm, where there is a process.
+    /// RMS of the residual that 95 % of the runs are below, nm, where the sweep has an error budget.
     pub below_95_percent_nm: Option<f64>,
     /// True if the limits of the machine are kept.
     pub limits_kept: bool,

@@ -33,8 +33,8 @@ struct KernelSums {
 }
 
 impl Sums {
-    /// Plans the computation, on the pixels of `grid`. The places of the columns of one call must lie within a square
-    /// with the side `size_mm`.
+    /// Prepares the computation, on the pixels of `grid`. The places of the columns of one call must lie within a
+    /// square with the side `size_mm`.
     pub fn new(
         places: &[Vec<ToolPlace>],
         tif: &Tif,
@@ -56,7 +56,7 @@ impl Sums {
     }
 
     /// Returns the removal `sum_j t_j B_j` of some columns, given as pairs (j, t_j), on a rectangle of pixels; empty if
-    /// they reach no pixel. Panics if their places exceed the planned square.
+    /// they reach no pixel. Panics if their places exceed the prepared square.
     pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let kernels = self.kernels.iter().map(|kernel| kernel.patch(t));
         let sum = kernels.reduce(|mut sum, patch| {
@@ -153,7 +153,8 @@ impl KernelSums {
     }
 }
 
-/// Plans the full convolution of `samples` with a source of at most the shape `room`, as the adjoint of a convolution.
+/// Prepares the full convolution of `samples` with a source of at most the shape `room`, as the adjoint of a
+/// convolution.
 fn full_correlation(samples: &Array2<f64>, room: (usize, usize)) -> Convolution {
     let (my, mx) = samples.dim();
     let reversed = samples.slice(s![..;-1, ..;-1]);
