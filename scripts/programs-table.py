@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Tables of docs/controller-programs.md: plans as programs of every controller, read back and judged.
+"""Tables of docs/controller-programs.md and of the CSV files beside it: plans as programs, read back and judged.
 
 programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids | --axes | --at-limits N]
 
-Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts. With --axes: the rows
-of AXES_ROWS, motions of all axes. With --at-limits: N random plans that use an acceleration limit fully, as G-code on
-random clocks and counts; of a refusal, the program after its remedy. DIR is out/programs/MACHINE by default.
+Without --grids: the rows of ROWS, every plan, every controller, then the worst of each plan. With --grids: clocks and
+counts. With --axes: the rows of AXES_ROWS, motions of all axes. With --at-limits: N random plans that use an
+acceleration limit fully, as G-code on random clocks and counts; of a refusal, the program after its remedy. DIR is
+out/programs/MACHINE by default.
 Plans that are in DIR already are not made again. Every number is of the program as planish-import reads it:
 planish-simulate predicts its residual, planish-verify judges its limits.
 """
@@ -24,6 +25,8 @@ BIN = pathlib.Path(os.environ.get("PLANISH_PROGRAMS", ROOT / "target/release"))
 # Without a limit on jerk, because its plans use the full acceleration more.
 MACHINE = ROOT / "fixtures/machines/ion-beam-no-jerk-limit.json"
 CONTROLLERS = ["galil", "xps", "pmac", "csv", "gcode"]
+# Controllers whose programs have a position, a velocity and a time per segment: together in the table of the worst.
+PVT_CONTROLLERS = ["galil", "xps", "pmac", "csv"]
 # Controllers of which no program switches the tool, unless an output is named: the tool of a plan with lifts stays on.
 SWITCHES = {"pmac": ["--tool-output", "1"]}
 
@@ -247,6 +250,25 @@ def table_at_limits(out, count, first):
     print(f"{good} of {drawn} with at most 1.02 times the residual and the time of the plan")
 
 
+def show_worst(judged):
+    """The worst residual, time and path of each plan, over the controllers with PVT segments, then of G-code. `judged`
+    has a plan, a controller and a line of the table each."""
+    names = [f"{kind} {column}" for kind in ("PVT", "G-code") for column in ("residual", "time", "path um")]
+    print(flush=True)
+    show(["plan", *names])
+    show(["---"] * 7)
+    for plan in dict.fromkeys(plan for plan, _, _ in judged):
+        worst = []
+        for controllers in (PVT_CONTROLLERS, ["gcode"]):
+            lines = [line for name, controller, line in judged if name == plan and controller in controllers]
+            # Without a residual the tool stays on in the lifts.
+            residuals = [line["rms"] for line in lines if line["rms"] is not None]
+            worst.append(f"{max(residuals):.4f}" if residuals else "-")
+            worst.append(f"{max(line['time'] for line in lines):.5f}" if lines else "-")
+            worst.append(f"{max(line['deviation_um'] for line in lines):.2f}" if lines else "-")
+        show([plan, *worst])
+
+
 def cells(line):
     rms = "tool stays on" if line["rms"] is None else f"{line['rms']:.4f}"
     used = max(line["used"].values()) if line["used"] else 0.0
@@ -284,6 +306,7 @@ def main():
     else:
         show(["plan", "controller", "segments", "residual", "time", "path um", "largest use of a limit", "kept"])
         show(["---"] * 8)
+    judged = []
     for name in names:
         fixture, path, dwell, plans = rows[name]
         to = out / name.replace(" ", "-")
@@ -307,7 +330,10 @@ def main():
                     if line is None:
                         show([*first, *grid, told])
                     else:
+                        judged.append((first[0], controller, line))
                         show([*first, *(grid or [str(line["segments"])]), *cells(line)])
+    if not given.grids:
+        show_worst(judged)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Runs the commands that print the tables of the pages, and compares every row that a page shows.
+"""Runs the commands that print the tables of the pages, and compares every row that a page or its CSV file shows.
 
     just test-tables                     all of them; hours
     just test-tables line axes           those whose command has one of these words
@@ -9,6 +9,7 @@ much differs between two processors, see crates/testkit/tests/commands_as_printe
 stale, or where a command prints no table of its pages.
 """
 
+import csv
 import os
 import re
 import shlex
@@ -30,9 +31,9 @@ TABLES = {
     "just joint-table fixtures": (["docs/joint.md"], None),
     "just refine-table": (["docs/refine.md"], None),
     "just mode-table": (["docs/decisions/0071-pvt-mode-over-fixtures.md"], None),
-    "just programs-table": (["docs/controller-programs.md"], "out/programs"),
-    "just programs-table --axes": (["docs/controller-programs.md"], "out/programs"),
-    "just programs-table --grids": (["docs/controller-programs.md"], "out/programs"),
+    "just programs-table": (["docs/controller-programs.md", "docs/controller-programs-plans.csv"], "out/programs"),
+    "just programs-table --axes": (["docs/controller-programs-axes.csv"], "out/programs"),
+    "just programs-table --grids": (["docs/controller-programs-grids.csv"], "out/programs"),
 }
 # Commands that need the reference mirror.
 OF_THE_MIRROR = {"just paths-table", "just joint-table mirror", "just joint-table jerk", "just joint-table servo",
@@ -60,6 +61,15 @@ def tables(text):
     return found
 
 
+def tables_of(page):
+    """The tables of a page, or the table of a CSV file: columns and rows of cells."""
+    if page.suffix == ".csv":
+        with page.open(encoding="utf-8", newline="") as file:
+            columns, *rows = csv.reader(file)
+        return [(columns, rows)]
+    return tables(page.read_text(encoding="utf-8"))
+
+
 def same_number(shown, printed):
     decimals = len(shown.partition("e")[0].partition(".")[2])
     last = 10.0 ** -decimals if "e" not in shown else 10.0 ** (int(shown.partition("e")[2]) - decimals)
@@ -84,7 +94,7 @@ def compare(command, pages, folder):
     printed = tables(done.stdout)
     agree, wrong, shown_tables = 0, [], 0
     for page in pages:
-        for columns, rows in tables((ROOT / page).read_text()):
+        for columns, rows in tables_of(ROOT / page):
             mine = [r for c, r in printed if c[:len(columns)] == columns]
             if not mine:
                 continue
