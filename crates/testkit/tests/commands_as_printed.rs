@@ -55,6 +55,10 @@ const EXCEPTIONS: [(&str, &str); 17] = [
 /// Page with the machine file that other pages name.
 const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
+/// How-to pages whose outputs are checked.
+const HOW_TO_WITH_OUTPUT: [&str; 3] =
+    ["after-exit-code-1", "choose-a-plan", "choose-pitch-overscan-floor"];
+
 /// Page whose blocks of Python are one script.
 const FIRST_MIRROR: &str = "docs/tutorials/first-mirror.md";
 
@@ -194,7 +198,7 @@ fn bare(command: &str) -> &str {
     command.split(" #").next().unwrap().trim()
 }
 
-/// README.md, then docs/*.md by name, then the tutorials.
+/// README.md, then docs/*.md by name, then the tutorials, then the how-to pages that show output.
 fn pages() -> Vec<(String, String)> {
     let mut names = vec!["README.md".to_string()];
     for folder in ["docs", "docs/tutorials"] {
@@ -204,6 +208,7 @@ fn pages() -> Vec<(String, String)> {
         docs.sort();
         names.extend(docs.into_iter().map(|name| format!("{folder}/{name}")));
     }
+    names.extend(HOW_TO_WITH_OUTPUT.map(|name| format!("docs/how-to/{name}.md")));
     let read = |name: String| {
         let text = fs::read_to_string(workspace().join(&name)).unwrap();
         (name, text)
