@@ -19,7 +19,7 @@ use std::{
 };
 
 use mimalloc::MiMalloc;
-use planish_types::budget;
+use planish_types::{budget, text::significant};
 
 use crate::publish;
 
@@ -65,9 +65,10 @@ impl Allocator {
             let held = REPORTED.fetch_add(sum, Ordering::Relaxed) + sum;
             let budget = i64::try_from(budget::memory_bytes()).unwrap_or(i64::MAX);
             if sum > 0 && held > budget && !ENDING.swap(true, Ordering::Relaxed) {
-                let [held, budget] = [held, budget].map(|n| n as f64 / (1u64 << 30) as f64);
+                let [held, budget] =
+                    [held, budget].map(|n| significant(n as f64 / (1u64 << 30) as f64, 3));
                 end(&format!(
-                    "needs {held:.2} GiB, more than the {budget:.2} GiB that it may take; give a coarser map or \
+                    "needs {held} GiB, more than the {budget} GiB that it may take; give a coarser map or \
                      path, or more --memory-gib"
                 ));
             }

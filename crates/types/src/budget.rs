@@ -51,8 +51,8 @@ pub fn affordable(
         return Ok(count as usize);
     }
     let problem = format!(
-        "would have {count:.3e} elements, {:.3e} GiB of the {} GiB that the run may take",
-        bytes / BYTES_PER_GIB,
+        "would have {count:.3e} elements, {} GiB of the {} GiB that the run may take",
+        significant(bytes / BYTES_PER_GIB, 4),
         significant(memory_bytes() as f64 / BYTES_PER_GIB, 4)
     );
     Err(Invalid::whole(array, problem, format!("{remedy}, or give more --memory-gib")))
