@@ -17,6 +17,7 @@
 //! | [`pmac`] | Delta Tau / Omron PMAC, PVT mode | yes | by an M-variable that is named |
 //! | [`gcode`] | G-code with inverse time or feed | no, lines that are joined | by digital output 0 |
 //! | `csv` | table of the motion | yes | by a column |
+//! | `aerotech` | Aerotech Ensemble, AeroBasic PVT | yes | no |
 //! | `ros` | ROS message JointTrajectory | yes | no |
 //!
 //! Only this crate and `planish-import` convert units.
@@ -24,6 +25,7 @@
 // The command line names this library as any other program does.
 extern crate self as planish_export;
 
+mod aerotech;
 mod cli;
 pub mod command;
 mod csv;
@@ -307,9 +309,10 @@ pub fn check(
         ControllerKind::Galil => galil::sample_s(&grids, 2).map(|_| ()),
         ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
         ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
-        ControllerKind::Xps | ControllerKind::Csv | ControllerKind::Ros => {
-            tick_s(&grids).map(|_| ())
-        }
+        ControllerKind::Xps
+        | ControllerKind::Csv
+        | ControllerKind::Ros
+        | ControllerKind::Aerotech => tick_s(&grids).map(|_| ()),
     }
 }
 
@@ -378,6 +381,7 @@ fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Pro
         ControllerKind::Gcode => gcode::write(job),
         ControllerKind::Csv => csv::write(job),
         ControllerKind::Ros => ros::write(job),
+        ControllerKind::Aerotech => aerotech::write(job),
     }?;
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
     Ok(Program { text, about })

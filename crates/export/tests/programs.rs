@@ -85,6 +85,9 @@ fn the_text_of_every_controller() {
     let expected = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.125,2,0,-2,0,1\n\
                     3.125,2,0,-2,0,0";
     assert_eq!(body(ControllerKind::Csv), expected);
+    let expected = "PROGRAM\nABS\nVELOCITY ON\nPVT INIT TIME ABS\nPVT X 2,0 Y -2,0 TIME 0.125\n\
+                    PVT X 2,0 Y -2,0 TIME 3.125\nWAIT MOVEDONE X Y\nVELOCITY OFF\nEND PROGRAM";
+    assert_eq!(body(ControllerKind::Aerotech), expected);
     let point = |x: &str, sec: u32, nanosec: u32| {
         format!(
             "  {{\"positions\": [{x}, -0.002], \"velocities\": [0.0, 0.0], \"time_from_start\": {{\"sec\": {sec}, \

@@ -48,6 +48,7 @@ fn targets() -> Vec<Target> {
         target(Csv, None, None, true),
         target(Ros, None, None, false),
         target(Ros, None, Some(1e-3), false),
+        target(Aerotech, None, None, false),
     ]
 }
 
