@@ -24,9 +24,9 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 BIN = pathlib.Path(os.environ.get("PLANISH_PROGRAMS", ROOT / "target/release"))
 # Without a limit on jerk, because its plans use the full acceleration more.
 MACHINE = ROOT / "fixtures/machines/ion-beam-no-jerk-limit.json"
-CONTROLLERS = ["galil", "xps", "pmac", "csv", "gcode"]
+CONTROLLERS = ["galil", "xps", "pmac", "csv", "ros", "aerotech", "gcode"]
 # Controllers whose programs have a position, a velocity and a time per segment: together in the table of the worst.
-PVT_CONTROLLERS = ["galil", "xps", "pmac", "csv"]
+PVT_CONTROLLERS = ["galil", "xps", "pmac", "csv", "ros", "aerotech"]
 # Controllers of which no program switches the tool, unless an output is named: the tool of a plan with lifts stays on.
 SWITCHES = {"pmac": ["--tool-output", "1"]}
 
@@ -118,7 +118,7 @@ def judge(to, plan, controller, flags):
     program = to / f"{plan}-{controller}"
     lifts = outcome(to / "path").get("lifts", 0) if (to / "path/manifest.json").exists() else 0
     if lifts:
-        flags = [*flags, *SWITCHES.get(controller, ["--always-on"] if controller in ("galil", "xps") else [])]
+        flags = [*flags, *SWITCHES.get(controller, ["--always-on"] if controller in ("galil", "xps", "ros", "aerotech") else [])]
     made = run("planish-export", controller, "--trajectory", trajectory, "--machine", MACHINE, *flags, "--out", program,
                "--force", allowed=(0, 1, 2))
     if made.returncode == 2:

@@ -141,6 +141,10 @@ planish-export xps --trajectory {run/methods/pvt/trajectory} --machine {machine.
 planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.pmc}
 planish-export gcode --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ngc}
 planish-export csv --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.csv}
+planish-export ros --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ros.json}
+planish-export aerotech --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ab}
+planish-import program {p.ab} --controller aerotech --about {p.ab.json} --out {from-aerotech}
+planish-import program {p.ros.json} --controller ros --about {p.ros.json.json} --out {from-ros}
 planish-toolpath raster --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --machine {lab.json} --out {lab-path}
 planish-schedule pvt --tool-path {run/tool_path} --dwell {run/dwell} --machine {lab.json} --out {lab-motion}
 planish-verify --trajectory {lab-motion} --machine {lab.json} --out {lab-verdict}

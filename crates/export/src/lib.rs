@@ -17,12 +17,15 @@
 //! | [`pmac`] | Delta Tau / Omron PMAC, PVT mode | yes | by an M-variable that is named |
 //! | [`gcode`] | G-code with inverse time or feed | no, lines that are joined | by digital output 0 |
 //! | `csv` | table of the motion | yes | by a column |
+//! | `aerotech` | Aerotech Ensemble, AeroBasic PVT | yes | no |
+//! | `ros` | ROS message JointTrajectory | yes | no |
 //!
 //! Only this crate and `planish-import` convert units.
 
 // The command line names this library as any other program does.
 extern crate self as planish_export;
 
+mod aerotech;
 mod cli;
 pub mod command;
 mod csv;
@@ -36,6 +39,7 @@ mod nodes;
 mod plan;
 pub mod pmac;
 mod preamble;
+mod ros;
 mod slowed;
 mod velocities;
 mod xps;
@@ -305,7 +309,10 @@ pub fn check(
         ControllerKind::Galil => galil::sample_s(&grids, 2).map(|_| ()),
         ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
         ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
-        ControllerKind::Xps | ControllerKind::Csv => tick_s(&grids).map(|_| ()),
+        ControllerKind::Xps
+        | ControllerKind::Csv
+        | ControllerKind::Ros
+        | ControllerKind::Aerotech => tick_s(&grids).map(|_| ()),
     }
 }
 
@@ -373,6 +380,8 @@ fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Pro
         ControllerKind::Pmac => pmac::write(job),
         ControllerKind::Gcode => gcode::write(job),
         ControllerKind::Csv => csv::write(job),
+        ControllerKind::Ros => ros::write(job),
+        ControllerKind::Aerotech => aerotech::write(job),
     }?;
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
     Ok(Program { text, about })

@@ -169,7 +169,7 @@ fn a_limit_within_a_segment_is_refused() {
     // 10 mm in 0.125 s: v = 120 in the middle, a = 3840, rest at both ends.
     let x = [0.0, 0.0, 30.0 / 0.125f64.powi(2), -20.0 / 0.125f64.powi(3)];
     let bench = Bench::new(&[0.0, 0.125], &[[x, [0.0; 4]]], &[1]);
-    for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
+    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
         let said = bench.refused(controller, &[]);
         assert!(said.contains("segment[0]: x acceleration reaches 3840.000000 mm/s^2"), "{said}");
         assert!(
@@ -180,7 +180,7 @@ fn a_limit_within_a_segment_is_refused() {
     }
     // Constant velocity from nothing, as average-velocity has it.
     let bench = Bench::new(&[0.0, 1.0], &[[[0.0, 1.0, 0.0, 0.0], [0.0; 4]]], &[1]);
-    for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
+    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
         let said = bench.refused(controller, &[]);
         assert!(
             said.contains("segment[0]: begins with a step of 1.000000 mm/s in the velocity"),
@@ -207,6 +207,11 @@ fn absurd_numbers_are_one_message() {
             ("csv", "--tick-s"),
             ("csv", "--count-mm"),
             ("csv", "--max-step-s"),
+            ("ros", "--tick-s"),
+            ("ros", "--count-mm"),
+            ("ros", "--max-step-s"),
+            ("aerotech", "--tick-s"),
+            ("aerotech", "--count-mm"),
         ] {
             // 1e-9 is a nanosecond or a picometre, which a text with nine decimals holds; a step of 1e300 s is
             // longer than any segment.
@@ -290,6 +295,7 @@ fn names_and_paths_stay_within_a_comment() {
         ("pmac", "; ", "", 80),
         ("gcode", "(", ")", 252),
         ("csv", "# ", "", 120),
+        ("aerotech", "' ", "", 80),
     ] {
         let (text, about) = bench.done(controller, &long, &["--always-on"]);
         assert!(about["machine"].as_str().unwrap().contains('\u{1b}'));

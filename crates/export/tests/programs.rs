@@ -85,6 +85,20 @@ fn the_text_of_every_controller() {
     let expected = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.125,2,0,-2,0,1\n\
                     3.125,2,0,-2,0,0";
     assert_eq!(body(ControllerKind::Csv), expected);
+    let expected = "PROGRAM\nABS\nVELOCITY ON\nPVT INIT TIME ABS\nPVT X 2,0 Y -2,0 TIME 0.125\n\
+                    PVT X 2,0 Y -2,0 TIME 3.125\nWAIT MOVEDONE X Y\nVELOCITY OFF\nEND PROGRAM";
+    assert_eq!(body(ControllerKind::Aerotech), expected);
+    let point = |x: &str, sec: u32, nanosec: u32| {
+        format!(
+            "  {{\"positions\": [{x}, -0.002], \"velocities\": [0.0, 0.0], \"time_from_start\": {{\"sec\": {sec}, \
+             \"nanosec\": {nanosec}}}}}"
+        )
+    };
+    let points =
+        [point("0.001", 0, 0), point("0.002", 0, 125_000_000), point("0.002", 3, 125_000_000)];
+    let head = "{\"header\": {\"stamp\": {\"sec\": 0, \"nanosec\": 0}, \"frame_id\": \"\"},\n \"joint_names\": \
+                [\"x\", \"y\"],\n \"points\": [\n";
+    assert_eq!(body(ControllerKind::Ros), format!("{head}{}\n ]}}", points.join(",\n")));
 }
 
 #[test]
@@ -157,6 +171,31 @@ fn what_a_controller_cannot_do_is_refused() {
     let tight = ProgramSettings { gcode, ..settings() };
     let said = refused(&motion([true; 2]), ControllerKind::Gcode, &tight);
     assert!(said.contains("path_tolerance_mm: is 0.0000000001, and G64 P0"), "{said}");
+}
+
+/// Checks what a JointTrajectory cannot hold: an output, a time beyond an int32, and parts of a nanosecond.
+#[test]
+fn a_joint_trajectory_has_its_own_limits() {
+    let ros = ControllerKind::Ros;
+    let lifted = motion([true, false]);
+    let said = write(&lifted, ros, &settings()).unwrap_err();
+    assert!(said.contains("a ros program cannot switch the tool"), "{said}");
+    assert!(said.contains("use gcode, csv, or pmac with `tool_output`"), "{said}");
+    let stands = [[0.0; 4]; 2];
+    // 2^31 s are one more than `sec` holds. The time of a double of that size is exact to 5e-7 s.
+    let long =
+        |s: f64| Trajectory::new(vec![0.0, s], vec![stands], vec![true], vec![None]).unwrap();
+    let said = write(&long(2_147_483_648.0), ros, &settings()).unwrap_err();
+    assert!(said.contains("`sec` of the message is an int32"), "{said}");
+    let text = write(&long(2_147_483_647.0), ros, &settings()).unwrap();
+    assert!(text.contains("{\"sec\": 2147483647, \"nanosec\": 0}"), "{text}");
+    let origin = Origin::default();
+    let warned = |tick_s: f64| {
+        let settings = ProgramSettings { tick_s: Some(tick_s), ..settings() };
+        let made = program(&motion([true; 2]), &machine().into(), ros, &settings, &origin).unwrap();
+        made.about.warnings.iter().any(|warning| warning.contains("no multiple of a nanosecond"))
+    };
+    assert!(warned(1.0 / 1024.0) && !warned(1e-3) && !warned(2e-9));
 }
 
 #[test]

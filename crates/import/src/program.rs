@@ -10,14 +10,18 @@
 //! | [`pmac`] | `PVT<ms>`, `X<p>:<v> Y<p>:<v>` | cubic (Hermite) |
 //! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed; joined by parabolas after `G64 P` |
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
+//! | [`aerotech`] | `PVT X p,v Y p,v TIME t` | cubic (Hermite) |
+//! | [`ros`] | `joint_names`, `points` with `positions`, `velocities`, `time_from_start` | cubic (Hermite) |
 //!
 //! [`Configuration`] states what a program does not say: the position of the axes before it, and the length of an
 //! encoder count. Without a list of axes a program moves x and y.
 
+pub mod aerotech;
 pub mod csv;
 pub mod galil;
 pub mod gcode;
 pub mod pmac;
+pub mod ros;
 pub mod xps;
 
 use planish_types::{AxesMotion, ControllerKind, Invalid, Trajectory, TransformNumbers};
@@ -203,6 +207,8 @@ pub fn read_axes(
         ControllerKind::Pmac => pmac::read(text, configuration, &layout),
         ControllerKind::Gcode => gcode::read(text, &layout),
         ControllerKind::Csv => csv::read(text, &layout),
+        ControllerKind::Ros => ros::read(text, &layout),
+        ControllerKind::Aerotech => aerotech::read(text, &layout),
     }
 }
 
@@ -385,6 +391,142 @@ mod tests {
         let csv = "# a comment\nt_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n\
                    0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n0.3,2,0,-2,0,1\n";
         is_the_move(&read(ControllerKind::Csv, csv), false);
+        let aerotech = "' a comment\r\nprogram\n plane 1\nabs ' absolute\nLinear X 1 Y -2 F 5\nWAIT MOVEDONE X Y\n\
+                        VELOCITY ON\nPVT INIT TIME ABS\nPVT Y -2,0 X 2,0 TIME 0.1\n\
+                        pvt x 2 , 0 y -2,0 time .3\nEND PROGRAM\n";
+        is_the_move(&read(ControllerKind::Aerotech, aerotech), false);
+        let relative = "ABS\nVELOCITY ON\nPVT INIT TIME INC\nPVT X 2,0 Y -2,0 TIME 0.1\n\
+                        PVT X 2,0 Y -2,0 TIME 0.2\nEND PROGRAM\n";
+        is_the_move(&read(ControllerKind::Aerotech, relative), false);
+        let ros = joint_trajectory(
+            "\"y\", \"x\"",
+            &[("-0.002, 0.001", 0), ("-0.002, 0.002", 100), ("-0.002, 0.002", 300)],
+        );
+        is_the_move(&read(ControllerKind::Ros, &ros), false);
+        // From where the joints stand, in the words of ROS 1 and with the lists of a message as it is printed.
+        let later =
+            joint_trajectory("\"x\", \"y\"", &[("0.002, -0.002", 100), ("0.002, -0.002", 300)])
+                .replace("sec\":", "secs\":")
+                .replace("nanosecs", "nsecs")
+                .replace("{\"positions", "{\"accelerations\": [], \"effort\": [], \"positions");
+        is_the_move(&read(ControllerKind::Ros, &later), false);
+    }
+
+    /// Returns a JointTrajectory of these joints at rest in these points: positions, and the time in ms.
+    fn joint_trajectory(joints: &str, points: &[(&str, u32)]) -> String {
+        let points = points.iter().map(|(positions, ms)| {
+            format!(
+                "{{\"positions\": [{positions}], \"velocities\": [{}], \"time_from_start\": {{\"sec\": 0, \"nanosec\": \
+                 {}}}}}",
+                vec!["0.0"; positions.split(',').count()].join(", "),
+                ms * 1_000_000
+            )
+        });
+        let points: Vec<String> = points.collect();
+        format!("{{\"joint_names\": [{joints}], \"points\": [{}]}}", points.join(", "))
+    }
+
+    /// Checks that everything is refused that would make the motion of a JointTrajectory another one.
+    #[test]
+    fn a_joint_trajectory_that_is_no_cubic_from_rest_to_rest_is_refused() {
+        let points = [("0.001, -0.002", 0), ("0.002, -0.002", 100)];
+        let good = joint_trajectory("\"x\", \"y\"", &points);
+        assert!(read(ControllerKind::Ros, good.as_bytes(), &configuration()).is_ok());
+        let stamp = "\"header\": {\"stamp\": {\"sec\": 1, \"nanosec\": 0}}, \"joint_names";
+        for (from, to, expected) in [
+            (
+                "\"x\", \"y\"",
+                "\"x\", \"z\"",
+                "joint_names: are [\"x\", \"z\"]; give each of the axes x, y",
+            ),
+            ("\"x\", \"y\"", "\"x\", \"y\", \"y\"", "joint_names: are [\"x\", \"y\", \"y\"]"),
+            ("\"x\", \"y\"", "\"x\", \"x\"", "joint_names: are [\"x\", \"x\"]"),
+            ("[0.001, -0.002]", "[0.001]", "points[0]: has 1 positions for 2 joints"),
+            ("\"velocities\": [0.0, 0.0], ", "", "points[0]: has 0 velocities for 2 joints"),
+            (
+                "\"positions",
+                "\"accelerations\": [0.0, 0.0], \"positions",
+                "points[0]: has accelerations",
+            ),
+            ("\"positions", "\"effort\": [0.0, 0.0], \"positions", "points[0]: has effort"),
+            ("\"positions", "\"jerks\": [], \"positions", "unknown field `jerks`"),
+            (
+                "[0.0, 0.0]",
+                "[0.0, 0.0], \"velocities\": [1.0, 0.0]",
+                "duplicate field `velocities`",
+            ),
+            ("100000000", "0", "points[1]: is at 0 s, which is not later"),
+            ("100000000", "1000000000", "points[1]: has the time_from_start 0 s and 1000000000 ns"),
+            ("100000000", "1e8", "invalid type: floating point"),
+            ("\"sec\": 0", "\"sec\": -1", "points[0]: has the time_from_start -1 s"),
+            ("\"joint_names", stamp, "header.stamp: is 1 s and 0 ns"),
+            ("0.001, -0.002", "1e999, -0.002", "is no JointTrajectory: number out of range"),
+            ("0.001, -0.002", "NaN, -0.002", "is no JointTrajectory: expected value at line 1"),
+        ] {
+            let said = message_of(&good.replacen(from, to, 1));
+            assert!(said.contains(expected), "{to}: {said}");
+        }
+        let moving = good.replace("[0.0, 0.0]", "[0.0, 0.5]");
+        assert!(message_of(&moving).contains("ends with the velocities [0.0, 0.5] m/s or rad/s"));
+        assert!(
+            message_of(&joint_trajectory("\"x\", \"y\"", &points[..1])).contains("moves nothing")
+        );
+        assert!(message_of("joint_names: [x, y]\npoints: []\n").contains("of YAML: python3"));
+        let nothing = Configuration::default();
+        let later = joint_trajectory("\"x\", \"y\"", &points[1..]);
+        let said = read(ControllerKind::Ros, later.as_bytes(), &nothing).unwrap_err().to_string();
+        assert!(said.contains("`start_mm`"), "{said}");
+    }
+
+    /// Checks that everything is refused that an AeroBasic program would lose or do otherwise.
+    #[test]
+    fn an_aerobasic_program_that_is_not_understood_is_refused() {
+        let head = "PROGRAM\nABS\nVELOCITY ON\nPVT INIT TIME ABS\n";
+        let line = "PVT X 2,0 Y -2,0 TIME 0.1\n";
+        let good = format!("{head}{line}END PROGRAM\n");
+        assert!(read(ControllerKind::Aerotech, good.as_bytes(), &configuration()).is_ok());
+        for (from, to, expected) in [
+            ("END PROGRAM\n", "", "has no END PROGRAM"),
+            ("ABS\nV", "V", "line[4]: comes before ABS, VELOCITY ON and PVT INIT TIME"),
+            ("VELOCITY ON", "VELOCITY OFF", "line[5]: comes before ABS"),
+            ("PVT INIT TIME ABS\n", "", "line[4]: comes before ABS"),
+            ("ABS\nV", "INC\nV", "line[2]: has \"INC\", which is not understood"),
+            (" TIME 0.1", "", "line[5]: has no TIME"),
+            ("TIME 0.1", "TIME 0", "line[5]: ends at 0 s, the line before at 0 s"),
+            ("TIME 0.1", "TIME 0.1 F 5", "line[5]: has \"0.1 F 5\" where a number"),
+            ("Y -2,0 ", "", "line[5]: does not have all axes"),
+            ("Y -2,0", "Z -2,0", "has \"Z -2 0\", not each of X, Y once, with 2 number(s)"),
+            ("Y -2,0", "X -2,0", "has \"X -2 0\", not each of X, Y once"),
+            ("Y -2,0", "@1 -2,0", "has \"@1 -2 0\", not each of X, Y"),
+            ("Y -2,0", "Y -2", "has \"Y -2\", not each of X, Y"),
+            ("Y -2,0", "Y A,0", "line[5]: has \"A\" where a number"),
+            ("X 2,0", "X 2,1", "ends with the velocity [1.0, 0.0]"),
+            ("END PROGRAM", "DWELL 1\nEND PROGRAM", "line[6]: has \"DWELL 1\""),
+            ("END PROGRAM", "LINEAR X 9 Y 9\nEND PROGRAM", "line[6]: has \"LINEAR X 9 Y 9\""),
+            ("END PROGRAM", "PVT INIT TIME ABS\nEND PROGRAM", "line[6]: has \"PVT INIT TIME ABS\""),
+            ("END PROGRAM\n", "END PROGRAM\nABS\n", "line[7]: has \"ABS\" after END PROGRAM"),
+            (
+                "PROGRAM\nABS",
+                "PROGRAM\nLINEAR X 1 Y 1\nABS",
+                "line[2]: goes to the start before ABS",
+            ),
+            ("VELOCITY ON", "LINEAR X 1\nVELOCITY ON", "line[3]: does not have all axes"),
+            ("PVT X", "DOUT X,0,1\nPVT X", "line[5]: has \"DOUT X,0,1\""),
+        ] {
+            let said = message(ControllerKind::Aerotech, &good.replacen(from, to, 1));
+            assert!(said.contains(expected), "{to}: {said}");
+        }
+        let nothing = Configuration::default();
+        let said =
+            read(ControllerKind::Aerotech, good.as_bytes(), &nothing).unwrap_err().to_string();
+        assert!(said.contains("`start_mm`"), "{said}");
+        assert!(
+            message(ControllerKind::Aerotech, "PROGRAM\nEND PROGRAM\n").contains("moves nothing")
+        );
+    }
+
+    fn message_of(ros: &str) -> String {
+        read(ControllerKind::Ros, ros.as_bytes(), &configuration()).unwrap_err().to_string()
     }
 
     /// Returns a configuration with the axes r, z and c of a spindle.
@@ -413,6 +555,11 @@ mod tests {
             "PVA=1000,0,100\nPVB=0,0,100\nPVC=500,0,100\nBTABC\nPVA=0,0,0\nPVB=0,0,0\nPVC=0,0,0\n";
         let csv = "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,tool_on\n\
                    0,1,0,-2,0,10,0,1\n0.1,2,0,-2,0,15,0,0\n";
+        let aerotech =
+            "ABS\nVELOCITY ON\nPVT INIT TIME ABS\nPVT X 2,0 Z -2,0 C 15,0 TIME 0.1\nEND PROGRAM\n";
+        let [from_rad, to_rad] = [10.0_f64, 15.0].map(f64::to_radians);
+        let ends = [format!("-0.002, {from_rad}, 0.001"), format!("-0.002, {to_rad}, 0.002")];
+        let ros = joint_trajectory("\"z\", \"c\", \"r\"", &[(&ends[0], 0), (&ends[1], 100)]);
         for (controller, text, part) in [
             (ControllerKind::Galil, galil, 10.0 / 64.0),
             (ControllerKind::Xps, "0.1, 1, 0, 0, 0, 5, 0\n", 10.0 / 64.0),
@@ -424,6 +571,8 @@ mod tests {
             ),
             (ControllerKind::Csv, csv, 10.0 / 64.0),
             (ControllerKind::Gcode, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM2\n", 0.25),
+            (ControllerKind::Ros, &ros, 10.0 / 64.0),
+            (ControllerKind::Aerotech, aerotech, 10.0 / 64.0),
         ] {
             let motion = read_axes(controller, text.as_bytes(), &of_a_spindle()).unwrap();
             // A quarter of the time of a move of 1 mm and 5 degrees.

@@ -553,6 +553,18 @@ fn damaged_programs_are_read_or_refused() {
             ControllerKind::Csv,
             "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n",
         ),
+        (
+            ControllerKind::Aerotech,
+            "' x\nPROGRAM\nABS\nLINEAR X 1 Y -2\nVELOCITY ON\nPVT INIT TIME ABS\nPVT X 2,0 Y -2,0 TIME 0.1\n\
+             WAIT MOVEDONE X Y\nVELOCITY OFF\nEND PROGRAM\n",
+        ),
+        (
+            ControllerKind::Ros,
+            "{\"header\": {\"stamp\": {\"sec\": 0, \"nanosec\": 0}, \"frame_id\": \"\"}, \
+             \"joint_names\": [\"x\", \"y\"], \"points\": [{\"positions\": [0.001, -0.002], \
+             \"velocities\": [0.0, 0.0], \"time_from_start\": {\"sec\": 0, \"nanosec\": 0}}, {\"positions\": [0.002, -0.002], \"velocities\": [0.0, 0.0], \
+             \"time_from_start\": {\"sec\": 0, \"nanosec\": 100000000}}]}\n",
+        ),
     ];
     let mut random = ChaCha8Rng::seed_from_u64(2);
     for (controller, seed) in seeds {

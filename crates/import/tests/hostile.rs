@@ -98,7 +98,7 @@ fn an_empty_file_is_called_empty() {
         let said = refused(dir, &["trace", "a", "--format", format]);
         assert!(said.contains("a: is empty"), "{format}: {said}");
     }
-    for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
+    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
         let said = refused(dir, &["program", "a", "--controller", controller]);
         assert!(said.contains("a: is empty"), "{controller}: {said}");
     }

@@ -171,7 +171,7 @@ mod tests {
         }
         assert_eq!(Kind::read("number"), None);
         assert_eq!(Kind::read("one of galil, xps, csv").unwrap().wanted(), "galil, xps or csv");
-        let controllers = "galil, xps, pmac, gcode or csv";
+        let controllers = "galil, xps, pmac, gcode, csv, ros or aerotech";
         assert_eq!(Kind::read("controller").unwrap().wanted(), controllers);
     }
 

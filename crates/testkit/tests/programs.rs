@@ -46,6 +46,9 @@ fn targets() -> Vec<Target> {
         target(Pmac, Some(1), Some(2.5e-7), true),
         target(Pmac, None, Some(1e-3), false),
         target(Csv, None, None, true),
+        target(Ros, None, None, false),
+        target(Ros, None, Some(1e-3), false),
+        target(Aerotech, None, None, false),
     ]
 }
 

@@ -12,6 +12,8 @@
 //! | `pmac` | 1 ms | 1 ms | 1e-9 mm/s | Hermite | by an M-variable | PMAC2 software reference, PVT{data} (integer ms); a Turbo PMAC resolves 0.25 us |
 //! | `gcode` | 1 us | 1 ms | none | linear | yes | LinuxCNC user manual, G93, G1, M62; `[EMCMOT]SERVO_PERIOD` of 1 ms |
 //! | `csv` | 1 us | 1 us | 1e-9 mm/s | Hermite | yes | our own table |
+//! | `ros` | 1 us | 1 ms | 1e-9 mm/s | Hermite | no | ROS 2, trajectory_msgs/JointTrajectory (nanoseconds); joint_trajectory_controller, Trajectory Representation (cubic); a period of 1 kHz |
+//! | `aerotech` | 1 ms | 1 ms | 1e-9 mm/s | Hermite | no | EPICS motor module and Lauecollect, AeroBasic PVT (seconds); a trajectory generator of 1 kHz |
 //!
 //! The default count is that of an encoder, 0.1 um or 1e-4 degrees: no manual states it. LinuxCNC computes with the
 //! numbers of the program as they stand, and rounds no position to counts: its default is 1 nm or 1e-6 degrees. For a
@@ -39,6 +41,10 @@ pub enum ControllerKind {
     Gcode,
     /// Table of the motion in our own CSV format.
     Csv,
+    /// ROS message `trajectory_msgs/JointTrajectory`, as JSON.
+    Ros,
+    /// Aerotech Ensemble, PVT commands of AeroBasic.
+    Aerotech,
 }
 
 /// Motion of an axis between two nodes, the ends of a segment of the program.
@@ -142,7 +148,8 @@ const TWO_SAMPLES_S: f64 = 2.0 / 1024.0;
 
 impl ControllerKind {
     /// Every kind, in the order of help and messages. Command lines, pipelines and messages take their names from here.
-    pub const ALL: [Self; 5] = [Self::Galil, Self::Xps, Self::Pmac, Self::Gcode, Self::Csv];
+    pub const ALL: [Self; 7] =
+        [Self::Galil, Self::Xps, Self::Pmac, Self::Gcode, Self::Csv, Self::Ros, Self::Aerotech];
 
     /// Returns the name in files and on command lines, such as `galil`.
     pub fn name(self) -> &'static str {
@@ -165,6 +172,10 @@ impl ControllerKind {
                 ("gcode", "G-code for LinuxCNC and its relatives: straight lines, each in its time")
             }
             Self::Csv => ("csv", "Table of the motion: t, x, vx, y, vy, further axes, tool on"),
+            Self::Aerotech => {
+                ("aerotech", "Aerotech Ensemble, AeroBasic PVT: mm or degrees, s since the start")
+            }
+            Self::Ros => ("ros", "ROS JointTrajectory as JSON, which is YAML, too: m, rad, s"),
         }
     }
 
@@ -182,6 +193,8 @@ impl ControllerKind {
             Self::Pmac => (1e-3, 1e-3, Interpolation::Hermite, false),
             Self::Gcode => (1e-6, 1e-3, Interpolation::Linear, true),
             Self::Csv => (1e-6, 1e-6, Interpolation::Hermite, true),
+            Self::Ros => (1e-6, 1e-3, Interpolation::Hermite, false),
+            Self::Aerotech => (1e-3, 1e-3, Interpolation::Hermite, false),
         };
         let is_fine = self == Self::Gcode;
         ControllerModel {
@@ -193,6 +206,14 @@ impl ControllerKind {
             max_segments: None,
             interpolation,
             switches_tool,
+        }
+    }
+
+    /// Returns true if a program of this kind has a place for an output that switches the tool.
+    pub fn can_switch_tool(self) -> bool {
+        match self {
+            Self::Galil | Self::Xps | Self::Ros | Self::Aerotech => false,
+            Self::Pmac | Self::Gcode | Self::Csv => true,
         }
     }
 
@@ -356,7 +377,7 @@ impl ControllerFile {
             return Err(Invalid::whole("controller.interpolation", problem, "leave it out"));
         }
         let switches_tool = self.switches_tool.unwrap_or(default.switches_tool);
-        if switches_tool && matches!(self.kind, ControllerKind::Galil | ControllerKind::Xps) {
+        if switches_tool && !self.kind.can_switch_tool() {
             let problem = "is true, but no line of such a program can switch an output";
             return Err(Invalid::whole("controller.switches_tool", problem, "leave it out"));
         }
