@@ -89,9 +89,9 @@ def runs_of(report):
 
 def check_answer(browser, report):
     """The answer stands first, and every number in it is that of the summary."""
-    shown = browser.js("[...document.querySelectorAll('#answer .run')].map((p) => [p.querySelector('.sentence').textContent, "
-                       "[...p.querySelectorAll('.violation')].map((e) => e.textContent), p.querySelector('.why').textContent, p.querySelector('.still')?.textContent ?? null])")
     runs = runs_of(report)
+    texts = "((i) => ((look) => [...document.querySelectorAll(`${look}[data-answer='${i}']`)].map((e) => e.textContent)))"
+    shown = [browser.js(f"((all) => [all('.sentence')[0], all('.violation'), all('.why')[0], all('.still')[0] ?? null])({texts}({i}))") for i in range(len(runs))]
     wanted = [[a["sentence"], a["problems"], a["why"], a["without_motion"]] for a in (run["answer"] for run in runs)]
     check("the answer of every run is that of summary.json", shown == wanted, shown[0][0])
     for run, (sentence, _, why, still_text) in zip(runs, shown):
@@ -116,14 +116,16 @@ def check_answer(browser, report):
         check("dwell times without a motion are called no plan", all(still_text.startswith("Not a plan: " + n) for n in still))
         labels = browser.js("planish.ENTRIES.filter((e) => e.run.summary.methods[e.method.name].plan.state === 'without-motion').map((e) => e.label)")
         check("wherever it stands", all(label.endswith("(without a motion)") for label in labels), labels)
-    tops = browser.js("['#answer', '#bar', '#summary', '#maps'].map((s) => document.querySelector(s).getBoundingClientRect().top)")
-    check("the answer comes first", tops == sorted(tops), tops)
+    tops = browser.js("['#answer', '#maps', '#bar', '#reasons', '#summary', '#surfaces'].map((s) => document.querySelector(s).getBoundingClientRect().top)")
+    check("the answer comes first, then the maps, then reasons and tables", tops == sorted(tops), tops)
     heads = browser.js("[...document.querySelectorAll('#summary thead th')].map((e) => e.textContent)")
     best = [run["best"] for run in runs if run["best"]]
     check("the plan that is to be run is the first column", heads[1].endswith("to be run") and any(b in heads[1] for b in best), heads[1])
     bad = browser.js("[...document.querySelectorAll('.bad, .violation')].map((e) => e.textContent)")
     problems = [p for run in runs for p in run["answer"]["problems"]]
     spoken = all(p in bad for p in problems)
+    unseen = browser.js("[...document.querySelectorAll('.bad, .violation')].filter((e) => e.closest('details') && !e.closest('#answer, #reasons')).length")
+    check("and nothing red folds among the notes", unseen == 0, unseen)
     check("red is only what concerns that plan", spoken and (problems != [] or bad == []), bad[:2])
 
 
@@ -365,7 +367,7 @@ def check_methods(browser, run):
 def check_keyboard(browser):
     """Tab reaches everything that can be used."""
     browser.js("document.activeElement.blur(); scrollTo(0, 0)")
-    wanted = set(browser.js("[...document.querySelectorAll('select, button, input, canvas[tabindex], summary')].filter((e) => e.offsetParent).map((e, i) => { e.dataset.reach = i; return i; })"))
+    wanted = set(browser.js("[...document.querySelectorAll('select, button, input, canvas[tabindex], summary')].filter((e) => e.checkVisibility()).map((e, i) => { e.dataset.reach = i; return i; })"))
     reached = set()
     for _ in range(len(wanted) + 20):
         browser.key("Tab")
@@ -424,6 +426,43 @@ def check_look(browser, shots):
                 browser.shot(shots / f"{name}.png", whole=True)
 
 
+def check_first_screen(browser, report, shots, name):
+    """The sentence, and the maps before and after with their numbers, are seen without scrolling, on a screen and a phone."""
+    summary = json.loads((report / "summary.json").read_text())
+    runs = summary.get("runs", [summary])
+    winner = summary.get("winner") or {"sentence": runs[0]["answer"]["sentence"], "method": runs[0]["best"]}
+    for width, height in ((1280, 900), (390, 844)):
+        for dark in (False, True):
+            at = f"{name}, {width} x {height}, {'dark' if dark else 'light'}"
+            browser.size(width, height, dark)
+            browser.js("scrollTo(0, 0)")
+            browser.settle()
+            boxes = browser.js("['#answer .sentence', '[data-panel=desired]', '[data-panel=residual]'].map((s) => document.querySelector(s).getBoundingClientRect()).map((r) => [r.left, r.top, r.right, r.bottom])")
+            inside = all(0 <= left < right <= width and 0 <= top < bottom <= height for left, top, right, bottom in boxes)
+            check(f"{at}: the sentence and both maps are on the first screen", inside, boxes)
+            check(f"{at}: the sentence is the answer", browser.js("document.querySelector('#answer .sentence').textContent") == winner["sentence"])
+            entry = browser.js("[planish.ENTRIES[planish.state.a].run.name, planish.ENTRIES[planish.state.a].method.name]")
+            check(f"{at}: the map after is of the plan to be run", entry[1] == winner["method"] and winner.get("run") in (None, entry[0]), entry)
+            # The same number of pixels for a mm along x and y, in both maps, and at least 100 pixels of the longer side.
+            scales = browser.js("['desired', 'residual'].map((n) => planish.panels.find((p) => p.name === n).box()).map((b) => [b.x.at(1) - b.x.at(0), b.y.at(0) - b.y.at(1)])")
+            extent = browser.js("(() => { const l = planish.ENTRIES[planish.state.a].residual; return Math.max(l.nx * l.dx, l.ny * l.dy); })()")
+            equal = max(sum(scales, [])) - min(sum(scales, [])) < 1e-9 * scales[0][0]
+            check(f"{at}: both on the same true scale", equal and scales[0][0] * extent >= 100, [scales, extent])
+            captions = browser.js("['desired', 'residual'].map((n) => planish.panels.find((p) => p.name === n).title.textContent)")
+            run = next(r for r in runs if r["best"] == entry[1] and (len(runs) == 1 or r["answer"]["sentence"] == browser.js("planish.ENTRIES[planish.state.a].run.summary.answer.sentence")))
+            method = run["methods"][entry[1]]
+            read = [[float(v) for v in re.findall(NUMBER + " nm (?:RMS|PV)", text)] for text in captions]
+            wanted = [[run["initial"]["rms_nm"], run["initial"]["pv_nm"]], [method["rms_nm"], method["pv_nm"]]]
+            # Four digits are shown.
+            near = np.shape(read) == (2, 2) and np.allclose(read, wanted, rtol=5.01e-4)
+            time_read = re.search(rf", {NUMBER} (s|min|h): ", captions[1])
+            time_s = float(time_read[1]) * {"s": 1, "min": 60, "h": 3600}[time_read[2]]
+            check(f"{at}: with RMS, PV and time of summary.json", near and abs(time_s / method["total_time_s"] - 1) < 5.01e-3, captions)
+            check(f"{at}: nothing is wider than the window", browser.js("document.documentElement.scrollWidth - innerWidth") <= 0)
+            if shots:
+                browser.shot(shots / f"first-{name}-{width}-{'dark' if dark else 'light'}.png")
+
+
 def check_everywhere(browser, report):
     """The same numbers at both widths, in both colour schemes, with the slider at both ends."""
     for width in (1280, 390):
@@ -449,6 +488,8 @@ def ordinary(report, run, shots):
         size = (report / "report.html").stat().st_size
         check("the page is at most 10 MB", size <= 10e6, f"{size / 1e6:.2f} MB")
         entry = browser.js("planish.state.a")
+        check_first_screen(browser, report, shots, "one")
+        browser.size(1280, 900)
         check_answer(browser, report)
         check_table(browser, report)
         check_places(browser, report, run)
@@ -493,6 +534,8 @@ def several(report, shots):
     try:
         browser.size(1280, 900)
         browser.open(report / "report.html")
+        check_first_screen(browser, report, shots, "several")
+        browser.size(1280, 900)
         check_answer(browser, report)
         check_table(browser, report)
         browser.js("(() => { const s = document.getElementById('b'), a = planish.ENTRIES[planish.state.a]; s.value = planish.ENTRIES.findIndex((e) => e.run !== a.run && e.method.name === 'pvt'); s.dispatchEvent(new Event('change')); })()")
@@ -655,7 +698,7 @@ def hostile(programs, run):
         browser.call("Page.navigate", url=(work / "none/report.html").resolve().as_uri())
         browser.settle()
         check("its page says why", "not valid: its verdict is of another trajectory" in browser.js("document.getElementById('notes').textContent"))
-        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 3, browser.complaints()[:3] or "")
+        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 4, browser.complaints()[:3] or "")
         answer = browser.js("document.getElementById('answer').textContent")
         check("and says at the top that nothing is to be run", answer.startswith("Nothing here is to be run."), answer)
         for svg in sorted((work / "report").glob("*.svg")):

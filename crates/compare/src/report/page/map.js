@@ -38,8 +38,9 @@ function imageOf(panel, layer, key) {
 function mapContent(layer, key, more = {}) {
   if (!layer) return null;
   const reach = reachOf(layer);
+  const scale = state.scale === "apart" && layer.own ? `; its own scale, 99 % within ±${number(reach, 3)} nm` : "";
   return {
-    title: (more.title || layer.title) + (state.scale === "apart" && layer.own ? `; its own scale, 99 % within ±${number(reach, 3)} nm` : ""), layer, marks: more.marks, key: key + "|" + reach + "|" + layer.nx,
+    title: (more.title || layer.title) + (more.note ? "" : scale), note: more.note && more.note + scale, layer, marks: more.marks, still: more.still, key: key + "|" + reach + "|" + layer.nx,
     bar: { table: HEIGHT.filter((_, i) => i % 4 === 0), range: [-reach, reach], unit: "nm" },
     paint(ctx, box, panel) {
       const image = imageOf(panel, layer, key);
@@ -49,7 +50,7 @@ function mapContent(layer, key, more = {}) {
     },
     read() {
       const at = state.pointer && valueAt(layer, ...state.pointer);
-      if (!at) return `RMS ${number(layer.rms)} nm`;
+      if (!at) return more.idle || `RMS ${number(layer.rms)} nm`;
       const value = Number.isNaN(at.value) ? "invalid" : `${number(at.value, 6)} nm (${number(at.value - layer.mean, 4)} from the mean)`;
       return `x ${number(at.x, 5)}, y ${number(at.y, 5)} mm, [${at.row}, ${at.column}]: ${value}`;
     },
