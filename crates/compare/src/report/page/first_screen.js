@@ -10,7 +10,8 @@ const POINT_TO_READ = "Point to read heights; click for profiles.";
 
 function beforeWords(run) {
   const { rms_nm, pv_nm } = run.summary.initial;
-  return { title: `before: ${number(rms_nm)} nm RMS, ${number(pv_nm)} nm PV`, note: "desired removal", still: true, idle: POINT_TO_READ };
+  const whose = RUNS.length > 1 ? ", " + run.name : "";
+  return { title: `before${whose}: ${number(rms_nm)} nm RMS, ${number(pv_nm)} nm PV`, note: "desired removal", still: true, idle: POINT_TO_READ };
 }
 
 function afterWords(entry) {
