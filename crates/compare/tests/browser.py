@@ -245,6 +245,43 @@ def check_pointer(browser, run, entry):
         check(f"{name}: what the pointer reads", all(found) and len(found) > 0, f"{sum(found)} of {len(found)}")
 
 
+def check_slopes(browser, report, run, entry):
+    """The folded slope maps: shown when unfolded, and equal to the differences of the arrays."""
+    summary = json.loads((report / "summary.json").read_text())
+    method = browser.js(f"planish.ENTRIES[{entry}].method.name")
+    blank = browser.js("planish.panels.filter((p) => p.name.startsWith('slope-')).every((p) => !p.canvas.checkVisibility())")
+    check("slope maps fold", blank)
+    browser.js("document.getElementById('slopes').open = true")
+    browser.settle()
+    every = browser.js(f"planish.ENTRIES[{entry}].residual.every")
+    x, y = np.load(run / "surface/x_mm.npy"), np.load(run / "surface/y_mm.npy")
+    maps = {"before": (np.load(run / "surface/height_nm.npy"), summary["initial"]["slope_rms_nrad"], "desired"),
+            "after": (np.load(run / "methods" / method / "removal/residual_nm.npy"), summary["methods"][method]["slope_rms_nrad"], "residual")}
+    for when, (z, rms, layer) in maps.items():
+        for axis, step in ((0, x[1] - x[0]), (1, y[1] - y[0])):
+            name = f"slope-{when}-{'xy'[axis]}"
+            steps = max(1, round(summary["slope_base_mm"][axis] / step))
+            wanted = 1000 * (z[:, steps:] - z[:, :-steps] if axis == 0 else z[steps:] - z[:-steps]) / (steps * step)
+            content = f"planish.panels.find((p) => p.name === '{name}').content()"
+            if every == 1:
+                shown = np.array(browser.js(f"[...{content}.layer.values()].map((v) => Number.isNaN(v) ? 1e99 : v)")).reshape(wanted.shape)
+                shown[shown == 1e99] = np.nan
+                # Two heights, each to half a step of the page.
+                slack = 1000 * 1.002 * browser.js(f"planish.ENTRIES[{entry}].{'residual' if when == 'after' else 'run.desired'}.step") / (steps * step)
+                same = (np.isnan(shown) == np.isnan(wanted)).all() and np.nanmax(np.abs(shown - wanted)) <= slack
+                check(f"{name}: the slopes are those of the array", same, f"{np.nanmax(np.abs(shown - wanted)):.2e} of {slack:.2e} nrad")
+                place = browser.js(f"(() => {{ const l = {content}.layer; return [l.x0, l.y0]; }})()")
+                middle = [x[0] + (axis == 0) * steps * step / 2, y[0] + (axis == 1) * steps * step / 2]
+                check(f"{name}: at the middle between the pixels", np.allclose(place, middle, atol=1e-9), place)
+            check(f"{name}: its RMS is that of summary.json", abs(np.nanstd(wanted) / rms[axis] - 1) < 1e-9, rms[axis])
+            read = re.search(NUMBER + " nrad RMS", browser.js(f"planish.panels.find((p) => p.name === '{name}').title.textContent"))
+            check(f"{name}: and stands above it", read is not None and abs(float(read[1]) / rms[axis] - 1) < 5.01e-4, read and read[1])
+            colours = browser.js(f"(() => {{ const c = document.querySelector('[data-panel={name}]'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size; }})()")
+            check(f"{name}: it is drawn", colours > 20, colours)
+    browser.js("document.getElementById('slopes').open = false")
+    browser.settle()
+
+
 def check_zoom(browser):
     box = panel(browser, "residual")
     cx, cy = box[0] + box[2] / 2, box[1] + box[3] / 2
@@ -416,9 +453,9 @@ def check_look(browser, shots):
             check(f"{name}: contrast of at least 4.5", min(ratios) >= 4.5, f"{min(ratios):.1f}")
             smallest = browser.js("Math.min(...[...document.querySelectorAll('p, td, th, label, .read, li, button')].filter((e) => e.offsetParent).map((e) => parseFloat(getComputedStyle(e).fontSize)))")
             check(f"{name}: text of at least 12 px", smallest >= 12, smallest)
-            narrow = browser.js("Math.min(...[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).map((e) => e.clientWidth))")
+            narrow = browser.js("Math.min(...[...document.querySelectorAll('canvas')].filter((e) => e.checkVisibility()).map((e) => e.clientWidth))")
             check(f"{name}: drawings are wide enough", narrow >= min(360, width - 40), narrow)
-            blank = browser.js("[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).filter((c) => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size < 5; }).map((c) => c.dataset.panel || c.id)")
+            blank = browser.js("[...document.querySelectorAll('canvas')].filter((e) => e.checkVisibility()).filter((c) => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size < 5; }).map((c) => c.dataset.panel || c.id)")
             check(f"{name}: no drawing is blank", blank == [], blank)
             first = browser.js("(() => { const a = document.querySelector('#answer .sentence').getBoundingClientRect(), c = document.querySelector('#summary thead th:nth-child(2)').getBoundingClientRect(); return [a.bottom, c.left, innerWidth]; })()")
             check(f"{name}: the answer is seen at once, and the column of its plan", first[0] < 450 and first[1] + 60 < first[2], first)
@@ -494,6 +531,7 @@ def ordinary(report, run, shots):
         check_table(browser, report)
         check_places(browser, report, run)
         check_pointer(browser, run, entry)
+        check_slopes(browser, report, run, entry)
         check_zoom(browser)
         check_profiles(browser, run, entry)
         check_playback(browser, run, entry)

@@ -6,7 +6,7 @@ function duration(seconds) {
   return `${number(seconds / size, 3)} ${unit}`;
 }
 
-const POINT_TO_READ = "Point to read heights; click for profiles.";
+const POINT_TO_READ = "Point to read values; click for profiles.";
 
 function beforeWords(run) {
   const { rms_nm, pv_nm } = run.summary.initial;

@@ -35,7 +35,7 @@ class Panel {
   constructor(parent, name, content) {
     this.name = name;
     this.parent = byId(parent);
-    this.whole = ["maps", "surfaces"].includes(parent) ? WHOLE_MAP : WHOLE;
+    this.whole = ["maps", "surfaces", "slope-maps"].includes(parent) ? WHOLE_MAP : WHOLE;
     this.content = content;
     this.figure = document.createElement("figure");
     this.caption = document.createElement("figcaption");
@@ -87,8 +87,9 @@ class Panel {
     return content;
   }
 
-  /** Draws the panel; its map is at most so many pixels high. */
+  /** Draws the panel unless it is folded; its map is at most so many pixels high. */
   draw(most = 560) {
+    if (this.parent.closest("details:not([open])")) return;
     const content = this.describe();
     if (!content) return;
     this.resize(most);

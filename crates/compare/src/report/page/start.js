@@ -117,6 +117,7 @@ function start() {
   new Panel("maps", "difference", () => B() && mapContent(difference(), "difference" + state.a + "," + state.b, { title: `residual of ${A().label} - residual of ${B().label}` }));
   new Panel("surfaces", "measured", () => mapContent(A().run.measured, "measured" + A().run.name));
   new Panel("surfaces", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
+  addSlopePanels();
   new Panel("paths", "frame", () => {
     const layer = frameAt(A(), state.time);
     return layer && mapContent(layer, "frame" + layer.key, { title: layer.title });
