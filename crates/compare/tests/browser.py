@@ -282,6 +282,33 @@ def check_slopes(browser, report, run, entry):
     browser.settle()
 
 
+def check_hand(browser):
+    """The range of the colours, typed: both maps take it, and what is not above zero changes nothing."""
+    choose = "((v) => { const s = document.getElementById('scale'); s.value = v; s.dispatchEvent(new Event('change')); })"
+    enter = "((v) => { const s = document.getElementById('hand-nm'); s.value = v; s.dispatchEvent(new Event('input')); })"
+    ranges = "['desired', 'residual'].map((n) => planish.panels.find((p) => p.name === n).content().bar.range)"
+    own = browser.js(ranges)
+    check("the field of the range hides until it is wanted", not browser.js("document.getElementById('hand-nm').checkVisibility()"))
+    browser.js(choose + "('hand')")
+    browser.settle()
+    # The field has three digits.
+    start = browser.js(ranges)
+    near = abs(start[1][1] / own[1][1] - 1) < 5.01e-3
+    check("a range by hand begins with that of the residual", start[0] == start[1] and near and browser.js("document.getElementById('hand-nm').checkVisibility()"), start)
+    browser.js(enter + "('0.75')")
+    browser.settle()
+    check("the typed range is that of both maps", browser.js(ranges) == [[-0.75, 0.75]] * 2)
+    for wrong in ("0", "-1", ""):
+        browser.js(enter + f"('{wrong}')")
+        browser.settle()
+        marked = browser.js("[document.getElementById('hand-nm').getAttribute('aria-invalid'), document.getElementById('hand-nm').validationMessage]")
+        check(f"a range of '{wrong}' is marked and changes nothing", browser.js(ranges) == [[-0.75, 0.75]] * 2 and marked == ["true", "A height above 0 nm."], marked)
+    browser.js(enter + "('0.75')")
+    browser.js(choose + "('apart')")
+    browser.settle()
+    check("the other scales are as before", browser.js(ranges) == own)
+
+
 def check_zoom(browser):
     box = panel(browser, "residual")
     cx, cy = box[0] + box[2] / 2, box[1] + box[3] / 2
@@ -532,6 +559,7 @@ def ordinary(report, run, shots):
         check_places(browser, report, run)
         check_pointer(browser, run, entry)
         check_slopes(browser, report, run, entry)
+        check_hand(browser)
         check_zoom(browser)
         check_profiles(browser, run, entry)
         check_playback(browser, run, entry)

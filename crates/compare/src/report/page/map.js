@@ -4,6 +4,7 @@
 function reachOf(layer) {
   const apart = state.scale === "apart";
   const isHeight = layer.unit === undefined;
+  if (isHeight && state.scale === "hand" && state.hand !== null) return state.hand;
   if (isHeight && (state.scale === "common" || (apart && !layer.own)) && layer.title !== "difference of the residuals")
     return Math.max(...RUNS.map((r) => r.desired.reach));
   if (state.scale !== "own") {

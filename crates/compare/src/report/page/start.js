@@ -26,6 +26,27 @@ function showMethod(a, b) {
   setTime(A().total);
 }
 
+/** Chooses the scale of the colours; by hand it begins with that of the residual. */
+function setScale(scale) {
+  if (scale === "hand" && state.hand === null) {
+    state.hand = +reachOf(A().residual).toPrecision(3);
+    byId("hand-nm").value = state.hand;
+  }
+  state.scale = scale;
+  byId("hand").hidden = scale !== "hand";
+  redraw();
+}
+
+/** Takes the end of the colours from its field; a number that is not above zero is marked and changes nothing. */
+function setHand(field) {
+  const value = field.valueAsNumber, isGood = Number.isFinite(value) && value > 0;
+  field.setCustomValidity(isGood ? "" : "A height above 0 nm.");
+  field.setAttribute("aria-invalid", String(!isGood));
+  if (!isGood) return;
+  state.hand = value;
+  redraw();
+}
+
 let asked = false;
 function redraw() {
   if (asked) return;
@@ -136,7 +157,9 @@ function start() {
   }
   byId("a").addEventListener("change", (event) => showMethod(+event.target.value, state.b));
   byId("b").addEventListener("change", (event) => showMethod(state.a, +event.target.value));
-  byId("scale").addEventListener("change", (event) => { state.scale = event.target.value; redraw(); });
+  byId("scale").addEventListener("change", (event) => setScale(event.target.value));
+  byId("hand-nm").addEventListener("input", (event) => setHand(event.target));
+  byId("hand-nm").addEventListener("change", (event) => event.target.reportValidity());
   byId("zoom-in").addEventListener("click", () => zoom(0.6, null, viewOfMaps()));
   byId("zoom-out").addEventListener("click", () => zoom(1 / 0.6, null, state.view));
   byId("zoom-all").addEventListener("click", showAll);
