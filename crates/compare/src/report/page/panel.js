@@ -81,8 +81,11 @@ class Panel {
     const content = this.content();
     this.figure.hidden = !content;
     if (!content) return null;
-    this.title.replaceChildren(content.title, ...(content.note ? [element("small", content.note)] : []));
     const title = content.title + (content.note ? ", " + content.note : "");
+    // Words that stay leave the layout of the page as it is.
+    if (title === this.words) return content;
+    this.words = title;
+    this.title.replaceChildren(content.title, ...(content.note ? [element("small", content.note)] : []));
     this.canvas.setAttribute("aria-label", title + "; arrows move the pointer, Shift and arrows the map, + and - zoom, 0 shows all, Enter pins the profiles");
     return content;
   }
@@ -173,7 +176,8 @@ class Panel {
       ctx.stroke();
     }
     ctx.restore();
-    this.read.textContent = content.read();
+    const read = content.read();
+    if (read !== this.read.textContent) this.read.textContent = read;
   }
 
   listen() {
