@@ -89,9 +89,9 @@ def runs_of(report):
 
 def check_answer(browser, report):
     """The answer stands first, and every number in it is that of the summary."""
-    shown = browser.js("[...document.querySelectorAll('#answer .run')].map((p) => [p.querySelector('.sentence').textContent, "
-                       "[...p.querySelectorAll('.violation')].map((e) => e.textContent), p.querySelector('.why').textContent, p.querySelector('.still')?.textContent ?? null])")
     runs = runs_of(report)
+    texts = "((i) => ((look) => [...document.querySelectorAll(`${look}[data-answer='${i}']`)].map((e) => e.textContent)))"
+    shown = [browser.js(f"((all) => [all('.sentence')[0], all('.violation'), all('.why')[0], all('.still')[0] ?? null])({texts}({i}))") for i in range(len(runs))]
     wanted = [[a["sentence"], a["problems"], a["why"], a["without_motion"]] for a in (run["answer"] for run in runs)]
     check("the answer of every run is that of summary.json", shown == wanted, shown[0][0])
     for run, (sentence, _, why, still_text) in zip(runs, shown):
@@ -116,14 +116,16 @@ def check_answer(browser, report):
         check("dwell times without a motion are called no plan", all(still_text.startswith("Not a plan: " + n) for n in still))
         labels = browser.js("planish.ENTRIES.filter((e) => e.run.summary.methods[e.method.name].plan.state === 'without-motion').map((e) => e.label)")
         check("wherever it stands", all(label.endswith("(without a motion)") for label in labels), labels)
-    tops = browser.js("['#answer', '#bar', '#summary', '#maps'].map((s) => document.querySelector(s).getBoundingClientRect().top)")
-    check("the answer comes first", tops == sorted(tops), tops)
+    tops = browser.js("['#answer', '#maps', '#bar', '#reasons', '#summary', '#surfaces'].map((s) => document.querySelector(s).getBoundingClientRect().top)")
+    check("the answer comes first, then the maps, then reasons and tables", tops == sorted(tops), tops)
     heads = browser.js("[...document.querySelectorAll('#summary thead th')].map((e) => e.textContent)")
     best = [run["best"] for run in runs if run["best"]]
     check("the plan that is to be run is the first column", heads[1].endswith("to be run") and any(b in heads[1] for b in best), heads[1])
     bad = browser.js("[...document.querySelectorAll('.bad, .violation')].map((e) => e.textContent)")
     problems = [p for run in runs for p in run["answer"]["problems"]]
     spoken = all(p in bad for p in problems)
+    unseen = browser.js("[...document.querySelectorAll('.bad, .violation')].filter((e) => e.closest('details') && !e.closest('#answer, #reasons')).length")
+    check("and nothing red folds among the notes", unseen == 0, unseen)
     check("red is only what concerns that plan", spoken and (problems != [] or bad == []), bad[:2])
 
 
@@ -241,6 +243,70 @@ def check_pointer(browser, run, entry):
             near = abs(row - r) * (y[1] - y[0]) * every < 1 and abs(column - c) * (x[1] - x[0]) * every < 1
             found.append(near and abs(value - means[row, column]) <= step + 1e-5 * abs(value))
         check(f"{name}: what the pointer reads", all(found) and len(found) > 0, f"{sum(found)} of {len(found)}")
+
+
+def check_slopes(browser, report, run, entry):
+    """The folded slope maps: shown when unfolded, and equal to the differences of the arrays."""
+    summary = json.loads((report / "summary.json").read_text())
+    method = browser.js(f"planish.ENTRIES[{entry}].method.name")
+    blank = browser.js("planish.panels.filter((p) => p.name.startsWith('slope-')).every((p) => !p.canvas.checkVisibility())")
+    check("slope maps fold", blank)
+    browser.js("document.getElementById('slopes').open = true")
+    browser.settle()
+    every = browser.js(f"planish.ENTRIES[{entry}].residual.every")
+    x, y = np.load(run / "surface/x_mm.npy"), np.load(run / "surface/y_mm.npy")
+    maps = {"before": (np.load(run / "surface/height_nm.npy"), summary["initial"]["slope_rms_nrad"], "desired"),
+            "after": (np.load(run / "methods" / method / "removal/residual_nm.npy"), summary["methods"][method]["slope_rms_nrad"], "residual")}
+    for when, (z, rms, layer) in maps.items():
+        for axis, step in ((0, x[1] - x[0]), (1, y[1] - y[0])):
+            name = f"slope-{when}-{'xy'[axis]}"
+            steps = max(1, round(summary["slope_base_mm"][axis] / step))
+            wanted = 1000 * (z[:, steps:] - z[:, :-steps] if axis == 0 else z[steps:] - z[:-steps]) / (steps * step)
+            content = f"planish.panels.find((p) => p.name === '{name}').content()"
+            if every == 1:
+                shown = np.array(browser.js(f"[...{content}.layer.values()].map((v) => Number.isNaN(v) ? 1e99 : v)")).reshape(wanted.shape)
+                shown[shown == 1e99] = np.nan
+                # Two heights, each to half a step of the page.
+                slack = 1000 * 1.002 * browser.js(f"planish.ENTRIES[{entry}].{'residual' if when == 'after' else 'run.desired'}.step") / (steps * step)
+                same = (np.isnan(shown) == np.isnan(wanted)).all() and np.nanmax(np.abs(shown - wanted)) <= slack
+                check(f"{name}: the slopes are those of the array", same, f"{np.nanmax(np.abs(shown - wanted)):.2e} of {slack:.2e} nrad")
+                place = browser.js(f"(() => {{ const l = {content}.layer; return [l.x0, l.y0]; }})()")
+                middle = [x[0] + (axis == 0) * steps * step / 2, y[0] + (axis == 1) * steps * step / 2]
+                check(f"{name}: at the middle between the pixels", np.allclose(place, middle, atol=1e-9), place)
+            check(f"{name}: its RMS is that of summary.json", abs(np.nanstd(wanted) / rms[axis] - 1) < 1e-9, rms[axis])
+            read = re.search(NUMBER + " nrad RMS", browser.js(f"planish.panels.find((p) => p.name === '{name}').title.textContent"))
+            check(f"{name}: and stands above it", read is not None and abs(float(read[1]) / rms[axis] - 1) < 5.01e-4, read and read[1])
+            colours = browser.js(f"(() => {{ const c = document.querySelector('[data-panel={name}]'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size; }})()")
+            check(f"{name}: it is drawn", colours > 20, colours)
+    browser.js("document.getElementById('slopes').open = false")
+    browser.settle()
+
+
+def check_hand(browser):
+    """The range of the colours, typed: both maps take it, and what is not above zero changes nothing."""
+    choose = "((v) => { const s = document.getElementById('scale'); s.value = v; s.dispatchEvent(new Event('change')); })"
+    enter = "((v) => { const s = document.getElementById('hand-nm'); s.value = v; s.dispatchEvent(new Event('input')); })"
+    ranges = "['desired', 'residual'].map((n) => planish.panels.find((p) => p.name === n).content().bar.range)"
+    own = browser.js(ranges)
+    check("the field of the range hides until it is wanted", not browser.js("document.getElementById('hand-nm').checkVisibility()"))
+    browser.js(choose + "('hand')")
+    browser.settle()
+    # The field has three digits.
+    start = browser.js(ranges)
+    near = abs(start[1][1] / own[1][1] - 1) < 5.01e-3
+    check("a range by hand begins with that of the residual", start[0] == start[1] and near and browser.js("document.getElementById('hand-nm').checkVisibility()"), start)
+    browser.js(enter + "('0.75')")
+    browser.settle()
+    check("the typed range is that of both maps", browser.js(ranges) == [[-0.75, 0.75]] * 2)
+    for wrong in ("0", "-1", ""):
+        browser.js(enter + f"('{wrong}')")
+        browser.settle()
+        marked = browser.js("[document.getElementById('hand-nm').getAttribute('aria-invalid'), document.getElementById('hand-nm').validationMessage]")
+        check(f"a range of '{wrong}' is marked and changes nothing", browser.js(ranges) == [[-0.75, 0.75]] * 2 and marked == ["true", "A height above 0 nm."], marked)
+    browser.js(enter + "('0.75')")
+    browser.js(choose + "('apart')")
+    browser.settle()
+    check("the other scales are as before", browser.js(ranges) == own)
 
 
 def check_zoom(browser):
@@ -365,7 +431,7 @@ def check_methods(browser, run):
 def check_keyboard(browser):
     """Tab reaches everything that can be used."""
     browser.js("document.activeElement.blur(); scrollTo(0, 0)")
-    wanted = set(browser.js("[...document.querySelectorAll('select, button, input, canvas[tabindex], summary')].filter((e) => e.offsetParent).map((e, i) => { e.dataset.reach = i; return i; })"))
+    wanted = set(browser.js("[...document.querySelectorAll('select, button, input, canvas[tabindex], summary')].filter((e) => e.checkVisibility()).map((e, i) => { e.dataset.reach = i; return i; })"))
     reached = set()
     for _ in range(len(wanted) + 20):
         browser.key("Tab")
@@ -414,14 +480,51 @@ def check_look(browser, shots):
             check(f"{name}: contrast of at least 4.5", min(ratios) >= 4.5, f"{min(ratios):.1f}")
             smallest = browser.js("Math.min(...[...document.querySelectorAll('p, td, th, label, .read, li, button')].filter((e) => e.offsetParent).map((e) => parseFloat(getComputedStyle(e).fontSize)))")
             check(f"{name}: text of at least 12 px", smallest >= 12, smallest)
-            narrow = browser.js("Math.min(...[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).map((e) => e.clientWidth))")
+            narrow = browser.js("Math.min(...[...document.querySelectorAll('canvas')].filter((e) => e.checkVisibility()).map((e) => e.clientWidth))")
             check(f"{name}: drawings are wide enough", narrow >= min(360, width - 40), narrow)
-            blank = browser.js("[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).filter((c) => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size < 5; }).map((c) => c.dataset.panel || c.id)")
+            blank = browser.js("[...document.querySelectorAll('canvas')].filter((e) => e.checkVisibility()).filter((c) => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size < 5; }).map((c) => c.dataset.panel || c.id)")
             check(f"{name}: no drawing is blank", blank == [], blank)
             first = browser.js("(() => { const a = document.querySelector('#answer .sentence').getBoundingClientRect(), c = document.querySelector('#summary thead th:nth-child(2)').getBoundingClientRect(); return [a.bottom, c.left, innerWidth]; })()")
             check(f"{name}: the answer is seen at once, and the column of its plan", first[0] < 450 and first[1] + 60 < first[2], first)
             if shots:
                 browser.shot(shots / f"{name}.png", whole=True)
+
+
+def check_first_screen(browser, report, shots, name):
+    """The sentence, and the maps before and after with their numbers, are seen without scrolling, on a screen and a phone."""
+    summary = json.loads((report / "summary.json").read_text())
+    runs = summary.get("runs", [summary])
+    winner = summary.get("winner") or {"sentence": runs[0]["answer"]["sentence"], "method": runs[0]["best"]}
+    for width, height in ((1280, 900), (390, 844)):
+        for dark in (False, True):
+            at = f"{name}, {width} x {height}, {'dark' if dark else 'light'}"
+            browser.size(width, height, dark)
+            browser.js("scrollTo(0, 0)")
+            browser.settle()
+            boxes = browser.js("['#answer .sentence', '[data-panel=desired]', '[data-panel=residual]'].map((s) => document.querySelector(s).getBoundingClientRect()).map((r) => [r.left, r.top, r.right, r.bottom])")
+            inside = all(0 <= left < right <= width and 0 <= top < bottom <= height for left, top, right, bottom in boxes)
+            check(f"{at}: the sentence and both maps are on the first screen", inside, boxes)
+            check(f"{at}: the sentence is the answer", browser.js("document.querySelector('#answer .sentence').textContent") == winner["sentence"])
+            entry = browser.js("[planish.ENTRIES[planish.state.a].run.name, planish.ENTRIES[planish.state.a].method.name]")
+            check(f"{at}: the map after is of the plan to be run", entry[1] == winner["method"] and winner.get("run") in (None, entry[0]), entry)
+            # The same number of pixels for a mm along x and y, in both maps, and at least 100 pixels of the longer side.
+            scales = browser.js("['desired', 'residual'].map((n) => planish.panels.find((p) => p.name === n).box()).map((b) => [b.x.at(1) - b.x.at(0), b.y.at(0) - b.y.at(1)])")
+            extent = browser.js("(() => { const l = planish.ENTRIES[planish.state.a].residual; return Math.max(l.nx * l.dx, l.ny * l.dy); })()")
+            equal = max(sum(scales, [])) - min(sum(scales, [])) < 1e-9 * scales[0][0]
+            check(f"{at}: both on the same true scale", equal and scales[0][0] * extent >= 100, [scales, extent])
+            captions = browser.js("['desired', 'residual'].map((n) => planish.panels.find((p) => p.name === n).title.textContent)")
+            run = next(r for r in runs if r["best"] == entry[1] and (len(runs) == 1 or r["answer"]["sentence"] == browser.js("planish.ENTRIES[planish.state.a].run.summary.answer.sentence")))
+            method = run["methods"][entry[1]]
+            read = [[float(v) for v in re.findall(NUMBER + " nm (?:RMS|PV)", text)] for text in captions]
+            wanted = [[run["initial"]["rms_nm"], run["initial"]["pv_nm"]], [method["rms_nm"], method["pv_nm"]]]
+            # Four digits are shown.
+            near = np.shape(read) == (2, 2) and np.allclose(read, wanted, rtol=5.01e-4)
+            time_read = re.search(rf", {NUMBER} (s|min|h): ", captions[1])
+            time_s = float(time_read[1]) * {"s": 1, "min": 60, "h": 3600}[time_read[2]]
+            check(f"{at}: with RMS, PV and time of summary.json", near and abs(time_s / method["total_time_s"] - 1) < 5.01e-3, captions)
+            check(f"{at}: nothing is wider than the window", browser.js("document.documentElement.scrollWidth - innerWidth") <= 0)
+            if shots:
+                browser.shot(shots / f"first-{name}-{width}-{'dark' if dark else 'light'}.png")
 
 
 def check_everywhere(browser, report):
@@ -449,10 +552,14 @@ def ordinary(report, run, shots):
         size = (report / "report.html").stat().st_size
         check("the page is at most 10 MB", size <= 10e6, f"{size / 1e6:.2f} MB")
         entry = browser.js("planish.state.a")
+        check_first_screen(browser, report, shots, "one")
+        browser.size(1280, 900)
         check_answer(browser, report)
         check_table(browser, report)
         check_places(browser, report, run)
         check_pointer(browser, run, entry)
+        check_slopes(browser, report, run, entry)
+        check_hand(browser)
         check_zoom(browser)
         check_profiles(browser, run, entry)
         check_playback(browser, run, entry)
@@ -493,6 +600,8 @@ def several(report, shots):
     try:
         browser.size(1280, 900)
         browser.open(report / "report.html")
+        check_first_screen(browser, report, shots, "several")
+        browser.size(1280, 900)
         check_answer(browser, report)
         check_table(browser, report)
         browser.js("(() => { const s = document.getElementById('b'), a = planish.ENTRIES[planish.state.a]; s.value = planish.ENTRIES.findIndex((e) => e.run !== a.run && e.method.name === 'pvt'); s.dispatchEvent(new Event('change')); })()")
@@ -655,7 +764,7 @@ def hostile(programs, run):
         browser.call("Page.navigate", url=(work / "none/report.html").resolve().as_uri())
         browser.settle()
         check("its page says why", "not valid: its verdict is of another trajectory" in browser.js("document.getElementById('notes').textContent"))
-        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 3, browser.complaints()[:3] or "")
+        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 4, browser.complaints()[:3] or "")
         answer = browser.js("document.getElementById('answer').textContent")
         check("and says at the top that nothing is to be run", answer.startswith("Nothing here is to be run."), answer)
         for svg in sorted((work / "report").glob("*.svg")):

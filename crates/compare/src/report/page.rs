@@ -32,6 +32,8 @@ const JS: &str = concat!(
     include_str!("page/answer.js"),
     include_str!("page/panel.js"),
     include_str!("page/map.js"),
+    include_str!("page/first_screen.js"),
+    include_str!("page/slopes.js"),
     include_str!("page/path.js"),
     include_str!("page/dwell.js"),
     include_str!("page/chart.js"),

@@ -21,6 +21,7 @@ async function loadFull(file) {
   Object.assign(layer, { x0: layer.x0 - ((k - 1) / 2) * (layer.dx / k), y0: layer.y0 - ((k - 1) / 2) * (layer.dy / k), dx: layer.dx / k, dy: layer.dy / k,
     nx: array.nx, ny: array.ny, every: 1, step: 0, reach99: undefined, values: () => array.values });
   differences.clear();
+  slopeLayers.clear();
   byId("loaded").textContent = `${layer.title} of ${A().label}: all ${array.nx} x ${array.ny} values of ${file.name}.`;
   for (const p of panels) { p.baseKey = null; p.imageKey = null; }
   redraw();

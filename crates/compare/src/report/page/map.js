@@ -3,9 +3,11 @@
 /** Distance from the mean that gets the last colour. */
 function reachOf(layer) {
   const apart = state.scale === "apart";
-  if ((state.scale === "common" || (apart && !layer.own)) && layer.title !== "difference of the residuals")
+  const isHeight = layer.unit === undefined;
+  if (isHeight && state.scale === "hand" && state.hand !== null) return state.hand;
+  if (isHeight && (state.scale === "common" || (apart && !layer.own)) && layer.title !== "difference of the residuals")
     return Math.max(...RUNS.map((r) => r.desired.reach));
-  if (state.scale === "own99" || apart) {
+  if (state.scale !== "own") {
     if (layer.reach99 === undefined) {
       const sizes = Float64Array.from(layer.values()).filter((v) => !Number.isNaN(v)).map((v) => Math.abs(v - layer.mean)).sort();
       layer.reach99 = (sizes.length && sizes[Math.floor(0.99 * (sizes.length - 1))]) || layer.reach;
@@ -37,10 +39,11 @@ function imageOf(panel, layer, key) {
 
 function mapContent(layer, key, more = {}) {
   if (!layer) return null;
-  const reach = reachOf(layer);
+  const reach = reachOf(layer), unit = layer.unit || "nm", isOwn = layer.unit ? state.scale !== "own" : state.scale === "apart" && layer.own;
+  const scale = isOwn ? `; its own scale, 99 % within ±${number(reach, 3)} ${unit}` : "";
   return {
-    title: (more.title || layer.title) + (state.scale === "apart" && layer.own ? `; its own scale, 99 % within ±${number(reach, 3)} nm` : ""), layer, marks: more.marks, key: key + "|" + reach + "|" + layer.nx,
-    bar: { table: HEIGHT.filter((_, i) => i % 4 === 0), range: [-reach, reach], unit: "nm" },
+    title: (more.title || layer.title) + (more.note ? "" : scale), note: more.note && more.note + scale, layer, marks: more.marks, still: more.still, key: key + "|" + reach + "|" + layer.nx,
+    bar: { table: HEIGHT.filter((_, i) => i % 4 === 0), range: [-reach, reach], unit },
     paint(ctx, box, panel) {
       const image = imageOf(panel, layer, key);
       const left = box.x.at(layer.x0 - layer.dx / 2), top = box.y.at(layer.y0 + (layer.ny - 0.5) * layer.dy);
@@ -49,8 +52,8 @@ function mapContent(layer, key, more = {}) {
     },
     read() {
       const at = state.pointer && valueAt(layer, ...state.pointer);
-      if (!at) return `RMS ${number(layer.rms)} nm`;
-      const value = Number.isNaN(at.value) ? "invalid" : `${number(at.value, 6)} nm (${number(at.value - layer.mean, 4)} from the mean)`;
+      if (!at) return more.idle || `RMS ${number(layer.rms)} ${unit}`;
+      const value = Number.isNaN(at.value) ? "invalid" : `${number(at.value, 6)} ${unit} (${number(at.value - layer.mean, 4)} from the mean)`;
       return `x ${number(at.x, 5)}, y ${number(at.y, 5)} mm, [${at.row}, ${at.column}]: ${value}`;
     },
   };

@@ -19,15 +19,23 @@ const PATH_EXTENT = (() => {
   return all;
 })();
 const WHOLE = around(PATH_EXTENT, 0.02);
+/** What maps show of the part when all is shown: no path beyond its edges, so that the part is as large as it can be. */
+const WHOLE_MAP = around(EXTENT, 0.04);
 state.view = [...WHOLE];
+const showsAll = () => state.view.every((v, i) => v === WHOLE[i]);
+const viewOfMaps = () => (showsAll() ? WHOLE_MAP : state.view);
 state.pin = [(EXTENT[0] + EXTENT[1]) / 2, (EXTENT[2] + EXTENT[3]) / 2];
 
 const panels = [];
+/** Pixels that axes and colour bar of a panel take beside its map, and below it. */
+const BESIDE_MAP = 112, BELOW_MAP = 40;
 
 /** One panel; `content()` says what to draw, null hides it. */
 class Panel {
   constructor(parent, name, content) {
     this.name = name;
+    this.parent = byId(parent);
+    this.whole = ["maps", "surfaces", "slope-maps"].includes(parent) ? WHOLE_MAP : WHOLE;
     this.content = content;
     this.figure = document.createElement("figure");
     this.caption = document.createElement("figcaption");
@@ -40,36 +48,54 @@ class Panel {
     this.read.className = "read";
     this.caption.append(this.title, saveButton(this.canvas, name));
     this.figure.append(this.caption, this.canvas, this.read);
-    byId(parent).append(this.figure);
+    this.parent.append(this.figure);
     this.base = document.createElement("canvas");
     this.image = document.createElement("canvas");
     this.listen();
     panels.push(this);
   }
 
+  /** Part of the plane that the panel shows: [x low, x high, y low, y high], mm. */
+  view() {
+    return showsAll() ? this.whole : state.view;
+  }
+
   /** Where the view is: equal scales, centred. */
   box() {
     const l = 46, t = 4, w = Math.max(20, this.canvas.clientWidth - l - 66), h = this.canvas.clientHeight - t - 36;
-    const [x0, x1, y0, y1] = state.view;
+    const [x0, x1, y0, y1] = this.view();
     const k = Math.min(w / (x1 - x0), h / (y1 - y0));
     const cx = (x0 + x1) / 2, cy = (y0 + y1) / 2;
     const low = [cx - w / 2 / k, cy - h / 2 / k], high = [cx + w / 2 / k, cy + h / 2 / k];
     return { l, t, w, h, k, low, high, x: linear(low[0], high[0], l, l + w, w / 70), y: linear(low[1], high[1], t + h, t, h / 45) };
   }
 
-  resize() {
-    const width = this.canvas.clientWidth - 112;
-    const shape = (WHOLE[3] - WHOLE[2]) / (WHOLE[1] - WHOLE[0]);
-    this.canvas.style.height = Math.round(Math.min(560, Math.max(90, width * shape)) + 40) + "px";
+  resize(most) {
+    const width = this.canvas.clientWidth - BESIDE_MAP;
+    const [x0, x1, y0, y1] = this.whole, shape = (y1 - y0) / (x1 - x0);
+    this.canvas.style.height = Math.round(Math.max(90, Math.min(most, width * shape)) + BELOW_MAP) + "px";
   }
 
-  draw() {
+  /** Says what the panel shows; hides it and returns null if it shows nothing. */
+  describe() {
     const content = this.content();
     this.figure.hidden = !content;
+    if (!content) return null;
+    const title = content.title + (content.note ? ", " + content.note : "");
+    // Words that stay leave the layout of the page as it is.
+    if (title === this.words) return content;
+    this.words = title;
+    this.title.replaceChildren(content.title, ...(content.note ? [element("small", content.note)] : []));
+    this.canvas.setAttribute("aria-label", title + "; arrows move the pointer, Shift and arrows the map, + and - zoom, 0 shows all, Enter pins the profiles");
+    return content;
+  }
+
+  /** Draws the panel unless it is folded; its map is at most so many pixels high. */
+  draw(most = 560) {
+    if (this.parent.closest("details:not([open])")) return;
+    const content = this.describe();
     if (!content) return;
-    this.resize();
-    this.title.textContent = content.title;
-    this.canvas.setAttribute("aria-label", content.title + "; arrows move the pointer, Shift and arrows the map, + and - zoom, 0 shows all, Enter pins the profiles");
+    this.resize(most);
     const box = this.box();
     const key = [content.key, state.view, state.moving && content.heavy, this.canvas.clientWidth, this.canvas.clientHeight, theme.paper, state.scale].join("|");
     if (key !== this.baseKey) {
@@ -150,7 +176,8 @@ class Panel {
       ctx.stroke();
     }
     ctx.restore();
-    this.read.textContent = content.read();
+    const read = content.read();
+    if (read !== this.read.textContent) this.read.textContent = read;
   }
 
   listen() {
@@ -161,7 +188,7 @@ class Panel {
     };
     let from = null;
     canvas.addEventListener("pointerdown", (event) => {
-      from = { at: place(event), x: event.clientX, y: event.clientY, view: [...state.view], k: this.box().k, moved: false };
+      from = { at: place(event), x: event.clientX, y: event.clientY, view: [...this.view()], k: this.box().k, moved: false };
       canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
@@ -184,11 +211,11 @@ class Panel {
     canvas.addEventListener("wheel", (event) => {
       if (document.activeElement !== canvas && !event.ctrlKey && !event.metaKey) return;
       event.preventDefault();
-      zoom(Math.exp(event.deltaY * 0.0015), place(event));
+      zoom(Math.exp(event.deltaY * 0.0015), place(event), this.view());
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
-      const v = state.view, w = v[1] - v[0], h = v[3] - v[2];
+      const v = this.view(), w = v[1] - v[0], h = v[3] - v[2];
       if (step && event.shiftKey) {
         const [dx, dy] = [step[0] * 0.1 * w, step[1] * 0.1 * h];
         state.view = [v[0] + dx, v[1] + dx, v[2] + dy, v[3] + dy];
@@ -197,8 +224,8 @@ class Panel {
         const layer = A().residual, at = state.pointer || [(v[0] + v[1]) / 2, (v[2] + v[3]) / 2];
         const many = Math.max(1, Math.round(2 / this.box().k / layer.dx));
         this.point([at[0] + step[0] * many * layer.dx, at[1] + step[1] * many * layer.dy]);
-      } else if (event.key === "+" || event.key === "=") zoom(0.7, state.pointer);
-      else if (event.key === "-") zoom(1 / 0.7, state.pointer);
+      } else if (event.key === "+" || event.key === "=") zoom(0.7, state.pointer, v);
+      else if (event.key === "-") zoom(1 / 0.7, state.pointer, v);
       else if (event.key === "0") showAll();
       else if (event.key === "Enter" && state.pointer) this.pick(state.pointer);
       else return;
@@ -234,8 +261,9 @@ function colourBar(ctx, box, { bar }) {
   ctx.fillText(bar.unit, x + 13, box.t + box.h / 2 + 4);
 }
 
-function zoom(factor, about) {
-  const v = state.view, [x, y] = about || [(v[0] + v[1]) / 2, (v[2] + v[3]) / 2];
+/** Shows `factor` times as much as the view `v`, about the place [x, y], mm, or about its middle. */
+function zoom(factor, about, v) {
+  const [x, y] = about || [(v[0] + v[1]) / 2, (v[2] + v[3]) / 2];
   const size = (v[1] - v[0]) * factor, whole = WHOLE[1] - WHOLE[0];
   if (size > 4 * whole || size < whole * 1e-4) return;
   state.view = [x + (v[0] - x) * factor, x + (v[1] - x) * factor, y + (v[2] - y) * factor, y + (v[3] - y) * factor];

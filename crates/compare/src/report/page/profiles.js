@@ -18,7 +18,7 @@ function drawProfiles() {
     const series = wanted.map(([layer, name], i) => ({ name, colour: colours[i], points: profile(layer, axis).map(([u, v]) => [u, v - layer.mean]) }));
     const all = series.flatMap((s) => s.points.map((p) => p[1])).filter((v) => v === v);
     const low = all.length ? Math.min(...all) : -1, high = all.length ? Math.max(...all) : 1, rim = 0.05 * (high - low) || 1;
-    const [from, to] = axis === 0 ? [state.view[0], state.view[1]] : [state.view[2], state.view[3]];
+    const [from, to] = viewOfMaps().slice(2 * axis, 2 * axis + 2);
     const x = linear(from, to, box.l, box.l + box.w, box.w / 70), y = linear(low - rim, high + rim, box.t + box.h, box.t, 5);
     clipped(ctx, box, () => {
       for (const s of series) curve(ctx, x, y, s.points, s.colour);

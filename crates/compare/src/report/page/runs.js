@@ -56,6 +56,7 @@ const ENTRIES = RUNS.flatMap((run) => run.methods.map((method) => entryOf(run, m
 /** What is shown. */
 const state = {
   a: 0, b: -1, scale: "apart",
+  hand: null,            // nm from the mean at the end of the colours, chosen by hand
   view: null,            // [x low, x high, y low, y high] in mm that the maps show
   pointer: null,         // [x, y] mm under the pointer
   pin: null,             // [x, y] mm of the profiles

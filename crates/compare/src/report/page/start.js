@@ -26,6 +26,27 @@ function showMethod(a, b) {
   setTime(A().total);
 }
 
+/** Chooses the scale of the colours; by hand it begins with that of the residual. */
+function setScale(scale) {
+  if (scale === "hand" && state.hand === null) {
+    state.hand = +reachOf(A().residual).toPrecision(3);
+    byId("hand-nm").value = state.hand;
+  }
+  state.scale = scale;
+  byId("hand").hidden = scale !== "hand";
+  redraw();
+}
+
+/** Takes the end of the colours from its field; a number that is not above zero is marked and changes nothing. */
+function setHand(field) {
+  const value = field.valueAsNumber, isGood = Number.isFinite(value) && value > 0;
+  field.setCustomValidity(isGood ? "" : "A height above 0 nm.");
+  field.setAttribute("aria-invalid", String(!isGood));
+  if (!isGood) return;
+  state.hand = value;
+  redraw();
+}
+
 let asked = false;
 function redraw() {
   if (asked) return;
@@ -36,7 +57,8 @@ function redraw() {
   });
 }
 function drawAll() {
-  for (const p of panels) p.draw();
+  const most = arrangeFirstScreen();
+  for (const p of panels) p.draw(p.parent === byId("maps") ? most : undefined);
   drawProfiles();
   drawMotion();
   if (drawAll.key !== [state.a, state.b, theme.paper, innerWidth].join()) {
@@ -84,6 +106,13 @@ function hintTables() {
   }
 }
 
+/** Opens what is folded of the answer and the notes, for paper; returns what it has opened. */
+function unfoldNotes() {
+  const folded = [...document.querySelectorAll("#answer details, #remarks")].filter((e) => !e.open);
+  for (const e of folded) e.open = true;
+  return folded;
+}
+
 function start() {
   readTheme();
   fillAnswer();
@@ -94,7 +123,8 @@ function start() {
   if (!ENTRIES.length) {
     // Every method is left out, and why is said: there is nothing to draw.
     byId("bar").hidden = true;
-    for (const section of document.querySelectorAll("section")) section.hidden = section.id !== "answer" && !section.querySelector("#summary, #provenance");
+    for (const section of document.querySelectorAll("section")) section.hidden = !["answer", "reasons"].includes(section.id) && !section.querySelector("#summary, #provenance");
+    byId("guide").hidden = true;
     return;
   }
   ENTRIES.forEach((e, i) => {
@@ -102,12 +132,13 @@ function start() {
     byId("b").append(element("option", e.label, { value: i }));
   });
   byId("b").prepend(element("option", "none", { value: -1 }));
-  new Panel("maps", "measured", () => mapContent(A().run.measured, "measured" + A().run.name));
-  new Panel("maps", "desired", () => mapContent(A().run.desired, "desired" + A().run.name));
-  new Panel("maps", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
-  new Panel("maps", "residual", () => mapContent(A().residual, "residual" + state.a, { title: "residual: " + A().label, marks: worstMarks(A()) }));
-  new Panel("maps", "residual-b", () => B() && mapContent(B().residual, "residual" + state.b, { title: "residual: " + B().label, marks: worstMarks(B()) }));
+  new Panel("maps", "desired", () => mapContent(A().run.desired, "desired" + A().run.name, beforeWords(A().run)));
+  new Panel("maps", "residual", () => mapContent(A().residual, "residual" + state.a, { ...afterWords(A()), marks: worstMarks(A()) }));
+  new Panel("maps", "residual-b", () => B() && mapContent(B().residual, "residual" + state.b, { ...afterWords(B()), marks: worstMarks(B()) }));
   new Panel("maps", "difference", () => B() && mapContent(difference(), "difference" + state.a + "," + state.b, { title: `residual of ${A().label} - residual of ${B().label}` }));
+  new Panel("surfaces", "measured", () => mapContent(A().run.measured, "measured" + A().run.name));
+  new Panel("surfaces", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
+  addSlopePanels();
   new Panel("paths", "frame", () => {
     const layer = frameAt(A(), state.time);
     return layer && mapContent(layer, "frame" + layer.key, { title: layer.title });
@@ -126,19 +157,22 @@ function start() {
   }
   byId("a").addEventListener("change", (event) => showMethod(+event.target.value, state.b));
   byId("b").addEventListener("change", (event) => showMethod(state.a, +event.target.value));
-  byId("scale").addEventListener("change", (event) => { state.scale = event.target.value; redraw(); });
-  byId("zoom-in").addEventListener("click", () => zoom(0.6, null));
-  byId("zoom-out").addEventListener("click", () => zoom(1 / 0.6, null));
+  byId("scale").addEventListener("change", (event) => setScale(event.target.value));
+  byId("hand-nm").addEventListener("input", (event) => setHand(event.target));
+  byId("hand-nm").addEventListener("change", (event) => event.target.reportValidity());
+  byId("zoom-in").addEventListener("click", () => zoom(0.6, null, viewOfMaps()));
+  byId("zoom-out").addEventListener("click", () => zoom(1 / 0.6, null, state.view));
   byId("zoom-all").addEventListener("click", showAll);
   byId("time").addEventListener("input", (event) => setTime((A().total * event.target.value) / 1000));
   byId("play").addEventListener("click", () => play(!state.playing));
   byId("npy").addEventListener("change", (event) => event.target.files[0] && loadFull(event.target.files[0]));
   const themed = () => { readTheme(); redraw(); };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", themed);
-  window.addEventListener("beforeprint", () => { document.documentElement.classList.add("paper"); readTheme(); drawAll(); });
-  window.addEventListener("afterprint", () => { document.documentElement.classList.remove("paper"); themed(); });
+  let unfolded = [];
+  window.addEventListener("beforeprint", () => { unfolded = unfoldNotes(); document.documentElement.classList.add("paper"); readTheme(); drawAll(); });
+  window.addEventListener("afterprint", () => { for (const e of unfolded) e.open = false; document.documentElement.classList.remove("paper"); themed(); });
   new ResizeObserver(() => { redraw(); hintTables(); }).observe(document.body);
-  const best = ENTRIES.findIndex((e) => e.method.name === e.run.best);
+  const lead = leadingRun(), best = ENTRIES.findIndex((e) => e.run === lead && e.method.name === lead.best);
   showMethod(best < 0 ? ENTRIES.length - 1 : best, -1);
   drawAll();
   hintTables();

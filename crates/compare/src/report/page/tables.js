@@ -74,9 +74,10 @@ function fillSummary() {
     const name = words.filter((n, i, all) => n && all.indexOf(n) === i).join(", ");
     return `${name}: ${number(s.initial.rms_nm)} nm RMS, ${number(s.initial.pv_nm)} nm PV before`;
   }).join(". ") + ".";
+  // What concerns the plan that is to be run stays open, the rest folds.
+  const note = (text, bad) => byId(bad ? "faults" : "remarks").append(element("p", text, { class: bad ? "violation" : "note" }));
   for (const r of RUNS) {
     const whose = (name) => (RUNS.length > 1 ? r.name + " / " + name : name);
-    const note = (text, bad) => byId("notes").append(element("p", text, { class: bad ? "violation" : "note" }));
     for (const left of r.summary.left_out) {
       const words = { "not-valid": "not valid", "out-of-date": "out of date, left out", "refused": "refused by its stage" };
       const bad = left.standing !== "out-of-date" && r.best === null;
@@ -97,8 +98,11 @@ function fillSummary() {
   for (const e of ENTRIES)
     for (const text of e.method.violations) {
       const why = isStill(e) ? "; expected, because it has no motion between the dwell points and is not run" : concerns(e) ? "" : "; it is not to be run";
-      byId("violations").append(element("p", `${e.label}: ${text}${why}`, { class: why ? "note" : "violation" }));
+      note(`${e.label}: ${text}${why}`, !why);
     }
+  const count = byId("remarks").querySelectorAll("p").length;
+  byId("remarks").hidden = count === 0;
+  byId("remarks").firstElementChild.textContent = `Notes on the plans (${count})`;
 }
 
 /** What each run keeps of a specification: limits in rows; before, methods and measured after in columns. */
