@@ -77,6 +77,8 @@
 //! | module | what it holds |
 //! |---|---|
 //! | `settings` | how to solve, and the columns and bounds of a problem |
+//! | `several` | several tools in one problem |
+//! | `choice` | the subset of a rack of tools that costs least |
 //! | `prepared` | (1) and (2) with everything that is computed once |
 //! | `minimise` | the steps, and the robust weights |
 //! | `weighted` | (1) itself, its gradient, and its least value along steps |
@@ -86,12 +88,14 @@
 //! | `report` | the result in numbers |
 
 mod certificate;
+mod choice;
 mod descent;
 mod discrepancy;
 mod minimise;
 mod prepared;
 mod report;
 mod settings;
+mod several;
 mod unbounded;
 mod weighted;
 
@@ -104,16 +108,18 @@ use crate::{
     DwellError,
     bounds::{self, pixel_weights},
     columns::ToolPlace,
-    residual_slope::ResidualSlope,
 };
 pub use crate::{
     bounds::{Bound, noise_of_deviations},
     objective::Free,
 };
+pub use choice::{RackTool, SolvedSubset, ToolChoice, choose_tools};
 use prepared::BoundedProblem;
 use report::SAME_TIME_FACTOR;
 pub use report::{Algorithm, BoundedReport, BoundedSolution, RatesOfTime};
+use settings::ToolColumns;
 pub use settings::{BoundedSettings, Product, Program};
+pub use several::{SeveralSolution, ShareOfTool, ToolTask, solve_several};
 
 /// Finds the dwell times that minimise the objective (1) of the module for the desired removal along `path`, within
 /// the bounds of the settings.
@@ -250,23 +256,7 @@ pub fn solve_columns(
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
     let tif = &*tif;
     let weight = pixel_weights(desired, weight)?;
-    let weights = [
-        ("tikhonov", settings.tikhonov),
-        ("slope_weight", settings.slope_weight),
-        ("time_weight_nm2_per_s", settings.time_weight_nm2_per_s),
-    ];
-    for (name, value) in weights {
-        if !(value.is_finite() && value >= 0.0) {
-            return Err(Invalid::whole(name, format!("is {value}"), "give a number >= 0").into());
-        }
-    }
-    for (name, value) in [("huber_nm", settings.huber_nm), ("noise_rms_nm", settings.noise_rms_nm)]
-    {
-        if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
-            return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0").into());
-        }
-    }
-    settings.residual_slope.iter().try_for_each(ResidualSlope::check)?;
+    settings.check()?;
     let Program { places, lo, hi, guess, .. } = program;
     let guess_len = guess.as_ref().map_or(path.len(), Vec::len);
     let lengths =
@@ -282,8 +272,15 @@ pub fn solve_columns(
         return Err(Invalid::at_index("max_dwell", j, problem, "give a larger upper bound").into());
     }
 
-    let problem = BoundedProblem::new(desired, tif, path, program, weight, settings)?;
-    let mut solution = discrepancy::solve(problem)?;
+    let tool = ToolColumns {
+        name: "",
+        tif,
+        path,
+        columns: 0..path.len(),
+        time_weight_nm2_per_s: settings.time_weight_nm2_per_s,
+    };
+    let mut problem = BoundedProblem::new(desired, &[tool], program, weight, settings)?;
+    let mut solution = discrepancy::solve(&mut problem)?;
     solution.report.tif_lattice = lattice.if_anew();
     Ok(solution)
 }

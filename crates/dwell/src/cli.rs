@@ -6,6 +6,7 @@ mod feed_law;
 mod lucy_richardson;
 mod non_negative_least_squares;
 mod rifta;
+mod several_tools;
 mod tikhonov_lsqr;
 mod truncated_svd;
 mod udo;
@@ -35,6 +36,8 @@ use serde::Serialize;
 pub enum Solver {
     /// Smallest RMS residual with a free piston and bounds on every dwell time
     BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
+    /// The same for several tools in one problem: which tool removes what
+    SeveralTools(several_tools::SeveralTools),
     /// Least squares with bounds from the limits of a machine
     #[command(hide = true)]
     Bcls(bcls::Bcls),
@@ -61,6 +64,7 @@ impl Solver {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::BoundedLeastSquares(arguments) => arguments.run(),
+            Self::SeveralTools(arguments) => arguments.run(),
             Self::Bcls(arguments) => arguments.run(),
             Self::NonNegativeLeastSquares(arguments) => arguments.run(),
             Self::TikhonovLsqr(arguments) => arguments.run(),

@@ -73,4 +73,19 @@ pub enum DwellError {
         /// Regularisation alpha that was used, dimensionless.
         tikhonov: f64,
     },
+    /// One of several tools cannot be planned with.
+    #[error("tool {tool:?}: {reason}")]
+    OfTool {
+        /// Name of the tool.
+        tool: String,
+        /// Reason for which it cannot.
+        reason: Box<DwellError>,
+    },
+}
+
+impl DwellError {
+    /// Returns this error with the name of the tool that it is about.
+    pub(crate) fn of_tool(self, tool: &str) -> Self {
+        Self::OfTool { tool: tool.to_string(), reason: Box::new(self) }
+    }
 }

@@ -7,6 +7,7 @@
 //! | `fft_operator` | the same removal without a matrix, in memory proportional to the map |
 //! | `place` | a place: one position of the tool in a column, with its fraction of the dwell time |
 //! | `varying` | the kernels of a tool that is not the same everywhere |
+//! | `stacked` | the columns of several tools side by side |
 //! | `operator` | the choice between stored columns and the FFT, and the normal matrix `B' W B` |
 
 pub mod columns;
@@ -14,6 +15,7 @@ pub(crate) mod fft_operator;
 pub(crate) mod operator;
 mod place;
 pub(crate) mod products;
+pub(crate) mod stacked;
 pub(crate) mod varying;
 
 /// Effect of a column on the map, as a fraction of the largest of all columns, below which the column counts as

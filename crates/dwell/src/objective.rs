@@ -4,6 +4,8 @@
 //! Both are quadratic in the dwell times, and their matrices are cheap: a few outer products U U', and the
 //! tridiagonal matrix L of the penalty. The equations are those of [`crate::bounded_least_squares`].
 
+use std::ops::Range;
+
 use ndarray::Array2;
 use planish_numerics::parallel;
 use planish_types::{Axis, Grid, Tif, ToolPath};
@@ -260,7 +262,7 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// ```text
 /// 1/2 alpha K A   sum_j a_j (r_j - lo_j / a_j)^2
 /// + 1/2 beta K A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     m_k = (l_{k-1} + l_k) / 2
-/// + lambda sum_i w_i sum_j t_j
+/// + sum_j price_j t_j,                               price_j = lambda_j sum_i w_i
 /// ```
 ///
 /// The price of a second is its weight lambda times the sum of the weights of the pixels. It is a constant of the
@@ -272,8 +274,8 @@ pub struct Penalty {
     /// Diagonal element `alpha K A / a_j` of the Tikhonov term of every dwell time (n), with A in place of an area a_j
     /// of 0.
     alpha: Vec<f64>,
-    /// Price of one second of dwell time, in the unit of the objective.
-    time: f64,
+    /// Price of one second of the dwell times of each tool, in the unit of the objective, with the columns of the tool.
+    prices: Vec<(Range<usize>, f64)>,
     lo: Vec<f64>,
     /// Every slope term `(v t_k - u t_{k-1})^2 / 2` as (index k, u, v).
     steps: Vec<(usize, f64, f64)>,
@@ -309,7 +311,21 @@ impl Penalty {
             }
         }
         let time = weights.time_weight_nm2_per_s * pixel_weight;
-        Self { alpha, time, lo: lo.to_vec(), steps }
+        Self { alpha, prices: vec![(0..lo.len(), time)], lo: lo.to_vec(), steps }
+    }
+
+    /// Makes the penalty of several tools, the sum of theirs. The dwell times of the tools follow each other in the
+    /// order of `parts`. `None` if there are no parts.
+    pub fn stacked(parts: impl IntoIterator<Item = Self>) -> Option<Self> {
+        parts.into_iter().reduce(|mut all, next| {
+            let before = all.len();
+            all.alpha.extend(next.alpha);
+            all.lo.extend(next.lo);
+            all.steps.extend(next.steps.into_iter().map(|(k, u, v)| (k + before, u, v)));
+            let moved = next.prices.into_iter();
+            all.prices.extend(moved.map(|(r, price)| (r.start + before..r.end + before, price)));
+            all
+        })
     }
 
     /// Returns the number of dwell times n.
@@ -370,8 +386,11 @@ impl Penalty {
     /// Adds the gradient of the penalty at the dwell times t to `out` (n).
     pub fn add_gradient(&self, t: &[f64], out: &mut [f64]) {
         self.add_product(t, out);
-        for ((o, lo), alpha) in out.iter_mut().zip(&self.lo).zip(&self.alpha) {
-            *o += self.time - alpha * lo;
+        for (columns, price) in &self.prices {
+            let bounds = self.lo[columns.clone()].iter().zip(&self.alpha[columns.clone()]);
+            for (o, (lo, alpha)) in out[columns.clone()].iter_mut().zip(bounds) {
+                *o += price - alpha * lo;
+            }
         }
     }
 
@@ -381,7 +400,8 @@ impl Penalty {
         let far: f64 = above_floor.map(|((t, lo), alpha)| alpha * (t - lo).powi(2)).sum();
         let rough: f64 =
             self.steps.iter().map(|(k, u, v)| (v * t[*k] - u * t[k - 1]).powi(2)).sum();
-        0.5 * (far + rough) + self.time * t.iter().sum::<f64>()
+        let times = self.prices.iter().map(|(r, price)| price * t[r.clone()].iter().sum::<f64>());
+        0.5 * (far + rough) + times.sum::<f64>()
     }
 }
 

@@ -41,8 +41,8 @@ mod two_level;
 pub use convolved::{Convolved, Unbounded};
 pub use ordered::{Ordered, Penalised};
 pub use resolution::{
-    MAX_LOSS_FACTORISED, MAX_LOSS_GRADIENT, MAX_LOSS_TWO_LEVEL, are_sparse, cell_size,
-    factorisation_work, spline_pitch,
+    MAX_LOSS_FACTORISED, MAX_LOSS_GRADIENT, MAX_LOSS_SEVERAL, MAX_LOSS_TWO_LEVEL, are_sparse,
+    cell_size, factorisation_work, spline_pitch,
 };
 
 /// A surrogate H~ of the normal matrix.

@@ -7,5 +7,7 @@ mod oracles;
 mod random_problems;
 #[path = "reference.rs"]
 mod reference;
+#[path = "several_tools.rs"]
+mod several_tools;
 #[path = "solvers.rs"]
 mod solvers;

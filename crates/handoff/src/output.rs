@@ -78,7 +78,7 @@ macro_rules! task {
     };
 }
 
-/// Announced outputs of a run: artifact directories of different kinds, and files beside them.
+/// Announced outputs of a run: artifact directories, and files beside them.
 #[derive(Debug)]
 pub struct Output {
     args: OutputArgs,
@@ -129,6 +129,20 @@ impl Output {
         let mut output = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
         for (name, kind) in parts {
             output = output.and_directory("--out", &args.out.join(name), kind);
+        }
+        output
+    }
+
+    /// Announces several artifacts of one kind as the output, in the directories of these `names` in `--out`. They have
+    /// to be written in this order. `args` are the flags of the output.
+    pub fn of_one_kind(args: &OutputArgs, names: &[&str], kind: &'static Kind) -> Self {
+        let mut output = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
+        for name in names {
+            output.directories.push(Directory {
+                flag: "--out",
+                path: plain(&args.out.join(name)),
+                kind,
+            });
         }
         output
     }
@@ -321,7 +335,7 @@ impl Writer {
     }
 
     /// Writes `value` as the announced artifact of its kind, with the `outcome` and `status` of the stage in the
-    /// manifest.
+    /// manifest. Of several artifacts of this kind it is the next one.
     ///
     /// # Errors
     /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
@@ -334,8 +348,8 @@ impl Writer {
         self.write_arrays(T::KIND, &value.to_arrays(), &[], outcome, status)
     }
 
-    /// Writes the announced artifact of this kind from its arrays. `beside` are the names and contents of further
-    /// files in its directory.
+    /// Writes the announced artifact of this kind from its arrays, the next one if there are several. `beside` are the
+    /// names and contents of further files in its directory.
     ///
     /// # Errors
     /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.

@@ -15,6 +15,8 @@ mod compare_chain;
 mod compare_cli;
 #[path = "../../dwell/tests/cli.rs"]
 mod dwell_cli;
+#[path = "../../dwell/tests/cli_several_tools.rs"]
+mod dwell_cli_several_tools;
 #[path = "../../dwell/tests/cli_solvers.rs"]
 mod dwell_cli_solvers;
 #[path = "../../dwell/tests/hostile.rs"]

@@ -135,7 +135,8 @@ pub struct Descent<'s> {
 
 /// Exact objective (1) and its gradient at the present dwell times, and the decision whether the descent ends there.
 pub struct Look {
-    objective: f64,
+    /// Value of (1), nm^2 times the weights of the pixels.
+    pub objective: f64,
     gradient: Vec<f64>,
     /// Natural residual: the largest change of a dwell time in a projected gradient step, s; 0 at the minimum.
     pub natural_residual: f64,
@@ -159,8 +160,7 @@ pub enum Target {
 impl<'s> Descent<'s> {
     /// Starts the descent at the first dwell times of a problem.
     pub fn new(problem: &BoundedProblem<'_>, settings: &'s BoundedSettings) -> Self {
-        let weights = settings.penalty_weights();
-        let penalty = Penalty::new(problem.path, problem.lo, &problem.scale, &weights);
+        let penalty = problem.penalty(&settings.penalty_weights());
         let own = penalty.diagonal();
         let diagonal = (0..own.len())
             .map(|j| if problem.reached[j] { problem.diagonal[j] + own[j] } else { 0.0 })

@@ -49,7 +49,7 @@ const QUADRATURE_POINTS: usize = 32;
 ///
 /// # Errors
 /// Refuses a problem whose surrogate is singular in every form.
-pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellError> {
+pub fn solve(problem: &mut BoundedProblem<'_>) -> Result<BoundedSolution, DwellError> {
     let smoothness = problem.settings.slope_weight;
     let approach = problem.approach(smoothness)?;
     let mut iterate = problem.minimise(smoothness)?;

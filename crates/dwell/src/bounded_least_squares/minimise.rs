@@ -47,6 +47,8 @@ pub struct Iterate {
     pub iterations: usize,
     /// Number of steps found by H~, each corrected by the exact gradient.
     pub corrections: usize,
+    /// Value of (1), nm^2 times the weights of the pixels.
+    pub objective: f64,
     pub natural_residual: f64,
     pub relative_gap: Option<f64>,
     pub end: End,
@@ -134,12 +136,13 @@ impl BoundedProblem<'_> {
                 },
             };
             let Descent { t, removal_nm, iterations, corrections, .. } = descent;
-            let Look { natural_residual, relative_gap, .. } = look;
+            let Look { objective, natural_residual, relative_gap, .. } = look;
             return Ok(Iterate {
                 t,
                 removal_nm,
                 iterations,
                 corrections,
+                objective,
                 natural_residual,
                 relative_gap,
                 end,

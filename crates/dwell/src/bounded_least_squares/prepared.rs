@@ -5,15 +5,16 @@ use ndarray::{Array2, Zip};
 use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
 
-use super::settings::{BoundedSettings, Product, Program};
+use super::settings::{BoundedSettings, Product, Program, ToolColumns};
 use crate::{
     DwellError,
     model::{
         UNREACHED_FRACTION,
         columns::{self, Patch, Stored, ToolPlace},
         operator::{MAX_COLUMN_ELEMENTS, Removal, pixels_under},
+        stacked::StackedRemoval,
     },
-    objective::{Basis, Free, Penalty, PenaltyScale},
+    objective::{Basis, Free, Penalty, PenaltyScale, PenaltyWeights},
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
@@ -46,12 +47,13 @@ const MOST_WORK: f64 = 1e11;
 /// The problem (1) with its inputs and everything that is computed once.
 pub struct BoundedProblem<'a> {
     pub desired: &'a Surface,
-    tif: &'a Tif,
-    pub path: &'a ToolPath,
+    /// The tools, in the order of their columns in B.
+    pub tools: Vec<PreparedTool<'a>>,
+    /// Places of the tool in each of the n columns.
     places: &'a [Vec<ToolPlace>],
     pub settings: &'a BoundedSettings,
     /// Removal operator B (pixels, n), nm/s.
-    pub b: Removal,
+    pub b: StackedRemoval,
     /// Desired removal minus its weighted mean (ny, nx), nm; 0 where the weight is 0.
     pub z: Array2<f64>,
     /// Weights of the pixels as given (ny, nx), without those of a Huber loss.
@@ -65,8 +67,6 @@ pub struct BoundedProblem<'a> {
     /// Diagonal of the normal matrix H without the penalty (n), nm^2/s^2, partly an estimate ([`energies`]); 0 for
     /// unreached columns.
     pub diagonal: Vec<f64>,
-    /// Quantities to which the weights of the penalty are relative: K, A, p and sum w of (1).
-    pub scale: PenaltyScale,
     /// Columns of U of (2), one (n) for each free function of the map (piston, or plane).
     u: Vec<Vec<f64>>,
     pub surrogate: Surrogate,
@@ -110,70 +110,133 @@ fn energies(
     energy
 }
 
-impl<'a> BoundedProblem<'a> {
-    /// Prepares the problem from its columns and bounds (`program`) and the weights of the pixels.
+/// One tool of a problem, with the quantities to which the weights of its penalty are relative.
+pub struct PreparedTool<'a> {
+    /// Tool, path, columns and price of a second.
+    pub columns: ToolColumns<'a>,
+    /// Quantities K, A, p and sum w of (1), of this tool alone.
+    pub scale: PenaltyScale,
+}
+
+/// One tool of a problem with its part of B, of U and of the diagonal of H.
+struct Part<'a> {
+    tool: PreparedTool<'a>,
+    b: Removal,
+    /// Its elements of the columns of U of (2), one vector for each free function of the map.
+    u: Vec<Vec<f64>>,
+    /// Its elements of the diagonal of H without the penalty, nm^2/s^2; 0 for unreached columns.
+    diagonal: Vec<f64>,
+    reached: Vec<bool>,
+    /// Its columns of B on the cells, if H~ is factorised.
+    cells: Option<Vec<Patch>>,
+}
+
+/// Holds what all tools of a problem share: the grid of the map, the weights of its pixels and its free functions.
+struct Common<'a> {
+    grid: &'a Grid,
+    weight: &'a Array2<f64>,
+    basis: &'a Basis,
+    /// Number of pixels along the side of a cell.
+    cell: usize,
+    /// True if H~ is factorised.
+    factorised: bool,
+}
+
+impl<'a> Part<'a> {
+    /// Prepares one tool. Its columns are those of `places` (all columns of the program) in its range.
     ///
     /// # Errors
     /// Refuses a TIF that covers too many pixels of the map, and a tool that does not reach the map.
-    pub fn new(
-        desired: &'a Surface,
-        tif: &'a Tif,
-        path: &'a ToolPath,
-        program: &'a Program<'a>,
-        weight: Array2<f64>,
-        settings: &'a BoundedSettings,
+    fn new(
+        tool: &ToolColumns<'a>,
+        places: &[Vec<ToolPlace>],
+        common: &Common<'_>,
     ) -> Result<Self, DwellError> {
-        let n = path.len();
-        let grid = desired.grid();
-        let factorised = is_factorised(program.places, tif, settings.max_factorised_points);
+        let Common { grid, weight, basis, cell, factorised } = *common;
+        let places = &places[tool.columns.clone()];
+        let tif = tool.tif;
         // H~ less U U' is positive definite where both are of the same columns.
-        let b = Removal::new(program.places, tif, grid, factorised)?;
-        let basis = Basis::new(grid, &weight, settings.free);
-        let u = basis.columns(&weight, |m| b.adjoint(m));
-        let loss =
-            if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
-        let mut cell = surrogate::cell_size(tif, grid, loss);
-        let cells = factorised.then(|| columns::on_cells(program.places, tif, grid, &weight, cell));
+        let b = Removal::new(places, tif, grid, factorised)?;
+        let u = basis.columns(weight, |m| b.adjoint(m));
+        let cells = factorised.then(|| columns::on_cells(places, tif, grid, weight, cell));
         // diag H = sum of w B^2 less U^2
-        let energy = energies(&b, cells.as_deref(), program.places, tif, grid, &weight);
-        let mut diagonal: Vec<f64> = (0..n)
+        let energy = energies(&b, cells.as_deref(), places, tif, grid, weight);
+        let mut diagonal: Vec<f64> = (0..places.len())
             .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
             .collect();
         let largest = diagonal.iter().copied().fold(0.0, f64::max);
         if largest.is_nan() || largest <= 0.0 {
-            return Err(DwellError::OutOfReach { points: n });
+            return Err(DwellError::OutOfReach { points: places.len() });
         }
         let reached: Vec<bool> =
             diagonal.iter().map(|d| *d > UNREACHED_FRACTION * largest).collect();
         // K decides the weights of (1): the element itself, not the estimate.
-        let strongest = strongest(&diagonal, program.places, (tif, grid), &basis, &weight);
-        for j in (0..n).filter(|j| !reached[*j]) {
-            diagonal[j] = 0.0;
+        let strongest = strongest(&diagonal, places, (tif, grid), basis, weight);
+        for (d, _) in diagonal.iter_mut().zip(&reached).filter(|(_, reached)| !**reached) {
+            *d = 0.0;
         }
+        let scale = penalty_scale(tool.path, tif, strongest, weight, &u[0]);
+        let tool = PreparedTool { columns: tool.clone(), scale };
+        Ok(Self { tool, b, u, diagonal, reached, cells })
+    }
+}
+
+impl<'a> BoundedProblem<'a> {
+    /// Prepares the problem for the tools of a program and the weights of the pixels. The ranges of the columns of the
+    /// tools follow each other.
+    ///
+    /// # Errors
+    /// Refuses a TIF that covers too many pixels of the map, and a tool that does not reach the map. Refuses several
+    /// tools with more columns than can be factorised.
+    pub fn new(
+        desired: &'a Surface,
+        tools: &[ToolColumns<'a>],
+        program: &'a Program<'a>,
+        weight: Array2<f64>,
+        settings: &'a BoundedSettings,
+    ) -> Result<Self, DwellError> {
+        let n = program.places.len();
+        let grid = desired.grid();
+        let is_one = tools.len() == 1;
+        let most = settings.max_factorised_points;
+        // Only the factorised surrogate has the products of columns of different tools.
+        let factorised = !is_one || is_factorised(program.places, tools[0].tif, most);
+        let basis = Basis::new(grid, &weight, settings.free);
+        let loss = match (is_one, factorised) {
+            (false, _) => surrogate::MAX_LOSS_SEVERAL,
+            (true, true) => surrogate::MAX_LOSS_FACTORISED,
+            (true, false) => surrogate::MAX_LOSS_TWO_LEVEL,
+        };
+        let cell_sizes = tools.iter().map(|tool| surrogate::cell_size(tool.tif, grid, loss));
+        let mut cell = cell_sizes.min().expect("a problem has a tool");
+        let common = Common { grid, weight: &weight, basis: &basis, cell, factorised };
+        let parts = tools.iter().map(|tool| {
+            let part = Part::new(tool, program.places, &common);
+            if is_one { part } else { part.map_err(|error| error.of_tool(tool.name)) }
+        });
+        let Stacked { tools, b, u, diagonal, reached, cells } =
+            Stacked::new(parts.collect::<Result<_, _>>()?);
         let hi: Vec<f64> =
             (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
-        let scale = penalty_scale(path, tif, strongest, &weight, &u[0]);
-        let penalty = Penalty::new(path, &program.lo, &scale, &settings.penalty_weights());
+        let penalty = stacked_penalty(&tools, &program.lo, &settings.penalty_weights());
         let mut splines_mm = None;
-        let surrogate = match &cells {
-            Some(cells) => {
-                Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
-            }
-            None => {
-                let alphas = (penalty.least_alpha(), strongest);
-                (cell, splines_mm) =
-                    cells_of_convolved(program.places, &reached, tif, grid, alphas);
-                let cells = (cell, splines_mm);
-                convolved(program.places, &reached, tif, grid, &weight, settings.free, cells)?
-            }
+        let surrogate = if factorised {
+            let is_exact = cell == 1;
+            let ordered = ordered(&tools, &cells, &u, &reached, &penalty, is_exact)?;
+            Surrogate::Ordered(ordered)
+        } else {
+            let tif = tools[0].columns.tif;
+            let alphas = (penalty.least_alpha(), tools[0].scale.strongest);
+            (cell, splines_mm) = cells_of_convolved(program.places, &reached, tif, grid, alphas);
+            let cells = (cell, splines_mm);
+            convolved(program.places, &reached, tif, grid, &weight, settings.free, cells)?
         };
         Ok(Self {
             z: centred(desired.height_nm(), &weight),
             desired,
-            tif,
-            path,
+            tools,
             places: program.places,
             settings,
             b,
@@ -183,7 +246,6 @@ impl<'a> BoundedProblem<'a> {
             hi_given: &program.hi,
             reached,
             diagonal,
-            scale,
             u,
             surrogate,
             cell,
@@ -194,6 +256,12 @@ impl<'a> BoundedProblem<'a> {
         })
     }
 
+    /// Returns the penalty of (1) with these weights: that of each tool relative to its own quantities K, A and p, and
+    /// with its own price of a second.
+    pub fn penalty(&self, weights: &PenaltyWeights) -> Penalty {
+        stacked_penalty(&self.tools, self.lo, weights)
+    }
+
     /// Gives the factorised surrogate H~ smaller cells. Returns `false` if there are no smaller ones, if their columns
     /// would take too much memory, or if H~ is not factorised.
     pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
@@ -202,31 +270,40 @@ impl<'a> BoundedProblem<'a> {
         if smaller == 0 || matches!(self.surrogate, Surrogate::Convolved(_)) {
             return false;
         }
-        let pixels = pixels_under(self.tif, grid) / (smaller * smaller) as f64;
-        if self.path.len() as f64 * pixels > MAX_COLUMN_ELEMENTS {
+        let elements = self.tools.iter().map(|PreparedTool { columns, .. }| {
+            let pixels = pixels_under(columns.tif, grid) / (smaller * smaller) as f64;
+            columns.path.len() as f64 * pixels
+        });
+        if elements.sum::<f64>() > MAX_COLUMN_ELEMENTS {
             return false;
         }
+        let cells = self.tools.iter().flat_map(|PreparedTool { columns, .. }| {
+            let places = &self.places[columns.columns.clone()];
+            columns::on_cells(places, columns.tif, grid, &self.weight, smaller)
+        });
+        let cells: Vec<Patch> = cells.collect();
+        let sharper = ordered(&self.tools, &cells, &self.u, &self.reached, penalty, smaller == 1);
+        let Ok(sharper) = sharper else { return false };
         self.cell = smaller;
-        let cells = columns::on_cells(self.places, self.tif, grid, &self.weight, self.cell);
-        let is_exact = self.cell == 1;
-        self.surrogate =
-            Surrogate::Ordered(Ordered::new(&cells, &self.u, &self.reached, penalty, is_exact));
+        self.surrogate = Surrogate::Ordered(sharper);
         true
     }
 
     /// Replaces a factorised H~ that is singular to rounding by one that is only multiplied by vectors. Returns `false`
-    /// for at most `max_factorised_points` dwell points: the map then does not determine their dwell times.
+    /// for at most `max_factorised_points` dwell points: the map then does not determine their dwell times. Returns
+    /// `false` for several tools, too.
     ///
     /// # Errors
     /// Refuses cells that [`Convolved::new`] refuses.
     pub fn without_factors(&mut self, penalty: &Penalty) -> Result<bool, Invalid> {
-        if self.path.len() <= self.settings.max_factorised_points {
+        let [PreparedTool { columns, scale }] = self.tools.as_slice() else { return Ok(false) };
+        if columns.path.len() <= self.settings.max_factorised_points {
             return Ok(false);
         }
-        let alphas = (penalty.least_alpha(), self.scale.strongest);
+        let alphas = (penalty.least_alpha(), scale.strongest);
         let grid = self.desired.grid();
         (self.cell, self.splines_mm) =
-            cells_of_convolved(self.places, &self.reached, self.tif, grid, alphas);
+            cells_of_convolved(self.places, &self.reached, columns.tif, grid, alphas);
         self.surrogate = self.convolved((self.cell, self.splines_mm))?;
         Ok(true)
     }
@@ -239,8 +316,80 @@ impl<'a> BoundedProblem<'a> {
     pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
         let grid = self.desired.grid();
         let free = self.settings.free;
-        convolved(self.places, &self.reached, self.tif, grid, &self.weight, free, cells)
+        let tif = self.tools[0].columns.tif;
+        convolved(self.places, &self.reached, tif, grid, &self.weight, free, cells)
     }
+}
+
+/// The parts of all tools side by side.
+struct Stacked<'a> {
+    tools: Vec<PreparedTool<'a>>,
+    b: StackedRemoval,
+    u: Vec<Vec<f64>>,
+    diagonal: Vec<f64>,
+    reached: Vec<bool>,
+    /// Columns of all tools on the cells; empty if H~ is not factorised.
+    cells: Vec<Patch>,
+}
+
+impl<'a> Stacked<'a> {
+    /// Puts the parts of the tools, in the order of their columns, side by side.
+    fn new(parts: Vec<Part<'a>>) -> Self {
+        let mut tools = Vec::new();
+        let mut removals = Vec::new();
+        let mut stacked_u: Vec<Vec<f64>> = Vec::new();
+        let mut stacked_diagonal = Vec::new();
+        let mut stacked_reached = Vec::new();
+        let mut stacked_cells = Vec::new();
+        for Part { tool, b, u, diagonal, reached, cells } in parts {
+            removals.push((tool.columns.columns.clone(), b));
+            tools.push(tool);
+            // The free functions are those of the map, so that every tool has as many.
+            stacked_u.resize_with(u.len(), Vec::new);
+            stacked_u.iter_mut().zip(u).for_each(|(all, u)| all.extend(u));
+            stacked_diagonal.extend(diagonal);
+            stacked_reached.extend(reached);
+            stacked_cells.extend(cells.into_iter().flatten());
+        }
+        Self {
+            tools,
+            b: StackedRemoval::new(removals),
+            u: stacked_u,
+            diagonal: stacked_diagonal,
+            reached: stacked_reached,
+            cells: stacked_cells,
+        }
+    }
+}
+
+/// Returns the penalty of all tools with these weights and the lower bounds `lo` (n), s. Each tool has its own price of
+/// a second.
+fn stacked_penalty(tools: &[PreparedTool<'_>], lo: &[f64], weights: &PenaltyWeights) -> Penalty {
+    let parts = tools.iter().map(|PreparedTool { columns, scale }| {
+        let time_weight_nm2_per_s = columns.time_weight_nm2_per_s;
+        let weights = PenaltyWeights { time_weight_nm2_per_s, ..*weights };
+        Penalty::new(columns.path, &lo[columns.columns.clone()], scale, &weights)
+    });
+    Penalty::stacked(parts).expect("a problem has a tool")
+}
+
+/// Makes the factorised surrogate H~ from the columns on the cells.
+///
+/// # Errors
+/// Refuses several tools whose matrix is too large in every order of the columns.
+fn ordered(
+    tools: &[PreparedTool<'_>],
+    cells: &[Patch],
+    u: &[Vec<f64>],
+    reached: &[bool],
+    penalty: &Penalty,
+    is_exact: bool,
+) -> Result<Ordered, Invalid> {
+    if tools.len() == 1 {
+        return Ok(Ordered::new(cells, u, reached, penalty, is_exact));
+    }
+    let ranges: Vec<_> = tools.iter().map(|tool| tool.columns.columns.clone()).collect();
+    Ordered::of_several(&ranges, cells, u, reached, penalty, is_exact)
 }
 
 /// Returns the map z minus its weighted mean (ny, nx); 0 where the weight is 0.

@@ -69,6 +69,10 @@ pub struct BoundedReport {
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
+    /// Value of the objective (1) over the sum of the weights of the pixels, nm^2. The dwell times of unreached points
+    /// count as their lower bounds.
+    #[serde(skip)]
+    pub objective_nm2: f64,
     /// Lattice of the map on which the TIF was sampled anew; left out where the samples are its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tif_lattice: Option<TifLattice>,
@@ -159,8 +163,13 @@ impl BoundedProblem<'_> {
         mut iterate: Iterate,
         slope_weight: f64,
     ) -> Result<BoundedSolution, Invalid> {
-        let unreached = Continuation::new(self.path, |j| self.reached[j]);
-        unreached.apply_within(&mut iterate.t, self.lo, self.hi_given);
+        for tool in &self.tools {
+            let columns = tool.columns.columns.clone();
+            let reached = &self.reached[columns.clone()];
+            let unreached = Continuation::new(tool.columns.path, |j| reached[j]);
+            let [lo, hi] = [self.lo, self.hi_given].map(|bound| &bound[columns.clone()]);
+            unreached.apply_within(&mut iterate.t[columns.clone()], lo, hi);
+        }
         let t = &iterate.t;
         let mut residual = self.desired.height_nm() - &iterate.removal_nm;
         Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
@@ -197,6 +206,7 @@ impl BoundedProblem<'_> {
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
             total_time_s: t.iter().sum(),
+            objective_nm2: iterate.objective / self.weight.sum(),
             tif_lattice: None,
             rates_of_time: None,
             robust_nm: self.settings.huber_nm.map(|k| {

@@ -1,5 +1,8 @@
 //! Settings of the solver, and the inputs of a problem for every dwell point.
 
+use std::ops::Range;
+
+use planish_types::{Invalid, Tif, ToolPath};
 use serde::Serialize;
 
 use crate::{
@@ -72,6 +75,26 @@ impl Default for BoundedSettings {
 }
 
 impl BoundedSettings {
+    /// Refuses weights, thresholds and noise levels that are not in their range.
+    pub(super) fn check(&self) -> Result<(), Invalid> {
+        let weights = [
+            ("tikhonov", self.tikhonov),
+            ("slope_weight", self.slope_weight),
+            ("time_weight_nm2_per_s", self.time_weight_nm2_per_s),
+        ];
+        for (name, value) in weights {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Invalid::whole(name, format!("is {value}"), "give a number >= 0"));
+            }
+        }
+        for (name, value) in [("huber_nm", self.huber_nm), ("noise_rms_nm", self.noise_rms_nm)] {
+            if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0"));
+            }
+        }
+        self.residual_slope.iter().try_for_each(ResidualSlope::check)
+    }
+
     /// Returns the weights of the terms of the objective other than the residual.
     pub(super) fn penalty_weights(&self) -> PenaltyWeights {
         PenaltyWeights {
@@ -98,4 +121,18 @@ pub struct Program<'a> {
     pub guess: Option<Vec<f64>>,
     /// Matrix Q of a further term `t'Q t / 2` of the objective, nm^2/s^2; no such term if absent.
     pub quadratic: Option<Product<'a>>,
+}
+
+/// One tool of a problem: the columns of B that are its own, and the price of its time.
+#[derive(Clone)]
+pub struct ToolColumns<'a> {
+    /// Name of the tool, for messages; empty if the problem has one tool.
+    pub name: &'a str,
+    /// TIF of the tool, on the lattice of the map.
+    pub tif: &'a Tif,
+    pub path: &'a ToolPath,
+    /// Range of its columns in B, one for every dwell point of its path.
+    pub columns: Range<usize>,
+    /// Weight of one second of this tool in half the mean square of the residual, nm^2/s.
+    pub time_weight_nm2_per_s: f64,
 }

@@ -72,7 +72,7 @@ pub struct BoundedLeastSquares {
 
 /// Weight of the slope of the residual.
 #[derive(Args)]
-struct ResidualSlopeArgs {
+pub(super) struct ResidualSlopeArgs {
     /// Weight of the mean square slope of the residual beside its mean square, mm^2: a wave of length L counts
     /// 1 + W (2 pi / L)^2 times [default: heights alone]
     #[arg(long, value_name = "W")]
@@ -83,7 +83,8 @@ struct ResidualSlopeArgs {
 }
 
 impl ResidualSlopeArgs {
-    fn setting(&self, surface: &Surface) -> Option<ResidualSlope> {
+    /// Returns the setting of the solver; `None` without the flag of the weight.
+    pub(super) fn setting(&self, surface: &Surface) -> Option<ResidualSlope> {
         let step_mm = surface.grid().x.step_mm();
         let base_mm = self.residual_slope_base_mm.unwrap_or(step_mm);
         self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm })

@@ -130,6 +130,12 @@ impl Order {
         Self { order, first, elements }
     }
 
+    /// Estimates the number of multiplications of a Cholesky factorisation: half the square of the length of each row.
+    pub fn work(&self) -> f64 {
+        let lengths = self.first.iter().enumerate().map(|(i, first)| (i + 1 - first) as f64);
+        lengths.map(|length| 0.5 * length * length).sum()
+    }
+
     /// Returns the matrix of the products of these columns of B. If `known(i, l)` returns a value, this is the element
     /// of row i and column l of the matrix, which is then not computed.
     pub fn products(

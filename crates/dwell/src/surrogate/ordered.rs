@@ -2,9 +2,12 @@
 //!
 //! With its columns sorted along one axis of the map, H~ has a small skyline (few stored elements): `model::products`.
 
+use std::ops::Range;
+
 use planish_numerics::qp::bounded::{
     self, DESCENT_STEPS, End, GradientSettings, LastFactor, Quadratic,
 };
+use planish_types::Invalid;
 
 use crate::{
     model::{
@@ -28,6 +31,10 @@ const MAX_FACTORISATIONS: usize = 30;
 /// longer attempt is justified.
 const MAX_FACTORISATIONS_AFTER_DESCENT: usize = 100;
 
+/// Largest number of elements of the matrix of several tools (2.4 GB, and as much again for a factorisation). Larger:
+/// more memory, and factorisations of minutes. Smaller: more problems are refused.
+const MAX_ELEMENTS: usize = 300_000_000;
+
 /// The surrogate H~ of the normal matrix as a skyline matrix, (1) of [`super`], its columns in an order in which the
 /// skyline is small.
 pub struct Ordered {
@@ -49,15 +56,49 @@ impl Ordered {
         penalty: &Penalty,
         exact: bool,
     ) -> Self {
-        let columns: Vec<usize> = (0..reached.len()).filter(|j| reached[*j]).collect();
-        let mut pairs = Vec::new();
-        penalty.for_each(|j, k, _| pairs.push((j, k)));
-        // Twice the centre of a column, in cells.
-        let centre = |axis: usize, j: usize| {
-            let range = cells[j].range(1 - axis);
-            (range.start + range.end) as f64
-        };
-        let ordered = Order::new(&columns, cells, centre, &pairs);
+        let order = in_order(cells, reached, penalty, &[]);
+        Self::in_this_order(order, cells, u, exact)
+    }
+
+    /// Makes H~ of several tools as [`Self::new`] makes that of one. `tools` are the ranges of their columns.
+    ///
+    /// Columns of a wide tool meet most others and would widen every row between them. So the columns of the widest
+    /// tools are put after all others, and only their own rows are long. The number of tools that are put there is the
+    /// one for which a factorisation takes the fewest multiplications.
+    ///
+    /// # Errors
+    /// Refuses columns whose matrix has more than [`MAX_ELEMENTS`] elements in each of these orders.
+    pub fn of_several(
+        tools: &[Range<usize>],
+        cells: &[Patch],
+        u: &[Vec<f64>],
+        reached: &[bool],
+        penalty: &Penalty,
+        exact: bool,
+    ) -> Result<Self, Invalid> {
+        let mut by_width: Vec<&Range<usize>> = tools.iter().collect();
+        by_width.sort_by_key(|columns| largest_area(&cells[(*columns).clone()]));
+        let orders = (1..=by_width.len()).map(|k| {
+            let last: Vec<Range<usize>> = by_width[k..].iter().map(|r| (*r).clone()).collect();
+            in_order(cells, reached, penalty, &last)
+        });
+        let quickest = orders.min_by(|a, b| a.work().total_cmp(&b.work()));
+        let order = quickest.expect("there are tools");
+        if order.elements > MAX_ELEMENTS {
+            let problem = format!(
+                "have {} columns, whose matrix would have {} elements, more than {MAX_ELEMENTS}",
+                order.order.len(),
+                order.elements
+            );
+            let remedy = "give the wide tools paths with lines and points as far apart as a quarter of their width, \
+                          or leave a tool out";
+            return Err(Invalid::whole("tools", problem, remedy));
+        }
+        Ok(Self::in_this_order(order, cells, u, exact))
+    }
+
+    /// Makes H~ with its rows in this order.
+    fn in_this_order(ordered: Order, cells: &[Patch], u: &[Vec<f64>], exact: bool) -> Self {
         let k = ordered.products(cells, |_, _| None);
         let order = ordered.order;
         let u = u.iter().map(|u| order.iter().map(|j| u[*j]).collect()).collect();
@@ -80,6 +121,33 @@ impl Ordered {
         let order = self.order.clone();
         Penalised { order, h, enough: self.enough, last: LastFactor::default() }
     }
+}
+
+/// Returns the order of the reached columns with the smaller skyline along x or y. The columns in the ranges `last`
+/// come after all others, those of each range after those of the range before.
+fn in_order(cells: &[Patch], reached: &[bool], penalty: &Penalty, last: &[Range<usize>]) -> Order {
+    let columns: Vec<usize> = (0..reached.len()).filter(|j| reached[*j]).collect();
+    let mut pairs = Vec::new();
+    penalty.for_each(|j, k, _| pairs.push((j, k)));
+    let mut rank = vec![0.0; cells.len()];
+    for (k, range) in last.iter().enumerate() {
+        rank[range.clone()].fill((k + 1) as f64);
+    }
+    // More than twice the last cell of every column.
+    let ends = cells.iter().map(|cell| cell.range(0).end.max(cell.range(1).end));
+    let beyond = 2.0 * (ends.max().unwrap_or(0) + 1) as f64;
+    Order::new(&columns, cells, |axis, j| rank[j] * beyond + twice_centre(&cells[j], axis), &pairs)
+}
+
+/// Returns twice the centre of a column along x (`axis` 0) or y (1), in cells.
+fn twice_centre(cells: &Patch, axis: usize) -> f64 {
+    let range = cells.range(1 - axis);
+    (range.start + range.end) as f64
+}
+
+/// Returns the largest number of cells under a column.
+fn largest_area(cells: &[Patch]) -> usize {
+    cells.iter().map(|cell| cell.rate_nm_per_s.len()).max().unwrap_or(0)
 }
 
 /// [`Ordered`] with the matrix of the penalty added.

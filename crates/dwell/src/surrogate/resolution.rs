@@ -10,6 +10,11 @@ use crate::model::columns::ToolPlace;
 /// Smaller: smaller cells, and more time per factorisation.
 pub const MAX_LOSS_FACTORISED: f64 = 5e-3;
 
+/// Largest fraction of the energy of the narrowest TIF that the cells may lose in a problem of several tools. Wide
+/// columns cover many cells, and their products take most of the time, so that it is larger than for one tool. Larger:
+/// larger cells, and more corrections by the exact gradient. Smaller: smaller cells, and more time for the products.
+pub const MAX_LOSS_SEVERAL: f64 = 1e-2;
+
 /// Loss that sets the cells of the two-level method, as a fraction of the energy of the TIF. The method samples its
 /// cells and loses nothing of this; the number sets the distance of the samples, 0.17 of the width of the TIF.
 /// Larger: fewer samples. Smaller: more samples, and more time per product.
