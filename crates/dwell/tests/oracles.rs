@@ -561,6 +561,37 @@ fn a_free_plane_ignores_a_tilt() {
     solve(&surface(bowl()), &tif(), &path, Some(&weight), &free).unwrap();
 }
 
+/// Dwell times that are optimal for the squares are no end for the Huber loss that starts there.
+#[test]
+fn the_huber_loss_starts_at_the_optimum_of_the_squares() {
+    let path = path(2.0);
+    let mut pit = bowl();
+    pit.slice_mut(s![10..13, 20..23]).fill(-500.0);
+    let pit = surface(pit);
+    let squared = run(&pit, &path, &settings());
+    let settings = BoundedSettings {
+        huber_nm: Some(0.5),
+        tolerance_s: 1e-7,
+        relative_gap: 1e-9,
+        ..settings()
+    };
+    let robust = run(&pit, &path, &settings);
+    let places = Columns::Segment.places(&path, &tif());
+    let n = path.len();
+    let program = Program {
+        places: &places,
+        lo: vec![0.05; n],
+        hi: vec![f64::INFINITY; n],
+        guess: Some(squared.dwell.dwell_s().to_vec()),
+        quadratic: None,
+    };
+    let continued = solve_columns(&pit, &tif(), &path, None, &settings, &program).unwrap();
+    assert_eq!(continued.report.end, End::Optimal);
+    // Both ends are within 1e-9 of the least objective. An end with the squares would be as far off as their optimum.
+    let off = apart(&continued, &robust);
+    assert!(off < 0.05 * apart(&squared, &robust), "{off}");
+}
+
 #[test]
 fn bounds_point_by_point_hold() {
     let path = path(2.0);

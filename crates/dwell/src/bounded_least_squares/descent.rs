@@ -202,7 +202,20 @@ impl<'s> Descent<'s> {
     /// Gives every pixel the Huber weight of its present residual. Does nothing without a Huber loss or before the
     /// first step.
     pub fn reweigh(&mut self, problem: &BoundedProblem<'_>) {
-        let Some(k) = self.settings.huber_nm.filter(|_| self.corrections > 0) else { return };
+        if self.corrections > 0 {
+            self.weigh_by_residual(problem);
+        }
+    }
+
+    /// Returns true if the loss is Huber's and the pixels still have the weights of the map. An end with these is one of
+    /// another problem.
+    pub fn lacks_huber_weights(&self) -> bool {
+        self.settings.huber_nm.is_some() && self.corrections == 0
+    }
+
+    /// Gives every pixel the Huber weight of its present residual. Does nothing without a Huber loss.
+    pub fn weigh_by_residual(&mut self, problem: &BoundedProblem<'_>) {
+        let Some(k) = self.settings.huber_nm else { return };
         // That of before is one of other weights.
         self.bound = f64::NEG_INFINITY;
         let mut r = &problem.z - &self.removal_nm;

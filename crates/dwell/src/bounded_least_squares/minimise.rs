@@ -124,7 +124,11 @@ impl BoundedProblem<'_> {
         let mut descent = Descent::new(self, settings);
         loop {
             descent.reweigh(self);
-            let look = descent.look(self, max_corrections);
+            let mut look = descent.look(self, max_corrections);
+            if look.end.is_some() && descent.lacks_huber_weights() {
+                descent.weigh_by_residual(self);
+                look = descent.look(self, max_corrections);
+            }
             let end = match look.end {
                 Some(end) => end,
                 None => match descent.target(self, &look)? {

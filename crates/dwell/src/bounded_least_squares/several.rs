@@ -9,7 +9,7 @@
 //! [`crate::bounded_least_squares`], relative to its own K, A and p. So the rates of the tools may differ by orders of
 //! magnitude, and the penalty of a tool does not change when another one is added or left out.
 //!
-//! The columns of the tools are stacked, `B = [B_1 ... B_K]`, and everything else is that of one tool. The surrogate
+//! The columns of the tools are stacked, `B = [B_1 ... B_m]`, and everything else is that of one tool. The surrogate
 //! has the products of columns of different tools, because a wide tool can remove nearly the same as a narrow one: a
 //! surrogate without them would exchange removal between the tools in many small steps. The gap is a sum over all
 //! columns, so that one certificate covers the split, too.
