@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use ndarray::Array2;
 use planish_dwell::{
     bounded_least_squares::{self, Bound, BoundedSettings, Free, solve_within},
     columns::Columns,
@@ -45,6 +46,15 @@ pub struct BoundedLeastSquares {
     /// Price of a second, relative to half the mean square of the residual, nm^2/s; larger values shorten the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
+    #[command(flatten)]
+    objective: ObjectiveArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What the dwell times minimise, for one tool or several.
+#[derive(Args)]
+pub(super) struct ObjectiveArgs {
     /// Low-order terms of the map that need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
@@ -66,13 +76,36 @@ pub struct BoundedLeastSquares {
     slope_weight: f64,
     #[command(flatten)]
     residual_slope: ResidualSlopeArgs,
-    #[command(flatten)]
-    output: OutputArgs,
+}
+
+impl ObjectiveArgs {
+    /// Returns the settings of the solver for a map (ny, nx) with the weights of its pixels (ny, nx); bounds and price
+    /// of a second are those of the default.
+    ///
+    /// # Errors
+    /// Refuses what [`bounded_least_squares::noise_of_deviations`] refuses.
+    pub(super) fn settings(
+        &self,
+        surface: &Surface,
+        weight: Option<&Array2<f64>>,
+    ) -> Result<BoundedSettings, Failure> {
+        let of_map = bounded_least_squares::noise_of_deviations(surface, weight);
+        Ok(BoundedSettings {
+            columns: self.columns,
+            tikhonov: self.tikhonov,
+            slope_weight: self.slope_weight,
+            free: self.free,
+            huber_nm: self.huber_nm,
+            noise_rms_nm: self.noise_rms_nm.or(of_map.map_err(Failure::with_flags)?),
+            residual_slope: self.residual_slope.setting(surface),
+            ..BoundedSettings::default()
+        })
+    }
 }
 
 /// Weight of the slope of the residual.
 #[derive(Args)]
-pub(super) struct ResidualSlopeArgs {
+struct ResidualSlopeArgs {
     /// Weight of the mean square slope of the residual beside its mean square, mm^2: a wave of length L counts
     /// 1 + W (2 pi / L)^2 times [default: heights alone]
     #[arg(long, value_name = "W")]
@@ -84,7 +117,7 @@ pub(super) struct ResidualSlopeArgs {
 
 impl ResidualSlopeArgs {
     /// Returns the setting of the solver; `None` without the flag of the weight.
-    pub(super) fn setting(&self, surface: &Surface) -> Option<ResidualSlope> {
+    fn setting(&self, surface: &Surface) -> Option<ResidualSlope> {
         let step_mm = surface.grid().x.step_mm();
         let base_mm = self.residual_slope_base_mm.unwrap_or(step_mm);
         self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm })
@@ -93,28 +126,19 @@ impl ResidualSlopeArgs {
 
 impl BoundedLeastSquares {
     pub fn run(&self) -> Result<Status, Failure> {
-        let defaults = BoundedSettings::default();
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let weight =
             self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
-        let of_map = bounded_least_squares::noise_of_deviations(&surface, weight.as_ref());
         let settings = BoundedSettings {
-            columns: self.columns,
             min_dwell: self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?,
             max_dwell: self
                 .max_dwell_s
                 .map(Bound::Seconds)
                 .or(self.max_dwell_s_per_mm.map(Bound::SecondsPerMm)),
-            tikhonov: self.tikhonov,
-            slope_weight: self.slope_weight,
             time_weight_nm2_per_s: self.time_weight_nm2_per_s,
-            free: self.free,
-            huber_nm: self.huber_nm,
-            noise_rms_nm: self.noise_rms_nm.or(of_map.map_err(Failure::with_flags)?),
-            residual_slope: self.residual_slope.setting(&surface),
-            ..defaults
+            ..self.objective.settings(&surface, weight.as_ref())?
         };
         let least: Option<DwellTime> =
             self.min_dwell.as_ref().map(|dir| inputs.read("min-dwell", dir)).transpose()?;

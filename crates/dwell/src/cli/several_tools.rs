@@ -6,12 +6,10 @@ use std::{
 };
 
 use clap::Args;
-use ndarray::Array2;
 use planish_dwell::{
     bounded_least_squares::{
-        self, Bound, BoundedReport, BoundedSettings, Free, ShareOfTool, ToolTask, solve_several,
+        Bound, BoundedReport, BoundedSettings, ShareOfTool, ToolTask, solve_several,
     },
-    columns::Columns,
     problem::rms_before,
 };
 use planish_handoff::{
@@ -20,7 +18,7 @@ use planish_handoff::{
 use planish_types::{DwellTime, Surface, Tif, ToolPath, outcome::plan::PlanOutcome, plausible};
 use serde::{Deserialize, Serialize};
 
-use super::{bounded_least_squares::ResidualSlopeArgs, status, warn_of};
+use super::{bounded_least_squares::ObjectiveArgs, status, warn_of};
 
 #[derive(Args)]
 pub struct SeveralTools {
@@ -34,27 +32,8 @@ pub struct SeveralTools {
     /// has none]
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
-    /// Low-order terms of the map that need not be removed
-    #[arg(long, value_enum, default_value = "piston")]
-    free: Free,
-    /// Residual above which a pixel counts linearly instead of squared, nm; for maps with pits
-    #[arg(long, value_name = "K")]
-    huber_nm: Option<f64>,
-    /// RMS of the noise of the map, nm. The smoothness is raised until the residual reaches it, without the
-    /// pixels beyond `--huber-nm`. [default: the RMS of the standard deviations of the map, if it has them]
-    #[arg(long, value_name = "S")]
-    noise_rms_nm: Option<f64>,
-    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment
-    #[arg(long, value_enum, default_value = "segment")]
-    columns: Columns,
-    /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
-    #[arg(long, value_name = "A", default_value_t = BoundedSettings::default().tikhonov)]
-    tikhonov: f64,
-    /// Weight of the square of the slope of the dwell time per area along the path: the same at every pitch and tool
-    #[arg(long, value_name = "B", default_value_t = BoundedSettings::default().slope_weight)]
-    slope_weight: f64,
     #[command(flatten)]
-    residual_slope: ResidualSlopeArgs,
+    objective: ObjectiveArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -127,7 +106,7 @@ impl SeveralTools {
         let weight =
             self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
         let weight = weight.as_ref();
-        let settings = self.settings(&surface, weight)?;
+        let settings = self.objective.settings(&surface, weight)?;
         let tools = loaded.iter().map(|loaded| loaded.tool.clone()).collect();
         let task = task!("several-tools", Resolved { tools, settings });
         let names: Vec<&str> = loaded.iter().map(|loaded| loaded.tool.name.as_str()).collect();
@@ -190,25 +169,6 @@ impl SeveralTools {
                 share.unreached_points
             ));
         }
-    }
-
-    /// Returns the settings of the solver. Bounds and prices are those of the tools.
-    fn settings(
-        &self,
-        surface: &Surface,
-        weight: Option<&Array2<f64>>,
-    ) -> Result<BoundedSettings, Failure> {
-        let of_map = bounded_least_squares::noise_of_deviations(surface, weight);
-        Ok(BoundedSettings {
-            columns: self.columns,
-            tikhonov: self.tikhonov,
-            slope_weight: self.slope_weight,
-            free: self.free,
-            huber_nm: self.huber_nm,
-            noise_rms_nm: self.noise_rms_nm.or(of_map.map_err(Failure::with_flags)?),
-            residual_slope: self.residual_slope.setting(surface),
-            ..BoundedSettings::default()
-        })
     }
 
     /// Reads the rack, and the TIF and tool path of each of its tools.
