@@ -52,7 +52,7 @@ pub struct BoundedLeastSquares {
     output: OutputArgs,
 }
 
-/// What the dwell times minimise, for one tool or several.
+/// Flags of the objective of bounded least squares, for one tool or several.
 #[derive(Args)]
 pub(super) struct ObjectiveArgs {
     /// Low-order terms of the map that need not be removed
