@@ -503,7 +503,7 @@ fn line_after(after: Duration, fraction: f64) -> String {
     }
     let rest = HumanDuration(after.mul_f64((1.0 - fraction.min(1.0)) / fraction));
     format!(
-        "{so_far} so far, {:.0} % done; if it goes on like this, about {rest} are left",
+        "{so_far} so far, {:.0} % done; if it goes on like this, it takes about {rest} more",
         100.0 * fraction
     )
 }
@@ -703,7 +703,8 @@ mod tests {
         assert!(at(20, 1e-4).ends_with("its steps do not show yet how long it will take"));
         let line = at(40, 0.25);
         assert!(line.contains("25 % done"), "{line}");
-        assert!(line.ends_with("about 2 minutes are left"), "{line}"); // 40 s 0.75 / 0.25 = 120 s
-        assert!(at(640, 1.0).ends_with("about 0 seconds are left"));
+        assert!(line.ends_with("takes about 2 minutes more"), "{line}"); // 40 s 0.75 / 0.25 = 120 s
+        assert!(at(640, 1.0).ends_with("takes about 0 seconds more"));
+        assert!(at(20, 0.94).ends_with("takes about 1 second more")); // 20 s 0.06 / 0.94 = 1.3 s
     }
 }

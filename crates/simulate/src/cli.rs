@@ -138,7 +138,9 @@ impl Simulate {
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);
         }
-        doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
+        if status == Status::Done {
+            doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
+        }
         let after = match (&self.servo_of, servos.servo_count()) {
             (None, _) => "",
             (Some(_), 0) => {

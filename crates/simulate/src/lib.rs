@@ -58,7 +58,7 @@ pub mod virtual_machine;
 
 use ndarray::Array2;
 use planish_types::{
-    Grid, Invalid, Removal, Surface, Tif, Trajectory,
+    Grid, Invalid, Removal, Surface, Tif, Trajectory, doubts,
     plausible::{self, Rms},
     progress,
 };
@@ -88,13 +88,14 @@ pub struct Prediction {
 
 impl Prediction {
     /// Returns the reason why the motion should not be run on the surface `desired`, for example that it increases the
-    /// error; otherwise `None`. `total_time_s` is the duration of the motion.
+    /// error, with the mistake that would explain it; otherwise `None`. `total_time_s` is the duration of the motion.
     pub fn drawback(&self, desired: &Surface, total_time_s: f64) -> Option<String> {
-        plausible::drawback(
-            Rms::of_surface(desired),
-            Rms::of_surface(self.removal.residual()),
-            total_time_s,
-        )
+        let after = Rms::of_surface(self.removal.residual());
+        let reason = plausible::drawback(Rms::of_surface(desired), after, total_time_s)?;
+        Some(match doubts::of_residual(desired, &self.removal) {
+            Some(doubt) => format!("{reason}; {doubt}"),
+            None => reason,
+        })
     }
 }
 
