@@ -23,13 +23,14 @@
 //!
 //! of Keys' weights, which sum to its duration, times the rate factor of the segment: a tool that
 //! removes at half its rate is one that stands for half the time. The rate of a tool that varies, [`Weight`], is a
-//! factor under the integral. It is not a polynomial of low degree, so that such pieces have five points, or ten. Their
-//! error is that of the change of the weight within a cell, beyond its cubic.
+//! factor under the integral. It is not a polynomial of low degree, so that such pieces have five points, or ten. The
+//! motion is cut at the knots of a weight by place, too. The error is then that of the terms of a smooth weight that
+//! the rule leaves out, and of the knots of weights by direction and time.
 
 use std::ops::Range;
 
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
-use planish_types::{Headings, Segment, Variation};
+use planish_types::{Grid, Headings, Segment, Variation};
 
 /// Error of the position of the cuts, in cells. Where the TIF ends with a step, the step acts too long by up to this
 /// fraction of the time in which the tool crosses a cell. Larger: a larger error at steep borders. Smaller: below the
@@ -57,6 +58,10 @@ const NEARLY_UNIFORM: f64 = 1e-3;
 /// two axes cross a border at the same time. Larger: short pieces are lost. Smaller: pieces that only rounding makes.
 const SHORTEST: f64 = 1e-13;
 
+/// Difference of two cuts, as a fraction of the duration of the segment, up to which a knot of a weight counts as on a
+/// line of the lattice. Larger: the line is crossed at a wrong time. Smaller: more pieces.
+const SAME_CUT: f64 = 1e-11;
+
 /// The lattice cells of the tool position along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeCells {
@@ -67,6 +72,14 @@ pub struct NodeCells {
     /// Position in every cell, in (0, 1), of a further cut of the motion, for the upper edge of the TIF; `None` if it
     /// is not needed.
     pub inner: Option<f64>,
+}
+
+impl NodeCells {
+    /// Returns the coefficients, in cells, of the motion along the axis with the coefficients `c_mm`.
+    fn coordinate(&self, c_mm: &[f64; 4]) -> [f64; 4] {
+        let Self { origin_mm, step_mm, .. } = self;
+        [(c_mm[0] - origin_mm) / step_mm, c_mm[1] / step_mm, c_mm[2] / step_mm, c_mm[3] / step_mm]
+    }
 }
 
 /// A rectangle of cells, from `low` up to, but without, `high`, along [x, y].
@@ -184,6 +197,9 @@ impl Cutter {
             return;
         }
         self.cut(&c, segment.duration_s, window);
+        if let Some(weight) = weight {
+            self.cut_at_knots(segment, weight.variation.positions());
+        }
         let shortest = SHORTEST * segment.duration_s;
         let mut start = 0.0;
         for &end in &self.cuts {
@@ -211,11 +227,7 @@ impl Cutter {
 
     /// Returns the coefficients of the motion [x, y] in lattice coordinates, in cells.
     fn on_lattice(&self, segment: &Segment<'_>) -> [[f64; 4]; 2] {
-        [0, 1].map(|axis| {
-            let NodeCells { origin_mm, step_mm, .. } = self.cells[axis];
-            let c = &segment.coefficient_mm[axis];
-            [(c[0] - origin_mm) / step_mm, c[1] / step_mm, c[2] / step_mm, c[3] / step_mm]
-        })
+        [0, 1].map(|axis| self.cells[axis].coordinate(&segment.coefficient_mm[axis]))
     }
 
     /// Fills `self.cuts` with the times, s, at which the motion turns back on an axis, crosses a line of the lattice
@@ -242,6 +254,36 @@ impl Cutter {
         self.cuts.push(end);
         if !self.cuts.is_sorted() {
             self.cuts.sort_unstable_by(f64::total_cmp);
+        }
+    }
+
+    /// Adds to `self.cuts` the times, s, at which `segment` crosses a line of the grid `knots`, on which the weights of
+    /// a tool that varies by place are given.
+    fn cut_at_knots(&mut self, segment: &Segment<'_>, knots: &Grid) {
+        let before = self.cuts.len();
+        for (axis, knots) in [&knots.x, &knots.y].into_iter().enumerate() {
+            let cells =
+                NodeCells { origin_mm: knots.start_mm(), step_mm: knots.step_mm(), inner: None };
+            let c = cells.coordinate(&segment.coefficient_mm[axis]);
+            let d = polynomial::derivative(&c);
+            let levels = [0, knots.len() as i64 - 1];
+            let mut from = 0.0;
+            for to in polynomial::quadratic_roots(d[0], d[1], d[2], segment.duration_s)
+                .chain([segment.duration_s])
+            {
+                crossings(&c, &d, [from, to], levels, 0.0, &mut self.cuts);
+                from = to;
+            }
+        }
+        if self.cuts.len() == before {
+            return;
+        }
+        self.cuts.sort_unstable_by(f64::total_cmp);
+        // Knots on lines of the lattice are cut once.
+        let least = SAME_CUT * segment.duration_s;
+        self.cuts.dedup_by(|later, earlier| *later - *earlier <= least);
+        if let Some(last) = self.cuts.last_mut() {
+            *last = segment.duration_s;
         }
     }
 }
@@ -461,7 +503,8 @@ fn crossing(
 
 #[cfg(test)]
 mod tests {
-    use planish_types::Trajectory;
+    use ndarray::Array2;
+    use planish_types::{Axis, Pose, Tif, Trajectory, VaryingTif};
 
     use super::*;
 
@@ -571,6 +614,48 @@ mod tests {
             // along an axis 2.7e-6, six in the last case 4.6e-11.
             assert!(error < 1e-13, "{c:?}: {error}");
         }
+    }
+
+    #[test]
+    fn knots_of_a_weight_by_place_are_cut() {
+        let axis = |start, step, len| Axis::new(start, step, len).unwrap();
+        let offsets = Grid { x: axis(-1.0, 1.0, 3), y: axis(-1.0, 1.0, 3) };
+        // Knots every 0.7 of a cell.
+        let positions = Grid { x: axis(-1.0, 0.7, 12), y: axis(-9.0, 9.0, 3) };
+        let weight =
+            Array2::from_shape_fn(positions.shape(), |(_, c)| 1.0 + 0.1 * (c * c % 7) as f64);
+        let tif = Tif::varying(VaryingTif {
+            offsets,
+            kernels: vec![Array2::ones(offsets.shape())],
+            positions,
+            weights: vec![weight],
+            azimuth: None,
+            heading: None,
+            pixels: None,
+            time: None,
+        });
+        let tif = tif.unwrap();
+        let variation = tif.variation().unwrap();
+        let t = trajectory([[0.1, 2.5, 0.0, 0.0], [0.0; 4]], 2.0);
+        let weight = Weight { variation, kernel: 0, headings: &Headings::new(&t) };
+        let mut sum = 0.0;
+        for s in t.segments().enumerate() {
+            let mut cutter = Cutter::new(cells(0.0, 1.0));
+            cutter.pieces((s.0, &s.1), &ALL, Some(&weight), |p| sum += seconds(p));
+        }
+        // A cubic between knots: two points of Gauss from knot to knot are exact.
+        let mut bounds = vec![0.1, 5.1];
+        bounds.extend(positions.x.coordinates().into_iter().filter(|x| (0.1..5.1).contains(x)));
+        bounds.sort_unstable_by(f64::total_cmp);
+        let mut exact = 0.0;
+        for w in bounds.windows(2) {
+            for (node, part) in gauss_legendre::<2>() {
+                let x = w[0] + node * (w[1] - w[0]);
+                exact += part * (w[1] - w[0]) / 2.5 * variation.weight(0, Pose::along_x([x, 0.0]));
+            }
+        }
+        // Rounding of a sum of terms of order 1. Without the cuts the difference is above 1e-5.
+        assert!((sum - exact).abs() < 1e-13, "{sum} {exact}");
     }
 
     #[test]

@@ -65,7 +65,7 @@ CASES = {
     "random-adaptive": f"run random-adaptive {COUPON} plan_joint=no export=galil",
     "multi-pitch": "run multi-pitch fixture=coupon refine=no frames=0 classes=2 min_pitch_mm=1 export=galil",
     "line": "run line fixture=lines/line-250 refine=no frames=0 step_mm=4 export=galil",
-    "bspline": f"run bspline fixture=coupon {NO_JERK} frames=0 pitch_mm=2 step_mm=2 export=galil",
+    "bspline": f"run bspline fixture=coupon {NO_JERK} frames=0 pitch_mm=2 step_mm=2 export=gcode",
     "trig-spline": f"run trig-spline fixture=coupon {NO_JERK} frames=0 pitch_mm=2 cycle_s=0.1",
     "compare-dwell": "run compare-dwell fixture=coupon pitch_mm=2 step_mm=2 skip='bcls nnls tikhonov-lsqr tikhonov-l-curve "
                      "truncated-svd lucy-richardson lucy-richardson-map rifta udo udo-shift'",
