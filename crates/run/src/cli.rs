@@ -39,7 +39,8 @@ pub enum RunCommand {
     Compare(compare::Compare),
     /// Print the effect of the errors of a process on the plans of several pipelines, the best first
     ///
-    /// Each plan is a run of its own in out/tolerance/MIRROR/PIPELINE, or in OUT/PIPELINE with out=OUT.
+    /// Each plan is a run of its own in out/tolerance/MIRROR/PIPELINE, or in OUT/PIPELINE with out=OUT. What the errors
+    /// add to it is in PIPELINE-tolerance beside it.
     Tolerance(tolerance::Tolerance),
     /// Run a campaign on the virtual machine: plan, run, measure, reconcile, plan again
     ///

@@ -105,14 +105,20 @@ class Killed:
             (self.own / part / "manifest.json").unlink()
 
     def run(self, words, where, kill_after="", kill_inside="", pause_s="0"):
-        """Runs to the end or the kill: exit code, number of commands, and the last lines that it said."""
+        """Runs to the end or the kill: exit code, number of commands, and the last lines that it said.
+
+        Every run is in the directory of one name while it works: a run states the absolute paths of its inputs.
+        """
         self.wait(where / "o")
+        place, where = where, self.work / "here"
+        place.rename(where)
         (self.work / "count").write_text("0\n")
         environment = {**self.environment, "KILL_AFTER": str(kill_after), "KILL_INSIDE": str(kill_inside),
                        "PAUSE_S": pause_s}
         ended = subprocess.run([self.binaries / "planish-run", *words, "out=o"], cwd=where, env=environment,
                                stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
         self.wait(where / "o")
+        where.rename(place)
         return ended.returncode, int((self.work / "count").read_text()), ended.stderr.strip().splitlines()[-3:]
 
     def wait(self, out):

@@ -67,7 +67,8 @@ impl Tolerance {
             assumed = assumed_machine(&scope)?;
             let text = |name: &str| scope.text(name).map_err(Failure::new);
             let trajectory = format!("{}/{}/trajectory", text("methods")?, text("exported")?);
-            let own = format!("{at}/tolerance");
+            // Not inside the run, whose report would hold it from the second run on.
+            let own = format!("{out}/{pipeline}-tolerance");
             let free = if is_reference { "plane" } else { "piston" };
             let tif = text("constant_tool")?;
             let map = text("map")?;
