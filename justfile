@@ -281,7 +281,7 @@ reference-mirror out:
     @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" {{ quote(out) }}/surface
     @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" {{ quote(out) }}/tif/rate_nm_per_s.npy
 
-# The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction-PAPER.md
+# The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction-*.md
 [group('5 pages and tables')]
 reproduce paper="all":
     @cargo run --quiet --release --locked --example reproduce -- {{ quote(paper) }}

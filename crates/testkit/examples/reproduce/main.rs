@@ -1,7 +1,7 @@
 //! The claims of the four papers, computed: `reproduce [pvt|trig-spline|bspline|multi-pitch]`, all
 //! of them without an argument.
 //!
-//! Prints the tables of a paper, writes them between their markers in `docs/reproduction-PAPER.md`, and the
+//! Prints the tables of a paper, writes them between their markers in `docs/reproduction-*.md`, and the
 //! figures to `docs/reproduction/`. Tables of the reference mirror are made when `PLANISH_REFERENCE`
 //! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
 //!
