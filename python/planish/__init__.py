@@ -249,7 +249,8 @@ def _function(file, command):
             if not line.startswith("warning: "):
                 print(line)
             elif _BARE not in line:
-                warnings.warn(line.removeprefix("warning: "), PlanishWarning, stacklevel=2)
+                # A program without subcommands is called through _Program.__call__.
+                warnings.warn(line.removeprefix("warning: "), PlanishWarning, stacklevel=2 if command["name"] else 3)
         out = given.get("out")
         if out is None or not pathlib.Path(out).is_dir():
             return ran.stdout

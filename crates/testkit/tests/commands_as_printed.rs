@@ -419,6 +419,9 @@ fn the_tutorial_of_the_first_mirror_runs_as_it_is_printed() {
     let printed = clone.succeed(FIRST_MIRROR, &["python3", "-c"], &format!("{module}{script}"));
     let line = printed.lines().find(|line| line.ends_with("nm RMS after")).unwrap();
     println!("{FIRST_MIRROR}: {line}");
+    let is_shown = |block: &Block| block.mark.is_empty() && block.text.contains("nm RMS before");
+    let shown = blocks(&page).into_iter().find(is_shown).expect("the page shows what it prints");
+    assert!(same_line(shown.text.trim(), line, 0), "the page shows {}, printed is {line}", shown.text);
     assert!(
         clone.dir.join("program.galil").is_file() && clone.dir.join("program.galil.json").is_file()
     );
