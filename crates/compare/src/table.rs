@@ -435,10 +435,15 @@ mod tests {
         let text = csv(&[("a, b", &summary()), ("=1", &summary())]);
         let rows: Vec<&str> = text.lines().collect();
         assert_eq!(rows.len(), 1 + 2 * 2);
-        let row = "\"a, b\",pvt,0.2,0.1,0.15000000000000002,1.25,90,12.5,0,87.7,53.2,true,certified,true";
+        let row =
+            "\"a, b\",pvt,0.2,0.1,0.15000000000000002,1.25,90,12.5,0,87.7,53.2,true,certified,true";
         assert_eq!(rows[2], row);
         assert!(rows[3].starts_with("'=1,position,0.1,"), "no formula: {text}");
-        assert_eq!(rows[0].split(',').count(), row.split(',').count() - 1, "one comma is in quotes");
+        assert_eq!(
+            rows[0].split(',').count(),
+            row.split(',').count() - 1,
+            "one comma is in quotes"
+        );
     }
 
     #[test]
