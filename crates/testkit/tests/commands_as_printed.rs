@@ -57,8 +57,9 @@ const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
 /// How-to pages, whose commands are run and whose outputs are checked, but for those without commands. One that needs
 /// files of another stands after it.
-const HOW_TO_WITH_OUTPUT: [&str; 21] = [
+const HOW_TO_WITH_OUTPUT: [&str; 22] = [
     "import-a-map",
+    "import-a-tif",
     "prepare-a-map",
     "4d",
     "add-material",
