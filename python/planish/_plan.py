@@ -17,7 +17,7 @@ import webbrowser
 
 import numpy as np
 
-from . import _BARE, Artifact, PlanishError, PlanishWarning, _TemporaryFolder, _word, load, programs, save
+from . import _BARE, Artifact, PlanishError, PlanishWarning, _stage, _TemporaryFolder, _word, load, programs, save
 
 # Maps of a plan, by their attributes
 _MAPS_OF_A_PLAN = ("height_nm", "removal_nm", "residual_nm")
@@ -217,8 +217,7 @@ class Plan:
         and is removed with a temporary directory. A plan whose segments are too short for the controller raises
         PlanishError; `plan(..., export="galil")` then chooses another one, reads its program back and judges it.
         """
-        from . import export
-
+        export = _stage("export")
         if controller not in export._commands:
             raise PlanishError(f"{controller!r} is no controller; give one of {', '.join(export._commands)}")
         # The row of a program is not the plan but what the controller makes of it.
@@ -255,6 +254,7 @@ class Plan:
             import matplotlib.pyplot as plt
         except ImportError as error:
             raise PlanishError("plot needs Matplotlib: pip install matplotlib") from error
+        figure: typing.Any
         if ax is not None:
             figure = ax.figure
             maps = [(ax, "Predicted residual", self.residual_nm)]
