@@ -57,7 +57,7 @@ const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
 /// How-to pages, whose commands are run and whose outputs are checked, but for those without commands. One that needs
 /// files of another stands after it.
-const HOW_TO_WITH_OUTPUT: [&str; 22] = [
+const HOW_TO_WITH_OUTPUT: [&str; 23] = [
     "import-a-map",
     "import-a-tif",
     "prepare-a-map",
@@ -69,6 +69,7 @@ const HOW_TO_WITH_OUTPUT: [&str; 22] = [
     "choose-a-plan",
     "choose-pitch-overscan-floor",
     "compare-many-plans",
+    "edge-and-aperture",
     "estimate-process-errors",
     "export-a-program",
     "first-run",
