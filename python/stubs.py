@@ -16,9 +16,7 @@ import sys
 import textwrap
 
 # Commands that write several artifacts: their function returns a dict of them.
-SEVERAL = {
-    "bspline-feed", "dwell several-tools", "fixture", "import program", "joint", "reconcile", "refine", "refine pareto",
-}
+SEVERAL = {"bspline-feed", "dwell several-tools", "fixture", "joint", "refine"}
 HEAD = '''"""Types of the stage functions, made by python/stubs.py."""
 
 import os
