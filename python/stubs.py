@@ -16,7 +16,7 @@ import sys
 import textwrap
 
 # Commands that write several artifacts: their function returns a dict of them.
-SEVERAL = {"bspline-feed", "dwell several-tools", "fixture", "joint", "refine"}
+SEVERAL = {"bspline-feed", "dwell several-tools", "fixture", "joint", "refine", "surface line"}
 HEAD = '''"""Types of the stage functions, made by python/stubs.py."""
 
 import os
