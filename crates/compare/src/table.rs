@@ -10,9 +10,9 @@ use planish_types::{
 use crate::{
     answer::winner,
     chain::Standing,
+    csv::{cell, quoted, text_cell},
     specification::Around,
     summary::{MethodResult, Summary},
-    sweep::{cell, quoted, text_cell},
 };
 
 /// Headings of the columns, two lines each. The first column is aligned left, the others right.
