@@ -281,7 +281,7 @@ reference-mirror out:
     @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" {{ quote(out) }}/surface
     @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" {{ quote(out) }}/tif/rate_nm_per_s.npy
 
-# The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction.md
+# The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction-*.md
 [group('5 pages and tables')]
 reproduce paper="all":
     @cargo run --quiet --release --locked --example reproduce -- {{ quote(paper) }}
@@ -499,7 +499,7 @@ surface-pictures: build
 line-table out="out/lines": build python
     @target/python/bin/python scripts/line-table.py {{ quote(out) }}
 
-# Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
+# Print the tables of docs/paths.md and docs/joint-paths.csv: every path on the reference mirror (PLANISH_REFERENCE)
 [group('5 pages and tables')]
 paths-table machine="fixtures/machines/ion-beam.json": build
     @python3 scripts/paths-table.py {{ quote(machine) }}

@@ -1,4 +1,4 @@
-"""Measures Planish and its peers in one run and writes the tables of docs/performance.md: `just performance`.
+"""Measures Planish and its peers in one run and writes the tables of docs/performance*: `just performance`.
 
     performance.py STAGES OUT PAGE
 
@@ -8,6 +8,7 @@ the process says itself (`--wall-time`). In process: the lines of `cargo bench` 
 beside them, and the distance of some of them to what limits them.
 """
 
+import csv
 import json
 import math
 import os
@@ -181,6 +182,11 @@ def main():
     def put(name, content):
         page.write_text(replace(page.read_text(), name, content))
 
+    def write(name, head, rows):
+        """Writes a long table as a CSV file beside the page."""
+        with (page.parent / f"performance-{name}.csv").open("w", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([head, *rows])
+
     put("machine", f"{versions()}; load when it began: {os.getloadavg()[0]:.1f}.")
     bench = subprocess.run(
         ["cargo", "bench", "--locked", "--workspace", "--bench", "stages"],
@@ -192,7 +198,7 @@ def main():
     in_ms = lambda rows: [(n, r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in rows]
     kernels = divan(bench)
     medians = {name: median for name, _, _, median in kernels}
-    put("kernels", table(head, in_ms([(f"`{n}`", *rest) for n, *rest in kernels])))
+    write("kernels", head, in_ms(kernels))
     put("limits", limits(medians))
 
     whole = Whole(stages, out)
@@ -219,14 +225,15 @@ def main():
         whole.line(f"disk-{side}", disk(side, width), fine, solver, runs)
         for (side, width), runs in zip(DISKS, (5, 5, 3, 1))
     ]
-    put("whole", table(
-        ["work", "size", "runs", "least, s", "median, s", "memory, MiB"],
-        [
-            (r["work"], r["size"], r["runs"], figures(r["least_s"]), figures(r["median_s"]),
-             figures(r["memory_mib"]) if r["memory_mib"] else "")
-            for r in whole.rows
-        ],
-    ))
+    columns = ["work", "size", "runs", "least, s", "median, s", "memory, MiB"]
+    rows = [
+        (r["work"], r["size"], r["runs"], figures(r["least_s"]), figures(r["median_s"]),
+         figures(r["memory_mib"]) if r["memory_mib"] else "")
+        for r in whole.rows
+    ]
+    write("processes", columns, rows)
+    sides = ("2703", "168 x 985 px, 2703", "1022564", "8192 x 8192 px, 1022564")
+    put("whole", table(columns, [row for row in rows if row[1].startswith(sides)]))
     put("growth", growth(disks))
     put("certified", certified(whole))
     put("ratios", ratios(medians))

@@ -11,6 +11,8 @@ PLANISH_PROGRAMS_FILE names the file with all programs, and PLANISH_WHEEL_TAG th
 import os
 import pathlib
 import re
+import subprocess
+import sys
 import sysconfig
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
@@ -57,6 +59,7 @@ class Programs(BuildHookInterface):
                 build_data["force_include"][str(file)] = f"planish/share/{folder}/{file.name}"
         for file in (ROOT / "python/matlab/planish.m", ROOT / "docs/notebook.ipynb"):
             build_data["force_include"][str(file)] = f"planish/share/{file.name}"
+        build_data["force_include"][str(self.types(program))] = "planish/_stages.pyi"
         about = f"{self.metadata.name}-{self.metadata.version}.dist-info"
         for file in (ROOT / "LICENSE", WHEEL / "THIRD-PARTY-NOTICES.txt"):
             build_data["force_include"][str(file)] = f"{about}/licenses/{file.name}"
@@ -65,6 +68,17 @@ class Programs(BuildHookInterface):
         # Without a tag, of the C library that it was linked with: this wheel is for machines like this one.
         tag = os.environ.get("PLANISH_WHEEL_TAG") or re.sub(r"[-.]", "_", sysconfig.get_platform())
         build_data["tag"] = f"py3-none-{tag}"
+
+    def types(self, program):
+        """Returns the file with the types of the stage functions. A program for another machine does not run here: then the
+        file is that of the wheel before."""
+        file = WHEEL / "_stages.pyi"
+        made = subprocess.run([sys.executable, ROOT / "python/stubs.py", program], capture_output=True, text=True)
+        if made.returncode == 0:
+            file.write_text(made.stdout, "utf-8")
+        elif not file.is_file():
+            raise SystemExit(f"{program}: does not run here; make the wheel for this machine first\n{made.stderr}")
+        return file
 
     def refuse_paths(self, program):
         """Refuses a program that names the folders that it was built in."""

@@ -1,4 +1,4 @@
-"""The tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror, at about the published number of
+"""The tables of docs/paths.md and docs/joint-paths.csv: every path on the reference mirror, at about the published number of
 dwell points (2678). Least dwell time 0.1 s, unrefined and refined, and motion and times as one problem
 (`just paths-table [MACHINE]`).
 """

@@ -7,45 +7,79 @@
 
 Or stage by stage:
 
-    planish.save("mirror", height_nm=height, x_mm=x, y_mm=y)
-    planish.save("tool", rate_nm_per_s=rate, x_mm=dx, y_mm=dy)
-    path = planish.toolpath.raster(surface="mirror", tif="tool", pitch_mm=1, step_mm=1, out="path")
-    dwell = planish.dwell.bounded_least_squares(surface="mirror", tif="tool", tool_path=path, out="dwell")
+    surface, tif = (height, x, y), (rate, dx, dy)
+    path = planish.toolpath.raster(surface=surface, tif=tif, pitch_mm=1, step_mm=1)
+    dwell = planish.dwell.bounded_least_squares(surface=surface, tif=tif, tool_path=path)
     dwell["dwell_s"].sum()
 
-An artifact is a directory of arrays with their units in their names, and a manifest (docs/formats.md). The functions
-are made of what the programs say of themselves (`planish-dwell --describe`), one for each subcommand; a flag
-`--pitch-mm` is the argument `pitch_mm`, and a word of Python has an underscore at its end (`planish.import_`,
-`return_`). They run the programs, so that what they write has the bytes of the command line.
-`help(planish.dwell.bounded_least_squares)` shows the flags with their units and defaults.
+An artifact is a directory of arrays with their units in their names, and a manifest (docs/formats.md). Without `out` it
+is temporary: Python removes it with the last reference to it. The functions are made of what the programs say of
+themselves (`planish-dwell --describe`), one for each subcommand; a flag `--pitch-mm` is the argument `pitch_mm`, and a
+word of Python has an underscore at its end (`planish.import_`, `return_`). They run the programs, so that what they
+write has the bytes of the command line. `help(planish.dwell.bounded_least_squares)` shows the arguments with their units
+and defaults, and `_stages.pyi` states their types.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib.metadata
 import inspect
 import json
 import keyword
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 import sysconfig
 import tempfile
 import typing
+import warnings
+import weakref
 
 import numpy as np
 
-__all__ = ["Artifact", "Plan", "PlanishError", "load", "plan", "programs", "save", "save_map"]
+if typing.TYPE_CHECKING:
+    from ._stages import *
 
-# Warnings about arrays without a manifest that were printed: every program that reads them gives the same one.
-_SAID: set[str] = set()
+__all__ = ["Artifact", "Plan", "PlanishError", "PlanishWarning", "load", "plan", "programs", "save", "save_map"]
+
+# Warning about arrays without a manifest, which are what users give.
+_BARE = ": no manifest.json, read as bare arrays"
+
+# Arguments that may be a map with its coordinates: the name of the array, and its unit.
+_MAPS = {"surface": ("height_nm", "nm"), "tif": ("rate_nm_per_s", "nm/s")}
 
 _EXECUTABLE = ".exe" if os.name == "nt" else ""
 
 
 class PlanishError(RuntimeError):
     """A program could not run: its message, which names the argument, the value and the remedy."""
+
+
+class PlanishWarning(UserWarning):
+    """A doubt of a program, such as a map that is probably in another unit."""
+
+
+def _version() -> str:
+    """Returns the version of the installed package, or in a clone that of its pyproject.toml."""
+    try:
+        return importlib.metadata.version("planish")
+    except importlib.metadata.PackageNotFoundError:
+        text = pathlib.Path(__file__).resolve().parents[1].joinpath("pyproject.toml").read_text("utf-8")
+        return re.search(r'^version = "(.*)"', text, re.MULTILINE)[1]  # type: ignore[index]
+
+
+__version__ = _version()
+
+
+class _TemporaryFolder:
+    """A folder that is removed with the last reference to it."""
+
+    def __init__(self) -> None:
+        self.path = pathlib.Path(tempfile.mkdtemp(prefix="planish-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 class Artifact:
@@ -58,6 +92,8 @@ class Artifact:
         self.path = pathlib.Path(path)
         self.arrays = arrays
         self.manifest = manifest
+        # The folder of a temporary artifact, which is removed with it
+        self._temporary: _TemporaryFolder | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.arrays:
@@ -189,23 +225,43 @@ def _function(file, command):
         if len(positional) > len(places) and not (places and places[-1]["repeats"]):
             raise TypeError(f"{name} takes {len(places)} argument(s) without a name, {len(positional)} were given")
         words += [_word(value) for value in positional]
+        temporary = _TemporaryFolder()
+        # The folder of each argument that is no path, for the messages
+        folders = {}
+        if given.get("out") is None and _writes_artifacts(flags):
+            given["out"] = folders["out"] = temporary.path / "out"
         for key, value in given.items():
             if key not in flags:
                 raise TypeError(f"{name} has no argument {key!r}; there are {', '.join(flags)}")
+            path = _saved(key, value, temporary.path)
+            if path is not None:
+                folders[key] = value = path
             words += _words(flags[key], value)
+        missing = [key for key, flag in flags.items() if flag["required"] and not flag["positional"] and key not in given]
+        if missing:
+            raise TypeError(f"{name} needs {' and '.join(missing)}")
         ran = subprocess.run([file, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        for line in ran.stderr.splitlines():
-            if ran.returncode != 2 and line not in _SAID:
-                print(line)
-            if ": no manifest.json, read as bare arrays" in line:
-                _SAID.add(line)
+        said = [_in_arguments(line, flags, folders) for line in ran.stderr.splitlines()]
         if ran.returncode not in (0, 1):
-            raise PlanishError(ran.stderr.strip() or f"{name} ended with {ran.returncode}")
+            errors = [line for line in said if not line.startswith("warning: ")]
+            raise PlanishError("\n".join(errors).strip() or f"{name} ended with {ran.returncode}")
+        for line in said:
+            if not line.startswith("warning: "):
+                print(line)
+            elif _BARE not in line:
+                # A program without subcommands is called through _Program.__call__.
+                warnings.warn(line.removeprefix("warning: "), PlanishWarning, stacklevel=2 if command["name"] else 3)
         out = given.get("out")
-        return _made(pathlib.Path(out)) if out is not None and pathlib.Path(out).is_dir() else ran.stdout
+        if out is None or not pathlib.Path(out).is_dir():
+            return ran.stdout
+        made = _made(pathlib.Path(out))
+        if "out" in folders:
+            for artifact in made.values() if isinstance(made, dict) else [made]:
+                artifact._temporary = temporary
+        return made
 
     function.__name__ = function.__qualname__ = name
-    function.__doc__ = "\n".join([command["about"], "", *map(_line, flags.items())])
+    function.__doc__ = _documentation(command, flags)
     parameter = inspect.Parameter
     function.__signature__ = inspect.Signature(
         [
@@ -230,11 +286,66 @@ def _argument(name):
     return f"{name}_" if keyword.iskeyword(name) else name
 
 
-def _line(item):
-    key, flag = item
-    default = f" [default: {flag['default']}]" if flag["default"] and "[default" not in flag["help"] else ""
-    choices = f" [{', '.join(flag['choices'])}]" if flag["choices"] else ""
-    return f"    {key}: {' '.join(flag['help'].split())}{choices}{default}"
+def _writes_artifacts(flags):
+    """Returns true if a command with these arguments writes artifacts, for which a temporary directory can stand."""
+    return flags.get("out", {}).get("value") == "DIR"
+
+
+def _documentation(command, flags):
+    """Returns the description of a command and of its arguments, as numpydoc has it."""
+    text = f"{command['about']}\n\nParameters\n----------\n"
+    for key, flag in flags.items():
+        required = flag["required"] and not (key == "out" and _writes_artifacts(flags))
+        default = "" if required else f", default {flag['default']}" if flag["default"] else ", optional"
+        text += f"{key} : {_type(key, flag)}{default}\n    {' '.join(flag['help'].split())}\n"
+    return f"{text}\nReturns\n-------\n{_returned(flags)}\n"
+
+
+def _type(key, flag):
+    """Returns the type of an argument in words."""
+    if flag["choices"]:
+        return "{" + ", ".join(map(repr, flag["choices"])) + "}"
+    if flag["values"][1] == 0:
+        return "bool"
+    if key in _MAPS:
+        return "(map, x, y), xarray.DataArray, Artifact or path"
+    one = {"number": "float", "integer": "int", "path": "path or Artifact"}.get(flag.get("type"), "str")
+    one = "mapping or path" if key == "machine" else one
+    return f"sequence of {one}" if flag["values"][1] > 1 else f"{one} or sequence of them" if flag["repeats"] else one
+
+
+def _returned(flags):
+    """Returns what a function with these arguments returns, in words."""
+    if _writes_artifacts(flags):
+        return "Artifact, or dict of them by their names\n    What the command wrote; temporary without `out`."
+    return "str\n    What the command printed."
+
+
+def _saved(key, value, folder):
+    """Returns the path below `folder` where a map or a machine that is no path was saved; None for other values."""
+    from ._plan import _map_with_coordinates
+
+    if isinstance(value, (str, os.PathLike)) or value is None:
+        return None
+    if key in _MAPS:
+        array, unit = _MAPS[key]
+        values, x, y = _map_with_coordinates(value, unit)
+        return save(folder / key, **{array: values, "x_mm": x, "y_mm": y})
+    if key == "machine" and isinstance(value, typing.Mapping):
+        file = folder / "machine.json"
+        file.write_text(json.dumps(value), "utf-8")
+        return file
+    return None
+
+
+def _in_arguments(line, flags, folders):
+    """Returns a message of a program with its flags and temporary folders as arguments of Python."""
+    for key, folder in folders.items():
+        line = line.replace(str(folder), key)
+    for key, flag in sorted(flags.items(), key=lambda item: -len(item[0])):
+        value = "=True" if flag["values"][1] == 0 else ""
+        line = re.sub(rf"--{flag['name']}(?![\w-])", f"{key}{value}", line)
+    return line.removeprefix("error: ")
 
 
 def _word(value):
@@ -282,7 +393,8 @@ def __dir__() -> list[str]:
         return list(__all__)
 
 
-def __getattr__(name: str) -> typing.Any:
+def _stage(name: str) -> typing.Any:
+    """Returns the program that is the attribute `name` of this module."""
     if name.startswith("_"):
         raise AttributeError(name)
     # `import` is a word of Python: planish.import_.program(...)
@@ -292,6 +404,11 @@ def __getattr__(name: str) -> typing.Any:
     found = _Program(program)
     globals()[name] = found
     return found
+
+
+if not typing.TYPE_CHECKING:
+    # A type checker has the stages from _stages.pyi, and finds misspelt ones.
+    __getattr__ = _stage
 
 
 from ._plan import Plan, plan, save_map  # noqa: E402 - it uses what stands above

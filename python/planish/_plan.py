@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import pathlib
@@ -9,7 +10,6 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import typing
 import warnings
@@ -17,20 +17,27 @@ import webbrowser
 
 import numpy as np
 
-from . import Artifact, PlanishError, _word, load, programs, save
+from . import _BARE, Artifact, PlanishError, PlanishWarning, _stage, _TemporaryFolder, _word, load, programs, save
 
-# Warning about arrays without a manifest, which are what `plan` writes.
-_BARE = ": no manifest.json, read as bare arrays"
+# Maps of a plan, by their attributes
+_MAPS_OF_A_PLAN = ("height_nm", "removal_nm", "residual_nm")
 
 # Length of a record of FITS, in bytes, and of a line of its header (FITS 4.0, 3.1 and 3.3.1).
 _FITS_RECORD, _FITS_LINE = 2880, 80
 
 if typing.TYPE_CHECKING:
+    import matplotlib.axes
     import matplotlib.figure
+    import pandas
     import xarray
+
+    from ._stages import MapLike
 
     # The kind of array that the surface was given as
     Map = typing.Union[np.ndarray, xarray.DataArray]
+
+# Part of the pixels of a map, %, that the colours of its picture reach. Larger: one pit makes the rest pale.
+_COLOURED_PERCENT = 99.0
 
 
 def share() -> pathlib.Path:
@@ -47,8 +54,8 @@ def pipeline(*arguments: str) -> tuple[list[str], dict[str, str]]:
 
 
 def plan(
-    surface: typing.Any,
-    tif: typing.Any,
+    surface: MapLike,
+    tif: MapLike,
     machine: typing.Mapping[str, typing.Any] | str | os.PathLike[str],
     path: str = "maze",
     *,
@@ -58,24 +65,47 @@ def plan(
 ) -> Plan:
     """Plans the removal of `surface` by the tool `tif` on `machine`, along a tool path of the pipeline `path`.
 
-        plan = planish.plan((height_nm, x_mm, y_mm), (rate_nm_per_s, dx_mm, dy_mm), "machine.json", "raster", pitch_mm=2)
+    Parameters
+    ----------
+    surface : (map, x, y), xarray.DataArray, Artifact or path
+        Heights in nm, (ny, nx), material above the target is positive, with coordinates in mm. NaN or a mask marks an
+        invalid pixel. An xarray.DataArray has the dimensions y and x; its `units`, where it states them, are nm and mm.
+        A path is that of an artifact, or of an instrument's file (with `surface_settings`).
+    tif : (map, x, y), xarray.DataArray, Artifact or path
+        Removal rates in nm/s over the offsets from the tool in mm, likewise (with `tif_settings`).
+    machine : mapping or path
+        Limits of the axes, or the JSON file that holds them.
+    path : str, default "maze"
+        Name of the pipeline: raster, maze, random-adaptive, spiral and others.
+    out : path, optional
+        Directory of the run. Without it the directory is temporary, and Python removes it with the plan.
+    progress : bool or function, optional
+        Shows the stage that runs: by default in a notebook and on a terminal. A function is given each text.
+    **settings
+        Settings of the pipeline, which `planish show raster` lists: `pitch_mm=2, plan_joint=False, export="galil"`.
 
-    `surface` (heights in nm, material above the target is positive) and `tif` (removal rates in nm/s) are
-    - an array of the shape (ny, nx) with its coordinates in mm, as (map, x, y); NaN or a mask marks an invalid pixel,
-    - an xarray.DataArray with the dimensions y and x (its `units`, where it states them, are nm or nm/s, and mm), or
-    - an artifact, or the path of one or of an instrument's file (with surface_settings, tif_settings).
+    Returns
+    -------
+    Plan
+        The recommended plan. A negative verdict raises nothing: it is `Plan.negative`.
 
-    `machine` is a mapping with the limits of its axes, or the path of such a JSON file. `settings` are those of the
-    pipeline (`planish show maze` lists them): pitch_mm=2, plan_joint=False, export="galil".
+    Raises
+    ------
+    PlanishError
+        A program could not run; the message names the argument, the value and the remedy.
 
-    The programs hand files on. They lie in the directory `out`, or in a temporary one that is removed with the result.
-    `progress` shows the stage that runs: by default in a notebook and on a terminal; a function is given each text.
+    Warns
+    -----
+    PlanishWarning
+        A program doubts an input, such as a map that is probably in another unit.
 
-    Raises PlanishError with the message of the program that could not run. A negative verdict raises nothing: it is
-    `Plan.negative`.
+    Examples
+    --------
+    >>> plan = planish.plan((height_nm, x_mm, y_mm), (rate_nm_per_s, dx_mm, dy_mm), "machine.json", "raster", pitch_mm=2)
+    >>> plan.rms_nm, plan.time_s
     """
-    temporary = tempfile.TemporaryDirectory(prefix="planish-") if out is None else None
-    base = pathlib.Path(temporary.name if temporary is not None else out or "").resolve()
+    temporary = _TemporaryFolder() if out is None else None
+    base = (temporary.path if temporary is not None else pathlib.Path(out or "")).resolve()
     base.mkdir(parents=True, exist_ok=True)
     given = {"surface": _given(surface, base / "mirror", "height_nm", "nm"), "tif": _given(tif, base / "tool", "rate_nm_per_s", "nm/s")}
     if isinstance(machine, typing.Mapping):
@@ -86,15 +116,19 @@ def plan(
     words = {**given, "frames": 0, **settings, "out": base / "run"}
     run = [f"{name}={'yes' if value is True else 'no' if value is False else _word(value)}" for name, value in words.items()]
     ended, said = _watched(*pipeline("run", path, *run), _shown(progress))
+    # Arrays were given, not the files that hold them.
+    folders = {base / "mirror": "surface", base / "tool": "tif", base / "machine.json": "machine", base / "run": "out"}
+    for folder, argument in folders.items():
+        said = [line.replace(str(folder), argument) for line in said]
     if ended not in (0, 1):
         errors = [line for line in said if re.match(r"(internal )?error: ", line)]
-        raise PlanishError("\n".join(errors or said[-5:]))
+        raise PlanishError("\n".join(line.removeprefix("error: ") for line in errors or said[-5:]))
     verdicts = [line.removeprefix("verdict: ") for line in said if line.startswith("verdict: ")]
     made = Plan(base / "run", surface if hasattr(surface, "dims") else None, temporary)
     made.negative = (verdicts or ["the verdict is negative"])[-1] if ended == 1 else None
     for line in dict.fromkeys(said):
         if line.startswith("warning: ") and _BARE not in line:
-            warnings.warn(line.removeprefix("warning: "), stacklevel=2)
+            warnings.warn(line.removeprefix("warning: "), PlanishWarning, stacklevel=2)
     return made
 
 
@@ -108,12 +142,12 @@ class Plan:
     negative: str | None = None
 
     def __init__(
-        self, path: str | os.PathLike[str], like: typing.Any = None, temporary: tempfile.TemporaryDirectory[str] | None = None
+        self, path: str | os.PathLike[str], like: typing.Any = None, temporary: _TemporaryFolder | None = None
     ):
         self.path = pathlib.Path(path)
         self._like = like
         self._temporary = temporary
-        self.summary: dict = json.loads((self.path / "report/summary.json").read_text("utf-8"))
+        self.summary: dict[str, typing.Any] = json.loads((self.path / "report/summary.json").read_text("utf-8"))
 
     @property
     def methods(self) -> list[str]:
@@ -123,7 +157,7 @@ class Plan:
     @property
     def method(self) -> str:
         """The recommended plan, or without one the last that was made."""
-        return self.summary["answer"]["method"] or self.methods[-1]
+        return str(self.summary["answer"]["method"] or self.methods[-1])
 
     @property
     def trajectory(self) -> Artifact:
@@ -169,12 +203,12 @@ class Plan:
     @property
     def rms_nm(self) -> float:
         """RMS of the predicted residual, nm."""
-        return self.summary["methods"][self.method]["rms_nm"]
+        return float(self.summary["methods"][self.method]["rms_nm"])
 
     @property
     def time_s(self) -> float:
         """Length of the run, s."""
-        return self.summary["methods"][self.method]["total_time_s"]
+        return float(self.summary["methods"][self.method]["total_time_s"])
 
     def program(self, controller: str, out: str | os.PathLike[str] | None = None, **settings: typing.Any) -> pathlib.Path:
         """Writes the plan as a program of `controller` (galil, gcode and others: `dir(planish.export)`), and returns its path.
@@ -183,8 +217,7 @@ class Plan:
         and is removed with a temporary directory. A plan whose segments are too short for the controller raises
         PlanishError; `plan(..., export="galil")` then chooses another one, reads its program back and judges it.
         """
-        from . import export
-
+        export = _stage("export")
         if controller not in export._commands:
             raise PlanishError(f"{controller!r} is no controller; give one of {', '.join(export._commands)}")
         # The row of a program is not the plan but what the controller makes of it.
@@ -203,25 +236,80 @@ class Plan:
             webbrowser.open(page.as_uri())
         return page
 
-    def plot(self) -> matplotlib.figure.Figure:
-        """A Matplotlib figure: the surface error with the tool path, and the predicted residual."""
+    def plot(self, ax: matplotlib.axes.Axes | None = None) -> matplotlib.figure.Figure:
+        """Draws the surface error with the tool path, and the predicted residual.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes for the predicted residual alone; a new figure has both maps.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure. Heights are from the mean of their map; the colours are centred on zero and reach 99 % of the
+            pixels. A millimetre is equally long along x and y.
+        """
         try:
             import matplotlib.pyplot as plt
         except ImportError as error:
             raise PlanishError("plot needs Matplotlib: pip install matplotlib") from error
-        removal = load(self._of("removal"))
-        figure, rows = plt.subplots(2, 1, figsize=(9, 6), layout="constrained")
-        for axes, title, height in zip(rows, ("Surface error", "Predicted residual"), (self.height_nm, removal["residual_nm"])):
-            height = np.asarray(height)
-            height = height - np.nanmean(height)
-            image = axes.pcolormesh(removal["x_mm"], removal["y_mm"], height, cmap="RdBu_r", rasterized=True)
+        figure: typing.Any
+        if ax is not None:
+            figure = ax.figure
+            maps = [(ax, "Predicted residual", self.residual_nm)]
+        else:
+            figure, rows = plt.subplots(2, 1, figsize=(9, 6), layout="constrained")
+            maps = [(rows[0], "Surface error", self.height_nm), (rows[1], "Predicted residual", self.residual_nm)]
+            rows[0].plot(*self.tool_path["point_mm"].T, color="black", linewidth=0.4)
+        for axes, title, height in maps:
+            height = np.asarray(height) - np.nanmean(height)
+            most = np.nanpercentile(np.abs(height), _COLOURED_PERCENT) or 1.0
+            image = axes.pcolormesh(self.x_mm, self.y_mm, height, cmap="RdBu_r", vmin=-most, vmax=most, rasterized=True)
             axes.set(title=f"{title}, {np.nanstd(height):.3g} nm RMS", xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-            figure.colorbar(image, ax=axes, label="height (nm)")
-        rows[0].plot(*self.tool_path["point_mm"].T, color="black", linewidth=0.4)
+            figure.colorbar(image, ax=axes, label="height (nm)", extend="both")
         return figure
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Returns surface error, predicted removal and residual as a Dataset with the dimensions y and x.
+
+        Every variable and coordinate has its unit (`attrs["units"]`). The attributes hold the method, the RMS in nm and
+        the time in s.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise PlanishError("to_xarray needs xarray: pip install xarray") from error
+        maps = {name: (("y", "x"), np.asarray(getattr(self, name)), {"units": "nm"}) for name in _MAPS_OF_A_PLAN}
+        coords = {"x": ("x", self.x_mm, {"units": "mm"}), "y": ("y", self.y_mm, {"units": "mm"})}
+        return xarray.Dataset(maps, coords, {"method": self.method, "rms_nm": self.rms_nm, "time_s": self.time_s})
+
+    def table(self) -> pandas.DataFrame:
+        """Returns the numbers of every plan of the run, a row per method; units end the names of the columns."""
+        try:
+            import pandas
+        except ImportError as error:
+            raise PlanishError("table needs pandas: pip install pandas") from error
+        rows = {
+            method: {name: value for name, value in numbers.items() if isinstance(value, (bool, int, float, str))}
+            for method, numbers in self.summary["methods"].items()
+        }
+        return pandas.DataFrame.from_dict(rows, orient="index").rename_axis("method")
 
     def __repr__(self) -> str:
         return f"<plan {self.path}: {self.summary['answer']['sentence'] or self.method}>"
+
+    def _repr_html_(self) -> str:
+        """Returns the answer of the report and a row per plan, for a notebook."""
+        rows = "".join(
+            f"<tr><td>{html.escape(method)}{' *' * (method == self.method)}</td>"
+            f"<td>{_figures(numbers.get('rms_nm'))}</td><td>{_figures(numbers.get('total_time_s'))}</td></tr>"
+            for method, numbers in self.summary["methods"].items()
+        )
+        sentence = html.escape(self.summary["answer"]["sentence"] or self.method)
+        doubt = f"<p><b>{html.escape(self.negative)}</b></p>" if self.negative else ""
+        head = "<tr><th>plan</th><th>residual, nm RMS</th><th>time, s</th></tr>"
+        return f"<p>{sentence}</p>{doubt}<table>{head}{rows}</table>"
 
     @property
     def _exported(self):
@@ -241,6 +329,11 @@ class Plan:
         for axis in (y, x):
             array[axis].attrs["units"] = "mm"
         return array
+
+
+def _figures(value: float | None) -> str:
+    """Returns a number with four significant digits, or a dash."""
+    return "-" if value is None else f"{value:.4g}"
 
 
 def save_map(file: str | os.PathLike[str], surface: typing.Any, name: str = "height_nm") -> pathlib.Path:

@@ -2,7 +2,7 @@
 
     environment/bin/python try_plan.py         in an empty directory; ends with 0 when all of it is as it should be
 
-Needs xarray, h5py and matplotlib in the environment.
+Needs xarray, h5py, matplotlib and pandas in the environment.
 """
 
 import gc
@@ -12,6 +12,7 @@ import time
 import warnings
 
 import matplotlib
+import matplotlib.pyplot
 import numpy as np
 import planish
 import xarray
@@ -46,7 +47,7 @@ def from_arrays_to_a_program():
     print(f"from arrays to a program: {time.monotonic() - begun:.0f} s, {len(stages)} stages")
     assert stages[-1].endswith("planish-run verdict"), stages
     assert plan.negative is None and plan.method == "pvt+refined" and "pvt" in plan.methods, plan.methods
-    assert "pvt+refined runs on machine" in repr(plan)
+    assert "pvt+refined runs on lab" in repr(plan)
     # The residual is what the heights leave without the removal, pixel by pixel; and its RMS is that of the report.
     assert np.array_equal(plan.residual_nm, plan.height_nm - plan.removal_nm)
     # Below: rounding of sums over the pixels in another order, and the last bit of a number in JSON.
@@ -58,13 +59,60 @@ def from_arrays_to_a_program():
     assert program.read_text() == open("by-itself.galil").read()
     check(plan.trajectory.path, [str(program)])
     assert "<html" in plan.report().read_text("utf-8")
-    assert [axes.get_title() for axes in plan.plot().axes[:2]][1].startswith("Predicted residual")
+    pictures(plan)
     folder = plan.path
     residual = plan.residual_nm
     del plan
     gc.collect()
     assert not folder.exists(), "the temporary directory outlives its plan"
     return residual
+
+
+def pictures(plan):
+    figure = plan.plot()
+    assert [axes.get_title() for axes in figure.axes[:2]][1].startswith("Predicted residual")
+    own, ax = matplotlib.pyplot.subplots()
+    assert plan.plot(ax=ax) is own and ax.get_title().startswith("Predicted residual")
+    for axes in (*figure.axes[:2], ax):
+        low, high = axes.collections[0].get_clim()
+        assert low == -high < 0 and axes.get_aspect() == 1, (low, high, axes.get_aspect())
+    page = plan._repr_html_()
+    assert all(f"<td>{method}" in page for method in plan.methods) and f"{plan.rms_nm:.4g}" in page, page
+    maps = plan.to_xarray()
+    assert np.array_equal(maps.residual_nm, maps.height_nm - maps.removal_nm) and maps.residual_nm.attrs["units"] == "nm"
+    assert np.array_equal(maps.x, plan.x_mm) and maps.y.attrs["units"] == "mm" and maps.attrs["rms_nm"] == plan.rms_nm
+    table = plan.table()
+    assert list(table.index) == plan.methods and table.rms_nm[plan.method] == plan.rms_nm, table
+
+
+def stages_take_and_give_arrays():
+    surface, tool = (tuple(of.values()) for of in arrays())
+    mirror = {"surface": surface, "tif": tool}
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        path = planish.toolpath.raster(**mirror, pitch_mm=4, step_mm=4)
+    # The doubt is about the pitch; that arrays have no manifest is none.
+    assert [(doubt.category, "pitch" in str(doubt.message)) for doubt in doubts] == [(planish.PlanishWarning, True)], doubts
+    dwell = planish.dwell.bounded_least_squares(**mirror, tool_path=path, min_dwell_s=0.05)
+    motion = planish.schedule.pvt(tool_path=path, dwell=dwell, machine=MACHINE)
+    # A machine may take longer than the dwell times, never less; both are sums of the same doubles in another order.
+    assert motion["break_time_s"][-1] >= dwell["dwell_s"].sum() * (1 - 1e-12)
+    folder = path.path
+    # The same by files, byte by byte: the artifacts do not tell where the arrays came from.
+    planish.save("as-files", height_nm=surface[0], x_mm=surface[1], y_mm=surface[2])
+    same = planish.toolpath.raster(surface="as-files", tif="tool", pitch_mm=4, step_mm=4, out="path-of-files")
+    assert np.array_equal(same["point_mm"], path["point_mm"])
+    refused(
+        lambda: planish.toolpath.raster(**mirror, pitch_mm=-4, step_mm=4), planish.PlanishError, "pitch_mm", ("--", "/planish-")
+    )
+    refused(
+        lambda: planish.schedule.pvt(tool_path=path, dwell=dwell, machine={"axes": []}), planish.PlanishError, "machine",
+        ("--", "/planish-", "machine.json"),
+    )
+    refused(lambda: planish.toolpath.raster(surface=surface[0], tif=tool, pitch_mm=4), TypeError, "as (map, x, y)")
+    del path, dwell, motion
+    gc.collect()
+    assert not folder.exists(), "the temporary directory outlives its artifact"
 
 
 def xarray_in_and_out(residual):
@@ -116,16 +164,17 @@ def messages_of_the_programs():
         (lambda: planish.plan(surface[::-1], tool, MACHINE), ValueError, "there are"),
         (lambda: planish.plan((surface[0].T, *surface[1:]), tool, MACHINE), ValueError, "transpose the map"),
         (lambda: planish.plan(surface[0], tool, MACHINE), TypeError, "as (map, x, y)"),
-        (lambda: planish.plan(surface, tool, {"axes": []}), planish.PlanishError, "machine.json"),
+        (lambda: planish.plan(surface, tool, {"axes": []}), planish.PlanishError, "machine"),
     ):
         refused(call, error, said)
 
 
-def refused(call, error, said):
+def refused(call, error, said, unsaid=()):
     try:
         call()
     except error as e:
         assert said in str(e), f"{said!r} is not in: {e}"
+        assert not any(words in str(e) for words in unsaid), e
     else:
         raise AssertionError(f"{said}: was not refused")
 
@@ -134,6 +183,7 @@ if __name__ == "__main__":
     warnings.simplefilter("ignore", UserWarning)
     the_lines_of_the_readme()
     messages_of_the_programs()
+    stages_take_and_give_arrays()
     maps_as_files(xarray_in_and_out(from_arrays_to_a_program()))
     print("plans from arrays are as they should be")
     sys.exit(0)

@@ -185,6 +185,12 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
     let campaign = manifest(&dir.join("report"));
     let truth = manifest(&dir.join("c/learning/1/truth"));
     assert_eq!(campaign["outcome"]["runs"][0]["learning"]["rms_nm"], truth["outcome"]["rms_nm"]);
+    // A row per chain, of the run and of the mirror like it; the first has the number of the manifest.
+    let rows = fs::read_to_string(dir.join("report/campaign.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 1 + 2 * 3, "{rows}");
+    let rms_nm = rows.lines().nth(1).and_then(|row| row.strip_prefix("1,learning,"));
+    let rms_nm = rms_nm.and_then(|row| row.split(',').next()).expect("the first row");
+    assert_eq!(rms_nm.parse(), Ok(number(&truth["outcome"]["rms_nm"])), "{rows}");
     let rate = &campaign["outcome"]["runs"][0]["parameters"][0];
     let hidden = number(&truth["outcome"]["hidden"]["truth"]["rate_scale"]);
     // Rounding of a product.

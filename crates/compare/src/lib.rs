@@ -26,6 +26,7 @@ pub mod answer;
 pub mod chain;
 mod cli;
 pub mod command;
+mod csv;
 pub mod diff;
 pub mod dwell;
 pub mod error_budget;

@@ -10,6 +10,7 @@ use planish_types::{
 use crate::{
     answer::winner,
     chain::Standing,
+    csv::{cell, quoted, text_cell},
     specification::Around,
     summary::{MethodResult, Summary},
 };
@@ -94,6 +95,42 @@ pub(crate) fn table_of_runs(runs: &[(&str, &Summary)]) -> String {
         let whose = if named { format!("{}: ", visible(name)) } else { String::new() };
         for note in notes(summary) {
             text += &format!("{whose}{}\n", visible(&note));
+        }
+    }
+    text
+}
+
+/// Columns of the results as comma-separated values.
+const CSV_HEADINGS: &str = "run,method,rms_nm,short_wave_rms_nm,rms_detilted_nm,pv_nm,total_time_s,\
+    max_velocity_x_mm_per_s,max_velocity_y_mm_per_s,max_acceleration_x_mm_per_s2,max_acceleration_y_mm_per_s2,\
+    limits_kept,plan,recommended\n";
+
+/// Returns the results of one or several runs as comma-separated values for a spreadsheet, a row per valid method, with
+/// all digits. Units end the names of the columns.
+pub(crate) fn csv(runs: &[(&str, &Summary)]) -> String {
+    let mut text = String::from(CSV_HEADINGS);
+    for (run, summary) in runs {
+        for (name, m) in &summary.methods {
+            let [velocity_x, velocity_y] = m.max_velocity_mm_per_s;
+            let [acceleration_x, acceleration_y] = m.max_acceleration_mm_per_s2;
+            let cells = [
+                text_cell(run),
+                text_cell(name),
+                m.rms_nm.to_string(),
+                cell(m.short_wave_rms_nm),
+                m.rms_detilted_nm.to_string(),
+                m.pv_nm.to_string(),
+                m.total_time_s.to_string(),
+                velocity_x.to_string(),
+                velocity_y.to_string(),
+                acceleration_x.to_string(),
+                acceleration_y.to_string(),
+                m.limits_respected.to_string(),
+                text_cell(&m.plan.word),
+                (summary.best.as_ref() == Some(name)).to_string(),
+            ];
+            text += &cells.map(|cell| quoted(&cell)).join(",");
+            text.push('\n');
         }
     }
     text
@@ -391,6 +428,22 @@ mod tests {
         let lines: Vec<&str> = found.lines().filter(|l| l.contains("0.123")).collect();
         assert_eq!(lines[0].find("87.7"), lines[1].find("87.7"));
         assert!(found.lines().all(|l| l == l.trim_end()));
+    }
+
+    #[test]
+    fn a_spreadsheet_has_a_row_per_method_and_run() {
+        let text = csv(&[("a, b", &summary()), ("=1", &summary())]);
+        let rows: Vec<&str> = text.lines().collect();
+        assert_eq!(rows.len(), 1 + 2 * 2);
+        let row =
+            "\"a, b\",pvt,0.2,0.1,0.15000000000000002,1.25,90,12.5,0,87.7,53.2,true,certified,true";
+        assert_eq!(rows[2], row);
+        assert!(rows[3].starts_with("'=1,position,0.1,"), "no formula: {text}");
+        assert_eq!(
+            rows[0].split(',').count(),
+            row.split(',').count() - 1,
+            "one comma is in quotes"
+        );
     }
 
     #[test]

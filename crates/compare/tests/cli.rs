@@ -135,6 +135,9 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(table.matches('*').count(), 2);
     let last: Vec<&str> = table.lines().rev().take(2).collect();
     assert_eq!(last, ["report/report.html", "report/summary.json"]);
+    let rows = fs::read_to_string(dir.path().join("report/table.csv")).unwrap();
+    let recommended: Vec<&str> = rows.lines().filter(|row| row.ends_with(",true")).collect();
+    assert!(recommended.len() == 1 && recommended[0].contains(",pvt,0.48"), "{rows}");
 
     // Again: nothing to do, and still the table. A lost summary comes back.
     let again = compare(dir.path(), &report);

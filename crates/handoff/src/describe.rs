@@ -4,13 +4,16 @@
 //! ```json
 //! { "program": "planish-verify", "version": "0.1.0", "about": "...",
 //!   "commands": [ { "name": "", "about": "...", "baseline": false, "flags": [
-//!     { "name": "machine", "help": "...", "value": "FILE", "values": [1, 1], "required": true, "repeats": false,
-//!       "positional": false, "default": null, "choices": [] } ] } ] }
+//!     { "name": "machine", "help": "...", "value": "FILE", "type": "path", "values": [1, 1], "required": true,
+//!       "repeats": false, "positional": false, "default": null, "choices": [] } ] } ] }
 //! ```
 //!
 //! A program without subcommands has one command without a name. `values` is the smallest and the
-//! largest number of values of a flag; a switch has none. The description is made from the
+//! largest number of values of a flag; a switch has none. `type` is that of each value: `number`, `integer`, `path` or
+//! `text`. The description is made from the
 //! definition that parses the command line, so the two cannot differ.
+
+use std::{any::TypeId, path::PathBuf};
 
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
@@ -65,6 +68,7 @@ fn flag(argument: &Arg) -> Value {
         "name": argument.get_long().unwrap_or(argument.get_id().as_str()),
         "help": help.map(ToString::to_string).unwrap_or_default(),
         "value": argument.get_value_names().filter(|_| takes).map(|names| names.join(" ")),
+        "type": value_type(argument),
         "values": values.map_or([0, 0], |range| [range.min_values(), range.max_values()]),
         "required": argument.is_required_set(),
         "repeats": matches!(argument.get_action(), ArgAction::Append),
@@ -72,6 +76,21 @@ fn flag(argument: &Arg) -> Value {
         "default": default,
         "choices": choices.collect::<Vec<_>>(),
     })
+}
+
+/// Returns the type of each value of a flag, for functions of other languages.
+fn value_type(argument: &Arg) -> &'static str {
+    let id = argument.get_value_parser().type_id();
+    let integers = [TypeId::of::<u64>(), TypeId::of::<u32>(), TypeId::of::<usize>()];
+    if id == TypeId::of::<f64>() {
+        "number"
+    } else if integers.iter().any(|integer| id == *integer) {
+        "integer"
+    } else if id == TypeId::of::<PathBuf>() {
+        "path"
+    } else {
+        "text"
+    }
 }
 
 #[cfg(test)]
@@ -123,6 +142,8 @@ mod tests {
         assert_eq!(flag("mode")["default"], "monotone");
         assert_eq!(flag("mode")["choices"], json!(["smooth", "monotone"]));
         assert_eq!(flag("range-mm")["values"], json!([2, 2]));
+        assert_eq!(flag("range-mm")["type"], "number");
+        assert_eq!(flag("surface")["type"], "text");
         assert_eq!(
             (&flag("force")["values"], &flag("force")["value"]),
             (&json!([0, 0]), &json!(null))

@@ -179,7 +179,7 @@ const MACHINE_KEYS: [(&str, &str, &str); 34] = [
         "controller",
         "-",
         "Object with the keys below: the grids of the programs for this machine. Left out, or a key left out: the \
-         defaults of the kind ([table](instruments.md#the-controller)).",
+         defaults of the kind ([table](controllers.md#the-controller)).",
     ),
     ("controller.kind", "-", "One of KINDS."),
     ("controller.tick_s", "s", "Clock: times of nodes are multiples of it."),

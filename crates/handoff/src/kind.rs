@@ -811,7 +811,7 @@ pub const CAMPAIGN: Kind = Kind {
           outcome of the manifest.",
     frame: MAP_FRAME,
     arrays: &[],
-    files: &["campaign.html", "campaign.svg"],
+    files: &["campaign.html", "campaign.svg", "campaign.csv"],
 };
 
 /// Kind of the report of one or several runs: summary, page and figures.
@@ -823,6 +823,7 @@ pub const REPORT: Kind = Kind {
     arrays: &[],
     files: &[
         "summary.json",
+        "table.csv",
         "report.html",
         "overview.svg",
         "maps.svg",

@@ -1,6 +1,6 @@
 //! Every scheduler along random paths: how far its motion leaves the path with the tool on, and what that costs.
 //!
-//! `cargo test --release -p planish-schedule --test near_path -- --nocapture` prints the table of docs/schedulers.md.
+//! `cargo test --release -p planish-schedule --test near_path -- --nocapture` prints the table of docs/path-distance.md.
 //! `PLANISH_CASES` chooses the number of paths.
 
 use planish_schedule::{

@@ -109,5 +109,5 @@ fn every_controller_is_in_the_list_of_all_and_described() {
         variants.iter().filter(|name| !all.contains(&format!("Self::{name}"))).collect();
     assert!(variants.len() > 3 && missing.is_empty(), "add {missing:?} to ALL in {file}");
     let names: Vec<String> = between(words, "(\"", "\"").map(String::from).collect();
-    all_in("controller", &names, "docs/instruments.md", |name| format!("\n| `{name}` |"));
+    all_in("controller", &names, "docs/controllers.md", |name| format!("\n| `{name}` |"));
 }

@@ -6,11 +6,11 @@
 //! arrays that the next commands read. Files that a user would have are made by `user_files.py`.
 //!
 //! A code block below the line `<!-- printed by: COMMAND -->` shows what that command prints. Its words and numbers are
-//! compared with what the command prints here; `just printed-numbers` writes them anew.
+//! compared with what the command prints here; `just printed-numbers` writes them anew. COMMAND may be the beginning of a
+//! long one, followed by ` ...`.
 #![cfg(unix)]
 
 use std::{
-    collections::HashMap,
     fs,
     os::unix::fs::{PermissionsExt, symlink},
     path::{Path, PathBuf},
@@ -55,9 +55,33 @@ const EXCEPTIONS: [(&str, &str); 17] = [
 /// Page with the machine file that other pages name.
 const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
-/// How-to pages whose outputs are checked.
-const HOW_TO_WITH_OUTPUT: [&str; 3] =
-    ["after-exit-code-1", "choose-a-plan", "choose-pitch-overscan-floor"];
+/// How-to pages, whose commands are run and whose outputs are checked, but for those without commands. One that needs
+/// files of another stands after it.
+const HOW_TO_WITH_OUTPUT: [&str; 23] = [
+    "import-a-map",
+    "import-a-tif",
+    "prepare-a-map",
+    "4d",
+    "add-material",
+    "after-exit-code-1",
+    "bruker",
+    "check-a-specification",
+    "choose-a-plan",
+    "choose-pitch-overscan-floor",
+    "compare-many-plans",
+    "edge-and-aperture",
+    "estimate-process-errors",
+    "export-a-program",
+    "first-run",
+    "gwyddion",
+    "many-parts",
+    "maps-in-series",
+    "place-the-part",
+    "read-a-log",
+    "shorten-a-run",
+    "stitched-profiles",
+    "zygo",
+];
 
 /// Page whose blocks of Python are one script.
 const FIRST_MIRROR: &str = "docs/tutorials/first-mirror.md";
@@ -150,13 +174,32 @@ fn same_line(shown: &str, printed: &str, varying: usize) -> bool {
     shown.0 == printed.0 && shown.1[..fixed].iter().zip(&printed.1).all(|(a, b)| same_number(a, b))
 }
 
-/// The lines of `output` that a block shows: as many as it has, from the last one that begins with its first word.
+/// The lines of `output` that a block shows: as many as it has, from a line that begins with its first word. Of several
+/// such places it is the one where most lines have the words of the block, and the last of these.
 fn shown_lines<'a>(block: &Block, output: &'a str) -> Option<Vec<&'a str>> {
     let first = block.text.split_whitespace().next()?;
     let lines: Vec<&str> = output.lines().map(str::trim_end).collect();
-    let start = lines.iter().rposition(|line| line.split_whitespace().next() == Some(first))?;
-    let end = start + block.text.lines().count();
-    lines.get(start..end).map(<[&str]>::to_vec)
+    let places = lines.windows(block.text.lines().count());
+    let places = places.filter(|place| place[0].split_whitespace().next() == Some(first));
+    places.max_by_key(|place| lines_with_words(block, place)).map(<[&str]>::to_vec)
+}
+
+/// Number of lines of a block whose words stand in the same line of `place`.
+fn lines_with_words(block: &Block, place: &[&str]) -> usize {
+    let same =
+        |(shown, line): &(&str, &&str)| words_and_numbers(shown).0 == words_and_numbers(line).0;
+    block.text.lines().zip(place).filter(same).count()
+}
+
+/// What the command `by` printed, of the commands of a page and their outputs. `by` may be the beginning of a long
+/// command, followed by ` ...`: the last such command of the page so far.
+fn output_of<'a>(printed: &'a [(String, String)], by: &str) -> Option<&'a str> {
+    let mut commands = printed.iter().rev();
+    let (_, output) = match by.strip_suffix(" ...") {
+        Some(beginning) => commands.find(|(command, _)| command.starts_with(beginning))?,
+        None => commands.find(|(command, _)| command == by)?,
+    };
+    Some(output)
 }
 
 /// The code blocks of a page.
@@ -241,6 +284,10 @@ impl Clone {
             let copy = Command::new("cp").arg("-r").arg(workspace().join(part)).arg(&dir).status();
             assert!(copy.unwrap().success(), "{part}");
         }
+        // The files of instruments that the how-to pages read.
+        fs::create_dir_all(dir.join("crates/import/tests")).unwrap();
+        symlink(workspace().join("crates/import/tests/data"), dir.join("crates/import/tests/data"))
+            .unwrap();
         symlink(workspace().join("target"), dir.join("target")).unwrap();
         let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
         let shim = format!("#!/bin/sh\ncd '{}' && exec '{cargo}' \"$@\"\n", workspace().display());
@@ -319,7 +366,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
     let (mut stale, mut failures) = (Vec::new(), Vec::new());
     let mut example = None;
     for (name, page) in pages() {
-        let mut printed: HashMap<String, String> = HashMap::new();
+        let mut printed: Vec<(String, String)> = Vec::new();
         let mut written = page.clone();
         for block in blocks(&page) {
             match (block.mark.as_str(), &block.printed) {
@@ -329,7 +376,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
                             Some(reason) => println!("{name}, left out ({reason}): {command}"),
                             None => match clone.attempt(&name, &["bash", "-c"], &command) {
                                 Ok(output) => {
-                                    printed.insert(bare(&command).into(), output);
+                                    printed.push((bare(&command).into(), output));
                                 }
                                 Err(failure) => failures.push(failure),
                             },
@@ -342,7 +389,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
                     clone.succeed(&name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
                 }
                 (_, Some(by)) => {
-                    let Some(output) = printed.get(&by.by) else {
+                    let Some(output) = output_of(&printed, &by.by) else {
                         failures.push(format!("{name}: `{}` is not run, or fails", by.by));
                         continue;
                     };
@@ -397,6 +444,13 @@ fn the_tutorial_of_the_first_mirror_runs_as_it_is_printed() {
     let printed = clone.succeed(FIRST_MIRROR, &["python3", "-c"], &format!("{module}{script}"));
     let line = printed.lines().find(|line| line.ends_with("nm RMS after")).unwrap();
     println!("{FIRST_MIRROR}: {line}");
+    let is_shown = |block: &Block| block.mark.is_empty() && block.text.contains("nm RMS before");
+    let shown = blocks(&page).into_iter().find(is_shown).expect("the page shows what it prints");
+    assert!(
+        same_line(shown.text.trim(), line, 0),
+        "the page shows {}, printed is {line}",
+        shown.text
+    );
     assert!(
         clone.dir.join("program.galil").is_file() && clone.dir.join("program.galil.json").is_file()
     );
@@ -454,4 +508,18 @@ fn a_stale_number_is_found_and_a_time_of_computation_is_not() {
     assert!(!same_line("rms 0.154 nm, 12 s", "rms 0.1562 nm, 12 s", 1), "2.2 units");
     assert!(!same_line("of (3.0 mm)", "of (3.0 um)", 0), "another unit");
     assert_eq!(shown_lines(&block, "nothing\n"), None);
+    // Two lines that begin alike: the place where both lines have the words of the block.
+    let page = "```\na: 1 x\na: 2 y\n```\n";
+    let block = blocks(page).pop().unwrap();
+    assert_eq!(
+        shown_lines(&block, "a: 3 x\na: 4 y\na: 5 z\na: 6 z\n").unwrap(),
+        ["a: 3 x", "a: 4 y"]
+    );
+    let of_page =
+        [("a --b 1".to_string(), "first".to_string()), ("a --b 2".into(), "second".into())];
+    assert_eq!(output_of(&of_page, "a --b 1"), Some("first"));
+    assert_eq!(
+        (output_of(&of_page, "a --b ..."), output_of(&of_page, "c ...")),
+        (Some("second"), None)
+    );
 }

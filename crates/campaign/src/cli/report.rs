@@ -82,6 +82,7 @@ impl CampaignReport {
         let beside = [
             ("campaign.html", page(&campaign).into_bytes()),
             ("campaign.svg", picture(&campaign).into_bytes()),
+            ("campaign.csv", csv(&campaign).into_bytes()),
         ];
         output.write_arrays(&kind::CAMPAIGN, &[], &beside, &campaign, &Status::Done)?;
         say(table(&campaign));
@@ -183,6 +184,19 @@ fn row(name: &str, chains: &Chains) -> String {
     }
     let [learning, without] = chains.over_known();
     line + &format!(" {learning:>10.3} {without:>9.3}")
+}
+
+/// Returns the true results as comma-separated values for a spreadsheet, a row per run and chain. Run `alike` is that on
+/// another mirror like the first.
+fn csv(campaign: &Campaign) -> String {
+    let mut text = String::from("run,chain,rms_nm,total_time_s\n");
+    let runs = campaign.runs.iter().map(|run| (run.number.to_string(), &run.left));
+    for (run, chains) in runs.chain([("alike".into(), &campaign.alike)]) {
+        for (chain, left) in CHAINS.iter().zip(chains.each()) {
+            text += &format!("{run},{chain},{},{}\n", left.rms_nm, left.total_time_s);
+        }
+    }
+    text
 }
 
 /// Returns the tables of the report for the terminal: residuals per run, and the learnt parameters beside the truth.

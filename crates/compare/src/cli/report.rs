@@ -15,7 +15,7 @@ use planish_compare::{
         page, sparkline, views,
     },
     summary::{Summary, negative},
-    table::{execution_table, specification_table, table, table_of_runs},
+    table::{csv, execution_table, specification_table, table, table_of_runs},
 };
 use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
 use planish_types::{progress, text::visible};
@@ -141,7 +141,11 @@ impl ReportCommand {
             let mut bytes = serde_json::to_vec_pretty(&summary)?;
             bytes.push(b'\n');
             let page = progress::part(1, 3, || page(&views, &summary));
-            let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
+            let mut beside = vec![
+                ("summary.json", bytes),
+                ("table.csv", csv(&runs).into_bytes()),
+                ("report.html", page.into_bytes()),
+            ];
             let drawn = progress::part(2, 3, || figures(&views, &Layout::BESIDE_PAGE));
             let drawn: Vec<_> =
                 drawn.into_iter().map(|(name, svg)| (format!("{name}.svg"), svg)).collect();

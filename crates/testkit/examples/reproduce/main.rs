@@ -1,7 +1,7 @@
 //! The claims of the four papers, computed: `reproduce [pvt|trig-spline|bspline|multi-pitch]`, all
 //! of them without an argument.
 //!
-//! Prints a table per paper, writes it between its markers in `docs/reproduction.md`, and the
+//! Prints the tables of a paper, writes them between their markers in `docs/reproduction-*.md`, and the
 //! figures to `docs/reproduction/`. Tables of the reference mirror are made when `PLANISH_REFERENCE`
 //! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
 //!
@@ -74,11 +74,11 @@ fn main() -> ExitCode {
         return ExitCode::from(2);
     }
     let docs = workspace().join("docs");
-    let file = docs.join("reproduction.md");
-    let mut page = fs::read_to_string(&file).expect("docs/reproduction.md");
     let mut changed = 0;
     for (name, reproduce) in chosen {
         let start = Instant::now();
+        let file = docs.join(format!("reproduction-{name}.md"));
+        let mut page = fs::read_to_string(&file).expect("every paper has its page");
         let outcome = reproduce();
         for (marker, claims) in &outcome.tables {
             let text = table(claims);
@@ -90,9 +90,9 @@ fn main() -> ExitCode {
             let file = docs.join("reproduction").join(format!("{figure}.svg"));
             fs::write(file, svg).expect("docs/reproduction is writable");
         }
+        fs::write(&file, page).expect("the page is writable");
         println!("{name}: {:.1} s\n", start.elapsed().as_secs_f64());
     }
-    fs::write(&file, page).expect("docs/reproduction.md is writable");
     if changed > 0 {
         eprintln!("{changed} verdict(s) are not the expected ones");
         return ExitCode::from(1);
