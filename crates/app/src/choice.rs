@@ -1,4 +1,4 @@
-//! What the user chose in a step, and the command lines that do it.
+//! Choices of the user in each step, and the command lines that carry them out.
 //!
 //! A command line is a list of words, and no shell reads it. Every path in it is one of the session's own places, an
 //! uploaded file by its checked name, or a fixture by its name: a choice states no path.
@@ -25,7 +25,7 @@ const EXPORT: &str = "export";
 /// Largest length of a text of the user in a command, bytes. Chosen: names in HDF5 files are shorter.
 const MOST_TEXT_BYTES: usize = 200;
 
-/// How a file of an instrument is read: the flags of `planish import surface`, which the file may make needless.
+/// Reading of the file of an instrument: the flags of `planish import surface`, which the file may make needless.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Reading {
@@ -59,7 +59,7 @@ pub struct Reading {
 pub struct PartChoice {
     /// Map of the part.
     pub source: PartSource,
-    /// How its file is read.
+    /// Reading of its file.
     #[serde(default)]
     pub reading: Reading,
     /// Function that is subtracted before the plan: `piston`, `plane` or `none`.
@@ -87,7 +87,7 @@ pub enum PartSource {
 pub struct ToolChoice {
     /// Source of the removal rates.
     pub source: ToolSource,
-    /// How its file is read.
+    /// Reading of its file.
     #[serde(default)]
     pub reading: Reading,
 }

@@ -27,7 +27,7 @@ pub struct Head {
     headers: Vec<(String, String)>,
 }
 
-/// What a request asks for.
+/// Answers that a request can ask for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Route {
     /// A file of the page, by its name; the page itself has an empty name.

@@ -6,7 +6,7 @@
 pub struct Refusal {
     /// Status of HTTP, such as 403.
     pub status: u16,
-    /// What is wrong, and what to do.
+    /// Sentence for the user: the fault and its remedy.
     pub sentence: String,
 }
 

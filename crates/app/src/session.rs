@@ -18,13 +18,17 @@ pub struct Session {
     pub plan: Option<Step<PlanChoice>>,
     /// Directory of the run, in that of the session; empty before the first plan.
     pub run: String,
+    /// Number of steps that were begun, which makes two that are alike distinct.
+    pub steps: u64,
 }
 
 /// A step: what was chosen, the command lines that do it, and how they ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Step<Choice> {
-    /// What the user chose.
+    /// Number of the step among all that were begun in the session.
+    pub number: u64,
+    /// Choice of the user.
     pub choice: Choice,
     /// Command lines, in their order.
     pub commands: Vec<Words>,
@@ -79,11 +83,6 @@ impl StepName {
 }
 
 impl<Choice> Step<Choice> {
-    /// Begins a step.
-    pub fn begin(choice: Choice, commands: Vec<Words>) -> Self {
-        Self { choice, commands, end: End::Running }
-    }
-
     /// Returns the choice if the step is done, also with a negative verdict.
     pub fn done(&self) -> Option<&Choice> {
         match self.end {
@@ -94,6 +93,12 @@ impl<Choice> Step<Choice> {
 }
 
 impl Session {
+    /// Begins a step.
+    pub fn begin<Choice>(&mut self, choice: Choice, commands: Vec<Words>) -> Option<Step<Choice>> {
+        self.steps += 1;
+        Some(Step { number: self.steps, choice, commands, end: End::Running })
+    }
+
     /// Returns the end of a step, to be changed; `None` if the step was not begun.
     pub fn end_mut(&mut self, step: StepName) -> Option<&mut End> {
         match step {
@@ -146,8 +151,8 @@ mod tests {
             level: "piston".into(),
             feature_mm: None,
         };
-        let part = Step::begin(choice, vec![vec!["planish".into()]]);
-        let mut session = Session { part: Some(part), ..Session::default() };
+        let mut session = Session::default();
+        session.part = session.begin(choice, vec![vec!["planish".into()]]);
         let text = serde_json::to_string(&session).unwrap();
         assert_eq!(serde_json::from_str::<Session>(&text).unwrap(), session);
         session.reopen();

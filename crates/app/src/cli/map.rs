@@ -24,6 +24,8 @@ struct MapHead {
     pitch_mm: [f64; 2],
     /// Edges of the values, mm: x from, x to, y from, y to.
     edges_mm: [f64; 4],
+    /// Value in the middle of the colours: the mean of heights, 0 for rates.
+    centre: f64,
     /// Unit of the values.
     unit: &'static str,
     /// Numbers of the whole map, with their names and units.
@@ -56,7 +58,7 @@ fn surface(dir: &Path) -> Result<Vec<u8>, Refusal> {
         ("valid pixels", statistics.valid_count as f64, ""),
     ];
     let doubt = doubts::of_heights(&map);
-    Ok(drawing(map.grid(), map.height_nm().iter(), "nm", numbers, doubt))
+    Ok(drawing(map.grid(), map.height_nm().iter(), (statistics.mean, "nm"), numbers, doubt))
 }
 
 fn tool(dir: &Path) -> Result<Vec<u8>, Refusal> {
@@ -67,18 +69,19 @@ fn tool(dir: &Path) -> Result<Vec<u8>, Refusal> {
         ("volumetric removal rate", tif.vrr_nm_mm2_per_s(), "nm mm^2/s"),
     ];
     let doubt = doubts::of_tif(&tif);
-    Ok(drawing(tif.grid(), tif.rate_nm_per_s().iter(), "nm/s", numbers, doubt))
+    Ok(drawing(tif.grid(), tif.rate_nm_per_s().iter(), (0.0, "nm/s"), numbers, doubt))
 }
 
 fn unreadable(problem: &dyn std::fmt::Display) -> Refusal {
     Refusal::new(500, problem.to_string())
 }
 
-/// Returns the bytes of a map with the given values, row by row.
+/// Returns the bytes of a map with the given values, row by row. `centre` is the value in the middle of the colours, and
+/// `unit` that of the values.
 fn drawing<'a>(
     grid: &Grid,
     values: impl Iterator<Item = &'a f64>,
-    unit: &'static str,
+    (centre, unit): (f64, &'static str),
     numbers: Vec<(&'static str, f64, &'static str)>,
     doubt: Option<String>,
 ) -> Vec<u8> {
@@ -98,6 +101,7 @@ fn drawing<'a>(
         pixels: [nx, ny],
         pitch_mm: [dx, dy],
         edges_mm: [x, x + dx * (columns * block) as f64, y, y + dy * (rows * block) as f64],
+        centre,
         unit,
         numbers,
         doubt: doubt.unwrap_or_default(),

@@ -1,4 +1,4 @@
-//! What all connections share: the session, the running job, and the guard.
+//! State that all connections share: the session, the running job, and the guard.
 
 use std::{
     collections::BTreeMap,
@@ -42,7 +42,7 @@ pub struct Server {
     live: Mutex<Live>,
 }
 
-/// What changes while the server runs.
+/// State that changes while the server runs.
 pub struct Live {
     /// State of the session.
     pub session: Session,
@@ -207,7 +207,7 @@ impl Server {
             PartSource::Arrays => drop(self.files.inside("files/part/height_nm.npy")?),
         }
         session.outdate_plan();
-        session.part = Some(Step::begin(choice, commands.clone()));
+        session.part = session.begin(choice, commands.clone());
         Ok(Task { step: StepName::Part, commands })
     }
 
@@ -229,7 +229,7 @@ impl Server {
             self.files.write(TOOL_RECIPE, recipe.as_bytes())?;
         }
         session.outdate_plan();
-        session.tool = Some(Step::begin(choice, commands.clone()));
+        session.tool = session.begin(choice, commands.clone());
         Ok(Task { step: StepName::Tool, commands })
     }
 
@@ -244,7 +244,7 @@ impl Server {
             description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
         let (command, run) = choice.command(part, tool, machine, description)?;
         session.run = run;
-        session.plan = Some(Step::begin(choice, vec![command.clone()]));
+        session.plan = session.begin(choice, vec![command.clone()]);
         Ok(Task { step: StepName::Plan, commands: vec![command] })
     }
 

@@ -81,7 +81,7 @@ class MapView {
     root.innerHTML = `<canvas tabindex="0" role="img"></canvas><p class="note" aria-live="polite"></p>
       <div class="tools"><label>Colours to <select><option value="1">the largest value</option><option value="0.99">99 % of the pixels</option>
       <option value="0.95">95 % of the pixels</option></select></label><button type="button">Save as PNG</button></div>
-      <table><caption class="note">Statistics of the whole map</caption><tbody></tbody></table>
+      <p class="note">The colours are symmetric about ${name === "tool" ? "0" : "the mean"}.</p><table><caption class="note">Statistics of the whole map</caption><tbody></tbody></table>
       <p class="doubt" hidden></p><canvas role="img"></canvas><canvas role="img"></canvas>`;
     root.hidden = true;
     [this.canvas, this.profiles, this.histogram] = root.querySelectorAll("canvas");
@@ -104,7 +104,7 @@ class MapView {
   show(map) {
     this.map = map;
     this.point = map.shape.map((n) => Math.floor(n / 2));
-    const sizes = map.values.filter(Number.isFinite).map(Math.abs).sort();
+    const sizes = map.values.filter(Number.isFinite).map((value) => Math.abs(value - map.centre)).sort();
     this.reach = (part) => sizes[Math.max(0, Math.ceil(part * sizes.length) - 1)] || 1;
     const rows = [["size", map.pixels.join(" x ") + " pixels", ""], ["pitch", map.pitch_mm.map((v) => number(v)).join(" x "), "mm"],
       ...map.numbers.map(([name, value, unit]) => [name, number(value), unit])];
@@ -145,7 +145,7 @@ class MapView {
       for (let column = 0; column < nx; column++) {
         const value = map.values[row * nx + column], k = 4 * ((ny - 1 - row) * nx + column);
         if (!Number.isFinite(value)) continue;
-        picture.data.set([...colourAt(this.colours, 0.5 + value / most / 2), 255], k);
+        picture.data.set([...colourAt(this.colours, 0.5 + (value - map.centre) / most / 2), 255], k);
       }
     const whole = Object.assign(document.createElement("canvas"), { width: nx, height: ny });
     whole.getContext("2d").putImageData(picture, 0, 0);
@@ -162,7 +162,7 @@ class MapView {
     context.fillStyle = themeColour("ink");
     context.textAlign = "left";
     for (const part of [1, 0, -1])
-      context.fillText(number(part * most, 3), x + 16, box.y + ((1 - part) / 2) * (height - 12) + 10);
+      context.fillText(number(this.map.centre + part * most, 3), x + 16, box.y + ((1 - part) / 2) * (height - 12) + 10);
     context.fillText(this.map.unit, x, box.y + height + 15);
   }
 
@@ -213,14 +213,14 @@ class MapView {
     const lines = [["x", Array.from({ length: nx }, (_, i) => map.values[point[1] * nx + i]), x0, x1],
       ["y", Array.from({ length: ny }, (_, i) => map.values[i * nx + point[0]]), y0, y1]];
     const [low, high] = [Math.min(x0, y0), Math.max(x1, y1)];
-    axes(context, box, [low, high], [-most, most], "profiles along x (blue) and y (orange), mm", map.unit);
+    axes(context, box, [low, high], [map.centre - most, map.centre + most], "profiles along x (blue) and y (orange), mm", map.unit);
     for (const [name, values, from, to] of lines) {
       context.strokeStyle = themeColour(name);
       context.beginPath();
       let isDown = false;
       values.forEach((value, i) => {
         const mm = from + ((i + 0.5) / values.length) * (to - from);
-        const at = [box.x + ((mm - low) / (high - low)) * box.width, box.y + (0.5 - Math.max(-1, Math.min(1, value / most)) / 2) * box.height];
+        const at = [box.x + ((mm - low) / (high - low)) * box.width, box.y + (0.5 - Math.max(-1, Math.min(1, (value - map.centre) / most)) / 2) * box.height];
         if (Number.isFinite(value)) context[isDown ? "lineTo" : "moveTo"](...at);
         isDown = Number.isFinite(value);
       });
@@ -230,8 +230,9 @@ class MapView {
 
   drawHistogram(most) {
     const counts = new Array(BINS).fill(0);
+    const { centre } = this.map;
     for (const value of this.map.values)
-      if (Math.abs(value) <= most) counts[Math.min(BINS - 1, Math.floor((0.5 + value / most / 2) * BINS))]++;
+      if (Math.abs(value - centre) <= most) counts[Math.min(BINS - 1, Math.floor((0.5 + (value - centre) / most / 2) * BINS))]++;
     const context = begin(this.histogram, 150), largest = Math.max(...counts, 1);
     const box = { x: PAD.left, y: PAD.top, width: this.histogram.clientWidth - PAD.left - 12, height: 150 - PAD.top - PAD.bottom };
     counts.forEach((count, i) => {
@@ -239,7 +240,7 @@ class MapView {
       context.fillStyle = `rgb(${colourAt(this.colours, (i + 0.5) / BINS)})`;
       context.fillRect(box.x + (i / BINS) * box.width, box.y + box.height - height, box.width / BINS, height);
     });
-    axes(context, box, [-most, most], [0, largest], "histogram, " + this.map.unit, "values");
+    axes(context, box, [centre - most, centre + most], [0, largest], "histogram, " + this.map.unit, "values");
   }
 
   save(name) {

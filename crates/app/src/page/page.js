@@ -53,7 +53,8 @@ async function send(path, choice) {
   try {
     fail("");
     const answer = await ask(path, { method: "POST", body: choice === undefined ? "" : JSON.stringify(choice) });
-    show(await answer.json());
+    await show(await answer.json());
+    look();
   } catch (error) {
     fail(error.message);
   }
@@ -240,10 +241,11 @@ function shellWord(word) {
 function showStep(step, messages) {
   const section = $(step), found = state.session[step], end = section.querySelector(".end");
   end.textContent = found ? `(${LEVELS[found.end]})` : "";
+  if (found?.end === "refused" && step !== "plan") section.querySelector("form details:not([hidden])").open = true;
   end.classList.toggle("bad", !!found && !["done", "running"].includes(found.end));
   if (!found) return;
   const place = section.querySelector(".done");
-  const warnings = messages.split("\n").filter((line) => /^(warning|error|verdict|note): /.test(line));
+  const warnings = messages.split("\n").filter((line) => /^(warning|error): /.test(line) || line.startsWith("verdict: ") && found.end === "negative");
   const key = JSON.stringify([found.commands, found.end, messages]);
   if (place.dataset.key === key) return;
   place.dataset.key = key;
@@ -251,7 +253,7 @@ function showStep(step, messages) {
   const lines = found.commands.map((words) => words.map(shellWord).join(" ")).join("\n");
   const log = element("pre", { className: "messages", textContent: messages, tabIndex: 0 });
   place.replaceChildren(element("p", { className: "note", textContent: "The same in a script:" }), element("pre", { className: "command", textContent: lines }),
-    ...warnings.map((line) => element("p", { className: line.startsWith("note") ? "note" : "doubt", textContent: line })),
+    ...warnings.map((line) => element("p", { className: "doubt", textContent: line })),
     element("details", { open: isOpen || found.end === "running" && step === "plan" }, element("summary", { textContent: "All messages of this step" }), log));
   log.scrollTop = log.scrollHeight;
 }
