@@ -59,10 +59,8 @@ pub enum Route {
 /// Maps that the page draws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapName {
-    /// The part as it was read.
-    Part,
     /// The part as the plan takes it: levelled and masked.
-    Prepared,
+    Part,
     /// The tool.
     Tool,
 }
@@ -237,7 +235,6 @@ fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
         (false, [name @ ("" | "page.css" | "page.js" | "map.js")]) => Route::Asset((*name).into()),
         (false, ["state"]) => Route::State,
         (false, ["map", "part"]) => Route::Map(MapName::Part),
-        (false, ["map", "prepared"]) => Route::Map(MapName::Prepared),
         (false, ["map", "tool"]) => Route::Map(MapName::Tool),
         (false, ["pipeline", name]) if is_word(name) => Route::Pipeline((*name).into()),
         (false, ["machine.json"]) => Route::Machine,

@@ -2,7 +2,7 @@
 
     browser.py PLANISH_BIN_DIR WORK_DIR [--shots DIR] [--file MAP ...]
 
-Every --file is a map of an instrument that is read, too. Needs chromium (Debian package), numpy and websocket-client.
+Every --file is a map of an instrument that is read, too, with what it does not state: --file "map.mat unit=m". Needs chromium (Debian package), numpy and websocket-client.
 Exit code 1 when a check fails.
 """
 
@@ -194,13 +194,19 @@ def check_tabs_and_restart(browser, app, programs, session):
 
 
 def check_files(browser, files):
-    for file in files:
+    for words in files:
+        file, *reading = words.split(" ")
+        for name in ("unit", "coordinate_unit", "pixel_mm"):
+            browser.js(f"document.getElementById('part-{name}').value = ''")
+        for name, value in (word.split("=") for word in reading):
+            browser.js(f"document.getElementById('part-{name}').value = {value!r}")
         begun = time.time()
         give(browser, "part-file", file)
         wait(browser, f"planish.state.session.part.choice.source.file === {pathlib.Path(file).name!r} && planish.state.session.part.end !== 'running'", 60)
         end = browser.js("planish.state.session.part.end")
         wait(browser, "Object.keys(planish.views).length > 0", 5)
         check(f"{pathlib.Path(file).name} is read", end == "done", f"{time.time() - begun:.1f} s")
+    browser.js("document.getElementById('part-unit').value = ''; document.getElementById('part-coordinate_unit').value = ''")
 
 
 def check_large(browser, work):

@@ -243,7 +243,7 @@ fn a_wrong_file_is_refused_with_the_words_of_the_reader() {
     let state = server.choose("part", &part(&json!({ "file": "notes.txt" })));
     assert_eq!(state["session"]["part"]["end"], "refused");
     assert!(state["messages"][0][1].as_str().unwrap().contains("notes.txt"), "{state}");
-    assert_eq!(server.ask("GET", "map/prepared", b"").0, 404);
+    assert_eq!(server.ask("GET", "map/part", b"").0, 404);
     assert_eq!(server.ask("POST", "part", part(&json!({ "file": "absent" })).to_string().as_bytes()).0, 404);
     let outside = part(&json!({ "file": "../../etc/passwd" })).to_string();
     assert_eq!(server.ask("POST", "part", outside.as_bytes()).0, 400);

@@ -41,8 +41,7 @@ struct MapHead {
 /// Fails if the step has no map yet.
 pub fn map_bytes(files: &Files, name: MapName) -> Result<Vec<u8>, Refusal> {
     match name {
-        MapName::Part => surface(&files.inside("part/surface")?),
-        MapName::Prepared => surface(&files.inside("part/prepared")?),
+        MapName::Part => surface(&files.inside("part/prepared")?),
         MapName::Tool => tool(&files.inside("tool/tif")?),
     }
 }

@@ -188,7 +188,8 @@ function settingField(setting, value) {
     : element("input", { inputMode: "text", placeholder: setting.default ? "default: " + setting.default : "no value" });
   field.dataset.setting = setting.name;
   field.value = value ?? "";
-  const label = element("label", {}, setting.name.replaceAll("_", " ") + " ", element("span", { className: "unit", textContent: setting.unit }),
+  const words = setting.name.replace(/_(s_per_mm|nm2_per_s|mm_per_s|percent|mm2|deg|mm|nm|s)$/, "").replaceAll("_", " ");
+  const label = element("label", {}, words + " ", element("span", { className: "unit", textContent: setting.unit }),
     field, element("small", { textContent: setting.help + (setting.words.length ? "" : ` (${setting.allowed})`) }));
   if (setting.name === "pitch_mm") label.append(element("small", { id: "proposal" }));
   return label;
@@ -223,7 +224,7 @@ async function drawMap(step) {
   const key = JSON.stringify(found);
   if (!found || !["done", "negative"].includes(found.end) || drawn[step] === key) return;
   drawn[step] = key;
-  const map = readMap(await (await ask(`map/${root.dataset.map}`)).arrayBuffer());
+  const map = readMap(await (await ask(`map/${step}`)).arrayBuffer());
   views[step] ??= new MapView(root, state.colours);
   views[step].show(map);
   if (step === "tool") {
