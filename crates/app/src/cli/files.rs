@@ -191,6 +191,8 @@ fn on_disk(problem: &dyn std::fmt::Display) -> Refusal {
 
 #[cfg(test)]
 mod tests {
+    use planish_handoff::system::symbolic_link;
+
     use super::*;
 
     #[test]
@@ -198,7 +200,7 @@ mod tests {
         let temporary = tempfile::tempdir().unwrap();
         let files = Files::open(&temporary.path().join("session")).unwrap();
         assert!(Files::open(&temporary.path().join("session")).is_err());
-        std::fs::write(temporary.path().join("secret"), "secret").unwrap();
+        fs::write(temporary.path().join("secret"), "secret").unwrap();
         for path in ["../secret", "/etc/hostname", "absent"] {
             assert!(files.inside(path).is_err(), "{path}");
         }
@@ -215,12 +217,11 @@ mod tests {
         let temporary = tempfile::tempdir().unwrap();
         let files = Files::open(&temporary.path().join("session")).unwrap();
         let outside = temporary.path().join("outside");
-        std::fs::create_dir(&outside).unwrap();
-        std::fs::write(outside.join("secret"), "secret").unwrap();
+        fs::create_dir(&outside).unwrap();
+        fs::write(outside.join("secret"), "secret").unwrap();
         fs::create_dir(files.dir.join("files")).unwrap();
-        planish_handoff::system::symbolic_link(&outside, &files.dir.join("files/part")).unwrap();
-        planish_handoff::system::symbolic_link(&outside.join("secret"), &files.dir.join("link"))
-            .unwrap();
+        symbolic_link(&outside, &files.dir.join("files/part")).unwrap();
+        symbolic_link(&outside.join("secret"), &files.dir.join("link")).unwrap();
         if fs::symlink_metadata(files.dir.join("link")).is_ok() {
             assert_eq!(files.inside("link").unwrap_err().status, 403);
             assert!(files.receive(Role::Part, "new", 1, &mut &b"x"[..]).is_err());
