@@ -6,7 +6,7 @@ const LEVELS = { done: "done", negative: "done, with a negative verdict", refuse
   interrupted: "interrupted: the server ended; do this step again, what was finished is not repeated", running: "running",
   outdated: "an earlier step has changed: do it again" };
 /** Time between two looks at the state, ms: while a step runs, and else (another tab may have begun one). */
-const PAUSES = [300, 2000];
+const PAUSES = [150, 2000];
 const ARRAYS = { part: "height_nm.npy", tool: "rate_nm_per_s.npy" };
 
 /** Fields of a reading: name, unit, kind, sentence. */
