@@ -534,6 +534,11 @@ test-report: build browser
     target/python/bin/python crates/compare/tests/browser.py --several out/test-report-both --shots out/test-report-pictures
     target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
 
+# Use the page of `planish app` in headless Chromium (Debian package chromium) as a person would, and check it
+[group('4 slower tests')]
+test-app: build browser
+    target/python/bin/python crates/app/tests/browser.py target/release out/test-app --shots out/test-app-pictures
+
 # Write the pictures of docs/gallery.md: every path and method on one mirror
 [group('5 pages and tables')]
 gallery: build

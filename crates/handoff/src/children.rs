@@ -45,6 +45,19 @@ impl Running {
         Ok(Self { child })
     }
 
+    /// Returns the process id of the child, by which another thread can end it ([`Running::end`]).
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Asks the child with this process id to end, by SIGTERM. A child that has ended is left alone.
+    pub fn end(id: u32) {
+        let running = running();
+        if running.contains(&id) {
+            system::send(id, EndSignal::Term);
+        }
+    }
+
     /// Returns the pipe of the child's standard error; `None` if it is not piped or was taken before.
     pub fn stderr(&mut self) -> Option<ChildStderr> {
         self.child.stderr.take()

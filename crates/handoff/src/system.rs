@@ -7,7 +7,7 @@ use std::{
     fs::{self, File},
     io,
     path::Path,
-    process::Command,
+    process::{Command, Stdio},
 };
 
 pub(crate) use calls::{
@@ -65,6 +65,19 @@ pub fn become_command(command: Command, lock: File) -> io::Error {
 /// Fails if the system refuses it.
 pub fn let_inherit(lock: &File) -> io::Result<()> {
     calls::let_inherit(lock)
+}
+
+/// Asks the system to open `address` in the user's browser. Returns false if it has no program for that.
+pub fn open_in_browser(address: &str) -> bool {
+    let words: &[&str] = match std::env::consts::OS {
+        "macos" => &["open"],
+        "windows" => &["rundll32", "url.dll,FileProtocolHandler"],
+        _ => &["xdg-open"],
+    };
+    let mut command = Command::new(words[0]);
+    command.args(&words[1..]).arg(address);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command.spawn().is_ok()
 }
 
 /// Makes a symbolic link at `link` to `target`. A system without them makes none, which is no error.

@@ -73,6 +73,11 @@ impl Kind {
         }
     }
 
+    /// Returns true if a value is a number or one of the words of the setting, so that it can name no file.
+    pub fn is_plain(&self) -> bool {
+        matches!(self, Self::Number { .. } | Self::Whole { .. } | Self::OneOf { .. })
+    }
+
     /// Describes the allowed values, as a phrase that follows `give` in a message.
     pub fn wanted(&self) -> String {
         match self {

@@ -6,6 +6,7 @@
 //! * [`phrase`]: texts with names in braces, and conditions.
 //! * [`action`]: lines of a stage: commands, and calls of other stages.
 //! * [`definition`]: reads and checks the two files of a pipeline.
+//! * [`description`]: a pipeline as data for other programs.
 //! * [`scope`]: words that a name in braces stands for.
 //! * [`walk`]: the steps of a stage, one by one.
 //!
@@ -13,6 +14,7 @@
 
 pub mod action;
 pub mod definition;
+pub mod description;
 pub mod kind;
 pub mod node;
 pub mod phrase;

@@ -3,7 +3,8 @@
 use planish_handoff::Stage;
 
 /// The stages, in the order of a run; `planish-run` runs them.
-pub const STAGES: [Stage; 21] = [
+pub const STAGES: [Stage; 22] = [
+    planish_app::command::COMMAND,
     planish_run::command::COMMAND,
     planish_fixture::command::COMMAND,
     planish_import::command::command::<planish_tool::command::ImportNames>(),

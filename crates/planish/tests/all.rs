@@ -1,5 +1,7 @@
 //! The tests that run programs, of every stage, as one test program. The files stand beside the library of their stage.
 
+#[path = "../../app/tests/http.rs"]
+mod app_http;
 #[path = "../../axes/tests/cli.rs"]
 mod axes_cli;
 #[path = "../../bspline-feed/tests/cli.rs"]

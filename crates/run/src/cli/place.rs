@@ -78,6 +78,11 @@ impl Installation {
         self.names("fixtures", "json")
     }
 
+    /// Returns the names of the machines of the fixtures, in alphabetical order.
+    pub fn machines(&self) -> Vec<String> {
+        self.names("fixtures/machines", "json")
+    }
+
     /// Returns the names of the files with this ending in a folder, without the ending, in alphabetical order. An
     /// absent folder counts as empty.
     fn names(&self, folder: &str, ending: &str) -> Vec<String> {

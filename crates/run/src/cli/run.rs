@@ -4,7 +4,10 @@ use std::process;
 
 use clap::Args;
 use planish_handoff::{Failure, Status, say};
-use planish_pipeline::kind::{Kind, unit};
+use planish_pipeline::{
+    description::{PipelineDescription, SettingDescription},
+    kind::{Kind, unit},
+};
 
 use super::{
     execute::{Messages, run},
@@ -35,6 +38,9 @@ pub struct Stage {
 pub struct Show {
     /// Name of the pipeline, such as raster
     pipeline: String,
+    /// Print the settings as JSON, with the names of the fixtures and of their machines
+    #[arg(long)]
+    json: bool,
 }
 
 impl RunPipeline {
@@ -81,6 +87,22 @@ impl Show {
         let place = Installation::find()?;
         let definition = place.definition(&self.pipeline)?;
         let scope = place.settings::<&str>(&definition, &[])?;
+        if self.json {
+            let mut settings = Vec::new();
+            for setting in &definition.settings {
+                let default = scope.text(&setting.name).map_err(Failure::new)?;
+                settings.push(SettingDescription::new(setting, default));
+            }
+            say(serde_json::to_string(&PipelineDescription {
+                pipeline: definition.name.clone(),
+                title: definition.title.clone(),
+                folder: place.repository(),
+                fixtures: place.fixtures(),
+                machines: place.machines(),
+                settings,
+            })?);
+            return Ok(Status::Done);
+        }
         say(format!("{}: {}\n", definition.name, definition.title));
         say(format!("{:<22} {:<33} {:<7} what", "setting", "default", "unit"));
         say(format!("{:<22} {:<33} {:<7} ----", "-------", "-------", "----"));

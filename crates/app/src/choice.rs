@@ -1,0 +1,505 @@
+//! Choices of the user in each step, and the command lines that carry them out.
+//!
+//! A command line is a list of words, and no shell reads it. Every path in it is one of the session's own places, an
+//! uploaded file by its checked name, or a fixture by its name: a choice states no path.
+
+use std::collections::BTreeMap;
+
+use planish_pipeline::{definition::Definition, description::PipelineDescription};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    guard::{check_file_name, is_word},
+    refusal::Refusal,
+};
+
+/// Words of a command; the first is `planish`.
+pub type Words = Vec<String>;
+
+/// Name of the machine file that the user gave or edited, in the directory of the session.
+pub const OWN_MACHINE: &str = "machine.json";
+/// Recipe of a tool that is given by a formula, in the directory of the session.
+pub const TOOL_RECIPE: &str = "tool-recipe.json";
+/// Setting of a pipeline that names the controller of a program.
+const EXPORT: &str = "export";
+/// Largest length of a text of the user in a command, bytes. Chosen: names in HDF5 files are shorter.
+const MOST_TEXT_BYTES: usize = 200;
+
+/// Reading of the file of an instrument: the flags of `planish import surface`, which the file may make needless.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Reading {
+    /// Unit of the values.
+    pub unit: Option<String>,
+    /// Wavelength of heights in waves, nm.
+    pub wavelength_nm: Option<f64>,
+    /// Distance of pixel centres, mm.
+    pub pixel_mm: Option<f64>,
+    /// Unit of the coordinates.
+    pub coordinate_unit: Option<String>,
+    /// Array to read.
+    pub dataset: Option<String>,
+    /// Height of the surface per height in the file: 0.5 for the wavefront of one reflection.
+    pub surface_per_value: Option<f64>,
+    /// Side of the map that the first row of the file is: `top` or `bottom`.
+    pub first_row: Option<String>,
+    /// Turn counterclockwise, degrees: 0, 90, 180 or 270.
+    pub rotate_deg: Option<u16>,
+    /// True to mirror x.
+    pub flip_x: bool,
+    /// True to mirror y.
+    pub flip_y: bool,
+    /// True if the file counts material as negative.
+    pub negate: bool,
+}
+
+/// Choice of the part.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PartChoice {
+    /// Map of the part.
+    pub source: PartSource,
+    /// Reading of its file.
+    #[serde(default)]
+    pub reading: Reading,
+    /// Function that is subtracted before the plan: `piston`, `plane` or `none`.
+    pub level: String,
+    /// Full width at half maximum of the tool, mm, if narrower pits and dust are to be masked.
+    #[serde(default)]
+    pub feature_mm: Option<f64>,
+}
+
+/// Sources of the map of a part.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PartSource {
+    /// A simulated mirror, by its name.
+    Fixture(String),
+    /// An uploaded file, by its name.
+    File(String),
+    /// The three uploaded arrays `height_nm.npy`, `x_mm.npy` and `y_mm.npy`.
+    Arrays,
+}
+
+/// Choice of the tool.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ToolChoice {
+    /// Source of the removal rates.
+    pub source: ToolSource,
+    /// Reading of its file.
+    #[serde(default)]
+    pub reading: Reading,
+}
+
+/// Sources of a tool.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum ToolSource {
+    /// The tool of a simulated mirror, by its name.
+    Fixture(String),
+    /// An uploaded file of rates, by its name.
+    Rates(String),
+    /// The three uploaded arrays `rate_nm_per_s.npy`, `x_mm.npy` and `y_mm.npy`.
+    Arrays,
+    /// An uploaded map of the spot, or of the depth of the removal.
+    Spot {
+        /// Map after the tool acted, or depth of the removal.
+        file: String,
+        /// Map before; without it, `file` is the depth.
+        before: Option<String>,
+        /// Time that the tool rested, s.
+        dwell_s: f64,
+        /// Half the side of the square that becomes the tool, mm.
+        half_size_mm: f64,
+    },
+    /// A Gaussian.
+    Formula {
+        /// Rate at the centre, nm/s.
+        peak_nm_per_s: f64,
+        /// Full width at half maximum, mm.
+        fwhm_mm: f64,
+    },
+}
+
+/// Choice of the machine.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MachineChoice {
+    /// A machine of the fixtures, by its name.
+    Fixture(String),
+    /// The machine file of the user, in the directory of the session; its text is in the request alone.
+    Own,
+}
+
+/// Choice of the plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanChoice {
+    /// Pipeline, such as `raster`.
+    pub pipeline: String,
+    /// Settings, by their names; those that are absent have their defaults.
+    #[serde(default)]
+    pub settings: BTreeMap<String, String>,
+}
+
+impl Reading {
+    /// Returns the flags of the reading.
+    ///
+    /// # Errors
+    /// Refuses a number that is not finite, and a text that is too long or has control characters.
+    fn words(&self) -> Result<Words, Refusal> {
+        let mut words = Words::new();
+        let texts = [
+            ("--unit", &self.unit),
+            ("--coordinate-unit", &self.coordinate_unit),
+            ("--dataset", &self.dataset),
+            ("--first-row", &self.first_row),
+        ];
+        for (flag, text) in texts {
+            if let Some(text) = text {
+                if text.len() > MOST_TEXT_BYTES || text.contains(char::is_control) {
+                    return Err(Refusal::of_value(format!(
+                        "{flag} is too long or has control characters"
+                    )));
+                }
+                words.push(format!("{flag}={text}"));
+            }
+        }
+        let numbers = [
+            ("--wavelength-nm", self.wavelength_nm),
+            ("--pixel-mm", self.pixel_mm),
+            ("--surface-per-value", self.surface_per_value),
+            ("--rotate-deg", self.rotate_deg.map(f64::from)),
+        ];
+        for (flag, number) in numbers {
+            if let Some(number) = number {
+                words.push(format!("{flag}={number}"));
+            }
+        }
+        for (flag, is_set) in
+            [("--flip-x", self.flip_x), ("--flip-y", self.flip_y), ("--negate", self.negate)]
+        {
+            if is_set {
+                words.push(flag.into());
+            }
+        }
+        Ok(words)
+    }
+}
+
+impl PartChoice {
+    /// Returns the commands that read the part into `part/surface`, and prepare it as the plan will, in
+    /// `part/prepared`.
+    ///
+    /// # Errors
+    /// Refuses a name of a file or fixture that cannot be one, and an unknown level.
+    pub fn commands(&self, folder: &str) -> Result<Vec<Words>, Refusal> {
+        let read = match &self.source {
+            PartSource::Fixture(name) => fixture(folder, name, "part")?,
+            PartSource::File(name) => {
+                let file = uploaded("part", name)?;
+                let mut read = words(&["planish", "import", "surface", &file]);
+                read.extend(self.reading.words()?);
+                read.extend(words(&["--out", "part/surface", "--force"]));
+                read
+            }
+            PartSource::Arrays => words(&[
+                "planish",
+                "surface",
+                "prepare",
+                "--surface",
+                "files/part",
+                "--level",
+                "none",
+                "--out",
+                "part/surface",
+                "--force",
+            ]),
+        };
+        let mut prepare = words(&["planish", "surface", "prepare", "--surface", "part/surface"]);
+        prepare.extend(self.preparation()?);
+        prepare.extend(words(&["--out", "part/prepared", "--force"]));
+        Ok(vec![read, prepare])
+    }
+
+    /// Returns the flags of `planish surface prepare`, which are the setting `prepare` of a pipeline, too.
+    fn preparation(&self) -> Result<Words, Refusal> {
+        if !["none", "piston", "plane"].contains(&self.level.as_str()) {
+            return Err(Refusal::of_value("the level is none, piston or plane"));
+        }
+        let mut flags = words(&["--level", &self.level]);
+        if let Some(feature_mm) = self.feature_mm {
+            flags.push("--mask-outliers".into());
+            flags.push(format!("--feature-mm={feature_mm}"));
+        }
+        Ok(flags)
+    }
+}
+
+impl ToolChoice {
+    /// Returns the command that makes the tool in `tool/tif`.
+    ///
+    /// # Errors
+    /// Refuses a name of a file or fixture that cannot be one.
+    pub fn commands(&self, folder: &str) -> Result<Vec<Words>, Refusal> {
+        let mut command = match &self.source {
+            ToolSource::Fixture(name) => return Ok(vec![fixture(folder, name, "tool")?]),
+            ToolSource::Formula { .. } => {
+                return Ok(vec![words(&[
+                    "planish",
+                    "fixture",
+                    TOOL_RECIPE,
+                    "--out",
+                    "tool",
+                    "--force",
+                ])]);
+            }
+            ToolSource::Arrays => words(&["planish", "tool", "prepare", "--tif", "files/tool"]),
+            ToolSource::Rates(name) => {
+                words(&["planish", "tool", "from-maps", &uploaded("tool", name)?, "--rate"])
+            }
+            ToolSource::Spot { file, before, dwell_s, half_size_mm } => {
+                let mut command =
+                    words(&["planish", "tool", "from-maps", &uploaded("tool", file)?]);
+                command.push(format!("--dwell-s={dwell_s}"));
+                command.push(format!("--half-size-mm={half_size_mm}"));
+                if let Some(before) = before {
+                    command.extend(words(&["--before", &uploaded("before", before)?]));
+                }
+                command
+            }
+        };
+        if !matches!(self.source, ToolSource::Arrays) {
+            command.extend(self.reading.words()?);
+        }
+        command.extend(words(&["--out", "tool/tif", "--force"]));
+        Ok(vec![command])
+    }
+
+    /// Returns the recipe of a tool that is given by a formula, as JSON; `None` for another tool. The recipe has a small
+    /// map, too, because every recipe has one.
+    ///
+    /// # Errors
+    /// Refuses a peak or a width that is not above 0.
+    pub fn recipe(&self) -> Result<Option<String>, Refusal> {
+        let ToolSource::Formula { peak_nm_per_s, fwhm_mm } = self.source else { return Ok(None) };
+        if !(peak_nm_per_s.is_finite()
+            && peak_nm_per_s > 0.0
+            && fwhm_mm.is_finite()
+            && fwhm_mm > 0.0)
+        {
+            return Err(Refusal::of_value(
+                "the peak and the width of the tool are numbers above 0",
+            ));
+        }
+        // FWHM = 2 sqrt(2 ln 2) sigma. At 3.5 sigma the rate is 0.2 % of the peak, as in the fixtures.
+        let sigma_mm = fwhm_mm / (8.0 * f64::ln(2.0)).sqrt();
+        let recipe = serde_json::json!({
+            "name": "formula", "doc": "A tool by a formula.", "seed": 0, "pixels": [21, 21], "width_mm": fwhm_mm,
+            "aperture": "rectangle", "legendre": [{ "order": [2, 0], "amplitude_nm": 1.0 }],
+            "tif": {
+                "peak_nm_per_s": peak_nm_per_s, "half_size_mm": 3.5 * sigma_mm,
+                "shape": { "gaussian": { "sigma_mm": sigma_mm } }
+            }
+        });
+        Ok(Some(recipe.to_string()))
+    }
+}
+
+impl MachineChoice {
+    /// Returns the path of the machine file.
+    ///
+    /// # Errors
+    /// Refuses a name that cannot be that of a machine.
+    pub fn path(&self, folder: &str) -> Result<String, Refusal> {
+        match self {
+            Self::Own => Ok(OWN_MACHINE.into()),
+            Self::Fixture(name) if is_word(name) => {
+                Ok(format!("{folder}fixtures/machines/{name}.json"))
+            }
+            Self::Fixture(_) => Err(Refusal::of_value("there is no machine of this name")),
+        }
+    }
+}
+
+impl PlanChoice {
+    /// Returns the command of the run, and the directory that it writes to. `description` is that of the pipeline.
+    ///
+    /// # Errors
+    /// Refuses a setting that the pipeline does not have or that names a file, a value that it cannot have, and a
+    /// program of an own part for a machine of the fixtures.
+    pub fn command(
+        &self,
+        part: &PartChoice,
+        tool: &ToolChoice,
+        machine: &MachineChoice,
+        description: &PipelineDescription,
+    ) -> Result<(Words, String), Refusal> {
+        let definition = Definition::built_in(&self.pipeline)
+            .filter(|_| description.pipeline == self.pipeline)
+            .ok_or_else(|| {
+                Refusal::of_value(format!("there is no pipeline '{}'", self.pipeline))
+            })?;
+        let mut command = words(&["planish", "run", &self.pipeline]);
+        let is_own = !matches!(
+            (&part.source, &tool.source),
+            (PartSource::Fixture(a), ToolSource::Fixture(b)) if a == b
+        );
+        let mirror = match &part.source {
+            PartSource::Fixture(name) if !is_own => {
+                command.push(format!("fixture={name}"));
+                name.as_str()
+            }
+            _ => {
+                command.extend(words(&["surface=part/surface", "tif=tool/tif"]));
+                "own"
+            }
+        };
+        if is_own && matches!(machine, MachineChoice::Fixture(_)) && self.controller().is_some() {
+            return Err(Refusal::of_value(
+                "a program moves the machine that will run it, and the machine of this session is one of the fixtures; \
+                 give the file of your machine, or edit that of a fixture and keep it as yours",
+            ));
+        }
+        command.push(format!("machine={}", machine.path(&description.folder)?));
+        command.push(format!("prepare={}", part.preparation()?.join(" ")));
+        for (name, value) in &self.settings {
+            let setting = definition.settings.iter().find(|s| s.name == *name && s.kind.is_plain());
+            let setting = setting.ok_or_else(|| {
+                Refusal::of_value(format!("'{name}' is no setting that this page gives"))
+            })?;
+            if !value.is_empty() {
+                setting.kind.check(value).map_err(|wanted| {
+                    Refusal::of_value(format!("{name} is '{value}'; give {wanted}"))
+                })?;
+                command.push(format!("{name}={value}"));
+            }
+        }
+        let out = format!("runs/{}-{mirror}", self.pipeline);
+        command.push(format!("out={out}"));
+        Ok((command, out))
+    }
+
+    /// Returns the controller of the program; `None` without one.
+    pub fn controller(&self) -> Option<&str> {
+        self.settings.get(EXPORT).map(String::as_str).filter(|name| !name.is_empty())
+    }
+}
+
+/// Returns the command that makes the mirror and the tool of a fixture in `out`.
+fn fixture(folder: &str, name: &str, out: &str) -> Result<Words, Refusal> {
+    if !is_word(name) {
+        return Err(Refusal::of_value("there is no fixture of this name"));
+    }
+    let recipe = format!("{folder}fixtures/{name}.json");
+    Ok(words(&["planish", "fixture", &recipe, "--out", out, "--force"]))
+}
+
+/// Returns the path of an uploaded file in the directory of the session.
+fn uploaded(folder: &str, name: &str) -> Result<String, Refusal> {
+    check_file_name(name)?;
+    Ok(format!("files/{folder}/{name}"))
+}
+
+fn words(list: &[&str]) -> Words {
+    list.iter().map(|word| word.to_string()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn description(pipeline: &str) -> PipelineDescription {
+        PipelineDescription {
+            pipeline: pipeline.into(),
+            title: String::new(),
+            folder: "/share/".into(),
+            fixtures: vec![],
+            machines: vec![],
+            settings: vec![],
+        }
+    }
+
+    fn part(source: PartSource) -> PartChoice {
+        PartChoice { source, reading: Reading::default(), level: "plane".into(), feature_mm: None }
+    }
+
+    fn plan(settings: &[(&str, &str)]) -> PlanChoice {
+        let settings = settings.iter().map(|(a, b)| (a.to_string(), b.to_string())).collect();
+        PlanChoice { pipeline: "raster".into(), settings }
+    }
+
+    #[test]
+    fn a_choice_is_a_command_line() {
+        let reading = Reading {
+            unit: Some("um".into()),
+            pixel_mm: Some(0.25),
+            rotate_deg: Some(90),
+            flip_x: true,
+            ..Reading::default()
+        };
+        let choice = PartChoice { reading, ..part(PartSource::File("m.datx".into())) };
+        let [read, prepare] = choice.commands("/share/").unwrap().try_into().unwrap();
+        assert_eq!(
+            read.join(" "),
+            "planish import surface files/part/m.datx --unit=um --pixel-mm=0.25 --rotate-deg=90 --flip-x --out \
+             part/surface --force"
+        );
+        assert!(prepare.join(" ").contains("--level plane --out part/prepared"));
+        let tool = ToolChoice {
+            source: ToolSource::Fixture("coupon".into()),
+            reading: Reading::default(),
+        };
+        let machine = MachineChoice::Fixture("ion-beam".into());
+        let raster = description("raster");
+        let (own, out) =
+            plan(&[("pitch_mm", "2")]).command(&choice, &tool, &machine, &raster).unwrap();
+        assert_eq!(
+            own.join(" "),
+            "planish run raster surface=part/surface tif=tool/tif machine=/share/fixtures/machines/ion-beam.json \
+             prepare=--level plane pitch_mm=2 out=runs/raster-own"
+        );
+        assert_eq!(out, "runs/raster-own");
+        let coupon = part(PartSource::Fixture("coupon".into()));
+        let (command, _) = plan(&[]).command(&coupon, &tool, &machine, &raster).unwrap();
+        assert_eq!(command[3], "fixture=coupon");
+    }
+
+    #[test]
+    fn a_choice_names_no_path_and_no_wrong_value() {
+        for name in ["../x", "/etc/passwd", "a/b", "-x", ""] {
+            assert!(part(PartSource::File(name.into())).commands("").is_err(), "{name}");
+            assert!(part(PartSource::Fixture(name.into())).commands("").is_err(), "{name}");
+            let tool = ToolSource::Rates(name.into());
+            assert!(ToolChoice { source: tool, reading: Reading::default() }.commands("").is_err());
+            assert!(MachineChoice::Fixture(name.into()).path("").is_err(), "{name}");
+        }
+        let coupon = part(PartSource::Fixture("coupon".into()));
+        let tool = ToolChoice {
+            source: ToolSource::Fixture("coupon".into()),
+            reading: Reading::default(),
+        };
+        let own = MachineChoice::Own;
+        for setting in [
+            ("pitch_mm", "0"),
+            ("pitch_mm", "1 mm"),
+            ("out", "/tmp/x"),
+            ("form", "/etc/passwd"),
+            ("variant", "--out x"),
+            ("nothing", "1"),
+            ("export", "abacus"),
+        ] {
+            let command = plan(&[setting]).command(&coupon, &tool, &own, &description("raster"));
+            assert!(command.is_err(), "{setting:?}");
+        }
+        // The machine of a fixture does not run an own part.
+        let file = part(PartSource::File("m.datx".into()));
+        let ion_beam = MachineChoice::Fixture("ion-beam".into());
+        let galil = plan(&[("export", "galil")]);
+        let raster = description("raster");
+        assert!(galil.command(&file, &tool, &ion_beam, &raster).is_err());
+        assert!(galil.command(&file, &tool, &own, &raster).is_ok());
+        assert!(galil.command(&coupon, &tool, &ion_beam, &raster).is_ok());
+    }
+}

@@ -1,0 +1,116 @@
+//! Maps for their drawing: the statistics of all pixels, and means of blocks of pixels.
+
+use std::path::Path;
+
+use planish_app::{guard::MapName, refusal::Refusal};
+use planish_handoff::Inputs;
+use planish_types::{Grid, Surface, Tif, doubts};
+use serde::Serialize;
+
+use super::files::Files;
+
+/// Largest number of values along the longer side of a drawing. Larger: more to send and to draw. Smaller: coarser
+/// pictures on a wide screen.
+const MOST_VALUES: usize = 700;
+
+/// Description of a map, which stands before its values.
+#[derive(Serialize)]
+struct MapHead {
+    /// Values along x and y that follow, row 0 at the smallest y.
+    shape: [usize; 2],
+    /// Pixels of the map along x and y.
+    pixels: [usize; 2],
+    /// Distance of the pixel centres, mm.
+    pitch_mm: [f64; 2],
+    /// Edges of the values, mm: x from, x to, y from, y to.
+    edges_mm: [f64; 4],
+    /// Value in the middle of the colours: the mean of heights, 0 for rates.
+    centre: f64,
+    /// Unit of the values.
+    unit: &'static str,
+    /// Numbers of the whole map, with their names and units.
+    numbers: Vec<(&'static str, f64, &'static str)>,
+    /// Doubt about the map; empty if there is none.
+    doubt: String,
+}
+
+/// Returns a map as bytes: the length of its head (four bytes, the lowest first), the head as JSON, then the values as
+/// 32-bit floats (the lowest byte first), row by row. NaN is an invalid pixel.
+///
+/// # Errors
+/// Fails if the step has no map yet.
+pub fn map_bytes(files: &Files, name: MapName) -> Result<Vec<u8>, Refusal> {
+    match name {
+        MapName::Part => surface(&files.inside("part/prepared")?),
+        MapName::Tool => tool(&files.inside("tool/tif")?),
+    }
+}
+
+fn surface(dir: &Path) -> Result<Vec<u8>, Refusal> {
+    let map: Surface = Inputs::new().read("surface", dir).map_err(|e| unreadable(&e))?;
+    let statistics = map.statistics();
+    let numbers = vec![
+        ("RMS", statistics.rms, "nm"),
+        ("RMS without the plane", map.detilted_rms_nm(), "nm"),
+        ("PV", statistics.pv, "nm"),
+        ("mean", statistics.mean, "nm"),
+        ("valid pixels", statistics.valid_count as f64, ""),
+    ];
+    let doubt = doubts::of_heights(&map);
+    Ok(drawing(map.grid(), map.height_nm().iter(), (statistics.mean, "nm"), numbers, doubt))
+}
+
+fn tool(dir: &Path) -> Result<Vec<u8>, Refusal> {
+    let tif: Tif = Inputs::new().read_tool("tif", dir).map_err(|e| unreadable(&e))?;
+    let numbers = vec![
+        ("peak rate", tif.peak_nm_per_s(), "nm/s"),
+        ("full width at half maximum", tif.half_maximum_width_mm(), "mm"),
+        ("volumetric removal rate", tif.vrr_nm_mm2_per_s(), "nm mm^2/s"),
+    ];
+    let doubt = doubts::of_tif(&tif);
+    Ok(drawing(tif.grid(), tif.rate_nm_per_s().iter(), (0.0, "nm/s"), numbers, doubt))
+}
+
+fn unreadable(problem: &dyn std::fmt::Display) -> Refusal {
+    Refusal::new(500, problem.to_string())
+}
+
+/// Returns the bytes of a map with the given values, row by row. `centre` is the value in the middle of the colours, and
+/// `unit` that of the values.
+fn drawing<'a>(
+    grid: &Grid,
+    values: impl Iterator<Item = &'a f64>,
+    (centre, unit): (f64, &'static str),
+    numbers: Vec<(&'static str, f64, &'static str)>,
+    doubt: Option<String>,
+) -> Vec<u8> {
+    let (ny, nx) = grid.shape();
+    let block = nx.max(ny).div_ceil(MOST_VALUES).max(1);
+    let [columns, rows] = [nx, ny].map(|n| n.div_ceil(block));
+    let mut sums = vec![(0.0, 0_u32); columns * rows];
+    for (k, value) in values.enumerate().filter(|(_, value)| value.is_finite()) {
+        let (sum, count) = &mut sums[k / nx / block * columns + k % nx / block];
+        *sum += value;
+        *count += 1;
+    }
+    let [x, y] = [&grid.x, &grid.y].map(|axis| axis.edges_mm()[0]);
+    let [dx, dy] = [&grid.x, &grid.y].map(|axis| axis.step_mm());
+    let head = MapHead {
+        shape: [columns, rows],
+        pixels: [nx, ny],
+        pitch_mm: [dx, dy],
+        edges_mm: [x, x + dx * (columns * block) as f64, y, y + dy * (rows * block) as f64],
+        centre,
+        unit,
+        numbers,
+        doubt: doubt.unwrap_or_default(),
+    };
+    let head = serde_json::to_vec(&head).unwrap_or_default();
+    let mut bytes = (head.len() as u32).to_le_bytes().to_vec();
+    bytes.extend(head);
+    for (sum, count) in sums {
+        let mean = if count == 0 { f64::NAN } else { sum / f64::from(count) };
+        bytes.extend((mean as f32).to_le_bytes());
+    }
+    bytes
+}

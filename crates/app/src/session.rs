@@ -1,0 +1,163 @@
+//! The state of a session, as its file `session.json` holds it: what was chosen in each step, and how it ended.
+
+use serde::{Deserialize, Serialize};
+
+use crate::choice::{MachineChoice, PartChoice, PlanChoice, ToolChoice, Words};
+
+/// All steps of a session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Session {
+    /// The part.
+    pub part: Option<Step<PartChoice>>,
+    /// The tool.
+    pub tool: Option<Step<ToolChoice>>,
+    /// The machine.
+    pub machine: Option<MachineChoice>,
+    /// The plan.
+    pub plan: Option<Step<PlanChoice>>,
+    /// Directory of the run, in that of the session; empty before the first plan.
+    pub run: String,
+    /// Number of steps that were begun, which makes two that are alike distinct.
+    pub steps: u64,
+}
+
+/// A step: what was chosen, the command lines that do it, and how they ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Step<Choice> {
+    /// Number of the step among all that were begun in the session.
+    pub number: u64,
+    /// Choice of the user.
+    pub choice: Choice,
+    /// Command lines, in their order.
+    pub commands: Vec<Words>,
+    /// End of the commands.
+    pub end: End,
+}
+
+/// Ends of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum End {
+    /// Its commands run.
+    Running,
+    /// Done.
+    Done,
+    /// Done, with a negative verdict.
+    Negative,
+    /// A command refused, or broke.
+    Refused,
+    /// The user ended it.
+    Cancelled,
+    /// The server ended while the commands ran.
+    Interrupted,
+    /// Done, but an earlier step has changed since.
+    Outdated,
+}
+
+/// Steps that run commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StepName {
+    /// The part.
+    Part,
+    /// The tool.
+    Tool,
+    /// The plan.
+    Plan,
+}
+
+impl StepName {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Part, Self::Tool, Self::Plan];
+
+    /// Returns the name of the file with the messages of the step.
+    pub fn log(self) -> &'static str {
+        match self {
+            Self::Part => "part.log",
+            Self::Tool => "tool.log",
+            Self::Plan => "plan.log",
+        }
+    }
+}
+
+impl<Choice> Step<Choice> {
+    /// Returns the choice if the step is done, also with a negative verdict.
+    pub fn done(&self) -> Option<&Choice> {
+        match self.end {
+            End::Done | End::Negative => Some(&self.choice),
+            _ => None,
+        }
+    }
+}
+
+impl Session {
+    /// Begins a step.
+    pub fn begin<Choice>(&mut self, choice: Choice, commands: Vec<Words>) -> Option<Step<Choice>> {
+        self.steps += 1;
+        Some(Step { number: self.steps, choice, commands, end: End::Running })
+    }
+
+    /// Returns the end of a step, to be changed; `None` if the step was not begun.
+    pub fn end_mut(&mut self, step: StepName) -> Option<&mut End> {
+        match step {
+            StepName::Part => self.part.as_mut().map(|step| &mut step.end),
+            StepName::Tool => self.tool.as_mut().map(|step| &mut step.end),
+            StepName::Plan => self.plan.as_mut().map(|step| &mut step.end),
+        }
+    }
+
+    /// Marks what runs as interrupted: the server that ran it has ended.
+    pub fn reopen(&mut self) {
+        for step in StepName::ALL {
+            if let Some(end) = self.end_mut(step)
+                && *end == End::Running
+            {
+                *end = End::Interrupted;
+            }
+        }
+    }
+
+    /// Marks the plan as outdated, because an earlier step changes.
+    pub fn outdate_plan(&mut self) {
+        if let Some(plan) = &mut self.plan
+            && plan.done().is_some()
+        {
+            plan.end = End::Outdated;
+        }
+    }
+
+    /// Returns the command lines of all steps, in their order.
+    pub fn commands(&self) -> Vec<&Words> {
+        let part = self.part.iter().flat_map(|step| &step.commands);
+        let tool = self.tool.iter().flat_map(|step| &step.commands);
+        let plan = self.plan.iter().flat_map(|step| &step.commands);
+        part.chain(tool).chain(plan).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::choice::{PartSource, Reading};
+
+    #[test]
+    fn what_ran_when_the_server_ended_is_interrupted() {
+        let source = PartSource::Fixture("coupon".into());
+        let choice = PartChoice {
+            source,
+            reading: Reading::default(),
+            level: "piston".into(),
+            feature_mm: None,
+        };
+        let mut session = Session::default();
+        session.part = session.begin(choice, vec![vec!["planish".into()]]);
+        let text = serde_json::to_string(&session).unwrap();
+        assert_eq!(serde_json::from_str::<Session>(&text).unwrap(), session);
+        session.reopen();
+        assert_eq!(session.part.as_ref().unwrap().end, End::Interrupted);
+        assert!(session.part.as_ref().unwrap().done().is_none());
+        assert_eq!(session.commands().len(), 1);
+    }
+}
