@@ -388,7 +388,7 @@ fn the_choice_is_that_of_all_seven_subsets() {
                 RackTool { task, change_nm2: changes_nm2[k] }
             })
             .collect();
-        let choice = choose_tools(&desired, &rack, None, &settings).unwrap();
+        let choice = choose_tools(&desired, &rack, None, &settings, |_| ()).unwrap();
         let mut least = (f64::INFINITY, Vec::new());
         for subset in 1..8 {
             let tools = of_subset(&rack, subset);
@@ -428,7 +428,7 @@ fn a_rack_without_a_choice_is_refused() {
     ];
     for (rack, expected) in cases {
         let settings = BoundedSettings::default();
-        let error = choose_tools(&surface(waves()), &rack, None, &settings).unwrap_err();
+        let error = choose_tools(&surface(waves()), &rack, None, &settings, |_| ()).unwrap_err();
         assert!(error.to_string().contains(expected), "{error} / {expected}");
     }
 }
