@@ -9,6 +9,7 @@ use planish_pipeline::kind::{Kind, unit};
 use super::{
     execute::{Messages, run},
     place::Installation,
+    several_tools,
 };
 
 #[derive(Args)]
@@ -39,6 +40,9 @@ pub struct Show {
 
 impl RunPipeline {
     pub fn run(&self) -> Result<Status, Failure> {
+        if self.pipeline == several_tools::NAME {
+            return several_tools::run(&self.settings);
+        }
         stage(&self.pipeline, "run", &self.settings)
     }
 }
