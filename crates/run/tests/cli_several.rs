@@ -1,10 +1,14 @@
 //! `planish-run several` from a rack to the map after the last tool.
 #![cfg(unix)]
 
-use std::{fs, path::Path, process::Output};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Output,
+};
 
 use ndarray::Array2;
-use planish_handoff::{artifact, kind};
+use planish_handoff::{Manifest, artifact, kind};
 use planish_testkit::{
     program::{stage, text, write},
     workspace,
@@ -17,7 +21,6 @@ use planish_types::{
         verdict::Verdict,
     },
 };
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 /// Returns a square grid about the origin in pixels of 0.5 mm.
@@ -53,7 +56,7 @@ fn prepare(dir: &Path) {
 }
 
 fn entry(name: &str, pitch_mm: f64) -> Value {
-    json!({ "name": name, "tif": name, "pitch_mm": pitch_mm, "time_weight_nm2_per_s": 1e-3, "change_s": 30.0 })
+    json!({ "name": name, "tif": name, "pitch_mm": pitch_mm, "time_weight_nm2_per_s": 1e-2, "change_s": 30.0 })
 }
 
 fn write_rack(dir: &Path, rack: &Value) {
@@ -66,10 +69,20 @@ fn run(dir: &Path, more: &[&str]) -> Output {
     command.current_dir(dir).args(settings).args(more).output().unwrap()
 }
 
-fn outcome<T: DeserializeOwned>(dir: &Path, part: &str, kind: &kind::Kind) -> T {
+/// Returns the manifest of an artifact of the run, and its place.
+fn manifest(dir: &Path, part: &str, kind: &kind::Kind) -> (Manifest, PathBuf) {
     let place = dir.join("out").join(part);
-    let manifest = artifact::read_manifest(&place, kind).unwrap().unwrap();
-    manifest.read_outcome(&place, "run it again").unwrap()
+    (artifact::read_manifest(&place, kind).unwrap().unwrap(), place)
+}
+
+fn verdict(dir: &Path, part: &str) -> Verdict {
+    let (manifest, place) = manifest(dir, part, &kind::VERDICT);
+    manifest.read_outcome(&place, "").unwrap()
+}
+
+fn removal(dir: &Path, part: &str) -> RemovalOutcome {
+    let (manifest, place) = manifest(dir, part, &kind::REMOVAL);
+    manifest.read_outcome(&place, "").unwrap()
 }
 
 #[test]
@@ -82,16 +95,15 @@ fn every_tool_keeps_its_limits_and_leaves_what_is_planned() {
     assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
     for name in ["coarse", "fine"] {
         for motion in ["", "/program"] {
-            let verdict: Verdict =
-                outcome(dir, &format!("tools/{name}{motion}/verdict"), &kind::VERDICT);
+            let verdict = verdict(dir, &format!("tools/{name}{motion}/verdict"));
             assert!(verdict.limits_respected, "{name}{motion}: {verdict:?}");
         }
     }
-    let first: PlanOutcome<SeveralReport> = outcome(dir, "choice/fine", &kind::DWELL);
+    let (manifest, place) = manifest(dir, "choice/fine", &kind::DWELL);
+    let first: PlanOutcome<SeveralReport> = manifest.read_outcome(&place, "").unwrap();
     let planned_nm = first.report.unwrap().model_rms_nm;
     for motion in ["", "/program"] {
-        let removal: RemovalOutcome =
-            outcome(dir, &format!("tools/fine{motion}/removal"), &kind::REMOVAL);
+        let removal = removal(dir, &format!("tools/fine{motion}/removal"));
         println!("executed{motion}: {} nm, planned {planned_nm} nm", removal.rms_nm);
         // The goal for the residual of the motion: 5 % of that of the dwell times alone.
         assert!(removal.rms_nm <= 1.05 * planned_nm, "{motion}: {removal:?} {planned_nm}");
@@ -103,7 +115,7 @@ fn every_tool_keeps_its_limits_and_leaves_what_is_planned() {
     assert!(rows[2].ends_with("  kept") && rows[4].starts_with("2 tools, "), "{table}");
     // The map after a tool is the map before the next one, and what the program of the last one leaves.
     let after = artifact::read::<Surface>(&dir.join("out/after")).unwrap().value;
-    let removal: RemovalOutcome = outcome(dir, "tools/fine/program/removal", &kind::REMOVAL);
+    let removal = removal(dir, "tools/fine/program/removal");
     // Rounding of a mean square of 2400 pixels.
     assert!((after.statistics().rms / removal.rms_nm - 1.0).abs() < 1e-12);
 }
@@ -113,9 +125,10 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let cases: [(&[&str], &str); 4] = [
+    let cases: [(&[&str], &str); 5] = [
         (&["export=galil"], "export=galil writes programs for the machine that will run them"),
         (&["pitch_mm=1"], "'pitch_mm=1' is no setting of several"),
+        (&["motion=fast"], "motion is 'fast'; give refine or joint"),
         (&["choose=perhaps"], "choose is 'perhaps'; give yes or no"),
         (&["machine=no.json"], "no.json"),
     ];
@@ -129,6 +142,7 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
     let mut bare = entry("fine", 1.0);
     bare.as_object_mut().unwrap().remove("pitch_mm");
     let racks = [
+        (json!([entry("nosuch", 1.0)]), "nosuch: does not exist; give a tif"),
         (json!([bare]), "tool \"fine\" has neither tool_path nor pitch_mm"),
         (json!([]), "has no tools; give at least one"),
         (json!([entry("fine", 1.0), entry("Fine", 1.0)]), "tools[1].name is \"Fine\" again"),

@@ -8,7 +8,8 @@
 //! | `tools/NAME/map` | map before this tool |
 //! | `tools/NAME/plan` | dwell times of this tool and of those after it, for this map |
 //! | `tools/NAME/target` | removal that this tool is planned for, as a map |
-//! | `tools/NAME/trajectory`, `removal`, `verdict` | its motion, the removal as executed, and the verdict on the limits |
+//! | `tools/NAME/refined` or `joint` | its dwell times and motion |
+//! | `tools/NAME/removal`, `verdict` | the removal as executed, and the verdict on the limits |
 //! | `tools/NAME/program` | motion, removal and verdict of its program, read back |
 //! | `after` | map after the last tool |
 //! | `table.txt` | the table of the run |
@@ -26,7 +27,7 @@ use planish_handoff::{
     say, task, warn, words,
 };
 use planish_types::{
-    Rack, RackEntry, Removal, Surface, assumed_machine,
+    Rack, RackEntry, Removal, Surface, ToolPath, assumed_machine,
     outcome::{
         plan::{PlanOutcome, SeveralReport},
         removal::RemovalOutcome,
@@ -53,7 +54,7 @@ const REMEDY: &str = "run it again";
 #[derive(Args)]
 pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
-    /// choose=yes or no, export=CONTROLLER, export_settings, out=DIR
+    /// choose=yes or no, motion=refine or joint, export=CONTROLLER, export_settings, out=DIR
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -72,6 +73,8 @@ struct Settings {
     is_assumed: bool,
     prepare: Vec<String>,
     chooses: bool,
+    /// True if dwell times and motion of a tool are planned as one problem, by `planish-joint`.
+    is_joint: bool,
     export: Option<String>,
     export_settings: Vec<String>,
     out: String,
@@ -80,6 +83,8 @@ struct Settings {
 /// A tool of the rack, with the paths of its files in the run.
 struct RunTool {
     entry: RackEntry,
+    tif: String,
+    tool_path: String,
     /// Width at half of its peak, mm; the widest tool runs first.
     width_mm: f64,
     /// Copy of the file of its machine.
@@ -110,6 +115,14 @@ pub fn run(words: &[String]) -> Result<Status, Failure> {
     let place = Installation::find()?;
     let settings = Settings::take(words, &place)?;
     let rack = read_rack(&settings.rack)?;
+    if settings.is_joint
+        && let Some(tool) = rack.tools.iter().find(|tool| tool.min_dwell_s.is_some())
+    {
+        return Err(Failure::new(format!(
+            "{}: tool {:?} has min_dwell_s, which motion=joint does not take; give min_dwell_s_per_mm",
+            settings.rack, tool.name
+        )));
+    }
     let claim = Claim {
         out: settings.out.clone().into(),
         pipeline: NAME.into(),
@@ -162,6 +175,13 @@ impl Settings {
             "no" => false,
             other => return Err(Failure::new(format!("choose is '{other}'; give yes or no"))),
         };
+        let is_joint = match user.take_or("motion", "refine").as_str() {
+            "refine" => false,
+            "joint" => true,
+            other => {
+                return Err(Failure::new(format!("motion is '{other}'; give refine or joint")));
+            }
+        };
         let export = user.take("export").filter(|controller| !controller.is_empty());
         let out = user.take_path("out").unwrap_or_else(|| {
             let map = std::path::absolute(&surface).unwrap_or_default();
@@ -169,8 +189,8 @@ impl Settings {
         });
         if let Some(word) = user.settings.iter().chain(&user.words).next() {
             return Err(Failure::new(format!(
-                "'{word}' is no setting of {NAME}; it has surface, rack, machine, prepare, choose, export, \
-                 export_settings and out"
+                "'{word}' is no setting of {NAME}; it has surface, rack, machine, prepare, choose, motion, \
+                 export, export_settings and out"
             )));
         }
         let settings = Self {
@@ -180,6 +200,7 @@ impl Settings {
             is_assumed,
             prepare,
             chooses,
+            is_joint,
             export,
             export_settings,
             out,
@@ -199,7 +220,8 @@ impl Settings {
     }
 }
 
-/// Reads the rack and makes its paths absolute. Refuses a tool that has neither a tool path nor a pitch.
+/// Reads the rack and makes its paths absolute. Refuses a tool that has neither a tool path nor a pitch, and a file that
+/// cannot be read.
 fn read_rack(path: &str) -> Result<Rack, Failure> {
     let path = Path::new(path);
     let mut rack: Rack = Inputs::new().read_json("rack", path)?;
@@ -216,6 +238,15 @@ fn read_rack(path: &str) -> Result<Rack, Failure> {
         tool.tif = directory.join(&tool.tif);
         tool.tool_path = tool.tool_path.as_ref().map(|own| directory.join(own));
         tool.machine = tool.machine.as_ref().map(|own| directory.join(own));
+        // A missing file is found before anything is written.
+        let mut inputs = Inputs::new();
+        inputs.read_tool("tif", &tool.tif)?;
+        if let Some(path) = &tool.tool_path {
+            inputs.read::<ToolPath>("tool-path", path)?;
+        }
+        if let Some(machine) = &tool.machine {
+            inputs.read_machine(machine)?;
+        }
     }
     Ok(rack)
 }
@@ -255,6 +286,11 @@ impl Course {
         }
         let mut chosen = self.choose(tools, &map)?;
         chosen.sort_by(|a, b| b.width_mm.total_cmp(&a.width_mm));
+        // Nobody shall run the program of a tool that an earlier run had chosen.
+        let earlier = self.path("tools");
+        if Path::new(&earlier).exists() {
+            fs::remove_dir_all(&earlier)?;
+        }
         let mut rows = Vec::new();
         let mut before = map.clone();
         while !chosen.is_empty() {
@@ -285,19 +321,39 @@ impl Course {
                 self.path(&format!("machine/{}", file.to_string_lossy()))
             }
         };
-        if entry.tool_path.is_none() {
-            let out = self.path(&format!("paths/{name}"));
-            let pitch = entry.pitch_mm.map(|pitch| pitch.to_string()).unwrap_or_default();
-            let [lines, step] = [format!("--pitch-mm={pitch}"), format!("--step-mm={pitch}")];
-            let overscan = entry.overscan_mm.map(|mm| format!("--overscan-mm={mm}"));
-            let mut flags = vec!["raster", "--surface", map, "--tif", &tif, &lines, &step];
-            flags.extend(overscan.as_deref());
-            flags.extend(["--machine", &machine, "--out", &out, "--force"]);
-            self.go_on("planish-toolpath", &flags)?;
-            entry.tool_path = Some(std::path::absolute(&out)?);
-        }
-        let entry = RackEntry { pitch_mm: None, overscan_mm: None, ..entry };
-        Ok(RunTool { entry, width_mm, machine })
+        let tool_path = match &entry.tool_path {
+            Some(own) => own.display().to_string(),
+            None => {
+                let out = self.path(&format!("paths/{name}"));
+                self.raster(&entry, &tif, &machine, map, &out)?;
+                out
+            }
+        };
+        let entry = RackEntry {
+            tool_path: Some(std::path::absolute(&tool_path)?),
+            pitch_mm: None,
+            overscan_mm: None,
+            ..entry
+        };
+        Ok(RunTool { entry, tif, tool_path, width_mm, machine })
+    }
+
+    /// Makes the raster of a tool over the map, in the directory `out`.
+    fn raster(
+        &mut self,
+        entry: &RackEntry,
+        tif: &str,
+        machine: &str,
+        map: &str,
+        out: &str,
+    ) -> Result<(), Failure> {
+        let pitch = entry.pitch_mm.map(|pitch| pitch.to_string()).unwrap_or_default();
+        let [lines, step] = [format!("--pitch-mm={pitch}"), format!("--step-mm={pitch}")];
+        let overscan = entry.overscan_mm.map(|mm| format!("--overscan-mm={mm}"));
+        let mut flags = vec!["raster", "--surface", map, "--tif", tif, &lines, &step];
+        flags.extend(overscan.as_deref());
+        flags.extend(["--machine", machine, "--out", out, "--force"]);
+        self.go_on("planish-toolpath", &flags)
     }
 
     /// Writes a rack of these tools as the file `part` of the run, and returns its path. With `floors`, a tool whose
@@ -306,7 +362,7 @@ impl Course {
         let mut entries = Vec::new();
         for tool in tools {
             let mut entry = tool.entry.clone();
-            if floors && entry.min_dwell_s.is_none() && entry.min_dwell_s_per_mm.is_none() {
+            if floors && !entry.has_floor() {
                 let machine = Inputs::new().read_machine(Path::new(&tool.machine))?;
                 let axes = machine.limits().axes().iter();
                 let fastest = axes.map(|axis| axis.max_velocity_mm_per_s()).fold(0.0, f64::max);
@@ -340,7 +396,7 @@ impl Course {
     /// and the map after it.
     fn run_tool(&mut self, tools: &[RunTool], before: &str) -> Result<(Row, String), Failure> {
         let (tool, later) = tools.split_first().expect("a tool is left");
-        let RackEntry { name, tif, tool_path, change_s, time_weight_nm2_per_s, .. } = &tool.entry;
+        let RackEntry { name, change_s, time_weight_nm2_per_s, .. } = &tool.entry;
         let at = self.path(&format!("tools/{name}"));
         let rack = self.write_rack(&format!("tools/{name}/rack.json"), tools, true)?;
         let plan = format!("{at}/plan");
@@ -352,20 +408,26 @@ impl Course {
         for other in later {
             target = self.without(other, &target, &plan, &at)?;
         }
-        let [tif, tool_path] = [Some(tif), tool_path.as_ref()]
-            .map(|path| path.map_or(String::new(), |path| path.display().to_string()));
         let dwell = format!("{plan}/{name}");
-        let mirror = ["--surface", &target, "--tif", &tif, "--tool-path", &tool_path];
+        let mirror = ["--surface", &target, "--tif", &tool.tif, "--tool-path", &tool.tool_path];
         let price = format!("--time-weight-nm2-per-s={time_weight_nm2_per_s}");
         let floor = floor_flag(&tool.entry, &tool.machine);
-        let own = ["--machine", &tool.machine, "--dwell", &dwell, &price, &floor];
-        let to = ["--out", &at, "--force"];
-        self.go_on("planish-refine", &[&mirror[..], &own, &to].concat())?;
-        let trajectory = format!("{at}/trajectory");
+        let own = ["--machine", &tool.machine, &price];
+        let motion = format!("{at}/{}", if self.settings.is_joint { "joint" } else { "refined" });
+        let to = ["--out", &motion, "--force"];
+        if self.settings.is_joint {
+            // Its motion has the limits of the machine, so it needs no floor of theirs
+            let floor: &[&str] = if tool.entry.has_floor() { &[&floor] } else { &[] };
+            self.go_on("planish-joint", &[&mirror[..], &own, floor, &to].concat())?;
+        } else {
+            let from = ["--dwell", &dwell, &floor];
+            self.go_on("planish-refine", &[&mirror[..], &own, &from, &to].concat())?;
+        }
+        let trajectory = format!("{motion}/trajectory");
         self.judge(tool, &trajectory, before, &at)?;
         let mut executed = at.clone();
         if let Some(controller) = self.settings.export.clone() {
-            executed = self.program(tool, &controller, before, &at)?;
+            executed = self.program(tool, &controller, &trajectory, before)?;
         }
         let after = if later.is_empty() {
             self.path("after")
@@ -395,16 +457,14 @@ impl Course {
         plan: &str,
         at: &str,
     ) -> Result<String, Failure> {
-        let RackEntry { name, tif, tool_path, .. } = &other.entry;
+        let name = &other.entry.name;
         let dwell = format!("{plan}/{name}");
         let [stays, share, rest] =
             ["stays", "share", "target"].map(|part| format!("{at}/without/{name}/{part}"));
-        let tif = tif.display().to_string();
-        let tool_path = tool_path.as_ref().map_or(String::new(), |path| path.display().to_string());
-        let flags = ["position", "--tool-path", &tool_path, "--dwell", &dwell, "--machine"];
+        let flags = ["position", "--tool-path", &other.tool_path, "--dwell", &dwell, "--machine"];
         let own = [other.machine.as_str(), "--out", &stays, "--force"];
         self.quiet("planish-schedule", &[&flags[..], &own].concat())?;
-        let flags = ["--trajectory", &stays, "--tif", &tif, "--surface", target];
+        let flags = ["--trajectory", &stays, "--tif", &other.tif, "--surface", target];
         self.quiet("planish-simulate", &[&flags[..], &["--out", &share, "--force"]].concat())?;
         write_residual(&share, &rest)?;
         Ok(rest)
@@ -426,35 +486,31 @@ impl Course {
         before: &str,
         at: &str,
     ) -> Result<(), Failure> {
-        let tif = tool.entry.tif.display().to_string();
-        let tool_path = tool.entry.tool_path.as_ref();
-        let tool_path = tool_path.map_or(String::new(), |path| path.display().to_string());
         let [removal, verdict] = ["removal", "verdict"].map(|part| format!("{at}/{part}"));
-        let flags = ["--trajectory", trajectory, "--tif", &tif, "--surface", before];
+        let flags = ["--trajectory", trajectory, "--tif", &tool.tif, "--surface", before];
         self.go_on("planish-simulate", &[&flags[..], &["--out", &removal, "--force"]].concat())?;
         let flags = ["--trajectory", trajectory, "--machine", &tool.machine, "--tool-path"];
-        let own = [tool_path.as_str(), "--out", &verdict, "--force"];
+        let own = [tool.tool_path.as_str(), "--out", &verdict, "--force"];
         self.go_on("planish-verify", &[&flags[..], &own].concat())
     }
 
-    /// Writes the program of a tool, reads it back and judges it. Returns the directory of the results.
+    /// Writes the program of the motion of a tool, reads it back and judges it on the map `before`. Returns the directory
+    /// of the results.
     fn program(
         &mut self,
         tool: &RunTool,
         controller: &str,
+        trajectory: &str,
         before: &str,
-        at: &str,
     ) -> Result<String, Failure> {
+        let at = self.path(&format!("tools/{}", tool.entry.name));
         let file = format!("{at}/program.{controller}");
         let about = format!("{file}.json");
         let read_back = format!("{at}/program");
         let back = format!("{read_back}/trajectory");
-        let trajectory = format!("{at}/trajectory");
-        let tool_path = tool.entry.tool_path.as_ref();
-        let tool_path = tool_path.map_or(String::new(), |path| path.display().to_string());
         let more = self.settings.export_settings.clone();
-        let mut flags = vec![controller, "--trajectory", &trajectory, "--machine", &tool.machine];
-        flags.extend(["--tool-path", &tool_path]);
+        let mut flags = vec![controller, "--trajectory", trajectory, "--machine", &tool.machine];
+        flags.extend(["--tool-path", &tool.tool_path]);
         flags.extend(more.iter().map(String::as_str));
         flags.extend(["--out", &file, "--force"]);
         self.go_on("planish-export", &flags)?;
