@@ -156,7 +156,10 @@ fn a_bad_rack_ends_with_2_and_writes_nothing() {
             "tool \"coarse\": time_weight_nm2_per_s: is -1",
         ),
         (both(with("min_dwell_s", json!(-1.0))), "tool \"coarse\": "),
-        (both(with("change_s", json!(-1.0))), "tool \"coarse\": change_s is -1; give a number >= 0"),
+        (
+            both(with("change_s", json!(-1.0))),
+            "tool \"coarse\": change_s is -1; give a number >= 0",
+        ),
         (both(with("tool_path", Value::Null)), "tool \"coarse\": has no tool_path; give"),
         (both(with("tool_path", json!("far"))), "tool \"coarse\": none of the"),
     ];
@@ -244,7 +247,11 @@ fn the_chosen_tools_have_the_plan_of_these_tools_alone() {
         tool["change_s"] = json!(change_s);
         tool
     };
-    for (changes_s, chosen) in [([1e4, 0.0], vec!["coarse"]), ([0.0, 1e4], vec!["fine"]), ([0.0; 2], vec!["coarse", "fine"])] {
+    for (changes_s, chosen) in [
+        ([1e4, 0.0], vec!["coarse"]),
+        ([0.0, 1e4], vec!["fine"]),
+        ([0.0; 2], vec!["coarse", "fine"]),
+    ] {
         let rack = json!({ "tools": [dear("fine", changes_s[0]), dear("coarse", changes_s[1])] });
         write_rack(dir, &rack);
         let output = run_command(dir, "choose-tools", &["--force"]);

@@ -421,8 +421,8 @@ fn the_choice_is_that_of_all_seven_subsets() {
 #[test]
 fn twenty_random_racks_are_never_worse_than_a_tool_alone_at_the_same_time() {
     let mut rng = ChaCha8Rng::seed_from_u64(20);
-    // The penalty belongs to the objective, too, so that a weak one compares residuals and times alone. With the weights
-    // of the default, a plan of two tools of nearly one width leaves up to 1 % more.
+    // The penalty belongs to the objective, too, so that a weak one compares residuals and times alone. With the
+    // weights of the default, a plan of two tools of nearly one width leaves up to 1 % more.
     let default = BoundedSettings::default();
     let settings = BoundedSettings {
         tikhonov: 1e-3 * default.tikhonov,
@@ -545,7 +545,8 @@ fn a_map_between_the_tools_mends_the_set_up_errors_of_the_coarse_one() {
          {blind:.3?} without a map",
         longer[19], longer[37]
     );
-    // The goal is 10 % in 95 % of the draws. A reserve costs time alone, so that it is met where a second is worth less.
+    // The goal is 10 % in 95 % of the draws. A reserve costs time alone, so that it is met where a second is worth
+    // less.
     assert!(quarter[1] <= 1.1, "{quarter:?}");
     // Regression bound: measured 1.166.
     assert!(same[1] <= 1.2, "{same:?}");

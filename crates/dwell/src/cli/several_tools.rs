@@ -68,8 +68,8 @@ struct Loaded {
     max_dwell: Option<Bound>,
 }
 
-/// Report on the dwell times of one tool: its name, the shares of all tools, the choice of them if it was made here, and
-/// the report on all of them together.
+/// Report on the dwell times of one tool: its name, the shares of all tools, the choice of them if it was made here,
+/// and the report on all of them together.
 #[derive(Serialize)]
 struct ReportOfTool<'a> {
     tool: &'a str,
@@ -120,7 +120,7 @@ struct Resolved {
     settings: BoundedSettings,
 }
 
-/// What is planned for: the tools with the map and its weights.
+/// Tools of a problem with the map and its weights.
 struct Task<'a> {
     surface: &'a Surface,
     loaded: &'a [Loaded],

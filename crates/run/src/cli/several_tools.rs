@@ -220,8 +220,8 @@ impl Settings {
     }
 }
 
-/// Reads the rack and makes its paths absolute. Refuses a tool that has neither a tool path nor a pitch, and a file that
-/// cannot be read.
+/// Reads the rack and makes its paths absolute. Refuses a tool that has neither a tool path nor a pitch, and a file
+/// that cannot be read.
 fn read_rack(path: &str) -> Result<Rack, Failure> {
     let path = Path::new(path);
     let mut rack: Rack = Inputs::new().read_json("rack", path)?;
@@ -392,8 +392,8 @@ impl Course {
         Ok(tools.into_iter().filter(is_chosen).collect())
     }
 
-    /// Plans and judges the first of `tools` for the map `before`, with the dwell times of all of them. Returns its row,
-    /// and the map after it.
+    /// Plans and judges the first of `tools` for the map `before`, with the dwell times of all of them. Returns its
+    /// row, and the map after it.
     fn run_tool(&mut self, tools: &[RunTool], before: &str) -> Result<(Row, String), Failure> {
         let (tool, later) = tools.split_first().expect("a tool is left");
         let RackEntry { name, change_s, time_weight_nm2_per_s, .. } = &tool.entry;
@@ -494,8 +494,8 @@ impl Course {
         self.go_on("planish-verify", &[&flags[..], &own].concat())
     }
 
-    /// Writes the program of the motion of a tool, reads it back and judges it on the map `before`. Returns the directory
-    /// of the results.
+    /// Writes the program of the motion of a tool, reads it back and judges it on the map `before`. Returns the
+    /// directory of the results.
     fn program(
         &mut self,
         tool: &RunTool,
