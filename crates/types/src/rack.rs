@@ -78,13 +78,6 @@ impl Rack {
     }
 }
 
-impl RackEntry {
-    /// Returns true if the rack states a least dwell time of the tool.
-    pub fn has_floor(&self) -> bool {
-        self.min_dwell_s.is_some() || self.min_dwell_s_per_mm.is_some()
-    }
-}
-
 /// Refuses a name that cannot name a directory on every system.
 fn check_name(name: &str) -> Result<(), String> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);

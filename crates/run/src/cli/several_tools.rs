@@ -362,7 +362,7 @@ impl Course {
         let mut entries = Vec::new();
         for tool in tools {
             let mut entry = tool.entry.clone();
-            if floors && !entry.has_floor() {
+            if floors && !has_floor(&entry) {
                 let machine = Inputs::new().read_machine(Path::new(&tool.machine))?;
                 let axes = machine.limits().axes().iter();
                 let fastest = axes.map(|axis| axis.max_velocity_mm_per_s()).fold(0.0, f64::max);
@@ -417,7 +417,7 @@ impl Course {
         let to = ["--out", &motion, "--force"];
         if self.settings.is_joint {
             // Its motion has the limits of the machine, so it needs no floor of theirs
-            let floor: &[&str] = if tool.entry.has_floor() { &[&floor] } else { &[] };
+            let floor: &[&str] = if has_floor(&tool.entry) { &[&floor] } else { &[] };
             self.go_on("planish-joint", &[&mirror[..], &own, floor, &to].concat())?;
         } else {
             let from = ["--dwell", &dwell, &floor];
@@ -554,6 +554,11 @@ impl Course {
         say(format!("\n{text}"));
         Ok(())
     }
+}
+
+/// Returns true if the rack states a least dwell time of the tool.
+fn has_floor(entry: &RackEntry) -> bool {
+    entry.min_dwell_s.is_some() || entry.min_dwell_s_per_mm.is_some()
 }
 
 /// Returns the flag of the least dwell time of a tool: that of its entry, or that of its machine.
