@@ -38,6 +38,8 @@ pub enum Solver {
     BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
     /// The same for several tools in one problem: which tool removes what
     SeveralTools(several_tools::SeveralTools),
+    /// The subset of a rack of up to six tools that costs least with its changes, and its dwell times
+    ChooseTools(several_tools::ChooseTools),
     /// Least squares with bounds from the limits of a machine
     #[command(hide = true)]
     Bcls(bcls::Bcls),
@@ -65,6 +67,7 @@ impl Solver {
         match self {
             Self::BoundedLeastSquares(arguments) => arguments.run(),
             Self::SeveralTools(arguments) => arguments.run(),
+            Self::ChooseTools(arguments) => arguments.run(),
             Self::Bcls(arguments) => arguments.run(),
             Self::NonNegativeLeastSquares(arguments) => arguments.run(),
             Self::TikhonovLsqr(arguments) => arguments.run(),

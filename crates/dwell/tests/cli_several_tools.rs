@@ -68,7 +68,11 @@ fn write_rack(dir: &Path, rack: &Value) {
 }
 
 fn run(dir: &Path, more: &[&str]) -> Output {
-    let arguments = ["several-tools", "--surface=surface", "--rack=tools/rack.json", "--out=plan"];
+    run_command(dir, "several-tools", more)
+}
+
+fn run_command(dir: &Path, command: &str, more: &[&str]) -> Output {
+    let arguments = [command, "--surface=surface", "--rack=tools/rack.json", "--out=plan"];
     stage("planish-dwell").current_dir(dir).args(arguments).args(more).output().unwrap()
 }
 
@@ -152,6 +156,11 @@ fn a_bad_rack_ends_with_2_and_writes_nothing() {
             "tool \"coarse\": time_weight_nm2_per_s: is -1",
         ),
         (both(with("min_dwell_s", json!(-1.0))), "tool \"coarse\": "),
+        (
+            both(with("change_s", json!(-1.0))),
+            "tool \"coarse\": change_s is -1; give a number >= 0",
+        ),
+        (both(with("tool_path", Value::Null)), "tool \"coarse\": has no tool_path; give"),
         (both(with("tool_path", json!("far"))), "tool \"coarse\": none of the"),
     ];
     for (rack, expected) in cases {
@@ -200,4 +209,96 @@ fn a_tool_wider_than_the_part_causes_a_warning() {
     let message = text(&output.stderr);
     assert!(message.contains("tool \"coarse\": is wider than the part"), "{message}");
     assert_eq!(output.status.code(), Some(0), "{message}");
+}
+
+#[test]
+fn a_tool_less_leaves_no_old_directory() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    assert_eq!(run(dir, &[]).status.code(), Some(0));
+    // A dwell artifact of another method, and a file of the user.
+    let foreign = dir.join("plan/mine");
+    planish_handoff::save(&foreign, &DwellTime::new(vec![1.0]).unwrap()).unwrap();
+    write_rack(dir, &json!({ "tools": [entry("coarse", "coarse")] }));
+    let refused = run(dir, &[]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+    assert!(dir.join("plan/fine").exists());
+    let output = run(dir, &["--force"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert!(!dir.join("plan/fine").exists() && foreign.exists());
+    assert_eq!(outcome(dir, "coarse")["report"]["tools"].as_array().unwrap().len(), 1);
+    assert!(text(&run(dir, &[]).stdout).contains("unchanged"));
+    // No temporary directory stays.
+    let names = fs::read_dir(dir.join("plan")).unwrap();
+    let mut names: Vec<_> = names.map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["coarse", "mine"]);
+}
+
+#[test]
+fn the_chosen_tools_have_the_plan_of_these_tools_alone() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    // 1000 s at 1e-3 nm^2/s are 1 nm^2, more than the fine tool lowers the cost alone or beside the coarse one.
+    let dear = |name: &str, change_s: f64| {
+        let mut tool = entry(name, name);
+        tool["change_s"] = json!(change_s);
+        tool
+    };
+    for (changes_s, chosen) in [
+        ([1e4, 0.0], vec!["coarse"]),
+        ([0.0, 1e4], vec!["fine"]),
+        ([0.0; 2], vec!["coarse", "fine"]),
+    ] {
+        let rack = json!({ "tools": [dear("fine", changes_s[0]), dear("coarse", changes_s[1])] });
+        write_rack(dir, &rack);
+        let output = run_command(dir, "choose-tools", &["--force"]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let names = fs::read_dir(dir.join("plan")).unwrap();
+        let mut names: Vec<_> = names.map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, chosen, "{}", text(&output.stdout));
+        let report = outcome(dir, chosen[0])["report"].clone();
+        let choice = &report["choice"];
+        let best = &choice["subsets"][choice["best"].as_u64().unwrap() as usize];
+        assert_eq!(best["tools"].as_array().unwrap().len(), chosen.len());
+        // The gap of each problem.
+        assert!(choice["relative_gap_of_choice"].as_f64().unwrap() <= 1e-4, "{choice}");
+        let changes: f64 = if chosen.len() == 2 { changes_s.iter().sum() } else { 0.0 };
+        let stated = best["time_with_changes_s"].as_f64().unwrap();
+        let total = report["total_time_s"].as_f64().unwrap() + changes;
+        // Rounding of a sum of two times.
+        assert!((stated / total - 1.0).abs() < 1e-13, "{stated} {total}");
+        let printed = text(&output.stdout);
+        assert!(printed.contains("chosen: ") && printed.contains(" of 3 solved"), "{printed}");
+        let bytes = |name: &str| fs::read(dir.join(format!("plan/{name}/dwell_s.npy"))).unwrap();
+        let of_choice: Vec<_> = chosen.iter().map(|name| bytes(name)).collect();
+        let alone: Vec<Value> = ["fine", "coarse"]
+            .into_iter()
+            .filter(|name| chosen.contains(name))
+            .map(|name| entry(name, name))
+            .collect();
+        write_rack(dir, &json!({ "tools": alone }));
+        assert_eq!(run(dir, &["--force"]).status.code(), Some(0));
+        let again: Vec<_> = chosen.iter().map(|name| bytes(name)).collect();
+        assert_eq!(of_choice, again, "{chosen:?}");
+    }
+}
+
+#[test]
+fn waves_that_no_tool_reaches_are_told() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let both = run(dir, &[]);
+    assert!(!text(&both.stderr).contains("no tool reaches them"), "{}", text(&both.stderr));
+    // The waves of 2 pi / (1.5^2 + 1.2^2)^(1/2) = 3.3 mm; a Gaussian of sigma 2.5 mm passes 1 % at 2.07 sigma = 5.2 mm.
+    write_rack(dir, &json!({ "tools": [entry("coarse", "coarse")] }));
+    let message = text(&run(dir, &["--force"]).stderr).to_string();
+    let rest = message.split_once("waves shorter than ").expect("a warning").1;
+    let wavelength_mm: f64 = rest.split(' ').next().unwrap().parse().unwrap();
+    // The frequencies of 12 x 8 mm are 0.08 /mm apart, so that the wavelength is one of steps of a third.
+    assert!((3.9..=5.3).contains(&wavelength_mm), "{message}");
 }

@@ -388,7 +388,7 @@ fn the_choice_is_that_of_all_seven_subsets() {
                 RackTool { task, change_nm2: changes_nm2[k] }
             })
             .collect();
-        let choice = choose_tools(&desired, &rack, None, &settings).unwrap();
+        let choice = choose_tools(&desired, &rack, None, &settings, |_| ()).unwrap();
         let mut least = (f64::INFINITY, Vec::new());
         for subset in 1..8 {
             let tools = of_subset(&rack, subset);
@@ -416,6 +416,143 @@ fn the_choice_is_that_of_all_seven_subsets() {
     assert!(sizes[1..].iter().all(|count| *count > 0), "{sizes:?}");
 }
 
+/// With a free choice of the price, a tool alone can take any time. At the time of the plan of all tools it leaves no
+/// less.
+#[test]
+fn twenty_random_racks_are_never_worse_than_a_tool_alone_at_the_same_time() {
+    let mut rng = ChaCha8Rng::seed_from_u64(20);
+    // The penalty belongs to the objective, too, so that a weak one compares residuals and times alone. With the
+    // weights of the default, a plan of two tools of nearly one width leaves up to 1 % more.
+    let default = BoundedSettings::default();
+    let settings = BoundedSettings {
+        tikhonov: 1e-3 * default.tikhonov,
+        slope_weight: 1e-3 * default.slope_weight,
+        ..default
+    };
+    let mut compared = 0;
+    for case in 0..20 {
+        let waves = rng.random_range(0.5..2.0);
+        let height = Array2::from_shape_fn(grid().shape(), |(r, c)| {
+            let (x, y) = (grid().x.coordinate_mm(c), grid().y.coordinate_mm(r));
+            60.0 + 20.0 * (0.5 * x).cos() * (0.3 * y).sin() + 5.0 * (waves * x + 0.7 * y).sin()
+        });
+        let desired = surface(height);
+        let radii_mm: Vec<f64> =
+            (0..2 + case % 2).map(|_| 0.25 * f64::from(rng.random_range(8..28))).collect();
+        let tifs: Vec<Tif> =
+            radii_mm.iter().map(|radius| bell(*radius, rng.random_range(2.0..20.0))).collect();
+        let paths: Vec<ToolPath> = radii_mm
+            .iter()
+            .map(|radius| raster([-1.0, -1.0], [14.0, 11.0], (radius / 2.5).clamp(0.75, 3.0)))
+            .collect();
+        let names = ["a", "b", "c"];
+        let price = 10_f64.powf(rng.random_range(-3.0..-1.0));
+        let rack: Vec<RackTool<'_>> = (0..tifs.len())
+            .map(|k| {
+                let task = tool(names[k], &tifs[k], &paths[k], price);
+                RackTool { task, change_nm2: 0.0 }
+            })
+            .collect();
+        let choice = choose_tools(&desired, &rack, None, &settings, |_| ()).unwrap();
+        let plan = &choice.best().solution.report;
+        let time_s = plan.total_time_s;
+        for single in &rack {
+            // Bisection by the logarithm of the price: a larger one shortens the time.
+            let mut log_price = [-9.0, 3.0];
+            let mut best_nm: Option<(f64, f64)> = None;
+            for _ in 0..14 {
+                let middle = 0.5 * (log_price[0] + log_price[1]);
+                let task = ToolTask { time_weight_nm2_per_s: 10_f64.powf(middle), ..single.task };
+                let alone = solve_several(&desired, &[task], None, &settings).unwrap().report;
+                if alone.total_time_s > time_s {
+                    log_price[0] = middle;
+                } else {
+                    log_price[1] = middle;
+                    best_nm = Some((alone.model_rms_nm, alone.total_time_s));
+                }
+            }
+            // A tool whose least time is longer leaves nothing to compare.
+            let Some((rms_nm, alone_s)) = best_nm else { continue };
+            compared += 1;
+            // The gap of 1e-4 of the objective, which also has the penalty and the time.
+            assert!(
+                plan.model_rms_nm <= 1.001 * rms_nm,
+                "{case} {radii_mm:?}: {} nm in {time_s} s, {rms_nm} nm in {alone_s} s by {:?} alone",
+                plan.model_rms_nm,
+                single.task.name
+            );
+        }
+    }
+    println!("{compared} comparisons");
+    assert!(compared >= 40, "{compared}");
+}
+
+/// Returns a number of a normal distribution with this standard deviation, nearly: a sum of twelve uniform ones.
+fn normal(rng: &mut ChaCha8Rng, deviation: f64) -> f64 {
+    deviation * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>()
+}
+
+/// The coarse tool runs 0.3 mm off along x and y, and its rate is off by 3 % (standard deviations). With a map that is
+/// measured after it, the fine tool is planned again; its piston is free, so that it takes more everywhere where the
+/// coarse one took too much in places.
+#[test]
+fn a_map_between_the_tools_mends_the_set_up_errors_of_the_coarse_one() {
+    let (narrow, wide) = (bell(2.5, 8.0), bell(6.0, 11.0));
+    let fine = raster([-1.0, -1.0], [14.0, 11.0], 0.75);
+    let coarse = raster([-1.0, -1.0], [14.0, 10.0], 2.0);
+    let tools = [tool("wide", &wide, &coarse, 0.01), tool("narrow", &narrow, &fine, 0.01)];
+    let settings = BoundedSettings { columns: Columns::Point, ..BoundedSettings::default() };
+    let desired = waves();
+    let plan = solve_several(&surface(desired.clone()), &tools, None, &settings).unwrap();
+    let removal = |tif: &Tif, path: &ToolPath, times: &[f64]| {
+        let b = columns_by_definition(tif, path);
+        b.dot(&ndarray::ArrayView1::from(times)).to_shape(grid().shape()).unwrap().to_owned()
+    };
+    let share_of_fine = removal(&narrow, &fine, plan.dwell[1].dwell_s());
+    let planned_nm = plan.report.model_rms_nm;
+    let planned_s = plan.shares[1].total_time_s;
+    let mut rng = ChaCha8Rng::seed_from_u64(40);
+    // Residual over that of the plan: at the price of the plan, at a quarter of it, and without a map between.
+    let mut ratios = [const { Vec::new() }; 3];
+    let mut longer = Vec::new();
+    for _ in 0..40 {
+        let shift = [normal(&mut rng, 0.3), normal(&mut rng, 0.3)];
+        let rate = 1.0 + normal(&mut rng, 0.03);
+        let points = coarse.point_mm().iter().map(|p| [p[0] + shift[0], p[1] + shift[1]]).collect();
+        let n = coarse.len();
+        let off = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
+        let executed = removal(&wide, &off, plan.dwell[0].dwell_s()) * rate;
+        let measured = surface(&desired - &executed);
+        for (k, price) in [0.01, 0.0025].into_iter().enumerate() {
+            let again = tool("narrow", &narrow, &fine, price);
+            let again = solve_several(&measured, &[again], None, &settings).unwrap().report;
+            ratios[k].push(again.model_rms_nm / planned_nm);
+            if k == 1 {
+                longer.push(again.total_time_s - planned_s);
+            }
+        }
+        let left = surface(&desired - &executed - &share_of_fine);
+        ratios[2].push(left.statistics().rms / planned_nm);
+    }
+    for sorted in ratios.iter_mut().chain([&mut longer]) {
+        sorted.sort_by(f64::total_cmp);
+    }
+    // The 20th and the 38th of 40 draws.
+    let [same, quarter, blind] = ratios.each_ref().map(|sorted| [sorted[19], sorted[37]]);
+    println!(
+        "plan {planned_nm:.4} nm, {planned_s:.1} s of the fine tool; residual in half and in 95 % of 40 draws over \
+         that: {same:.3?} with a map between, {quarter:.3?} at a quarter of the price in {:.1} s more ({:.1} s), \
+         {blind:.3?} without a map",
+        longer[19], longer[37]
+    );
+    // The goal is 10 % in 95 % of the draws. A reserve costs time alone, so that it is met where a second is worth
+    // less.
+    assert!(quarter[1] <= 1.1, "{quarter:?}");
+    // Regression bound: measured 1.166.
+    assert!(same[1] <= 1.2, "{same:?}");
+    assert!(same[1] < blind[0], "{blind:?}");
+}
+
 #[test]
 fn a_rack_without_a_choice_is_refused() {
     let (tif, path) = (bell(2.5, 8.0), raster([0.0, 0.0], [12.0, 9.0], 1.0));
@@ -428,7 +565,7 @@ fn a_rack_without_a_choice_is_refused() {
     ];
     for (rack, expected) in cases {
         let settings = BoundedSettings::default();
-        let error = choose_tools(&surface(waves()), &rack, None, &settings).unwrap_err();
+        let error = choose_tools(&surface(waves()), &rack, None, &settings, |_| ()).unwrap_err();
         assert!(error.to_string().contains(expected), "{error} / {expected}");
     }
 }

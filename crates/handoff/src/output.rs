@@ -84,6 +84,8 @@ pub struct Output {
     args: OutputArgs,
     directories: Vec<Directory>,
     files: Vec<(&'static str, PathBuf)>,
+    /// Kind of the artifacts of which `--out` holds nothing but those of this run; `None` for other outputs.
+    only: Option<&'static Kind>,
 }
 
 #[derive(Debug)]
@@ -116,8 +118,7 @@ impl Begin {
 impl Output {
     /// Announces one artifact of this kind as the output, in the directory `--out`. `args` are the flags of the output.
     pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
-        Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
-            .and_directory("--out", &args.out, kind)
+        Self::nothing(args).and_directory("--out", &args.out, kind)
     }
 
     /// Announces several artifacts as the output. `parts` are the names of their directories in `--out`, and their
@@ -126,7 +127,7 @@ impl Output {
         args: &OutputArgs,
         parts: [(&str, &'static Kind); N],
     ) -> Self {
-        let mut output = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
+        let mut output = Self::nothing(args);
         for (name, kind) in parts {
             output = output.and_directory("--out", &args.out.join(name), kind);
         }
@@ -134,9 +135,10 @@ impl Output {
     }
 
     /// Announces several artifacts of one kind as the output, in the directories of these `names` in `--out`. They have
-    /// to be written in this order. `args` are the flags of the output.
+    /// to be written in this order, but for those that [`Writer::leave_out`] names. Artifacts of other names that the
+    /// same method left in `--out` go away when the output appears. `args` are the flags of the output.
     pub fn of_one_kind(args: &OutputArgs, names: &[&str], kind: &'static Kind) -> Self {
-        let mut output = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
+        let mut output = Self { only: Some(kind), ..Self::nothing(args) };
         for name in names {
             output.directories.push(Directory {
                 flag: "--out",
@@ -145,6 +147,10 @@ impl Output {
             });
         }
         output
+    }
+
+    fn nothing(args: &OutputArgs) -> Self {
+        Self { args: args.clone(), directories: Vec::new(), files: Vec::new(), only: None }
     }
 
     /// Announces a further artifact, in the directory `path` that the user gave by `flag`.
@@ -170,8 +176,10 @@ impl Output {
         let key = key(task, inputs);
         let states = self.directories.iter().map(|d| self.state_of(d, &key, inputs));
         let states = states.collect::<Result<Vec<_>, _>>()?;
+        let left_over = self.left_over(task, inputs)?;
         let unchanged: Option<Vec<Status>> = states.into_iter().collect();
         if let Some(each) = unchanged
+            && left_over.is_empty()
             && self.files.iter().all(|(_, path)| path.exists())
         {
             let out = self.args.out.display();
@@ -182,7 +190,37 @@ impl Output {
         for (flag, path) in &self.files {
             check_file(flag, path, self.args.force, inputs)?;
         }
-        Ok(Begin::Run(Box::new(self.writer(task, inputs))))
+        let mut writer = self.writer(task, inputs);
+        writer.left_over = left_over;
+        Ok(Begin::Run(Box::new(writer)))
+    }
+
+    /// Returns the artifacts in `--out` that the same method left under other names than those of this run. Without
+    /// `--force` they are an error.
+    fn left_over(&self, task: &Task, inputs: &Inputs) -> Result<Vec<Directory>, HandoffError> {
+        let Some(kind) = self.only else { return Ok(Vec::new()) };
+        let Ok(entries) = fs::read_dir(&self.args.out) else { return Ok(Vec::new()) };
+        let mut left_over = Vec::new();
+        for path in entries.flatten().map(|entry| plain(&entry.path())) {
+            let is_of_this_run = self.directories.iter().any(|d| is_same(&d.path, &path));
+            if is_of_this_run
+                || publish::is_temporary(&path.file_name().unwrap_or_default().to_string_lossy())
+            {
+                continue;
+            }
+            // Whatever is no artifact of this kind is not ours to remove.
+            let Ok(Some(manifest)) = artifact::read_manifest(&path, kind) else { continue };
+            if manifest.tool != task.tool || manifest.method != task.method {
+                continue;
+            }
+            inputs.refuse_overlap("--out", &path)?;
+            if !self.args.force {
+                let problem = "is left over from a run with other names; give --force to remove it, or another --out";
+                return Err(HandoffError::new(&path, problem));
+            }
+            left_over.push(Directory { flag: "--out", path, kind });
+        }
+        Ok(left_over)
     }
 
     /// Returns the status of the existing artifact if it is the one that this run would make; otherwise `None`. `key`
@@ -286,6 +324,7 @@ impl Output {
             wall_time: self.args.wall_time,
             started: inputs.started,
             staged: Vec::new(),
+            left_over: Vec::new(),
             frame: None,
             progress: shown_progress(format!("{} {}", task.tool, task.method)),
             rounds: watched_rounds(),
@@ -315,6 +354,8 @@ pub struct Writer {
     started: Instant,
     /// Outputs that are written to temporary places and not visible yet.
     staged: Vec<Staged>,
+    /// Artifacts of an earlier run that go away when the outputs appear.
+    left_over: Vec<Directory>,
     progress: ProgressBar,
     /// Duration of each round of the work (of an iterative method) that has ended, s.
     rounds: Arc<Mutex<Vec<f64>>>,
@@ -327,6 +368,18 @@ impl Writer {
     /// kind: machine coordinates, for example.
     pub fn set_frame(&mut self, frame: &'static str) {
         self.frame = Some(frame);
+    }
+
+    /// Does without the announced artifact in the directory of this name in `--out`. One that an earlier run left there
+    /// goes away when the outputs appear.
+    pub fn leave_out(&mut self, name: &str) {
+        let has_name = |d: &Directory| d.path.file_name().is_some_and(|own| own == name);
+        let index = self.directories.iter().position(|(d, _)| has_name(d));
+        let index = index.unwrap_or_else(|| panic!("no {name} is to be written"));
+        let (directory, was_there) = self.directories.remove(index);
+        if was_there {
+            self.left_over.push(directory);
+        }
     }
 
     /// Returns the time of each round of the work so far, s ([`progress::round_ended`]); empty if it has no rounds.
@@ -408,6 +461,9 @@ impl Writer {
     fn show_when_complete(&mut self) -> Result<(), HandoffError> {
         if !(self.directories.is_empty() && self.files.is_empty()) {
             return Ok(()); // more is to come
+        }
+        for Directory { path, kind, .. } in std::mem::take(&mut self.left_over) {
+            self.staged.push(Staged::removal(&path, kind)?);
         }
         // A file says nothing of the run that made it. So it is the last: where it is, its artifact is the new one.
         self.staged.sort_by_key(Staged::is_file);

@@ -86,6 +86,8 @@ enum What {
     Directory { kind: &'static Kind, replace: bool },
     /// A single file. It replaces an existing regular one only if `replace` is true.
     File { replace: bool },
+    /// Nothing: an artifact of this kind goes away.
+    Removal { kind: &'static Kind },
 }
 
 impl Staged {
@@ -97,6 +99,13 @@ impl Staged {
         replace: bool,
     ) -> Result<Self, HandoffError> {
         Self::new(place, What::Directory { kind, replace }, |sibling| {
+            fs::create_dir(sibling).and_then(|()| File::open(sibling))
+        })
+    }
+
+    /// Prepares the removal of the artifact of this kind at `place`, which may be a link to a directory.
+    pub(crate) fn removal(place: &Path, kind: &'static Kind) -> Result<Self, HandoffError> {
+        Self::new(place, What::Removal { kind }, |sibling| {
             fs::create_dir(sibling).and_then(|()| File::open(sibling))
         })
     }
@@ -165,6 +174,10 @@ impl Staged {
                 let is_empty = fs::read_dir(&self.place).is_ok_and(|mut e| e.next().is_none());
                 !(replace || is_empty)
             }
+            (What::Removal { kind }, false) => {
+                refuse_foreign_files(&self.place, kind)?;
+                false
+            }
         };
         if taken {
             let problem =
@@ -194,6 +207,9 @@ impl Staged {
 
     /// Renames the output to its final path, in exchange for what may be there.
     fn appear(&mut self) -> Result<(), HandoffError> {
+        if matches!(self.what, What::Removal { .. }) {
+            return self.set_aside();
+        }
         let mut failed = ErrorKind::AlreadyExists.into();
         for _ in 0..MOST_ATTEMPTS_TO_APPEAR {
             match rename_or_exchange(&self.sibling, &self.place) {

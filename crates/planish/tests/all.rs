@@ -44,6 +44,8 @@ mod refine_hostile;
 mod register_cli;
 #[path = "../../run/tests/cli.rs"]
 mod run_cli;
+#[path = "../../run/tests/cli_several.rs"]
+mod run_cli_several;
 #[path = "../../schedule/tests/cli.rs"]
 mod schedule_cli;
 #[path = "../../schedule/tests/hostile.rs"]

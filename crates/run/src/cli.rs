@@ -9,6 +9,7 @@ mod place;
 mod program;
 mod run;
 mod several;
+mod several_tools;
 mod spread;
 mod start;
 mod tolerance;
@@ -53,6 +54,11 @@ pub enum RunCommand {
     ///
     /// Everything goes to out/next-run/MAP, or to OUT with out=OUT (docs/campaign.md).
     NextRun(next_run::NextRun),
+    /// Plan with several tools of a rack: choose them, then plan, judge and simulate tool by tool from coarse to fine
+    ///
+    /// The tools that follow are planned again on what the motion before them removes. Everything goes to
+    /// out/several/MAP, or to OUT with out=OUT (docs/how-to/choose-tools.md). `planish run several` is the same.
+    Several(several_tools::Several),
     /// Run a command while the directory of a run is locked for it; the command replaces this program
     ///
     /// The program checks the machine file and the mirror first, so that a mistake in them is not found
@@ -78,6 +84,7 @@ impl RunCommand {
             Self::Campaign(arguments) => arguments.run(),
             Self::CampaignSpread(arguments) => arguments.run(),
             Self::NextRun(arguments) => arguments.run(),
+            Self::Several(arguments) => arguments.run(),
             Self::Start(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Verdict(arguments) => arguments.run(),

@@ -18,6 +18,7 @@
 //! | [`PathDistance`] | largest distance of a motion from its tool path in mm | - |
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
+//! | [`Rack`] | tools of a lab, from which a plan of several tools is made | - |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
@@ -39,6 +40,7 @@ pub mod outcome;
 mod path_distance;
 pub mod plausible;
 pub mod progress;
+mod rack;
 mod regression;
 mod surface;
 pub mod text;
@@ -68,6 +70,7 @@ pub use limits::{
 };
 pub use machine::{Machine, assumed_machine};
 pub use path_distance::PathDistance;
+pub use rack::{Rack, RackEntry};
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::{Tif, VaryingTif};
 pub use tif_lattice::{OnLattice, PARTS_TOLERANCE, TifLattice};

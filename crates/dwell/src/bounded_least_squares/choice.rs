@@ -60,8 +60,22 @@ pub struct ToolChoice {
     pub bound_nm2: f64,
 }
 
+impl ToolChoice {
+    /// Returns the plan of the best subset so far.
+    pub fn best(&self) -> &SolvedSubset {
+        &self.solved[self.best]
+    }
+
+    /// Returns the proven bound of the distance of its cost from the least one over all subsets, relative to its cost.
+    pub fn relative_gap(&self) -> f64 {
+        let cost_nm2 = self.best().cost_nm2;
+        if cost_nm2 > 0.0 { ((cost_nm2 - self.bound_nm2) / cost_nm2).max(0.0) } else { 0.0 }
+    }
+}
+
 /// Finds the subset of a rack of at most six tools at which (1) of the module is least, with its plan and a bound over
-/// all subsets. `weight` and `settings` are those of [`solve_several`].
+/// all subsets. `weight` and `settings` are those of [`solve_several`]. After every solved subset, `report` gets the
+/// choice so far, whose last subset is the new one.
 ///
 /// # Errors
 /// Refuses no tools or more than six, a price of a change that is not >= 0, and what [`solve_several`] refuses.
@@ -70,21 +84,18 @@ pub fn choose_tools(
     rack: &[RackTool<'_>],
     weight: Option<&Array2<f64>>,
     settings: &BoundedSettings,
+    mut report: impl FnMut(&ToolChoice),
 ) -> Result<ToolChoice, DwellError> {
     check_rack(rack)?;
-    let mut search = Search { rack, solved: Vec::new() };
+    let choice = ToolChoice { solved: Vec::new(), best: 0, bound_nm2: 0.0 };
+    let mut search = Search { rack, subsets: Vec::new(), choice };
     while let Some(subset) = search.next() {
         let tasks: Vec<ToolTask<'_>> = subset.members().map(|k| rack[k].task).collect();
         let solution = solve_several(desired, &tasks, weight, settings)?;
         search.add(subset, solution);
+        report(&search.choice);
     }
-    let open = Subset::all(rack.len()).filter(|subset| search.is_open(*subset));
-    let of_open = open.map(|subset| search.bound_nm2(subset));
-    let of_solved = search.solved.iter().map(|(_, solved)| solved.bound_nm2);
-    let bound_nm2 = of_open.chain(of_solved).fold(f64::INFINITY, f64::min);
-    let best = search.best().expect("the whole rack is solved first");
-    let solved = search.solved.into_iter().map(|(_, solved)| solved).collect();
-    Ok(ToolChoice { solved, best, bound_nm2 })
+    Ok(search.choice)
 }
 
 /// Refuses no tools, more than [`MAX_TOOLS`], and a price of a change that is not >= 0.
@@ -123,10 +134,12 @@ impl Subset {
     }
 }
 
-/// The subsets of a rack that are solved so far.
+/// The search for the best subset of a rack.
 struct Search<'a> {
     rack: &'a [RackTool<'a>],
-    solved: Vec<(Subset, SolvedSubset)>,
+    /// Subsets that are solved so far, in the order of `choice.solved`.
+    subsets: Vec<Subset>,
+    choice: ToolChoice,
 }
 
 impl Search<'_> {
@@ -138,7 +151,8 @@ impl Search<'_> {
     /// Returns a lower bound of (1) of the module for a subset, nm^2: the largest one that follows from the solved
     /// subsets with further tools that may stand still.
     fn bound_nm2(&self, subset: Subset) -> f64 {
-        let larger = self.solved.iter().filter(|(larger, _)| {
+        let solved = self.subsets.iter().zip(&self.choice.solved);
+        let larger = solved.filter(|(larger, _)| {
             let further = larger.members().filter(|k| !subset.has(*k));
             larger.contains(subset) && further.map(|k| &self.rack[k]).all(RackTool::may_stand_still)
         });
@@ -148,29 +162,24 @@ impl Search<'_> {
 
     /// Returns true if a subset is not solved.
     fn is_open(&self, subset: Subset) -> bool {
-        self.solved.iter().all(|(solved, _)| *solved != subset)
-    }
-
-    /// Returns the index of the solved subset whose plan costs least; `None` before the first one.
-    fn best(&self) -> Option<usize> {
-        let cost = |k: &usize| self.solved[*k].1.cost_nm2;
-        (0..self.solved.len()).min_by(|a, b| cost(a).total_cmp(&cost(b)))
+        !self.subsets.contains(&subset)
     }
 
     /// Returns the next subset to solve: the whole rack, then the one with the least bound, then the largest one that can
     /// be better than the best plan, and of those the one with the least bound. `None` if none can be better.
     fn next(&self) -> Option<Subset> {
-        let best_nm2 = self.best().map_or(f64::INFINITY, |k| self.solved[k].1.cost_nm2);
+        let solved = &self.choice.solved;
+        let best_nm2 = solved.get(self.choice.best).map_or(f64::INFINITY, |best| best.cost_nm2);
         let open = Subset::all(self.rack.len()).filter(|subset| self.is_open(*subset));
         let promising = open.filter(|subset| self.bound_nm2(*subset) < best_nm2);
         promising.min_by(|a, b| {
             let by_bound = self.bound_nm2(*a).total_cmp(&self.bound_nm2(*b));
             let by_size = b.members().count().cmp(&a.members().count());
-            if self.solved.len() == 1 { by_bound } else { by_size.then(by_bound) }
+            if solved.len() == 1 { by_bound } else { by_size.then(by_bound) }
         })
     }
 
-    /// Adds the plan of a subset.
+    /// Adds the plan of a subset, and updates the best one and the bound.
     fn add(&mut self, subset: Subset, solution: SeveralSolution) {
         let changes_nm2 = self.changes_nm2(subset);
         let objective_nm2 = solution.report.objective_nm2;
@@ -182,7 +191,18 @@ impl Search<'_> {
             bound_nm2: (1.0 - gap) * objective_nm2 + changes_nm2,
             solution,
         };
-        self.solved.push((subset, solved));
+        self.subsets.push(subset);
+        let choice = &mut self.choice;
+        if solved.cost_nm2
+            < choice.solved.get(choice.best).map_or(f64::INFINITY, |best| best.cost_nm2)
+        {
+            choice.best = choice.solved.len();
+        }
+        choice.solved.push(solved);
+        let open = Subset::all(self.rack.len()).filter(|subset| self.is_open(*subset));
+        let of_open = open.map(|subset| self.bound_nm2(subset));
+        let of_solved = self.choice.solved.iter().map(|solved| solved.bound_nm2);
+        self.choice.bound_nm2 = of_open.chain(of_solved).fold(f64::INFINITY, f64::min);
     }
 }
 

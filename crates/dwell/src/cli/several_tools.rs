@@ -1,27 +1,48 @@
-//! `planish-dwell several-tools`.
+//! `planish-dwell several-tools` and `planish-dwell choose-tools`: dwell times of a rack of tools, or of its best
+//! subset.
 
-use std::{
-    collections::BTreeSet,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use ndarray::Array2;
 use planish_dwell::{
     bounded_least_squares::{
-        Bound, BoundedReport, BoundedSettings, ShareOfTool, ToolTask, solve_several,
+        Bound, BoundedReport, BoundedSettings, RackTool, SeveralSolution, ShareOfTool,
+        SolvedSubset, ToolChoice, ToolTask, choose_tools, solve_several,
     },
     problem::rms_before,
+    short_waves::{ShortWaves, short_waves},
 };
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
 };
-use planish_types::{DwellTime, Surface, Tif, ToolPath, outcome::plan::PlanOutcome, plausible};
-use serde::{Deserialize, Serialize};
+use planish_types::{
+    DwellTime, Rack, RackEntry, Surface, Tif, ToolPath, outcome::plan::PlanOutcome, plausible,
+};
+use serde::Serialize;
 
 use super::{bounded_least_squares::ObjectiveArgs, status, warn_of};
 
+/// Part of the residual, in RMS, from which a warning says that no tool reaches its waves. Larger: a rack without a
+/// narrow tool passes in silence. Smaller: warnings about noise that nobody wants removed. At half, these waves are a
+/// quarter of the mean square.
+const SHORT_PART: f64 = 0.5;
+
 #[derive(Args)]
 pub struct SeveralTools {
+    #[command(flatten)]
+    rack: RackArgs,
+}
+
+#[derive(Args)]
+pub struct ChooseTools {
+    #[command(flatten)]
+    rack: RackArgs,
+}
+
+/// Flags of the commands that plan with a rack.
+#[derive(Args)]
+struct RackArgs {
     /// Map of the desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
@@ -38,68 +59,90 @@ pub struct SeveralTools {
     output: OutputArgs,
 }
 
-/// The file of the flag `--rack`.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RackFile {
-    tools: Vec<RackTool>,
-}
-
-/// One tool as the rack states it.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RackTool {
-    /// Name of the tool, and of the directory of its dwell times.
-    name: String,
-    /// Directory of its TIF, or of a tool that varies over the part.
-    tif: PathBuf,
-    /// Directory of its tool path.
-    tool_path: PathBuf,
-    /// Smallest dwell time of every dwell point, s.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    min_dwell_s: Option<f64>,
-    /// Smallest dwell time per length, s/mm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    min_dwell_s_per_mm: Option<f64>,
-    /// Largest dwell time of every dwell point, s.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    max_dwell_s: Option<f64>,
-    /// Largest dwell time per length, s/mm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    max_dwell_s_per_mm: Option<f64>,
-    /// Price of a second of this tool, relative to half the mean square of the residual, nm^2/s.
-    #[serde(default)]
-    time_weight_nm2_per_s: f64,
-}
-
 /// A tool of the rack with what its files hold.
 struct Loaded {
-    tool: RackTool,
+    tool: RackEntry,
     tif: Tif,
     path: ToolPath,
     min_dwell: Bound,
     max_dwell: Option<Bound>,
 }
 
-/// Report on the dwell times of one tool: its name, the shares of all tools, and the report on all of them together.
+/// Report on the dwell times of one tool: its name, the shares of all tools, the choice of them if it was made here,
+/// and the report on all of them together.
 #[derive(Serialize)]
 struct ReportOfTool<'a> {
     tool: &'a str,
     tools: &'a [ShareOfTool],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    choice: Option<&'a ChoiceReport>,
     #[serde(flatten)]
     all: &'a BoundedReport,
+}
+
+/// Report on the choice of tools: the subsets that were solved, and the bound over all of them.
+#[derive(Serialize)]
+struct ChoiceReport {
+    /// Subsets that were solved, in the order in which they were.
+    subsets: Vec<SubsetRow>,
+    /// Index of the best one.
+    best: usize,
+    /// Proven lower bound of the cost of every subset, nm^2.
+    bound_nm2: f64,
+    /// Bound of the distance of the cost of the best subset from the least one, relative to its cost.
+    relative_gap_of_choice: f64,
+}
+
+/// A subset of the rack that was solved.
+#[derive(Serialize)]
+struct SubsetRow {
+    /// Names of its tools.
+    tools: Vec<String>,
+    /// Residual of its plan, RMS, nm.
+    model_rms_nm: f64,
+    /// Sum of the dwell times of each tool, s.
+    time_s: Vec<f64>,
+    /// Sum of all dwell times and of the times to mount the tools, s.
+    time_with_changes_s: f64,
+    /// Objective and prices of the changes, nm^2.
+    cost_nm2: f64,
+    /// Proven lower bound of this cost, nm^2.
+    bound_nm2: f64,
 }
 
 /// Settings as the manifests state them.
 #[derive(Serialize)]
 struct Resolved {
-    tools: Vec<RackTool>,
+    tools: Vec<RackEntry>,
+    /// True if the best subset of the tools was to be found.
+    chosen: bool,
     #[serde(flatten)]
     settings: BoundedSettings,
 }
 
+/// Tools of a problem with the map and its weights.
+struct Task<'a> {
+    surface: &'a Surface,
+    loaded: &'a [Loaded],
+    weight: Option<&'a Array2<f64>>,
+    settings: &'a BoundedSettings,
+}
+
 impl SeveralTools {
     pub fn run(&self) -> Result<Status, Failure> {
+        self.rack.run(false)
+    }
+}
+
+impl ChooseTools {
+    pub fn run(&self) -> Result<Status, Failure> {
+        self.rack.run(true)
+    }
+}
+
+impl RackArgs {
+    /// Plans with all tools of the rack, or with its best subset if `chosen`, and writes the dwell times of each tool.
+    fn run(&self, chosen: bool) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let loaded = self.read_rack(&mut inputs)?;
@@ -108,7 +151,7 @@ impl SeveralTools {
         let weight = weight.as_ref();
         let settings = self.objective.settings(&surface, weight)?;
         let tools = loaded.iter().map(|loaded| loaded.tool.clone()).collect();
-        let task = task!("several-tools", Resolved { tools, settings });
+        let task = task!("several-tools", Resolved { tools, chosen, settings });
         let names: Vec<&str> = loaded.iter().map(|loaded| loaded.tool.name.as_str()).collect();
         let output = Output::of_one_kind(&self.output, &names, DwellTime::KIND);
         let mut output = match output.begin(&task, &inputs)? {
@@ -122,14 +165,23 @@ impl SeveralTools {
                 warn(format!("tool {:?}: {doubt}", tool.name));
             }
         }
-        let tasks: Vec<ToolTask<'_>> = loaded.iter().map(Loaded::task).collect();
-        let solution =
-            solve_several(&surface, &tasks, weight, &settings).map_err(Failure::with_flags)?;
-
-        let r = &solution.report;
+        let task = Task { surface: &surface, loaded: &loaded, weight, settings: &settings };
+        let (solution, choice) = if chosen {
+            let (solution, choice) = task.choose()?;
+            (solution, Some(choice))
+        } else {
+            (task.solve()?, None)
+        };
+        let SeveralSolution { dwell, shares, report: r } = &solution;
         let status = status(r.negative(rms_before(&surface, weight)));
-        for (share, dwell) in solution.shares.iter().zip(&solution.dwell) {
-            let report = ReportOfTool { tool: &share.name, tools: &solution.shares, all: r };
+        for name in names {
+            if !shares.iter().any(|share| share.name == name) {
+                output.leave_out(name);
+            }
+        }
+        for (share, dwell) in shares.iter().zip(dwell) {
+            let report =
+                ReportOfTool { tool: &share.name, tools: shares, choice: choice.as_ref(), all: r };
             let outcome = PlanOutcome {
                 end: Some(r.end.into()),
                 report: Some(report),
@@ -138,7 +190,8 @@ impl SeveralTools {
             output.write(dwell, outcome, &status)?;
             warn_of(share.tif_lattice);
         }
-        self.print(r, &solution.shares);
+        self.print(r, shares);
+        task.warn_of_short_waves(&solution);
         Ok(status)
     }
 
@@ -173,21 +226,120 @@ impl SeveralTools {
 
     /// Reads the rack, and the TIF and tool path of each of its tools.
     fn read_rack(&self, inputs: &mut Inputs) -> Result<Vec<Loaded>, Failure> {
-        let rack: RackFile = inputs.read_json("rack", &self.rack)?;
-        check_names(&rack)
+        let rack: Rack = inputs.read_json("rack", &self.rack)?;
+        rack.check_names()
             .map_err(|problem| Failure::new(format!("{}: {problem}", self.rack.display())))?;
         let directory = self.rack.parent().unwrap_or(Path::new(""));
         rack.tools.into_iter().map(|tool| Loaded::read(tool, directory, inputs)).collect()
     }
 }
 
+impl Task<'_> {
+    /// Plans with all tools.
+    fn solve(&self) -> Result<SeveralSolution, Failure> {
+        let tasks: Vec<ToolTask<'_>> = self.loaded.iter().map(Loaded::task).collect();
+        solve_several(self.surface, &tasks, self.weight, self.settings).map_err(Failure::with_flags)
+    }
+
+    /// Plans with the best subset of the tools, and prints a row of the table for every subset when it is solved. So an
+    /// interrupted search has told the best one so far, with its gap.
+    fn choose(&self) -> Result<(SeveralSolution, ChoiceReport), Failure> {
+        let rack: Vec<RackTool<'_>> = self.loaded.iter().map(Loaded::rack_tool).collect();
+        say(format!(
+            "{:<32} {:>10} {:>10} {:>14} {:>12} {:>9}  time of each tool, s",
+            "tools", "RMS nm", "time s", "with changes", "cost nm^2", "best: gap"
+        ));
+        let choice = choose_tools(self.surface, &rack, self.weight, self.settings, |so_far| {
+            self.print_row(so_far);
+        })
+        .map_err(Failure::with_flags)?;
+        let rows = choice.solved.iter().map(|subset| self.row(subset));
+        let report = ChoiceReport {
+            subsets: rows.collect(),
+            best: choice.best,
+            bound_nm2: choice.bound_nm2,
+            relative_gap_of_choice: choice.relative_gap(),
+        };
+        let best = &report.subsets[report.best];
+        say(format!(
+            "chosen: {}, {:.2} s with changes; no subset costs less by more than {:.1e} of its cost; {} of {} solved",
+            best.tools.join(" + "),
+            best.time_with_changes_s,
+            report.relative_gap_of_choice,
+            report.subsets.len(),
+            (1_usize << rack.len()) - 1
+        ));
+        let solution = choice.best().solution.clone();
+        Ok((solution, report))
+    }
+
+    /// Prints the row of the subset that was solved last, with the gap of the best one so far.
+    fn print_row(&self, so_far: &ToolChoice) {
+        let row = self.row(so_far.solved.last().expect("a subset was solved"));
+        let times: Vec<String> = row.time_s.iter().map(|time| format!("{time:.2}")).collect();
+        let is_best = so_far.best + 1 == so_far.solved.len();
+        say(format!(
+            "{:<32} {:>10.4} {:>10.2} {:>14.2} {:>12.4} {}{:>8.1e}  {}",
+            row.tools.join(" + "),
+            row.model_rms_nm,
+            row.time_s.iter().sum::<f64>(),
+            row.time_with_changes_s,
+            row.cost_nm2,
+            if is_best { "*" } else { " " },
+            so_far.relative_gap(),
+            times.join(" + ")
+        ));
+    }
+
+    fn row(&self, subset: &SolvedSubset) -> SubsetRow {
+        let tools = subset.tools.iter().map(|k| &self.loaded[*k].tool);
+        let changes_s: f64 = tools.clone().map(|tool| tool.change_s).sum();
+        let SeveralSolution { shares, report, .. } = &subset.solution;
+        SubsetRow {
+            tools: tools.map(|tool| tool.name.clone()).collect(),
+            model_rms_nm: report.model_rms_nm,
+            time_s: shares.iter().map(|share| share.total_time_s).collect(),
+            time_with_changes_s: report.total_time_s + changes_s,
+            cost_nm2: subset.cost_nm2,
+            bound_nm2: subset.bound_nm2,
+        }
+    }
+
+    /// Warns if most of the residual has waves that none of the tools reaches.
+    fn warn_of_short_waves(&self, solution: &SeveralSolution) {
+        let is_used =
+            |loaded: &&Loaded| solution.shares.iter().any(|share| share.name == loaded.tool.name);
+        let tifs: Vec<&Tif> = self.loaded.iter().filter(is_used).map(|l| &l.tif).collect();
+        let Some(ShortWaves { wavelength_mm, rms_nm }) = short_waves(self.surface, &tifs) else {
+            return;
+        };
+        if rms_nm > SHORT_PART * solution.report.model_rms_nm {
+            warn(format!(
+                "waves shorter than {wavelength_mm:.2} mm remain, {rms_nm:.4} nm RMS of the map: no tool reaches them; \
+                 add a narrower tool to the rack if they matter"
+            ));
+        }
+    }
+}
+
 impl Loaded {
     /// Reads the TIF and the tool path of a tool. Their paths start at the directory of the rack.
-    fn read(tool: RackTool, directory: &Path, inputs: &mut Inputs) -> Result<Self, Failure> {
+    fn read(tool: RackEntry, directory: &Path, inputs: &mut Inputs) -> Result<Self, Failure> {
         let name = &tool.name;
+        for (field, value) in [("change_s", tool.change_s), ("setup_error_nm", tool.setup_error_nm)]
+        {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(failure_of(name, format!("{field} is {value}; give a number >= 0")));
+            }
+        }
+        let Some(tool_path) = &tool.tool_path else {
+            let problem =
+                "has no tool_path; give the directory of one, as planish-toolpath makes it";
+            return Err(failure_of(name, problem.into()));
+        };
         let tif =
             inputs.read_tool_with_doubt(&format!("tif-{name}"), &directory.join(&tool.tif))?;
-        let path = inputs.read(&format!("tool-path-{name}"), &directory.join(&tool.tool_path))?;
+        let path = inputs.read(&format!("tool-path-{name}"), &directory.join(tool_path))?;
         let min_dwell = bound("min_dwell", tool.min_dwell_s, tool.min_dwell_s_per_mm);
         let max_dwell = bound("max_dwell", tool.max_dwell_s, tool.max_dwell_s_per_mm);
         let min_dwell = min_dwell.map_err(|problem| failure_of(name, problem))?;
@@ -206,27 +358,18 @@ impl Loaded {
             time_weight_nm2_per_s: self.tool.time_weight_nm2_per_s,
         }
     }
+
+    /// Returns the tool with the price of mounting it, in half the mean square of the residual.
+    fn rack_tool(&self) -> RackTool<'_> {
+        let RackEntry { change_s, setup_error_nm, time_weight_nm2_per_s, .. } = &self.tool;
+        let change_nm2 = time_weight_nm2_per_s * change_s + 0.5 * setup_error_nm * setup_error_nm;
+        RackTool { task: self.task(), change_nm2 }
+    }
 }
 
 /// Returns the failure of a tool with its name.
 fn failure_of(name: &str, problem: String) -> Failure {
     Failure::new(format!("tool {name:?}: {problem}"))
-}
-
-/// Refuses a rack without tools, a name that cannot name a directory, and two tools of one name.
-fn check_names(rack: &RackFile) -> Result<(), String> {
-    if rack.tools.is_empty() {
-        return Err("has no tools; give at least one".to_string());
-    }
-    let mut names = BTreeSet::new();
-    for (k, RackTool { name, .. }) in rack.tools.iter().enumerate() {
-        check_name(name).map_err(|problem| format!("tools[{k}].name {problem}"))?;
-        // Two directories that differ in case are one on some systems.
-        if !names.insert(name.to_lowercase()) {
-            return Err(format!("tools[{k}].name is {name:?} again; give every tool its own name"));
-        }
-    }
-    Ok(())
 }
 
 /// Returns the bound by a time, s, or by a time per length, s/mm; `None` if neither is there. Refuses both.
@@ -240,18 +383,6 @@ fn bound(
         (Some(time), None) => Ok(Some(Bound::Seconds(time))),
         (None, rate) => Ok(rate.map(Bound::SecondsPerMm)),
     }
-}
-
-/// Refuses a name that cannot name a directory on every system.
-fn check_name(name: &str) -> Result<(), String> {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-    if name.starts_with(|c: char| c.is_ascii_alphanumeric()) && name.chars().all(is_plain) {
-        return Ok(());
-    }
-    Err(format!(
-        "is {name:?}, which names a directory of the output; give letters, digits, `-`, `_` and `.`, a letter or digit \
-         first"
-    ))
 }
 
 /// Returns a sentence if the effective area of the TIF is larger than the map, so that the tool removes little more

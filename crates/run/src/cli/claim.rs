@@ -111,7 +111,10 @@ impl Claim {
 
 /// Returns the content of the machine file as the stages of the run get it, from `copy`. If an axis has no jerk limit
 /// stated, it gets an assumed time to full acceleration, and a warning is returned; otherwise `None`.
-fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
+pub fn with_limit_on_jerk(
+    machine: &Path,
+    copy: &Path,
+) -> Result<(Vec<u8>, Option<String>), Failure> {
     let failed = |e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot be read: {e}", machine.display()))
     };

@@ -12,6 +12,7 @@ use planish_pipeline::{
 use super::{
     execute::{Messages, run},
     place::Installation,
+    several_tools,
 };
 
 #[derive(Args)]
@@ -45,6 +46,9 @@ pub struct Show {
 
 impl RunPipeline {
     pub fn run(&self) -> Result<Status, Failure> {
+        if self.pipeline == several_tools::NAME {
+            return several_tools::run(&self.settings);
+        }
         stage(&self.pipeline, "run", &self.settings)
     }
 }

@@ -95,6 +95,13 @@ pub struct PlanReport {
     pub proven: ProvenGap,
 }
 
+/// Report on the dwell times of several tools, as far as a run with them reads it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct SeveralReport {
+    /// RMS of the residual of all tools in the removal model of the solver, nm.
+    pub model_rms_nm: f64,
+}
+
 /// Proven bound on what a plan leaves to gain: part of the report of a method.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ProvenGap {
