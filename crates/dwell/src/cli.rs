@@ -1,6 +1,7 @@
 //! The subcommands, one file each, with the arguments, input and output that the solvers of a [`Problem`] share.
 
 mod bcls;
+mod bound;
 mod bounded_least_squares;
 mod feed_law;
 mod lucy_richardson;
@@ -38,6 +39,8 @@ pub enum Solver {
     BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
     /// The same for several tools in one problem: which tool removes what
     SeveralTools(several_tools::SeveralTools),
+    /// Residual that no path and no motion of this tool can beat in a run time, with its gap
+    Bound(bound::BoundArgs),
     /// Least squares with bounds from the limits of a machine
     #[command(hide = true)]
     Bcls(bcls::Bcls),
@@ -65,6 +68,7 @@ impl Solver {
         match self {
             Self::BoundedLeastSquares(arguments) => arguments.run(),
             Self::SeveralTools(arguments) => arguments.run(),
+            Self::Bound(arguments) => arguments.run(),
             Self::Bcls(arguments) => arguments.run(),
             Self::NonNegativeLeastSquares(arguments) => arguments.run(),
             Self::TikhonovLsqr(arguments) => arguments.run(),
