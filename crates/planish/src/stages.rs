@@ -3,7 +3,7 @@
 use planish_handoff::Stage;
 
 /// The stages, in the order of a run; `planish-run` runs them.
-pub const STAGES: [Stage; 21] = [
+pub const STAGES: [Stage; 22] = [
     planish_run::command::COMMAND,
     planish_fixture::command::COMMAND,
     planish_import::command::command::<planish_tool::command::ImportNames>(),
@@ -24,5 +24,6 @@ pub const STAGES: [Stage; 21] = [
     planish_tolerance::command::COMMAND,
     planish_reconcile::command::COMMAND,
     planish_campaign::command::COMMAND,
+    planish_benchmark::command::COMMAND,
     planish_sweep::command::COMMAND,
 ];

@@ -16,7 +16,7 @@ type Room = (&'static str, &'static [&'static str]);
 
 /// Crates of layers 0 to 2, the stages that see others, crates that run several stages, and the tests that
 /// see all.
-const ROOMS: [Room; 19] = [
+const ROOMS: [Room; 20] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
@@ -48,6 +48,7 @@ const ROOMS: [Room; 19] = [
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),
+    ("benchmark", &["types", "handoff", "fixture", "dwell", "simulate", "verify"]),
     ("pipeline", &["types", "handoff"]),
     ("run", &["types", "handoff", "pipeline"]),
     ("sweep", &["numerics", "types", "handoff", "pipeline"]),
@@ -71,11 +72,11 @@ const STAGES: [&str; 12] = [
     "register",
 ];
 /// Stages whose libraries call those of others.
-const STAGES_THAT_NAME_STAGES: [&str; 7] =
-    ["axes", "tool", "refine", "joint", "tolerance", "reconcile", "campaign"];
+const STAGES_THAT_NAME_STAGES: [&str; 8] =
+    ["axes", "tool", "refine", "joint", "tolerance", "reconcile", "campaign", "benchmark"];
 const STAGE_MAY_NAME: [&str; 6] = ["numerics", "types", "draw", "form", "kinematics", "handoff"];
 
-const ALL: [&str; 28] = [
+const ALL: [&str; 29] = [
     "numerics",
     "types",
     "draw",
@@ -101,6 +102,7 @@ const ALL: [&str; 28] = [
     "tolerance",
     "reconcile",
     "campaign",
+    "benchmark",
     "run",
     "sweep",
     "register",
