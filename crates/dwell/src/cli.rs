@@ -1,6 +1,7 @@
 //! The subcommands, one file each, with the arguments, input and output that the solvers of a [`Problem`] share.
 
 mod bcls;
+mod bound;
 mod bounded_least_squares;
 mod feed_law;
 mod lucy_richardson;
@@ -40,6 +41,8 @@ pub enum Solver {
     SeveralTools(several_tools::SeveralTools),
     /// The subset of a rack of up to six tools that costs least with its changes, and its dwell times
     ChooseTools(several_tools::ChooseTools),
+    /// Residual that no path and no motion of this tool can beat in a run time, with its gap
+    Bound(bound::BoundArgs),
     /// Least squares with bounds from the limits of a machine
     #[command(hide = true)]
     Bcls(bcls::Bcls),
@@ -68,6 +71,7 @@ impl Solver {
             Self::BoundedLeastSquares(arguments) => arguments.run(),
             Self::SeveralTools(arguments) => arguments.run(),
             Self::ChooseTools(arguments) => arguments.run(),
+            Self::Bound(arguments) => arguments.run(),
             Self::Bcls(arguments) => arguments.run(),
             Self::NonNegativeLeastSquares(arguments) => arguments.run(),
             Self::TikhonovLsqr(arguments) => arguments.run(),

@@ -39,6 +39,7 @@ mod extension;
 pub mod lucy_richardson;
 mod model;
 mod objective;
+pub mod path_free_bound;
 pub mod problem;
 pub mod residual;
 pub mod residual_slope;

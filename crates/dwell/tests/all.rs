@@ -3,6 +3,8 @@
 mod definition;
 #[path = "oracles.rs"]
 mod oracles;
+#[path = "path_free_bound.rs"]
+mod path_free_bound;
 #[path = "random_problems.rs"]
 mod random_problems;
 #[path = "reference.rs"]

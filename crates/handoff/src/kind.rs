@@ -679,6 +679,17 @@ pub const ITERATIONS: Kind = Kind {
     files: &["pareto.svg"],
 };
 
+/// Kind of the bound of the residual on any path.
+pub const BOUND: Kind = Kind {
+    name: "bound",
+    version: 1,
+    doc: "Residual RMS that no path and no motion of a tool can beat in a run time; everything is in the manifest's \
+          outcome.",
+    frame: MAP_FRAME,
+    arrays: &[],
+    files: &[],
+};
+
 /// Kind of the verdict: whether a motion keeps the limits of a machine.
 pub const VERDICT: Kind = Kind {
     name: "verdict",
@@ -892,13 +903,14 @@ pub const SWEEP: Kind = Kind {
 };
 
 /// All kinds, in the order in which a pipeline makes them.
-pub const ALL: [&Kind; 22] = [
+pub const ALL: [&Kind; 23] = [
     &SURFACE,
     &TIF,
     &TOOL,
     &TOOL_PATH,
     &DWELL,
     &DWELL_DENSITY,
+    &BOUND,
     &TRAJECTORY,
     &AXES,
     &TRANSFORM,

@@ -55,6 +55,7 @@ fn every_kind_of_0_1_0_is_read() {
         FRAMES,
         ITERATIONS,
         VERDICT,
+        BOUND,
         TOLERANCE,
         RECONCILIATION,
         DECISION,

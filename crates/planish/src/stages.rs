@@ -3,7 +3,7 @@
 use planish_handoff::Stage;
 
 /// The stages, in the order of a run; `planish-run` runs them.
-pub const STAGES: [Stage; 22] = [
+pub const STAGES: [Stage; 23] = [
     planish_app::command::COMMAND,
     planish_run::command::COMMAND,
     planish_fixture::command::COMMAND,
@@ -25,5 +25,6 @@ pub const STAGES: [Stage; 22] = [
     planish_tolerance::command::COMMAND,
     planish_reconcile::command::COMMAND,
     planish_campaign::command::COMMAND,
+    planish_benchmark::command::COMMAND,
     planish_sweep::command::COMMAND,
 ];

@@ -4,6 +4,8 @@
 mod app_http;
 #[path = "../../axes/tests/cli.rs"]
 mod axes_cli;
+#[path = "../../benchmark/tests/cli.rs"]
+mod benchmark_cli;
 #[path = "../../bspline-feed/tests/cli.rs"]
 mod bspline_feed_cli;
 #[path = "../../bspline-feed/tests/hostile.rs"]
@@ -17,6 +19,8 @@ mod compare_chain;
 mod compare_cli;
 #[path = "../../dwell/tests/cli.rs"]
 mod dwell_cli;
+#[path = "../../dwell/tests/cli_bound.rs"]
+mod dwell_cli_bound;
 #[path = "../../dwell/tests/cli_several_tools.rs"]
 mod dwell_cli_several_tools;
 #[path = "../../dwell/tests/cli_solvers.rs"]

@@ -48,6 +48,7 @@ const ROOMS: [Room; 20] = [
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),
+    ("benchmark", &["types", "handoff", "fixture", "dwell", "simulate", "verify"]),
     ("pipeline", &["types", "handoff"]),
     ("app", &["types", "draw", "handoff", "pipeline"]),
     ("run", &["types", "handoff", "pipeline"]),
@@ -72,11 +73,11 @@ const STAGES: [&str; 12] = [
     "register",
 ];
 /// Stages whose libraries call those of others.
-const STAGES_THAT_NAME_STAGES: [&str; 7] =
-    ["axes", "tool", "refine", "joint", "tolerance", "reconcile", "campaign"];
+const STAGES_THAT_NAME_STAGES: [&str; 8] =
+    ["axes", "tool", "refine", "joint", "tolerance", "reconcile", "campaign", "benchmark"];
 const STAGE_MAY_NAME: [&str; 6] = ["numerics", "types", "draw", "form", "kinematics", "handoff"];
 
-const ALL: [&str; 29] = [
+const ALL: [&str; 30] = [
     "app",
     "numerics",
     "types",
@@ -103,6 +104,7 @@ const ALL: [&str; 29] = [
     "tolerance",
     "reconcile",
     "campaign",
+    "benchmark",
     "run",
     "sweep",
     "register",

@@ -6,6 +6,7 @@
 //! its stage knows; nobody else reads them.
 
 pub mod axes;
+pub mod bound;
 pub mod plan;
 pub mod reconciliation;
 pub mod removal;

@@ -24,7 +24,7 @@ use std::borrow::Cow;
 
 use ndarray::Array2;
 use planish_numerics::keys;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::{Axis, Grid, Invalid, Tif, budget, text::significant};
 
@@ -51,7 +51,7 @@ const POSES: usize = 8;
 const BYTES_PER_SAMPLE: usize = 4 * size_of::<f64>();
 
 /// Lattice of a TIF on a map, and the error of the TIF there.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TifLattice {
     /// Number of samples of the TIF per pixel along x and y (m of the module).
     pub parts: [usize; 2],

@@ -76,7 +76,7 @@ impl Columns {
 /// For a Gaussian it is two standard deviations, found from the slopes of the TIF. The slopes of a tool with steep
 /// flanks give a much shorter length, and three points never represent it exactly. For such a tool it is half of the
 /// spread, the standard deviation of a Gaussian with the same width of R^2.
-fn longest_part_mm(tif: &Tif) -> [f64; 2] {
+pub(crate) fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     // 1 / (2 sigma^2) and sigma^2 / 2 of a Gaussian, weighted with R^2: noise far from the tool counts for nothing.
     let slopes = tif.slope_energy_per_mm2();
     [0, 1].map(|axis| {

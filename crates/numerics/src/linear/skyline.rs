@@ -585,7 +585,7 @@ impl Sums {
 
 /// Adds `a x`, the vector x times a number, to `y`.
 #[inline(always)]
-pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
+pub fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
     for (y, x) in y.iter_mut().zip(x) {
         *y += a * (*x).into();
     }

@@ -1,0 +1,40 @@
+//! The judge of the benchmark: one way to score a motion, whoever planned it.
+//!
+//! ```text
+//! p(t) = cubic through (p0, v0) and (p1, v1) between two rows t0, t1 of a submission, per axis      (1)
+//! excess = residual RMS of the executed motion / bound on any path in the same time - 1             (2)
+//! ```
+//!
+//! The limits are those of `planish-verify`, exact on the whole of (1). The residual is that of `planish-simulate`. The
+//! bound is that of `planish-dwell bound` for the time of the submission, so that no plan has an excess below 0.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | `submission` | the rows of a submission, and their refusals |
+//! | `score` | the numbers of a motion |
+
+// The command line names this library as any other program does.
+extern crate self as planish_benchmark;
+
+pub mod command;
+mod score;
+mod submission;
+
+use serde::Deserialize;
+
+pub use score::{Score, ScoreError, score};
+pub use submission::{LONGEST_STEP_S, trajectory};
+
+/// A problem of the benchmark: a part and a tool by their recipe, and a machine.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Problem {
+    /// Name of the problem.
+    pub name: String,
+    /// What the problem is about.
+    pub doc: String,
+    /// Recipe of part and tool, with its seed: a file beside the problem file.
+    pub recipe: String,
+    /// Machine with its limits: a file beside the problem file.
+    pub machine: String,
+}

@@ -1,0 +1,145 @@
+//! `planish-benchmark score` on submissions that are good and on those that are not.
+
+use std::{f64::consts::TAU, fs, path::Path, process::Output};
+
+use planish_testkit::{
+    program::{stage, text},
+    workspace,
+};
+use serde_json::Value;
+
+/// Returns rows of a motion along x and back over the coupon, in `seconds`, on the lines y = 3, 6 and 9 mm. The
+/// velocity is that of a sine: at rest at both ends.
+fn rows(seconds: f64) -> Vec<[f64; 5]> {
+    let mut rows = vec![[0.0, 0.0, 3.0, 0.0, 0.0]];
+    let pieces = (4.0 * seconds).ceil();
+    for line in 0..3 {
+        let y = 3.0 * f64::from(line + 1);
+        let sign = if line % 2 == 0 { 1.0 } else { -1.0 };
+        let from = if line % 2 == 0 { 0.0 } else { 20.0 };
+        if line > 0 {
+            let t = rows[rows.len() - 1][0];
+            rows.push([t + 0.5, from, y, 0.0, 0.0]);
+        }
+        let start = rows[rows.len() - 1][0];
+        for k in 1..=pieces as usize {
+            let u = k as f64 / pieces;
+            let x = from + sign * 20.0 * (u - (TAU * u).sin() / TAU);
+            let v = if k == pieces as usize {
+                0.0
+            } else {
+                sign * 20.0 / seconds * (1.0 - (TAU * u).cos())
+            };
+            rows.push([start + seconds * u, x, y, v, 0.0]);
+        }
+    }
+    rows
+}
+
+fn submission(rows: &[[f64; 5]]) -> String {
+    let lines = rows.iter().map(|r| format!("{},{},{},{},{}\n", r[0], r[1], r[2], r[3], r[4]));
+    format!("t,x,y,vx,vy\n{}", lines.collect::<String>())
+}
+
+fn score(dir: &Path, submission: &str) -> Output {
+    let file = dir.join("submission.csv");
+    fs::write(&file, submission).unwrap();
+    let problem = workspace().join("benchmark/problems/coupon-fluid-jet.json");
+    stage("planish-benchmark").arg("score").args([problem, file]).output().unwrap()
+}
+
+/// Returns what the program says against a submission that it refuses.
+fn refusal(dir: &Path, rows: &[[f64; 5]]) -> String {
+    let output = score(dir, &submission(rows));
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stdout));
+    assert!(output.stdout.is_empty(), "{}", text(&output.stdout));
+    text(&output.stderr)
+}
+
+#[test]
+fn a_motion_has_a_score_above_the_bound() {
+    let tmp = tempfile::tempdir().unwrap();
+    let output = score(tmp.path(), &submission(&rows(8.0)));
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let score: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let number = |name: &str| score[name].as_f64().unwrap_or_else(|| panic!("{name}: {score}"));
+    assert_eq!(number("time_s"), 25.0);
+    assert!(number("bound_rms_nm") < number("residual_rms_nm"), "{score}");
+    // Rounding of a quotient.
+    let excess = number("residual_rms_nm") / number("bound_rms_nm") - 1.0;
+    assert!((number("excess") - excess).abs() < 1e-12 && excess > 0.0, "{score}");
+}
+
+#[test]
+fn a_motion_that_breaks_a_limit_by_a_millionth_is_refused_with_place_and_value() {
+    let tmp = tempfile::tempdir().unwrap();
+    // From rest with the acceleration a along x, and to rest again; the limit is 2000 mm/s^2.
+    let pulse = |a: f64| {
+        let h = 0.005;
+        let end = [2.0 * h, 5.0 + a * h * h, 5.0, 0.0, 0.0];
+        vec![[0.0, 5.0, 5.0, 0.0, 0.0], [h, 5.0 + 0.5 * a * h * h, 5.0, a * h, 0.0], end]
+    };
+    let file = tmp.path().join("pulse.csv");
+    let run = |a: f64| {
+        fs::write(&file, submission(&pulse(a))).unwrap();
+        let problem = workspace().join("benchmark/problems/coupon-ion-beam-no-jerk-limit.json");
+        stage("planish-benchmark").arg("score").args([&problem, &file]).output().unwrap()
+    };
+    let at_limit = run(2000.0);
+    assert_eq!(at_limit.status.code(), Some(0), "{}", text(&at_limit.stderr));
+    let above = run(2000.0 * (1.0 + 1e-6));
+    assert_eq!(above.status.code(), Some(2), "{}", text(&above.stdout));
+    let message = text(&above.stderr);
+    for part in ["breaks a limit", "acceleration", "2000", "segment"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+}
+
+#[test]
+fn jumps_gaps_and_numbers_that_are_none_are_refused_with_place_and_value() {
+    let tmp = tempfile::tempdir().unwrap();
+    let good = rows(8.0);
+    let with = |k: usize, column: usize, value: f64| {
+        let mut rows = good.clone();
+        rows[k][column] = value;
+        rows
+    };
+    let jump = with(5, 0, good[4][0]);
+    let mut gap = good.clone();
+    gap.drain(10..20);
+    let cases = [
+        (with(7, 1, f64::NAN), "line[9]", "x = \"NaN\""),
+        (with(7, 4, f64::INFINITY), "line[9]", "vy = \"inf\""),
+        (jump, "line[7]", "the motion jumps by"),
+        (gap, "line[12]", "gap in time"),
+        (with(3, 0, 0.0), "line[5]", "after"),
+        (with(0, 0, 0.1), "line[2]", "starts at 0.1 s"),
+        (with(0, 3, 1.0), "breaks a limit", "0 s"),
+        (good[..1].to_vec(), "rows", "are 1"),
+    ];
+    for (rows, place, value) in cases {
+        let message = refusal(tmp.path(), &rows);
+        assert!(message.contains("submission.csv"), "{message}");
+        assert!(message.contains(place) && message.contains(value), "{place} {value}: {message}");
+    }
+    let output = score(tmp.path(), "time,x\n0,1\n");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("t,x,y,vx,vy"), "{}", text(&output.stderr));
+}
+
+#[test]
+fn every_problem_names_a_recipe_and_a_machine_that_exist() {
+    let folder = workspace().join("benchmark/problems");
+    let mut count = 0;
+    for entry in fs::read_dir(&folder).unwrap() {
+        let path = entry.unwrap().path();
+        let problem: planish_benchmark::Problem =
+            serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+        assert_eq!(path.file_stem().unwrap().to_str(), Some(problem.name.as_str()));
+        for file in [&problem.recipe, &problem.machine] {
+            assert!(folder.join(file).is_file(), "{}: {file}", path.display());
+        }
+        count += 1;
+    }
+    assert!(count >= 30, "{count}");
+}

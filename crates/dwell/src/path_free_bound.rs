@@ -1,0 +1,338 @@
+//! A lower bound of the residual on any path, and the dwell times that nearly reach it.
+//!
+//! Whatever the path, the motion and the machine: the time that the tool spends at each place is a measure m >= 0 of
+//! total mass T on the plane, and what it removes is linear in that measure,
+//!
+//! ```text
+//! (K m)_i = int R(x_i - p) dm(p),        residual r = z - c - K m,  c its mean over the N valid pixels
+//! ```
+//!
+//! Take any map e without mean, and let `q = max over all p of (K'e)(p) = sum_i e_i R(x_i - p)`, at least 0. Then
+//!
+//! ```text
+//! |e| |r| >= e'r = e'z - int (K'e)(p) dm(p) >= e'z - T q
+//! RMS of r >= (e'z - T q) / (sqrt(N) |e|)                  for every m of total mass T or less         (1)
+//! ```
+//!
+//! by the inequality of Cauchy and Schwarz. (1) needs no optimum: every e gives a valid bound, for every T. The best e
+//! is the residual of the best m, by the duality of
+//!
+//! ```text
+//! min over m >= 0, int dm <= T:  1/2 |z - c - K m|^2                                               (2)
+//! ```
+//!
+//! So the work is to find an e that is nearly the best one, and to bound q rigorously:
+//!
+//! 1. `splines`, `interior_point`: the best e among those that differ from z by splines, with `K'e` bounded at places a
+//!    fraction of the tool apart. Rounds add the places at which `K'e` is highest, until it is bounded at all places of
+//!    a lattice at the pitch of the map or finer.
+//! 2. `highest`: q over the plane, between the nodes of every lattice, too. It gives (1).
+//! 3. `places`: the best dwell times at the places of the lattice. Their residual is the *reached* residual: a plan
+//!    that could stand at every place would leave it.
+//!
+//! The gap between the reached residual and the bound says how good both are: the least residual on any path is
+//! between them. The bound is for the tool on the lattice of the map ([`planish_types::TifLattice`]), which is the tool
+//! itself if its pitch is that of the map. It is (1) in double precision; the rounding of q is part of it.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `desired_nm` | (ny, nx) | nm |
+//! | e, r | `residual_nm` | (ny, nx) | nm |
+//! | m | `dwell_s` | (places along y, along x) | s |
+//! | q, nu, Lambda | `value`, `price` | | nm^2/s times pixels |
+
+mod highest;
+mod interior_point;
+mod places;
+mod splines;
+mod tool;
+
+use std::collections::BTreeSet;
+
+use ndarray::{Array2, Zip};
+pub use planish_types::outcome::bound::{PathFreeBound, PathFreeBounds};
+use planish_types::{Grid, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, progress};
+use serde::Serialize;
+
+use crate::DwellError;
+use highest::{Highest, highest};
+use places::Descent;
+use splines::{Constraints, Splines};
+use tool::{Part, Place, Tool, product, squares};
+
+/// Distance of the first constraints relative to the length of the flanks of the tool. Larger: more rounds. Smaller:
+/// more time for each.
+const PITCH_OF_CONSTRAINTS: f64 = 0.25;
+
+/// Largest number of rounds, each with constraints at the highest places of the round before. Larger: a larger bound.
+/// Smaller: less time.
+const MAX_ROUNDS: usize = 7;
+
+/// Excess of the adjoint over its largest value at the constraints, relative to it, at which the rounds end. Larger: a
+/// smaller bound. Smaller: more rounds.
+const SMALL_EXCESS: f64 = 5e-3;
+
+/// Complementarity, relative to the square of the residual, at which the first round and the last ones end. Each round
+/// in between has a third of that of the round before. Larger: a smaller bound, by a quarter of the last one. Smaller:
+/// more steps.
+const COMPLEMENTARITY: [f64; 2] = [1e-2, 1e-3];
+
+/// Gap between the reached residual and the bound at which the steps on the lattice of places end. Larger: less time.
+/// Smaller: up to [`MAX_STEPS`] steps.
+const SMALL_GAP: f64 = 0.005;
+
+/// Largest number of steps on the lattice of places. Larger: a smaller gap. Smaller: less time.
+const MAX_STEPS: usize = 400;
+
+/// Number of steps between two looks at the gap. Larger: up to as many steps too many. Smaller: more removals.
+const STEPS_BETWEEN_LOOKS: usize = 50;
+
+/// Time that a run may take, or the price of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Budget {
+    /// Total time, s.
+    TimeS(f64),
+    /// Price of a second in half the sum of the squares, nm^2/s times pixels.
+    Price(f64),
+}
+
+/// What the bounds are for: run times, or prices of a second.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BoundSettings {
+    /// Run times, s.
+    pub time_s: Vec<f64>,
+    /// Prices of a second, relative to half the mean square of the residual, nm^2/s.
+    pub time_weight_nm2_per_s: Vec<f64>,
+}
+
+/// Finds lower bounds of the residual RMS of the desired removal that any path and motion of the tool can leave.
+///
+/// # Errors
+/// Refuses no time and no price, a time or a price that is not positive, a tool that varies, a TIF that cannot be
+/// sampled on the lattice of the map, and a map that no removal makes flatter.
+pub fn bounds_on_any_path(
+    desired: &Surface,
+    tif: &Tif,
+    settings: &BoundSettings,
+) -> Result<PathFreeBounds, DwellError> {
+    settings.check()?;
+    tif.same_everywhere("the bound on any path")?;
+    let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
+    let part = Part::new(desired);
+    let tool = Tool::new(&tif, desired.grid());
+    let splines = Splines::new(&part, &tool);
+    let adjoints = tool.adjoints(&part.desired_nm);
+    let every = tool.apart(PITCH_OF_CONSTRAINTS);
+    let (rows, columns) = adjoints[0].dim();
+    if adjoints[0].iter().all(|q| *q <= 0.0) {
+        return Err(DwellError::OutOfReach { points: rows * columns });
+    }
+    let first: Vec<Place> = (0..rows)
+        .step_by(every[1])
+        .flat_map(|r| {
+            (0..columns).step_by(every[0]).map(move |c| Place { index: (r, c), limit: 0 })
+        })
+        .collect();
+    let mut constraints = splines.unconstrained();
+    constraints.add(&first, &splines, (&part, &tool), &adjoints);
+    let grid = desired.grid();
+    let problem = Problem { grid, tif: &tif, part, tool, splines, adjoints, first, constraints };
+    let prices = settings.time_weight_nm2_per_s.iter();
+    let budgets: Vec<Budget> = (settings.time_s.iter().map(|t| Budget::TimeS(*t)))
+        .chain(prices.map(|price| Budget::Price(price * problem.part.pixels)))
+        .collect();
+    let mut bounds = Vec::with_capacity(budgets.len());
+    for (k, budget) in budgets.iter().enumerate() {
+        bounds.push(progress::part(k, budgets.len(), || problem.bound(*budget)));
+    }
+    Ok(PathFreeBounds {
+        pixels: problem.part.pixels as usize,
+        desired_rms_nm: problem.part.rms(&problem.part.desired_nm),
+        tif_lattice: lattice.if_anew(),
+        bounds,
+    })
+}
+
+impl BoundSettings {
+    /// Refuses no time and no price, and those that are not positive.
+    fn check(&self) -> Result<(), Invalid> {
+        if self.time_s.is_empty() && self.time_weight_nm2_per_s.is_empty() {
+            let remedy = "give at least one, or a `time_weight_nm2_per_s`";
+            return Err(Invalid::whole("time_s", "is missing", remedy));
+        }
+        for (name, values) in
+            [("time_s", &self.time_s), ("time_weight_nm2_per_s", &self.time_weight_nm2_per_s)]
+        {
+            if let Some(k) = values.iter().position(|v| !(v.is_finite() && *v > 0.0)) {
+                let problem = format!("is {}", values[k]);
+                return Err(Invalid::at_index(name, k, problem, "give a number above 0"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A part and a tool, with everything that is the same for all run times.
+struct Problem<'a> {
+    grid: &'a Grid,
+    tif: &'a Tif,
+    part: Part,
+    tool: Tool,
+    splines: Splines,
+    /// Adjoint products of the desired removal at all places of the lattice, for every limit of the tool.
+    adjoints: Vec<Array2<f64>>,
+    /// Places of the first constraints.
+    first: Vec<Place>,
+    /// The first constraints.
+    constraints: Constraints,
+}
+
+impl Problem<'_> {
+    /// Returns the bound for a budget.
+    fn bound(&self, budget: Budget) -> PathFreeBound {
+        let (residual_nm, start_s) = progress::part(0, 2, || self.by_splines(budget));
+        let highest = highest(&residual_nm, self.tif, self.grid);
+        let mut descent = Descent::new(&self.part, &self.tool, budget, start_s);
+        let mut steps = 0;
+        loop {
+            for _ in 0..STEPS_BETWEEN_LOOKS {
+                descent.advance();
+            }
+            steps += STEPS_BETWEEN_LOOKS;
+            progress::done(0.5 + 0.5 * steps as f64 / MAX_STEPS as f64);
+            let reached_rms_nm = self.part.rms(&descent.residual_nm());
+            let time_s = match budget {
+                Budget::TimeS(time_s) => time_s,
+                Budget::Price(_) => descent.dwell_s.sum(),
+            };
+            let bound = self.by_map(&residual_nm, highest, reached_rms_nm, time_s);
+            if steps >= MAX_STEPS || bound.gap <= SMALL_GAP {
+                return bound;
+            }
+        }
+    }
+
+    /// Returns the bound (1) of the module by the map e `residual_nm`.
+    fn by_map(
+        &self,
+        residual_nm: &Array2<f64>,
+        highest: Highest,
+        reached_rms_nm: f64,
+        time_s: f64,
+    ) -> PathFreeBound {
+        let Highest { value, place_mm } = highest;
+        let along = product(residual_nm, &self.part.desired_nm);
+        let norm = self.part.pixels * self.part.rms(residual_nm);
+        let (bound_rms_nm, bound_slope_nm_per_s) = if norm > 0.0 {
+            (((along - time_s * value) / norm).max(0.0), value / norm)
+        } else {
+            (0.0, 0.0)
+        };
+        PathFreeBound {
+            time_s,
+            bound_rms_nm,
+            reached_rms_nm,
+            gap: if reached_rms_nm > 0.0 { 1.0 - bound_rms_nm / reached_rms_nm } else { 0.0 },
+            bound_slope_nm_per_s,
+            time_weight_nm2_per_s: value / self.part.pixels,
+            place_mm,
+        }
+    }
+
+    /// Returns the best e by splines (ny, nx), nm, and the dwell times of the first round at all places of the lattice,
+    /// s.
+    fn by_splines(&self, budget: Budget) -> (Array2<f64>, Array2<f64>) {
+        let mut places = self.first.clone();
+        let mut constraints = self.constraints.clone();
+        let mut first_s = Array2::zeros(self.adjoints[0].dim());
+        let [loose, tight] = COMPLEMENTARITY;
+        let mut complementarity = loose;
+        for round in 1.. {
+            let problem = interior_point::Problem {
+                splines: &self.splines,
+                constraints: &constraints,
+                energy: squares(&self.part.desired_nm),
+                scale_s: self.scale_s(),
+                complementarity,
+            };
+            let solution = interior_point::solve(problem, budget);
+            let map = self.splines.map(&solution.coefficients, &self.part);
+            let residual_nm = self.part.residual_nm(map);
+            let adjoints = self.tool.adjoints(&residual_nm);
+            let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
+            if round == 1 {
+                for (place, dwell_s) in places.iter().zip(&solution.dwell_s) {
+                    first_s[place.index] = *dwell_s;
+                }
+            }
+            let is_bounded = highest <= (1.0 + SMALL_EXCESS) * solution.price;
+            if round == MAX_ROUNDS || (is_bounded && complementarity == tight) {
+                return (residual_nm, first_s);
+            }
+            complementarity = if is_bounded { tight } else { (complementarity / 3.0).max(tight) };
+            let new = self.highest_places(&adjoints, solution.price, round, &places);
+            constraints.add(&new, &self.splines, (&self.part, &self.tool), &self.adjoints);
+            places.extend(new);
+        }
+        unreachable!("the last round returns")
+    }
+
+    /// Returns the places at which the adjoint has a local maximum above `price`, over all limits of the tool, and
+    /// eight places around each, that are no constraints yet. The eight are nearer with every round.
+    fn highest_places(
+        &self,
+        adjoints: &[Array2<f64>],
+        price: f64,
+        round: usize,
+        old: &[Place],
+    ) -> Vec<Place> {
+        let [across, along] = self.tool.apart(PITCH_OF_CONSTRAINTS / (1 << round) as f64);
+        let mut largest = adjoints[0].clone();
+        let mut limits = Array2::from_elem(largest.dim(), 0);
+        for (limit, adjoint) in adjoints.iter().enumerate().skip(1) {
+            Zip::from(&mut largest).and(&mut limits).and(adjoint).for_each(|most, which, v| {
+                if *v > *most {
+                    (*most, *which) = (*v, limit);
+                }
+            });
+        }
+        let mut used: BTreeSet<Place> = old.iter().copied().collect();
+        let mut new = Vec::new();
+        for (index, value) in largest.indexed_iter().filter(|(_, value)| **value > price) {
+            if !is_local_maximum(&largest, index, *value) {
+                continue;
+            }
+            for near in around(index, (along, across), largest.dim()) {
+                let place = Place { index: near, limit: limits[index] };
+                if used.insert(place) {
+                    new.push(place);
+                }
+            }
+        }
+        new
+    }
+
+    /// Returns a rough time, s, for the removal of the mean absolute desired removal.
+    fn scale_s(&self) -> f64 {
+        let volume = self.part.desired_nm.mapv(f64::abs).sum();
+        volume / self.tool.samples().sum() * (self.tool.parts[0] * self.tool.parts[1]) as f64
+    }
+}
+
+/// Returns true if no neighbour of an element of a map is larger than its value.
+fn is_local_maximum(map: &Array2<f64>, (r, c): (usize, usize), value: f64) -> bool {
+    around((r, c), (1, 1), map.dim()).all(|(row, column)| map[[row, column]] <= value)
+}
+
+/// Returns the indices of an element and of those `step` (rows, columns) away from it within an array of this shape.
+fn around(
+    (r, c): (usize, usize),
+    step: (usize, usize),
+    shape: (usize, usize),
+) -> impl Iterator<Item = (usize, usize)> {
+    let rows = [r.checked_sub(step.0), Some(r), Some(r + step.0)].into_iter().flatten();
+    rows.filter(move |row| *row < shape.0).flat_map(move |row| {
+        let columns = [c.checked_sub(step.1), Some(c), Some(c + step.1)].into_iter().flatten();
+        columns.filter(move |column| *column < shape.1).map(move |column| (row, column))
+    })
+}
