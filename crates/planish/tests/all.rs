@@ -42,6 +42,8 @@ mod refine_hostile;
 mod register_cli;
 #[path = "../../run/tests/cli.rs"]
 mod run_cli;
+#[path = "../../run/tests/resume.rs"]
+mod run_resume;
 #[path = "../../schedule/tests/cli.rs"]
 mod schedule_cli;
 #[path = "../../schedule/tests/hostile.rs"]

@@ -7,6 +7,7 @@ mod execute;
 mod next_run;
 mod place;
 mod program;
+mod resume;
 mod run;
 mod several;
 mod spread;
@@ -52,6 +53,11 @@ pub enum RunCommand {
     ///
     /// Everything goes to out/next-run/MAP, or to OUT with out=OUT (docs/campaign.md).
     NextRun(next_run::NextRun),
+    /// Plan the rest of a run that was interrupted, along the same path and along a new one, and recommend one
+    ///
+    /// Everything goes to out/resume/RUN, or to OUT with out=OUT (docs/how-to/go-on-after-an-abort.md). The exit code is 1
+    /// if a mark of the abort stays.
+    Resume(resume::Resume),
     /// Run a command while the directory of a run is locked for it; the command replaces this program
     ///
     /// The program checks the machine file and the mirror first, so that a mistake in them is not found
@@ -77,6 +83,7 @@ impl RunCommand {
             Self::Campaign(arguments) => arguments.run(),
             Self::CampaignSpread(arguments) => arguments.run(),
             Self::NextRun(arguments) => arguments.run(),
+            Self::Resume(arguments) => arguments.run(),
             Self::Start(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Verdict(arguments) => arguments.run(),
