@@ -62,8 +62,8 @@ pub enum ScheduleCommand {
     Program(program::ProgramCommand),
     /// Motion that was executed when a run was interrupted: up to the abort, the stop, and the tool that stays on
     ///
-    /// After the abort the axes slow down together, the fastest at its largest acceleration. planish-run resume runs this
-    /// command.
+    /// After the abort the axes slow down together, the fastest at its largest acceleration. planish-run resume runs
+    /// this command.
     Abort(abort::Abort),
 }
 

@@ -1,13 +1,13 @@
 //! Rest of a path after an abort: from the place where the machine stands to the end of the path.
 //!
-//! The last dwell point that the executed motion served says where on the path the machine is, also where the path comes
-//! to a place twice. From there the nearest of the next segments counts, because the stop may lead beyond the end of a
+//! The last dwell point that the executed motion served says where on the path the machine is, also where the path
+//! comes to a place twice. From there the nearest of the next segments counts, because the stop may lead beyond the end of a
 //! segment.
 
 use planish_types::{Invalid, ToolPath, Trajectory};
 
-/// Number of segments behind the last one that are compared with the place of the machine. Larger: the neighbouring line
-/// may be nearer. Smaller: a stop that leads over more segments is placed too early.
+/// Number of segments behind the last one that are compared with the place of the machine. Larger: the neighbouring
+/// line may be nearer. Smaller: a stop that leads over more segments is placed too early.
 const AHEAD: usize = 3;
 /// Part of a segment that is too short to be a segment of its own; the rest then begins with the next one. Larger: the
 /// path leaves its line. Smaller: the plan has steep dwell times.
@@ -16,8 +16,8 @@ const SHORT: f64 = 0.1;
 /// Returns the rest of `path` for a machine that stands where the motion `executed` ends.
 ///
 /// # Errors
-/// Refuses a motion that serves no dwell point of the path, one that ends far from the path, and one after which nothing
-/// is left.
+/// Refuses a motion that serves no dwell point of the path, one that ends far from the path, and one after which
+/// nothing is left.
 pub fn rest(path: &ToolPath, executed: &Trajectory) -> Result<ToolPath, Invalid> {
     let last = executed.segment(executed.len() - 1);
     let place = last.position_mm(last.duration_s);

@@ -43,9 +43,10 @@ const MENDED: f64 = 1.05;
 
 #[derive(Args)]
 pub struct Resume {
-    /// Settings: run=DIR (the interrupted run), abort_s=T, abort_line=N of its program, or log=FILE (a trajectory artifact
-    /// or a file for planish-import trace, with its flags in trace="FLAGS"), tool_on_s=T (time for which the tool removed after the abort),
-    /// plan=NAME, tif=DIR, new_path=no, pipeline (of the new path), out=DIR, and those of the pipelines
+    /// Settings: run=DIR (the interrupted run); abort_s=T, abort_line=N of its program, or log=FILE (a trajectory
+    /// artifact or a file for planish-import trace, with its flags in trace="FLAGS"); tool_on_s=T (time for which the
+    /// tool removed after the abort), plan=NAME, tif=DIR, new_path=no, pipeline (of the new path), out=DIR, and those of
+    /// the pipelines
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -477,8 +478,8 @@ fn recommend(
     }
 }
 
-/// Returns the rank of a way, the smaller the better: limits exceeded, residual above `limit_nm`; then the residual of a
-/// way that is above, and otherwise the time.
+/// Returns the rank of a way, the smaller the better: limits exceeded, residual above `limit_nm`; then the residual of
+/// a way that is above, and otherwise the time.
 fn rank(way: &WayOutcome, limit_nm: f64) -> ([bool; 2], f64) {
     let is_above = way.rms_nm > limit_nm;
     ([way.is_negative, is_above], if is_above { way.rms_nm } else { way.time_s })
@@ -489,8 +490,8 @@ fn told(outcome: &ResumeOutcome) -> Status {
     let ResumeOutcome { executed, undisturbed_rms_nm, mark, ways, recommended, .. } = outcome;
     let [x, y] = executed.place_mm;
     say(format!(
-        "\nexecuted: {:.2} of {:.2} s; the machine stands at ({x:.3}, {y:.3}) mm\nundisturbed run: {undisturbed_rms_nm:.4} nm \
-         RMS\nmark of the abort: {}\n\n{:<12} {:>12} {:>10}  deepest below the undisturbed run",
+        "\nexecuted: {:.2} of {:.2} s; the machine stands at ({x:.3}, {y:.3}) mm\nundisturbed run: \
+         {undisturbed_rms_nm:.4} nm RMS\nmark of the abort: {}\n\n{:<12} {:>12} {:>10}  deepest below the undisturbed run",
         executed.executed_s,
         outcome.undisturbed_s,
         depth(mark, "beyond the whole plan"),

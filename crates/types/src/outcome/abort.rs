@@ -67,8 +67,8 @@ pub struct MarkedProgram {
     pub total_time_s: f64,
 }
 
-/// Mark of a program: the line of a segment, and time and position at which the segment begins. A file has it as the text
-/// `LINE TIME_S POSITION...`, which a person can search for.
+/// Mark of a program: the line of a segment, and time and position at which the segment begins. A file has it as the
+/// text `LINE TIME_S POSITION...`, which a person can search for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct ProgramMark {
