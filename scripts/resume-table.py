@@ -72,7 +72,7 @@ def main():
     print("|---|---|---|---|---|")
     for fixture in fixtures:
         run = OUT / fixture / "run"
-        planish("run", "run", "raster", f"fixture={fixture}", "plan_joint=no", "frames=0", f"out={run}")
+        planish("run", "raster", f"fixture={fixture}", "plan_joint=no", "frames=0", f"out={run}")
         total_s = load(run / "methods" / PLAN / "trajectory", "break_time_s")[-1]
         draw = random.Random(67)
         times = [total_s * draw.uniform(0.02, 0.98) for _ in range(count)]
