@@ -8,7 +8,7 @@ planish_run := "PLANISH_SHARE=" + quote(justfile_directory()) + " " + quote(just
 
 # just run raster pitch_mm=0.5 fixture=coupon, or of one's own: just run raster surface=DIR tif=DIR machine=FILE out=DIR
 #
-# Run a pipeline: bspline, compare-dwell, line, maze, multi-pitch, random-adaptive, raster, spiral, trig-spline
+# Run a pipeline: bspline, compare-dwell, line, maze, multi-pitch, random-adaptive, raster, rest, spiral, trig-spline
 [group('1 plans')]
 [no-cd]
 [no-exit-message]
@@ -115,6 +115,17 @@ learn-coverage runs="500": build
             out/learn/methods/pvt/trajectory fixtures/error-budgets/hidden.json {{ runs }} $block || exit; \
     done
     @cargo run --quiet --release --locked --example known_truth
+
+# just resume run=out/raster/coupon abort_s=61.4 tool_on_s=0.1 [export=galil], or log=FILE trace="--tool-on beam"
+# (docs/how-to/go-on-after-an-abort.md)
+#
+# The rest of a run that was interrupted: along the same path or a new one, and the mark that the abort leaves
+[group('1 plans')]
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+resume *words: build
+    @{{ planish_run }} resume "$@"
 
 # The settings of a pipeline as a table, with their defaults and units: just show raster
 [group('1 plans')]
@@ -259,6 +270,11 @@ test-gcode: build
 [group('5 pages and tables')]
 programs-table *flags: build
     @python3 scripts/programs-table.py {{ flags }}
+
+# Runs that are interrupted at random times, and what the rest leaves: the table of docs/how-to/go-on-after-an-abort.md
+[group('5 pages and tables')]
+resume-table *words: build python
+    @target/python/bin/python scripts/resume-table.py {{ words }}
 
 # Times of every pipeline with its defaults and of every tutorial, wall and CPU (some names: just times-table raster maze)
 [group('5 pages and tables')]

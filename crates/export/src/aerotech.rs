@@ -28,7 +28,7 @@ const DIGITS: usize = 9;
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     job.tick()?;
-    let (q, about) = job.nodes(Abilities {
+    let (q, mut about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
         tool: Tool::LeftToTheHost(
             "this program does not switch it: an output would act when its line is read, up to 16 commands early. The \
@@ -44,6 +44,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     let mut text = about.header(&COMMENT, &format!("{lengths}, s since the start"));
     text += "PROGRAM\nABS\nVELOCITY ON\nPVT INIT TIME ABS\n";
     for k in 1..=about.segments {
+        about.marks.add(&text, q.time_s(k - 1), q.position(k - 1));
         let states = axes.iter().zip(q.position(k)).zip(q.velocity[k]);
         let words = states
             .map(|((axis, p), v)| format!("{axis} {},{} ", decimal(p, DIGITS), decimal(v, DIGITS)));

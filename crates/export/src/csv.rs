@@ -16,7 +16,7 @@ const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     job.tick()?;
-    let (q, about) = job.nodes(Abilities {
+    let (q, mut about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
         tool: if job.grids.switches_tool {
             Tool::Switched("column tool_on, from its row to the next, 0 in the last row".into())
@@ -34,6 +34,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     });
     text += &format!("t_s,{}tool_on\n", columns.collect::<String>());
     for k in 0..=about.segments {
+        about.marks.add(&text, q.time_s(k), q.position(k));
         text += &decimal(q.time_s(k), DIGITS);
         for (p, v) in q.position(k).into_iter().zip(q.velocity[k]) {
             text += &format!(",{},{}", decimal(p, DIGITS), decimal(v, DIGITS));

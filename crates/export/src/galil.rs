@@ -116,6 +116,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     text += &format!("' start: {} counts\n", starts.collect::<Vec<_>>().join(", "));
     text += &LETTERS[..N].iter().map(|letter| format!("PV{letter}=0,0,-1\n")).collect::<String>();
     for k in 0..n {
+        about.marks.add(&text, q.time_s(k), q.position(k));
         let distance = q.distance(k);
         let t = q.duration(k) * SAMPLES_PER_TICK;
         for (axis, letter) in LETTERS[..N].iter().enumerate() {

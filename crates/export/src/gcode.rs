@@ -102,7 +102,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     let tick_s = job.tick()?;
     let tolerance = tolerance_mm(job.settings, job.turns())?;
     let switched = job.grids.switches_tool;
-    let (q, about) = job.nodes(Abilities {
+    let (q, mut about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
         tool: if !switched {
             Tool::LeftToTheHost("no output of the controller does: the host switches it")
@@ -134,6 +134,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     text += &format!("G0 {}\n{mode}\n", job.words(q.position(0), DIGITS));
     let mut on = false;
     for k in 0..about.segments {
+        about.marks.add(&text, q.time_s(k), q.position(k));
         let stands = q.stands(k);
         if q.tool_on[k] != on {
             on = q.tool_on[k];

@@ -35,6 +35,7 @@ mod generate;
 mod header;
 mod limits;
 mod lines;
+mod marks;
 mod nodes;
 mod plan;
 pub mod pmac;
@@ -54,10 +55,13 @@ use planish_types::{
 };
 use serde::Serialize;
 
-pub use crate::limits::{Peak, Proof};
 use crate::{
     generate::{Nodes, generate},
     plan::{AxesPlan, Contact},
+};
+pub use crate::{
+    limits::{Peak, Proof},
+    marks::Marks,
 };
 
 /// Settings of a program.
@@ -184,6 +188,8 @@ pub struct About {
     pub limits: Proof,
     /// Warnings for the user.
     pub warnings: Vec<String>,
+    /// Line, time and position of every segment.
+    pub marks: Marks,
     /// BLAKE3 hash of the bytes of the program. The reader refuses this file with another program.
     pub program_blake3: String,
 }
@@ -489,6 +495,7 @@ impl<const N: usize> Job<'_, N> {
             added_time_s: nodes.added_s,
             limits: proof,
             warnings,
+            marks: Marks::default(),
             program_blake3: String::new(),
         };
         Ok((nodes, about))

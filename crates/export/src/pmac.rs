@@ -142,6 +142,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     }
     let mut on = false;
     for k in 0..about.segments {
+        about.marks.add(&text, q.time_s(k), q.position(k));
         if q.tool_on[k] != on {
             on = q.tool_on[k];
             text += &switch(on, "==");

@@ -66,6 +66,11 @@ pub(crate) fn sentences<const N: usize>(
         "before 3: feed override 100 %, and locked: what runs slower removes more in proportion"
             .into(),
     );
+    lines.push(
+        "after an abort: the file .json beside this program has marks, line, time and position of every segment. \
+         planish resume run=DIR abort_line=N plans the rest"
+            .into(),
+    );
     lines.push("the first time: run it with the tool off, and compare reach and total time".into());
     lines
 }

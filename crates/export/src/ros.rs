@@ -69,6 +69,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     );
     text += &format!(" \"joint_names\": [{}],\n \"points\": [\n", names.join(", "));
     for k in 0..=about.segments {
+        about.marks.add(&text, q.time_s(k), q.position(k));
         let nanoseconds = (q.time_s(k) * NANOSECONDS as f64).round() as u64;
         text += &format!(
             "  {{\"positions\": [{}], \"velocities\": [{}], \

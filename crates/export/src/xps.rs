@@ -23,7 +23,7 @@ const DIGITS: usize = 9;
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let tick_s = job.tick()?;
-    let (q, about) = job.nodes(Abilities {
+    let (q, mut about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
         tool: Tool::LeftToTheHost(
             "the file cannot switch it: the host switches it, or events of the controller (start and end \
@@ -38,6 +38,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     let n = about.segments;
     let mut text = String::new();
     for k in 0..n {
+        about.marks.add(&text, q.time_s(k), q.position(k));
         let distance = q.distance(k);
         let velocity = q.velocity[k + 1];
         text += &decimal(q.duration(k) as f64 * tick_s, DIGITS);

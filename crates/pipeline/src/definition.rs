@@ -33,7 +33,7 @@ pub const DIRECTORY_NAME: &str = "directory_name";
 
 /// Names and texts of the definition files, embedded when the program was built: the shared file first, then one per
 /// pipeline.
-const FILES: [(&str, &str); 10] = [
+const FILES: [(&str, &str); 11] = [
     (SHARED, include_str!("../../../pipelines/shared.yaml")),
     ("bspline", include_str!("../../../pipelines/bspline.yaml")),
     ("compare-dwell", include_str!("../../../pipelines/compare-dwell.yaml")),
@@ -42,6 +42,7 @@ const FILES: [(&str, &str); 10] = [
     ("multi-pitch", include_str!("../../../pipelines/multi-pitch.yaml")),
     ("random-adaptive", include_str!("../../../pipelines/random-adaptive.yaml")),
     ("raster", include_str!("../../../pipelines/raster.yaml")),
+    ("rest", include_str!("../../../pipelines/rest.yaml")),
     ("spiral", include_str!("../../../pipelines/spiral.yaml")),
     ("trig-spline", include_str!("../../../pipelines/trig-spline.yaml")),
 ];

@@ -50,6 +50,8 @@ mod register_cli;
 mod run_cli;
 #[path = "../../run/tests/cli_several.rs"]
 mod run_cli_several;
+#[path = "../../run/tests/resume.rs"]
+mod run_resume;
 #[path = "../../schedule/tests/cli.rs"]
 mod schedule_cli;
 #[path = "../../schedule/tests/hostile.rs"]

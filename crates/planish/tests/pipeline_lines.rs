@@ -30,7 +30,7 @@ const COMPARED: [&str; 3] = ["raster", "maze", "random-adaptive"];
 
 /// Settings that a user gives together, and facts that differ from those of a fixture on the axes x and y. `;` separates
 /// them.
-const CONTEXTS: [(&str, &str); 21] = [
+const CONTEXTS: [(&str, &str); 22] = [
     ("", ""),
     ("machine=m.json;surface=s;tif=t", "surface_kind=bare;tif_kind=bare"),
     ("surface=s;tif=t", "surface_kind=file;tif_kind=file"),
@@ -55,6 +55,7 @@ const CONTEXTS: [(&str, &str); 21] = [
     ("form=f.json;export=gcode;machine=m.json", "kinematics=spindle"),
     ("export=gcode;machine=m.json", "kinematics=xyz;recommended=joint"),
     ("export=gcode;machine=m.json;program_of=joint", "kinematics=xyz"),
+    ("path_before=p;aborted=a;surface=s;tif=t", "surface_kind=artifact;tif_kind=artifact"),
 ];
 
 /// Typical values of settings that hold words or flags; `;` separates them.

@@ -7,6 +7,7 @@ mod execute;
 mod next_run;
 mod place;
 mod program;
+mod resume;
 mod run;
 mod several;
 mod several_tools;
@@ -59,6 +60,11 @@ pub enum RunCommand {
     /// The tools that follow are planned again on what the motion before them removes. Everything goes to
     /// out/several/MAP, or to OUT with out=OUT (docs/how-to/choose-tools.md). `planish run several` is the same.
     Several(several_tools::Several),
+    /// Plan the rest of a run that was interrupted, along the same path and along a new one, and recommend one
+    ///
+    /// Everything goes to out/resume/RUN, or to OUT with out=OUT (docs/how-to/go-on-after-an-abort.md). The exit code is 1
+    /// if a mark of the abort stays.
+    Resume(resume::Resume),
     /// Run a command while the directory of a run is locked for it; the command replaces this program
     ///
     /// The program checks the machine file and the mirror first, so that a mistake in them is not found
@@ -85,6 +91,7 @@ impl RunCommand {
             Self::CampaignSpread(arguments) => arguments.run(),
             Self::NextRun(arguments) => arguments.run(),
             Self::Several(arguments) => arguments.run(),
+            Self::Resume(arguments) => arguments.run(),
             Self::Start(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Verdict(arguments) => arguments.run(),

@@ -1,5 +1,6 @@
 //! Subcommands, one file each, and the code that all schedulers share.
 
+mod abort;
 mod average_velocity;
 mod constant_acceleration;
 mod interpolate;
@@ -59,6 +60,11 @@ pub enum ScheduleCommand {
     Interpolate(interpolate::Interpolate),
     /// NC program of a feed artifact: blocks of end point, densities and arc lengths
     Program(program::ProgramCommand),
+    /// Motion that was executed when a run was interrupted: up to the abort, the stop, and the tool that stays on
+    ///
+    /// After the abort the axes slow down together, the fastest at its largest acceleration. planish-run resume runs
+    /// this command.
+    Abort(abort::Abort),
 }
 
 impl ScheduleCommand {
@@ -73,6 +79,7 @@ impl ScheduleCommand {
             Self::Position(scheduler) => scheduler.run(),
             Self::Interpolate(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
+            Self::Abort(arguments) => arguments.run(),
         }
     }
 }

@@ -15,7 +15,7 @@
 //!
 //! The closed loop (`planish-refine`) takes any [`Scheduler`]; [`SCHEDULERS`] has them by name. [`claim`] measures
 //! every motion against the limits of the machine. [`interpolator`] turns the dwell-time density of `trig_spline`
-//! into reference positions, tick by tick.
+//! into reference positions, tick by tick. [`abort`] cuts a motion where a run was interrupted.
 //!
 //! Segment `i` of a path runs from control point `i` to the next one, and has one dwell point and one dwell time. A
 //! node of `pvt` is a control point, a node of `trig_spline` a dwell point or a corner. A lift is a segment with the
@@ -25,6 +25,7 @@
 // The command line names this library as any other program does.
 extern crate self as planish_schedule;
 
+pub mod abort;
 pub mod baselines;
 pub mod claim;
 mod cli;

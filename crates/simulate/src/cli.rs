@@ -24,8 +24,8 @@ use planish_simulate::{
     simulate,
 };
 use planish_types::{
-    Removal, doubts,
-    outcome::removal::{RemovalOutcome, ServoOutcome},
+    Removal, Surface, doubts,
+    outcome::removal::{MeasuredOutcome, RemovalOutcome, ServoOutcome},
     plausible, progress,
 };
 use serde::Serialize;
@@ -51,6 +51,9 @@ pub struct Simulate {
     /// a frame]
     #[arg(long, value_name = "N", conflicts_with = "error_budget")]
     frames: Option<usize>,
+    /// Output directory of the residual as a map, from which the next plan starts [surface artifact]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["error_budget", "frames"])]
+    remaining_out: Option<PathBuf>,
     #[command(flatten)]
     virtual_run: virtual_run::VirtualRun,
     #[command(flatten)]
@@ -102,7 +105,11 @@ impl Simulate {
             _ => servos.trajectory(&Motion::new(&command, f64::INFINITY)?, surface.grid())?,
         };
         let kind = if self.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
-        let mut output = match Output::directory(&self.output, kind).begin(&task, &inputs)? {
+        let mut to = Output::directory(&self.output, kind);
+        if let Some(dir) = &self.remaining_out {
+            to = to.and_directory("--remaining-out", dir, Surface::KIND);
+        }
+        let mut output = match to.begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
@@ -135,6 +142,10 @@ impl Simulate {
             },
         };
         output.write(&prediction.removal, outcome, &status)?;
+        if self.remaining_out.is_some() {
+            let measured = MeasuredOutcome { rms_nm: statistics.rms, pv_nm: Some(statistics.pv) };
+            output.write(residual, measured, &Status::Done)?;
+        }
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);
         }

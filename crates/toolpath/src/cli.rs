@@ -8,6 +8,7 @@ mod multi_pitch;
 mod passes;
 mod random_adaptive;
 mod raster;
+mod rest;
 mod spiral;
 
 use std::path::{Path, PathBuf};
@@ -38,6 +39,8 @@ pub enum PathCommand {
     Spiral(spiral::SpiralArgs),
     /// Repeat a path several times, there and back
     Passes(passes::PassesArgs),
+    /// Rest of a path after an abort
+    Rest(rest::RestArgs),
     /// Print the statistics of a path as JSON
     Inspect(inspect::InspectArgs),
     /// Draw a path as SVG
@@ -53,6 +56,7 @@ impl PathCommand {
             Self::MultiPitch(arguments) => arguments.run(),
             Self::Spiral(arguments) => arguments.run(),
             Self::Passes(arguments) => arguments.run(),
+            Self::Rest(arguments) => arguments.run(),
             Self::Inspect(arguments) => arguments.run(),
             Self::Draw(arguments) => arguments.run(),
         }

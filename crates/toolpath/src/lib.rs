@@ -11,7 +11,7 @@
 //!
 //! [`mod@along`] makes each of them along the surface of a curved part.
 //!
-//! [`mod@passes`] repeats any of them, there and back.
+//! [`mod@passes`] repeats any of them, there and back. [`mod@rest`] is what is left of one after an abort.
 //!
 //! For any path: [`mod@statistics`] (length, steps, turns, crossings, coverage, least time), [`PathReport`]
 //! (these, and what the user should know) and [`mod@draw`] (a picture).
@@ -31,6 +31,7 @@ pub mod random_adaptive;
 pub mod raster;
 mod region;
 mod report;
+pub mod rest;
 mod segments;
 pub mod spiral;
 pub mod statistics;
@@ -46,6 +47,7 @@ pub use random_adaptive::{
 pub use raster::{LineOrder, RasterSettings, Scan, Turn, raster};
 pub use region::{inset, usual_overscan_mm};
 pub use report::{PathReport, travel_warnings};
+pub use rest::rest;
 pub use spiral::{SpiralSettings, spiral};
 pub use statistics::{PathStatistics, PitchLimit, pitch_limit, statistics, time_lower_bound_s};
 

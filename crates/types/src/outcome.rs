@@ -5,6 +5,7 @@
 //! leave out is an `Option` or has a default. An outcome with the type parameter `More` has further numbers that only
 //! its stage knows; nobody else reads them.
 
+pub mod abort;
 pub mod axes;
 pub mod bound;
 pub mod plan;
