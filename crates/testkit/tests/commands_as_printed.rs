@@ -56,8 +56,8 @@ const EXCEPTIONS: [(&str, &str); 17] = [
 const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
 /// How-to pages whose outputs are checked.
-const HOW_TO_WITH_OUTPUT: [&str; 3] =
-    ["after-exit-code-1", "choose-a-plan", "choose-pitch-overscan-floor"];
+const HOW_TO_WITH_OUTPUT: [&str; 4] =
+    ["after-exit-code-1", "choose-a-plan", "choose-pitch-overscan-floor", "choose-tools"];
 
 /// Page whose blocks of Python are one script.
 const FIRST_MIRROR: &str = "docs/tutorials/first-mirror.md";
