@@ -271,7 +271,7 @@ test-gcode: build
 programs-table *flags: build
     @python3 scripts/programs-table.py {{ flags }}
 
-# Runs that are interrupted at random times, and what the rest leaves: the table of docs/how-to/go-on-after-an-abort.md
+# Runs that are interrupted at random times, with noise in the log, and what the rest leaves: just resume-table coupon times=3
 [group('5 pages and tables')]
 resume-table *words: build python
     @target/python/bin/python scripts/resume-table.py {{ words }}

@@ -1,6 +1,6 @@
 """Interrupts runs at random times, plans the rest, and prints how much of the undisturbed residual is reached.
 
-    just resume-table                   the table of docs/how-to/go-on-after-an-abort.md
+    just resume-table                   three fixtures, 30 times each
     just resume-table coupon times=3    one fixture, fewer times
 
 The log of the executed motion has noise of 0.1 um at 200 Hz. Every row is one time for which the tool stayed on.

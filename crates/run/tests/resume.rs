@@ -42,7 +42,7 @@ fn resume(dir: &Path, settings: &str) -> ResumeOutcome {
         // The mark is named with its depth.
         assert!(best.mark.depth_nm > 0.0, "{message}");
         assert!(
-            message.contains(&format!("the mark stays: {:.3} nm", best.mark.depth_nm)),
+            message.contains(&format!("its deepest mark is {:.3} nm", best.mark.depth_nm)),
             "{message}"
         );
     }

@@ -22,11 +22,10 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// Commands that are not run here, with the reason.
-const EXCEPTIONS: [(&str, &str); 18] = [
+const EXCEPTIONS: [(&str, &str); 17] = [
     ("just run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
     ("just programs-table --grids", "minutes"),
-    ("just resume-table", "half an hour"),
     ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
     (
         "just sweep sweeps/reference.yaml profile=slurm \

@@ -516,7 +516,7 @@ fn told(outcome: &ResumeOutcome) -> Status {
         return Status::Done;
     }
     Status::Negative(format!(
-        "the recommended way leaves {:.4} nm RMS, {ratio:.3} times that of the undisturbed run; the mark stays: {}",
+        "the recommended way leaves {:.4} nm RMS, {ratio:.3} times that of the undisturbed run; its deepest mark is {}",
         best.rms_nm,
         depth(&best.mark, "below the undisturbed run")
     ))
