@@ -229,7 +229,7 @@ impl Guard {
     }
 }
 
-/// Returns what the path behind the token asks for.
+/// Returns what the path after the token asks for.
 fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
     Ok(match (changes, path) {
         (false, [name @ ("" | "page.css" | "page.js" | "map.js")]) => Route::Asset((*name).into()),

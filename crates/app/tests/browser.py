@@ -90,6 +90,8 @@ def check_demo(browser, shots):
     wait(browser, "!document.getElementById('download').hidden", 10)
     size = browser.js("fetch('program').then((a) => a.text()).then((t) => t.length)")
     check("and can be saved", size > 1000, size)
+    # A sixth of 7 mm is 1.167 mm; the ripple of this Gaussian of 1 mm is 0.1 % at 1.54 mm.
+    check("the pitch is proposed by the tool, and not above its limit", "1.1 mm" in browser.js("document.getElementById('proposal').textContent"))
     check("its verdict is shown", "program" in browser.js("document.getElementById('program-verdict').textContent"))
     for width, height, dark in SCREENS:
         browser.size(width, height, dark)

@@ -78,7 +78,7 @@ fn serve(mut stream: TcpStream, server: &Arc<Server>) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads up to the empty line that ends the head, and returns the head and what was read behind it. `None` if the head is
+/// Reads up to the empty line that ends the head, and returns the head and what was read after it. `None` if the head is
 /// too long.
 fn read_head(stream: &mut TcpStream) -> io::Result<Option<(Vec<u8>, Vec<u8>)>> {
     let mut bytes = Vec::new();

@@ -215,7 +215,9 @@ function propose() {
   if (!$("proposal") || !toolNumbers) return;
   const { peak, vrr, size } = toolNumbers, sigma = Math.sqrt(vrr / (2 * Math.PI * peak));
   const ripple = Math.PI * sigma * Math.sqrt(2 / Math.log(4 / 0.001)), pitch = Math.min(ripple, size / 6);
-  $("proposal").textContent = `Proposed by the tool: ${+pitch.toPrecision(2)} mm, the smaller of a sixth of its size (${number(size / 6, 3)} mm) ` +
+  // Two digits, rounded down: a larger pitch is beyond the limit.
+  const digit = 10 ** (Math.floor(Math.log10(pitch)) - 1), proposed = Math.floor(pitch / digit + 1e-9) * digit;
+  $("proposal").textContent = `Proposed by the tool: ${number(proposed)} mm, the smaller of a sixth of its size (${number(size / 6, 3)} mm) ` +
     `and the pitch with a ripple of 0.1 % (${number(ripple, 3)} mm).`;
 }
 
@@ -281,7 +283,9 @@ async function showResult() {
 }
 
 function showProgram(messages) {
-  const lines = messages.split("\n").filter((line) => /^(program|verdict|warning: the program)/.test(line) || line.includes("planish-verify:"));
+  // The verdicts of the other plans are in the messages of the plan.
+  const readBack = `+${state.session.plan?.choice.settings.export}/verdict`;
+  const lines = messages.split("\n").filter((line) => /^(program|warning: the program)/.test(line) || line.startsWith("planish-verify:") && line.includes(readBack));
   $("program-verdict").textContent = lines.join("\n");
   $("program-verdict").hidden = state.program === "" || lines.length === 0;
   const isExport = !!state.session.plan?.choice.settings.export;
