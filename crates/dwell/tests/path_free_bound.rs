@@ -68,7 +68,18 @@ fn dense_optimum(desired: &Surface, tif: &Tif, places: &[[f64; 2]], lambda: f64)
     (t.sum(), (residual.dot(&residual) / n).sqrt())
 }
 
-/// Returns a map of 24 x 18 pixels of 0.25 mm with random waves, and some invalid pixels.
+/// Returns a TIF that falls smoothly to zero at `half` mm: `peak (1 - r^2 / half^2)^4`, nm/s.
+fn bell(peak: f64, half: f64, step: f64) -> Tif {
+    let g = square(half, step);
+    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        let squared = g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2);
+        peak * (1.0 - squared / (half * half)).max(0.0).powi(4)
+    });
+    Tif::new(g, rate).unwrap()
+}
+
+/// Returns a map of 24 x 18 pixels of 0.25 mm with random waves, and some invalid pixels. Every fifth tool ends in a
+/// step.
 fn random_map(seed: u64) -> (Surface, Tif) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let step = 0.25;
@@ -92,10 +103,14 @@ fn random_map(seed: u64) -> (Surface, Tif) {
     for _ in 0..seed % 4 {
         height[[rng.random_range(0..18), rng.random_range(0..24)]] = f64::NAN;
     }
-    let sigma_mm = rng.random_range(0.5..0.9);
+    let peak = rng.random_range(2.0..9.0);
     // Every third TIF has another pitch than the map, and is sampled anew.
     let pitch = if seed.is_multiple_of(3) { 0.17 } else { step };
-    let tif = gaussian(rng.random_range(2.0..9.0), sigma_mm, 9.0 * pitch, pitch);
+    let tif = if seed.is_multiple_of(5) {
+        gaussian(peak, rng.random_range(0.6..0.9), 9.0 * pitch, pitch)
+    } else {
+        bell(peak, 9.0 * pitch, pitch)
+    };
     (Surface::new(g, height).unwrap(), tif)
 }
 
@@ -122,10 +137,12 @@ fn no_dense_optimum_is_below_the_bound() {
             "seed {seed}: {bound:?}, a plan of {time_s} s leaves {rms_nm}"
         );
         assert!(bound.bound_rms_nm <= bound.reached_rms_nm, "seed {seed}: {bound:?}");
-        worst_gap = worst_gap.max(1.0 - bound.bound_rms_nm / rms_nm);
+        if !seed.is_multiple_of(5) {
+            worst_gap = worst_gap.max(1.0 - bound.bound_rms_nm / rms_nm);
+        }
     }
-    // Regression bound: tools that end in a step of a fifth of their peak, on maps hardly larger than they are.
-    assert!(worst_gap < 0.5, "{worst_gap}");
+    // Regression bound: maps hardly larger than the tool, and pixels a third of its flanks.
+    assert!(worst_gap < 0.3, "{worst_gap}");
 }
 
 #[test]
@@ -212,13 +229,14 @@ fn refusals_name_the_setting() {
 }
 
 #[test]
-fn a_third_of_the_reference_mirror_has_a_small_gap() {
+fn a_fifth_of_the_reference_mirror_has_a_small_gap() {
     let Some(mirror) = mirror() else { return };
     let g = mirror.desired.grid();
-    let g = Grid { x: g.x.crop(0, 299).unwrap(), y: g.y };
-    let height = mirror.desired.height_nm().slice(s![.., ..300]).to_owned();
+    let g = Grid { x: g.x.crop(0, 199).unwrap(), y: g.y };
+    let height = mirror.desired.height_nm().slice(s![.., ..200]).to_owned();
     let desired = Surface::new(g, height).unwrap();
-    let bound = bounds(&desired, &mirror.tif, &[45.0]).bounds[0];
-    // Regression bound. The goal for the whole mirror is 3 %.
-    assert!(bound.gap <= 0.04, "{bound:?}");
+    let bound = bounds(&desired, &mirror.tif, &[30.0]).bounds[0];
+    // Regression bound. The measured TIF ends in a step of 4 % of its peak, whose exact effect at every place the
+    // splines and the places of the lattice miss in part.
+    assert!(bound.gap <= 0.08, "{bound:?}");
 }

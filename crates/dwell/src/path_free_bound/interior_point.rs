@@ -30,8 +30,6 @@ const PART_OF_WAY: f64 = 0.995;
 pub struct Solution {
     /// Coefficients a of the splines.
     pub coefficients: Vec<f64>,
-    /// Largest adjoint Lambda at the places.
-    pub price: f64,
     /// Dwell times m at the places, s.
     pub dwell_s: Array1<f64>,
 }
@@ -98,7 +96,7 @@ pub fn solve(problem: Problem<'_>, budget: Budget) -> Solution {
         let way = (PART_OF_WAY * primal.min(dual)).min(1.0);
         point = point.after(&corrector, [way; 2]);
     }
-    Solution { coefficients: point.a, price: point.price, dwell_s: point.dwell_s }
+    Solution { coefficients: point.a, dwell_s: point.dwell_s }
 }
 
 /// Returns the first point.
