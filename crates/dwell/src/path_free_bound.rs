@@ -103,7 +103,7 @@ enum Budget {
     Price(f64),
 }
 
-/// What the bounds are for: run times, or prices of a second.
+/// Run times and prices of a second for which bounds are found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BoundSettings {
     /// Run times, s.

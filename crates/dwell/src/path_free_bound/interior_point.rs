@@ -62,7 +62,7 @@ struct Point {
     beside_s: f64,
 }
 
-/// What is left of (2) at a point.
+/// Remainder of (2) at a point.
 struct Left {
     stationary: Vec<f64>,
     mean: f64,
@@ -119,7 +119,7 @@ fn start(problem: Problem<'_>, budget: Budget) -> Point {
     }
 }
 
-/// Returns what is left of (2) of the module.
+/// Returns the remainder of (2) of the module.
 fn left(problem: Problem<'_>, point: &Point, budget: Budget) -> Left {
     let Problem { splines, constraints, .. } = problem;
     let mut stationary = constraints.along(&point.dwell_s);
