@@ -31,7 +31,7 @@ pub use submission::{LONGEST_STEP_S, trajectory};
 pub struct Problem {
     /// Name of the problem.
     pub name: String,
-    /// What the problem is about.
+    /// Description of the problem.
     pub doc: String,
     /// Recipe of part and tool, with its seed: a file beside the problem file.
     pub recipe: String,

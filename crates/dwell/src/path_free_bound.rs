@@ -49,7 +49,7 @@ mod tool;
 
 use std::collections::BTreeSet;
 
-use ndarray::{Array2, Zip};
+use ndarray::{Array1, Array2, Zip};
 pub use planish_types::outcome::bound::{PathFreeBound, PathFreeBounds};
 use planish_types::{Grid, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, progress};
 use serde::Serialize;
@@ -60,29 +60,36 @@ use places::Descent;
 use splines::{Constraints, Splines};
 use tool::{Part, Place, Tool, product, squares};
 
+/// Distances of the splines relative to the length of the flanks of the tool: those that find the constraints, and
+/// those of the bound. Larger: a smaller bound. Smaller: time that grows with its fourth power.
+const PITCHES_OF_SPLINES: [f64; 2] = [0.75, 0.45];
+
+/// Part of the largest adjoint at the constraints above which a constraint stays when the splines become finer. Larger:
+/// more rounds. Smaller: more time for each.
+const NEAR: f64 = 0.7;
+
 /// Distance of the first constraints relative to the length of the flanks of the tool. Larger: more rounds. Smaller:
 /// more time for each.
 const PITCH_OF_CONSTRAINTS: f64 = 0.25;
 
-/// Largest number of rounds, each with constraints at the highest places of the round before. Larger: a larger bound.
+/// Largest number of rounds with the coarse and with the fine splines, each with constraints at the highest places of the round before. Larger: a larger bound.
 /// Smaller: less time.
-const MAX_ROUNDS: usize = 7;
+const MAX_ROUNDS: usize = 5;
 
-/// Excess of the adjoint over its largest value at the constraints, relative to it, at which the rounds end. Larger: a
-/// smaller bound. Smaller: more rounds.
-const SMALL_EXCESS: f64 = 5e-3;
+/// Excess of the adjoint over its largest value at the constraints, relative to it, at which the rounds end: with the
+/// coarse and with the fine splines. Larger: a smaller bound. Smaller: more rounds.
+const SMALL_EXCESS: [f64; 2] = [1e-2, 1e-3];
 
-/// Complementarity, relative to the square of the residual, at which the first round and the last ones end. Each round
-/// in between has a third of that of the round before. Larger: a smaller bound, by a quarter of the last one. Smaller:
-/// more steps.
-const COMPLEMENTARITY: [f64; 2] = [1e-2, 1e-3];
+/// Complementarity, relative to the square of the residual, at which a round ends: with the coarse and with the fine
+/// splines. Larger: a smaller bound, by a quarter of the last one. Smaller: more steps.
+const COMPLEMENTARITY: [f64; 2] = [5e-3, 1e-3];
 
 /// Gap between the reached residual and the bound at which the steps on the lattice of places end. Larger: less time.
 /// Smaller: up to [`MAX_STEPS`] steps.
 const SMALL_GAP: f64 = 0.005;
 
 /// Largest number of steps on the lattice of places. Larger: a smaller gap. Smaller: less time.
-const MAX_STEPS: usize = 400;
+const MAX_STEPS: usize = 800;
 
 /// Number of steps between two looks at the gap. Larger: up to as many steps too many. Smaller: more removals.
 const STEPS_BETWEEN_LOOKS: usize = 50;
@@ -96,7 +103,7 @@ enum Budget {
     Price(f64),
 }
 
-/// What the bounds are for: run times, or prices of a second.
+/// Run times and prices of a second for which bounds are found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BoundSettings {
     /// Run times, s.
@@ -120,7 +127,7 @@ pub fn bounds_on_any_path(
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
     let part = Part::new(desired);
     let tool = Tool::new(&tif, desired.grid());
-    let splines = Splines::new(&part, &tool);
+    let splines = PITCHES_OF_SPLINES.map(|pitch| Splines::new(&part, &tool, pitch));
     let adjoints = tool.adjoints(&part.desired_nm);
     let every = tool.apart(PITCH_OF_CONSTRAINTS);
     let (rows, columns) = adjoints[0].dim();
@@ -133,8 +140,8 @@ pub fn bounds_on_any_path(
             (0..columns).step_by(every[0]).map(move |c| Place { index: (r, c), limit: 0 })
         })
         .collect();
-    let mut constraints = splines.unconstrained();
-    constraints.add(&first, &splines, (&part, &tool), &adjoints);
+    let mut constraints = splines[0].unconstrained();
+    constraints.add(&first, &splines[0], (&part, &tool), &adjoints);
     let grid = desired.grid();
     let problem = Problem { grid, tif: &tif, part, tool, splines, adjoints, first, constraints };
     let prices = settings.time_weight_nm2_per_s.iter();
@@ -178,12 +185,13 @@ struct Problem<'a> {
     tif: &'a Tif,
     part: Part,
     tool: Tool,
-    splines: Splines,
+    /// Coarse and fine splines.
+    splines: [Splines; 2],
     /// Adjoint products of the desired removal at all places of the lattice, for every limit of the tool.
     adjoints: Vec<Array2<f64>>,
     /// Places of the first constraints.
     first: Vec<Place>,
-    /// The first constraints.
+    /// The first constraints, for the coarse splines.
     constraints: Constraints,
 }
 
@@ -242,51 +250,72 @@ impl Problem<'_> {
     /// Returns the best e by splines (ny, nx), nm, and the dwell times of the first round at all places of the lattice,
     /// s.
     fn by_splines(&self, budget: Budget) -> (Array2<f64>, Array2<f64>) {
+        let [coarse, fine] = &self.splines;
+        let [loose, tight] = COMPLEMENTARITY;
         let mut places = self.first.clone();
         let mut constraints = self.constraints.clone();
+        let mut round = self.round(coarse, &constraints, &places, budget, loose);
         let mut first_s = Array2::zeros(self.adjoints[0].dim());
-        let [loose, tight] = COMPLEMENTARITY;
-        let mut complementarity = loose;
-        for round in 1.. {
-            let problem = interior_point::Problem {
-                splines: &self.splines,
-                constraints: &constraints,
-                energy: squares(&self.part.desired_nm),
-                scale_s: self.scale_s(),
-                complementarity,
-            };
-            let solution = interior_point::solve(problem, budget);
-            let map = self.splines.map(&solution.coefficients, &self.part);
-            let residual_nm = self.part.residual_nm(map);
-            let adjoints = self.tool.adjoints(&residual_nm);
-            let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
-            if round == 1 {
-                for (place, dwell_s) in places.iter().zip(&solution.dwell_s) {
-                    first_s[place.index] = *dwell_s;
-                }
+        for (place, dwell_s) in places.iter().zip(&round.dwell_s) {
+            first_s[place.index] = *dwell_s;
+        }
+        for k in 1..MAX_ROUNDS {
+            if round.excess <= SMALL_EXCESS[0] {
+                break;
             }
-            let is_bounded = highest <= (1.0 + SMALL_EXCESS) * solution.price;
-            if round == MAX_ROUNDS || (is_bounded && complementarity == tight) {
-                return (residual_nm, first_s);
+            progress::done(0.5 * k as f64 / MAX_ROUNDS as f64);
+            let new = self.highest_places(&round, k, &places);
+            constraints.add(&new, coarse, (&self.part, &self.tool), &self.adjoints);
+            places.extend(new);
+            round = self.round(coarse, &constraints, &places, budget, loose);
+        }
+        places.retain(|place| round.adjoints[place.limit][place.index] > NEAR * round.price);
+        let mut constraints = fine.unconstrained();
+        constraints.add(&places, fine, (&self.part, &self.tool), &self.adjoints);
+        for k in 1.. {
+            round = self.round(fine, &constraints, &places, budget, tight);
+            if k == MAX_ROUNDS || round.excess <= SMALL_EXCESS[1] {
+                break;
             }
-            complementarity = if is_bounded { tight } else { (complementarity / 3.0).max(tight) };
-            let new = self.highest_places(&adjoints, solution.price, round, &places);
-            constraints.add(&new, &self.splines, (&self.part, &self.tool), &self.adjoints);
+            progress::done(0.5 + 0.5 * k as f64 / MAX_ROUNDS as f64);
+            let new = self.highest_places(&round, k, &places);
+            constraints.add(&new, fine, (&self.part, &self.tool), &self.adjoints);
             places.extend(new);
         }
-        unreachable!("the last round returns")
+        (round.residual_nm, first_s)
+    }
+
+    /// Returns the best e for these splines and constraints.
+    fn round(
+        &self,
+        splines: &Splines,
+        constraints: &Constraints,
+        places: &[Place],
+        budget: Budget,
+        complementarity: f64,
+    ) -> Round {
+        let problem = interior_point::Problem {
+            splines,
+            constraints,
+            energy: squares(&self.part.desired_nm),
+            scale_s: self.scale_s(),
+            complementarity,
+        };
+        let solution = interior_point::solve(problem, budget);
+        let residual_nm = self.part.residual_nm(splines.map(&solution.coefficients, &self.part));
+        let adjoints = self.tool.adjoints(&residual_nm);
+        let at_places = places.iter().map(|place| adjoints[place.limit][place.index]);
+        let price = at_places.fold(0.0, f64::max);
+        let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
+        let excess = if price > 0.0 { highest / price - 1.0 } else { 0.0 };
+        Round { residual_nm, adjoints, price, excess, dwell_s: solution.dwell_s }
     }
 
     /// Returns the places at which the adjoint has a local maximum above `price`, over all limits of the tool, and
     /// eight places around each, that are no constraints yet. The eight are nearer with every round.
-    fn highest_places(
-        &self,
-        adjoints: &[Array2<f64>],
-        price: f64,
-        round: usize,
-        old: &[Place],
-    ) -> Vec<Place> {
-        let [across, along] = self.tool.apart(PITCH_OF_CONSTRAINTS / (1 << round) as f64);
+    fn highest_places(&self, round: &Round, number: usize, old: &[Place]) -> Vec<Place> {
+        let Round { adjoints, price, .. } = round;
+        let [across, along] = self.tool.apart(PITCH_OF_CONSTRAINTS / (1 << number) as f64);
         let mut largest = adjoints[0].clone();
         let mut limits = Array2::from_elem(largest.dim(), 0);
         for (limit, adjoint) in adjoints.iter().enumerate().skip(1) {
@@ -298,7 +327,7 @@ impl Problem<'_> {
         }
         let mut used: BTreeSet<Place> = old.iter().copied().collect();
         let mut new = Vec::new();
-        for (index, value) in largest.indexed_iter().filter(|(_, value)| **value > price) {
+        for (index, value) in largest.indexed_iter().filter(|(_, value)| *value > price) {
             if !is_local_maximum(&largest, index, *value) {
                 continue;
             }
@@ -317,6 +346,19 @@ impl Problem<'_> {
         let volume = self.part.desired_nm.mapv(f64::abs).sum();
         volume / self.tool.samples().sum() * (self.tool.parts[0] * self.tool.parts[1]) as f64
     }
+}
+
+/// Best e for some splines and constraints.
+struct Round {
+    residual_nm: Array2<f64>,
+    /// Adjoint products of e at all places of the lattice, for every limit of the tool.
+    adjoints: Vec<Array2<f64>>,
+    /// Largest adjoint at the constraints.
+    price: f64,
+    /// Excess of the largest adjoint at all places over `price`, relative to it.
+    excess: f64,
+    /// Multipliers of the constraints, s.
+    dwell_s: Array1<f64>,
 }
 
 /// Returns true if no neighbour of an element of a map is larger than its value.

@@ -56,7 +56,8 @@ fn what_is_no_time_is_refused_and_nothing_is_written() {
     for bad in [&[][..], &["--time-s=0"], &["--time-s=1,nan"], &["--time-weight=-1"]] {
         let output = run(tmp.path(), bad);
         assert_eq!(output.status.code(), Some(2), "{bad:?}");
-        assert!(text(&output.stderr).contains("--time"), "{}", text(&output.stderr));
+        let message = text(&output.stderr);
+        assert!(message.contains("time"), "{message}");
         assert!(!tmp.path().join("bound").exists());
     }
 }

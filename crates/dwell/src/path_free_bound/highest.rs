@@ -40,9 +40,9 @@ pub struct Highest {
 const KEYS: [[f64; 4]; 4] =
     [[0.0, -0.5, 1.0, -0.5], [1.0, 0.0, -2.5, 1.5], [0.0, 0.5, 2.0, -1.5], [0.0, 0.0, -0.5, 0.5]];
 
-/// Largest length of an interval of f, relative to the length of the flanks of the tool. Larger: a larger bound, by up
-/// to 1 % at 1/10. Smaller: more correlations.
-const LONGEST_INTERVAL: f64 = 1.0 / 18.0;
+/// Largest length of an interval of f, relative to the length of the flanks of the tool. Larger: a larger bound of q, by
+/// about the square of this number. Smaller: more correlations.
+const LONGEST_INTERVAL: f64 = 1.0 / 36.0;
 
 /// Rounding of a correlation by FFT, relative to the product of the Euclidean norms of map and kernel. It is at most 20
 /// log2(N) unit roundoffs for N = 1e6 elements.

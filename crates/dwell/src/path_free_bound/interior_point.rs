@@ -30,8 +30,6 @@ const PART_OF_WAY: f64 = 0.995;
 pub struct Solution {
     /// Coefficients a of the splines.
     pub coefficients: Vec<f64>,
-    /// Largest adjoint Lambda at the places.
-    pub price: f64,
     /// Dwell times m at the places, s.
     pub dwell_s: Array1<f64>,
 }
@@ -64,7 +62,7 @@ struct Point {
     beside_s: f64,
 }
 
-/// What is left of (2) at a point.
+/// Remainder of (2) at a point.
 struct Left {
     stationary: Vec<f64>,
     mean: f64,
@@ -98,7 +96,7 @@ pub fn solve(problem: Problem<'_>, budget: Budget) -> Solution {
         let way = (PART_OF_WAY * primal.min(dual)).min(1.0);
         point = point.after(&corrector, [way; 2]);
     }
-    Solution { coefficients: point.a, price: point.price, dwell_s: point.dwell_s }
+    Solution { coefficients: point.a, dwell_s: point.dwell_s }
 }
 
 /// Returns the first point.
@@ -121,7 +119,7 @@ fn start(problem: Problem<'_>, budget: Budget) -> Point {
     }
 }
 
-/// Returns what is left of (2) of the module.
+/// Returns the remainder of (2) of the module.
 fn left(problem: Problem<'_>, point: &Point, budget: Budget) -> Left {
     let Problem { splines, constraints, .. } = problem;
     let mut stationary = constraints.along(&point.dwell_s);

@@ -18,10 +18,6 @@ use planish_numerics::{
 
 use super::tool::{Part, Place, Tool, Window};
 
-/// Distance of the splines relative to the length of the flanks of the tool. Larger: a smaller bound. Smaller: time
-/// that grows with its fourth power.
-const PITCH_OF_SPLINES: f64 = 0.45;
-
 /// Largest work of a step (number of splines times the square of the band of their matrix). Above it, the splines are
 /// farther apart than the flanks ask for. Larger: more time for large parts. Smaller: a smaller bound there.
 const MOST_WORK: f64 = 5.5e8;
@@ -84,12 +80,13 @@ struct Run {
 }
 
 impl Splines {
-    /// Makes the splines for a part and a tool.
-    pub fn new(part: &Part, tool: &Tool) -> Self {
+    /// Makes splines for a part and a tool, at distances of `pitch` times the flanks of the tool, or farther apart if
+    /// that is too much work.
+    pub fn new(part: &Part, tool: &Tool, pitch: f64) -> Self {
         let (ny, nx) = part.desired_nm.dim();
         let reach = [tool.samples().ncols(), tool.samples().nrows()];
         let reach = [0, 1].map(|axis| reach[axis] as f64 / tool.parts[axis] as f64);
-        let mut pitch = tool.flanks.map(|flank| (PITCH_OF_SPLINES * flank).max(1.0));
+        let mut pitch = tool.flanks.map(|flank| (pitch * flank).max(1.0));
         while work([nx, ny], reach, pitch) > MOST_WORK {
             pitch = pitch.map(|pitch| 1.05 * pitch);
         }
