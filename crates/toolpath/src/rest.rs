@@ -128,7 +128,7 @@ mod tests {
         for (place, served, part) in [
             ([0.5, 0.0], None, "serves no dwell point"),
             ([0.5, 0.0], Some(9), "serves no dwell point"),
-            ([0.5, 5.0], Some(0), "5.000 mm from the tool path"),
+            ([0.5, 5.0], Some(0), "4.000 mm from the tool path"),
             ([0.1, 1.0], Some(3), "nothing is left"),
         ] {
             let refusal = rest(&path(), &at(place, served)).unwrap_err().to_string();
