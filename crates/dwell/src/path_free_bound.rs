@@ -315,7 +315,7 @@ impl Problem<'_> {
     /// eight places around each, that are no constraints yet. The eight are nearer with every round.
     fn highest_places(&self, round: &Round, number: usize, old: &[Place]) -> Vec<Place> {
         let Round { adjoints, price, .. } = round;
-        let [across, along] = self.tool.apart(PITCH_OF_CONSTRAINTS / (1 << number) as f64);
+        let [across, along] = self.tool.apart(PITCH_OF_CONSTRAINTS / f64::from(1 << number));
         let mut largest = adjoints[0].clone();
         let mut limits = Array2::from_elem(largest.dim(), 0);
         for (limit, adjoint) in adjoints.iter().enumerate().skip(1) {

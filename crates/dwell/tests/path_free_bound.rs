@@ -123,7 +123,8 @@ fn no_dense_optimum_is_below_the_bound() {
         let shift = [rng.random_range(0.0..0.3), rng.random_range(0.0..0.3)];
         let places: Vec<[f64; 2]> = (0..21 * 17)
             .map(|k| {
-                let (i, j) = ((k % 21) as f64, (k / 21) as f64);
+                let i = f64::from(k % 21);
+                let j = f64::from(k / 21);
                 [0.31 * i - 1.3 + shift[0], 0.31 * j - 1.2 + shift[1]]
             })
             .collect();
