@@ -36,7 +36,7 @@ enum BenchmarkCommand {
 
 #[derive(clap::Args)]
 struct ScoreArgs {
-    /// Problem, see benchmark/problems/*.json [JSON]
+    /// Problem, like those in benchmark/problems [JSON]
     #[arg(value_name = "PROBLEM")]
     problem: PathBuf,
     /// Motion with the header t,x,y,vx,vy, in s, mm and mm/s [CSV]

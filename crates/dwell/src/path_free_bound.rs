@@ -64,9 +64,9 @@ use tool::{Part, Place, Tool, product, squares};
 /// those of the bound. Larger: a smaller bound. Smaller: time that grows with its fourth power.
 const PITCHES_OF_SPLINES: [f64; 2] = [0.75, 0.45];
 
-/// Part of the largest adjoint at the constraints above which a constraint stays when the splines become finer. Larger:
-/// more rounds. Smaller: more time for each.
-const NEAR: f64 = 0.7;
+/// Part of the largest adjoint at the constraints above which a constraint stays when the splines become finer,
+/// dimensionless. Larger: more rounds. Smaller: more time for each.
+const LEAST_ADJOINT_KEPT: f64 = 0.7;
 
 /// Distance of the first constraints relative to the length of the flanks of the tool. Larger: more rounds. Smaller:
 /// more time for each.
@@ -269,7 +269,9 @@ impl Problem<'_> {
             places.extend(new);
             round = self.round(coarse, &constraints, &places, budget, loose);
         }
-        places.retain(|place| round.adjoints[place.limit][place.index] > NEAR * round.price);
+        places.retain(|place| {
+            round.adjoints[place.limit][place.index] > LEAST_ADJOINT_KEPT * round.price
+        });
         let mut constraints = fine.unconstrained();
         constraints.add(&places, fine, (&self.part, &self.tool), &self.adjoints);
         for k in 1.. {

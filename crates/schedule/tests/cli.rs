@@ -68,7 +68,7 @@ fn schedulers() -> Vec<String> {
     let lines = lines.filter_map(|line| line.strip_prefix("  "));
     let names =
         lines.filter(|line| !line.starts_with(' ')).map(|line| line.split(' ').next().unwrap());
-    let names = names.filter(|name| !["interpolate", "program", "help"].contains(name));
+    let names = names.filter(|name| !["abort", "interpolate", "program", "help"].contains(name));
     names.map(String::from).collect()
 }
 

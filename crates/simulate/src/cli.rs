@@ -83,15 +83,11 @@ impl Simulate {
         if let Some(files) = self.virtual_run.files() {
             return self.virtual_run.run(files, &self.trajectory, &self.mirror, &self.output);
         }
-        let settings = match self.integral {
-            IntegrationMethod::Gridded => SimulationSettings::Gridded,
-            IntegrationMethod::Direct => SimulationSettings::Direct { steps: self.steps },
-        };
-        let method = if self.frames.is_some() { "frames" } else { "simulate" };
+        let settings = self.settings();
         let task = match (self.frames, &self.servo_of) {
-            (Some(count), _) => task!(method, json!({ "method": settings, "frames": count })),
+            (Some(count), _) => task!("frames", json!({ "method": settings, "frames": count })),
             (None, Some(_)) => task!("after-servo", settings),
-            (None, None) => task!(method, settings),
+            (None, None) => task!("simulate", settings),
         };
         let mut inputs = Inputs::new();
         let (command, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
@@ -152,15 +148,9 @@ impl Simulate {
         if status == Status::Done {
             doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
         }
-        let after = match (&self.servo_of, servos.servo_count()) {
-            (None, _) => "",
-            (Some(_), 0) => {
-                "the process states no servo of a fixed lag, so the axes follow exactly: "
-            }
-            (Some(_), _) => "after the servo of the process: ",
-        };
         say(format!(
-            "{after}residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
+            "{}residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
+            after_servo(servos_of_process),
             statistics.rms,
             detilted,
             statistics.pv,
@@ -170,12 +160,29 @@ impl Simulate {
         Ok(status)
     }
 
+    fn settings(&self) -> SimulationSettings {
+        match self.integral {
+            IntegrationMethod::Gridded => SimulationSettings::Gridded,
+            IntegrationMethod::Direct => SimulationSettings::Direct { steps: self.steps },
+        }
+    }
+
     fn servos(&self, inputs: &mut Inputs) -> Result<Deviation, Failure> {
         let Some(path) = &self.servo_of else { return Ok(Deviation::default()) };
         let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
         let process =
             file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
         Ok(Deviation::servos_of(&process))
+    }
+}
+
+/// Returns the words before the residual that say which servos the axes follow; `servos` is their number, `None` without
+/// `--servo-of`.
+fn after_servo(servos: Option<usize>) -> &'static str {
+    match servos {
+        None => "",
+        Some(0) => "the process states no servo of a fixed lag, so the axes follow exactly: ",
+        Some(_) => "after the servo of the process: ",
     }
 }
 

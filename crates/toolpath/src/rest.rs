@@ -6,7 +6,7 @@
 
 use planish_types::{Invalid, ToolPath, Trajectory};
 
-/// Number of segments behind the last one that are compared with the place of the machine. Larger: the neighbouring
+/// Number of segments after the last one that are compared with the place of the machine. Larger: the neighbouring
 /// line may be nearer. Smaller: a stop that leads over more segments is placed too early.
 const AHEAD: usize = 3;
 /// Part of a segment that is too short to be a segment of its own; the rest then begins with the next one. Larger: the

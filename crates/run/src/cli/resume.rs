@@ -43,10 +43,10 @@ const MENDED: f64 = 1.05;
 
 #[derive(Args)]
 pub struct Resume {
-    /// Settings: run=DIR (the interrupted run); abort_s=T, abort_line=N of its program, or log=FILE (a trajectory
-    /// artifact or a file for planish-import trace, with its flags in trace="FLAGS"); tool_on_s=T (time for which the
-    /// tool removed after the abort), plan=NAME, tif=DIR, new_path=no, pipeline (of the new path), out=DIR, and those of
-    /// the pipelines
+    /// Settings: run=DIR, the interrupted run; one of abort_s=T, abort_line=N of its program, and log=FILE. A log is a
+    /// trajectory artifact, or a file for planish-import trace with its flags in trace="FLAGS". Further ones are
+    /// tool_on_s=T (time for which the tool removed after the abort), plan=NAME, tif=DIR, new_path=no, pipeline (of the
+    /// new path), out=DIR, and those of the pipelines
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
