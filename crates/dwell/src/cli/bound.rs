@@ -22,8 +22,8 @@ pub struct BoundArgs {
         required_unless_present = "time_weight_nm2_per_s"
     )]
     time_s: Vec<f64>,
-    /// Prices of a second, relative to half the mean square of the residual, nm^2/s, separated by commas. The bound is for
-    /// the run time that is best at the price
+    /// Price of a second, relative to half the mean square of the residual, nm^2/s. Several are separated by commas. The
+    /// bound is for the run time that is best at the price
     #[arg(long, visible_alias = "time-weight", value_name = "L", value_delimiter = ',')]
     time_weight_nm2_per_s: Vec<f64>,
     #[command(flatten)]
