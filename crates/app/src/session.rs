@@ -9,13 +9,13 @@ use crate::choice::{MachineChoice, PartChoice, PlanChoice, ToolChoice, Words};
 #[serde(default, deny_unknown_fields)]
 pub struct Session {
     /// The part.
-    pub part: Option<Step<PartChoice>>,
+    pub part: Option<SessionStep<PartChoice>>,
     /// The tool.
-    pub tool: Option<Step<ToolChoice>>,
+    pub tool: Option<SessionStep<ToolChoice>>,
     /// The machine.
     pub machine: Option<MachineChoice>,
     /// The plan.
-    pub plan: Option<Step<PlanChoice>>,
+    pub plan: Option<SessionStep<PlanChoice>>,
     /// Directory of the run, in that of the session; empty before the first plan.
     pub run: String,
     /// Number of steps that were begun, which makes two that are alike distinct.
@@ -25,7 +25,7 @@ pub struct Session {
 /// A step: what was chosen, the command lines that do it, and how they ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Step<Choice> {
+pub struct SessionStep<Choice> {
     /// Number of the step among all that were begun in the session.
     pub number: u64,
     /// Choice of the user.
@@ -33,13 +33,13 @@ pub struct Step<Choice> {
     /// Command lines, in their order.
     pub commands: Vec<Words>,
     /// End of the commands.
-    pub end: End,
+    pub end: StepEnd,
 }
 
 /// Ends of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum End {
+pub enum StepEnd {
     /// Its commands run.
     Running,
     /// Done.
@@ -82,11 +82,11 @@ impl StepName {
     }
 }
 
-impl<Choice> Step<Choice> {
+impl<Choice> SessionStep<Choice> {
     /// Returns the choice if the step is done, also with a negative verdict.
     pub fn done(&self) -> Option<&Choice> {
         match self.end {
-            End::Done | End::Negative => Some(&self.choice),
+            StepEnd::Done | StepEnd::Negative => Some(&self.choice),
             _ => None,
         }
     }
@@ -94,13 +94,17 @@ impl<Choice> Step<Choice> {
 
 impl Session {
     /// Begins a step.
-    pub fn begin<Choice>(&mut self, choice: Choice, commands: Vec<Words>) -> Option<Step<Choice>> {
+    pub fn begin<Choice>(
+        &mut self,
+        choice: Choice,
+        commands: Vec<Words>,
+    ) -> Option<SessionStep<Choice>> {
         self.steps += 1;
-        Some(Step { number: self.steps, choice, commands, end: End::Running })
+        Some(SessionStep { number: self.steps, choice, commands, end: StepEnd::Running })
     }
 
     /// Returns the end of a step, to be changed; `None` if the step was not begun.
-    pub fn end_mut(&mut self, step: StepName) -> Option<&mut End> {
+    pub fn end_mut(&mut self, step: StepName) -> Option<&mut StepEnd> {
         match step {
             StepName::Part => self.part.as_mut().map(|step| &mut step.end),
             StepName::Tool => self.tool.as_mut().map(|step| &mut step.end),
@@ -112,9 +116,9 @@ impl Session {
     pub fn reopen(&mut self) {
         for step in StepName::ALL {
             if let Some(end) = self.end_mut(step)
-                && *end == End::Running
+                && *end == StepEnd::Running
             {
-                *end = End::Interrupted;
+                *end = StepEnd::Interrupted;
             }
         }
     }
@@ -124,7 +128,7 @@ impl Session {
         if let Some(plan) = &mut self.plan
             && plan.done().is_some()
         {
-            plan.end = End::Outdated;
+            plan.end = StepEnd::Outdated;
         }
     }
 
@@ -156,7 +160,7 @@ mod tests {
         let text = serde_json::to_string(&session).unwrap();
         assert_eq!(serde_json::from_str::<Session>(&text).unwrap(), session);
         session.reopen();
-        assert_eq!(session.part.as_ref().unwrap().end, End::Interrupted);
+        assert_eq!(session.part.as_ref().unwrap().end, StepEnd::Interrupted);
         assert!(session.part.as_ref().unwrap().done().is_none());
         assert_eq!(session.commands().len(), 1);
     }

@@ -58,7 +58,7 @@ use crate::DwellError;
 use highest::{Highest, highest};
 use places::Descent;
 use splines::{Constraints, Splines};
-use tool::{Part, Place, Tool, product, squares};
+use tool::{LatticeTool, PartPixels, Place, product, squares};
 
 /// Distances of the splines relative to the length of the flanks of the tool: those that find the constraints, and
 /// those of the bound. Larger: a smaller bound. Smaller: time that grows with its fourth power.
@@ -125,8 +125,8 @@ pub fn bounds_on_any_path(
     settings.check()?;
     tif.same_everywhere("the bound on any path")?;
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
-    let part = Part::new(desired);
-    let tool = Tool::new(&tif, desired.grid());
+    let part = PartPixels::new(desired);
+    let tool = LatticeTool::new(&tif, desired.grid());
     let splines = PITCHES_OF_SPLINES.map(|pitch| Splines::new(&part, &tool, pitch));
     let adjoints = tool.adjoints(&part.desired_nm);
     let every = tool.apart(PITCH_OF_CONSTRAINTS);
@@ -143,7 +143,8 @@ pub fn bounds_on_any_path(
     let mut constraints = splines[0].unconstrained();
     constraints.add(&first, &splines[0], (&part, &tool), &adjoints);
     let grid = desired.grid();
-    let problem = Problem { grid, tif: &tif, part, tool, splines, adjoints, first, constraints };
+    let problem =
+        BoundProblem { grid, tif: &tif, part, tool, splines, adjoints, first, constraints };
     let prices = settings.time_weight_nm2_per_s.iter();
     let budgets: Vec<Budget> = (settings.time_s.iter().map(|t| Budget::TimeS(*t)))
         .chain(prices.map(|price| Budget::Price(price * problem.part.pixels)))
@@ -180,11 +181,11 @@ impl BoundSettings {
 }
 
 /// A part and a tool, with everything that is the same for all run times.
-struct Problem<'a> {
+struct BoundProblem<'a> {
     grid: &'a Grid,
     tif: &'a Tif,
-    part: Part,
-    tool: Tool,
+    part: PartPixels,
+    tool: LatticeTool,
     /// Coarse and fine splines.
     splines: [Splines; 2],
     /// Adjoint products of the desired removal at all places of the lattice, for every limit of the tool.
@@ -195,7 +196,7 @@ struct Problem<'a> {
     constraints: Constraints,
 }
 
-impl Problem<'_> {
+impl BoundProblem<'_> {
     /// Returns the bound for a budget.
     fn bound(&self, budget: Budget) -> PathFreeBound {
         let (residual_nm, start_s) = progress::part(0, 2, || self.by_splines(budget));
@@ -296,7 +297,7 @@ impl Problem<'_> {
         budget: Budget,
         complementarity: f64,
     ) -> Round {
-        let problem = interior_point::Problem {
+        let problem = interior_point::InteriorProblem {
             splines,
             constraints,
             energy: squares(&self.part.desired_nm),

@@ -13,7 +13,7 @@ use std::{
 use planish_app::{
     choice::Words,
     refusal::Refusal,
-    session::{End, StepName},
+    session::{StepEnd, StepName},
 };
 use planish_handoff::{Running, words};
 
@@ -78,8 +78,8 @@ fn run(server: &Server, tasks: &[Task]) {
             job.step = task.step;
             job.begun = Instant::now();
         }
-        let end = if has_failed { End::Cancelled } else { run_task(server, task) };
-        has_failed |= !matches!(end, End::Done | End::Negative);
+        let end = if has_failed { StepEnd::Cancelled } else { run_task(server, task) };
+        has_failed |= !matches!(end, StepEnd::Done | StepEnd::Negative);
         let mut live = server.live();
         if let Some(known) = live.session.end_mut(task.step) {
             *known = end;
@@ -93,26 +93,26 @@ fn run(server: &Server, tasks: &[Task]) {
 }
 
 /// Runs the commands of a step, with their messages in its log.
-fn run_task(server: &Server, task: &Task) -> End {
-    let Ok(mut log) = server.files.begin_log(task.step) else { return End::Refused };
+fn run_task(server: &Server, task: &Task) -> StepEnd {
+    let Ok(mut log) = server.files.begin_log(task.step) else { return StepEnd::Refused };
     for command in &task.commands {
         let _ = writeln!(log, "$ {}", words::join(command));
         match run_command(server, command, &log) {
             Ok(Some(0)) => {}
             // The exit code of a negative verdict; what follows would work on a result that is not good.
-            Ok(Some(1)) => return End::Negative,
-            Ok(_) if is_cancelled(server) => return End::Cancelled,
-            Ok(_) => return End::Refused,
+            Ok(Some(1)) => return StepEnd::Negative,
+            Ok(_) if is_cancelled(server) => return StepEnd::Cancelled,
+            Ok(_) => return StepEnd::Refused,
             Err(e) => {
                 let _ = writeln!(log, "error: cannot run it: {e}");
-                return End::Refused;
+                return StepEnd::Refused;
             }
         }
         if is_cancelled(server) {
-            return End::Cancelled;
+            return StepEnd::Cancelled;
         }
     }
-    End::Done
+    StepEnd::Done
 }
 
 /// Runs a command in the directory of the session. Returns its exit code, `None` if a signal ended it.

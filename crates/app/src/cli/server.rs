@@ -14,7 +14,7 @@ use planish_app::{
     },
     guard::Guard,
     refusal::Refusal,
-    session::{Session, Step, StepName},
+    session::{Session, SessionStep, StepName},
 };
 use planish_handoff::{Failure, Inputs};
 use planish_pipeline::description::PipelineDescription;
@@ -148,8 +148,8 @@ impl Server {
         let mut live = self.idle()?;
         let missing = Refusal::of_value("part, tool and machine come first; finish these steps");
         let session = &live.session;
-        let part = session.part.as_ref().and_then(Step::done).cloned();
-        let tool = session.tool.as_ref().and_then(Step::done).cloned();
+        let part = session.part.as_ref().and_then(SessionStep::done).cloned();
+        let tool = session.tool.as_ref().and_then(SessionStep::done).cloned();
         let (Some(part), Some(tool), Some(machine)) = (part, tool, session.machine.clone()) else {
             return Err(missing);
         };

@@ -119,7 +119,7 @@ pub struct PreparedTool<'a> {
 }
 
 /// One tool of a problem with its part of B, of U and of the diagonal of H.
-struct Part<'a> {
+struct ToolPart<'a> {
     tool: PreparedTool<'a>,
     b: Removal,
     /// Its elements of the columns of U of (2), one vector for each free function of the map.
@@ -142,7 +142,7 @@ struct Common<'a> {
     factorised: bool,
 }
 
-impl<'a> Part<'a> {
+impl<'a> ToolPart<'a> {
     /// Prepares one tool. Its columns are those of `places` (all columns of the program) in its range.
     ///
     /// # Errors
@@ -211,7 +211,7 @@ impl<'a> BoundedProblem<'a> {
         let mut cell = cell_sizes.min().expect("a problem has a tool");
         let common = Common { grid, weight: &weight, basis: &basis, cell, factorised };
         let parts = tools.iter().map(|tool| {
-            let part = Part::new(tool, program.places, &common);
+            let part = ToolPart::new(tool, program.places, &common);
             if is_one { part } else { part.map_err(|error| error.of_tool(tool.name)) }
         });
         let Stacked { tools, b, u, diagonal, reached, cells } =
@@ -334,14 +334,14 @@ struct Stacked<'a> {
 
 impl<'a> Stacked<'a> {
     /// Puts the parts of the tools, in the order of their columns, side by side.
-    fn new(parts: Vec<Part<'a>>) -> Self {
+    fn new(parts: Vec<ToolPart<'a>>) -> Self {
         let mut tools = Vec::new();
         let mut removals = Vec::new();
         let mut stacked_u: Vec<Vec<f64>> = Vec::new();
         let mut stacked_diagonal = Vec::new();
         let mut stacked_reached = Vec::new();
         let mut stacked_cells = Vec::new();
-        for Part { tool, b, u, diagonal, reached, cells } in parts {
+        for ToolPart { tool, b, u, diagonal, reached, cells } in parts {
             removals.push((tool.columns.columns.clone(), b));
             tools.push(tool);
             // The free functions are those of the map, so that every tool has as many.

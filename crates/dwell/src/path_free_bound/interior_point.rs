@@ -36,7 +36,7 @@ pub struct Solution {
 
 /// The matrices of a problem.
 #[derive(Clone, Copy)]
-pub struct Problem<'a> {
+pub struct InteriorProblem<'a> {
     /// Splines S.
     pub splines: &'a Splines,
     /// Places at which the adjoint is bounded.
@@ -50,7 +50,7 @@ pub struct Problem<'a> {
 }
 
 /// A point of the method, and a step of it.
-struct Point {
+struct InteriorPoint {
     a: Vec<f64>,
     c: f64,
     price: f64,
@@ -71,12 +71,12 @@ struct Left {
 }
 
 /// Finds the best residual for a budget.
-pub fn solve(problem: Problem<'_>, budget: Budget) -> Solution {
+pub fn solve(problem: InteriorProblem<'_>, budget: Budget) -> Solution {
     let mut point = start(problem, budget);
     for _ in 0..MAX_STEPS {
         let left = left(problem, &point, budget);
         let complementarity = point.complementarity(budget);
-        let Problem { splines, energy, .. } = problem;
+        let InteriorProblem { splines, energy, .. } = problem;
         let stretched = splines.gram.product(&point.a);
         let residual =
             energy - 2.0 * dot(&point.a, &splines.along_desired) + dot(&point.a, &stretched);
@@ -100,8 +100,8 @@ pub fn solve(problem: Problem<'_>, budget: Budget) -> Solution {
 }
 
 /// Returns the first point.
-fn start(problem: Problem<'_>, budget: Budget) -> Point {
-    let Problem { splines, constraints, scale_s, .. } = problem;
+fn start(problem: InteriorProblem<'_>, budget: Budget) -> InteriorPoint {
+    let InteriorProblem { splines, constraints, scale_s, .. } = problem;
     let highest = constraints.desired.iter().copied().fold(0.0, f64::max);
     let (price, total_s) = match budget {
         Budget::TimeS(time_s) => (1.1 * highest, time_s),
@@ -109,7 +109,7 @@ fn start(problem: Problem<'_>, budget: Budget) -> Point {
     };
     let slack = constraints.desired.mapv(|q| (price - q).max(0.1 * highest));
     let each_s = total_s / (slack.len() as f64 + 1.0);
-    Point {
+    InteriorPoint {
         a: vec![0.0; splines.sums.len()],
         c: 0.0,
         price,
@@ -120,8 +120,8 @@ fn start(problem: Problem<'_>, budget: Budget) -> Point {
 }
 
 /// Returns the remainder of (2) of the module.
-fn left(problem: Problem<'_>, point: &Point, budget: Budget) -> Left {
-    let Problem { splines, constraints, .. } = problem;
+fn left(problem: InteriorProblem<'_>, point: &InteriorPoint, budget: Budget) -> Left {
+    let InteriorProblem { splines, constraints, .. } = problem;
     let mut stationary = constraints.along(&point.dwell_s);
     let stretched = splines.gram.product(&point.a);
     for (v, (g, u)) in stationary.iter_mut().zip(stretched.iter().zip(&splines.sums)) {
@@ -139,7 +139,7 @@ fn left(problem: Problem<'_>, point: &Point, budget: Budget) -> Left {
     Left { stationary, mean: -dot(&splines.sums, &point.a), time_s, feasible }
 }
 
-impl Point {
+impl InteriorPoint {
     fn complementarity(&self, budget: Budget) -> f64 {
         let beside = match budget {
             Budget::TimeS(_) => self.beside_s * self.price,
@@ -185,8 +185,8 @@ impl Point {
 
 /// Newton's equations at a point, factorised.
 struct Newton<'a> {
-    problem: Problem<'a>,
-    point: &'a Point,
+    problem: InteriorProblem<'a>,
+    point: &'a InteriorPoint,
     /// False if Lambda is a price and no unknown.
     is_timed: bool,
     d: Array1<f64>,
@@ -201,7 +201,7 @@ struct Newton<'a> {
 
 impl<'a> Newton<'a> {
     /// Factorises the equations; `None` if rounding has made them singular.
-    fn new(problem: Problem<'a>, point: &'a Point, budget: Budget) -> Option<Self> {
+    fn new(problem: InteriorProblem<'a>, point: &'a InteriorPoint, budget: Budget) -> Option<Self> {
         let d = &point.dwell_s / &point.slack;
         let factor = problem.constraints.normal(&problem.splines.gram, &d).factorise()?;
         let row = problem.constraints.along(&d);
@@ -225,11 +225,11 @@ impl<'a> Newton<'a> {
 
     /// Returns the step that makes what is left zero to first order, and changes the products m s and m_0 Lambda by
     /// `target`.
-    fn step(&self, left: &Left, (target, target_beside): (Array1<f64>, f64)) -> Point {
+    fn step(&self, left: &Left, (target, target_beside): (Array1<f64>, f64)) -> InteriorPoint {
         let Self { problem, point, d, .. } = self;
         // w = target / s + D (what is left of the constraints)
         let w = target / &point.slack + d * &left.feasible;
-        let Problem { splines, constraints, .. } = *problem;
+        let InteriorProblem { splines, constraints, .. } = *problem;
         let mut x = constraints.along(&w);
         x.iter_mut().zip(&left.stationary).for_each(|(x, r)| *x += r);
         self.factor.solve(&mut x);
@@ -251,7 +251,7 @@ impl<'a> Newton<'a> {
         let columns = solved_row.iter().zip(&self.solved_sums);
         let a: Vec<f64> = x.iter().zip(columns).map(|(x, (r, u))| x - price * r - c * u).collect();
         let moved = constraints.at_places(&a) + price;
-        Point {
+        InteriorPoint {
             c,
             price,
             slack: &moved - &left.feasible,

@@ -15,7 +15,7 @@ use ndarray::{Array2, Zip};
 
 use super::{
     Budget,
-    tool::{Part, Tool, product},
+    tool::{LatticeTool, PartPixels, product},
 };
 
 /// Smallest d relative to the largest. Larger: places at the rim change more slowly. Smaller: rounding there.
@@ -26,8 +26,8 @@ const STEPS_OF_PRICE: usize = 60;
 
 /// Dwell times at the places, with what the steps need.
 pub struct Descent<'a> {
-    part: &'a Part,
-    tool: &'a Tool,
+    part: &'a PartPixels,
+    tool: &'a LatticeTool,
     budget: Budget,
     curvature: Array2<f64>,
     /// Dwell times m at all places, s.
@@ -39,7 +39,12 @@ pub struct Descent<'a> {
 
 impl<'a> Descent<'a> {
     /// Begins with these dwell times at all places, s.
-    pub fn new(part: &'a Part, tool: &'a Tool, budget: Budget, dwell_s: Array2<f64>) -> Self {
+    pub fn new(
+        part: &'a PartPixels,
+        tool: &'a LatticeTool,
+        budget: Budget,
+        dwell_s: Array2<f64>,
+    ) -> Self {
         let everywhere = Array2::ones(dwell_s.dim());
         let mut curvature = tool.adjoint(&part.on_valid(tool.removal_nm(&everywhere)), 0);
         let largest = curvature.iter().copied().fold(0.0, f64::max);

@@ -16,7 +16,7 @@ use planish_numerics::{
     parallel,
 };
 
-use super::tool::{Part, Place, Tool, Window};
+use super::tool::{LatticeTool, PartPixels, Place, Window};
 
 /// Largest work of a step (number of splines times the square of the band of their matrix). Above it, the splines are
 /// farther apart than the flanks ask for. Larger: more time for large parts. Smaller: a smaller bound there.
@@ -82,7 +82,7 @@ struct Run {
 impl Splines {
     /// Makes splines for a part and a tool, at distances of `pitch` times the flanks of the tool, or farther apart if
     /// that is too much work.
-    pub fn new(part: &Part, tool: &Tool, pitch: f64) -> Self {
+    pub fn new(part: &PartPixels, tool: &LatticeTool, pitch: f64) -> Self {
         let (ny, nx) = part.desired_nm.dim();
         let reach = [tool.samples().ncols(), tool.samples().nrows()];
         let reach = [0, 1].map(|axis| reach[axis] as f64 / tool.parts[axis] as f64);
@@ -150,7 +150,7 @@ impl Splines {
     }
 
     /// Returns spline k on the valid pixels, without its scale.
-    fn on_map(&self, k: usize, part: &Part) -> Patch {
+    fn on_map(&self, k: usize, part: &PartPixels) -> Patch {
         let [i, j] = self.indices(k);
         let [x, y] = [&self.along[0][i], &self.along[1][j]];
         let values = Array2::from_shape_fn((y.values.len(), x.values.len()), |(r, c)| {
@@ -160,7 +160,7 @@ impl Splines {
     }
 
     /// Returns `S a` on the valid pixels (ny, nx).
-    pub fn map(&self, a: &[f64], part: &Part) -> Array2<f64> {
+    pub fn map(&self, a: &[f64], part: &PartPixels) -> Array2<f64> {
         let mut map = Array2::zeros(part.desired_nm.dim());
         for (k, a) in a.iter().enumerate() {
             let Patch { origin: (r, c), values } = self.on_map(k, part);
@@ -181,8 +181,8 @@ impl Splines {
 
     /// Returns the column of V for a place of the tool: the tool on the valid pixels, times the splines along x, then
     /// along y.
-    fn column(&self, place: Place, part: &Part, tool: &Tool) -> Vec<Run> {
-        let Window { origin: (top, left), rates } = tool.at(place, part);
+    fn column(&self, place: Place, part: &PartPixels, tool: &LatticeTool) -> Vec<Run> {
+        let Window { origin: (top, left), rates } = tool.window_at(place, part);
         let (ny, nx) = rates.dim();
         let x = touched(&self.along[0], left, nx);
         let y = touched(&self.along[1], top, ny);
@@ -271,7 +271,7 @@ impl Constraints {
         &mut self,
         places: &[Place],
         splines: &Splines,
-        (part, tool): (&Part, &Tool),
+        (part, tool): (&PartPixels, &LatticeTool),
         desired: &[Array2<f64>],
     ) {
         let before = self.columns.len();

@@ -17,7 +17,7 @@ const PITCH_OF_PLACES: f64 = 1.0 / 11.0;
 const SMALL_STEP: f64 = 1e-3;
 
 /// Desired removal on the valid pixels.
-pub struct Part {
+pub struct PartPixels {
     /// Desired removal without its mean (ny, nx), nm; 0 on invalid pixels.
     pub desired_nm: Array2<f64>,
     /// 1 on valid pixels, 0 on others (ny, nx).
@@ -26,7 +26,7 @@ pub struct Part {
     pub pixels: f64,
 }
 
-impl Part {
+impl PartPixels {
     /// Makes the part of a map of the desired removal.
     pub fn new(desired: &Surface) -> Self {
         let height_nm = desired.height_nm();
@@ -75,7 +75,7 @@ pub fn product(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 ///
 /// A tool that ends in a step removes less immediately beside a place than at it, because a row of pixels at its edge
 /// drops out. Such a tool has its limits for places beside those of the lattice, too.
-pub struct Tool {
+pub struct LatticeTool {
     /// The tool at the places of the lattice, then its limits beside them.
     pub limits: Vec<Limit>,
     /// Number of places for each pixel along [x, y].
@@ -98,7 +98,7 @@ pub struct Place {
     pub limit: usize,
 }
 
-impl Tool {
+impl LatticeTool {
     /// Makes the tool on a map on `grid`.
     pub fn new(tif: &Tif, grid: &Grid) -> Self {
         let flanks_mm = flanks_mm(tif);
@@ -149,7 +149,7 @@ impl Tool {
     }
 
     /// Returns the tool at a place, on the valid pixels of the part.
-    pub fn at(&self, place: Place, part: &Part) -> Window {
+    pub fn window_at(&self, place: Place, part: &PartPixels) -> Window {
         let (ny, nx) = part.desired_nm.dim();
         let [px, py] = self.parts;
         let Place { index: (row, column), limit } = place;

@@ -31,7 +31,7 @@ enum Clock {
 }
 
 /// Settings of the lines before, and the motion up to them.
-struct State<'a> {
+struct AerotechState<'a> {
     layout: &'a Layout,
     letters: Vec<char>,
     start: Option<Vec<f64>>,
@@ -46,7 +46,7 @@ struct State<'a> {
 /// relative positions, lines before `VELOCITY ON` and `PVT INIT`, times that do not ascend, lines without all axes,
 /// motion after the first `PVT` that is none, a velocity at the end, and a program without `END PROGRAM`.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
-    let mut state = State {
+    let mut state = AerotechState {
         layout,
         letters: layout.letters(),
         start: layout.start.clone(),
@@ -74,7 +74,7 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     through(&state.knots)
 }
 
-impl State<'_> {
+impl AerotechState<'_> {
     /// Takes one statement, in capitals and with single blanks; `line` is the number of its line.
     fn take(&mut self, line: usize, statement: &str) -> Result<(), Invalid> {
         let moves = !self.knots.is_empty();

@@ -25,7 +25,7 @@ struct JointTrajectory {
     #[serde(default)]
     header: Header,
     joint_names: Vec<String>,
-    points: Vec<Point>,
+    points: Vec<RosPoint>,
 }
 
 /// The header of the message.
@@ -43,7 +43,7 @@ struct Header {
 /// A point of the message: one number per joint, in the order of `joint_names`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Point {
+struct RosPoint {
     positions: Vec<f64>,
     #[serde(default)]
     velocities: Vec<f64>,
@@ -138,7 +138,7 @@ fn columns(joints: &[String], layout: &Layout) -> Result<Vec<usize>, Invalid> {
 
 /// Refuses a point whose numbers are not one position and one velocity per joint, of which there are `joints`. `i` is
 /// its index.
-fn check(point: &Point, i: usize, joints: usize) -> Result<(), Invalid> {
+fn check(point: &RosPoint, i: usize, joints: usize) -> Result<(), Invalid> {
     for (name, list) in [("positions", &point.positions), ("velocities", &point.velocities)] {
         if list.len() != joints {
             let problem = format!("has {} {name} for {joints} joints", list.len());

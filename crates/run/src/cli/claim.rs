@@ -110,7 +110,8 @@ impl Claim {
 }
 
 /// Returns the content of the machine file as the stages of the run get it, from `copy`. If an axis has no jerk limit
-/// stated, it gets an assumed time to full acceleration, and a warning is returned; otherwise `None`.
+/// stated, it gets an assumed time to full acceleration, and a warning is returned; otherwise `None`. Refuses a file that
+/// is no machine file.
 pub fn with_limit_on_jerk(
     machine: &Path,
     copy: &Path,

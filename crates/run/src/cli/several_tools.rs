@@ -110,7 +110,8 @@ struct Course {
     negative: Vec<String>,
 }
 
-/// Runs a plan of several tools with these settings NAME=VALUE.
+/// Runs a plan of several tools with these settings NAME=VALUE. Refuses settings that do not fit, and what the stages
+/// refuse.
 pub fn run(words: &[String]) -> Result<Status, Failure> {
     let place = Installation::find()?;
     let settings = Settings::take(words, &place)?;
