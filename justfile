@@ -368,6 +368,7 @@ ci-long:
     just test-wheel
     just test-matlab
     just test-clone
+    just test-app
     just test-schedulers-long
     just test-tables
     PLANISH_FRONTS=20 cargo test --release --locked -p planish-refine --test all never_takes_longer
