@@ -238,17 +238,14 @@ impl Cutter {
         for axis in 0..2 {
             let d = polynomial::derivative(&c[axis]);
             let levels = [window.low[axis], window.high[axis]];
-            let mut from = 0.0;
-            // Monotone pieces of the axis.
-            for to in polynomial::quadratic_roots(d[0], d[1], d[2], end).chain([end]) {
-                if from > 0.0 {
-                    self.cuts.push(from);
+            for piece in monotone_pieces(&d, end) {
+                if piece[0] > 0.0 {
+                    self.cuts.push(piece[0]);
                 }
-                crossings(&c[axis], &d, [from, to], levels, 0.0, &mut self.cuts);
+                crossings(&c[axis], &d, piece, levels, 0.0, &mut self.cuts);
                 if let Some(inner) = self.cells[axis].inner {
-                    crossings(&c[axis], &d, [from, to], levels, inner, &mut self.cuts);
+                    crossings(&c[axis], &d, piece, levels, inner, &mut self.cuts);
                 }
-                from = to;
             }
         }
         self.cuts.push(end);
@@ -267,12 +264,8 @@ impl Cutter {
             let c = cells.coordinate(&segment.coefficient_mm[axis]);
             let d = polynomial::derivative(&c);
             let levels = [0, knots.len() as i64 - 1];
-            let mut from = 0.0;
-            for to in polynomial::quadratic_roots(d[0], d[1], d[2], segment.duration_s)
-                .chain([segment.duration_s])
-            {
-                crossings(&c, &d, [from, to], levels, 0.0, &mut self.cuts);
-                from = to;
+            for piece in monotone_pieces(&d, segment.duration_s) {
+                crossings(&c, &d, piece, levels, 0.0, &mut self.cuts);
             }
         }
         if self.cuts.len() == before {
@@ -431,6 +424,14 @@ fn products<const N: usize>(
 #[inline]
 fn outer(wx: [f64; 4], wy: [f64; 4], seconds: f64) -> [[f64; 4]; 4] {
     wy.map(|wy| wx.map(|wx| seconds * wy * wx))
+}
+
+/// Returns the pieces [from, to] of the times from 0 to `end` in which the cubic with the derivative `d` is monotone.
+fn monotone_pieces(d: &[f64; 4], end: f64) -> impl Iterator<Item = [f64; 2]> {
+    let mut from = 0.0;
+    polynomial::quadratic_roots(d[0], d[1], d[2], end)
+        .chain([end])
+        .map(move |to| [std::mem::replace(&mut from, to), to])
 }
 
 /// Appends the times in `between` at which p, monotone there, crosses i + `inner`. The integers i are those of the
