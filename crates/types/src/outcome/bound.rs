@@ -18,13 +18,6 @@ pub struct PathFreeBounds {
     pub bounds: Vec<PathFreeBound>,
 }
 
-impl PathFreeBounds {
-    /// Returns the largest of the bounds of the residual RMS, nm, for a run of `time_s`; at least 0.
-    pub fn at_time_nm(&self, time_s: f64) -> f64 {
-        self.bounds.iter().map(|bound| bound.at_time_nm(time_s)).fold(0.0, f64::max)
-    }
-}
-
 /// Lower bound of the residual on any path for one run time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PathFreeBound {
