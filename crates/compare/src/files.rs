@@ -18,7 +18,6 @@ use planish_compare::{
     on_axes::{OnAxes, check_names},
     places::Division,
     plan::PlanStatus,
-    reach::Reach,
     report::{Frames, Rounds, RunData, RunMethod, on_axes, tool},
     specification::Around,
     summary::{LeftOut, MethodFacts, MethodResult, Summary, WallTimes},
@@ -41,6 +40,7 @@ use planish_types::{
         tolerance::ToleranceArrays,
         verdict::{AxesVerdict, Verdict},
     },
+    reach::Reach,
 };
 use rayon::prelude::*;
 
@@ -188,7 +188,7 @@ pub(crate) fn read_run(
     let tif_role = format!("{role}/tif");
     let tif = names.tif.map(|dir| inputs.read_tool(&tif_role, dir)).transpose()?;
     let digest = inputs.digest(&tif_role).unwrap_or_default().to_string();
-    let reach = tif.as_ref().and_then(|tif| Some((Reach::new(&desired.value, tif)?, digest)));
+    let reach = tif.as_ref().and_then(|tif| Some((Reach::new(&desired.value, &[tif])?, digest)));
     let form_role = format!("{role}/form");
     let form = names.form.map(|path| inputs.read_form(&form_role, path)).transpose()?;
     let form = form.map(|read| read.form);

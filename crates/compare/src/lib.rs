@@ -12,7 +12,6 @@
 //! * [`chain`]: check that the artifacts of a run belong together.
 //! * [`plan`]: state of a plan: certified, converged or not.
 //! * [`error_budget`]: the residual that the errors of a process add to a plan.
-//! * [`reach`]: part of a residual at wavelengths that are too short for the tool.
 //! * [`places`]: residual and time by position on the part: worst points, edge zone, regions.
 //! * [`recommended`]: choice of the plan that is to be executed.
 //! * [`specification`]: verdicts on the specification of a mirror.
@@ -36,7 +35,6 @@ pub mod made;
 pub mod on_axes;
 pub mod places;
 pub mod plan;
-pub mod reach;
 pub mod recommended;
 pub mod report;
 pub mod specification;

@@ -23,6 +23,7 @@ use planish_types::{
         specification::SpecificationReport,
         verdict::{AxisVerdict, Check, Verdict},
     },
+    reach::{Reach, ReachReport},
     text::significant,
 };
 use serde::{Serialize, Serializer};
@@ -34,7 +35,6 @@ use crate::{
     on_axes::OnAxes,
     places::{Division, DivisionReport, Places, ZoneRms},
     plan::{PROGRAM, PlanStatus, State, WITHOUT_MOTION},
-    reach::{Reach, ReachReport},
     recommended::{Candidate, recommended},
     specification::Around,
 };

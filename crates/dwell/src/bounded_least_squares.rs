@@ -78,6 +78,7 @@
 //! |---|---|
 //! | `settings` | how to solve, and the columns and bounds of a problem |
 //! | `several` | several tools in one problem |
+//! | `setup` | set-up errors of several tools: reserves, and the expected square of what no map shows |
 //! | `choice` | the subset of a rack of tools that costs least |
 //! | `prepared` | (1) and (2) with everything that is computed once |
 //! | `minimise` | the steps, and the robust weights |
@@ -95,6 +96,7 @@ mod minimise;
 mod prepared;
 mod report;
 mod settings;
+mod setup;
 mod several;
 mod unbounded;
 mod weighted;
@@ -118,8 +120,11 @@ use prepared::BoundedProblem;
 use report::SAME_TIME_FACTOR;
 pub use report::{Algorithm, BoundedReport, BoundedSolution, RatesOfTime};
 use settings::ToolColumns;
-pub use settings::{BoundedSettings, Product, Program};
-pub use several::{SeveralSolution, ShareOfTool, ToolTask, solve_several};
+pub use settings::{BoundedSettings, Product, Program, ToolTask};
+pub use several::{
+    ExecutedPlan, KeptPlan, SetupDraw, SeveralSolution, execute_with_errors, solve_keeping,
+    solve_several,
+};
 
 /// Finds the dwell times that minimise the objective (1) of the module for the desired removal along `path`, within
 /// the bounds of the settings.

@@ -44,7 +44,6 @@ pub mod problem;
 pub mod residual;
 pub mod residual_slope;
 pub mod rifta;
-pub mod short_waves;
 mod surrogate;
 pub mod tikhonov_lsqr;
 pub mod udo;

@@ -160,6 +160,14 @@ fn a_bad_rack_ends_with_2_and_writes_nothing() {
             both(with("change_s", json!(-1.0))),
             "tool \"coarse\": change_s is -1; give a number >= 0",
         ),
+        (
+            both(with("setup_rate_fraction", json!(3.0))),
+            "tool \"coarse\": setup_rate_fraction is 3; give it relative to the rate, 0.03 for 3 %",
+        ),
+        (
+            both(with("setup_shift_mm", json!([0.1, -0.2]))),
+            "tool \"coarse\": setup_shift_mm[1] is -0.2; give a number >= 0",
+        ),
         (both(with("tool_path", Value::Null)), "tool \"coarse\": has no tool_path; give"),
         (both(with("tool_path", json!("far"))), "tool \"coarse\": none of the"),
     ];
@@ -301,4 +309,83 @@ fn waves_that_no_tool_reaches_are_told() {
     let wavelength_mm: f64 = rest.split(' ').next().unwrap().parse().unwrap();
     // The frequencies of 12 x 8 mm are 0.08 /mm apart, so that the wavelength is one of steps of a third.
     assert!((3.9..=5.3).contains(&wavelength_mm), "{message}");
+}
+
+#[test]
+fn set_up_errors_leave_a_reserve_or_are_stated() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let with_errors = |measured_after: bool| {
+        let mut coarse = entry("coarse", "coarse");
+        coarse["setup_shift_mm"] = json!([0.2, 0.2]);
+        coarse["setup_rate_fraction"] = json!(0.03);
+        coarse["measured_after"] = json!(measured_after);
+        write_rack(dir, &json!({ "tools": [entry("fine", "fine"), coarse] }));
+    };
+    with_errors(true);
+    let output = run(dir, &["--setup-draws=5", "--seed=3"]);
+    let printed = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
+    assert!(
+        printed.contains(" nm) are left for fine, for the set-up errors of coarse: at"),
+        "{printed}"
+    );
+    let of_fine = outcome(dir, "fine")["report"].clone();
+    let reserve = &of_fine["tools"][0]["reserve"];
+    assert_eq!(reserve["errors_of"], json!(["coarse"]));
+    assert!(reserve["time_s"].as_f64().unwrap() > 0.0 && of_fine["unseen_setup_rms_nm"].is_null());
+    let draws = &of_fine["setup_draws"];
+    assert_eq!((&draws["runs"], &draws["seed"]), (&json!(5), &json!(3)));
+    let below = |which: &str| draws[which]["below_95_percent_nm"].as_f64().unwrap();
+    assert!(below("with_maps") < below("without_maps"), "{draws}");
+    // The same draws again, and others.
+    assert_eq!(run(dir, &["--force", "--setup-draws=5", "--seed=3"]).status.code(), Some(0));
+    assert_eq!(&outcome(dir, "fine")["report"]["setup_draws"], draws);
+    assert_eq!(run(dir, &["--force", "--setup-draws=5", "--seed=4"]).status.code(), Some(0));
+    assert_ne!(&outcome(dir, "fine")["report"]["setup_draws"], draws);
+
+    with_errors(false);
+    let output = run(dir, &["--force"]);
+    assert!(text(&output.stdout).contains("set-up errors that no map shows add "));
+    let of_fine = outcome(dir, "fine")["report"].clone();
+    assert!(of_fine["unseen_setup_rms_nm"].as_f64().unwrap() > 0.0, "{of_fine}");
+    assert!(of_fine["tools"][0]["reserve"].is_null(), "{of_fine}");
+}
+
+#[test]
+fn a_residual_is_kept_or_the_exit_code_is_1() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    assert_eq!(run(dir, &[]).status.code(), Some(0));
+    let rms_nm = outcome(dir, "fine")["report"]["model_rms_nm"].as_f64().unwrap();
+    let keep = format!("--keep-rms-nm={}", 0.9 * rms_nm);
+    let output = run(dir, &["--force", &keep]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = outcome(dir, "fine")["report"].clone();
+    let factor = report["keeping"]["price_factor"].as_f64().unwrap();
+    assert!(factor < 1.0 && report["model_rms_nm"].as_f64().unwrap() <= 0.9 * rms_nm, "{report}");
+    let output = run(dir, &["--force", "--keep-rms-nm=1e-6"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    assert_eq!(outcome(dir, "fine")["report"]["keeping"]["is_kept"], json!(false));
+    let output = run(dir, &["--force", "--keep-rms-nm=0"]);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("--keep-rms-nm: is 0; give a number > 0"), "{message}");
+}
+
+/// A weight of the slope makes the residual smoother: less RMS slope for more RMS.
+#[test]
+fn slopes_of_the_residual_are_weighed_as_for_one_tool() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let rms_nm = |more: &[&str]| {
+        let output = run(dir, &[&["--force"], more].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        outcome(dir, "fine")["report"]["model_rms_nm"].as_f64().unwrap()
+    };
+    let [plain, sloped] = [&[][..], &["--residual-slope-weight-mm2=5"]].map(rms_nm);
+    assert!(sloped > plain, "{sloped} {plain}");
 }

@@ -1,5 +1,6 @@
 //! The subcommands of `planish-run`, one file each.
 
+mod after_tool;
 mod campaign;
 mod claim;
 mod compare;
@@ -7,6 +8,7 @@ mod execute;
 mod next_run;
 mod place;
 mod program;
+mod rack;
 mod resume;
 mod run;
 mod several;

@@ -69,6 +69,25 @@ fn run(dir: &Path, more: &[&str]) -> Output {
     command.current_dir(dir).args(settings).args(more).output().unwrap()
 }
 
+/// Runs `next-run` with these settings.
+fn next_run(dir: &Path, settings: &[&str]) -> Output {
+    stage("planish-run").current_dir(dir).arg("next-run").args(settings).output().unwrap()
+}
+
+/// Returns the map of a directory.
+fn surface(place: &Path) -> Surface {
+    artifact::read::<Surface>(place).unwrap().value
+}
+
+/// Returns the rack of the tests with set-up errors of the coarse tool, after which the part is measured.
+fn with_setup_errors() -> Value {
+    let mut coarse = entry("coarse", 4.0);
+    coarse["setup_shift_mm"] = json!([0.3, 0.3]);
+    coarse["setup_rate_fraction"] = json!(0.03);
+    coarse["measured_after"] = json!(true);
+    json!({ "tools": [entry("fine", 1.5), coarse] })
+}
+
 /// Returns the manifest of an artifact of the run, and its place.
 fn manifest(dir: &Path, part: &str, kind: &kind::Kind) -> (Manifest, PathBuf) {
     let place = dir.join("out").join(part);
@@ -125,9 +144,12 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let cases: [(&[&str], &str); 5] = [
+    let cases: [(&[&str], &str); 8] = [
+        (&["specification=limits.json"], "several takes no specification: it plans heights"),
+        (&["form=form.json"], "several takes no form: its part is flat"),
+        (&["varying=time"], "several takes no varying: give the directory of the tool that varies"),
         (&["export=galil"], "export=galil writes programs for the machine that will run them"),
-        (&["pitch_mm=1"], "'pitch_mm=1' is no setting of several"),
+        (&["speed=1"], "'speed=1' is no setting of several"),
         (&["motion=fast"], "motion is 'fast'; give refine or joint"),
         (&["choose=perhaps"], "choose is 'perhaps'; give yes or no"),
         (&["machine=no.json"], "no.json"),
@@ -141,7 +163,21 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
     }
     let mut bare = entry("fine", 1.0);
     bare.as_object_mut().unwrap().remove("pitch_mm");
+    let weak = tif(1.5);
+    write(dir, "lab/weak", &Tif::new(*weak.grid(), weak.rate_nm_per_s() * 1e-7).unwrap());
+    let mut off = entry("fine", 1.5);
+    off["setup_rate_fraction"] = json!(3.0);
+    let mut curved = entry("fine", 1.5);
+    curved["machine"] = json!("five-axes.json");
+    fs::copy(
+        workspace().join("fixtures/machines/bonnet-five-axis.json"),
+        dir.join("lab/five-axes.json"),
+    )
+    .unwrap();
     let racks = [
+        (json!([entry("weak", 1.5), entry("coarse", 4.0)]), "more than a factor of 1e6 apart"),
+        (json!([off]), "tool \"fine\": setup_rate_fraction is 3; give it relative to the rate"),
+        (json!([curved]), "several tools are planned for machines with the axes x and y"),
         (json!([entry("nosuch", 1.0)]), "nosuch: does not exist; give a tif"),
         (json!([bare]), "tool \"fine\" has neither tool_path nor pitch_mm"),
         (json!([]), "has no tools; give at least one"),
@@ -155,4 +191,187 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
         assert!(message.contains(expected), "no {expected:?} in: {message}");
         assert!(!dir.join("out").exists(), "{expected}");
     }
+}
+
+#[test]
+fn a_run_goes_on_after_its_first_tool_with_the_measured_map() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    write_rack(dir, &with_setup_errors());
+    let output = run(dir, &["machine=machine.json"]);
+    let printed = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
+    let table = fs::read_to_string(dir.join("out/table.txt")).unwrap();
+    assert!(table.contains(" nm) are left for fine, which then dwells up to "), "{table}");
+    let (plan, place) = manifest(dir, "tools/coarse/plan/fine", &kind::DWELL);
+    let plan: PlanOutcome<SeveralReport> = plan.read_outcome(&place, "").unwrap();
+    let plan = plan.report.unwrap();
+    let reserve = plan.tools.iter().find_map(|tool| tool.reserve.clone()).unwrap();
+    assert!(reserve.mean_nm > 0.0 && reserve.largest_nm >= reserve.mean_nm, "{reserve:?}");
+    assert_eq!(reserve.errors_of, ["coarse"]);
+
+    // The coarse tool removed 3 % more than it should, one pixel beside its place.
+    let before = surface(&dir.join("out/surface"));
+    let left = surface(&dir.join("out/tools/fine/map"));
+    let removed = before.height_nm() - left.height_nm();
+    let off = Array2::from_shape_fn(removed.dim(), |(r, c)| {
+        before.height_nm()[[r, c]] - 1.03 * removed[[r, c.saturating_sub(1)]]
+    });
+    write(dir, "measured", &Surface::new(*before.grid(), off).unwrap());
+    let output = next_run(dir, &["run=out", "after=measured", "out=next"]);
+    let printed = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
+    assert!(printed.contains("measured after coarse: "), "{printed}");
+    let table = fs::read_to_string(dir.join("next/table.txt")).unwrap();
+    assert!(table.contains(" nm are kept, at "), "{table}");
+    assert!(!dir.join("next/tools/coarse").exists());
+    let after = surface(&dir.join("next/after"));
+    println!("after: {} nm, planned {} nm", after.statistics().rms, plan.model_rms_nm);
+    // Within 10 % of the plan: 5 % of the motion, and what the reserve mends.
+    assert!(after.statistics().rms <= 1.1 * plan.model_rms_nm, "{table}");
+
+    // A second time it changes nothing, and its own last tool ends it.
+    let again = next_run(dir, &["run=out", "after=measured", "out=next"]);
+    assert_eq!(again.status.code(), Some(0), "{}", text(&again.stderr));
+    let shifted = grid(12.0).moved([3.0, 0.0]).unwrap();
+    write(dir, "elsewhere", &Surface::new(shifted, before.height_nm().clone()).unwrap());
+    let cases: [(&[&str], &str); 8] = [
+        (&["run=next", "after=measured"], "fine is the last tool of the run, which is complete"),
+        (&["run=out", "after=measured", "done=fine"], "fine is the last tool of the run"),
+        (&["run=out", "after=measured", "done=pad"], "its tools are coarse, fine"),
+        (&["run=out", "after=nosuch"], "after nosuch is not there; give the map"),
+        (&["run=out", "after=elsewhere"], "it is the map of another part, or lies elsewhere"),
+        (&["run=out"], "after is not given; give run=DIR after=MAP"),
+        (&["run=lab", "after=measured"], "lab has no several.json"),
+        (&["run=out", "after=measured", "machine=machine.json"], "is decided by the run"),
+    ];
+    for (settings, expected) in cases {
+        let output = next_run(dir, &[settings, &["out=refused"]].concat());
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(expected), "no {expected:?} in: {message}");
+        assert!(!dir.join("refused").exists(), "{expected}");
+    }
+
+    let drawn = ["tolerance", "run=out", "draws=4", "out=draws"];
+    let output = stage("planish-run").current_dir(dir).args(drawn).output().unwrap();
+    let printed = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
+    assert!(printed.contains("residual of the plan kept in 4 of 4"), "{printed}");
+    let report = fs::read_to_string(dir.join("draws/fine/manifest.json")).unwrap();
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let draws = &report["outcome"]["report"]["setup_draws"];
+    let below = |which: &str| draws[which]["below_95_percent_nm"].as_f64().unwrap();
+    assert!(below("with_maps") < below("without_maps"), "{draws}");
+}
+
+#[test]
+fn the_file_of_an_instrument_is_imported_first() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let map = surface(&dir.join("mirror"));
+    let rows = map.height_nm().outer_iter();
+    let rows = rows.map(|row| row.iter().map(f64::to_string).collect::<Vec<_>>().join(","));
+    fs::write(dir.join("mirror.csv"), rows.collect::<Vec<_>>().join("\n")).unwrap();
+    let settings = ["run", "several", "surface=mirror.csv", "rack=lab/rack.json", "out=out"];
+    let with = |more: &[&str]| {
+        stage("planish-run").current_dir(dir).args(settings).args(more).output().unwrap()
+    };
+    let output = with(&[
+        "machine=machine.json",
+        "surface_settings=--unit nm --pixel-mm 0.5 --origin centre --first-row bottom",
+    ]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert!(dir.join("out/after/height_nm.npy").exists());
+    let imported = surface(&dir.join("out/import/surface"));
+    assert_eq!(imported.height_nm(), map.height_nm());
+}
+
+#[test]
+fn doubts_about_the_rack_come_before_the_run() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    // Effective area 4 pi sigma^2 = 1017 mm^2 on a part of 576 mm^2, and waves of 2 pi / 0.9 = 7 mm that it does not
+    // reach: 1 % of its transfer function is at 2.07 sigma = 18.6 mm.
+    write(dir, "lab/coarse", &tif(9.0));
+    write_rack(dir, &json!({ "tools": [entry("coarse", 9.0)] }));
+    fs::create_dir(dir.join("out")).unwrap();
+    fs::write(dir.join("out/mine"), "").unwrap();
+    let output = run(dir, &["machine=machine.json"]);
+    // The directory of somebody else is refused after the doubts, and nothing is written.
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("tool \"coarse\": is wider than the part"), "{message}");
+    assert!(message.contains("no tool of the rack reaches them"), "{message}");
+    assert_eq!(fs::read_dir(dir.join("out")).unwrap().count(), 1);
+}
+
+#[test]
+fn a_tool_that_varies_over_the_part_is_planned_and_one_that_varies_in_time_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    // The rate of the coarse tool falls by a fifth from left to right, or in a thousand seconds.
+    fs::write(dir.join("by-x.txt"), "-12 1\n12 0.8\n").unwrap();
+    fs::write(dir.join("by-time.txt"), "0 1\n1000 0.8\n").unwrap();
+    let tool = |arguments: &[&str]| {
+        let output = stage("planish-tool").current_dir(dir).args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    };
+    let place = ["rate", "--by=x", "--table=by-x.txt", "--surface=mirror"];
+    tool(&[&place[..], &["--tif=lab/coarse", "--out=lab/by-x"]].concat());
+    tool(&["time", "--table=by-time.txt", "--tif=lab/coarse", "--out=lab/by-time"]);
+    let rack = |tif: &str| {
+        let mut coarse = entry("coarse", 4.0);
+        coarse["tif"] = json!(tif);
+        write_rack(dir, &json!({ "tools": [entry("fine", 1.5), coarse] }));
+    };
+    rack("by-time");
+    let output = run(dir, &["machine=machine.json"]);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("tool \"coarse\": ") && message.contains("time"), "{message}");
+    assert!(!dir.join("out").exists());
+    rack("by-x");
+    let output = run(dir, &["machine=machine.json", "choose=no"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let (plan, place) = manifest(dir, "tools/coarse/plan/fine", &kind::DWELL);
+    let plan: PlanOutcome<SeveralReport> = plan.read_outcome(&place, "").unwrap();
+    let planned_nm = plan.report.unwrap().model_rms_nm;
+    let executed_nm = removal(dir, "tools/fine/removal").rms_nm;
+    println!("executed {executed_nm} nm, planned {planned_nm} nm");
+    // As for tools that do not vary.
+    assert!(executed_nm <= 1.05 * planned_nm, "{executed_nm} {planned_nm}");
+}
+
+#[test]
+fn a_tool_with_a_path_over_half_of_the_part_says_what_it_does_not_reach() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    // A path of the fine tool over the left half alone.
+    let map = surface(&dir.join("mirror"));
+    let half = Array2::from_shape_fn(map.height_nm().dim(), |(r, c)| {
+        if c < 24 { map.height_nm()[[r, c]] } else { f64::NAN }
+    });
+    write(dir, "half", &Surface::new(*map.grid(), half).unwrap());
+    let flags = ["raster", "--surface=half", "--tif=lab/fine", "--pitch-mm=1.5", "--step-mm=1.5"];
+    let output =
+        stage("planish-toolpath").current_dir(dir).args(flags).arg("--out=lab/left").output();
+    assert_eq!(output.unwrap().status.code(), Some(0));
+    let mut fine = entry("fine", 1.5);
+    fine["tool_path"] = json!("left");
+    write_rack(dir, &json!({ "tools": [fine, entry("coarse", 4.0)] }));
+    let output = run(dir, &["machine=machine.json", "choose=no"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let table = fs::read_to_string(dir.join("out/table.txt")).unwrap();
+    let line = table.lines().find(|line| line.contains("  fine does not reach "));
+    let words: Vec<&str> = line.expect(&table).split_whitespace().collect();
+    let percent: f64 = words[4].parse().unwrap();
+    // The path ends half a tool beyond its half, at 6 mm of 12 mm, and reaches three sigma further.
+    assert!((1.0..50.0).contains(&percent), "{table}");
+    assert!(!table.contains("coarse does not reach"), "{table}");
 }

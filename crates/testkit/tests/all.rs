@@ -18,6 +18,8 @@ mod outcomes;
 mod papers;
 #[path = "programs.rs"]
 mod programs;
+#[path = "reach.rs"]
+mod reach;
 #[path = "reconcile.rs"]
 mod reconcile;
 #[path = "reference.rs"]

@@ -814,6 +814,21 @@ fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     ))
 }
 
+/// Returns a doubt about a tool of several whose effective area is larger than the map: it removes little more than a
+/// piston or a tilt.
+pub fn of_width(surface: &Surface, tif: &Tif) -> Option<String> {
+    let [x, y] = surface.grid().size_mm();
+    let area_mm2 = tif.effective_area_mm2();
+    if area_mm2 <= x * y {
+        return None;
+    }
+    Some(format!(
+        "is wider than the part (effective area {area_mm2:.0} mm^2, map {:.0} mm^2): it removes little more than a \
+         piston or a tilt; leave it out unless that is its task",
+        x * y
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -19,6 +19,7 @@
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Rack`] | tools of a lab, from which a plan of several tools is made | - |
+//! | [`reach::Reach`] | waves of a map that none of its tools reaches | mask (ny, nx) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
@@ -41,6 +42,7 @@ mod path_distance;
 pub mod plausible;
 pub mod progress;
 mod rack;
+pub mod reach;
 mod regression;
 mod surface;
 pub mod text;
@@ -70,7 +72,7 @@ pub use limits::{
 };
 pub use machine::{Machine, assumed_machine};
 pub use path_distance::PathDistance;
-pub use rack::{Rack, RackEntry};
+pub use rack::{Rack, RackEntry, SetupErrors, check_rates};
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::{Tif, VaryingTif};
 pub use tif_lattice::{OnLattice, PARTS_TOLERANCE, TifLattice};

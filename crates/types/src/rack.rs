@@ -4,6 +4,12 @@ use std::{collections::BTreeSet, path::PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::{Invalid, Tif};
+
+/// Largest ratio of the peak rates of two tools; a larger one is a mistake in a unit. Larger: such mistakes pass.
+/// Smaller: real racks are refused.
+const MAX_RATE_RATIO: f64 = 1e6;
+
 /// A rack file. Paths in it start at its directory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -53,20 +59,85 @@ pub struct RackEntry {
     /// RMS that the set-up error of this tool adds to the residual, nm. A choice of tools counts half its square.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub setup_error_nm: f64,
+    /// Standard deviations [x, y] of the place of the tool after its set-up, mm.
+    #[serde(default, skip_serializing_if = "are_zero")]
+    pub setup_shift_mm: [f64; 2],
+    /// Standard deviation of the removal rate of the tool after its set-up, relative to the rate.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub setup_rate_fraction: f64,
+    /// True if the part is measured after this tool, and the later tools are planned again on the map.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub measured_after: bool,
+}
+
+/// Errors with which a tool is set up for its run: standard deviations of normal distributions.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SetupErrors {
+    /// Distance of the tool from its place along [x, y], mm.
+    pub shift_mm: [f64; 2],
+    /// Error of the removal rate, relative to the rate.
+    pub rate_fraction: f64,
+    /// True if the part is measured after this tool, so that a later one can mend these errors.
+    pub measured_after: bool,
+}
+
+impl SetupErrors {
+    /// Returns true if neither place nor rate is uncertain.
+    pub fn are_zero(&self) -> bool {
+        are_zero(&self.shift_mm) && self.rate_fraction == 0.0
+    }
+}
+
+impl RackEntry {
+    /// Returns the errors with which this tool is set up.
+    pub fn setup_errors(&self) -> SetupErrors {
+        SetupErrors {
+            shift_mm: self.setup_shift_mm,
+            rate_fraction: self.setup_rate_fraction,
+            measured_after: self.measured_after,
+        }
+    }
+
+    /// Refuses a time or an error that is not in its range.
+    fn check_numbers(&self) -> Result<(), String> {
+        let [x, y] = self.setup_shift_mm;
+        let numbers = [
+            ("change_s", self.change_s),
+            ("setup_error_nm", self.setup_error_nm),
+            ("setup_shift_mm[0]", x),
+            ("setup_shift_mm[1]", y),
+            ("setup_rate_fraction", self.setup_rate_fraction),
+        ];
+        for (field, value) in numbers {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(format!("{field} is {value}; give a number >= 0"));
+            }
+        }
+        if self.setup_rate_fraction >= 1.0 {
+            return Err(format!(
+                "setup_rate_fraction is {}; give it relative to the rate, 0.03 for 3 %",
+                self.setup_rate_fraction
+            ));
+        }
+        Ok(())
+    }
 }
 
 impl Rack {
-    /// Refuses a rack without tools, a name that cannot name a directory, and two tools of one name.
+    /// Refuses a rack without tools, a name that cannot name a directory, two tools of one name, and a time or an error
+    /// of a change that is not in its range.
     ///
     /// # Errors
     /// Returns the refusal as the end of a sentence that begins with the file.
-    pub fn check_names(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), String> {
         if self.tools.is_empty() {
             return Err("has no tools; give at least one".to_string());
         }
         let mut names = BTreeSet::new();
-        for (k, RackEntry { name, .. }) in self.tools.iter().enumerate() {
+        for (k, tool) in self.tools.iter().enumerate() {
+            let name = &tool.name;
             check_name(name).map_err(|problem| format!("tools[{k}].name {problem}"))?;
+            tool.check_numbers().map_err(|problem| format!("tool {name:?}: {problem}"))?;
             // Two directories that differ in case are one on some systems.
             if !names.insert(name.to_lowercase()) {
                 return Err(format!(
@@ -76,6 +147,30 @@ impl Rack {
         }
         Ok(())
     }
+}
+
+/// Refuses tools, each with its name, whose peak rates differ by more than a factor of 1e6.
+///
+/// # Errors
+/// Names the slowest tool and the fastest one.
+pub fn check_rates(tools: &[(&str, &Tif)]) -> Result<(), Invalid> {
+    let by_rate =
+        |a: &&(&str, &Tif), b: &&(&str, &Tif)| a.1.peak_nm_per_s().total_cmp(&b.1.peak_nm_per_s());
+    let (Some(slowest), Some(fastest)) =
+        (tools.iter().min_by(by_rate), tools.iter().max_by(by_rate))
+    else {
+        return Ok(());
+    };
+    let [least, largest] = [slowest, fastest].map(|(_, tif)| tif.peak_nm_per_s());
+    if largest > MAX_RATE_RATIO * least {
+        let problem = format!(
+            "have peak rates of {least:e} nm/s ({:?}) and {largest:e} nm/s ({:?}), more than a factor of \
+             {MAX_RATE_RATIO:e} apart",
+            slowest.0, fastest.0
+        );
+        return Err(Invalid::whole("tools", problem, "give the rates of all TIFs in nm/s"));
+    }
+    Ok(())
 }
 
 /// Refuses a name that cannot name a directory on every system.
@@ -92,4 +187,8 @@ fn check_name(name: &str) -> Result<(), String> {
 
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
+}
+
+fn are_zero(values: &[f64; 2]) -> bool {
+    values.iter().all(is_zero)
 }

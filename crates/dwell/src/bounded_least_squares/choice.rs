@@ -13,13 +13,16 @@
 //! plan is mostly a good one. The others follow from the largest to the smallest, because a large one bounds many. A
 //! subset is left out when this bound, less the proven gap of F(S'), is not below the best complete plan. What is left
 //! out cannot be better, and the gaps bound how much worse the choice can be than the best.
+//!
+//! The set-up errors of the tools have no part in F: with the reserve of a tool for the errors of another one, F(S)
+//! would bound no other subset. Their price is that of the change.
 
 use ndarray::Array2;
-use planish_types::{Invalid, Surface};
+use planish_types::{Invalid, SetupErrors, Surface};
 
 use super::{
-    settings::BoundedSettings,
-    several::{SeveralSolution, ToolTask, solve_several},
+    settings::{BoundedSettings, ToolTask},
+    several::{SeveralSolution, solve_several},
 };
 use crate::{DwellError, bounds::Bound};
 
@@ -90,7 +93,10 @@ pub fn choose_tools(
     let choice = ToolChoice { solved: Vec::new(), best: 0, bound_nm2: 0.0 };
     let mut search = Search { rack, subsets: Vec::new(), choice };
     while let Some(subset) = search.next() {
-        let tasks: Vec<ToolTask<'_>> = subset.members().map(|k| rack[k].task).collect();
+        let tasks: Vec<ToolTask<'_>> = subset
+            .members()
+            .map(|k| ToolTask { setup: SetupErrors::default(), ..rack[k].task })
+            .collect();
         let solution = solve_several(desired, &tasks, weight, settings)?;
         search.add(subset, solution);
         report(&search.choice);

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use planish_types::{Invalid, Tif, ToolPath};
+use planish_types::{Invalid, SetupErrors, Tif, ToolPath};
 use serde::Serialize;
 
 use crate::{
@@ -135,4 +135,23 @@ pub struct ToolColumns<'a> {
     pub columns: Range<usize>,
     /// Weight of one second of this tool in half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
+}
+
+/// One tool of a problem of several.
+#[derive(Clone, Copy, Debug)]
+pub struct ToolTask<'a> {
+    /// Name of the tool, different from those of the others.
+    pub name: &'a str,
+    /// Removal rate; it may vary over the part, but not with the time of the run.
+    pub tif: &'a Tif,
+    /// Path along which it dwells.
+    pub path: &'a ToolPath,
+    /// Lower bound of every dwell time of this tool.
+    pub min_dwell: Bound,
+    /// Upper bound of every dwell time of this tool; none if absent.
+    pub max_dwell: Option<Bound>,
+    /// Price of a second of this tool: its weight in half the mean square of the residual, nm^2/s; >= 0.
+    pub time_weight_nm2_per_s: f64,
+    /// Errors with which it is set up; none of them counts if all are 0.
+    pub setup: SetupErrors,
 }

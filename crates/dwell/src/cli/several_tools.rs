@@ -1,27 +1,36 @@
 //! `planish-dwell several-tools` and `planish-dwell choose-tools`: dwell times of a rack of tools, or of its best
 //! subset.
 
-use std::path::{Path, PathBuf};
+use std::{
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
 
 use clap::Args;
 use ndarray::Array2;
 use planish_dwell::{
     bounded_least_squares::{
-        Bound, BoundedReport, BoundedSettings, RackTool, SeveralSolution, ShareOfTool,
-        SolvedSubset, ToolChoice, ToolTask, choose_tools, solve_several,
+        Bound, BoundedReport, BoundedSettings, KeptPlan, RackTool, SeveralSolution, SolvedSubset,
+        ToolChoice, ToolTask, choose_tools, solve_keeping, solve_several,
     },
     problem::rms_before,
-    short_waves::{ShortWaves, short_waves},
 };
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
 };
 use planish_types::{
-    DwellTime, Rack, RackEntry, Surface, Tif, ToolPath, outcome::plan::PlanOutcome, plausible,
+    DwellTime, Rack, RackEntry, Surface, Tif, ToolPath, doubts,
+    outcome::plan::{Keeping, PlanOutcome, Reserve, ToolShare},
+    plausible,
+    reach::Reach,
 };
 use serde::Serialize;
 
-use super::{bounded_least_squares::ObjectiveArgs, status, warn_of};
+use super::{
+    bounded_least_squares::ObjectiveArgs,
+    setup_draws::{self, DrawsReport},
+    status, warn_of,
+};
 
 /// Part of the residual, in RMS, from which a warning says that no tool reaches its waves. Larger: a rack without a
 /// narrow tool passes in silence. Smaller: warnings about noise that nobody wants removed. At half, these waves are a
@@ -32,6 +41,24 @@ const SHORT_PART: f64 = 0.5;
 pub struct SeveralTools {
     #[command(flatten)]
     rack: RackArgs,
+    /// Residual that the plan shall keep, RMS, nm: the prices of a second are lowered by one factor until it does. After
+    /// a map between two tools, give the residual that was planned. [default: the prices as the rack states them]
+    #[arg(long, value_name = "NM")]
+    keep_rms_nm: Option<f64>,
+    /// Runs that are drawn with the set-up errors of the tools, each with and without the maps between them
+    #[arg(long, value_name = "N")]
+    setup_draws: Option<NonZeroUsize>,
+    /// Random seed
+    #[arg(long, value_name = "S", requires = "setup_draws", default_value_t = 1)]
+    seed: u64,
+}
+
+/// What `several-tools` is asked for beside a plan.
+#[derive(Clone, Copy, Default)]
+struct Wishes {
+    keep_rms_nm: Option<f64>,
+    /// Number of runs that are drawn, and the seed.
+    setup_draws: Option<(usize, u64)>,
 }
 
 #[derive(Args)]
@@ -73,9 +100,17 @@ struct Loaded {
 #[derive(Serialize)]
 struct ReportOfTool<'a> {
     tool: &'a str,
-    tools: &'a [ShareOfTool],
+    tools: &'a [ToolShare],
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<&'a ChoiceReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    keeping: Option<Keeping>,
+    /// Expected RMS of the set-up errors that no map shows, nm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unseen_setup_rms_nm: Option<f64>,
+    /// Results of runs with set-up errors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    setup_draws: Option<&'a DrawsReport>,
     #[serde(flatten)]
     all: &'a BoundedReport,
 }
@@ -116,8 +151,21 @@ struct Resolved {
     tools: Vec<RackEntry>,
     /// True if the best subset of the tools was to be found.
     chosen: bool,
+    /// Residual that the plan shall keep, RMS, nm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    keep_rms_nm: Option<f64>,
+    /// Number of runs that are drawn with set-up errors, and their seed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    setup_draws: Option<(usize, u64)>,
     #[serde(flatten)]
     settings: BoundedSettings,
+}
+
+/// A plan with what the commands report beside it.
+struct Planned {
+    solution: SeveralSolution,
+    choice: Option<ChoiceReport>,
+    keeping: Option<Keeping>,
 }
 
 /// Tools of a problem with the map and its weights.
@@ -130,19 +178,21 @@ struct Task<'a> {
 
 impl SeveralTools {
     pub fn run(&self) -> Result<Status, Failure> {
-        self.rack.run(false)
+        let setup_draws = self.setup_draws.map(|runs| (runs.get(), self.seed));
+        self.rack.run(false, Wishes { keep_rms_nm: self.keep_rms_nm, setup_draws })
     }
 }
 
 impl ChooseTools {
     pub fn run(&self) -> Result<Status, Failure> {
-        self.rack.run(true)
+        self.rack.run(true, Wishes::default())
     }
 }
 
 impl RackArgs {
     /// Plans with all tools of the rack, or with its best subset if `chosen`, and writes the dwell times of each tool.
-    fn run(&self, chosen: bool) -> Result<Status, Failure> {
+    fn run(&self, chosen: bool, wishes: Wishes) -> Result<Status, Failure> {
+        let Wishes { keep_rms_nm, setup_draws } = wishes;
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let loaded = self.read_rack(&mut inputs)?;
@@ -151,7 +201,8 @@ impl RackArgs {
         let weight = weight.as_ref();
         let settings = self.objective.settings(&surface, weight)?;
         let tools = loaded.iter().map(|loaded| loaded.tool.clone()).collect();
-        let task = task!("several-tools", Resolved { tools, chosen, settings });
+        let task =
+            task!("several-tools", Resolved { tools, chosen, keep_rms_nm, setup_draws, settings });
         let names: Vec<&str> = loaded.iter().map(|loaded| loaded.tool.name.as_str()).collect();
         let output = Output::of_one_kind(&self.output, &names, DwellTime::KIND);
         let mut output = match output.begin(&task, &inputs)? {
@@ -161,27 +212,43 @@ impl RackArgs {
         for Loaded { tool, tif, path, .. } in &loaded {
             plausible::check_path(&surface, tif, path)
                 .map_err(|e| failure_of(&tool.name, e.to_string()))?;
-            if let Some(doubt) = doubt_of_width(&surface, tif) {
+            if let Some(doubt) = doubts::of_width(&surface, tif) {
                 warn(format!("tool {:?}: {doubt}", tool.name));
             }
         }
         let task = Task { surface: &surface, loaded: &loaded, weight, settings: &settings };
-        let (solution, choice) = if chosen {
-            let (solution, choice) = task.choose()?;
-            (solution, Some(choice))
-        } else {
-            (task.solve()?, None)
+        let planned = match keep_rms_nm {
+            _ if chosen => task.choose()?,
+            Some(keep_rms_nm) => task.keep(keep_rms_nm)?,
+            None => {
+                let tools: Vec<&Loaded> = loaded.iter().collect();
+                Planned { solution: task.solve(&tools)?, choice: None, keeping: None }
+            }
         };
-        let SeveralSolution { dwell, shares, report: r } = &solution;
-        let status = status(r.negative(rms_before(&surface, weight)));
+        self.print(&planned);
+        let tasks: Vec<ToolTask<'_>> = loaded.iter().map(Loaded::task).collect();
+        let problem = (&surface, weight, &settings);
+        let draws = setup_draws.map(|of| setup_draws::draw(problem, &tasks, &planned.solution, of));
+        let draws = draws.transpose()?;
+        let SeveralSolution { dwell, shares, report: r, unseen_rms_nm } = &planned.solution;
+        let negative = r.negative(rms_before(&surface, weight));
+        let status = status(negative.or_else(|| planned.keeping.and_then(not_kept)));
+        task.warn_of_short_waves(&planned.solution);
         for name in names {
             if !shares.iter().any(|share| share.name == name) {
                 output.leave_out(name);
             }
         }
         for (share, dwell) in shares.iter().zip(dwell) {
-            let report =
-                ReportOfTool { tool: &share.name, tools: shares, choice: choice.as_ref(), all: r };
+            let report = ReportOfTool {
+                tool: &share.name,
+                tools: shares,
+                choice: planned.choice.as_ref(),
+                keeping: planned.keeping,
+                unseen_setup_rms_nm: *unseen_rms_nm,
+                setup_draws: draws.as_ref(),
+                all: r,
+            };
             let outcome = PlanOutcome {
                 end: Some(r.end.into()),
                 report: Some(report),
@@ -190,13 +257,12 @@ impl RackArgs {
             output.write(dwell, outcome, &status)?;
             warn_of(share.tif_lattice);
         }
-        self.print(r, shares);
-        task.warn_of_short_waves(&solution);
         Ok(status)
     }
 
-    /// Prints one line for all tools together, and one for each tool.
-    fn print(&self, r: &BoundedReport, shares: &[ShareOfTool]) {
+    /// Prints one line for all tools together, one for each tool, and one for each reserve.
+    fn print(&self, planned: &Planned) {
+        let SeveralSolution { shares, report: r, unseen_rms_nm, .. } = &planned.solution;
         let gap = match r.proven.relative_gap {
             Some(gap) => format!("gap {gap:.1e}"),
             None => format!("KKT residual {:.1e} s", r.kkt_residual_s),
@@ -221,13 +287,38 @@ impl RackArgs {
                 share.points,
                 share.unreached_points
             ));
+            if share.unreached_part > 0.0 {
+                say(format!(
+                    "  {} does not reach {:.1} % of the part along its path",
+                    share.name,
+                    100.0 * share.unreached_part
+                ));
+            }
+            if let Some(Reserve { errors_of, mean_nm, largest_nm, time_s }) = &share.reserve {
+                say(format!(
+                    "  {mean_nm:.2} nm (at most {largest_nm:.2} nm) are left for {}, for the set-up errors of {}: at \
+                     least {time_s:.2} s",
+                    share.name,
+                    errors_of.join(" and ")
+                ));
+            }
+        }
+        if let Some(unseen_nm) = unseen_rms_nm {
+            say(format!(
+                "  set-up errors that no map shows add {unseen_nm:.4} nm RMS (expected, not in the residual above)"
+            ));
+        }
+        if let Some(Keeping { keep_rms_nm, price_factor, is_kept: true }) = planned.keeping {
+            say(format!(
+                "  {keep_rms_nm:.4} nm are kept at {price_factor:.3} of the prices of a second"
+            ));
         }
     }
 
     /// Reads the rack, and the TIF and tool path of each of its tools.
     fn read_rack(&self, inputs: &mut Inputs) -> Result<Vec<Loaded>, Failure> {
         let rack: Rack = inputs.read_json("rack", &self.rack)?;
-        rack.check_names()
+        rack.check()
             .map_err(|problem| Failure::new(format!("{}: {problem}", self.rack.display())))?;
         let directory = self.rack.parent().unwrap_or(Path::new(""));
         rack.tools.into_iter().map(|tool| Loaded::read(tool, directory, inputs)).collect()
@@ -235,15 +326,26 @@ impl RackArgs {
 }
 
 impl Task<'_> {
-    /// Plans with all tools.
-    fn solve(&self) -> Result<SeveralSolution, Failure> {
-        let tasks: Vec<ToolTask<'_>> = self.loaded.iter().map(Loaded::task).collect();
+    /// Plans with these tools.
+    fn solve(&self, tools: &[&Loaded]) -> Result<SeveralSolution, Failure> {
+        let tasks: Vec<ToolTask<'_>> = tools.iter().map(|loaded| loaded.task()).collect();
         solve_several(self.surface, &tasks, self.weight, self.settings).map_err(Failure::with_flags)
     }
 
+    /// Plans with all tools at prices at which this residual is kept.
+    fn keep(&self, keep_rms_nm: f64) -> Result<Planned, Failure> {
+        let tasks: Vec<ToolTask<'_>> = self.loaded.iter().map(Loaded::task).collect();
+        let KeptPlan { solution, price_factor, is_kept } =
+            solve_keeping(self.surface, &tasks, self.weight, self.settings, keep_rms_nm)
+                .map_err(Failure::with_flags)?;
+        let keeping = Some(Keeping { keep_rms_nm, price_factor, is_kept });
+        Ok(Planned { solution, choice: None, keeping })
+    }
+
     /// Plans with the best subset of the tools, and prints a row of the table for every subset when it is solved. So an
-    /// interrupted search has told the best one so far, with its gap.
-    fn choose(&self) -> Result<(SeveralSolution, ChoiceReport), Failure> {
+    /// interrupted search has told the best one so far, with its gap. If its tools have set-up errors, they are planned
+    /// again with them.
+    fn choose(&self) -> Result<Planned, Failure> {
         let rack: Vec<RackTool<'_>> = self.loaded.iter().map(Loaded::rack_tool).collect();
         say(format!(
             "{:<32} {:>10} {:>10} {:>14} {:>12} {:>9}  time of each tool, s",
@@ -269,8 +371,13 @@ impl Task<'_> {
             report.subsets.len(),
             (1_usize << rack.len()) - 1
         ));
-        let solution = choice.best().solution.clone();
-        Ok((solution, report))
+        let tools: Vec<&Loaded> = choice.best().tools.iter().map(|k| &self.loaded[*k]).collect();
+        let solution = if tools.iter().all(|loaded| loaded.tool.setup_errors().are_zero()) {
+            choice.best().solution.clone()
+        } else {
+            self.solve(&tools)?
+        };
+        Ok(Planned { solution, choice: Some(report), keeping: None })
     }
 
     /// Prints the row of the subset that was solved last, with the gap of the best one so far.
@@ -310,9 +417,9 @@ impl Task<'_> {
         let is_used =
             |loaded: &&Loaded| solution.shares.iter().any(|share| share.name == loaded.tool.name);
         let tifs: Vec<&Tif> = self.loaded.iter().filter(is_used).map(|l| &l.tif).collect();
-        let Some(ShortWaves { wavelength_mm, rms_nm }) = short_waves(self.surface, &tifs) else {
-            return;
-        };
+        let Some(reach) = Reach::new(self.surface, &tifs) else { return };
+        let Some(wavelength_mm) = reach.longest_mm() else { return };
+        let rms_nm = reach.short_wave_rms_nm(self.surface);
         if rms_nm > SHORT_PART * solution.report.model_rms_nm {
             warn(format!(
                 "waves shorter than {wavelength_mm:.2} mm remain, {rms_nm:.4} nm RMS of the map: no tool reaches them; \
@@ -326,12 +433,6 @@ impl Loaded {
     /// Reads the TIF and the tool path of a tool. Their paths start at the directory of the rack.
     fn read(tool: RackEntry, directory: &Path, inputs: &mut Inputs) -> Result<Self, Failure> {
         let name = &tool.name;
-        for (field, value) in [("change_s", tool.change_s), ("setup_error_nm", tool.setup_error_nm)]
-        {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(failure_of(name, format!("{field} is {value}; give a number >= 0")));
-            }
-        }
         let Some(tool_path) = &tool.tool_path else {
             let problem =
                 "has no tool_path; give the directory of one, as planish-toolpath makes it";
@@ -356,6 +457,7 @@ impl Loaded {
             min_dwell: self.min_dwell,
             max_dwell: self.max_dwell,
             time_weight_nm2_per_s: self.tool.time_weight_nm2_per_s,
+            setup: self.tool.setup_errors(),
         }
     }
 
@@ -365,6 +467,18 @@ impl Loaded {
         let change_nm2 = time_weight_nm2_per_s * change_s + 0.5 * setup_error_nm * setup_error_nm;
         RackTool { task: self.task(), change_nm2 }
     }
+}
+
+/// Returns the reason of a negative verdict: the residual is not kept at any price. `None` if it is.
+fn not_kept(keeping: Keeping) -> Option<String> {
+    let Keeping { keep_rms_nm, price_factor, is_kept } = keeping;
+    if is_kept {
+        return None;
+    }
+    Some(format!(
+        "more than {keep_rms_nm:.4} nm remain even at {price_factor:.1e} of the prices of a second; add a tool that \
+         reaches shorter waves, or keep a larger residual"
+    ))
 }
 
 /// Returns the failure of a tool with its name.
@@ -383,19 +497,4 @@ fn bound(
         (Some(time), None) => Ok(Some(Bound::Seconds(time))),
         (None, rate) => Ok(rate.map(Bound::SecondsPerMm)),
     }
-}
-
-/// Returns a sentence if the effective area of the TIF is larger than the map, so that the tool removes little more
-/// than a piston or a tilt; otherwise `None`.
-fn doubt_of_width(surface: &Surface, tif: &Tif) -> Option<String> {
-    let [x, y] = surface.grid().size_mm();
-    let area_mm2 = tif.effective_area_mm2();
-    if area_mm2 <= x * y {
-        return None;
-    }
-    Some(format!(
-        "is wider than the part (effective area {area_mm2:.0} mm^2, map {:.0} mm^2): it removes little more than a \
-         piston or a tilt; leave it out unless that is its task",
-        x * y
-    ))
 }

@@ -16,6 +16,7 @@ use planish_handoff::{Failure, Status, say, warn, words};
 use planish_types::assumed_machine;
 
 use super::{
+    after_tool,
     campaign::specified,
     claim::{Claim, Named},
     execute::{Messages, Programs, as_typed},
@@ -31,7 +32,8 @@ const NEEDED: &str = "give before=DIR after=DIR trajectory=DIR tif=DIR";
 pub struct NextRun {
     /// Settings: before=DIR, after=DIR, trajectory=DIR and tif=DIR (the maps, the motion in the coordinates of the part,
     /// the tool), transform=DIR, error_budget=FILE, machine=FILE, pipeline, least_gain_percent, reconcile, and those of the
-    /// pipeline
+    /// pipeline. After a tool of planish run several: run=DIR, after=MAP (measured after that tool), done=NAME (the tool;
+    /// the first one by default), surface_settings and out=DIR
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -110,6 +112,9 @@ impl NextRun {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Installation::find()?;
         let mut user = UserSettings::new(&self.settings)?;
+        if user.get("run").is_some() {
+            return after_tool::run(&mut user);
+        }
         let last = Last::take(&mut user)?;
         let definition =
             place.definition_of_plans(&user.take("pipeline").unwrap_or("raster".into()))?;

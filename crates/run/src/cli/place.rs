@@ -197,7 +197,7 @@ impl Installation {
 /// Returns the kind of an input as a pipeline names it. It is `none` for an empty path, `file` if there is no
 /// directory, `artifact` for a directory with a manifest or with the weights of a varying tool, and otherwise `bare`
 /// (arrays alone).
-fn kind_of(path: &str) -> &'static str {
+pub fn kind_of(path: &str) -> &'static str {
     let dir = Path::new(path);
     if path.is_empty() {
         "none"

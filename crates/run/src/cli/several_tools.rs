@@ -2,6 +2,7 @@
 //!
 //! | directory | content |
 //! |---|---|
+//! | `import/surface` | map of the file of an instrument |
 //! | `surface` | map before the run |
 //! | `paths/NAME`, `rack.json` | tool path of each tool, and the rack with these paths |
 //! | `choice` | dwell times of the chosen tools, with the table of the subsets |
@@ -13,6 +14,7 @@
 //! | `tools/NAME/program` | motion, removal and verdict of its program, read back |
 //! | `after` | map after the last tool |
 //! | `table.txt` | the table of the run |
+//! | `several.json` | tools and settings, from which `next-run` goes on after a measured map |
 
 use std::{
     fs,
@@ -27,23 +29,43 @@ use planish_handoff::{
     say, task, warn, words,
 };
 use planish_types::{
-    Rack, RackEntry, Removal, Surface, ToolPath, assumed_machine,
+    Rack, RackEntry, Removal, Surface, assumed_machine,
     outcome::{
-        plan::{PlanOutcome, SeveralReport},
+        plan::{PlanOutcome, SeveralReport, ToolShare},
         removal::RemovalOutcome,
         verdict::Verdict,
     },
 };
 
 use super::{
-    claim::{Claim, with_limit_on_jerk},
+    after_tool::Record,
+    claim::{Claim, Named, with_limit_on_jerk},
     execute::{Messages, Programs, as_typed},
-    place::{Installation, directory_name, name_of},
-    several::{UserSettings, command, is_directory},
+    place::{Installation, directory_name, kind_of, name_of},
+    rack::{CheckedRack, refuse_other_axes},
+    several::{UserSettings, command},
 };
 
 /// Name under which `planish run` knows this command beside the pipelines.
 pub const NAME: &str = "several";
+
+/// Settings of a run with one tool that several tools do not take, and what to do instead.
+const NOT_OF_SEVERAL: [(&str, &str); 8] = [
+    (
+        "specification",
+        "it plans heights; judge its map with planish surface spec --surface OUT/after",
+    ),
+    ("form", "its part is flat; plan a curved part with planish run raster, tool by tool"),
+    ("kinematics", "its machines have the axes x and y; plan others with planish run raster"),
+    ("varying", "give the directory of the tool that varies as tif of the rack"),
+    (
+        "error_budget",
+        "give setup_shift_mm, setup_rate_fraction and measured_after of the tools in the rack",
+    ),
+    ("residual_slope_weight_mm2", "it plans heights; planish dwell several-tools weighs slopes"),
+    ("tif", "give the TIF of every tool in the rack"),
+    ("pitch_mm", "give the pitch of every tool in the rack"),
+];
 
 /// End of the messages about a missing setting.
 const NEEDED: &str = "give surface=DIR rack=FILE";
@@ -54,7 +76,8 @@ const REMEDY: &str = "run it again";
 #[derive(Args)]
 pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
-    /// choose=yes or no, motion=refine or joint, export=CONTROLLER, export_settings, out=DIR
+    /// choose=yes or no, motion=refine or joint, export=CONTROLLER, export_settings, out=DIR; for a file of an instrument
+    /// surface=FILE and surface_settings (flags of planish-import)
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -66,18 +89,24 @@ impl Several {
 }
 
 /// Settings of a run with several tools.
-struct Settings {
-    surface: String,
-    rack: String,
-    machine: String,
-    is_assumed: bool,
-    prepare: Vec<String>,
-    chooses: bool,
+pub struct Settings {
+    /// Directory of the map before the run, or the file of an instrument.
+    pub surface: String,
+    /// Flags of planish-import for the file of an instrument.
+    pub surface_settings: Vec<String>,
+    /// File of the rack, or the record of the run that this one goes on with.
+    pub rack: String,
+    pub machine: String,
+    pub is_assumed: bool,
+    pub prepare: Vec<String>,
+    pub chooses: bool,
     /// True if dwell times and motion of a tool are planned as one problem, by `planish-joint`.
-    is_joint: bool,
-    export: Option<String>,
-    export_settings: Vec<String>,
-    out: String,
+    pub is_joint: bool,
+    pub export: Option<String>,
+    pub export_settings: Vec<String>,
+    /// Residual that the plan shall keep, RMS, nm; `None` if the prices of the rack decide.
+    pub keep_rms_nm: Option<f64>,
+    pub out: String,
 }
 
 /// A tool of the rack, with the paths of its files in the run.
@@ -89,6 +118,8 @@ struct RunTool {
     width_mm: f64,
     /// Copy of the file of its machine.
     machine: String,
+    /// True if the rack has a machine for it; otherwise it has that of the run.
+    has_machine: bool,
 }
 
 /// A row of the table: one tool, as it will run.
@@ -101,6 +132,9 @@ struct Row {
     time_s: f64,
     change_s: f64,
     limits_respected: bool,
+    /// Sentences on the reserve of the later tools, the set-up errors that no map shows, and the part of the map beyond
+    /// the path of this tool.
+    remarks: Vec<String>,
 }
 
 /// A run: its settings, its programs, and the negative verdicts so far.
@@ -115,40 +149,8 @@ struct Course {
 pub fn run(words: &[String]) -> Result<Status, Failure> {
     let place = Installation::find()?;
     let settings = Settings::take(words, &place)?;
-    let rack = read_rack(&settings.rack)?;
-    if settings.is_joint
-        && let Some(tool) = rack.tools.iter().find(|tool| tool.min_dwell_s.is_some())
-    {
-        return Err(Failure::new(format!(
-            "{}: tool {:?} has min_dwell_s, which motion=joint does not take; give min_dwell_s_per_mm",
-            settings.rack, tool.name
-        )));
-    }
-    let claim = Claim {
-        out: settings.out.clone().into(),
-        pipeline: NAME.into(),
-        fixture: None,
-        surface: Some(settings.surface.clone().into()),
-        tif: Some(settings.rack.clone().into()),
-        machine: settings.machine.clone().into(),
-        named: Vec::new(),
-    };
-    let (_lock, assumed) = claim.take(&as_typed())?;
-    assumed.iter().for_each(warn);
-    let mut doubt = None;
-    if settings.is_assumed {
-        let machine = Inputs::new().read_machine(Path::new(&settings.machine))?;
-        doubt = Some(assumed_machine(machine.name()));
-    }
-    doubt.iter().for_each(warn);
-    let programs = Programs::new(&place, Messages::Shown)?;
-    let mut course = Course { settings, programs, negative: Vec::new() };
-    course.plan(rack)?;
-    doubt.iter().for_each(warn);
-    if course.negative.is_empty() {
-        return Ok(Status::Done);
-    }
-    Ok(Status::Negative(course.negative.join("; ")))
+    let rack = CheckedRack::read(&settings.rack)?;
+    settings.run(&place, rack, NAME)
 }
 
 impl Settings {
@@ -160,7 +162,11 @@ impl Settings {
             path.ok_or_else(|| Failure::new(format!("{name} is not given; {NEEDED}")))
         };
         let [surface, rack] = [needed("surface")?, needed("rack")?];
-        is_directory("surface", &surface)?;
+        if !Path::new(&surface).exists() {
+            return Err(Failure::new(format!(
+                "surface {surface} is not there; give the directory of a map, or the file of an instrument"
+            )));
+        }
         let own_machine = user.take_path("machine");
         let is_assumed = own_machine.is_none();
         let machine = own_machine
@@ -169,8 +175,11 @@ impl Settings {
             let text = user.take_or(name, default);
             words::split(&text).map_err(|e| Failure::new(format!("{name}={text}: {e}")))
         };
-        let [prepare, export_settings] =
-            [flags("prepare", "--level piston")?, flags("export_settings", "")?];
+        let [prepare, export_settings, surface_settings] = [
+            flags("prepare", "--level piston")?,
+            flags("export_settings", "")?,
+            flags("surface_settings", "")?,
+        ];
         let chooses = match user.take_or("choose", "yes").as_str() {
             "yes" => true,
             "no" => false,
@@ -188,14 +197,20 @@ impl Settings {
             let map = std::path::absolute(&surface).unwrap_or_default();
             format!("{}out/{NAME}/{}", place.home(), directory_name(&name_of(&map)))
         });
+        for (name, instead) in NOT_OF_SEVERAL {
+            if user.get(name).is_some() {
+                return Err(Failure::new(format!("{NAME} takes no {name}: {instead}")));
+            }
+        }
         if let Some(word) = user.settings.iter().chain(&user.words).next() {
             return Err(Failure::new(format!(
-                "'{word}' is no setting of {NAME}; it has surface, rack, machine, prepare, choose, motion, \
-                 export, export_settings and out"
+                "'{word}' is no setting of {NAME}; it has surface, surface_settings, rack, machine, prepare, choose, \
+                 motion, export, export_settings and out"
             )));
         }
         let settings = Self {
             surface,
+            surface_settings,
             rack,
             machine,
             is_assumed,
@@ -204,9 +219,65 @@ impl Settings {
             is_joint,
             export,
             export_settings,
+            keep_rms_nm: None,
             out,
         };
         settings.checked()
+    }
+
+    /// Runs a plan with the tools of a rack, in the directory that belongs to this run alone.
+    ///
+    /// # Errors
+    /// Refuses what does not fit together, and a directory of another run.
+    pub fn run(
+        self,
+        place: &Installation,
+        rack: CheckedRack,
+        pipeline: &str,
+    ) -> Result<Status, Failure> {
+        if self.is_joint
+            && let Some(tool) = rack.rack.tools.iter().find(|tool| tool.min_dwell_s.is_some())
+        {
+            return Err(Failure::new(format!(
+                "{}: tool {:?} has min_dwell_s, which motion=joint does not take; give min_dwell_s_per_mm",
+                self.rack, tool.name
+            )));
+        }
+        refuse_other_axes(Path::new(&self.machine))?;
+        // The map of a file of an instrument is known after its import.
+        let is_map = kind_of(&self.surface) != "file";
+        if is_map {
+            rack.warn(&Inputs::new().read("surface", Path::new(&self.surface))?);
+        }
+        let claim = Claim {
+            out: self.out.clone().into(),
+            pipeline: pipeline.into(),
+            fixture: None,
+            surface: Some(self.surface.clone().into()),
+            tif: Some(self.rack.clone().into()),
+            machine: self.machine.clone().into(),
+            named: Named::words("surface_settings", &self.surface_settings, false),
+        };
+        let (_lock, assumed) = claim.take(&as_typed())?;
+        assumed.iter().for_each(warn);
+        let mut doubt = None;
+        if self.is_assumed {
+            let machine = Inputs::new().read_machine(Path::new(&self.machine))?;
+            doubt = Some(assumed_machine(machine.name()));
+        }
+        doubt.iter().for_each(warn);
+        let programs = Programs::new(place, Messages::Shown)?;
+        let mut course = Course { settings: self, programs, negative: Vec::new() };
+        let map = course.map()?;
+        if !is_map {
+            rack.warn(&Inputs::new().read("surface", Path::new(&map))?);
+        }
+        course.plan(rack.rack, &map)?;
+        doubt.iter().for_each(warn);
+        if course.negative.is_empty() {
+            return Ok(Status::Done);
+        }
+        Ok(Status::Negative(course.negative.join("; ")))
     }
 
     /// Refuses a program for a machine that nobody named.
@@ -219,37 +290,6 @@ impl Settings {
             _ => Ok(self),
         }
     }
-}
-
-/// Reads the rack and makes its paths absolute. Refuses a tool that has neither a tool path nor a pitch, and a file
-/// that cannot be read.
-fn read_rack(path: &str) -> Result<Rack, Failure> {
-    let path = Path::new(path);
-    let mut rack: Rack = Inputs::new().read_json("rack", path)?;
-    rack.check_names().map_err(|problem| Failure::new(format!("{}: {problem}", path.display())))?;
-    let directory = std::path::absolute(path.parent().unwrap_or(Path::new("")).join("."))?;
-    for tool in &mut rack.tools {
-        if tool.tool_path.is_none() && tool.pitch_mm.is_none() {
-            return Err(Failure::new(format!(
-                "{}: tool {:?} has neither tool_path nor pitch_mm; give pitch_mm, the distance of its lines",
-                path.display(),
-                tool.name
-            )));
-        }
-        tool.tif = directory.join(&tool.tif);
-        tool.tool_path = tool.tool_path.as_ref().map(|own| directory.join(own));
-        tool.machine = tool.machine.as_ref().map(|own| directory.join(own));
-        // A missing file is found before anything is written.
-        let mut inputs = Inputs::new();
-        inputs.read_tool("tif", &tool.tif)?;
-        if let Some(path) = &tool.tool_path {
-            inputs.read::<ToolPath>("tool-path", path)?;
-        }
-        if let Some(machine) = &tool.machine {
-            inputs.read_machine(machine)?;
-        }
-    }
-    Ok(rack)
 }
 
 impl Course {
@@ -272,35 +312,64 @@ impl Course {
         }
     }
 
-    /// Plans with the tools of the rack: their paths, the choice, then tool by tool.
-    fn plan(&mut self, rack: Rack) -> Result<(), Failure> {
+    /// Makes the map before the run, from the arrays of the user or from the file of an instrument. Returns its path.
+    fn map(&mut self) -> Result<String, Failure> {
         let map = self.path("surface");
         let given = self.settings.surface.clone();
+        let mut from = given.clone();
+        match kind_of(&given) {
+            "file" => {
+                from = self.path("import/surface");
+                let more = self.settings.surface_settings.clone();
+                let picture = format!("{from}.svg");
+                let mut flags = vec!["surface", &given];
+                flags.extend(more.iter().map(String::as_str));
+                flags.extend(["--picture", &picture, "--out", &from, "--force"]);
+                self.go_on("planish-import", &flags)?;
+            }
+            // Arrays without a manifest get one, so that a doubt about them is stated once.
+            "bare" => {
+                from = self.path("import/surface");
+                let flags = ["prepare", "--surface", &given, "--level", "none", "--out", &from];
+                self.go_on("planish-surface", &[&flags[..], &["--force"]].concat())?;
+            }
+            _ => {}
+        }
         let prepare = self.settings.prepare.clone();
-        let mut flags = vec!["prepare", "--surface", &given];
+        let mut flags = vec!["prepare", "--surface", &from];
         flags.extend(prepare.iter().map(String::as_str));
         flags.extend(["--out", &map, "--force"]);
         self.go_on("planish-surface", &flags)?;
+        Ok(map)
+    }
+
+    /// Plans with the tools of the rack for this map: their paths, the choice, then tool by tool.
+    fn plan(&mut self, rack: Rack, map: &str) -> Result<(), Failure> {
         let mut tools = Vec::new();
         for entry in rack.tools {
-            tools.push(self.tool(entry, &map)?);
+            tools.push(self.tool(entry, map)?);
         }
-        let mut chosen = self.choose(tools, &map)?;
+        let mut chosen = self.choose(tools, map)?;
         chosen.sort_by(|a, b| b.width_mm.total_cmp(&a.width_mm));
         // Nobody shall run the program of a tool that an earlier run had chosen.
         let earlier = self.path("tools");
         if Path::new(&earlier).exists() {
             fs::remove_dir_all(&earlier)?;
         }
-        let mut rows = Vec::new();
-        let mut before = map.clone();
+        let order: Vec<RackEntry> = chosen.iter().map(RunTool::stated).collect();
+        let mut rows: Vec<Row> = Vec::new();
+        let mut before = map.to_string();
         while !chosen.is_empty() {
             let (row, after) = self.run_tool(&chosen, &before)?;
+            if rows.is_empty() {
+                Record::new(&self.settings, order.clone(), map, row.planned_rms_nm)?
+                    .write(&self.settings.out)?;
+            }
             rows.push(row);
             before = after;
             chosen.remove(0);
         }
-        self.tell(&map, &rows)
+        self.tell(map, &rows)
     }
 
     /// Prepares a tool: copies the file of its machine, and makes its tool path unless the rack has one.
@@ -308,9 +377,9 @@ impl Course {
         let tif = entry.tif.display().to_string();
         let width_mm = Inputs::new().read_tool("tif", &entry.tif)?.half_maximum_width_mm();
         let name = entry.name.clone();
+        let has_machine = entry.machine.is_some();
         let machine = match entry.machine.take() {
             Some(file) => {
-                Inputs::new().read_machine(&file)?;
                 let copy = PathBuf::from(self.path(&format!("machine/{name}.json")));
                 let (text, assumed) = with_limit_on_jerk(&file, &copy)?;
                 assumed.iter().for_each(warn);
@@ -336,7 +405,7 @@ impl Course {
             overscan_mm: None,
             ..entry
         };
-        Ok(RunTool { entry, tif, tool_path, width_mm, machine })
+        Ok(RunTool { entry, tif, tool_path, width_mm, machine, has_machine })
     }
 
     /// Makes the raster of a tool over the map, in the directory `out`.
@@ -397,12 +466,14 @@ impl Course {
     /// row, and the map after it.
     fn run_tool(&mut self, tools: &[RunTool], before: &str) -> Result<(Row, String), Failure> {
         let (tool, later) = tools.split_first().expect("a tool is left");
-        let RackEntry { name, change_s, time_weight_nm2_per_s, .. } = &tool.entry;
+        let RackEntry { name, change_s, .. } = &tool.entry;
         let at = self.path(&format!("tools/{name}"));
         let rack = self.write_rack(&format!("tools/{name}/rack.json"), tools, true)?;
         let plan = format!("{at}/plan");
-        let flags =
-            ["several-tools", "--surface", before, "--rack", &rack, "--out", &plan, "--force"];
+        let keep = self.settings.keep_rms_nm.map(|nm| format!("--keep-rms-nm={nm}"));
+        let mut flags =
+            vec!["several-tools", "--surface", before, "--rack", &rack, "--out", &plan, "--force"];
+        flags.extend(keep.as_deref());
         self.go_on("planish-dwell", &flags)?;
         // What the later tools will remove is not for this one
         let mut target = before.to_string();
@@ -410,8 +481,11 @@ impl Course {
             target = self.without(other, &target, &plan, &at)?;
         }
         let dwell = format!("{plan}/{name}");
+        let planned = report_of(&dwell)?;
+        let own_share = planned.tools.iter().find(|share| share.name == *name);
+        let price_nm2_per_s = own_share.map_or(0.0, |share| share.time_weight_nm2_per_s);
         let mirror = ["--surface", &target, "--tif", &tool.tif, "--tool-path", &tool.tool_path];
-        let price = format!("--time-weight-nm2-per-s={time_weight_nm2_per_s}");
+        let price = format!("--time-weight-nm2-per-s={price_nm2_per_s}");
         let floor = floor_flag(&tool.entry, &tool.machine);
         let own = ["--machine", &tool.machine, &price];
         let motion = format!("{at}/{}", if self.settings.is_joint { "joint" } else { "refined" });
@@ -436,16 +510,16 @@ impl Course {
             self.path(&format!("tools/{}/map", later[0].entry.name))
         };
         write_residual(&format!("{executed}/removal"), &after)?;
-        let planned: PlanOutcome<SeveralReport> = outcome(&dwell, &kind::DWELL)?;
         let removal: RemovalOutcome = outcome(&format!("{executed}/removal"), &kind::REMOVAL)?;
         let judged: Verdict = outcome(&format!("{executed}/verdict"), &kind::VERDICT)?;
         let row = Row {
             tool: name.clone(),
-            planned_rms_nm: planned.report.map_or(f64::NAN, |report| report.model_rms_nm),
+            planned_rms_nm: planned.model_rms_nm,
             executed_rms_nm: removal.rms_nm,
             time_s: removal.total_time_s,
             change_s: *change_s,
             limits_respected: judged.limits_respected,
+            remarks: remarks(name, &planned),
         };
         Ok((row, after))
     }
@@ -539,6 +613,7 @@ impl Course {
                 row.change_s,
                 if row.limits_respected { "kept" } else { "not kept" }
             ));
+            lines.extend(row.remarks.iter().map(|remark| format!("  {remark}")));
         }
         let time_s: f64 = rows.iter().map(|row| row.time_s).sum();
         let change_s: f64 = rows.iter().map(|row| row.change_s).sum();
@@ -555,6 +630,59 @@ impl Course {
         say(format!("\n{text}"));
         Ok(())
     }
+}
+
+impl RunTool {
+    /// Returns the tool as a rack states it, with the copy of the file of its machine.
+    fn stated(&self) -> RackEntry {
+        let machine = if self.has_machine {
+            Some(std::path::absolute(&self.machine).unwrap_or_else(|_| self.machine.clone().into()))
+        } else {
+            None
+        };
+        RackEntry { machine, ..self.entry.clone() }
+    }
+}
+
+/// Returns the sentences of a row of the table, for the tool of this name and the plan of it and the later ones.
+fn remarks(name: &str, planned: &SeveralReport) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for ToolShare { name: other, total_time_s, reserve, unreached_part, .. } in &planned.tools {
+        if let Some(reserve) =
+            reserve.as_ref().filter(|reserve| reserve.errors_of.contains(&name.into()))
+        {
+            remarks.push(format!(
+                "{:.2} nm (at most {:.2} nm) are left for {other}, which then dwells up to {total_time_s:.2} s",
+                reserve.mean_nm, reserve.largest_nm
+            ));
+        }
+        if other == name && *unreached_part > 0.0 {
+            remarks.push(format!(
+                "{name} does not reach {:.1} % of the part along its path",
+                100.0 * unreached_part
+            ));
+        }
+    }
+    if let Some(unseen_nm) = planned.unseen_setup_rms_nm {
+        remarks.push(format!(
+            "set-up errors that no map shows are expected to add {unseen_nm:.4} nm RMS"
+        ));
+    }
+    if let Some(keeping) = planned.keeping {
+        remarks.push(format!(
+            "{:.4} nm are {}kept, at {:.3} of the prices of the rack",
+            keeping.keep_rms_nm,
+            if keeping.is_kept { "" } else { "not " },
+            keeping.price_factor
+        ));
+    }
+    remarks
+}
+
+/// Returns the report on the dwell times `dir` of a plan of several tools.
+fn report_of(dir: &str) -> Result<SeveralReport, Failure> {
+    let outcome: PlanOutcome<SeveralReport> = outcome(dir, &kind::DWELL)?;
+    outcome.report.ok_or_else(|| Failure::new(format!("{dir}: has no report; {REMEDY}")))
 }
 
 /// Returns true if the rack states a least dwell time of the tool.

@@ -11,6 +11,7 @@ use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, warn};
 use serde_json::Value;
 
 use super::{
+    after_tool,
     execute::{Messages, Programs, assumed_machine},
     place::{Installation, name_of},
     run::end,
@@ -23,7 +24,8 @@ const REFERENCE: &str = "reference";
 #[derive(Args)]
 pub struct Tolerance {
     /// Pipelines (raster and maze without any), their settings, and error_budget=FILE; `reference` is the mirror in
-    /// PLANISH_REFERENCE, with residuals without their planes and a process of single errors
+    /// PLANISH_REFERENCE, with residuals without their planes and a process of single errors. For a run of planish run
+    /// several: run=DIR, draws=40, seed=1 and out=DIR, for the set-up errors of its tools
     #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
     words: Vec<String>,
 }
@@ -32,6 +34,9 @@ impl Tolerance {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Installation::find()?;
         let mut user = UserSettings::new(&self.words)?;
+        if user.get("run").is_some() {
+            return after_tool::tolerance(&mut user);
+        }
         let is_reference = user.words.iter().any(|word| word == REFERENCE);
         let mut pipelines: Vec<&str> =
             user.words.iter().map(String::as_str).filter(|word| *word != REFERENCE).collect();

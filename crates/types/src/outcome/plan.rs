@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{End, PathDistance};
+use crate::{End, PathDistance, TifLattice};
 
 /// Outcome of `planish-dwell`, `planish-schedule`, `planish-refine`, `planish-joint` or `planish-bspline-feed`. Each
 /// states what it knows. `R` is the report of the method.
@@ -96,10 +96,67 @@ pub struct PlanReport {
 }
 
 /// Report on the dwell times of several tools, as far as a run with them reads it.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct SeveralReport {
     /// RMS of the residual of all tools in the removal model of the solver, nm.
     pub model_rms_nm: f64,
+    /// Share of each tool.
+    pub tools: Vec<ToolShare>,
+    /// Expected RMS of the set-up errors that no map shows, nm; `None` without such errors.
+    pub unseen_setup_rms_nm: Option<f64>,
+    /// What became of a residual that the plan shall keep; `None` if the prices alone decide.
+    pub keeping: Option<Keeping>,
+}
+
+/// Share of one tool in a plan of several.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ToolShare {
+    /// Name of the tool.
+    pub name: String,
+    /// Price of a second of this tool, nm^2/s.
+    pub time_weight_nm2_per_s: f64,
+    /// Sum of its dwell times, s.
+    pub total_time_s: f64,
+    /// Weighted mean of what it removes, nm.
+    pub mean_removal_nm: f64,
+    /// Number of its dwell points.
+    pub points: usize,
+    /// Number of its reached dwell points at their lower bound.
+    pub at_lower_bound: usize,
+    /// Number of its dwell points that do not reach the map.
+    pub unreached_points: usize,
+    /// Part of the pixels that count at which it removes next to nothing, wherever along its path it dwells.
+    pub unreached_part: f64,
+    /// Lattice of the map on which its TIF was sampled anew; left out where the samples are its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tif_lattice: Option<TifLattice>,
+    /// Removal that it keeps for the set-up errors of the tools before it; left out if no map shows such errors.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reserve: Option<Reserve>,
+}
+
+/// Removal that a tool keeps for the set-up errors of the tools before it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reserve {
+    /// Names of the tools whose set-up errors it is for.
+    pub errors_of: Vec<String>,
+    /// Mean of the reserve over the pixels that count, nm.
+    pub mean_nm: f64,
+    /// Its largest value there, nm.
+    pub largest_nm: f64,
+    /// Sum of the least dwell times that it asks for, s.
+    pub time_s: f64,
+}
+
+/// What became of a residual that a plan shall keep.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Keeping {
+    /// Residual that it shall keep, RMS, nm.
+    pub keep_rms_nm: f64,
+    /// Factor on the prices of a second of all tools.
+    pub price_factor: f64,
+    /// True if it keeps the residual.
+    pub is_kept: bool,
 }
 
 /// Proven bound on what a plan leaves to gain: part of the report of a method.

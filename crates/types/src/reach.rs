@@ -1,8 +1,8 @@
-//! Part of a residual at wavelengths that are too short for the tool to correct.
+//! Part of a map at wavelengths that are too short for its tools to correct.
 //!
 //! ```text
-//! G(f) = |sum R exp(-2 pi i f u)| / |sum R|                        transfer function of the TIF
-//! short-wave fraction = sum of S(f) where G(f) < threshold / sum of S(f)
+//! G_k(f) = |sum R_k exp(-2 pi i f u)| / |sum R_k|                  transfer function of tool k
+//! short-wave fraction = sum of S(f) where G_k(f) < threshold for every k / sum of S(f)
 //! short-wave RMS      = RMS sqrt(fraction),   RMS of the plane-free map
 //! ```
 //!
@@ -25,10 +25,11 @@ use ndarray::{Array2, ArrayView1, s};
 use planish_numerics::spectrum::{
     Density, LEAST_TRANSFER, MIN_SAMPLES, hann, largest_rectangle, transfer, without_plane,
 };
-use planish_types::{Surface, Tif};
 use serde::Serialize;
 
-/// Limit between the waves that a tool can correct and the short waves, which it cannot.
+use crate::{Surface, Tif};
+
+/// Limit between the waves that the tools can correct and the short waves, which none of them can.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReachReport {
     /// Value of the transfer function, 0 to 1, below which a wave counts as short.
@@ -37,7 +38,7 @@ pub struct ReachReport {
     pub period_mm: [Option<f64>; 2],
 }
 
-/// Waves of a map that are too short for a tool, with the rectangle of the map in which they are measured. `origin` is
+/// Waves of a map that are too short for all of its tools, with the rectangle of the map in which they are measured. `origin` is
 /// the row and column of its first pixel, `step_mm` the pitch along [x, y].
 #[derive(Clone, Debug)]
 pub struct Reach {
@@ -47,13 +48,14 @@ pub struct Reach {
     step_mm: [f64; 2],
     /// True for the frequencies of short waves (ny, nx), in the order of a [`Density`].
     is_short: Array2<bool>,
+    longest_mm: Option<f64>,
     report: ReachReport,
 }
 
 impl Reach {
-    /// Finds the short waves of `tif` on maps with the valid pixels of `surface`. Returns `None` if their largest
-    /// rectangle is too small for a spectrum.
-    pub fn new(surface: &Surface, tif: &Tif) -> Option<Self> {
+    /// Finds the waves that none of `tools` reaches on maps with the valid pixels of `surface`. Returns `None` if their
+    /// largest rectangle is too small for a spectrum.
+    pub fn new(surface: &Surface, tools: &[&Tif]) -> Option<Self> {
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
         let (origin, (ny, nx)) = largest_rectangle(&valid);
         if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
@@ -65,9 +67,14 @@ impl Reach {
         let flat = Array2::zeros((ny, nx));
         let Density { frequency_x, frequency_y, .. } =
             Density::new(flat.view(), step_mm, [&vec![1.0; nx], &vec![1.0; ny]]);
-        let [x, y] = [&tif.grid().x, &tif.grid().y].map(|axis| axis.coordinates());
-        let gain = transfer(tif.rate_nm_per_s().view(), [&x, &y], [&frequency_x, &frequency_y]);
-        let is_short = gain.mapv(|g| g < LEAST_TRANSFER);
+        let mut is_short = Array2::from_elem((ny, nx), true);
+        for tif in tools {
+            let [x, y] = [&tif.grid().x, &tif.grid().y].map(|axis| axis.coordinates());
+            let gain = transfer(tif.rate_nm_per_s().view(), [&x, &y], [&frequency_x, &frequency_y]);
+            is_short.zip_mut_with(&gain, |short, gain| *short &= *gain < LEAST_TRANSFER);
+        }
+        let short = is_short.indexed_iter().filter(|(_, short)| **short);
+        let least = short.map(|((r, c), _)| frequency_x[c].hypot(frequency_y[r])).reduce(f64::min);
         let zero_x = frequency_x.iter().position(|f| *f == 0.0)?;
         let zero_y = frequency_y.iter().position(|f| *f == 0.0)?;
         let period_mm = [
@@ -80,6 +87,7 @@ impl Reach {
             y_mm: grid.y.coordinates()[origin.0..origin.0 + ny].to_vec(),
             step_mm,
             is_short,
+            longest_mm: least.map(|frequency| 1.0 / frequency),
             report: ReachReport { transfer_threshold: LEAST_TRANSFER, period_mm },
         })
     }
@@ -89,7 +97,12 @@ impl Reach {
         self.report
     }
 
-    /// Returns the short-wave RMS of `surface` (see the module), nm: the part at wavelengths too short for the tool.
+    /// Returns the longest wavelength of the short waves in any direction, mm; `None` if a tool reaches every wave.
+    pub fn longest_mm(&self) -> Option<f64> {
+        self.longest_mm
+    }
+
+    /// Returns the short-wave RMS of `surface` (see the module), nm: the part at wavelengths too short for the tools.
     pub fn short_wave_rms_nm(&self, surface: &Surface) -> f64 {
         let (ny, nx) = self.is_short.dim();
         let (r, c) = self.origin;
@@ -118,8 +131,7 @@ fn first_period_mm(frequencies: &[f64], is_short: ArrayView1<bool>) -> Option<f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_testkit::mirror::mirror;
-    use planish_types::{Axis, Grid};
+    use crate::{Axis, Grid};
     use std::f64::consts::PI;
 
     fn gaussian(sigma_mm: f64) -> Tif {
@@ -146,11 +158,20 @@ mod tests {
                     7.0 + long * (2.0 * PI * u / 8.0).cos() + short * (2.0 * PI * u / 2.0).cos()
                 });
                 let surface = Surface::new(grid, map).unwrap();
-                let reach = Reach::new(&surface, &tif).unwrap();
+                let reach = Reach::new(&surface, &[&tif]).unwrap();
                 // sqrt(ln 100 / (2 pi^2)) / sigma = 0.2415 /mm, on frequencies 1/64 and 1/32 apart.
                 let [x, y] = reach.report().period_mm.map(Option::unwrap);
                 assert_eq!((1.0 / x, 1.0 / y), (0.25, 0.25));
                 let found = reach.short_wave_rms_nm(&surface);
+                // Of two tools the narrower one decides, in any order.
+                let wide = gaussian(3.0);
+                for tools in [[&wide, &tif], [&tif, &wide]] {
+                    let both = Reach::new(&surface, &tools).unwrap();
+                    assert_eq!(both.short_wave_rms_nm(&surface), found);
+                    assert_eq!(both.longest_mm(), reach.longest_mm());
+                }
+                // The first frequency beyond the threshold, in any direction, is at most as far as that along an axis.
+                assert!(reach.longest_mm().is_some_and(|mm| (4.0..=1.0 / 0.2415).contains(&mm)));
                 // The plane takes 1e-3 of the wave of 8 mm, 2 % along the shorter side.
                 assert!((found - short / 2.0_f64.sqrt()).abs() < 0.02, "{found} {short}");
             }
@@ -164,33 +185,11 @@ mod tests {
         let mut map = Array2::zeros((100, 100));
         map[[3, 50]] = f64::NAN;
         let flat = Surface::new(grid, map).unwrap();
-        let reach = Reach::new(&flat, &gaussian(2.0)).unwrap();
+        let reach = Reach::new(&flat, &[&gaussian(2.0)]).unwrap();
         assert_eq!(reach.origin, (4, 0));
         assert_eq!(reach.short_wave_rms_nm(&flat), 0.0);
         let small = Grid { x: axis, y: Axis::new(0.0, 0.25, 7).unwrap() };
         let small = Surface::new(small, Array2::zeros((7, 100))).unwrap();
-        assert!(Reach::new(&small, &gaussian(2.0)).is_none());
-    }
-
-    #[test]
-    fn two_thirds_of_the_published_residual_are_short_waves() {
-        let Some(mirror) = mirror() else { return };
-        let reach = Reach::new(&mirror.desired, &mirror.tif).unwrap();
-        // Found by NumPy with the same definition.
-        for (name, rms_nm) in [
-            ("height_nm", 0.0998),
-            ("raster_udo_residual_nm", 0.1656),
-            ("after_ibf_measured_nm", 0.0616),
-        ] {
-            let surface = Surface::new(*mirror.desired.grid(), mirror.map(name)).unwrap();
-            let surface = Surface::new(*surface.grid(), {
-                let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
-                without_plane(surface.height_nm().view(), &x, &y)
-            })
-            .unwrap();
-            let found = reach.short_wave_rms_nm(&surface);
-            // Stated to four decimals.
-            assert!((found - rms_nm).abs() < 1e-4, "{name}: {found}");
-        }
+        assert!(Reach::new(&small, &[&gaussian(2.0)]).is_none());
     }
 }
