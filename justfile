@@ -64,6 +64,7 @@ campaign *words: build
 campaign-spread *words: build
     @{{ planish_run }} campaign-spread "$@"
 
+# just next-run run=DIR after=MAP [done=TOOL out=DIR] after a tool of several (docs/how-to/choose-tools.md)
 # just next-run before=DIR after=DIR trajectory=DIR tif=DIR [machine=FILE error_budget=FILE transform=DIR specification=FILE
 # out=DIR] (docs/campaign.md)
 #
@@ -275,6 +276,11 @@ programs-table *flags: build
 [group('5 pages and tables')]
 resume-table *words: build python
     @target/python/bin/python scripts/resume-table.py {{ words }}
+
+# Tools of 16, 8 and 4 mm on the measured map of 60 x 60 mm, together and alone (docs/several-tools.md)
+[group('5 pages and tables')]
+tools-table: build
+    @python3 scripts/tools-table.py
 
 # Times of every pipeline with its defaults and of every tutorial, wall and CPU (some names: just times-table raster maze)
 [group('5 pages and tables')]

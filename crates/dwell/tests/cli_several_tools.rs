@@ -67,6 +67,16 @@ fn write_rack(dir: &Path, rack: &Value) {
     fs::write(dir.join("tools/rack.json"), rack.to_string()).unwrap();
 }
 
+/// Writes a rack in which the price of a second decides the residual.
+fn write_dear_rack(dir: &Path) {
+    let tools = ["fine", "coarse"].map(|name| {
+        let mut tool = entry(name, name);
+        tool["time_weight_nm2_per_s"] = json!(0.1);
+        tool
+    });
+    write_rack(dir, &json!({ "tools": tools }));
+}
+
 fn run(dir: &Path, more: &[&str]) -> Output {
     run_command(dir, "several-tools", more)
 }
@@ -358,6 +368,7 @@ fn a_residual_is_kept_or_the_exit_code_is_1() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
+    write_dear_rack(dir);
     assert_eq!(run(dir, &[]).status.code(), Some(0));
     let rms_nm = outcome(dir, "fine")["report"]["model_rms_nm"].as_f64().unwrap();
     let keep = format!("--keep-rms-nm={}", 0.9 * rms_nm);
@@ -381,6 +392,7 @@ fn slopes_of_the_residual_are_weighed_as_for_one_tool() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
+    write_dear_rack(dir);
     let rms_nm = |more: &[&str]| {
         let output = run(dir, &[&["--force"], more].concat());
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));

@@ -671,9 +671,9 @@ fn errors_that_no_map_shows_add_their_expected_square_to_the_dense_program() {
     let difference = |along_x: bool| {
         Array2::from_shape_fn(b.dim(), |(i, j)| {
             let (r, c) = (i / nx, i % nx);
-            let (at, end) = if along_x { (c, nx - 1) } else { (r, ny - 1) };
-            let (before, after) = (at.saturating_sub(1), (at + 1).min(end));
-            let value = |at| if along_x { b[[r * nx + at, j]] } else { b[[at * nx + c, j]] };
+            let (place, end) = if along_x { (c, nx - 1) } else { (r, ny - 1) };
+            let (before, after) = (place.saturating_sub(1), (place + 1).min(end));
+            let value = |k| if along_x { b[[r * nx + k, j]] } else { b[[k * nx + c, j]] };
             (value(after) - value(before)) / (0.25 * (after - before) as f64)
         })
     };

@@ -228,8 +228,10 @@ impl RackArgs {
         self.print(&planned);
         let tasks: Vec<ToolTask<'_>> = loaded.iter().map(Loaded::task).collect();
         let problem = (&surface, weight, &settings);
-        let draws = setup_draws.map(|of| setup_draws::draw(problem, &tasks, &planned.solution, of));
-        let draws = draws.transpose()?;
+        let draws = match setup_draws {
+            Some(runs) => Some(setup_draws::draw(problem, &tasks, &planned.solution, runs)?),
+            None => None,
+        };
         let SeveralSolution { dwell, shares, report: r, unseen_rms_nm } = &planned.solution;
         let negative = r.negative(rms_before(&surface, weight));
         let status = status(negative.or_else(|| planned.keeping.and_then(not_kept)));
