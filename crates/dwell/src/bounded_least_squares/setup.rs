@@ -83,7 +83,7 @@ pub(super) fn order_of_use(tools: &[ToolTask<'_>]) -> Vec<usize> {
     order
 }
 
-/// What a solved plan says about one tool, as far as the reserve needs it.
+/// Result of a plan for one tool, as far as the reserve needs it.
 pub(super) struct Planned {
     /// Its removal (ny, nx), nm.
     pub removal_nm: Array2<f64>,

@@ -338,7 +338,7 @@ pub struct SetupDraw {
     pub rate_fraction: f64,
 }
 
-/// What a plan of several tools leaves in one run with set-up errors.
+/// Result of a plan of several tools in one run with set-up errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExecutedPlan {
     /// Residual after the last tool, RMS, nm.

@@ -53,7 +53,7 @@ pub struct SeveralTools {
     seed: u64,
 }
 
-/// What `several-tools` is asked for beside a plan.
+/// Wishes beside a plan that only `several-tools` takes.
 #[derive(Clone, Copy, Default)]
 struct Wishes {
     keep_rms_nm: Option<f64>,

@@ -32,7 +32,7 @@ const MOST_APART: f64 = 0.05;
 /// Largest number of runs that are drawn. Larger: a typing mistake takes days. Smaller: coarser quantiles.
 const MOST_DRAWS: u32 = 100_000;
 
-/// What another run needs to go on after a tool of this one.
+/// Record of a run with several tools, from which another one goes on after one of them.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
@@ -161,7 +161,7 @@ pub fn run(user: &mut UserSettings) -> Result<Status, Failure> {
         out,
     };
     let names: Vec<&str> = left.iter().map(|tool| tool.name.as_str()).collect();
-    say(format!("after {done}: {} are planned again for the measured map", names.join(", ")));
+    say(format!("after {done}, planned again for the measured map: {}", names.join(", ")));
     let rack = CheckedRack::of_entries(left.to_vec(), &settings.rack)?;
     settings.run(&place, rack, NAME)
 }

@@ -76,7 +76,7 @@ const REMEDY: &str = "run it again";
 #[derive(Args)]
 pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
-    /// choose=yes or no, motion=refine or joint, export=CONTROLLER, export_settings, out=DIR; for a file of an instrument
+    /// choose=yes or no, motion=refine or joint, export=CONTROLLER, export_settings, out=DIR. For a file of an instrument:
     /// surface=FILE and surface_settings (flags of planish-import)
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,

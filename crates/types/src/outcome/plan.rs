@@ -104,7 +104,7 @@ pub struct SeveralReport {
     pub tools: Vec<ToolShare>,
     /// Expected RMS of the set-up errors that no map shows, nm; `None` without such errors.
     pub unseen_setup_rms_nm: Option<f64>,
-    /// What became of a residual that the plan shall keep; `None` if the prices alone decide.
+    /// Residual that the plan shall keep; `None` if the prices alone decide.
     pub keeping: Option<Keeping>,
 }
 
@@ -148,7 +148,7 @@ pub struct Reserve {
     pub time_s: f64,
 }
 
-/// What became of a residual that a plan shall keep.
+/// Residual that a plan shall keep, and whether it does.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Keeping {
     /// Residual that it shall keep, RMS, nm.
