@@ -7,7 +7,6 @@ mod feed_law;
 mod lucy_richardson;
 mod non_negative_least_squares;
 mod rifta;
-mod setup_draws;
 mod several_tools;
 mod tikhonov_lsqr;
 mod truncated_svd;

@@ -9,6 +9,7 @@ mod next_run;
 mod place;
 mod program;
 mod rack;
+mod record;
 mod resume;
 mod run;
 mod several;

@@ -1,6 +1,8 @@
 //! `planish-dwell several-tools` and `planish-dwell choose-tools`: dwell times of a rack of tools, or of its best
 //! subset.
 
+mod setup_draws;
+
 use std::{
     num::NonZeroUsize,
     path::{Path, PathBuf},
@@ -26,11 +28,8 @@ use planish_types::{
 };
 use serde::Serialize;
 
-use super::{
-    bounded_least_squares::ObjectiveArgs,
-    setup_draws::{self, DrawsReport},
-    status, warn_of,
-};
+use self::setup_draws::DrawsReport;
+use super::{bounded_least_squares::ObjectiveArgs, status, warn_of};
 
 /// Part of the residual, in RMS, from which a warning says that no tool reaches its waves. Larger: a rack without a
 /// narrow tool passes in silence. Smaller: warnings about noise that nobody wants removed. At half, these waves are a

@@ -38,11 +38,11 @@ use planish_types::{
 };
 
 use super::{
-    after_tool::Record,
     claim::{Claim, Named, with_limit_on_jerk},
     execute::{Messages, Programs, as_typed},
     place::{Installation, directory_name, kind_of, name_of},
     rack::{CheckedRack, refuse_other_axes},
+    record::Record,
     several::{UserSettings, command},
 };
 
@@ -362,14 +362,34 @@ impl Course {
         while !chosen.is_empty() {
             let (row, after) = self.run_tool(&chosen, &before)?;
             if rows.is_empty() {
-                Record::new(&self.settings, order.clone(), map, row.planned_rms_nm)?
-                    .write(&self.settings.out)?;
+                self.record(order.clone(), map, row.planned_rms_nm)?.write(&self.settings.out)?;
             }
             rows.push(row);
             before = after;
             chosen.remove(0);
         }
         self.tell(map, &rows)
+    }
+
+    /// Makes the record of a run with these tools for this map, whose plan leaves `planned_rms_nm`.
+    fn record(
+        &self,
+        tools: Vec<RackEntry>,
+        map: &str,
+        planned_rms_nm: f64,
+    ) -> Result<Record, Failure> {
+        let settings = &self.settings;
+        Ok(Record {
+            rack: Rack { tools },
+            machine: std::path::absolute(&settings.machine)?,
+            is_assumed: settings.is_assumed,
+            prepare: settings.prepare.clone(),
+            is_joint: settings.is_joint,
+            export: settings.export.clone(),
+            export_settings: settings.export_settings.clone(),
+            surface: std::path::absolute(map)?,
+            planned_rms_nm: settings.keep_rms_nm.unwrap_or(planned_rms_nm),
+        })
     }
 
     /// Prepares a tool: copies the file of its machine, and makes its tool path unless the rack has one.
