@@ -638,8 +638,9 @@ impl Course {
         let time_s: f64 = rows.iter().map(|row| row.time_s).sum();
         let change_s: f64 = rows.iter().map(|row| row.change_s).sum();
         lines.push(format!(
-            "{} tools, {:.2} s with changes; map after the last one: {}",
+            "{} {}, {:.2} s with changes; map after the last one: {}",
             rows.len(),
+            if rows.len() == 1 { "tool" } else { "tools" },
             time_s + change_s,
             self.path("after")
         ));
