@@ -10,6 +10,7 @@ mod program;
 mod resume;
 mod run;
 mod several;
+mod several_page;
 mod several_tools;
 mod spread;
 mod start;

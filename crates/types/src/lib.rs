@@ -18,6 +18,7 @@
 //! | [`PathDistance`] | largest distance of a motion from its tool path in mm | - |
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
+//! | [`Part`] | name, number, date and operator, as a user states them | - |
 //! | [`Rack`] | tools of a lab, from which a plan of several tools is made | - |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
@@ -37,6 +38,7 @@ mod kinematics;
 mod limits;
 mod machine;
 pub mod outcome;
+mod part;
 mod path_distance;
 pub mod plausible;
 pub mod progress;
@@ -69,6 +71,7 @@ pub use limits::{
     AxisLimits, DEFAULT_TIME_TO_FULL_ACCELERATION_S, Limits, MachineFile, MachineFileAxis,
 };
 pub use machine::{Machine, assumed_machine};
+pub use part::Part;
 pub use path_distance::PathDistance;
 pub use rack::{Rack, RackEntry};
 pub use surface::{Removal, RemovalMaps, Surface};

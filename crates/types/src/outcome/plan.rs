@@ -96,10 +96,42 @@ pub struct PlanReport {
 }
 
 /// Report on the dwell times of several tools, as far as a run with them reads it.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct SeveralReport {
     /// RMS of the residual of all tools in the removal model of the solver, nm.
     pub model_rms_nm: f64,
+    /// Choice of the tools; absent if it was not made here.
+    pub choice: Option<ChoiceReport>,
+}
+
+/// Report on the choice of tools: the subsets that were solved, and the bound over all of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChoiceReport {
+    /// Subsets that were solved, in the order in which they were.
+    pub subsets: Vec<SubsetRow>,
+    /// Index of the best one.
+    pub best: usize,
+    /// Proven lower bound of the cost of every subset, nm^2.
+    pub bound_nm2: Option<f64>,
+    /// Bound of the distance of the cost of the best subset from the least one, relative to its cost.
+    pub relative_gap_of_choice: Option<f64>,
+}
+
+/// A subset of the rack that was solved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SubsetRow {
+    /// Names of its tools.
+    pub tools: Vec<String>,
+    /// Residual of its plan, RMS, nm.
+    pub model_rms_nm: f64,
+    /// Sum of the dwell times of each tool, s.
+    pub time_s: Vec<f64>,
+    /// Sum of all dwell times and of the times to mount the tools, s.
+    pub time_with_changes_s: f64,
+    /// Objective and prices of the changes, nm^2.
+    pub cost_nm2: f64,
+    /// Proven lower bound of this cost, nm^2.
+    pub bound_nm2: Option<f64>,
 }
 
 /// Proven bound on what a plan leaves to gain: part of the report of a method.
