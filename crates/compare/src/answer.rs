@@ -104,6 +104,7 @@ fn why_of_tools(several: &Several) -> String {
     };
     let all = (1_u128 << several.rack_size.min(100)) - 1;
     let proof = match several.relative_gap_of_choice {
+        Some(gap) if gap <= 0.0 => "no subset costs less".into(),
         Some(gap) => format!("no subset costs less by more than {gap:.1e} of its cost"),
         None => "nothing proves that no other costs less".into(),
     };

@@ -22,8 +22,8 @@ use crate::{
 /// Height of the texts of the picture, px.
 const FONT_PX: f64 = 14.0;
 
-/// Width and height of the frame of the plot, px.
-const SIZE_PX: [f64; 2] = [760.0, 380.0];
+/// Width and height of the frame of the plot, px. Derived: with the margins as wide as a figure for papers.
+const SIZE_PX: [f64; 2] = [822.0, 380.0];
 
 /// Margins of the plot, px: left, top, right and bottom.
 const MARGIN_PX: [f64; 4] = [90.0, 40.0, 40.0, 60.0];
@@ -42,6 +42,10 @@ const NOT_RUN: &str = "#888888";
 /// Part of the height of a letter that its width is on average. Larger: labels keep more distance. Smaller: they
 /// overlap.
 const LETTER: f64 = 0.56;
+
+/// Number of plans from which only those on the front have their names in the picture. Larger: names that cover each
+/// other. Smaller: points without a name.
+const MANY_PLANS: usize = 16;
 
 /// Kind of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -200,8 +204,9 @@ pub fn svg(points: &[FrontPoint]) -> Option<String> {
     );
     frame.curve(&mut svg, stairs(points), INK);
     let several = points.iter().any(|point| point.run != points[0].run);
+    let front = front(points);
     let mut taken: Vec<[f64; 4]> = Vec::new();
-    for point in points {
+    for (i, point) in points.iter().enumerate() {
         let [x, y] = frame.px(place(point));
         let colour = match point.kind {
             PointKind::DwellTimes => LINES[1],
@@ -224,7 +229,9 @@ pub fn svg(points: &[FrontPoint]) -> Option<String> {
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\" fill=\"{colour}\"><title>{}</title></circle>",
             escaped(&words)
         ));
-        write_label(&mut svg, &frame, [x, y], &label, &mut taken);
+        if points.len() <= MANY_PLANS || point.is_recommended || front.contains(&i) {
+            write_label(&mut svg, &frame, [x, y], &label, &mut taken);
+        }
     }
     let [left, top, right, bottom] = MARGIN_PX;
     Some(svg.finish([left + SIZE_PX[0] + right, top + SIZE_PX[1] + bottom]))
@@ -267,7 +274,11 @@ fn write_label(
     };
     let place = boxes.iter().find(is_free).unwrap_or(&boxes[0]);
     let base = [if is_left { place[2] } else { place[0] }, place[3] - 0.15 * FONT_PX];
-    svg.text(base, if is_left { END } else { "" }, label);
+    // A rim of paper keeps the letters apart from the line of the front.
+    let anchor = if is_left { END } else { "" };
+    let attributes =
+        format!("stroke=\"#ffffff\" stroke-width=\"3\" paint-order=\"stroke\" {anchor}");
+    svg.text(base, attributes.trim_end(), label);
     taken.push(*place);
 }
 

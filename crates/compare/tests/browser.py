@@ -317,6 +317,15 @@ def check_front(browser, report, shots=None):
     check("every plan is a point of residual and time", sorted([p[4], p[2], p[3]] for p in points) == sorted(wanted), len(points))
     shown = browser.js("document.getElementById('front').checkVisibility()")
     check("two plans or more have a picture", shown == (len(points) > 1), len(points))
+    if shown:
+        browser.js("document.getElementById('front').scrollIntoView({block: 'center'})")
+        browser.settle()
+        best = next(i for i, p in enumerate(points) if p[4])
+        x, y = browser.js(f"(() => {{ const r = document.getElementById('front').getBoundingClientRect(), p = drawFront.places[{best}]; return [r.left + p[0] + 2, r.top + p[1] + 2]; }})()")
+        browser.mouse("mouseMoved", x, y)
+        browser.settle()
+        read = browser.js("document.getElementById('front-read').textContent")
+        check("the pointer reads the plan to be run", read.startswith(points[best][1]) and "limits kept" in read, read)
     saved = pathlib.Path(tempfile.mkdtemp(prefix="planish-saved-"))
     browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(saved))
     browser.js("document.getElementById('front-csv').click()")
@@ -347,8 +356,7 @@ def check_tool(browser, report):
     tool = json.loads((report / "summary.json").read_text())["tool"]
     text = browser.js("document.getElementById('tool').textContent")
     four = lambda v: f"{v:.4g}"
-    wanted = [f"x: FWHM {four(tool['half_maximum_width_mm'][0])} mm", f"y: FWHM {four(tool['half_maximum_width_mm'][1])} mm",
-              f"peak {four(tool['peak_nm_per_s'])} nm/s"]
+    wanted = ["FWHM x {} mm, y {} mm".format(*map(four, tool["half_maximum_width_mm"])), f"peak {four(tool['peak_nm_per_s'])} nm/s"]
     check("the sections of the tool have its widths and its peak", all(w in text for w in wanted), wanted)
     wide = browser.js("[...document.querySelectorAll('#tool svg')].map((e) => e.getBoundingClientRect().width)")
     check("map and sections are drawn", len(wide) == 2 and min(wide) > 200, wide)

@@ -251,7 +251,7 @@ fn planted_terms_a_known_tool_and_what_the_user_states_are_in_the_report() {
     assert!(front.contains("pvt: 2.5 nm in 60 s"), "{front}");
     let page = fs::read_to_string(dir.path().join("report/report.html")).unwrap();
     assert!(
-        page.contains("x: FWHM 4.71 mm") && page.contains("volume rate 94.2"),
+        page.contains("FWHM x 4.71 mm, y 3.53") && page.contains("volume rate 94.2"),
         "the sections of the tool"
     );
     assert!(!page.contains("M1 <b>upper"), "a name is no markup");
@@ -513,9 +513,9 @@ fn figures_for_papers_have_their_size_and_the_same_bytes_twice() {
         }
         // No dwell times, no refinement, and no rectangle that is large enough for a spectrum.
         let names: Vec<&str> = both[0].iter().map(|(name, _)| name.as_str()).collect();
-        let wanted = ["histogram", "maps", "motion", "overview", "path"];
+        let wanted = ["front", "histogram", "maps", "motion", "overview", "path"];
         let mut wanted: Vec<String> = wanted.iter().map(|n| format!("{n}.{format}")).collect();
-        wanted.insert(1, "manifest.json".into());
+        wanted.insert(2, "manifest.json".into());
         assert_eq!(names, wanted);
         for (name, bytes) in both[0].iter().filter(|(name, _)| name != "manifest.json") {
             match format {

@@ -19,6 +19,12 @@ const SECTION_POINTS: usize = 200;
 /// Height of the plot of the sections, px. Larger: a longer picture. Smaller: flat curves.
 const SECTION_PX: f64 = 260.0;
 
+/// Number of points of a dash of a section. Larger: dashes that look like the curve. Smaller: dots.
+const DASH_POINTS: usize = 8;
+
+/// Height of a line of text below the sections, px.
+const LINE_PX: f64 = 1.4 * FONT_PX;
+
 /// A picture with its size.
 #[derive(Clone, Debug)]
 pub struct Picture {
@@ -84,7 +90,7 @@ fn rate(tif: &Tif, name: &str) -> Picture {
     frame.axes(&mut svg, ["x from the tool (mm)", "y from the tool (mm)"]);
     frame.colour_bar(&mut svg, &bands, "nm/s");
     frame.title(&mut svg, &titled("removal rate", name));
-    finished(svg, &frame)
+    finished(svg, &frame, 0.0)
 }
 
 /// Draws the sections of a tool along x and along y, through its peak, with its numbers.
@@ -103,7 +109,9 @@ fn sections(tif: &Tif, numbers: &ToolNumbers, name: &str) -> Picture {
     let [low, high] = range(all().map(|point| point[1]));
     let top = if high > 0.0 { 1.08 * high } else { 1.0 };
     let scales = [Scale::linear(range(all().map(|p| p[0]))), Scale::linear([low.min(0.0), top])];
-    let frame = Frame::new([0.0; 2], [MAP_PX, SECTION_PX], MARGIN_PX, scales);
+    let [left, top, right, bottom] = MARGIN_PX;
+    let margin = [left, top, right, bottom + 2.0 * LINE_PX];
+    let frame = Frame::new([0.0; 2], [MAP_PX, SECTION_PX], margin, scales);
     frame.grid(&mut svg);
     let [from, to] = scales[0].ends();
     frame.curve(&mut svg, [from, to].map(|place| [place, 0.5 * numbers.peak_nm_per_s]), "#888888");
@@ -111,21 +119,27 @@ fn sections(tif: &Tif, numbers: &ToolNumbers, name: &str) -> Picture {
         Some(mm) => format!("{} mm", significant(mm, 4)),
         None => "not within the samples".into(),
     };
-    let labels = [format!("x: FWHM {}", width(0)), format!("y: FWHM {}", width(1))];
     frame.curve(&mut svg, along_x.iter().copied(), LINES[0]);
-    frame.curve(&mut svg, along_y.iter().copied(), LINES[1]);
-    frame.legend(&mut svg, &[(&labels[0], LINES[0]), (&labels[1], LINES[1])]);
+    // Dashes, because the sections of a round tool are the same.
+    for dash in along_y.chunks(DASH_POINTS).step_by(2) {
+        frame.curve(&mut svg, dash.iter().copied(), LINES[1]);
+    }
+    frame.legend(&mut svg, &[("along x", LINES[0]), ("along y", LINES[1])]);
     frame.axes(&mut svg, ["place along the section (mm)", "removal rate (nm/s)"]);
     frame.title(&mut svg, &titled("sections through the peak", name));
-    frame.note(
-        &mut svg,
-        &format!(
-            "peak {} nm/s, volume rate {} nm mm\u{b2}/s; grey: half of the peak",
+    let lines = [
+        format!("FWHM x {}, y {}; grey: half of the peak", width(0), width(1)),
+        format!(
+            "peak {} nm/s, volume rate {} nm mm\u{b2}/s",
             significant(numbers.peak_nm_per_s, 4),
             significant(numbers.volume_rate_nm_mm2_per_s, 4)
         ),
-    );
-    finished(svg, &frame)
+    ];
+    for (k, line) in lines.iter().enumerate() {
+        let below = frame.bottom() + bottom + (k as f64 + 0.5) * LINE_PX;
+        svg.text([frame.left, below], "", line);
+    }
+    finished(svg, &frame, 2.0 * LINE_PX)
 }
 
 /// Returns a title with the name of the tool, if it has one.
@@ -133,10 +147,10 @@ fn titled(title: &str, name: &str) -> String {
     if name.is_empty() { title.into() } else { format!("{name}: {title}") }
 }
 
-/// Returns the picture of one plot.
-fn finished(svg: Svg, frame: &Frame) -> Picture {
+/// Returns the picture of one plot, with so many px below its axis.
+fn finished(svg: Svg, frame: &Frame, below_px: f64) -> Picture {
     let [_, _, right, bottom] = MARGIN_PX;
-    let size_px = [frame.right() + right, frame.bottom() + bottom].map(f64::ceil);
+    let size_px = [frame.right() + right, frame.bottom() + bottom + below_px].map(f64::ceil);
     Picture { svg: svg.finish(size_px), size_px, varies: false }
 }
 

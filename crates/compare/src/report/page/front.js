@@ -1,6 +1,10 @@
 // Residual against time of all plans, with the front of those that can be run.
 
 const FRONT = DATA.front;
+/** Number of plans from which only those on the front have their names in the picture. */
+const MANY_PLANS = 16;
+
+const nameOfPoint = (p) => (FRONT.points.some((q) => q.run !== p.run) ? p.run + " / " : "") + p.plan;
 
 function frontScale(values, from, to, most) {
   const low = Math.min(...values), high = Math.max(...values), room = 0.12;
@@ -27,7 +31,7 @@ function drawFront() {
   const points = FRONT.points, canvas = byId("front");
   byId("front-section").hidden = points.length < 2;
   if (points.length < 2) return;
-  const ctx = begin(canvas), box = chartBox(canvas), manyRuns = points.some((p) => p.run !== points[0].run);
+  const ctx = begin(canvas), box = chartBox(canvas);
   const x = frontScale(points.map((p) => p.time_s), box.l, box.l + box.w, box.w / 70);
   const y = frontScale(points.map((p) => p.rms_nm), box.t + box.h, box.t, 5);
   const mayRun = (p) => p.kind === "plan" && p.limits_kept === true;
@@ -54,16 +58,31 @@ function drawFront() {
   }
   ctx.fillStyle = theme.ink;
   ctx.textAlign = "left";
-  for (const p of points) {
-    const label = (manyRuns ? p.run + " / " : "") + p.plan;
+  for (const [i, p] of points.entries()) {
+    if (points.length > MANY_PLANS && !p.is_recommended && !FRONT.on_the_front.includes(i)) continue;
+    const label = nameOfPoint(p);
     const one = freeBox(box, x.at(p.time_s), y.at(p.rms_nm), ctx.measureText(label).width, taken);
     taken.push(one);
+    // A rim of paper keeps the letters apart from the line of the front.
+    ctx.strokeStyle = theme.paper;
+    ctx.lineWidth = 3;
+    ctx.strokeText(label, one[0], one[3] - 3);
     ctx.fillText(label, one[0], one[3] - 3);
   }
   axes(ctx, box, x, y, ["time (s)", "RMS of the residual (nm)"]);
   legend(ctx, box, [["can be run", theme.x], ["not to be run", theme.soft], ["dwell times without a motion", theme.y]]);
+  drawFront.places = points.map((p) => [x.at(p.time_s), y.at(p.rms_nm)]);
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", "Residual against time of all plans: " + points.map((p) => `${p.plan} ${number(p.rms_nm)} nm in ${number(p.time_s)} s`).join(", "));
+}
+
+/** Says which plan is nearest to the pointer. */
+function readFront(event) {
+  const r = byId("front").getBoundingClientRect(), at = [event.clientX - r.left, event.clientY - r.top];
+  const far = drawFront.places.map(([px, py]) => Math.hypot(px - at[0], py - at[1]));
+  const p = FRONT.points[far.indexOf(Math.min(...far))];
+  const kept = p.limits_kept === null ? "no motion" : "limits " + (p.limits_kept ? "kept" : "exceeded");
+  byId("front-read").textContent = `${nameOfPoint(p)}: ${number(p.rms_nm)} nm RMS in ${number(p.time_s)} s, ${kept}`;
 }
 
 /** Saves a text as a file. */

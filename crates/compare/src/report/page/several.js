@@ -33,8 +33,8 @@ function fillSeveral() {
   const table = byId("several-subsets");
   tableRow(table, "th", ["tools", "what", "RMS (nm)", "time of each tool (s)", "with changes (s)", "cost (nm\u00b2)", "limits"]);
   for (const s of subsets) {
-    const row = tableRow(table, "td", [s.tools.join(" + "), "dwell times alone", fixed(s.rms_nm, 4), s.time_s.map((t) => fixed(t, 2)).join(" + "), fixed(s.time_with_changes_s, 2), fixed(s.cost_nm2, 4), "-"]);
-    if (s.is_chosen) for (const cell of row.querySelectorAll("td")) cell.className = "best";
+    const row = tableRow(table, "td", [s.tools.join(" + "), s.is_chosen ? "dwell times alone, chosen" : "dwell times alone", fixed(s.rms_nm, 4), s.time_s.map((t) => fixed(t, 2)).join(" + "), fixed(s.time_with_changes_s, 2), fixed(s.cost_nm2, 4), "-"]);
+    if (s.is_chosen) row.cells[1].className = "best";
   }
   for (const a of alone)
     tableRow(table, "td", [a.name, linkTo(a.report, "executed alone"), fixed(a.rms_nm, 4), "-", fixed(a.time_with_change_s, 2), "-", kept(a.limits_kept)]);

@@ -12,6 +12,7 @@ function showMethod(a, b) {
   byId("b").value = state.b;
   state.timeView = [0, A().total];
   for (const option of byId("b").options) option.disabled = +option.value === a;
+  byId("frame-note").hidden = SEVERAL !== null && !A().frames;
   byId("frame-note").textContent = A().frames
     ? `The surface is the one simulated at the last of ${A().frames.time.length} times before the slider.`
     : "No frames for this method: planish-simulate --frames N writes them to methods/<method>/frames; the tool moves all the same.";
@@ -163,6 +164,7 @@ function start() {
     caption.append(element("span", ""), saveButton(canvas, canvas.id));
     canvas.before(caption);
   }
+  byId("front").addEventListener("pointermove", readFront);
   byId("front-csv").addEventListener("click", () => saveText(FRONT.csv, "front.csv"));
   byId("a").addEventListener("change", (event) => showMethod(+event.target.value, state.b));
   byId("b").addEventListener("change", (event) => showMethod(state.a, +event.target.value));
