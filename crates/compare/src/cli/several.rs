@@ -311,15 +311,16 @@ impl Reader<'_> {
             let place = judged.join("verdict");
             let manifest = inputs.read_manifest(&role("verdict"), &place, &kind::VERDICT)?;
             let verdict: Verdict = manifest.read_outcome(&place, AGAIN)?;
-            let report = run.join("report").join("report.html");
+            let mut report = None;
+            if run.join("report").join("report.html").exists() {
+                report = Some(format!("{}alone/{name}/report/report.html", self.to_run));
+            }
             rows.push(ToolAlone {
                 name: name.clone(),
                 rms_nm: removal.residual().statistics().rms,
                 time_with_change_s: verdict.total_time_s + change_s,
                 limits_kept: verdict.limits_respected,
-                report: report
-                    .exists()
-                    .then(|| format!("{}alone/{name}/report/report.html", self.to_run)),
+                report,
             });
         }
         Ok(rows)
