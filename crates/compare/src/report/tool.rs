@@ -109,9 +109,7 @@ fn sections(tif: &Tif, numbers: &ToolNumbers, name: &str) -> Picture {
     let [low, high] = range(all().map(|point| point[1]));
     let top = if high > 0.0 { 1.08 * high } else { 1.0 };
     let scales = [Scale::linear(range(all().map(|p| p[0]))), Scale::linear([low.min(0.0), top])];
-    let [left, top, right, bottom] = MARGIN_PX;
-    let margin = [left, top, right, bottom + 2.0 * LINE_PX];
-    let frame = Frame::new([0.0; 2], [MAP_PX, SECTION_PX], margin, scales);
+    let frame = Frame::new([0.0; 2], [MAP_PX, SECTION_PX], MARGIN_PX, scales);
     frame.grid(&mut svg);
     let [from, to] = scales[0].ends();
     frame.curve(&mut svg, [from, to].map(|place| [place, 0.5 * numbers.peak_nm_per_s]), "#888888");
@@ -136,7 +134,7 @@ fn sections(tif: &Tif, numbers: &ToolNumbers, name: &str) -> Picture {
         ),
     ];
     for (k, line) in lines.iter().enumerate() {
-        let below = frame.bottom() + bottom + (k as f64 + 0.5) * LINE_PX;
+        let below = frame.bottom() + MARGIN_PX[3] + (k as f64 + 0.5) * LINE_PX;
         svg.text([frame.left, below], "", line);
     }
     finished(svg, &frame, 2.0 * LINE_PX)
