@@ -555,6 +555,10 @@ test-report: build browser
     target/release/planish-compare report out/test-report out/test-report-maze --out out/test-report-both --force
     target/python/bin/python crates/compare/tests/browser.py --hostile target/release out/test-report
     target/python/bin/python crates/compare/tests/browser.py --several out/test-report-both --shots out/test-report-pictures
+    for mm in 40 20 10; do target/release/planish fixture fixtures/racks/beam-$mm.json --out out/test-report-rack/beam-$mm --force; done
+    cp fixtures/racks/beams.json out/test-report-rack/rack.json
+    target/release/planish run several surface=out/test-report-rack/beam-10/surface rack=out/test-report-rack/rack.json machine=fixtures/machines/ion-beam.json export=galil compare=yes out=out/test-report-tools
+    target/python/bin/python crates/compare/tests/browser.py --tools out/test-report-tools --shots out/test-report-pictures
     target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
 
 # Use the page of `planish app` in headless Chromium (Debian package chromium) as a person would, and check it

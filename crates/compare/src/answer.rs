@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use crate::{
     plan::{PROGRAM, State},
     recommended::recommended,
+    several::Several,
     summary::{MethodResult, Summary},
 };
 
@@ -32,6 +33,9 @@ const HOURS_FROM_S: f64 = 7200.0;
 /// Returns the answer of a run: a sentence on the recommended plan (`summary.best`), and the reasons. If the summary
 /// recommends none of its methods, the answer says that nothing is to be run, and why.
 pub fn answer(summary: &Summary) -> Answer {
+    if let Some(several) = &summary.several {
+        return answer_of_tools(summary, several);
+    }
     let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
     let mut problems = summary.remarks.clone();
     let (sentence, why) = match best {
@@ -54,6 +58,76 @@ pub fn answer(summary: &Summary) -> Answer {
         )
     });
     Answer { method: best.map(|(name, _)| name.clone()), sentence, why, without_motion, problems }
+}
+
+/// Returns the answer of a plan of several tools: their order, the time with changes, and the reason for the choice. If
+/// a motion exceeds a limit, the answer says that nothing is to be run.
+fn answer_of_tools(summary: &Summary, several: &Several) -> Answer {
+    let mut problems = summary.remarks.clone();
+    for tool in several.tools.iter().filter(|tool| !tool.limits_kept) {
+        problems.push(format!("The motion of {} exceeds a limit of its machine.", tool.name));
+    }
+    let last = summary.methods.last().filter(|_| several.keeps_limits());
+    let sentence = match last {
+        Some((_, m)) => {
+            let mut machines: Vec<&str> =
+                several.tools.iter().filter_map(|tool| tool.machine.as_deref()).collect();
+            machines.dedup();
+            let machine = match &machines[..] {
+                [] => String::new(),
+                names => format!(" on {}", names.join(", then ")),
+            };
+            format!(
+                "Run {}{machine}, in {} with changes of tools: {} to {} nm RMS{}; the limits of the machine are kept.",
+                several.order(),
+                duration(several.total_time_s),
+                significant(summary.initial.rms_nm, DIGITS),
+                significant(m.rms_nm, DIGITS),
+                worst_place(m)
+            )
+        }
+        None => "Nothing here is to be run.".into(),
+    };
+    Answer {
+        method: last.map(|(name, _)| name.clone()),
+        sentence,
+        why: why_of_tools(several),
+        without_motion: None,
+        problems,
+    }
+}
+
+/// Returns a sentence with the reason for the choice of the tools.
+fn why_of_tools(several: &Several) -> String {
+    let Some(chosen) = several.chosen() else {
+        return format!("{}: all tools of the rack, without a choice.", several.order());
+    };
+    let all = (1_u128 << several.rack_size.min(100)) - 1;
+    let proof = match several.relative_gap_of_choice {
+        Some(gap) if gap <= 0.0 => "no subset costs less".into(),
+        Some(gap) => format!("no subset costs less by more than {gap:.1e} of its cost"),
+        None => "nothing proves that no other costs less".into(),
+    };
+    format!(
+        "{}, because their dwell times cost least of the {} subsets of the rack that were solved, of {all}: {} nm RMS in \
+         {} with changes; {proof}.",
+        chosen.tools.join(" and "),
+        several.subsets.len(),
+        significant(chosen.rms_nm, DIGITS),
+        duration(chosen.time_with_changes_s)
+    )
+}
+
+/// Returns the worst place of a residual as the continuation of a sentence; empty if it is not known.
+fn worst_place(m: &MethodResult) -> String {
+    m.places.worst.first().map_or(String::new(), |worst| {
+        format!(
+            ", worst {} nm from the mean at x {}, y {} mm",
+            significant(worst.from_mean_nm, DIGITS),
+            fixed(worst.x_mm, 1),
+            fixed(worst.y_mm, 1)
+        )
+    })
 }
 
 /// Returns one run as JSON for other programs and for the page: its answer, then its summary.
@@ -147,14 +221,7 @@ fn sentence(summary: &Summary, name: &str, m: &MethodResult) -> String {
         text +=
             &format!(" ({} in waves shorter than the tool corrects)", significant(short, DIGITS));
     }
-    if let Some(worst) = m.places.worst.first() {
-        text += &format!(
-            ", worst {} nm from the mean at x {}, y {} mm",
-            significant(worst.from_mean_nm, DIGITS),
-            fixed(worst.x_mm, 1),
-            fixed(worst.y_mm, 1)
-        );
-    }
+    text += &worst_place(m);
     text += "; the limits of the machine are kept";
     match &m.specification {
         Some(judged) if judged.passed => {

@@ -4,6 +4,7 @@ mod diff;
 mod dwell;
 mod figures;
 mod report;
+mod several;
 mod sweep;
 
 use clap::Subcommand;
@@ -15,6 +16,9 @@ pub enum CompareCommand {
     /// Print the results of the methods of one or several runs side by side; write summary.json,
     /// report.html and figures (SVG)
     Report(report::ReportCommand),
+    /// Print what a run of several tools leaves; write summary.json, report.html and figures (SVG): the maps tool by
+    /// tool, and the residual against the time for the subsets of the rack
+    Several(several::SeveralCommand),
     /// Draw the figures of a plan for papers and lab books, as PDF, PNG or SVG
     Figures(figures::Figures),
     /// Print the results of dwell solvers side by side, and write summary.json
@@ -30,6 +34,7 @@ impl CompareCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         let ended = match self {
             Self::Report(arguments) => arguments.run(),
+            Self::Several(arguments) => arguments.run(),
             Self::Figures(arguments) => arguments.run(),
             Self::Dwell(arguments) => arguments.run(),
             Self::Sweep(arguments) => arguments.run(),

@@ -7,6 +7,7 @@ use clap::{CommandFactory, Parser};
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-compare report out/raster --out out/raster/report\n\
     \x20 planish-compare report out/raster out/maze --out out/both\n\
+    \x20 planish-compare several out/several/mirror --out out/several/mirror/report\n\
     \x20 planish-compare figures out/raster --format pdf --out out/figures\n\
     \x20 planish-compare sweep out/sweeps/small/table.json --out out/sweeps/small/report\n\
     \x20 planish-compare diff out/a/removal out/b/removal --max-difference 0.001";

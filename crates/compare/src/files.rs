@@ -21,6 +21,7 @@ use planish_compare::{
     report::{Frames, Rounds, RunData, RunMethod, on_axes, tool},
     specification::Around,
     summary::{LeftOut, MethodFacts, MethodResult, Summary, WallTimes},
+    tool_numbers::ToolNumbers,
 };
 use planish_form::Form;
 use planish_handoff::{
@@ -65,6 +66,13 @@ fn read_methods(
     after_servo: bool,
 ) -> Result<(Vec<MethodFiles>, Vec<LeftOut>), Failure> {
     let methods_dir = run.join("methods");
+    if !methods_dir.exists() && run.join("tools").is_dir() && run.join("rack.json").is_file() {
+        return Err(Failure::new(format!(
+            "{}: is a run of several tools, whose page is {}; planish-compare several makes it again",
+            run.display(),
+            run.join("report").join("report.html").display()
+        )));
+    }
     let schedulers = entries(&methods_dir)?.into_iter().filter(|name| {
         // A stage that runs writes into a sibling whose name begins with a dot.
         !name.starts_with('.') && methods_dir.join(name).is_dir()
@@ -244,7 +252,8 @@ pub(crate) fn read_run(
         );
     summary.error_budget = process;
     let path = path.map(|p| p.value);
-    let tool = tif.as_ref().and_then(|tif| tool::picture(tif, &desired.value));
+    summary.tool = tif.as_ref().and_then(ToolNumbers::new);
+    let tool = tif.as_ref().map_or(vec![], |tif| tool::pictures(tif, &desired.value, ""));
     Ok(RunData { name, summary, desired: desired.value, measured, path, tool, methods, provenance })
 }
 
@@ -375,15 +384,15 @@ fn read_process(
 }
 
 /// Manifests of the artifacts of a run or of a method, for the report page.
-type Provenance = Vec<Made>;
+pub(crate) type Provenance = Vec<Made>;
 
 /// Returns the manifest of the artifact of this role; `None` if there is none.
-fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Made> {
+pub(crate) fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Made> {
     provenance.iter().find(|made| made.shown.role == role)
 }
 
 /// Adds the manifest of the artifact `name` in the directory `dir` to `provenance`.
-fn add_manifest(
+pub(crate) fn add_manifest(
     provenance: &mut Provenance,
     name: &str,
     dir: &Path,
@@ -415,7 +424,7 @@ fn add_manifest(
 
 /// Returns the name of the machine that a verdict is about. It is the name that the verdict states, otherwise that of
 /// the machine file; `None` without either.
-fn machine_of(verdict: &Verdict, manifest: &Manifest) -> Option<String> {
+pub(crate) fn machine_of(verdict: &Verdict, manifest: &Manifest) -> Option<String> {
     if verdict.machine.is_some() {
         return verdict.machine.clone();
     }
@@ -763,8 +772,10 @@ impl Shared<'_> {
         let method = RunMethod {
             name: files.name,
             trajectory: files.trajectory,
+            shown_removal_nm: None,
             removal: files.removal,
             verdict: files.verdict,
+            path: None,
             dwell,
             frames: files.frames,
             rounds: files.rounds,

@@ -12,6 +12,10 @@
 //! * [`chain`]: check that the artifacts of a run belong together.
 //! * [`plan`]: state of a plan: certified, converged or not.
 //! * [`error_budget`]: the residual that the errors of a process add to a plan.
+//! * [`low_order`]: low-order terms of a map, by name.
+//! * [`tool_numbers`]: rate, widths and volume rate of a tool.
+//! * [`front`]: residual against time of all plans, as a picture.
+//! * [`several`]: a plan of several tools, tool by tool.
 //! * [`places`]: residual and time by position on the part: worst points, edge zone, regions.
 //! * [`recommended`]: choice of the plan that is to be executed.
 //! * [`specification`]: verdicts on the specification of a mirror.
@@ -31,14 +35,18 @@ pub mod dwell;
 pub mod error_budget;
 pub mod execution;
 mod files;
+pub mod front;
+pub mod low_order;
 pub mod made;
 pub mod on_axes;
 pub mod places;
 pub mod plan;
 pub mod recommended;
 pub mod report;
+pub mod several;
 pub mod specification;
 pub mod summary;
 pub mod sweep;
 pub mod table;
+pub mod tool_numbers;
 pub mod typeset;

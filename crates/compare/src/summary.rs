@@ -18,7 +18,7 @@ use planish_numerics::{
     statistics::statistics,
 };
 use planish_types::{
-    DwellTime, Invalid, Removal, Surface, Trajectory,
+    DwellTime, Invalid, Part, Removal, Surface, Trajectory,
     outcome::{
         specification::SpecificationReport,
         verdict::{AxisVerdict, Check, Verdict},
@@ -32,11 +32,14 @@ use crate::{
     chain::Standing,
     error_budget::ErrorBudget,
     execution::Execution,
+    low_order::{LowOrderTerms, low_order_terms},
     on_axes::OnAxes,
     places::{Division, DivisionReport, Places, ZoneRms},
     plan::{PROGRAM, PlanStatus, State, WITHOUT_MOTION},
     recommended::{Candidate, recommended},
+    several::Several,
     specification::Around,
+    tool_numbers::ToolNumbers,
 };
 
 /// Order of the methods in tables; others follow by name. A refined method follows its base.
@@ -81,6 +84,10 @@ pub struct Summary {
     pub pipeline: String,
     /// Name of the mirror.
     pub fixture: String,
+    /// Statements of the user about the part.
+    pub part: Part,
+    /// Rate, widths and volume rate of the tool; `null` if it is not known, or varies over the part.
+    pub tool: Option<ToolNumbers>,
     /// RMS, PV and slopes of the desired removal, before the run.
     pub initial: Initial,
     /// Base length of the slopes along [x, y], mm; `null` along an axis that is shorter than the base.
@@ -105,6 +112,9 @@ pub struct Summary {
     pub remarks: Vec<String>,
     /// Name of the method that is recommended; `null` if there is none.
     pub best: Option<String>,
+    /// Plan of several tools, of which the methods are the tools in the order in which they run; absent for any other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub several: Option<Several>,
 }
 
 impl Summary {
@@ -132,7 +142,7 @@ pub struct LeftOut {
 
 /// Statistics of the desired removal before the run: RMS, peak-to-valley, slopes, and the RMS of its short waves and of
 /// its edge zone.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Initial {
     /// RMS of the desired removal, mean removed, nm.
     pub rms_nm: f64,
@@ -145,6 +155,8 @@ pub struct Initial {
     pub short_wave_rms_nm: Option<f64>,
     /// RMS of the desired removal in the edge zone and inside of it, about the mean of the whole map.
     pub zone_rms: ZoneRms,
+    /// Low-order terms of the desired removal; `null` if its valid pixels do not determine them.
+    pub low_order: Option<LowOrderTerms>,
 }
 
 /// Result of the dwell times applied at the dwell points, without a motion between them.
@@ -171,6 +183,8 @@ pub struct MethodResult {
     /// RMS of the waves of the residual that are too short for the tool to correct, nm. `null` if the tool is not known
     /// or not that of the prediction, or if the map has no rectangle large enough for a spectrum.
     pub short_wave_rms_nm: Option<f64>,
+    /// Low-order terms of the residual; `null` if its valid pixels do not determine them.
+    pub low_order: Option<LowOrderTerms>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
     /// Largest magnitude of the velocity along [x, y], mm/s.
@@ -284,9 +298,12 @@ impl MethodResult {
     /// axes if they run it, and no baseline.
     pub(crate) fn is_candidate(&self) -> bool {
         let shown_only = matches!(self.plan.state, State::WithoutMotion | State::Baseline);
-        self.limits_respected
-            && !shown_only
-            && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
+        self.keeps_all_limits() && !shown_only
+    }
+
+    /// Returns true if the motion keeps the limits, also on all axes if they run it.
+    pub(crate) fn keeps_all_limits(&self) -> bool {
+        self.limits_respected && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
     }
 
     /// Returns the numbers of the method by which a plan is chosen: RMS, time, and whether it keeps the
@@ -356,6 +373,7 @@ impl MethodResult {
             rms_detilted_nm: residual.detilted_rms_nm(),
             slope_rms_nrad: slope_rms_nrad(residual),
             short_wave_rms_nm,
+            low_order: low_order_terms(residual),
             total_time_s,
             max_velocity_mm_per_s: verdict.max_velocity_mm_per_s,
             max_acceleration_mm_per_s2: verdict.max_acceleration_mm_per_s2,
@@ -442,12 +460,15 @@ impl Summary {
         Self {
             pipeline: pipeline.into(),
             fixture: fixture.into(),
+            part: Part::default(),
+            tool: None,
             initial: Initial {
                 rms_nm: statistics.rms,
                 pv_nm: statistics.pv,
                 slope_rms_nrad: slope_rms_nrad(desired),
                 short_wave_rms_nm: None,
                 zone_rms: division.zone_rms(desired),
+                low_order: low_order_terms(desired),
             },
             slope_base_mm: slope_base(desired).map(|base| base.map(|(_, mm)| mm)),
             reach: None,
@@ -459,6 +480,7 @@ impl Summary {
             left_out,
             remarks,
             best,
+            several: None,
         }
     }
 
@@ -486,6 +508,14 @@ impl Summary {
         };
         self.best = if method.is_candidate() { Some(name.into()) } else { None };
         Ok(())
+    }
+
+    /// Returns true if the method is to be run: the recommended one, or any tool of a plan of several that is.
+    pub(crate) fn is_to_be_run(&self, name: &str) -> bool {
+        match &self.best {
+            Some(best) => best == name || self.several.is_some(),
+            None => false,
+        }
     }
 
     /// Returns the reason why a run has no plan to recommend, for a run whose plans are all unfit.

@@ -127,7 +127,7 @@ pub(crate) fn csv(runs: &[(&str, &Summary)]) -> String {
                 acceleration_y.to_string(),
                 m.limits_respected.to_string(),
                 text_cell(&m.plan.word),
-                (summary.best.as_ref() == Some(name)).to_string(),
+                summary.is_to_be_run(name).to_string(),
             ];
             text += &cells.map(|cell| quoted(&cell)).join(",");
             text.push('\n');
@@ -353,6 +353,7 @@ mod tests {
             rms_detilted_nm: 0.75 * rms_nm,
             slope_rms_nrad: [Some(200.0), None],
             short_wave_rms_nm: Some(0.5 * rms_nm),
+            low_order: None,
             total_time_s: 90.0,
             max_velocity_mm_per_s: [12.5, 0.0],
             max_acceleration_mm_per_s2: [87.7, 53.2],
@@ -382,12 +383,15 @@ mod tests {
             error_budget: None,
             pipeline: "raster".into(),
             fixture: "coupon".into(),
+            part: Default::default(),
+            tool: None,
             initial: Initial {
                 rms_nm: 6.3167,
                 pv_nm: 37.0,
                 slope_rms_nrad: [None; 2],
                 short_wave_rms_nm: None,
                 zone_rms: Default::default(),
+                low_order: None,
             },
             slope_base_mm: [Some(1.0); 2],
             reach: None,
@@ -406,6 +410,7 @@ mod tests {
             left_out: vec![],
             remarks: vec![],
             best: Some("pvt".into()),
+            several: None,
         }
     }
 

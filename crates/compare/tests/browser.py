@@ -3,6 +3,7 @@ with the files beside it.
 
     browser.py REPORT_DIR RUN_DIR [--shots DIR]     a report of one run, and the run
     browser.py --several REPORT_DIR [--shots DIR]   a report of several runs
+    browser.py --tools RUN_DIR [--shots DIR]        a run of several tools, with its page
     browser.py --docs REPORT_DIR PICTURE_DIR        the pictures of docs/report.md
     browser.py --hostile PLANISH_BIN_DIR RUN_DIR    a copy of the run with names that are programs
     browser.py --large PLANISH_BIN_DIR WORK_DIR     a mirror of 1641 x 1641 with 2.5e5 segments
@@ -29,7 +30,7 @@ def check_table(browser, report):
     summary = json.loads((report / "summary.json").read_text())
     runs = summary.get("runs", [summary])
     methods = [m for run in runs for m in run["methods"].values()]
-    beside = ("execution", "specification", "remarks", "machine", "places")
+    beside = ("execution", "specification", "remarks", "machine", "places", "low_order")
     wanted = [{k: v for k, v in {**m, **m["execution"]}.items() if k not in beside} for m in methods]
     cells = browser.js("[...document.querySelectorAll('#summary td')].map((c) => [c.dataset.key, +c.dataset.entry, c.dataset.value, c.textContent, c.className])")
     shown = {(key, entry): (json.loads(value), text) for key, entry, value, text, _ in cells}
@@ -309,6 +310,58 @@ def check_hand(browser):
     check("the other scales are as before", browser.js(ranges) == own)
 
 
+def check_front(browser, report, shots=None):
+    """Residual against time: every plan of the table is a point, and the button saves the file beside the page."""
+    points = browser.js("planish.DATA.front.points.map((p) => [p.run, p.plan, p.time_s, p.rms_nm, p.is_recommended])")
+    wanted = [[run["best"] == name, m["total_time_s"], m["rms_nm"]] for run in runs_of(report) for name, m in run["methods"].items()]
+    check("every plan is a point of residual and time", sorted([p[4], p[2], p[3]] for p in points) == sorted(wanted), len(points))
+    shown = browser.js("document.getElementById('front').checkVisibility()")
+    check("two plans or more have a picture", shown == (len(points) > 1), len(points))
+    if shown:
+        browser.js("document.getElementById('front').scrollIntoView({block: 'center'})")
+        browser.settle()
+        best = next(i for i, p in enumerate(points) if p[4])
+        x, y = browser.js(f"(() => {{ const r = document.getElementById('front').getBoundingClientRect(), p = drawFront.places[{best}]; return [r.left + p[0] + 2, r.top + p[1] + 2]; }})()")
+        browser.mouse("mouseMoved", x, y)
+        browser.settle()
+        read = browser.js("document.getElementById('front-read').textContent")
+        check("the pointer reads the plan to be run", read.startswith(points[best][1]) and "limits kept" in read, read)
+    saved = pathlib.Path(tempfile.mkdtemp(prefix="planish-saved-"))
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(saved))
+    browser.js("document.getElementById('front-csv').click()")
+    for _ in range(100):
+        if list(saved.glob("*.csv")):
+            break
+        time.sleep(0.1)
+    text = [p.read_text() for p in saved.glob("*.csv")]
+    shutil.rmtree(saved, ignore_errors=True)
+    check("the button saves the points as front.csv", text == [(report / "front.csv").read_text()], len(text))
+
+
+def check_low_order(browser, report, entry):
+    """The low-order terms before and after, as summary.json has them."""
+    run, name = browser.js(f"[planish.RUNS.indexOf(planish.ENTRIES[{entry}].run), planish.ENTRIES[{entry}].method.name]")
+    summary = runs_of(report)[run]
+    wanted = [summary["initial"]["low_order"], summary["methods"][name]["low_order"]]
+    rows = browser.js("[...document.querySelectorAll('#low-order tr')].slice(1).map((r) => [...r.cells].map((c) => c.textContent))")
+    near = lambda text, v: abs(float(text) - v) <= 0.5000001e-4
+    same = len(rows) == 15 and all(row[0].startswith(b["name"]) and near(row[1], b["coefficient_nm"]) and near(row[2], a["coefficient_nm"])
+                                   for row, b, a in zip(rows, wanted[0]["terms"], wanted[1]["terms"]))
+    check("the low-order terms before and after are those of summary.json", same, rows[:2])
+    check("with what no term has", near(rows[-1][1], wanted[0]["rest_rms_nm"]) and near(rows[-1][2], wanted[1]["rest_rms_nm"]), rows[-1])
+
+
+def check_tool(browser, report):
+    """A tool that is the same everywhere: its map, its sections and its numbers."""
+    tool = json.loads((report / "summary.json").read_text())["tool"]
+    text = browser.js("document.getElementById('tool').textContent")
+    four = lambda v: f"{v:.4g}"
+    wanted = ["FWHM x {} mm, y {} mm".format(*map(four, tool["half_maximum_width_mm"])), f"peak {four(tool['peak_nm_per_s'])} nm/s"]
+    check("the sections of the tool have its widths and its peak", all(w in text for w in wanted), wanted)
+    wide = browser.js("[...document.querySelectorAll('#tool svg')].map((e) => e.getBoundingClientRect().width)")
+    check("map and sections are drawn", len(wide) == 2 and min(wide) > 200, wide)
+
+
 def check_zoom(browser):
     box = panel(browser, "residual")
     cx, cy = box[0] + box[2] / 2, box[1] + box[3] / 2
@@ -521,7 +574,8 @@ def check_first_screen(browser, report, shots, name):
             near = np.shape(read) == (2, 2) and np.allclose(read, wanted, rtol=5.01e-4)
             time_read = re.search(rf", {NUMBER} (s|min|h): ", captions[1])
             time_s = float(time_read[1]) * {"s": 1, "min": 60, "h": 3600}[time_read[2]]
-            check(f"{at}: with RMS, PV and time of summary.json", near and abs(time_s / method["total_time_s"] - 1) < 5.01e-3, captions)
+            whole_s = run["several"]["total_time_s"] if "several" in run else method["total_time_s"]
+            check(f"{at}: with RMS, PV and time of summary.json", near and abs(time_s / whole_s - 1) < 5.01e-3, captions)
             check(f"{at}: nothing is wider than the window", browser.js("document.documentElement.scrollWidth - innerWidth") <= 0)
             if shots:
                 browser.shot(shots / f"first-{name}-{width}-{'dark' if dark else 'light'}.png")
@@ -560,6 +614,9 @@ def ordinary(report, run, shots):
         check_pointer(browser, run, entry)
         check_slopes(browser, report, run, entry)
         check_hand(browser)
+        check_front(browser, report)
+        check_low_order(browser, report, entry)
+        check_tool(browser, report)
         check_zoom(browser)
         check_profiles(browser, run, entry)
         check_playback(browser, run, entry)
@@ -567,6 +624,61 @@ def ordinary(report, run, shots):
         check_methods(browser, run)
         check_look(browser, shots)
         check_everywhere(browser, report)
+        check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
+    finally:
+        browser.close()
+
+
+def tools(run, shots):
+    """A run of several tools: the first screen, the tools in their order, their maps, and the subsets of the rack."""
+    report = run / "report"
+    summary = json.loads((report / "summary.json").read_text())
+    several = summary["several"]
+    browser = Browser()
+    try:
+        browser.size(1280, 900)
+        browser.open(report / "report.html")
+        check_first_screen(browser, report, shots, "tools")
+        browser.size(1280, 900)
+        names = [t["name"] for t in several["tools"]]
+        rows = browser.js("[...document.querySelectorAll('#several-tools tr')].slice(1).map((r) => [...r.cells].map((c) => c.textContent))")
+        check("the tools stand in the order in which they run", [row[0] for row in rows] == names, names)
+        near = all(abs(float(row[5]) - t["rms_nm"]) <= 0.5000001e-4 and abs(float(row[8]) - t["elapsed_s"]) <= 0.5000001e-2 for row, t in zip(rows, several["tools"]))
+        check("with what they leave and when they are ready", near, rows[-1])
+        links = browser.js("[...document.querySelectorAll('#several-section a, #several-subsets a')].map((a) => a.getAttribute('href'))")
+        check("every link leads to a file", all((report / link).is_file() for link in links), links)
+        drawn = browser.js("planish.panels.filter((p) => !p.figure.hidden).map((p) => p.name)")
+        check("each tool has the map of its removal", all(f"removal-{i}" in drawn for i in range(len(names))), drawn)
+        check("and all but the last the map after it", all(f"after-{i}" in drawn for i in range(len(names) - 1)), drawn)
+        for i, name in enumerate(names):
+            place = run / "tools" / name
+            place = place / "program" if (place / "program" / "removal").exists() else place
+            removal = np.load(place / "removal/removal_nm.npy")
+            height = np.load(run / "surface/height_nm.npy")
+            layer = f"planish.panels.find((p) => p.name === 'removal-{i}').content().layer"
+            every, step = browser.js(f"[{layer}.every, {layer}.step]")
+            if every == 1:
+                shown = np.array(browser.js(f"[...{layer}.values()].map((v) => Number.isNaN(v) ? 1e99 : v)")).reshape(height.shape)
+                worst = np.abs(shown - removal).max()
+                check(f"{name}: the removal is that of its motion", worst <= 0.501 * step, f"{worst:.1e} of {step:.1e} nm")
+        points = browser.js("planish.DATA.front.points")
+        chosen = [p for p in points if p["is_recommended"]]
+        wanted = len(several["subsets"]) + len(several["alone"]) + 1
+        check("every subset, every tool alone and the plan are points", len(points) == wanted and len(chosen) == 1, len(points))
+        check("the plan has its time with changes", abs(chosen[0]["time_s"] - several["total_time_s"]) < 1e-9, chosen[0]["plan"])
+        for i in range(len(names)):
+            browser.js(f"(() => {{ const s = document.getElementById('a'); s.value = {i}; s.dispatchEvent(new Event('change')); }})()")
+            browser.settle()
+            check_low_order(browser, report, i)
+        warned = browser.js("[...document.querySelectorAll('.warning')].map((e) => e.textContent)")
+        check("the warnings stand below the answer", warned == several["warnings"], len(warned))
+        check_look(browser, None)
+        if shots:
+            for width in (1280, 390):
+                for dark in (False, True):
+                    browser.size(width, 900, dark)
+                    browser.settle()
+                    browser.shot(shots / f"tools-{width}-{'dark' if dark else 'light'}.png", whole=True)
         check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
     finally:
         browser.close()
@@ -795,6 +907,7 @@ def main():
     parser.add_argument("--docs", action="store_true")
     parser.add_argument("--hostile", action="store_true")
     parser.add_argument("--several", action="store_true")
+    parser.add_argument("--tools", action="store_true")
     arguments = parser.parse_args()
     if arguments.large:
         large(arguments.first, arguments.second)
@@ -802,6 +915,8 @@ def main():
         hostile(arguments.first, arguments.second)
     elif arguments.several:
         several(arguments.first, arguments.shots)
+    elif arguments.tools:
+        tools(arguments.first, arguments.shots)
     elif arguments.docs:
         docs(arguments.first, arguments.second)
     else:

@@ -12,8 +12,11 @@ use planish_draw::colour::{BLUE_TO_BROWN, rgb_at};
 use planish_handoff::{
     Artifact, Inputs, Output, Status, Task, flags::OutputArgs, kind, npy::ArrayData, save,
 };
+use planish_numerics::orthogonal::{zernike, zernike_index, zernike_terms};
 use planish_testkit::program::text;
-use planish_types::{AxesMotion, Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
+use planish_types::{
+    AxesMotion, Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory,
+};
 use serde_json::{Value, json};
 
 fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
@@ -159,6 +162,105 @@ fn a_report_writes_the_summary_and_prints_the_table() {
 }
 
 /// Returns the JSON data in the page of a report.
+/// Returns a disc of 30 mm radius with a coma along x of 10 nm RMS, and a tilt that removal brings along.
+fn coma() -> Surface {
+    let axis = Axis::new(-30.0, 1.0, 61).unwrap();
+    let grid = Grid { x: axis, y: axis };
+    let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        let [u, v] = [axis.coordinate_mm(c) / 30.0, axis.coordinate_mm(r) / 30.0];
+        let mut z = vec![0.0; zernike_terms(3)];
+        zernike(3, u, v, &mut z);
+        // The RMS of Z_3^1 on the disc is 1 / sqrt(8).
+        if u.hypot(v) > 1.0 {
+            f64::NAN
+        } else {
+            100.0 + 10.0 * 8.0_f64.sqrt() * z[zernike_index(3, 1)]
+        }
+    });
+    Surface::new(grid, height).unwrap()
+}
+
+/// Returns a Gaussian TIF with these standard deviations along x and y, mm.
+fn gaussian([x_mm, y_mm]: [f64; 2]) -> Tif {
+    let axis = Axis::new(-8.0, 0.1, 161).unwrap();
+    let grid = Grid { x: axis, y: axis };
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        let [u, v] = [axis.coordinate_mm(c) / x_mm, axis.coordinate_mm(r) / y_mm];
+        5.0 * (-0.5 * (u * u + v * v)).exp()
+    });
+    Tif::new(grid, rate).unwrap()
+}
+
+#[test]
+fn planted_terms_a_known_tool_and_what_the_user_states_are_in_the_report() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare_of(&coma(), &dir.path().join("run"), &[("pvt", 0.75, true), ("joint", 0.5, true)]);
+    save(&dir.path().join("tif"), &gaussian([2.0, 1.5])).unwrap();
+    let flags = ["report", "run", "--tif", "tif", "--out", "report", "--quiet"];
+    let stated = ["--part-name", "M1 <b>upper", "--date", "2026-03-01"];
+    let output = compare(dir.path(), &[&flags[..], &stated].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let found = summary(&dir.path().join("report"));
+    let coefficients = |terms: &Value| -> Vec<(String, f64)> {
+        let terms = terms["terms"].as_array().unwrap().iter();
+        let named = |t: &Value| {
+            (t["name"].as_str().unwrap().to_string(), t["coefficient_nm"].as_f64().unwrap())
+        };
+        terms.map(named).collect()
+    };
+    for (terms, coma_nm) in [
+        (&found["initial"]["low_order"], 10.0),
+        (&found["methods"]["pvt"]["low_order"], 2.5),
+        (&found["methods"]["joint"]["low_order"], 5.0),
+    ] {
+        assert_eq!(terms["family"], "zernike");
+        for (name, coefficient) in coefficients(terms) {
+            let expected = if name == "coma along x" { coma_nm } else { 0.0 };
+            // Rounding of sums over 2800 pixels.
+            assert!((coefficient - expected).abs() < 1e-10, "{name}: {coefficient}");
+        }
+        assert!(terms["rest_rms_nm"].as_f64().unwrap() < 1e-10);
+    }
+    let tool = &found["tool"];
+    let factor = 2.0 * (2.0 * 2.0_f64.ln()).sqrt();
+    for (axis, sigma_mm) in [2.0, 1.5].into_iter().enumerate() {
+        let width = tool["half_maximum_width_mm"][axis].as_f64().unwrap();
+        // Keys' interpolation at 15 samples per sigma: an error of third order, below 1e-4.
+        assert!((width / (factor * sigma_mm) - 1.0).abs() < 1e-4, "{tool}");
+    }
+    let volume = 2.0 * std::f64::consts::PI * 5.0 * 2.0 * 1.5;
+    // The tails beyond 4 sigma: 6e-5 of the volume.
+    assert!((tool["volume_rate_nm_mm2_per_s"].as_f64().unwrap() / volume - 1.0).abs() < 1e-4);
+    assert_eq!(found["part"]["name"], "M1 <b>upper");
+    assert_eq!(found["part"]["operator"], Value::Null);
+
+    let rows = fs::read_to_string(dir.path().join("report/front.csv")).unwrap();
+    let rows: Vec<&str> = rows.lines().collect();
+    assert_eq!(rows.len(), 3, "{rows:?}");
+    let row =
+        |plan: &str| rows.iter().find(|row| row.starts_with(&format!("run,{plan},"))).unwrap();
+    assert!(
+        row("pvt").ends_with(",true,true,true") && row("pvt").contains(",plan,60,2.5"),
+        "{rows:?}"
+    );
+    assert!(
+        row("joint").ends_with(",true,false,false") && row("joint").contains(",plan,61,5"),
+        "{rows:?}"
+    );
+    let front = fs::read_to_string(dir.path().join("report/front.svg")).unwrap();
+    assert!(front.contains("pvt: 2.5 nm in 60 s"), "{front}");
+    let page = fs::read_to_string(dir.path().join("report/report.html")).unwrap();
+    assert!(
+        page.contains("FWHM x 4.71 mm, y 3.53") && page.contains("volume rate 94.2"),
+        "the sections of the tool"
+    );
+    assert!(!page.contains("M1 <b>upper"), "a name is no markup");
+    assert_eq!(
+        page_data(&dir.path().join("report"))["front"]["csv"].as_str().unwrap().lines().count(),
+        3
+    );
+}
+
 fn page_data(report: &Path) -> Value {
     let page = fs::read_to_string(report.join("report.html")).unwrap();
     let start = page.find("id=\"data\">").unwrap() + "id=\"data\">".len();
@@ -411,9 +513,9 @@ fn figures_for_papers_have_their_size_and_the_same_bytes_twice() {
         }
         // No dwell times, no refinement, and no rectangle that is large enough for a spectrum.
         let names: Vec<&str> = both[0].iter().map(|(name, _)| name.as_str()).collect();
-        let wanted = ["histogram", "maps", "motion", "overview", "path"];
+        let wanted = ["front", "histogram", "maps", "motion", "overview", "path"];
         let mut wanted: Vec<String> = wanted.iter().map(|n| format!("{n}.{format}")).collect();
-        wanted.insert(1, "manifest.json".into());
+        wanted.insert(2, "manifest.json".into());
         assert_eq!(names, wanted);
         for (name, bytes) in both[0].iter().filter(|(name, _)| name != "manifest.json") {
             match format {

@@ -15,11 +15,11 @@ use planish_export::{
 use planish_form::{Form, FormFile};
 use planish_handoff::{
     Failure, Inputs, Manifest, OutputFile, Status,
-    flags::{AxesArgs, NearPathArgs, OnAxes, OutputFileArgs, TrajectoryArgs},
+    flags::{AxesArgs, NearPathArgs, OnAxes, OutputFileArgs, PartArgs, TrajectoryArgs},
     say, warn,
 };
 use planish_types::{
-    AxesMotion, ControllerKind, Counts, Kinematics, Machine, PathDistance, TransformNumbers,
+    AxesMotion, ControllerKind, Counts, Kinematics, Machine, Part, PathDistance, TransformNumbers,
 };
 use serde::Serialize;
 
@@ -191,6 +191,8 @@ struct CommonArgs {
     #[arg(long)]
     always_on: bool,
     #[command(flatten)]
+    part: PartArgs,
+    #[command(flatten)]
     output: OutputFileArgs,
 }
 
@@ -220,7 +222,7 @@ impl Export {
         let is_alone = fs::symlink_metadata(out).is_err();
         let about_file = OutputFile::begin("--out", &about, *force || is_alone, &inputs)?;
         refuse_foreign_about(&about)?;
-        let made = motion.program(self.controller, &settings, &inputs)?;
+        let made = motion.program(self.controller, &settings, &common.part.part(), &inputs)?;
         for warning in &made.about.warnings {
             warn(warning);
         }
@@ -316,11 +318,13 @@ struct AxesInput {
 }
 
 impl MotionInput {
-    /// Makes the program of the motion for a controller. `inputs` gives the hash of the motion for the header.
+    /// Makes the program of the motion for a controller. `inputs` gives the hash of the motion for the header, which
+    /// also states what the user says about the part.
     fn program(
         &self,
         controller: ControllerKind,
         settings: &ProgramSettings,
+        part: &Part,
         inputs: &Inputs,
     ) -> Result<Program, Failure> {
         let origin = |role: &str, dir: &Path, manifest: Option<&Manifest>| {
@@ -329,6 +333,7 @@ impl MotionInput {
             Origin {
                 made_from: format!("{role} {}{by}, BLAKE3 {digest}", dir.display()),
                 made_by: format!("planish-export {}", env!("CARGO_PKG_VERSION")),
+                part: part.clone(),
                 ..Origin::default()
             }
         };

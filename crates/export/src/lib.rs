@@ -51,7 +51,7 @@ use planish_form::Form;
 use planish_kinematics::AxisMap;
 use planish_types::{
     AxesMotion, ControllerKind, ControllerModel, Counts, Interpolation, Invalid, Kinematics,
-    Machine, MachineAxis, Trajectory, TransformNumbers,
+    Machine, MachineAxis, Part, Trajectory, TransformNumbers,
 };
 use serde::Serialize;
 
@@ -113,6 +113,8 @@ pub struct Origin {
     pub was_on_axes: bool,
     /// Name and version of the program that writes.
     pub made_by: String,
+    /// Statements of the user about the part.
+    pub part: Part,
 }
 
 /// A program for a controller, with its description.

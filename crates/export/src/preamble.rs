@@ -21,6 +21,10 @@ pub(crate) fn sentences<const N: usize>(
 ) -> Vec<String> {
     let machine = plan.machine;
     let mut lines = Vec::new();
+    let stated = origin.part.line();
+    if !stated.is_empty() {
+        lines.push(stated);
+    }
     if plan.contact.is_some() {
         lines.extend(kinematics(machine));
     } else if origin.was_on_axes {

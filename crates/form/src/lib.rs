@@ -21,6 +21,8 @@
 //! | `sampled` | a form that is a map |
 //! | `file` | the form file, and its parameters |
 //! | `development` | coordinates along the surface |
+//! | `low_order` | low-order part of a map: Zernike, Legendre or Chebyshev terms |
+//! | `basis` | least squares with these terms |
 //!
 //! | symbol | in the form file | unit |
 //! |---|---|---|
@@ -29,10 +31,12 @@
 //! | k | `conic_constant` | 1 |
 //! | A4, A6, ... | `even_terms` | mm^-3, mm^-5, ... |
 
+pub mod basis;
 pub mod development;
 pub mod file;
 pub mod imaging;
 mod jet;
+pub mod low_order;
 pub mod sampled;
 mod zernike;
 

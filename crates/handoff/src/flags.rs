@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use planish_types::{
-    DwellTime, Invalid, Limits, Machine, PathDistance, Surface, Tif, ToolPath, Trajectory,
+    DwellTime, Invalid, Limits, Machine, Part, PathDistance, Surface, Tif, ToolPath, Trajectory,
     Transform,
     outcome::{NoMore, plan::PlanOutcome, settings::PathSettings},
 };
@@ -426,6 +426,31 @@ pub struct OutputArgs {
     /// artifact, which is the same for the same command)
     #[arg(long, value_name = "FILE")]
     pub wall_time: Option<PathBuf>,
+}
+
+/// Flags that state what part it is, for the head of a report or of a program.
+#[derive(Clone, Debug, Args)]
+pub struct PartArgs {
+    /// Name of the part
+    #[arg(long, value_name = "NAME")]
+    pub part_name: Option<String>,
+    /// Number of the part, or of its order
+    #[arg(long, value_name = "NUMBER")]
+    pub part_number: Option<String>,
+    /// Date, in any form
+    #[arg(long, value_name = "DATE")]
+    pub date: Option<String>,
+    /// Person who runs the machine
+    #[arg(long, value_name = "NAME")]
+    pub operator: Option<String>,
+}
+
+impl PartArgs {
+    /// Returns the statements about the part.
+    pub fn part(&self) -> Part {
+        let Self { part_name, part_number, date, operator } = self.clone();
+        Part { name: part_name, number: part_number, date, operator }
+    }
 }
 
 /// Flags of a single output file.

@@ -835,6 +835,7 @@ pub const REPORT: Kind = Kind {
     files: &[
         "summary.json",
         "table.csv",
+        "front.csv",
         "report.html",
         "overview.svg",
         "maps.svg",
@@ -846,6 +847,7 @@ pub const REPORT: Kind = Kind {
         "histogram.svg",
         "spectrum.svg",
         "refinement.svg",
+        "front.svg",
     ],
 };
 
@@ -887,6 +889,9 @@ pub const FIGURES: Kind = Kind {
         "refinement.pdf",
         "refinement.png",
         "refinement.svg",
+        "front.pdf",
+        "front.png",
+        "front.svg",
     ],
 };
 

@@ -59,7 +59,7 @@ const CONTEXTS: [(&str, &str); 22] = [
 ];
 
 /// Typical values of settings that hold words or flags; `;` separates them.
-const WORDS: [(&str, &str); 11] = [
+const WORDS: [(&str, &str); 15] = [
     ("fixture", "coupon"),
     ("subtract", "piston;sphere"),
     (
@@ -79,6 +79,10 @@ const WORDS: [(&str, &str); 11] = [
     ("export_settings", "--always-on"),
     ("deconvolution", "--relative-gap 1e-2"),
     ("variant", "--line-order bi-step"),
+    ("part_name", "M1 upper"),
+    ("part_number", "47-11"),
+    ("date", "2026-03-01"),
+    ("operator", "A. B."),
 ];
 
 /// Returns the text of a file in `pipelines/`.

@@ -13,6 +13,7 @@ mod record;
 mod resume;
 mod run;
 mod several;
+mod several_page;
 mod several_tools;
 mod spread;
 mod start;

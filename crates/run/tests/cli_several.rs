@@ -109,7 +109,8 @@ fn every_tool_keeps_its_limits_and_leaves_what_is_planned() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let output = run(dir, &["machine=machine.json", "export=galil"]);
+    let more = ["machine=machine.json", "export=galil", "compare=yes", "part_number=47-11"];
+    let output = run(dir, &more);
     let printed = text(&output.stdout);
     assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
     for name in ["coarse", "fine"] {
@@ -137,6 +138,64 @@ fn every_tool_keeps_its_limits_and_leaves_what_is_planned() {
     let removal = removal(dir, "tools/fine/program/removal");
     // Rounding of a mean square of 2400 pixels.
     assert!((after.statistics().rms / removal.rms_nm - 1.0).abs() < 1e-12);
+    the_page_has_the_run(dir, &removal);
+}
+
+/// Checks the page of the run: the tools in their order, what they leave, the subsets, and each tool alone. `last` is
+/// the outcome of the removal by the last tool.
+fn the_page_has_the_run(dir: &Path, last: &RemovalOutcome) {
+    let report = dir.join("out/report");
+    let summary = fs::read_to_string(report.join("summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&summary).unwrap();
+    let several = &summary["several"];
+    let tools = several["tools"].as_array().unwrap();
+    let names: Vec<&Value> = tools.iter().map(|tool| &tool["name"]).collect();
+    assert_eq!(names, ["coarse", "fine"]);
+    let first = removal(dir, "tools/coarse/program/removal");
+    let near =
+        |value: &Value, expected: f64| (value.as_f64().unwrap() / expected - 1.0).abs() < 1e-12;
+    // Two sums of the same 2400 squares.
+    assert!(
+        near(&tools[0]["rms_nm"], first.rms_nm) && near(&tools[1]["before_rms_nm"], first.rms_nm)
+    );
+    assert!(near(&summary["methods"]["fine"]["rms_nm"], last.rms_nm), "{summary}");
+    let whole_s = first.total_time_s + last.total_time_s + 60.0;
+    assert!(near(&several["total_time_s"], whole_s), "{several}");
+    let sentence = summary["answer"]["sentence"].as_str().unwrap();
+    assert!(
+        sentence.starts_with("Run coarse, then fine on ") && sentence.ends_with("are kept."),
+        "{sentence}"
+    );
+    for tool in tools {
+        let program = report.join(tool["program"].as_str().unwrap());
+        let text = fs::read_to_string(&program).unwrap();
+        assert!(text.contains("number 47-11"), "{text:.400}");
+    }
+    let alone = several["alone"].as_array().unwrap();
+    for tool in alone {
+        let name = tool["name"].as_str().unwrap();
+        let own = removal(dir, &format!("alone/{name}/tools/{name}/removal"));
+        assert!(
+            near(&tool["rms_nm"], own.rms_nm)
+                && near(&tool["time_with_change_s"], own.total_time_s + 30.0)
+        );
+        assert!(report.join(tool["report"].as_str().unwrap()).is_file());
+    }
+    assert_eq!(alone.len(), 2);
+    let chosen: Vec<&Value> =
+        several["subsets"].as_array().unwrap().iter().filter(|s| s["is_chosen"] == true).collect();
+    assert_eq!(chosen.len(), 1);
+    assert_eq!(chosen[0]["tools"], json!(["fine", "coarse"]));
+    let rows = fs::read_to_string(report.join("front.csv")).unwrap();
+    let executed = rows.lines().find(|row| row.contains("coarse + fine, executed")).unwrap();
+    assert!(executed.ends_with(",true") && rows.contains("fine alone, executed"), "{rows}");
+    let mut page = stage("planish-compare");
+    let refused = page.current_dir(dir).args(["report", "out", "--out", "other"]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(
+        text(&refused.stderr)
+            .contains("is a run of several tools, whose page is out/report/report.html")
+    );
 }
 
 #[test]
@@ -144,7 +203,8 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let cases: [(&[&str], &str); 8] = [
+    let cases: [(&[&str], &str); 9] = [
+        (&["compare=all"], "compare is 'all'; give yes or no"),
         (&["specification=limits.json"], "several takes no specification: it plans heights"),
         (&["form=form.json"], "several takes no form: its part is flat"),
         (&["varying=time"], "several takes no varying: give the directory of the tool that varies"),

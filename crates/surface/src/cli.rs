@@ -11,8 +11,8 @@ mod statistics;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use planish_form::low_order::Circle;
 use planish_handoff::{Failure, Inputs, Status, Subcommands};
-use planish_surface::low_order::Circle;
 use planish_types::{Removal, Surface};
 
 /// Names of the numbers of a circle on the command line: centre x, centre y and radius, mm.

@@ -2,7 +2,7 @@
 //!
 //! * [`mod@prepare`]: clear aperture, outlier mask, level, fill and extension, in this order.
 //! * [`outliers`]: finds pits and dust that are too narrow for the tool.
-//! * [`mod@low_order`]: Zernike, Legendre and Chebyshev terms by least squares.
+//! * [`mod@planish_form::low_order`]: Zernike, Legendre and Chebyshev terms by least squares.
 //! * [`mod@fill`]: heights for holes.
 //! * [`target`]: the form that the part is to have, fitted and subtracted.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
@@ -15,7 +15,6 @@
 // The command line names this library as any other program does.
 extern crate self as planish_surface;
 
-mod basis;
 mod cli;
 pub mod command;
 mod distance;
@@ -24,7 +23,6 @@ pub mod extension;
 mod figure;
 pub mod fill;
 pub mod line;
-pub mod low_order;
 mod median;
 pub mod outliers;
 pub mod prepare;
@@ -37,8 +35,8 @@ pub mod statistics;
 pub mod target;
 
 pub use extension::{ExtensionSettings, extend};
-pub use low_order::{Family, LowOrderSettings, low_order};
 pub use outliers::{OutlierSettings, Outliers};
+pub use planish_form::low_order::{Family, LowOrderSettings, low_order};
 pub use prepare::{Level, PrepareReport, PrepareSettings, Prepared, prepare, prepare_to};
 
 use planish_types::Invalid;

@@ -5,7 +5,7 @@
 //! 1. clear aperture: pixels outside become invalid, the map is cropped to the bounding box;
 //! 2. outlier mask ([`crate::outliers`]): pits and dust become invalid;
 //! 3. target ([`crate::target`]): a form, as given or fitted, is subtracted; the mask is found in what it leaves;
-//! 4. level: a plane `a + b x + c y`, or terms of low order ([`mod@crate::low_order`]), is
+//! 4. level: a plane `a + b x + c y`, or terms of low order ([`mod@planish_form::low_order`]), is
 //!    subtracted, fitted to the valid pixels, and the smallest valid height becomes 0 (the machine
 //!    can only remove);
 //! 5. fill ([`mod@crate::fill`]): holes get a height;
@@ -28,6 +28,7 @@
 //! | b, c | `slope_nm_per_mm` | (2) | nm/mm |
 
 use ndarray::{Array2, s};
+use planish_form::low_order::{LowOrderReport, LowOrderSettings, low_order};
 use planish_numerics::statistics::{Plane, fit_plane, statistics, subtract_plane};
 use planish_types::{ClearAperture, Grid, Surface, doubts, progress};
 use serde::{Serialize, Serializer};
@@ -37,7 +38,6 @@ use crate::{
     PrepareError,
     extension::{ExtensionReport, ExtensionSettings, extend},
     fill::{FillReport, enclosed, fill},
-    low_order::{LowOrderReport, LowOrderSettings, low_order},
     outliers::{OutlierReport, OutlierSettings, Outliers, outliers},
     target::{Target, TargetReport, without_target},
 };
@@ -529,7 +529,7 @@ mod tests {
 
     #[test]
     fn levelled_with_low_order_nothing_of_it_is_left_and_the_minimum_is_zero() {
-        use crate::low_order::Family;
+        use planish_form::low_order::Family;
         let surface = tilted(rough(6), 3.0, -2.0, 5.0);
         let terms = LowOrderSettings { family: Family::Legendre, order: 4, circle: None };
         let done = prepare(&surface, &settings(disc(), Level::LowOrder(terms))).unwrap();

@@ -11,18 +11,13 @@
 //!
 //! Source: C. J. Evans, Opt. Eng. 48 (2009) 043605.
 
+use planish_form::low_order::{Circle, Family, LowOrderSettings, low_order};
 use planish_types::{Invalid, Surface};
 use serde::Serialize;
-
-use crate::low_order::{Circle, Family, LowOrderSettings, low_order};
 
 /// Highest order of the fit of PVr; it has 36 terms, as in the source. Another order gives another
 /// quantity.
 const PVR_ORDER: u32 = 7;
-
-/// Fraction of its bounding box that a map fills, below which it counts as a disc. Larger: rectangles with
-/// holes get Zernike terms. Smaller: discs get Legendre terms. Derived: a disc fills pi / 4 = 0.785.
-const RECTANGLE_FILLS: f64 = 0.9;
 
 /// Statistics of the valid pixels of a map.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -65,8 +60,8 @@ pub struct RobustPv {
     pub definition: &'static str,
 }
 
-/// Describes `surface`. `family` is that of the fit of PVr; `None` takes Zernike terms if the valid pixels
-/// fill less than 90 % of their bounding box, else Legendre terms. `circle` is the unit circle of Zernike
+/// Describes `surface`. `family` is that of the fit of PVr; `None` takes the one that suits
+/// their outline ([`Family::suited_to`]). `circle` is the unit circle of Zernike
 /// terms, as in [`LowOrderSettings`].
 ///
 /// # Errors
@@ -78,7 +73,7 @@ pub fn surface_statistics(
     circle: Option<Circle>,
 ) -> Result<SurfaceStatistics, Invalid> {
     let s = surface.statistics();
-    let family = family.unwrap_or_else(|| suited(surface));
+    let family = family.unwrap_or_else(|| Family::suited_to(surface));
     let (pvr, pvr_note) = match robust_pv(surface, family, circle) {
         Ok(pvr) => (Some(pvr), None),
         // A map that is too small for 36 terms still has an RMS; a wrong circle is a mistake.
@@ -118,20 +113,6 @@ fn robust_pv(
         order: PVR_ORDER,
         definition: "PV of the 36-term fit plus 3 RMS of the rest (C. J. Evans, Opt. Eng. 48, 043605)",
     })
-}
-
-/// Returns the family of terms that suits the outline of the valid pixels: Zernike terms if they fill less than
-/// [`RECTANGLE_FILLS`] of their bounding box.
-fn suited(surface: &Surface) -> Family {
-    let map = surface.height_nm();
-    let [rows, columns] = [map.rows(), map.columns()].map(|lines| {
-        let lines = lines.into_iter().enumerate();
-        let used = lines.filter(|(_, line)| line.iter().any(|v| !v.is_nan())).map(|(i, _)| i);
-        let (first, last) = used.fold((usize::MAX, 0), |(f, l), i| (f.min(i), l.max(i)));
-        (last + 1 - first) as f64
-    });
-    let filled = surface.statistics().valid_count as f64 / (rows * columns);
-    if filled < RECTANGLE_FILLS { Family::Zernike } else { Family::Legendre }
 }
 
 #[cfg(test)]

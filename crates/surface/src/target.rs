@@ -22,12 +22,14 @@
 
 use nalgebra::DMatrix;
 use ndarray::Array2;
-use planish_form::{Development, Form, FormFile, ParameterFit, file::FitWord};
+use planish_form::{
+    Development, Form, FormFile, ParameterFit, file::FitWord, low_order::bounding_box_mm,
+};
 use planish_types::{Invalid, Surface};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::{low_order::bounding_box_mm, shape::fit::damped_step};
+use crate::shape::fit::damped_step;
 
 /// Number of nm in a mm.
 const NM_PER_MM: f64 = 1e6;

@@ -165,10 +165,28 @@ fn constraints_of(node: Option<Node>, is_specified: bool) -> Result<Constraints,
     Ok(constraints)
 }
 
+/// Refuses a plan of several tools, whose paths are those of the rack.
+fn refuse_several(path: &Node) -> Result<(), Complaint> {
+    let names = match &path.value {
+        Value::List(items) => &items[..],
+        _ => std::slice::from_ref(path),
+    };
+    let is_several = |node: &&Node| matches!(&node.value, Value::Text(name) if name == "several");
+    match names.iter().find(is_several) {
+        None => Ok(()),
+        Some(node) => {
+            let problem = "path is 'several', and a plan of a sweep has one tool; planish run several rack=FILE \
+                           compare=yes compares the subsets of a rack and each of its tools alone";
+            Err(Complaint::new(node.line, problem))
+        }
+    }
+}
+
 fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
     let mut table = DescriptionTable::new("plans", node)?;
     let line = table.line;
     let path = table.required("path", &format!("path: {}", PATHS.join(", ")))?;
+    refuse_several(&path)?;
     let paths = words("path", &path, &PATHS)?;
     let methods = match table.take("method") {
         Some(node) => words("method", &node, &METHODS)?,
@@ -365,6 +383,11 @@ plans:
             ),
             ("[raster, maze]", "rastr", "line 6: path is 'rastr'; give raster, maze"),
             ("[raster, maze]", "[]", "line 6: path is a list; give raster, maze"),
+            (
+                "[raster, maze]",
+                "[raster, several]",
+                "line 6: path is 'several', and a plan of a sweep has one tool; planish run several",
+            ),
             (
                 "fixture: coupon.json",
                 "surface: s",

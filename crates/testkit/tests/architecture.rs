@@ -21,7 +21,7 @@ const ROOMS: [Room; 21] = [
     ("types", &["numerics"]),
     ("draw", &["types"]),
     (LAUNCH, &[]),
-    ("form", &["types"]),
+    ("form", &["numerics", "types"]),
     ("handoff", &["types", "form"]),
     ("kinematics", &["types", "form"]),
     ("tool", &["numerics", "types", "form", "handoff", "import"]),

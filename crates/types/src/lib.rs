@@ -18,6 +18,7 @@
 //! | [`PathDistance`] | largest distance of a motion from its tool path in mm | - |
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
+//! | [`Part`] | name, number, date and operator, as a user states them | - |
 //! | [`Rack`] | tools of a lab, from which a plan of several tools is made | - |
 //! | [`reach::Reach`] | waves of a map that none of its tools reaches | mask (ny, nx) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
@@ -38,6 +39,7 @@ mod kinematics;
 mod limits;
 mod machine;
 pub mod outcome;
+mod part;
 mod path_distance;
 pub mod plausible;
 pub mod progress;
@@ -71,6 +73,7 @@ pub use limits::{
     AxisLimits, DEFAULT_TIME_TO_FULL_ACCELERATION_S, Limits, MachineFile, MachineFileAxis,
 };
 pub use machine::{Machine, assumed_machine};
+pub use part::Part;
 pub use path_distance::PathDistance;
 pub use rack::{Rack, RackEntry, SetupErrors, check_rates};
 pub use surface::{Removal, RemovalMaps, Surface};

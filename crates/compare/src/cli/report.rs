@@ -9,15 +9,20 @@ use clap::{Args, ValueEnum};
 use planish_compare::{
     answer::to_json,
     chain::Standing,
+    front,
     report::{
-        RunData,
+        RunData, View,
         figure::{Layout, figures},
         page, sparkline, views,
     },
     summary::{Summary, negative},
     table::{csv, execution_table, specification_table, table, table_of_runs},
 };
-use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
+use planish_handoff::{
+    Failure, Inputs, Output, Status,
+    flags::{OutputArgs, PartArgs},
+    kind, say, task,
+};
 use planish_types::{progress, text::visible};
 use serde_json::json;
 
@@ -56,6 +61,8 @@ pub struct ReportCommand {
     /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so
     #[arg(long, value_name = "NAME")]
     assumed_machine: Option<String>,
+    #[command(flatten)]
+    part: PartArgs,
     /// Print no table and no plots
     #[arg(long)]
     quiet: bool,
@@ -96,16 +103,18 @@ impl ReportCommand {
             program_row: program,
             after_servo,
             assumed_machine,
+            part,
             quiet,
             plots,
             output,
         } = self;
+        let part = part.part();
         let mut inputs = Inputs::new();
         let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
         let task = task!(
             "report",
             json!({ "pipeline": pipeline, "fixture": fixture, "runs": names, "program": program,
-                "after_servo": after_servo, "assumed_machine": assumed_machine })
+                "after_servo": after_servo, "assumed_machine": assumed_machine, "part": part })
         );
         let called = Names {
             pipeline: pipeline.as_deref(),
@@ -124,6 +133,9 @@ impl ReportCommand {
         let read = read.map(|(i, dir)| files::read_run(&mut inputs, i, dir, &called));
         let mut read = read.collect::<Result<Vec<_>, _>>()?;
         recommend(program.as_deref(), &mut read)?;
+        for run in &mut read {
+            run.summary.part = part.clone();
+        }
         for (run, name) in read.iter_mut().zip(assumed_machine.iter().cycle()) {
             run.summary.remarks.push(planish_types::assumed_machine(name));
         }
@@ -133,24 +145,12 @@ impl ReportCommand {
         let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
 
         let plotted = !quiet && plots.are_wanted();
-        // The table is wanted every time, also when the files are there already.
-        let wanted = writer.is_some() || plotted;
-        let views = progress::part(0, 3, || if wanted { views(read) } else { vec![] });
+        // The plots are wanted every time, also when the files are there already.
+        let views = if writer.is_some() || plotted { made_views(read) } else { vec![] };
         if let Some(mut writer) = writer {
-            let summary = to_json(&runs);
-            let mut bytes = serde_json::to_vec_pretty(&summary)?;
-            bytes.push(b'\n');
-            let page = progress::part(1, 3, || page(&views, &summary));
-            let mut beside = vec![
-                ("summary.json", bytes),
-                ("table.csv", csv(&runs).into_bytes()),
-                ("report.html", page.into_bytes()),
-            ];
-            let drawn = progress::part(2, 3, || figures(&views, &Layout::BESIDE_PAGE));
-            let drawn: Vec<_> =
-                drawn.into_iter().map(|(name, svg)| (format!("{name}.svg"), svg)).collect();
-            beside
-                .extend(drawn.iter().map(|(name, svg)| (name.as_str(), svg.clone().into_bytes())));
+            let beside = files_of_page(&views, &runs)?;
+            let beside: Vec<(&str, Vec<u8>)> =
+                beside.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
         if !quiet {
@@ -165,6 +165,39 @@ impl ReportCommand {
         warn_of_old(&runs);
         Ok(status)
     }
+}
+
+fn made_views(read: Vec<RunData>) -> Vec<View> {
+    progress::part(0, 3, || views(read))
+}
+
+/// Returns the files of a report of these runs, each with its name: summary, tables, page and figures.
+pub(super) fn report_files(
+    read: Vec<RunData>,
+    runs: &[(&str, &Summary)],
+) -> Result<Vec<(String, Vec<u8>)>, Failure> {
+    files_of_page(&made_views(read), runs)
+}
+
+fn files_of_page(
+    views: &[View],
+    runs: &[(&str, &Summary)],
+) -> Result<Vec<(String, Vec<u8>)>, Failure> {
+    let summary = to_json(runs);
+    let mut bytes = serde_json::to_vec_pretty(&summary)?;
+    bytes.push(b'\n');
+    let points = front::points(runs);
+    let page = progress::part(1, 3, || page(views, &summary, &points));
+    let mut files = vec![
+        ("summary.json".to_string(), bytes),
+        ("table.csv".to_string(), csv(runs).into_bytes()),
+        ("front.csv".to_string(), front::csv(&points).into_bytes()),
+        ("report.html".to_string(), page.into_bytes()),
+    ];
+    for (name, svg) in progress::part(2, 3, || figures(views, &Layout::BESIDE_PAGE)) {
+        files.push((format!("{name}.svg"), svg.into_bytes()));
+    }
+    Ok(files)
 }
 
 /// Makes the row `program` of the only run its recommendation; does nothing for `None`. Refuses a row if there are

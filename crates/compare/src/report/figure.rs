@@ -15,9 +15,10 @@ use super::{
     motion::{Dwell, SpeedLine},
     pack::base64,
     spectrum::{BAND_PERIOD_MM, Spectrum},
+    tool::side_by_side,
     view::{MethodView, View},
 };
-use crate::{answer::duration, plan::WITHOUT_MOTION};
+use crate::{answer::duration, front, plan::WITHOUT_MOTION};
 
 /// Number of colours of the path (lines) and of the dwell points (squares) in a picture. Larger: finer steps, larger
 /// files. Smaller: coarser steps. Chosen.
@@ -147,10 +148,10 @@ pub const PAPER_PX: f64 = 952.0;
 /// Draws the figures of a report. Returns the names and the SVG texts of those that have something to show.
 pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
     type Figure = fn(&[View], &Layout) -> Option<String>;
-    let figures: [(&str, Figure); 10] = [
+    let figures: [(&str, Figure); 11] = [
         ("overview", overview),
         ("maps", maps),
-        ("tool", |views, _| views.iter().find_map(|view| view.tool.clone())),
+        ("tool", |views, _| views.iter().find_map(|view| side_by_side(&view.tool))),
         ("axes", axes),
         ("path", path),
         ("motion", motion),
@@ -158,6 +159,7 @@ pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
         ("histogram", histograms),
         ("spectrum", spectra),
         ("refinement", refinement),
+        ("front", front),
     ];
     let drawn = figures.into_par_iter();
     drawn.filter_map(|(name, figure)| Some((name, figure(views, layout)?))).collect()
@@ -533,6 +535,12 @@ fn refinement(views: &[View], layout: &Layout) -> Option<String> {
         frame.title(svg, &format!("refinement, {}", label(views, view, m)));
     }
     sheet.finish_if_any()
+}
+
+/// Draws the residual against the time of every plan; `None` for fewer than two plans.
+fn front(views: &[View], _: &Layout) -> Option<String> {
+    let runs: Vec<_> = views.iter().map(|view| (view.name.as_str(), &view.summary)).collect();
+    front::svg(&front::points(&runs))
 }
 
 /// Draws curves with a legend. The first, in black, is the reference with which the others are compared.

@@ -18,7 +18,11 @@ use super::{
     spectrum::BAND_PERIOD_MM,
     view::{FrameView, MAX_MAP_PIXELS, MethodView, View},
 };
-use crate::{answer::with_answer, made::Made};
+use crate::{
+    answer::with_answer,
+    front::{self, FrontPoint},
+    made::Made,
+};
 
 /// Skeleton of the page, and the CSS rules that it has beside the shared ones.
 const HTML: &str = include_str!("page.html");
@@ -40,18 +44,21 @@ const JS: &str = concat!(
     include_str!("page/profiles.js"),
     include_str!("page/motion.js"),
     include_str!("page/heights.js"),
+    include_str!("page/front.js"),
     include_str!("page/rounds.js"),
     include_str!("page/error_budget.js"),
     include_str!("page/tables.js"),
     include_str!("page/places.js"),
+    include_str!("page/low_order.js"),
+    include_str!("page/several.js"),
     include_str!("page/provenance.js"),
     include_str!("page/full_values.js"),
     include_str!("page/start.js"),
 );
 
-/// Returns the report page as one HTML file. `summaries` is the content of `summary.json`. The same views give the
-/// same bytes.
-pub fn page(views: &[View], summaries: &Value) -> String {
+/// Returns the report page as one HTML file. `summaries` is the content of `summary.json`, `points` are the plans with
+/// time and residual. The same views give the same bytes.
+pub fn page(views: &[View], summaries: &Value, points: &[FrontPoint]) -> String {
     let names: Vec<String> = match views {
         [one] => one.summary.part_and_pipeline(&one.name),
         several => several.iter().map(|v| v.name.clone()).collect(),
@@ -59,6 +66,11 @@ pub fn page(views: &[View], summaries: &Value) -> String {
     let data = json!({
         "summary": summaries,
         "runs": views.iter().map(run_json).collect::<Vec<_>>(),
+        "front": {
+            "points": points,
+            "on_the_front": front::front(points),
+            "csv": front::csv(points),
+        },
         "band_period_mm": BAND_PERIOD_MM,
         "colours": { "height": BLUE_TO_BROWN, "speed": VIRIDIS_FOR_LINES },
     });
@@ -76,16 +88,26 @@ pub fn page(views: &[View], summaries: &Value) -> String {
     page::document(&title, &policy(&style), &style, &body)
 }
 
-/// Returns the HTML section with the tools that vary over the part; empty if there is none.
+/// Returns the HTML section with the tools; empty if none is known.
 fn tools(views: &[View]) -> String {
-    let pictures: String = views.iter().filter_map(|view| view.tool.as_deref()).collect();
-    if pictures.is_empty() {
-        return pictures;
+    let mut figures = String::new();
+    for picture in views.iter().flat_map(|view| &view.tool) {
+        let class = if picture.varies { "drawing wide" } else { "drawing" };
+        figures += &format!("<figure class=\"{class}\">{}</figure>\n", picture.svg);
     }
+    if figures.is_empty() {
+        return figures;
+    }
+    let varies = views.iter().flat_map(|view| &view.tool).any(|picture| picture.varies);
+    let note = if varies {
+        "The tool is not the same everywhere. Left: the volume that it removes per second at a place of the part, over \
+         its mean. Right: its footprint at the nine numbered places, without factors of pixels and time."
+    } else {
+        "Removal rate at the offset of a pixel from the tool, and its sections along x and y through the peak, with \
+         their widths at half of the peak (FWHM)."
+    };
     format!(
-        "<section id=\"tool\"><h2>Tool</h2>\n<p class=\"note\">The tool is not the same everywhere. Left: the volume that \
-         it removes per second at a place of the part, over its mean. Right: its footprint at the nine numbered places, \
-         without factors of pixels and time.</p>\n{pictures}</section>\n"
+        "<section id=\"tool\"><h2>Tool</h2>\n<p class=\"note\">{note}</p>\n<div class=\"panels\">{figures}</div>\n</section>\n"
     )
 }
 
@@ -298,7 +320,7 @@ mod tests {
 
     #[test]
     fn the_policy_names_the_program_of_the_page_by_its_hash() {
-        let page = page(&[], &json!({}));
+        let page = page(&[], &json!({}), &[]);
         let script = page.rsplit_once("<script>").unwrap().1.split_once("</script>").unwrap().0;
         // FIPS 180-4 by the crate; that the browser agrees is checked in the browser.
         let hash = base64(&Sha256::digest(script.as_bytes()));

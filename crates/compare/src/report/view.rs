@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use ndarray::Array3;
+use ndarray::{Array2, Array3};
 use planish_types::{
     Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory, outcome::verdict::Verdict,
 };
@@ -13,6 +13,7 @@ use super::{
     map::{Histogram, ScreenMap, block_side, histogram, screen_map},
     motion::{self, Dwell, Ranges, SpeedLine},
     spectrum::{Spectrum, spectrum},
+    tool::Picture,
 };
 use crate::{made::Made, summary::Summary};
 
@@ -52,8 +53,8 @@ pub struct RunData {
     pub measured: Option<Surface>,
     /// Tool path; `None` if the run has none.
     pub path: Option<ToolPath>,
-    /// Picture of the tool as SVG; `None` for a tool that is the same everywhere, or not known.
-    pub tool: Option<String>,
+    /// Pictures of the tool or tools; empty if none is known.
+    pub tool: Vec<Picture>,
     /// Data of the methods (schedulers or solvers) of the run.
     pub methods: Vec<RunMethod>,
     /// Manifests of the artifacts that the methods share, for the section of the page that says how they were made.
@@ -69,8 +70,12 @@ pub struct RunMethod {
     pub trajectory: Trajectory,
     /// Predicted removal of the motion, with the residual that it leaves.
     pub removal: Removal,
+    /// Removal of this motion alone (ny, nx), nm, if motions before it have removed a part of `removal`.
+    pub shown_removal_nm: Option<Array2<f64>>,
     /// Verdict on the limits of the machine.
     pub verdict: Verdict,
+    /// Tool path of the method; `None` if it is that of the run.
+    pub path: Option<ToolPath>,
     /// Planned dwell times; `None` if they are not known.
     pub dwell: Option<DwellTime>,
     /// Removal at chosen times of the run; `None` if it was not simulated.
@@ -113,7 +118,7 @@ pub struct View {
     pub(super) desired: ScreenMap,
     pub(super) measured: Option<ScreenMap>,
     pub(super) before: (Histogram, Option<Spectrum>),
-    pub(super) tool: Option<String>,
+    pub(super) tool: Vec<Picture>,
     pub(super) methods: Vec<MethodView>,
     pub(super) provenance: Vec<Made>,
 }
@@ -185,14 +190,19 @@ fn view(run: RunData, allotment: &Allotment) -> View {
     let mut methods = run.methods;
     methods.sort_by_key(|m| run.summary.methods.iter().position(|(name, _)| *name == m.name));
     let methods = methods.into_par_iter().map(|m| MethodView {
-        removal: screen_map(m.removal.removal_nm().view(), &grid, every),
+        removal: screen_map(
+            m.shown_removal_nm.as_ref().unwrap_or(m.removal.removal_nm()).view(),
+            &grid,
+            every,
+        ),
         residual: on_screen(m.removal.residual(), every),
         after: analysed(m.removal.residual()),
         line: motion::line(&m.trajectory, allotment.points),
         ranges: motion::ranges(&on_axes(&m.trajectory, &m.verdict), allotment.pieces),
-        dwell: run
+        dwell: m
             .path
             .as_ref()
+            .or(run.path.as_ref())
             .zip(m.dwell.as_ref())
             .and_then(|(path, plan)| motion::dwell(path, plan, &m.trajectory, allotment.dwell)),
         frames: m.frames.map(|f| frame_view(f, &run.desired, allotment.frame_pixels)),

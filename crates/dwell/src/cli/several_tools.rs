@@ -22,7 +22,7 @@ use planish_handoff::{
 };
 use planish_types::{
     DwellTime, Rack, RackEntry, Surface, Tif, ToolPath, doubts,
-    outcome::plan::{Keeping, PlanOutcome, Reserve, ToolShare},
+    outcome::plan::{ChoiceReport, Keeping, PlanOutcome, Reserve, SubsetRow, ToolShare},
     plausible,
     reach::Reach,
 };
@@ -112,36 +112,6 @@ struct ReportOfTool<'a> {
     setup_draws: Option<&'a DrawsReport>,
     #[serde(flatten)]
     all: &'a BoundedReport,
-}
-
-/// Report on the choice of tools: the subsets that were solved, and the bound over all of them.
-#[derive(Serialize)]
-struct ChoiceReport {
-    /// Subsets that were solved, in the order in which they were.
-    subsets: Vec<SubsetRow>,
-    /// Index of the best one.
-    best: usize,
-    /// Proven lower bound of the cost of every subset, nm^2.
-    bound_nm2: f64,
-    /// Bound of the distance of the cost of the best subset from the least one, relative to its cost.
-    relative_gap_of_choice: f64,
-}
-
-/// A subset of the rack that was solved.
-#[derive(Serialize)]
-struct SubsetRow {
-    /// Names of its tools.
-    tools: Vec<String>,
-    /// Residual of its plan, RMS, nm.
-    model_rms_nm: f64,
-    /// Sum of the dwell times of each tool, s.
-    time_s: Vec<f64>,
-    /// Sum of all dwell times and of the times to mount the tools, s.
-    time_with_changes_s: f64,
-    /// Objective and prices of the changes, nm^2.
-    cost_nm2: f64,
-    /// Proven lower bound of this cost, nm^2.
-    bound_nm2: f64,
 }
 
 /// Settings as the manifests state them.
@@ -360,15 +330,15 @@ impl Task<'_> {
         let report = ChoiceReport {
             subsets: rows.collect(),
             best: choice.best,
-            bound_nm2: choice.bound_nm2,
-            relative_gap_of_choice: choice.relative_gap(),
+            bound_nm2: Some(choice.bound_nm2),
+            relative_gap_of_choice: Some(choice.relative_gap()),
         };
         let best = &report.subsets[report.best];
         say(format!(
             "chosen: {}, {:.2} s with changes; no subset costs less by more than {:.1e} of its cost; {} of {} solved",
             best.tools.join(" + "),
             best.time_with_changes_s,
-            report.relative_gap_of_choice,
+            choice.relative_gap(),
             report.subsets.len(),
             (1_usize << rack.len()) - 1
         ));
@@ -409,7 +379,7 @@ impl Task<'_> {
             time_s: shares.iter().map(|share| share.total_time_s).collect(),
             time_with_changes_s: report.total_time_s + changes_s,
             cost_nm2: subset.cost_nm2,
-            bound_nm2: subset.bound_nm2,
+            bound_nm2: Some(subset.bound_nm2),
         }
     }
 

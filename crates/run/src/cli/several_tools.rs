@@ -15,6 +15,8 @@
 //! | `after` | map after the last tool |
 //! | `table.txt` | the table of the run |
 //! | `several.json` | tools and settings, from which `next-run` goes on after a measured map |
+//! | `alone/NAME` | with compare=yes: the same with this tool of the rack alone |
+//! | `report` | the page of the run |
 
 use std::{
     fs,
@@ -44,6 +46,7 @@ use super::{
     rack::{CheckedRack, refuse_other_axes},
     record::Record,
     several::{UserSettings, command},
+    several_page::{PageOfRun, PageSettings, ToolOfRack},
 };
 
 /// Name under which `planish run` knows this command beside the pipelines.
@@ -76,8 +79,9 @@ const REMEDY: &str = "run it again";
 #[derive(Args)]
 pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
-    /// choose=yes or no, motion=refine or joint, export=CONTROLLER, export_settings, out=DIR. For a file of an instrument:
-    /// surface=FILE and surface_settings (flags of planish-import)
+    /// choose=yes or no, motion=refine or joint, compare=yes or no (each tool alone, too), export=CONTROLLER,
+    /// export_settings, part_name, part_number, date, operator, out=DIR. For a file of an instrument: surface=FILE and
+    /// surface_settings (flags of planish-import)
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -104,6 +108,8 @@ pub struct Settings {
     pub is_joint: bool,
     pub export: Option<String>,
     pub export_settings: Vec<String>,
+    /// What the page of the run states.
+    pub page: PageSettings,
     /// Residual that the plan shall keep, RMS, nm; `None` if the prices of the rack decide.
     pub keep_rms_nm: Option<f64>,
     pub out: String,
@@ -192,6 +198,7 @@ impl Settings {
                 return Err(Failure::new(format!("motion is '{other}'; give refine or joint")));
             }
         };
+        let page = PageSettings::take(&mut user)?;
         let export = user.take("export").filter(|controller| !controller.is_empty());
         let out = user.take_path("out").unwrap_or_else(|| {
             let map = std::path::absolute(&surface).unwrap_or_default();
@@ -205,7 +212,7 @@ impl Settings {
         if let Some(word) = user.settings.iter().chain(&user.words).next() {
             return Err(Failure::new(format!(
                 "'{word}' is no setting of {NAME}; it has surface, surface_settings, rack, machine, prepare, choose, \
-                 motion, export, export_settings and out"
+                 motion, compare, export, export_settings, part_name, part_number, date, operator and out"
             )));
         }
         let settings = Self {
@@ -219,6 +226,7 @@ impl Settings {
             is_joint,
             export,
             export_settings,
+            page,
             keep_rms_nm: None,
             out,
         };
@@ -349,6 +357,10 @@ impl Course {
         for entry in rack.tools {
             tools.push(self.tool(entry, map)?);
         }
+        let whole_rack: Vec<ToolOfRack> = tools
+            .iter()
+            .map(|tool| ToolOfRack { entry: tool.entry.clone(), machine: tool.machine.clone() })
+            .collect();
         let mut chosen = self.choose(tools, map)?;
         chosen.sort_by(|a, b| b.width_mm.total_cmp(&a.width_mm));
         // Nobody shall run the program of a tool that an earlier run had chosen.
@@ -368,7 +380,8 @@ impl Course {
             before = after;
             chosen.remove(0);
         }
-        self.tell(map, &rows)
+        self.tell(map, &rows)?;
+        self.write_page(&whole_rack)
     }
 
     /// Makes the record of a run with these tools for this map, whose plan leaves `planned_rms_nm`.
@@ -390,6 +403,30 @@ impl Course {
             surface: std::path::absolute(map)?,
             planned_rms_nm: settings.keep_rms_nm.unwrap_or(planned_rms_nm),
         })
+    }
+
+    /// Writes the page of the run to `report`.
+    fn write_page(&mut self, rack: &[ToolOfRack]) -> Result<(), Failure> {
+        let Settings { surface, machine, is_assumed, is_joint, out, page, .. } = &self.settings;
+        let mut assumed = None;
+        if *is_assumed {
+            assumed = Some(Inputs::new().read_machine(Path::new(machine))?.name().to_string());
+        }
+        let mirror = name_of(&std::path::absolute(surface)?);
+        let run = PageOfRun {
+            out,
+            mirror: &mirror,
+            assumed_machine: assumed.as_deref(),
+            motion: if *is_joint { "joint" } else { "refine" },
+        };
+        match page.write(&self.programs, &run, rack)? {
+            0 => Ok(()),
+            1 => {
+                self.negative.push(format!("{} (planish-compare)", self.path("report")));
+                Ok(())
+            }
+            _ => std::process::exit(2),
+        }
     }
 
     /// Prepares a tool: copies the file of its machine, and makes its tool path unless the rack has one.
@@ -603,7 +640,7 @@ impl Course {
         let about = format!("{file}.json");
         let read_back = format!("{at}/program");
         let back = format!("{read_back}/trajectory");
-        let more = self.settings.export_settings.clone();
+        let more = [&self.settings.export_settings[..], self.settings.page.stated()].concat();
         let mut flags = vec![controller, "--trajectory", trajectory, "--machine", &tool.machine];
         flags.extend(["--tool-path", &tool.tool_path]);
         flags.extend(more.iter().map(String::as_str));

@@ -10,8 +10,8 @@ use super::{CIRCLE, MapArgs, circle};
 pub struct StatisticsArgs {
     #[command(flatten)]
     map: MapArgs,
-    /// Terms of the fit in the robust PV [default: zernike if the valid pixels fill less than 90 % of their
-    /// bounding box, else legendre]
+    /// Terms of the fit in the robust PV [default: zernike if the circle about the valid pixels is
+    /// smaller than their rectangle, else legendre]
     #[arg(long, value_enum)]
     pvr_terms: Option<Family>,
     /// Unit circle of the zernike terms, mm [default: about the valid pixels]

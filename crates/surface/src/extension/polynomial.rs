@@ -18,16 +18,16 @@
 //! the idea; the ring's heights are the nearest ones here.
 
 use ndarray::Array2;
+use planish_form::{
+    basis::{Basis, Polynomial, fit},
+    low_order::bounding_box_mm,
+};
 use planish_numerics::statistics::statistics;
 use planish_types::{Grid, Invalid};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::{
-    basis::{Basis, Polynomial, fit},
-    distance,
-    low_order::bounding_box_mm,
-};
+use crate::distance;
 
 /// Highest order along an axis that a caller may ask for; 31 x 31 terms. Larger: normal equations that take
 /// long and determine their terms badly. Smaller: a coarser continuation.

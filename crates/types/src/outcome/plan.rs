@@ -106,6 +106,8 @@ pub struct SeveralReport {
     pub unseen_setup_rms_nm: Option<f64>,
     /// Residual that the plan shall keep; `None` if the prices alone decide.
     pub keeping: Option<Keeping>,
+    /// Choice of the tools; absent if it was not made here.
+    pub choice: Option<ChoiceReport>,
 }
 
 /// Share of one tool in a plan of several.
@@ -157,6 +159,36 @@ pub struct Keeping {
     pub price_factor: f64,
     /// True if it keeps the residual.
     pub is_kept: bool,
+}
+
+/// Report on the choice of tools: the subsets that were solved, and the bound over all of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChoiceReport {
+    /// Subsets that were solved, in the order in which they were.
+    pub subsets: Vec<SubsetRow>,
+    /// Index of the best one.
+    pub best: usize,
+    /// Proven lower bound of the cost of every subset, nm^2.
+    pub bound_nm2: Option<f64>,
+    /// Bound of the distance of the cost of the best subset from the least one, relative to its cost.
+    pub relative_gap_of_choice: Option<f64>,
+}
+
+/// A subset of the rack that was solved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SubsetRow {
+    /// Names of its tools.
+    pub tools: Vec<String>,
+    /// Residual of its plan, RMS, nm.
+    pub model_rms_nm: f64,
+    /// Sum of the dwell times of each tool, s.
+    pub time_s: Vec<f64>,
+    /// Sum of all dwell times and of the times to mount the tools, s.
+    pub time_with_changes_s: f64,
+    /// Objective and prices of the changes, nm^2.
+    pub cost_nm2: f64,
+    /// Proven lower bound of this cost, nm^2.
+    pub bound_nm2: Option<f64>,
 }
 
 /// Proven bound on what a plan leaves to gain: part of the report of a method.

@@ -1,7 +1,7 @@
 // The answer: which plan is to be run, what it leaves, and why this one.
 
 /** Whether what is wrong with a method is a fault of the run: of its plan, or of all where there is none to run. */
-const concerns = (entry) => entry.run.best === null || entry.method.name === entry.run.best;
+const concerns = (entry) => SEVERAL !== null || entry.run.best === null || entry.method.name === entry.run.best;
 /** Dwell times without a motion are no plan, and nobody runs them. */
 const isStill = (entry) => entry.run.summary.methods[entry.method.name].plan.state === "without-motion";
 const alarm = (entry) => (concerns(entry) && !isStill(entry) ? theme.bad : theme.soft);
@@ -48,4 +48,12 @@ function fillAnswer() {
     if (without_motion) addAnswer(part, run, "note still", without_motion);
     reasons.append(part);
   }
+}
+
+/** Shows what the user states about the part. */
+function fillPart() {
+  const { name, number: code, date, operator } = RUNS.length ? RUNS[0].summary.part : {};
+  const stated = [["Part", name], ["number", code], ["date", date], ["operator", operator]].filter(([, value]) => value);
+  byId("part").hidden = !stated.length;
+  byId("part").textContent = stated.map(([what, value]) => `${what} ${value}`).join(", ");
 }

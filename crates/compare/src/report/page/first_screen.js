@@ -14,13 +14,19 @@ function beforeWords(run) {
   return { title: `before${whose}: ${number(rms_nm)} nm RMS, ${number(pv_nm)} nm PV`, note: "desired removal", still: true, idle: POINT_TO_READ };
 }
 
+/** The plan of several tools after the tool of an entry: the tools so far, and the time with changes. */
+function afterTools(entry) {
+  const k = ENTRIES.indexOf(entry), names = SEVERAL.tools.slice(0, k + 1).map((t) => t.name);
+  return `after ${names.join(", then ")}, ${duration(SEVERAL.tools[k].elapsed_s)}`;
+}
+
 function afterWords(entry) {
   const m = entry.run.summary.methods[entry.method.name], judged = m.specification;
   const limits = `limits of the machine ${m.limits_respected ? "kept" : "exceeded"}`;
   const specification = judged ? `, specification ${judged.passed ? "kept" : "not kept"}` : "";
   return {
-    title: `after ${entry.label}, ${duration(m.total_time_s)}: ${number(m.rms_nm)} nm RMS, ${number(m.pv_nm)} nm PV`,
-    note: `residual; ${limits}${specification}`,
+    title: `${SEVERAL ? afterTools(entry) : `after ${entry.label}, ${duration(m.total_time_s)}`}: ${number(m.rms_nm)} nm RMS, ${number(m.pv_nm)} nm PV`,
+    note: `${SEVERAL && entry !== ENTRIES.at(-1) ? "map before the next tool" : "residual"}; ${limits}${specification}`,
     still: true,
     idle: POINT_TO_READ,
   };

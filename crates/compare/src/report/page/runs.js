@@ -51,6 +51,8 @@ const RUNS = DATA.runs.map((run) => ({
   desired: layerOf("desired removal", run.desired),
   measured: run.measured && layerOf("measured", run.measured),
 }));
+/** Plan of several tools, whose methods are its tools in the order in which they run; null for any other run. */
+const SEVERAL = RUNS.length === 1 ? RUNS[0].summary.several || null : null;
 const ENTRIES = RUNS.flatMap((run) => run.methods.map((method) => entryOf(run, method)));
 
 /** What is shown. */

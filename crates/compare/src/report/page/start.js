@@ -12,6 +12,7 @@ function showMethod(a, b) {
   byId("b").value = state.b;
   state.timeView = [0, A().total];
   for (const option of byId("b").options) option.disabled = +option.value === a;
+  byId("frame-note").hidden = SEVERAL !== null && !A().frames;
   byId("frame-note").textContent = A().frames
     ? `The surface is the one simulated at the last of ${A().frames.time.length} times before the slider.`
     : "No frames for this method: planish-simulate --frames N writes them to methods/<method>/frames; the tool moves all the same.";
@@ -21,6 +22,7 @@ function showMethod(a, b) {
     ? `Time at every dwell point as planned, and what the motion takes there instead; differences add up to ${number(d.total_error_s)} s.`
     : "Time at every dwell point, as the plan of this program has it. A program names no dwell points, so the times of its motion there are not known.";
   fillBands();
+  fillLowOrder();
   fillPlaces();
   hintTables();
   setTime(A().total);
@@ -65,6 +67,7 @@ function drawAll() {
     drawAll.key = [state.a, state.b, theme.paper, innerWidth].join();
     drawHistogram();
     drawSpectrum();
+    drawFront();
     drawRounds();
     drawProcess();
   }
@@ -119,6 +122,8 @@ function start() {
   fillSummary();
   fillSpecifications();
   fillReach();
+  fillPart();
+  fillSeveral();
   fillProvenance();
   if (!ENTRIES.length) {
     // Every method is left out, and why is said: there is nothing to draw.
@@ -137,7 +142,11 @@ function start() {
   new Panel("maps", "residual-b", () => B() && mapContent(B().residual, "residual" + state.b, { ...afterWords(B()), marks: worstMarks(B()) }));
   new Panel("maps", "difference", () => B() && mapContent(difference(), "difference" + state.a + "," + state.b, { title: `residual of ${A().label} - residual of ${B().label}` }));
   new Panel("surfaces", "measured", () => mapContent(A().run.measured, "measured" + A().run.name));
-  new Panel("surfaces", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
+  if (SEVERAL)
+    ENTRIES.forEach((e, i) => new Panel("surfaces", "removal-" + i, () => mapContent(e.removal, "removal" + i, { title: "removal by " + e.label })));
+  else new Panel("surfaces", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
+  if (SEVERAL)
+    ENTRIES.slice(0, -1).forEach((e, i) => new Panel("surfaces", "after-" + i, () => mapContent({ ...e.residual, own: false }, "after" + i, { title: "map after " + e.label })));
   addSlopePanels();
   new Panel("paths", "frame", () => {
     const layer = frameAt(A(), state.time);
@@ -155,6 +164,8 @@ function start() {
     caption.append(element("span", ""), saveButton(canvas, canvas.id));
     canvas.before(caption);
   }
+  byId("front").addEventListener("pointermove", readFront);
+  byId("front-csv").addEventListener("click", () => saveText(FRONT.csv, "front.csv"));
   byId("a").addEventListener("change", (event) => showMethod(+event.target.value, state.b));
   byId("b").addEventListener("change", (event) => showMethod(state.a, +event.target.value));
   byId("scale").addEventListener("change", (event) => setScale(event.target.value));

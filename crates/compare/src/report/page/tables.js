@@ -32,7 +32,8 @@ function fillSummary() {
   const table = byId("summary"), head = element("tr");
   head.append(element("th", "", { scope: "col" }));
   // The plan that is to be run comes first, the dwell times without a motion last.
-  const rank = (e) => (e.method.name === e.run.best ? 0 : isStill(e) ? 2 : 1);
+  // The tools of a plan stand in the order in which they run.
+  const rank = (e) => (SEVERAL || isStill(e) ? 2 : e.method.name === e.run.best ? 0 : 1);
   const order = ENTRIES.map((_, i) => i).sort((i, j) => rank(ENTRIES[i]) - rank(ENTRIES[j]));
   for (const e of order.map((i) => ENTRIES[i])) {
     const th = element("th", e.label, { scope: "col" });
@@ -63,11 +64,12 @@ function fillSummary() {
       const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: exact });
       const fault = concerns(ENTRIES[i]) && !isStill(ENTRIES[i]);
       if (fault && (key === "limits_respected" ? !v : key === "plan" && v.state === "unconverged")) cell.className = "bad";
-      else if (!inWords && ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
+      else if (!inWords && !SEVERAL && ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
       row.append(cell);
     }
     table.tBodies[0].append(row);
   }
+  byId("stars").hidden = SEVERAL !== null;
   byId("heading").textContent = RUNS.map((r) => {
     const s = r.summary;
     const words = RUNS.length > 1 || !s.fixture ? [r.name, s.pipeline, s.fixture] : [s.fixture, s.pipeline];

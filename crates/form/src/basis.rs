@@ -37,9 +37,10 @@ const LEAST_EIGENVALUE: f64 = 1e-10;
 const REFINEMENTS: usize = 2;
 
 /// Terms phi_k of the fit (see the module), as functions on the pixels of a grid.
-pub(crate) enum Basis {
+pub enum Basis {
     /// Products `f_i(u) f_j(v)` of polynomials of one variable, one for every [i, j] in `terms`.
     Tensor {
+        /// Orders [i, j] of the terms.
         terms: Vec<[u32; 2]>,
         /// Polynomials f_i at the columns (nx, orders).
         along_x: Array2<f64>,
@@ -48,19 +49,28 @@ pub(crate) enum Basis {
     },
     /// All Zernike terms up to `order`, of unit RMS on the unit disc; `x` and `y` are the pixel centres over its
     /// radius.
-    Zernike { order: u32, x: Vec<f64>, y: Vec<f64> },
+    Zernike {
+        /// Highest radial order n.
+        order: u32,
+        /// x of the columns, from the centre of the disc (nx).
+        x: Vec<f64>,
+        /// y of the rows, from the centre of the disc (ny).
+        y: Vec<f64>,
+    },
 }
 
 /// Family of the polynomials of one variable in a product.
 #[derive(Clone, Copy)]
-pub(crate) enum Polynomial {
+pub enum Polynomial {
+    /// Legendre polynomials, which are orthogonal with equal weights.
     Legendre,
+    /// Chebyshev polynomials of the first kind.
     Chebyshev,
 }
 
 impl Basis {
     /// Returns the products of polynomials in u and v, which run from -1 to 1 over the ranges `x_mm` and `y_mm`.
-    pub(crate) fn tensor(
+    pub fn tensor(
         grid: &Grid,
         [x_mm, y_mm]: [[f64; 2]; 2],
         polynomial: Polynomial,
@@ -84,14 +94,17 @@ impl Basis {
         Self::Tensor { terms, along_x, along_y }
     }
 
-    pub(crate) fn zernike(grid: &Grid, centre_mm: [f64; 2], radius_mm: f64, order: u32) -> Self {
+    /// Returns all Zernike terms up to the radial order `order` on the disc about `centre_mm` [x, y].
+    pub fn zernike(grid: &Grid, centre_mm: [f64; 2], radius_mm: f64, order: u32) -> Self {
         let [x, y] = [(&grid.x, centre_mm[0]), (&grid.y, centre_mm[1])].map(|(axis, centre)| {
             axis.coordinates().into_iter().map(|v| (v - centre) / radius_mm).collect()
         });
         Self::Zernike { order, x, y }
     }
 
-    pub(crate) fn len(&self) -> usize {
+    /// Returns the number of terms.
+    #[expect(clippy::len_without_is_empty, reason = "a basis has at least one term")]
+    pub fn len(&self) -> usize {
         match self {
             Self::Tensor { terms, .. } => terms.len(),
             Self::Zernike { order, .. } => orthogonal::zernike_terms(*order),
@@ -99,7 +112,7 @@ impl Basis {
     }
 
     /// Returns the orders of all terms: [order along x, order along y], or [n, m] of Zernike terms.
-    pub(crate) fn terms(&self) -> Vec<[i32; 2]> {
+    pub fn terms(&self) -> Vec<[i32; 2]> {
         match self {
             Self::Tensor { terms, .. } => terms.iter().map(|t| t.map(|k| k as i32)).collect(),
             Self::Zernike { order, .. } => {
@@ -137,7 +150,7 @@ impl Basis {
     }
 
     /// Returns the sum of the terms times their `coefficients` (k), on every pixel of a map of this shape (ny, nx).
-    pub(crate) fn sum(&self, shape: (usize, usize), coefficients: &[f64]) -> Array2<f64> {
+    pub fn sum(&self, shape: (usize, usize), coefficients: &[f64]) -> Array2<f64> {
         let c = Array1::from(coefficients.to_vec());
         let mut out = Array2::zeros(shape);
         let rows = out.outer_iter_mut().into_par_iter().enumerate();
@@ -147,7 +160,7 @@ impl Basis {
 }
 
 /// Result of a least-squares fit of the terms.
-pub(crate) struct BasisFit {
+pub struct BasisFit {
     /// Coefficients c of the module, one per term, in the unit of the map.
     pub coefficients: Vec<f64>,
     /// Sum of the fitted terms on every pixel, (ny, nx).
@@ -161,7 +174,7 @@ pub(crate) struct BasisFit {
 
 /// Fits the basis to the valid pixels of `map` (ny, nx). Refuses fewer than two pixels per term, and pixels that do not
 /// determine the terms.
-pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<BasisFit, Invalid> {
+pub fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<BasisFit, Invalid> {
     let terms = basis.len();
     let valid = map.iter().filter(|v| !v.is_nan()).count();
     if valid < 2 * terms {

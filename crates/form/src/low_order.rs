@@ -64,6 +64,18 @@ pub enum Family {
     Chebyshev,
 }
 
+impl Family {
+    /// Returns the family whose domain about the valid pixels of `surface` is the smaller one: Zernike terms if that
+    /// is their circle, Legendre terms if it is their rectangle.
+    pub fn suited_to(surface: &Surface) -> Self {
+        let bounds = bounding_box_mm(surface.height_nm(), surface.grid());
+        let centre = bounds.map(|[low, high]| 0.5 * (low + high));
+        let [width, height] = bounds.map(|[low, high]| high - low);
+        let radius_mm = farthest_mm(surface, centre);
+        if PI * radius_mm * radius_mm < width * height { Self::Zernike } else { Self::Legendre }
+    }
+}
+
 /// A circle in part coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Circle {
@@ -227,7 +239,7 @@ fn convention(family: Family) -> &'static str {
 }
 
 /// Returns the smallest and largest x, and y, of the valid pixels, mm.
-pub(crate) fn bounding_box_mm(map: &Array2<f64>, grid: &Grid) -> [[f64; 2]; 2] {
+pub fn bounding_box_mm(map: &Array2<f64>, grid: &Grid) -> [[f64; 2]; 2] {
     let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for ((r, c), z) in map.indexed_iter() {
         if !z.is_nan() {

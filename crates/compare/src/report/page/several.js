@@ -1,0 +1,42 @@
+// A plan of several tools: its tools, the subsets of the rack, and each tool alone.
+
+function tableRow(parent, name, cells) {
+  const tr = element("tr");
+  for (const [i, cell] of cells.entries()) {
+    if (cell instanceof Node) { const td = element(name); td.append(cell); tr.append(td); }
+    else tr.append(element(i === 0 && name === "td" ? "th" : name, cell, i === 0 && name === "td" ? { scope: "row" } : {}));
+  }
+  parent.append(tr);
+  return tr;
+}
+
+/** A link to a file of the run, or a dash without one. */
+function linkTo(path, text) {
+  return path ? element("a", text, { href: path }) : "-";
+}
+
+function fillSeveral() {
+  byId("several-section").hidden = !SEVERAL;
+  if (!SEVERAL) return;
+  const { tools, subsets, alone, warnings } = SEVERAL;
+  for (const text of warnings) byId("reasons").append(element("p", text, { class: "warning" }));
+  const kept = (limits) => (limits ? "kept" : "exceeded");
+  const rows = byId("several-tools");
+  tableRow(rows, "th", ["tool", "width at half of its peak (mm)", "map before (nm RMS)", "removes (nm, mean)", "planned after (nm RMS)", "executed after (nm RMS)", "motion (s)", "change (s)", "ready after (s)", "largest velocity x, y (mm/s)", "machine", "limits", "program"]);
+  for (const t of tools) {
+    const planned = t.planned_rms_nm === null ? "-" : fixed(t.planned_rms_nm, 4);
+    const row = tableRow(rows, "td", [t.name, number(t.width_mm), fixed(t.before_rms_nm, 4), fixed(t.mean_removal_nm, 3), planned, fixed(t.rms_nm, 4), fixed(t.time_s, 2), fixed(t.change_s, 2),
+      fixed(t.elapsed_s, 2), t.max_velocity_mm_per_s.map((v) => fixed(v, 2)).join(", "), t.machine || "-", kept(t.limits_kept), linkTo(t.program, (t.program || "").split("/").at(-1))]);
+    if (!t.limits_kept) row.cells[11].className = "bad";
+  }
+  byId("several-subsets-section").hidden = !subsets.length && !alone.length;
+  const table = byId("several-subsets");
+  tableRow(table, "th", ["tools", "what", "RMS (nm)", "time of each tool (s)", "with changes (s)", "cost (nm\u00b2)", "limits"]);
+  for (const s of subsets) {
+    const row = tableRow(table, "td", [s.tools.join(" + "), s.is_chosen ? "dwell times alone, chosen" : "dwell times alone", fixed(s.rms_nm, 4), s.time_s.map((t) => fixed(t, 2)).join(" + "), fixed(s.time_with_changes_s, 2), fixed(s.cost_nm2, 4), "-"]);
+    if (s.is_chosen) row.cells[1].className = "best";
+  }
+  for (const a of alone)
+    tableRow(table, "td", [a.name, linkTo(a.report, "executed alone"), fixed(a.rms_nm, 4), "-", fixed(a.time_with_change_s, 2), "-", kept(a.limits_kept)]);
+  tableRow(table, "td", [tools.map((t) => t.name).join(" + "), "executed, this plan", fixed(tools.at(-1).rms_nm, 4), tools.map((t) => fixed(t.time_s, 2)).join(" + "), fixed(SEVERAL.total_time_s, 2), "-", kept(tools.every((t) => t.limits_kept))]);
+}
