@@ -3,13 +3,13 @@
 //!
 //! ```text
 //! cycle_s,0.002
-//! cycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,...,tool_on
+//! cycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,...,tool_on,segment
 //! ```
 //!
 //! The row of cycle k has the position, velocity and acceleration of every axis at the time k times the cycle; a rotary
 //! axis has columns in degrees. The acceleration is that after this time. `tool_on` counts from its row to the next,
-//! and the last row has 0. The nodes of the motion lie on cycles, so the motion between two rows is the cubic
-//! through their positions and velocities.
+//! and the last row has 0. `segment` counts the cubics of the motion: all its rows lie on the one through its first row
+//! and the first row of the next.
 //!
 //! The start: the table begins at rest in the start position, from elsewhere its first row is a leap.
 //!
@@ -61,7 +61,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         let (name, unit) = (axis.name, axis.unit());
         text += &format!("{name}_{unit},v{name}_{unit}_per_s,a{name}_{unit}_per_s2,");
     }
-    text += "tool_on\n";
+    text += "tool_on,segment\n";
     let start = q.ticks[0];
     for cubic in q.pieces() {
         let k = cubic.segment;
@@ -69,11 +69,11 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         for tick in q.ticks[k]..q.ticks[k + 1] {
             let u = (tick - q.ticks[k]) as f64 * tick_s;
             let states = cubic.coefficient.map(|c| state(&c, u));
-            text += &row(tick - start, &states, q.tool_on[k]);
+            text += &row(tick - start, &states, q.tool_on[k], k);
         }
     }
     let rest = q.position(n).map(|p| [p, 0.0, 0.0]);
-    text += &row(q.ticks[n] - start, &rest, false);
+    text += &row(q.ticks[n] - start, &rest, false, n);
     Ok((text, about))
 }
 
@@ -83,13 +83,19 @@ fn state(c: &[f64; 4], u: f64) -> [f64; 3] {
     [evaluate(c, u), evaluate(&v, u), evaluate(&derivative(&v), u)]
 }
 
-/// Returns the row of a cycle: its number, the position, velocity and acceleration of every axis, and the tool.
-fn row<const N: usize>(cycle: i64, states: &[[f64; 3]; N], tool_on: bool) -> String {
+/// Returns the row of a cycle: its number, the position, velocity and acceleration of every axis, the tool, and the
+/// number of the segment.
+fn row<const N: usize>(
+    cycle: i64,
+    states: &[[f64; 3]; N],
+    tool_on: bool,
+    segment: usize,
+) -> String {
     let mut row = format!("{cycle}");
     for state in states {
         for (value, digits) in state.iter().zip(DIGITS) {
             row += &format!(",{}", decimal(*value, digits));
         }
     }
-    row + &format!(",{}\n", u8::from(tool_on))
+    row + &format!(",{},{segment}\n", u8::from(tool_on))
 }

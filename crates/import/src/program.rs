@@ -431,13 +431,12 @@ mod tests {
         is_the_move(&read(ControllerKind::SinumerikPoly, unit), false);
         let table = |row: &str| {
             format!(
-                "# a comment\ncycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on\n\
-                 0,1,0,600,-2,0,0,1\n1,2,0,0,-2,0,0,1\n{row}"
+                "# a comment\ncycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n\
+                 0,1,0,600,-2,0,0,1,0\n1,2,0,0,-2,0,0,1,1\n{row}"
             )
         };
-        let rows = table("2,2,0,0,-2,0,0,1\n3,2,0,0,-2,0,0,0\n");
-        let whole = read(ControllerKind::Twincat, &rows);
-        assert_eq!((whole.len(), whole.segment(0).position_mm(0.025)[0]), (3, 1.0 + 10.0 / 64.0));
+        let rows = table("2,2,0,0,-2,0,0,1,1\n3,2,0,0,-2,0,0,0,2\n");
+        is_the_move(&read(ControllerKind::Twincat, &rows), false);
         let ros = joint_trajectory(
             "\"y\", \"x\"",
             &[("-0.002, 0.001", 0), ("-0.002, 0.002", 100), ("-0.002, 0.002", 300)],
@@ -626,8 +625,8 @@ mod tests {
     #[test]
     fn setpoints_sequences_and_scripts_that_are_not_understood_are_refused() {
         use ControllerKind::*;
-        let table = "cycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on\n\
-                     0,1,0,600,-2,0,0,1\n1,2,0,0,-2,0,0,0\n";
+        let table = "cycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n\
+                     0,1,0,600,-2,0,0,1,0\n1,2,0,0,-2,0,0,0,1\n";
         let sequence = "Time (s),x Position (mm),x Velocity (mm/s),y Position (mm),y Velocity (mm/s)\n\
                         0.1,2,0,-2,0\n";
         let script = "program\nSetupTaskTargetMode(TargetMode.Absolute)\nSetupTaskTimeUnits(TimeUnits.Seconds)\n\
@@ -638,16 +637,19 @@ mod tests {
             (Twincat, table, "0.1", "0", "cycle_s: is 0"),
             (Twincat, table, ",tool_on", "", "does not have the header cycle,x_mm"),
             (Twincat, table, "\n1,2", "\n2,2", "line[4]: is cycle 2, not 1"),
-            (Twincat, table, "-2,0,0,0\n", "-2,0,0,1\n", "ends with the tool on"),
+            (Twincat, table, "-2,0,0,0,1\n", "-2,0,0,1,1\n", "ends with the tool on"),
             (Twincat, table, "-2,0,0,1", "-2,0,0,2", "has 2 for tool_on"),
+            (Twincat, table, ",1,0\n", ",1,0.5\n", "has 0.5 for segment"),
             (
                 Twincat,
                 table,
-                ",600,",
-                ",-600,",
-                "cycle[0]: has the acceleration -600, and its cubic has 600",
+                ",1,0\n",
+                ",1,1\n",
+                "line[3]: is of segment 1, with tool_on true, which does not",
             ),
-            (Twincat, table, ",600,", ",", "line[3]: has 7 fields"),
+            (Twincat, table, ",0,1\n", ",0,0\n", "line[4]: is of segment 0, with tool_on false"),
+            (Twincat, table, ",600,", ",-600,", "cycle[0]: has [1.0, 0.0, -600.0], and the cubic"),
+            (Twincat, table, ",600,", ",", "line[3]: has 8 fields"),
             (
                 Zaber,
                 sequence,

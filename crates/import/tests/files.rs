@@ -573,8 +573,8 @@ fn damaged_programs_are_read_or_refused() {
         ),
         (
             ControllerKind::Twincat,
-            "# x\ncycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on\n\
-             0,1,0,600,-2,0,0,1\n1,2,0,0,-2,0,0,0\n",
+            "# x\ncycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n\
+             0,1,0,600,-2,0,0,1,0\n1,2,0,0,-2,0,0,0,1\n",
         ),
         (ControllerKind::XpsPt, "0.1, 1, 0.5\n0.2, 0, 0\n"),
         (
