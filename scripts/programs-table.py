@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Tables of docs/controller-programs.md and of the CSV files beside it: plans as programs, read back and judged.
 
-programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids | --axes | --at-limits N]
+programs-table.py [--out DIR] [--rows NAME,...] [--controllers NAME,...] [--machine FILE]
+                  [--grids | --axes | --at-limits N]
 
-Without --grids: the rows of ROWS, every plan, every controller, then the worst of each plan. With --grids: clocks and
-counts. With --axes: the rows of AXES_ROWS, motions of all axes. With --at-limits: N random plans that use an
+Without --grids: the rows of ROWS, every plan, every controller, then the worst of each plan; --rows may name those of
+NAMED_ROWS, too. With --grids: clocks and counts. With --axes: the rows of AXES_ROWS, motions of all axes. With --at-limits: N random plans that use an
 acceleration limit fully, as G-code on random clocks and counts; of a refusal, the program after its remedy. DIR is
 out/programs/MACHINE by default.
 Plans that are in DIR already are not made again. Every number is of the program as planish-import reads it:
@@ -24,11 +25,12 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 BIN = pathlib.Path(os.environ.get("PLANISH_PROGRAMS", ROOT / "target/release"))
 # Without a limit on jerk, because its plans use the full acceleration more.
 MACHINE = ROOT / "fixtures/machines/ion-beam-no-jerk-limit.json"
-CONTROLLERS = ["galil", "xps", "pmac", "csv", "ros", "aerotech", "gcode"]
-# Controllers whose programs have a position, a velocity and a time per segment: together in the table of the worst.
-PVT_CONTROLLERS = ["galil", "xps", "pmac", "csv", "ros", "aerotech"]
-# Controllers of which no program switches the tool, unless an output is named: the tool of a plan with lifts stays on.
-SWITCHES = {"pmac": ["--tool-output", "1"]}
+# Controllers whose programs are cubics between two lines: together in the table of the worst.
+PVT_CONTROLLERS = ["galil", "xps", "pmac", "csv", "ros", "aerotech", "automation1", "sinumerik-poly", "twincat", "zaber"]
+LINES = ["gcode", "sinumerik", "xps-pt"]
+CONTROLLERS = [*PVT_CONTROLLERS, *LINES]
+# Flags by which a program switches the tool. Where no program does, the tool of a plan with lifts stays on.
+SWITCHES = {"pmac": ["--tool-output", "1"], "csv": [], "gcode": [], "twincat": []}
 
 RASTER = ["raster", "--pitch-mm=1", "--step-mm=1"]
 MAZE = ["maze", "--pitch-mm=1.2", "--step-mm=1.2"]
@@ -50,6 +52,8 @@ GRID_ROWS = {
     "reference raster": (None, RASTER, [], ["pvt", "joint"]),
     "reference maze": (None, MAZE, [], ["pvt", "joint"]),
 }
+# Rows that are made only where --rows names them.
+NAMED_ROWS = {"coupon maze": ("coupon", MAZE, [], ["pvt", "joint"]), **GRID_ROWS}
 # Name: fixture, path, machine, keys of the machine file that are set, form of the part. The slope of the sphere is 10
 # degrees at the ends of the coupon of 20 mm.
 SPHERE = {"kind": "sphere", "radius_mm": -57.6, "vertex_mm": [10, 6]}
@@ -118,7 +122,7 @@ def judge(to, plan, controller, flags):
     program = to / f"{plan}-{controller}"
     lifts = outcome(to / "path").get("lifts", 0) if (to / "path/manifest.json").exists() else 0
     if lifts:
-        flags = [*flags, *SWITCHES.get(controller, ["--always-on"] if controller in ("galil", "xps", "ros", "aerotech") else [])]
+        flags = [*flags, *SWITCHES.get(controller, ["--always-on"])]
     made = run("planish-export", controller, "--trajectory", trajectory, "--machine", MACHINE, *flags, "--out", program,
                "--force", allowed=(0, 1, 2))
     if made.returncode == 2:
@@ -142,8 +146,8 @@ def judge(to, plan, controller, flags):
     }, f"{rms:.4f} nm in {about['total_time_s'] - about['added_time_s']:.2f} s"
 
 
-def table_of_axes(out, names):
-    """The table of motions of all axes: every row, every controller."""
+def table_of_axes(out, names, controllers):
+    """The table of motions of all axes: every row, every one of `controllers`."""
     show(["plan", "controller", "segments", "residual", "time", "contact um", "largest use of a limit", "kept"])
     show(["---"] * 8)
     for name in names:
@@ -170,9 +174,10 @@ def table_of_axes(out, names):
             return residual(to, to / "contact", "removal")
 
         rms = left(to / "axes")
-        for controller in CONTROLLERS:
+        for controller in controllers:
             program, back = to / f"program-{controller}", to / f"back-{controller}"
-            run("planish-export", controller, "--axes", to / "axes", *on, *over, "--out", program, "--force")
+            flags = ["--rotary-lines"] if controller == "gcode" else []
+            run("planish-export", controller, "--axes", to / "axes", *on, *over, *flags, "--out", program, "--force")
             about = json.loads(pathlib.Path(f"{program}.json").read_text())
             run("planish-import", "program", program, "--controller", controller, "--about", f"{program}.json", "--out",
                 back, "--force")
@@ -251,15 +256,15 @@ def table_at_limits(out, count, first):
 
 
 def show_worst(judged):
-    """The worst residual, time and path of each plan, over the controllers with PVT segments, then of G-code. `judged`
-    has a plan, a controller and a line of the table each."""
-    names = [f"{kind} {column}" for kind in ("PVT", "G-code") for column in ("residual", "time", "path um")]
+    """The worst residual, time and path of each plan, over the controllers with PVT segments, then over those with
+    lines. `judged` has a plan, a controller and a line of the table each."""
+    names = [f"{kind} {column}" for kind in ("PVT", "lines") for column in ("residual", "time", "path um")]
     print(flush=True)
     show(["plan", *names])
     show(["---"] * 7)
     for plan in dict.fromkeys(plan for plan, _, _ in judged):
         worst = []
-        for controllers in (PVT_CONTROLLERS, ["gcode"]):
+        for controllers in (PVT_CONTROLLERS, LINES):
             lines = [line for name, controller, line in judged if name == plan and controller in controllers]
             # Without a residual the tool stays on in the lifts.
             residuals = [line["rms"] for line in lines if line["rms"] is not None]
@@ -286,20 +291,23 @@ def main():
     ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     ask.add_argument("--out", type=pathlib.Path)
     ask.add_argument("--rows", default="")
+    ask.add_argument("--controllers", default=",".join(CONTROLLERS))
     ask.add_argument("--grids", action="store_true")
     ask.add_argument("--axes", action="store_true")
     ask.add_argument("--at-limits", type=int, metavar="N")
     ask.add_argument("--first", type=int, default=0)
     ask.add_argument("--machine", type=pathlib.Path, default=MACHINE)
     given = ask.parse_args()
+    controllers = given.controllers.split(",")
     MACHINE = given.machine.resolve()
     out = given.out or ROOT / "out/programs" / MACHINE.stem
     if given.at_limits:
         return table_at_limits(given.out or ROOT / "out/programs/at-limits", given.at_limits, given.first)
     if given.axes:
-        return table_of_axes(given.out or ROOT / "out/programs/axes", given.rows.split(",") if given.rows else AXES_ROWS)
-    rows = GRID_ROWS if given.grids else ROWS
-    names = given.rows.split(",") if given.rows else list(rows)
+        names = given.rows.split(",") if given.rows else AXES_ROWS
+        return table_of_axes(given.out or ROOT / "out/programs/axes", names, controllers)
+    rows = {**ROWS, **NAMED_ROWS}
+    names = given.rows.split(",") if given.rows else list(GRID_ROWS if given.grids else ROWS)
     if given.grids:
         show(["plan", "controller", "tick ms", "count um", "residual", "time", "path um", "largest use of a limit", "kept"])
         show(["---"] * 9)
@@ -314,7 +322,7 @@ def main():
             print(f"left out, PLANISH_REFERENCE is not set: {name}", file=sys.stderr)
             continue
         for plan in plans:
-            for controller in CONTROLLERS:
+            for controller in controllers:
                 grids = [[]]
                 if given.grids:
                     clock = "--sample-s={:g}".format if controller == "galil" else "--tick-s={:g}".format

@@ -144,6 +144,18 @@ planish-export csv --trajectory {run/methods/pvt/trajectory} --machine {machine.
 planish-export ros --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ros.json}
 planish-export aerotech --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ab}
 planish-import program {p.ab} --controller aerotech --about {p.ab.json} --out {from-aerotech}
+planish-export automation1 --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {p.automation1}
+planish-import program {p.automation1} --controller automation1 --about {p.automation1.json} --out {from-automation1}
+planish-export sinumerik --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {p.sinumerik}
+planish-import program {p.sinumerik} --controller sinumerik --about {p.sinumerik.json} --out {from-sinumerik}
+planish-export sinumerik-poly --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {p.sinumerik-poly}
+planish-import program {p.sinumerik-poly} --controller sinumerik-poly --about {p.sinumerik-poly.json} --out {from-sinumerik-poly}
+planish-export twincat --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {p.twincat}
+planish-import program {p.twincat} --controller twincat --about {p.twincat.json} --out {from-twincat}
+planish-export xps-pt --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {p.xps-pt}
+planish-import program {p.xps-pt} --controller xps-pt --about {p.xps-pt.json} --out {from-xps-pt}
+planish-export zaber --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {p.zaber}
+planish-import program {p.zaber} --controller zaber --about {p.zaber.json} --out {from-zaber}
 planish-import program {p.ros.json} --controller ros --about {p.ros.json.json} --out {from-ros}
 planish-toolpath raster --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --machine {lab.json} --out {lab-path}
 planish-schedule pvt --tool-path {run/tool_path} --dwell {run/dwell} --machine {lab.json} --out {lab-motion}

@@ -78,6 +78,10 @@ struct GcodeArgs {
     /// path deviation]
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     path_tolerance_mm: Option<f64>,
+    /// Write lines of rotary axes, for a planner that was tried with them: LinuxCNC 2.9 takes longer over such lines and
+    /// exceeds the limits
+    #[arg(long)]
+    rotary_lines: bool,
 }
 
 /// Adds the flag `--tick-s` of the clock to a subcommand, with the default of this controller in its help.
@@ -138,8 +142,9 @@ impl FromArgMatches for Export {
             export.pmac = pmac::PmacSettings { feedrate_time_unit_s, tool_output };
         }
         if controller == ControllerKind::Gcode {
-            let GcodeArgs { f_word, path_tolerance_mm } = GcodeArgs::from_arg_matches(own)?;
-            export.gcode = gcode::GcodeSettings { feed: f_word, path_tolerance_mm };
+            let GcodeArgs { f_word, path_tolerance_mm, rotary_lines } =
+                GcodeArgs::from_arg_matches(own)?;
+            export.gcode = gcode::GcodeSettings { feed: f_word, path_tolerance_mm, rotary_lines };
         }
         Ok(export)
     }
@@ -167,11 +172,11 @@ struct CommonArgs {
     #[command(flatten)]
     near_path: NearPathArgs,
     /// Size of a count, mm, of the linear axes: one number, or one for each axis as in X,Y [default: that of the
-    /// machine's controller, else 0.0001; gcode: 0.000001]
+    /// machine's controller, else that of the kind: 0.0001 or 0.000001]
     #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true)]
     count_mm: Option<Vec<f64>>,
     /// Size of a count of the rotary axes, degrees: one number, or one for each axis [default: that of the machine's
-    /// controller, else 0.0001; gcode: 0.000001]
+    /// controller, else that of the kind: 0.0001 or 0.000001]
     #[arg(
         long,
         value_name = "C",

@@ -9,6 +9,11 @@
 //! in the space of the axes. A feed of axes in mm and degrees means nothing, so such a program is one of inverse time.
 //! The tolerance of G64 bounds the linear axes only.
 //!
+//! LinuxCNC runs such lines otherwise. Its interpreter turns F of G93 into a feed along X Y Z, of at least 0.1 mm/min,
+//! and its planner computes length, velocity, acceleration and the corner of two lines from X Y Z alone. Where these
+//! hardly move while an axis turns, the corner is nowhere and the acceleration that is left for it is tiny. So a motion of
+//! rotary axes is refused unless `rotary_lines` says that the planner was tried.
+//!
 //! Inverse time (G93) is what removal wants: it depends on the time, not on the speed. A line of no length would
 //! silently lose its time there, so standing is written as `G4 P`. A G4 begins when the motion before it has ended,
 //! half a line after its last node, and the next motion begins half a line before its first one. P leaves these halves
@@ -71,11 +76,13 @@ pub struct GcodeSettings {
     /// Largest distance of the path from the corners between lines, mm (G64 P); 0 for an exact path (G61). `None`: the
     /// path deviation of the program.
     pub path_tolerance_mm: Option<f64>,
+    /// True if lines may move rotary axes; otherwise a motion of rotary axes is refused.
+    pub rotary_lines: bool,
 }
 
 impl Default for GcodeSettings {
     fn default() -> Self {
-        Self { feed: Feed::InverseTime, path_tolerance_mm: None }
+        Self { feed: Feed::InverseTime, path_tolerance_mm: None, rotary_lines: false }
     }
 }
 
@@ -97,10 +104,28 @@ pub(crate) fn tolerance_mm(all: &crate::ProgramSettings, turns: bool) -> Result<
     Ok(tolerance)
 }
 
+/// Refuses a motion that turns a rotary axis, unless the settings allow it.
+fn check_rotary<const N: usize>(job: &Job<N>) -> Result<(), Invalid> {
+    let mut axes = job.plan.axes.iter().enumerate();
+    let turning = axes.find(|(a, axis)| axis.is_rotary && job.plan.extent(*a) > 0.0);
+    let Some((_, axis)) = turning.filter(|_| !job.settings.gcode.rotary_lines) else {
+        return Ok(());
+    };
+    let problem = format!(
+        "turns the axis {}: LinuxCNC plans a line by the length of its linear axes alone, so a line that mainly turns \
+         takes longer than its time, and others exceed the limits",
+        axis.name
+    );
+    let remedy = "write another kind, such as csv, pmac, galil or sinumerik-poly, or give `rotary_lines` if the planner \
+                  of your controller was tried with such lines";
+    Err(Invalid::whole("motion", problem, remedy))
+}
+
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let settings = &job.settings.gcode;
     let tick_s = job.tick()?;
     let tolerance = tolerance_mm(job.settings, job.turns())?;
+    check_rotary(job)?;
     let switched = job.grids.switches_tool;
     let (q, mut about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
@@ -167,7 +192,8 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     Ok((text, about))
 }
 
-fn significant(v: f64) -> String {
+/// Returns a positive feed with [`FEED_DIGITS`] significant digits.
+pub(crate) fn significant(v: f64) -> String {
     let decimals = (FEED_DIGITS - 1 - v.log10().floor() as i32).clamp(0, 15);
     decimal(v, decimals as usize)
 }

@@ -13,12 +13,16 @@
 //! | module | program | cubic between two lines | switches the tool |
 //! |---|---|---|---|
 //! | `galil` | Galil DMC, PVT mode | yes | no |
-//! | `xps` | Newport XPS, PVT trajectory file | yes | no |
+//! | `xps` | Newport XPS, PVT or PT trajectory file | yes, or no | no |
 //! | [`pmac`] | Delta Tau / Omron PMAC, PVT mode | yes | by an M-variable that is named |
 //! | [`gcode`] | G-code with inverse time or feed | no, lines that are joined | by digital output 0 |
 //! | `csv` | table of the motion | yes | by a column |
 //! | `aerotech` | Aerotech Ensemble, AeroBasic PVT | yes | no |
+//! | `automation1` | Aerotech Automation1, AeroScript MovePvt | yes | no |
 //! | `ros` | ROS message JointTrajectory | yes | no |
+//! | `sinumerik` | Siemens SINUMERIK, G93 lines or polynomials | no, or yes | no |
+//! | `twincat` | Beckhoff TwinCAT, table of setpoints per cycle | yes | by a column |
+//! | `zaber` | Zaber, PVT sequence as CSV | yes | no |
 //!
 //! Only this crate and `planish-import` convert units.
 
@@ -26,6 +30,7 @@
 extern crate self as planish_export;
 
 mod aerotech;
+mod automation1;
 mod cli;
 pub mod command;
 mod csv;
@@ -41,9 +46,12 @@ mod plan;
 pub mod pmac;
 mod preamble;
 mod ros;
+mod sinumerik;
 mod slowed;
+mod twincat;
 mod velocities;
 mod xps;
+mod zaber;
 
 use std::array::from_fn;
 
@@ -317,10 +325,8 @@ pub fn check(
         ControllerKind::Galil => galil::sample_s(&grids, 2).map(|_| ()),
         ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
         ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
-        ControllerKind::Xps
-        | ControllerKind::Csv
-        | ControllerKind::Ros
-        | ControllerKind::Aerotech => tick_s(&grids).map(|_| ()),
+        ControllerKind::SinumerikPoly => sinumerik::checked(&grids).map(|_| ()),
+        _ => tick_s(&grids).map(|_| ()),
     }
 }
 
@@ -390,6 +396,12 @@ fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Pro
         ControllerKind::Csv => csv::write(job),
         ControllerKind::Ros => ros::write(job),
         ControllerKind::Aerotech => aerotech::write(job),
+        ControllerKind::Automation1 => automation1::write(job),
+        ControllerKind::Sinumerik => sinumerik::write_lines(job),
+        ControllerKind::SinumerikPoly => sinumerik::write_polynomials(job),
+        ControllerKind::Twincat => twincat::write(job),
+        ControllerKind::XpsPt => xps::write_pt(job),
+        ControllerKind::Zaber => zaber::write(job),
     }?;
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
     Ok(Program { text, about })
@@ -530,7 +542,15 @@ impl<const N: usize> Job<'_, N> {
             "plan with 5 % less max_acceleration_mm_per_s2 in the machine file".into()
         } else {
             let finer = finer.join(" and ");
-            format!("give {finer}: LinuxCNC computes with the numbers of the program as they stand")
+            let why = match self.grids.kind {
+                ControllerKind::Gcode => {
+                    "LinuxCNC computes with the numbers of the program as they stand"
+                }
+                _ => {
+                    "such a program states its numbers that finely, see the grids of the controller"
+                }
+            };
+            format!("give {finer}: {why}")
         };
         Invalid::whole("program", problem, remedy)
     }

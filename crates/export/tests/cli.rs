@@ -8,6 +8,7 @@ use std::{
 
 use ndarray::{Array1, Array3};
 use planish_handoff::npy::ArrayData;
+use planish_types::ControllerKind;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -169,7 +170,7 @@ fn a_limit_within_a_segment_is_refused() {
     // 10 mm in 0.125 s: v = 120 in the middle, a = 3840, rest at both ends.
     let x = [0.0, 0.0, 30.0 / 0.125f64.powi(2), -20.0 / 0.125f64.powi(3)];
     let bench = Bench::new(&[0.0, 0.125], &[[x, [0.0; 4]]], &[1]);
-    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
+    for controller in ControllerKind::ALL.map(ControllerKind::name) {
         let said = bench.refused(controller, &[]);
         assert!(said.contains("segment[0]: x acceleration reaches 3840.000000 mm/s^2"), "{said}");
         assert!(
@@ -180,7 +181,7 @@ fn a_limit_within_a_segment_is_refused() {
     }
     // Constant velocity from nothing, as average-velocity has it.
     let bench = Bench::new(&[0.0, 1.0], &[[[0.0, 1.0, 0.0, 0.0], [0.0; 4]]], &[1]);
-    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
+    for controller in ControllerKind::ALL.map(ControllerKind::name) {
         let said = bench.refused(controller, &[]);
         assert!(
             said.contains("segment[0]: begins with a step of 1.000000 mm/s in the velocity"),
@@ -212,12 +213,20 @@ fn absurd_numbers_are_one_message() {
             ("ros", "--max-step-s"),
             ("aerotech", "--tick-s"),
             ("aerotech", "--count-mm"),
+            ("automation1", "--tick-s"),
+            ("sinumerik", "--tick-s"),
+            ("sinumerik-poly", "--tick-s"),
+            ("sinumerik-poly", "--count-mm"),
+            ("twincat", "--count-mm"),
+            ("xps-pt", "--tick-s"),
+            ("zaber", "--tick-s"),
+            ("zaber", "--count-mm"),
         ] {
             // 1e-9 is a nanosecond or a picometre, which a text with nine decimals holds; a step of 1e300 s is
             // longer than any segment.
             let fine = match flag {
                 "--max-step-s" => value == "1e300",
-                "--tick-s" => value == "1e-9" && controller != "pmac",
+                "--tick-s" => value == "1e-9" && !["pmac", "sinumerik-poly"].contains(&controller),
                 "--count-mm" => value == "1e-9" && controller != "galil",
                 _ => false,
             };
@@ -296,6 +305,10 @@ fn names_and_paths_stay_within_a_comment() {
         ("gcode", "(", ")", 252),
         ("csv", "# ", "", 120),
         ("aerotech", "' ", "", 80),
+        ("automation1", "// ", "", 120),
+        ("sinumerik", "; ", "", 120),
+        ("sinumerik-poly", "; ", "", 120),
+        ("twincat", "# ", "", 120),
     ] {
         let (text, about) = bench.done(controller, &long, &["--always-on"]);
         assert!(about["machine"].as_str().unwrap().contains('\u{1b}'));

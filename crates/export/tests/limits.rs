@@ -2,7 +2,8 @@
 
 use planish_export::{About, Origin, ProgramSettings, program};
 use planish_types::{
-    ControllerKind, Counts, Limits, Machine, MachineFile, MachineFileAxis, Trajectory,
+    ControllerKind, Counts, Interpolation, Limits, Machine, MachineFile, MachineFileAxis,
+    Trajectory,
 };
 
 fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
@@ -83,7 +84,8 @@ fn a_plan_at_its_limits_is_a_program_within_them() {
         {
             let mut made = export(&plan, &machine, controller, count, tick_s);
             // A count of 0.1 um is 1 % of the acceleration of lines of 4 ms, one of 1 um 10 %.
-            if let (ControllerKind::Gcode, Err(said)) = (controller, &made) {
+            let is_linear = controller.model().interpolation == Interpolation::Linear;
+            if let (true, Err(said)) = (is_linear, &made) {
                 assert!(said.contains("give `count_mm` 0.000001"), "{said}");
                 made = export(&plan, &machine, controller, 1e-6, None);
             }
@@ -92,7 +94,7 @@ fn a_plan_at_its_limits_is_a_program_within_them() {
             assert!(kept && about.path_deviation_mm <= 0.005, "{controller:?}: {about:?}");
             // Two margins of 2 percent of the acceleration, counts of 1 um at 0.1 mm, and one tick. Lines begin and end half a
             // line of 7 ms outside.
-            let lines_s = if controller == ControllerKind::Gcode { 7e-3 } else { 0.0 };
+            let lines_s = if is_linear { 7e-3 } else { 0.0 };
             let most = 0.06 * 0.125 + tick_s.unwrap_or(2e-3) + lines_s;
             assert!(about.added_time_s >= -1e-9 && about.added_time_s <= most, "{about:?}");
         }

@@ -88,6 +88,33 @@ fn the_text_of_every_controller() {
     let expected = "PROGRAM\nABS\nVELOCITY ON\nPVT INIT TIME ABS\nPVT X 2,0 Y -2,0 TIME 0.125\n\
                     PVT X 2,0 Y -2,0 TIME 3.125\nWAIT MOVEDONE X Y\nVELOCITY OFF\nEND PROGRAM";
     assert_eq!(body(ControllerKind::Aerotech), expected);
+    let expected = "program\nSetupTaskTargetMode(TargetMode.Absolute)\nSetupTaskTimeUnits(TimeUnits.Seconds)\n\
+                    MovePvt([X, Y], [2, -2], [0, 0], 125)\nMovePvt([X, Y], [2, -2], [0, 0], 3000)\n\
+                    WaitForMotionDone([X, Y])\nend";
+    assert_eq!(body(ControllerKind::Automation1), expected);
+    let expected = "Time (s),x Position (mm),x Velocity (mm/s),y Position (mm),y Velocity (mm/s)\n\
+                    0.125,2,0,-2,0\n3,2,0,-2,0";
+    assert_eq!(body(ControllerKind::Zaber), expected);
+    // 3 d p^2 / PL^2 - 2 d p^3 / PL^3, d = 1 mm and PL = 125 ms
+    let expected = "G17 G40 G71 G90 G94\nG0 X1 Y-2 W=0\nFGROUP(W)\nUPATH\nG64\nF60\n\
+                    POLY PO[X]=(2,0.000192,-0.000001024) PO[Y]=(-2,0,0) W=0.125 PL=125\n\
+                    PO[X]=(2,0,0) PO[Y]=(-2,0,0) W=3.125 PL=3000\nG1\nFGROUP()\nM30";
+    assert_eq!(body(ControllerKind::SinumerikPoly), expected);
+    let lines = body(ControllerKind::Sinumerik);
+    let head = "G17 G40 G71 G90 G94\nFGROUP(X,Y)\nG642 CTOL=0.005\nG0 X1 Y-2\nG93\nG1 X";
+    assert!(lines.starts_with(head) && lines.ends_with("\nG94 F60\nM30"), "{lines}");
+    assert!(lines.contains(" Y-2 F") && lines.contains("\nG4 F"), "{lines}");
+    // Elements add up to the way and nearly to the time; without way the axes stand.
+    let elements = body(ControllerKind::XpsPt);
+    let sums = elements.lines().fold([0.0; 3], |sums: [f64; 3], line| {
+        let numbers: Vec<f64> = line.split(", ").map(|word| word.parse().unwrap()).collect();
+        std::array::from_fn(|i| sums[i] + numbers[i])
+    });
+    assert!((sums[0] - 3.125).abs() < 0.01, "{sums:?}");
+    assert!((sums[1] - 1.0).abs() < 1e-6 && sums[2] == 0.0, "{sums:?}");
+    let table = body(ControllerKind::Twincat);
+    let head = "cycle_s,0.002\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n0,1,0,";
+    assert!(table.starts_with(head) && table.ends_with(",2,0,0,-2,0,0,0,2"), "{table:.300}");
     let point = |x: &str, sec: u32, nanosec: u32| {
         format!(
             "  {{\"positions\": [{x}, -0.002], \"velocities\": [0.0, 0.0], \"time_from_start\": {{\"sec\": {sec}, \

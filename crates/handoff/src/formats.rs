@@ -200,7 +200,7 @@ const MACHINE_KEYS: [(&str, &str, &str); 34] = [
     (
         "controller.interpolation",
         "-",
-        "`hermite` (cubic through positions and velocities) or `linear` (`gcode`): a check, no choice.",
+        "`hermite` (cubic through positions and velocities) or `linear` (`gcode`, `sinumerik`, `xps-pt`): a check, no choice.",
     ),
     (
         "controller.switches_tool",

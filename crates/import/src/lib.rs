@@ -10,7 +10,7 @@
 //! |---|---|
 //! | [`mod@format`] | one file per format of maps |
 //! | [`slopes`] | heights from maps of slopes |
-//! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV, ROS, Aerotech |
+//! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV, ROS, Aerotech, SINUMERIK, TwinCAT, Zaber |
 //! | [`trace`] | logs of the motion that a machine made: CSV, HDF5, XPS, Aerotech, Galil |
 //!
 //! Limits on the memory and work for one file are in `budget`. Only this crate and `planish-export` convert

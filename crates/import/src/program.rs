@@ -6,23 +6,32 @@
 //! | module | program | motion between two lines |
 //! |---|---|---|
 //! | [`galil`] | `PVA=dP,V,T` in counts and samples | cubic (Hermite) |
-//! | [`xps`] | `dt, dx, vx, dy, vy` | cubic (Hermite) |
+//! | [`xps`] | `dt, dx, vx, dy, vy`; `dt, dx, dy` | cubic (Hermite); straight, joined by parabolas |
 //! | [`pmac`] | `PVT<ms>`, `X<p>:<v> Y<p>:<v>` | cubic (Hermite) |
 //! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed; joined by parabolas after `G64 P` |
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
 //! | [`aerotech`] | `PVT X p,v Y p,v TIME t` | cubic (Hermite) |
+//! | [`automation1`] | `MovePvt([X, Y], [p, p], [v, v], ms)` | cubic (Hermite) |
 //! | [`ros`] | `joint_names`, `points` with `positions`, `velocities`, `time_from_start` | cubic (Hermite) |
+//! | [`sinumerik`] | `G93`, `G1 X Y F`; `POLY`, `PO[X]=(end,a2,a3)`, `PL` | straight, joined after `G642`; the polynomial |
+//! | [`twincat`] | one row per cycle | cubic (Hermite) |
+//! | [`zaber`] | `Time (s),x Position (mm),x Velocity (mm/s)` | cubic (Hermite) |
 //!
 //! [`Configuration`] states what a program does not say: the position of the axes before it, and the length of an
 //! encoder count. Without a list of axes a program moves x and y.
 
 pub mod aerotech;
+pub mod automation1;
 pub mod csv;
 pub mod galil;
 pub mod gcode;
+mod lines;
 pub mod pmac;
 pub mod ros;
+pub mod sinumerik;
+pub mod twincat;
 pub mod xps;
+pub mod zaber;
 
 use planish_types::{AxesMotion, ControllerKind, Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
@@ -209,6 +218,11 @@ pub fn read_axes(
         ControllerKind::Csv => csv::read(text, &layout),
         ControllerKind::Ros => ros::read(text, &layout),
         ControllerKind::Aerotech => aerotech::read(text, &layout),
+        ControllerKind::Automation1 => automation1::read(text, &layout),
+        ControllerKind::Sinumerik | ControllerKind::SinumerikPoly => sinumerik::read(text, &layout),
+        ControllerKind::Twincat => twincat::read(text, &layout),
+        ControllerKind::XpsPt => xps::read_pt(text, &layout),
+        ControllerKind::Zaber => zaber::read(text, &layout),
     }
 }
 
@@ -398,6 +412,31 @@ mod tests {
         let relative = "ABS\nVELOCITY ON\nPVT INIT TIME INC\nPVT X 2,0 Y -2,0 TIME 0.1\n\
                         PVT X 2,0 Y -2,0 TIME 0.2\nEND PROGRAM\n";
         is_the_move(&read(ControllerKind::Aerotech, relative), false);
+        let automation1 = "// a comment\nprogram\nSetupTaskTargetMode(TargetMode.Absolute)\n\
+                           \tSetupTaskTimeUnits(TimeUnits.Seconds)\nMovePvt([X,Y], [2, -2], [0, 0], 100) // on\n\
+                           MovePvt([X, Y], [2, -2], [0, 0], 200)\nend\n";
+        is_the_move(&read(ControllerKind::Automation1, automation1), false);
+        let zaber = "Time (ms),A Position (cm),A Velocity (cm/s),B Position (um),B Velocity (um/s)\n\
+                     100,0.2,0,-2000,0\n200,0.2,0,-2000,0\n";
+        is_the_move(&read(ControllerKind::Zaber, zaber), false);
+        let lines =
+            "; a comment\nN10 G17 G90 FGROUP(X,Y)\ng0x1y-2\nG93 G1 X=2 F600 ; on\nG4 F.2\nM30\n";
+        is_the_move(&read(ControllerKind::Sinumerik, lines), true);
+        is_the_move(&read(ControllerKind::XpsPt, "0.1, 1, 0\n0.2, 0, 0\n"), true);
+        // With d = 1: 3 d p^2 / PL^2 - 2 d p^3 / PL^3, once with PL in ms, once with p from 0 to 1, and W at 2 mm/s.
+        let poly = "G0 X1 Y-2 W0\nFGROUP(W)\nUPATH\nF60\nPOLY PO[X]=(2,0.0003,-0.000002) W=0.1 PL=100\n\
+                    W=0.3 X2\nM30\n";
+        is_the_move(&read(ControllerKind::SinumerikPoly, poly), false);
+        let unit = "G0 X1 Y-2 W0\nFGROUP(W) UPATH G94 F120\nPOLY\nPO[X]=(2,3,-2) PO[Y]=(-2) W0.2\nW.6 PL=7\nM30\n";
+        is_the_move(&read(ControllerKind::SinumerikPoly, unit), false);
+        let table = |row: &str| {
+            format!(
+                "# a comment\ncycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n\
+                 0,1,0,600,-2,0,0,1,0\n1,2,0,0,-2,0,0,1,1\n{row}"
+            )
+        };
+        let rows = table("2,2,0,0,-2,0,0,1,1\n3,2,0,0,-2,0,0,0,2\n");
+        is_the_move(&read(ControllerKind::Twincat, &rows), false);
         let ros = joint_trajectory(
             "\"y\", \"x\"",
             &[("-0.002, 0.001", 0), ("-0.002, 0.002", 100), ("-0.002, 0.002", 300)],
@@ -525,6 +564,149 @@ mod tests {
         );
     }
 
+    /// Checks that everything is refused that a SINUMERIK would do otherwise than it is read.
+    #[test]
+    fn a_sinumerik_program_that_is_not_understood_is_refused() {
+        let poly =
+            "G0 X1 Y-2 W0\nFGROUP(W)\nUPATH\nF60\nPOLY PO[X]=(2,3,-2) PO[Y]=(-2) W=0.1\nM30\n";
+        let lines = "FGROUP(X,Y)\nG0 X1 Y-2\nG93\nG1 X2 F600\nM30\n";
+        for (good, from, to, expected) in [
+            (poly, "M30\n", "", "does not end with M30"),
+            (poly, "M30\n", "M30\nG1\n", "line[7]: goes on after the end"),
+            (poly, "UPATH\n", "", "line[4]: moves by POLY without G94, UPATH and a virtual axis"),
+            (poly, "FGROUP(W)", "FGROUP(X)", "has W0.1, which is not understood"),
+            (poly, "FGROUP(W)", "FGROUP(X,Y)", "has W0.1, which is not understood"),
+            (poly, "F60", "G93 F60", "moves by POLY without G94"),
+            (poly, "F60\n", "", "has no F before it"),
+            (poly, " W=0.1", "", "does not move the axis in FGROUP"),
+            (poly, "W=0.1", "W=0.1 PL=0.00001", "lasts 0.1 s with PL=0.00001"),
+            (poly, "W=0.1", "W=-0.1", "lasts -0.1 s"),
+            (poly, "POLY PO", "PO", "has PO without POLY"),
+            (poly, "(2,3,-2)", "(2,3,-2,1)", "has PO[X], which is not understood"),
+            (poly, "PO[Y]", "PO[]", "has PO[], which is not understood"),
+            (poly, "PO[Y]=(-2)", "PO[X]=(2)", "has X twice"),
+            (poly, "G0 X1 Y-2", "G0 X1", "comes before G0 X Y sets the start"),
+            (poly, "M30", "G93\nG1 X3 F600\nM30", "moves axes that are not in FGROUP"),
+            (poly, "M30", "FGROUP()\nG93\nG1 X3 F600\nM30", "has lines and polynomials"),
+            (lines, " F600", "", "line[4]: has no F; G93 wants one"),
+            (lines, "G93\n", "", "moves by G94"),
+            (lines, "G1 X2", "G1 X1", "has no length"),
+            (lines, "G1 X2", "G2 X2", "has G2, which is not understood"),
+            (lines, "G1 X2", "G1 X=IC(1)", "has \"X=IC(1)"),
+            (lines, "G1 X2", "G1 X2 X3", "has X twice"),
+            (lines, "G1 X2", "G91 G1 X2", "has G91"),
+            (lines, "G1 X2", "G1 A2", "has A2"),
+            (lines, "G1 X2", "G1 X2 M8", "has M8"),
+            (lines, "G93\n", "G93\nG4\n", "has G4 without F"),
+            (lines, "G93\n", "G93\nWHEN TRUE DO $A_OUT[1]=1\n", "has \"$A_OUT[1]=1\""),
+            (lines, "G93\n", "G93\n/G1 X9 F1\n", "has \"/G1 X9 F1\""),
+            (lines, "F600", "F-1", "F is -1"),
+            (lines, "G1 X2 F600", "G1 X2 F600\nG0 X9 Y9", "has G0 within the motion"),
+        ] {
+            assert!(read(ControllerKind::Sinumerik, good.as_bytes(), &configuration()).is_ok());
+            let said = message(ControllerKind::Sinumerik, &good.replacen(from, to, 1));
+            assert!(said.contains(expected), "{to}: {said}");
+        }
+    }
+
+    /// Checks that joined lines of a SINUMERIK are bounded by CTOL, as those of G-code are by P.
+    #[test]
+    fn lines_of_a_sinumerik_are_joined_within_their_tolerance() {
+        let pieces = |mode: &str| {
+            let text = format!("{mode}\nG0 X0 Y0\nG93\nG1 X1 F60\nG1 X4 F60\nM30\n");
+            read(ControllerKind::Sinumerik, text.as_bytes(), &configuration()).unwrap().len()
+        };
+        // The largest change of the velocity is 3 mm/s: 3/8 mm over 1 s.
+        let modes = ["G642 CTOL=0.375", "G642 CTOL=0.374", "G642", "G64 CTOL=1", "G60"];
+        assert_eq!(modes.map(pieces), [6, 2, 2, 2, 2]);
+    }
+
+    /// Checks that everything is refused that would make another motion of the other tables and programs.
+    #[test]
+    fn setpoints_sequences_and_scripts_that_are_not_understood_are_refused() {
+        use ControllerKind::*;
+        let table = "cycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n\
+                     0,1,0,600,-2,0,0,1,0\n1,2,0,0,-2,0,0,0,1\n";
+        let sequence = "Time (s),x Position (mm),x Velocity (mm/s),y Position (mm),y Velocity (mm/s)\n\
+                        0.1,2,0,-2,0\n";
+        let script = "program\nSetupTaskTargetMode(TargetMode.Absolute)\nSetupTaskTimeUnits(TimeUnits.Seconds)\n\
+                      MovePvt([X, Y], [2, -2], [0, 0], 100)\nend\n";
+        let elements = "0.1, 1, 0\n";
+        for (controller, good, from, to, expected) in [
+            (Twincat, table, "cycle_s,0.1\n", "", "cycle_s: is NaN"),
+            (Twincat, table, "0.1", "0", "cycle_s: is 0"),
+            (Twincat, table, ",tool_on", "", "does not have the header cycle,x_mm"),
+            (Twincat, table, "\n1,2", "\n2,2", "line[4]: is cycle 2, not 1"),
+            (Twincat, table, "-2,0,0,0,1\n", "-2,0,0,1,1\n", "ends with the tool on"),
+            (Twincat, table, "-2,0,0,1", "-2,0,0,2", "has 2 for tool_on"),
+            (Twincat, table, ",1,0\n", ",1,0.5\n", "has 0.5 for segment"),
+            (
+                Twincat,
+                table,
+                ",1,0\n",
+                ",1,1\n",
+                "line[3]: is of segment 1, with tool_on true, which does not",
+            ),
+            (Twincat, table, ",0,1\n", ",0,0\n", "line[4]: is of segment 0, with tool_on false"),
+            (Twincat, table, ",600,", ",-600,", "cycle[0]: has [1.0, 0.0, -600.0], and the cubic"),
+            (Twincat, table, ",600,", ",", "line[3]: has 8 fields"),
+            (
+                Zaber,
+                sequence,
+                "(s)",
+                "(min)",
+                "line[1]: is not a header such as Time (s),x Position (mm)",
+            ),
+            (Zaber, sequence, "(mm/s)", "(mm/min)", "is not a header"),
+            (Zaber, sequence, "Position (mm)", "Position (deg)", "is not a header"),
+            (Zaber, sequence, "0.1,", "0,", "line[2]: lasts 0 s"),
+            (Zaber, sequence, ",-2,0", ",-2", "line[2]: has 4 fields, not 5"),
+            (Zaber, sequence, ",2,0,", ",2,1,", "ends with the velocity [1.0, 0.0]"),
+            (Automation1, script, "end\n", "", "has no end"),
+            (Automation1, script, "end\n", "end\nend\n", "line[6]: goes on after end"),
+            (
+                Automation1,
+                script,
+                "Absolute",
+                "Incremental",
+                "line[2]: has \"SetupTaskTargetMode(TargetMode.Incr",
+            ),
+            (
+                Automation1,
+                script,
+                "SetupTaskTimeUnits(TimeUnits.Seconds)\n",
+                "",
+                "line[3]: comes before",
+            ),
+            (
+                Automation1,
+                script,
+                "[X, Y]",
+                "[Y, X]",
+                "line[4]: has lists that are not of the axes X, Y",
+            ),
+            (Automation1, script, "[0, 0]", "[0]", "has lists that are not of the axes X, Y"),
+            (Automation1, script, ", 100", "", "has a MovePvt without"),
+            (Automation1, script, ", 100", ", 0", "lasts 0 s"),
+            (Automation1, script, "[0, 0]", "[0, 1]", "ends with the velocity [0.0, 1.0]"),
+            (Automation1, script, "MovePvt", "MovePt", "has \"MovePt("),
+            (XpsPt, elements, "0.1, 1, 0", "0.1, 1, 0, 0, 0", "has 5 fields, not dt, dx, dy"),
+            (XpsPt, elements, "0.1", "0", "lasts 0 s"),
+            (XpsPt, elements, "0.1", "# x\n0.1", "a header or a comment"),
+            (XpsPt, elements, "0.1, 1, 0\n", "\n", "moves nothing"),
+        ] {
+            let read_good = read(controller, good.as_bytes(), &configuration());
+            assert!(read_good.is_ok(), "{controller:?}: {read_good:?}");
+            let said = message(controller, &good.replacen(from, to, 1));
+            assert!(said.contains(expected), "{to}: {said}");
+        }
+        for (controller, good) in [(Zaber, sequence), (Automation1, script), (XpsPt, elements)] {
+            let nothing = Configuration::default();
+            let said = read(controller, good.as_bytes(), &nothing).unwrap_err().to_string();
+            assert!(said.contains("`start_mm`"), "{said}");
+        }
+    }
+
     fn message_of(ros: &str) -> String {
         read(ControllerKind::Ros, ros.as_bytes(), &configuration()).unwrap_err().to_string()
     }
@@ -573,6 +755,18 @@ mod tests {
             (ControllerKind::Gcode, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM2\n", 0.25),
             (ControllerKind::Ros, &ros, 10.0 / 64.0),
             (ControllerKind::Aerotech, aerotech, 10.0 / 64.0),
+            (
+                ControllerKind::Zaber,
+                "Time (s),r Position (mm),r Velocity (mm/s),z Position (mm),z Velocity (mm/s),\
+                 c Position (deg),c Velocity (deg/s)\n0.1,2,0,-2,0,15,0\n",
+                10.0 / 64.0,
+            ),
+            (
+                ControllerKind::SinumerikPoly,
+                "G0 X1 Z-2 C10\nFGROUP(W) UPATH F60\nPOLY PO[X]=(2,3,-2) PO[C]=(15,15,-10) W0.1\nM30\n",
+                10.0 / 64.0,
+            ),
+            (ControllerKind::Sinumerik, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM30\n", 0.25),
         ] {
             let motion = read_axes(controller, text.as_bytes(), &of_a_spindle()).unwrap();
             // A quarter of the time of a move of 1 mm and 5 degrees.

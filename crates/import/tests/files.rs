@@ -559,6 +559,29 @@ fn damaged_programs_are_read_or_refused() {
              WAIT MOVEDONE X Y\nVELOCITY OFF\nEND PROGRAM\n",
         ),
         (
+            ControllerKind::Automation1,
+            "// x\nprogram\nSetupTaskTargetMode(TargetMode.Absolute)\nSetupTaskTimeUnits(TimeUnits.Seconds)\n\
+             MovePvt([X, Y], [2, -2], [0, 0], 100)\nWaitForMotionDone([X, Y])\nend\n",
+        ),
+        (
+            ControllerKind::Sinumerik,
+            "; x\nN1 G17 G90\nFGROUP(X,Y)\nG642 CTOL=0.005\nG0 X1 Y-2\nG93\nG1 X2 F600\nG4 F0.2\nM30\n",
+        ),
+        (
+            ControllerKind::SinumerikPoly,
+            "; x\nG0 X1 Y=-2 W=0\nFGROUP(W)\nUPATH\nF60\nPOLY PO[X]=(2,0.0003,-0.000002) PO[Y]=(-2) W=0.1 PL=100\nM30\n",
+        ),
+        (
+            ControllerKind::Twincat,
+            "# x\ncycle_s,0.1\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n\
+             0,1,0,600,-2,0,0,1,0\n1,2,0,0,-2,0,0,0,1\n",
+        ),
+        (ControllerKind::XpsPt, "0.1, 1, 0.5\n0.2, 0, 0\n"),
+        (
+            ControllerKind::Zaber,
+            "Time (s),x Position (mm),x Velocity (mm/s),y Position (mm),y Velocity (mm/s)\n0.1,2,0,-2,0\n",
+        ),
+        (
             ControllerKind::Ros,
             "{\"header\": {\"stamp\": {\"sec\": 0, \"nanosec\": 0}, \"frame_id\": \"\"}, \
              \"joint_names\": [\"x\", \"y\"], \"points\": [{\"positions\": [0.001, -0.002], \

@@ -11,6 +11,7 @@ use std::{
 
 use flate2::{Compress, Compression, FlushCompress};
 use planish_testkit::program::run_within;
+use planish_types::ControllerKind;
 use serde_json::Value;
 
 /// Longest time for one run, s. Larger: the test finds an endless loop later. Smaller: it fails on a busy
@@ -98,7 +99,7 @@ fn an_empty_file_is_called_empty() {
         let said = refused(dir, &["trace", "a", "--format", format]);
         assert!(said.contains("a: is empty"), "{format}: {said}");
     }
-    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
+    for controller in ControllerKind::ALL.map(ControllerKind::name) {
         let said = refused(dir, &["program", "a", "--controller", controller]);
         assert!(said.contains("a: is empty"), "{controller}: {said}");
     }

@@ -176,7 +176,8 @@ mod tests {
         }
         assert_eq!(Kind::read("number"), None);
         assert_eq!(Kind::read("one of galil, xps, csv").unwrap().wanted(), "galil, xps or csv");
-        let controllers = "galil, xps, pmac, gcode, csv, ros or aerotech";
+        let controllers = "galil, xps, xps-pt, pmac, gcode, csv, ros, aerotech, automation1, sinumerik, \
+                           sinumerik-poly, twincat or zaber";
         assert_eq!(Kind::read("controller").unwrap().wanted(), controllers);
     }
 

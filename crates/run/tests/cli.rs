@@ -587,7 +587,8 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         (&["run", "raster", "passes=0"], "passes is '0'; give a whole number from 1 to 99"),
         (
             &["run", "raster", "export=x"],
-            "export is 'x'; give galil, xps, pmac, gcode, csv, ros or aerotech, or nothing",
+            "export is 'x'; give galil, xps, xps-pt, pmac, gcode, csv, ros, aerotech, automation1, sinumerik, \
+             sinumerik-poly, twincat or zaber, or nothing",
         ),
         (&["run", "raster", "prepare=--a 'b"], "prepare=--a 'b: the quotation mark ' at byte 4"),
         (&["run", "bspline", "refine=yes"], "the pipeline bspline corrects no dwell times"),

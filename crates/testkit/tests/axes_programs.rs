@@ -15,7 +15,8 @@ use planish_simulate::simulate;
 use planish_testkit::workspace;
 use planish_toolpath::{RasterSettings, SpiralSettings, raster, spiral};
 use planish_types::{
-    AxesMotion, ControllerKind, Counts, Machine, MachineFile, Surface, Tif, Trajectory,
+    AxesMotion, ControllerKind, Counts, Interpolation, Machine, MachineFile, Surface, Tif,
+    Trajectory,
 };
 use planish_verify::{Program, VerifySettings, verify_axes};
 use serde_json::{Value, json};
@@ -93,6 +94,11 @@ impl Plan {
     }
 }
 
+/// Settings of G-code for a planner that was tried with rotary axes.
+fn tried() -> gcode::GcodeSettings {
+    gcode::GcodeSettings { rotary_lines: true, ..gcode::GcodeSettings::default() }
+}
+
 /// The motion that a program makes, read with the file beside it, as a user reads it.
 fn read_back(controller: ControllerKind, text: &str, about: &About) -> AxesMotion {
     let about = serde_json::to_string(about).unwrap();
@@ -107,14 +113,14 @@ fn programs_of_five_axes_and_of_a_spindle_keep_the_limits_and_the_residual() {
         let plan = Plan::new(is_spindle);
         let planned_nm = plan.residual_nm(&plan.motion);
         let pmac = pmac::PmacSettings { tool_output: Some(1), ..Default::default() };
-        let settings = ProgramSettings { pmac, ..ProgramSettings::default() };
+        let settings = ProgramSettings { pmac, gcode: tried(), ..ProgramSettings::default() };
         for controller in ControllerKind::ALL {
             let name = format!("{}, {controller:?}", plan.machine.name());
             let (text, about) = plan.program(controller, &settings);
             let run = read_back(controller, &text, &about);
-            let program = match controller {
-                ControllerKind::Gcode => Program::Lines,
-                _ => Program::Cubics,
+            let program = match controller.model().interpolation {
+                Interpolation::Linear => Program::Lines,
+                Interpolation::Hermite => Program::Cubics,
             };
             let settings = VerifySettings { program: Some(program), ..VerifySettings::default() };
             let verdict = verify_axes(&run, &plan.machine, &settings).unwrap();
@@ -149,7 +155,8 @@ fn a_program_says_its_axes_and_their_units() {
     let axes: Vec<(&str, &str)> = about.axes.iter().map(|a| (a.name, a.unit)).collect();
     assert_eq!(axes, [("r", "mm"), ("z", "mm"), ("c", "deg"), ("b", "deg")]);
     // Every line of G-code has the four words, and a radius is X.
-    let (text, _) = plan.program(ControllerKind::Gcode, &ProgramSettings::default());
+    let settings = ProgramSettings { gcode: tried(), ..ProgramSettings::default() };
+    let (text, _) = plan.program(ControllerKind::Gcode, &settings);
     let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G1 ")).collect();
     let has = |line: &str| [" X", " Z", " C", " B", " F"].iter().all(|word| line.contains(word));
     assert!(lines.len() > 100 && lines.iter().all(|line| has(line)));
@@ -168,7 +175,14 @@ fn what_no_program_of_all_axes_can_do_is_refused() {
         let made = program_of_axes(motion, machine, &plan.form, controller, settings, &origin);
         made.unwrap_err().to_string()
     };
-    let gcode = gcode::GcodeSettings { feed: gcode::Feed::PerMinute, path_tolerance_mm: None };
+    // Unless the planner was tried, and with every kind that the message names.
+    let said = refused(ControllerKind::Gcode, &ProgramSettings::default());
+    assert!(said.contains("give `rotary_lines`"), "{said}");
+    for kind in [ControllerKind::Csv, ControllerKind::SinumerikPoly] {
+        assert!(said.contains(kind.name()), "{said}");
+        plan.program(kind, &ProgramSettings::default());
+    }
+    let gcode = gcode::GcodeSettings { feed: gcode::Feed::PerMinute, ..tried() };
     let said =
         refused(ControllerKind::Gcode, &ProgramSettings { gcode, ..ProgramSettings::default() });
     assert!(said.contains("f_word: is per-minute") && said.contains("give inverse-time"), "{said}");

@@ -5,7 +5,7 @@ use std::{fs, path::Path, process::Output};
 
 use planish_handoff::artifact;
 use planish_testkit::program::{text, write};
-use planish_types::{DwellTime, ToolPath, Trajectory};
+use planish_types::{ControllerKind, DwellTime, ToolPath, Trajectory};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -112,7 +112,7 @@ fn a_quarter_turn_and_exchanged_axes_are_one_machine() {
     schedule(dir, "plain");
     let fast = motion(dir, "plain-motion");
     assert_ne!(fast, planned);
-    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
+    for controller in ControllerKind::ALL.map(ControllerKind::name) {
         let text = ["turned", "exchanged"].map(|machine| {
             let command = format!(
                 "export {controller} --trajectory turned-motion --machine {machine}.json --other-machine --out {machine}.txt --force"
@@ -161,7 +161,7 @@ fn what_is_exported_and_read_back_is_the_plan_of_the_part() {
     for machine in ["plain", "turned", "exchanged", "mirrored"] {
         schedule(dir, machine);
         let planned = motion(dir, &format!("{machine}-motion"));
-        for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
+        for controller in ControllerKind::ALL.map(ControllerKind::name) {
             expect(
                 dir,
                 0,
@@ -284,7 +284,7 @@ fn travel_is_judged_and_nothing_is_written_beyond_it() {
     let said = judged["violations"][0].as_str().unwrap().to_string();
     assert!(said.starts_with("y position reaches -10.000000 mm in segment"), "{said}");
     assert!(said.contains("0.500000 mm beyond the travel from -30 to -10.5 mm"), "{said}");
-    for controller in ["galil", "xps", "pmac", "gcode", "csv", "ros", "aerotech"] {
+    for controller in ControllerKind::ALL.map(ControllerKind::name) {
         let said = expect(
             dir,
             2,

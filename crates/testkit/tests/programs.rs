@@ -49,6 +49,11 @@ fn targets() -> Vec<Target> {
         target(Ros, None, None, false),
         target(Ros, None, Some(1e-3), false),
         target(Aerotech, None, None, false),
+        target(Automation1, None, None, false),
+        target(SinumerikPoly, None, None, false),
+        target(Twincat, None, None, true),
+        target(Twincat, None, Some(1e-3), true),
+        target(Zaber, None, None, false),
     ]
 }
 

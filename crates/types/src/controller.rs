@@ -14,10 +14,16 @@
 //! | `csv` | 1 us | 1 us | 1e-9 mm/s | Hermite | yes | our own table |
 //! | `ros` | 1 us | 1 ms | 1e-9 mm/s | Hermite | no | ROS 2, trajectory_msgs/JointTrajectory (nanoseconds); joint_trajectory_controller, Trajectory Representation (cubic); a period of 1 kHz |
 //! | `aerotech` | 1 ms | 1 ms | 1e-9 mm/s | Hermite | no | EPICS motor module and Lauecollect, AeroBasic PVT (seconds); a trajectory generator of 1 kHz |
+//! | `automation1` | 1 ms | 1 ms | 1e-9 mm/s | Hermite | no | Automation1 C interface, MovePvt (milliseconds), and motorAutomation1, MovePt |
+//! | `sinumerik` | 1 us | 1 ms | none | linear | no | SINUMERIK 840D sl programming manual, G93, G642, CTOL, G4 F |
+//! | `sinumerik-poly` | 1 us | 1 ms | 1e-9 mm/s | Hermite | no | SINUMERIK 840D PGA, POLY, PO, PL, FGROUP, UPATH |
+//! | `twincat` | 2 ms | 2 ms | 1e-9 mm/s | Hermite | yes | a table for our program in the PLC; the default cycle of the NC task (SAF) |
+//! | `xps-pt` | 0.1 ms | 1 ms | none | linear | no | as `xps`; MultipleAxesPTExecution |
+//! | `zaber` | 0.1 ms | 1 ms | count / 1.6384 s | Hermite | no | Zaber ASCII protocol, pvt point; the CSV file of its motion library |
 //!
 //! The default count is that of an encoder, 0.1 um or 1e-4 degrees: no manual states it. LinuxCNC computes with the
-//! numbers of the program as they stand, and rounds no position to counts: its default is 1 nm or 1e-6 degrees. For a
-//! rotary axis, read 1e-9 mm/s as 1e-9 deg/s.
+//! numbers of the program as they stand, and rounds no position to counts: its default is 1 nm or 1e-6 degrees. So is
+//! that of `sinumerik`, `sinumerik-poly`, `twincat` and `xps-pt`. For a rotary axis, read 1e-9 mm/s as 1e-9 deg/s.
 
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +51,18 @@ pub enum ControllerKind {
     Ros,
     /// Aerotech Ensemble, PVT commands of AeroBasic.
     Aerotech,
+    /// Aerotech Automation1, `MovePvt` of AeroScript.
+    Automation1,
+    /// Siemens SINUMERIK, lines with inverse time.
+    Sinumerik,
+    /// Siemens SINUMERIK, polynomials.
+    SinumerikPoly,
+    /// Beckhoff TwinCAT, table of setpoints.
+    Twincat,
+    /// Newport XPS, PT trajectory file.
+    XpsPt,
+    /// Zaber, PVT sequence as CSV.
+    Zaber,
 }
 
 /// Motion of an axis between two nodes, the ends of a segment of the program.
@@ -146,10 +164,26 @@ const LAST_DECIMAL_PER_S: f64 = 1e-9;
 /// reference, PV).
 const TWO_SAMPLES_S: f64 = 2.0 / 1024.0;
 
+/// Units of velocity of a Zaber per count (microstep) and second. A fact of its ASCII protocol.
+const ZABER_UNITS_PER_COUNT: f64 = 1.6384;
+
 impl ControllerKind {
     /// Every kind, in the order of help and messages. Command lines, pipelines and messages take their names from here.
-    pub const ALL: [Self; 7] =
-        [Self::Galil, Self::Xps, Self::Pmac, Self::Gcode, Self::Csv, Self::Ros, Self::Aerotech];
+    pub const ALL: [Self; 13] = [
+        Self::Galil,
+        Self::Xps,
+        Self::XpsPt,
+        Self::Pmac,
+        Self::Gcode,
+        Self::Csv,
+        Self::Ros,
+        Self::Aerotech,
+        Self::Automation1,
+        Self::Sinumerik,
+        Self::SinumerikPoly,
+        Self::Twincat,
+        Self::Zaber,
+    ];
 
     /// Returns the name in files and on command lines, such as `galil`.
     pub fn name(self) -> &'static str {
@@ -176,6 +210,24 @@ impl ControllerKind {
                 ("aerotech", "Aerotech Ensemble, AeroBasic PVT: mm or degrees, s since the start")
             }
             Self::Ros => ("ros", "ROS JointTrajectory as JSON, which is YAML, too: m, rad, s"),
+            Self::Automation1 => {
+                ("automation1", "Aerotech Automation1, AeroScript MovePvt: mm or degrees, ms")
+            }
+            Self::Sinumerik => {
+                ("sinumerik", "Siemens SINUMERIK, straight lines, each in its time: G93")
+            }
+            Self::SinumerikPoly => (
+                "sinumerik-poly",
+                "Siemens SINUMERIK, cubics: POLY along a virtual axis of the time",
+            ),
+            Self::Twincat => (
+                "twincat",
+                "Beckhoff TwinCAT, table of setpoints: one row per cycle of the NC task",
+            ),
+            Self::XpsPt => ("xps-pt", "Newport XPS, PT trajectory file: dt, dx, dy, further axes"),
+            Self::Zaber => {
+                ("zaber", "Zaber, PVT sequence as CSV: s, mm or degrees, for its motion library")
+            }
         }
     }
 
@@ -194,9 +246,18 @@ impl ControllerKind {
             Self::Gcode => (1e-6, 1e-3, Interpolation::Linear, true),
             Self::Csv => (1e-6, 1e-6, Interpolation::Hermite, true),
             Self::Ros => (1e-6, 1e-3, Interpolation::Hermite, false),
-            Self::Aerotech => (1e-3, 1e-3, Interpolation::Hermite, false),
+            Self::Aerotech | Self::Automation1 => (1e-3, 1e-3, Interpolation::Hermite, false),
+            Self::Sinumerik => (1e-6, 1e-3, Interpolation::Linear, false),
+            Self::SinumerikPoly => (1e-6, 1e-3, Interpolation::Hermite, false),
+            Self::Twincat => (2e-3, 2e-3, Interpolation::Hermite, true),
+            Self::XpsPt => (1e-4, 1e-3, Interpolation::Linear, false),
+            Self::Zaber => (1e-4, 1e-3, Interpolation::Hermite, false),
         };
-        let is_fine = self == Self::Gcode;
+        // Their numbers are as fine as they are written.
+        let is_fine = matches!(
+            self,
+            Self::Gcode | Self::Sinumerik | Self::SinumerikPoly | Self::Twincat | Self::XpsPt
+        );
         ControllerModel {
             kind: self,
             tick_s,
@@ -212,15 +273,27 @@ impl ControllerKind {
     /// Returns true if a program of this kind has a place for an output that switches the tool.
     pub fn can_switch_tool(self) -> bool {
         match self {
-            Self::Galil | Self::Xps | Self::Ros | Self::Aerotech => false,
-            Self::Pmac | Self::Gcode | Self::Csv => true,
+            Self::Galil
+            | Self::Xps
+            | Self::XpsPt
+            | Self::Ros
+            | Self::Aerotech
+            | Self::Automation1
+            | Self::Sinumerik
+            | Self::SinumerikPoly
+            | Self::Zaber => false,
+            Self::Pmac | Self::Gcode | Self::Csv | Self::Twincat => true,
         }
     }
 
     /// Returns the rounding of an axis with this count, mm or degrees, and the default resolution of the velocity of
     /// the kind.
     fn grid(self, count: f64) -> AxisGrid {
-        let velocity = if self == Self::Galil { count } else { LAST_DECIMAL_PER_S };
+        let velocity = match self {
+            Self::Galil => count,
+            Self::Zaber => count / ZABER_UNITS_PER_COUNT,
+            _ => LAST_DECIMAL_PER_S,
+        };
         AxisGrid { count, velocity }
     }
 }
@@ -271,9 +344,11 @@ impl ControllerModel {
             };
             check_counts(name, &counts, &names)?;
             for (grid, count) in grids.iter_mut().zip(counts) {
+                let own = model.kind.grid(count);
                 grid.count = count;
-                if model.kind == ControllerKind::Galil {
-                    grid.velocity = count;
+                // Elsewhere the unit of the velocity does not follow from the count.
+                if matches!(model.kind, ControllerKind::Galil | ControllerKind::Zaber) {
+                    grid.velocity = own.velocity;
                 }
             }
         }

@@ -12,7 +12,7 @@ use planish_handoff::{
     kind, say, task, warn, with_flags,
 };
 use planish_types::{
-    AxesMotion, ControllerKind, Kinematics, TransformNumbers,
+    AxesMotion, Interpolation, Kinematics, TransformNumbers,
     outcome::{NoMore, settings::ProgramSettings},
 };
 use planish_verify::{AxesVerdict, Program, Verdict, VerifySettings, verify_axes, verify_on_axes};
@@ -30,7 +30,11 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
         return None;
     }
     match ProgramSettings::<NoMore>::deserialize(&manifest.settings) {
-        Ok(ProgramSettings { controller: ControllerKind::Gcode, .. }) => Some(Program::Lines),
+        Ok(ProgramSettings { controller, .. })
+            if controller.model().interpolation == Interpolation::Linear =>
+        {
+            Some(Program::Lines)
+        }
         _ => Some(Program::Cubics),
     }
 }
@@ -42,13 +46,13 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 ///
 /// A controller's program that planish-import program read is judged by another law. Its acceleration may step at a
 /// node by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight
-/// lines (gcode) is not judged.
+/// lines (gcode, sinumerik, xps-pt) is not judged.
 ///
 /// With --tool-path, the motion may not leave its path by more than a tolerance while the tool is on. Without it, the
 /// verdict states the distance that the maker of the motion states.
 ///
 /// A motion of all axes (--axes) is judged by the law of such a program: of cubics, or of lines if planish-import program
-/// read it from gcode.
+/// read it from such lines.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct VerifyCli {

@@ -37,7 +37,11 @@
 
 use planish_types::{AxesMotion, Invalid};
 
-use super::{Layout, finite, wrong};
+use super::{
+    Layout, finite,
+    lines::{Part, motion},
+    wrong,
+};
 
 /// Reads the motion of a G-code program. Refuses a program that has no end or moves nothing, and what the module names.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
@@ -67,7 +71,7 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     if machine.parts.iter().all(|part| part.seconds == 0.0) {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
     }
-    machine.motion()
+    motion(&machine.parts, machine.layout, machine.tolerance_mm)
 }
 
 struct Machine<'a> {
@@ -89,57 +93,6 @@ struct Machine<'a> {
     /// Sum of the dwells with the tool off, s, that the program makes before it sets the start position. They count
     /// once it is set.
     wait_s: f64,
-}
-
-/// A straight line of the motion, or a stop of the axes that may last 0 s.
-struct Part {
-    seconds: f64,
-    /// Position at the start (mm or deg) and velocity (mm/s or deg/s) of every axis.
-    states: Vec<[f64; 2]>,
-    tool_on: bool,
-    /// True for a dwell, and for an output that switches at once: the motion before it ends first.
-    is_stop: bool,
-}
-
-/// Cubic polynomials of the motion in succession, one per axis and piece, with the times between the pieces.
-struct Cubics {
-    times: Vec<f64>,
-    cubics: Vec<[f64; 4]>,
-    tool_on: Vec<bool>,
-}
-
-impl Default for Cubics {
-    fn default() -> Self {
-        Self { times: vec![0.0], cubics: Vec::new(), tool_on: Vec::new() }
-    }
-}
-
-impl Cubics {
-    /// Appends a piece of one cubic per axis, which lasts `seconds`. Nothing is appended for 0 s.
-    fn push(&mut self, seconds: f64, cubics: impl Iterator<Item = [f64; 4]>, tool_on: bool) {
-        if seconds > 0.0 {
-            self.times.push(self.times[self.times.len() - 1] + seconds);
-            self.cubics.extend(cubics);
-            self.tool_on.push(tool_on);
-        }
-    }
-}
-
-/// Returns the duration of the parabola around node `k` of joined lines, the start of line `k` and the end of the line
-/// before it, s. It is that of the shorter of both lines.
-fn parabola_s(run: &[Part], k: usize) -> f64 {
-    let beside = &run[k.saturating_sub(1)..(k + 1).min(run.len())];
-    beside.iter().map(|line| line.seconds).fold(f64::INFINITY, f64::min)
-}
-
-/// Returns the velocities of all axes (mm/s or deg/s) before and after node `k` of the joined lines `run`. They are 0
-/// before the first and after the last line.
-fn around(run: &[Part], k: usize) -> (Vec<f64>, Vec<f64>) {
-    let velocities = |line: Option<&Part>| match line {
-        Some(line) => line.states.iter().map(|[_, v]| *v).collect(),
-        None => vec![0.0; run[0].states.len()],
-    };
-    (velocities(k.checked_sub(1).and_then(|k| run.get(k))), velocities(run.get(k)))
 }
 
 impl<'a> Machine<'a> {
@@ -283,81 +236,6 @@ impl<'a> Machine<'a> {
         let seconds = if self.inverse_time { 60.0 / feed } else { 60.0 * length / feed };
         self.tool_on = self.queued.take().unwrap_or(self.tool_on);
         self.push(number, &here, &to, seconds)
-    }
-
-    /// Returns the motion of all lines and dwells. Lines are joined if all joined motion stays within the path
-    /// tolerance.
-    fn motion(self) -> Result<AxesMotion, Invalid> {
-        let mut pieces = Cubics::default();
-        let is_joined = self.tolerance_mm > 0.0
-            && self
-                .runs()
-                .all(|run| self.farthest_mm(run) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
-        let mut rest = &self.parts[..];
-        while let Some(part) = rest.first() {
-            let lines = rest.iter().position(|part| part.is_stop).unwrap_or(rest.len());
-            if is_joined && lines > 0 {
-                self.join(&rest[..lines], &mut pieces);
-                rest = &rest[lines..];
-                continue;
-            }
-            let straight = part.states.iter().map(|[p, v]| [*p, *v, 0.0, 0.0]);
-            pieces.push(part.seconds, straight, part.tool_on);
-            rest = &rest[1..];
-        }
-        let n = pieces.tool_on.len();
-        AxesMotion::new(pieces.times, pieces.cubics, pieces.tool_on, vec![None; n])
-    }
-
-    /// Returns the groups of lines that follow each other without a stop, each called a run.
-    fn runs(&self) -> impl Iterator<Item = &[Part]> {
-        self.parts.split(|part| part.is_stop).filter(|run| !run.is_empty())
-    }
-
-    /// Returns the largest distance of the joined motion of the lines `run` from their corners, along the linear axes,
-    /// mm.
-    fn farthest_mm(&self, run: &[Part]) -> f64 {
-        let linear = || (0..self.layout.len()).filter(|a| self.layout.units[*a] == "mm");
-        let from_corners = (0..=run.len()).map(|k| {
-            let (before, after) = around(run, k);
-            let change = linear().map(|a| after[a] - before[a]).fold(0.0, f64::hypot);
-            change * parabola_s(run, k) / 8.0
-        });
-        from_corners.fold(0.0, f64::max)
-    }
-
-    /// Appends the joined motion of the lines `run`, from rest to rest. It begins half the time of the first line
-    /// before that line would begin by itself.
-    fn join(&self, run: &[Part], pieces: &mut Cubics) {
-        let axes = self.layout.len();
-        for k in 0..=run.len() {
-            let b = parabola_s(run, k);
-            let (before, after) = around(run, k);
-            let node: Vec<f64> = match k {
-                0 => run[0].states.iter().map(|[p, _]| *p).collect(),
-                _ => run[k - 1].states.iter().map(|[p, v]| p + v * run[k - 1].seconds).collect(),
-            };
-            // From the node - m b/2, over b: velocity before + (after - before) t / b.
-            let first: Vec<[f64; 4]> = (0..axes)
-                .map(|a| {
-                    let change = after[a] - before[a];
-                    [node[a] - 0.5 * b * before[a], before[a], 0.5 * change / b, 0.0]
-                })
-                .collect();
-            let half_s = 0.5 * b;
-            let second = first.iter().map(|c| {
-                [c[0] + half_s * (c[1] + half_s * c[2]), c[1] + 2.0 * half_s * c[2], c[2], 0.0]
-            });
-            pieces.push(half_s, first.iter().copied(), run[k.saturating_sub(1)].tool_on);
-            pieces.push(half_s, second, run[k.min(run.len() - 1)].tool_on);
-            let Some(line) = run.get(k) else { continue };
-            let straight_s = line.seconds - 0.5 * (b + parabola_s(run, k + 1));
-            // A shorter time is rounding of equal times.
-            if straight_s > 1e-9 * b {
-                let rest = (0..axes).map(|a| [node[a] + half_s * after[a], after[a], 0.0, 0.0]);
-                pieces.push(straight_s, rest, line.tool_on);
-            }
-        }
     }
 
     /// Refuses a program that ends with the tool on, or with a switch that no motion follows.

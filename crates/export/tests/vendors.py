@@ -1,0 +1,77 @@
+"""Programs of controllers as software reads them that Planish did not write.
+
+    python vendors.py TRAJECTORY MACHINE.json
+
+* zaber: the Zaber Motion Library loads the sequence; every number and unit is that of the file.
+* sinumerik: nc-gcode-interpreter runs the blocks; the ends of all lines agree to its single precision. It knows
+  neither FGROUP nor CTOL, so these two blocks are left out.
+* twincat: blark parses the program for the PLC, and refuses it with one word less.
+"""
+
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+import nc_gcode_interpreter
+import zaber_motion
+from blark.parse import parse_source_code
+from zaber_motion.ascii import PvtSequence
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+# Single precision, relative.
+SINGLE = 6e-8
+
+
+def zaber(program):
+    rows = [[float(v) for v in line.split(",")] for line in program.read_text().splitlines()[1:]]
+    points = PvtSequence.load_sequence_data(str(program)).sequence_data
+    assert len(points) == len(rows) > 1
+    units = zaber_motion.Units
+    for row, point in zip(rows, points):
+        found = [point.time, *(m for pair in zip(point.positions, point.velocities) for m in pair)]
+        assert [m.value for m in found] == row and not point.relative
+        assert found[0].unit == units.TIME_SECONDS
+        assert {m.unit for m in found[1::2]} == {units.LENGTH_MILLIMETRES}
+        assert {m.unit for m in found[2::2]} == {units.VELOCITY_MILLIMETRES_PER_SECOND}
+    print(f"zaber: the library of the vendor reads {len(points)} points as they are written")
+
+
+def sinumerik(program):
+    text = program.read_text()
+    blocks = [b for b in text.splitlines() if not re.match("FGROUP|G642", b)]
+    assert len(text.splitlines()) - len(blocks) == 2
+    table = nc_gcode_interpreter.nc_to_dataframe("\n".join(blocks) + "\n")
+    table = table[0] if isinstance(table, tuple) else table
+    moves = [b for b in blocks if b.startswith("G1 ")]
+    written = [tuple(float(v) for v in re.match(r"G1 X(\S+) Y(\S+) F(\S+)", b).groups()) for b in moves]
+    rows = [row for row, block in zip(table.rows(named=True), blocks) if block.startswith("G1 ")]
+    assert len(rows) == len(written) > 1
+    for row, expected in zip(rows, written):
+        for name, value in zip("XYF", expected):
+            assert abs(row[name] - value) <= SINGLE * max(abs(value), 1e-3), (row, expected)
+    print(f"sinumerik: nc-gcode-interpreter finds the ends and F of {len(written)} lines")
+
+
+def twincat():
+    source = (ROOT / "docs/twincat-table.st").read_text()
+
+    def fails(text):
+        return parse_source_code(text).exception is not None
+
+    assert not fails(source)
+    assert fails(source.replace("END_CASE", "", 1))
+    print(f"twincat: blark parses the {len(source.splitlines())} lines of twincat-table.st")
+
+
+if __name__ == "__main__":
+    trajectory, machine = sys.argv[1:]
+    with tempfile.TemporaryDirectory() as folder:
+        for read in zaber, sinumerik:
+            out = pathlib.Path(folder, read.__name__)
+            command = [ROOT / "target/release/planish-export", read.__name__, "--trajectory", trajectory, "--machine",
+                       machine, "--out", out]
+            subprocess.run(command, check=True, capture_output=True)
+            read(out)
+    twincat()
