@@ -12,12 +12,12 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 /// Directory of a test with a trajectory without a manifest, and a machine file.
-struct Bench {
+pub(crate) struct Bench {
     tmp: TempDir,
 }
 
 impl Bench {
-    fn new(times: &[f64], coefficients: &[[[f64; 4]; 2]], tool_on: &[u8]) -> Self {
+    pub(crate) fn new(times: &[f64], coefficients: &[[[f64; 4]; 2]], tool_on: &[u8]) -> Self {
         let tmp = tempfile::tempdir().unwrap();
         let dir = tmp.path().join("t");
         fs::create_dir(&dir).unwrap();
@@ -78,7 +78,7 @@ impl Bench {
         fs::write(self.path("t/manifest.json"), manifest.to_string()).unwrap();
     }
 
-    fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+    pub(crate) fn path(&self, name: impl AsRef<Path>) -> PathBuf {
         self.tmp.path().join(name)
     }
 
