@@ -9,8 +9,6 @@
 //! the CRC-32 of zlib over the lines below it, each with one line feed at its end, whatever ends it in the file. A
 //! program that was cut off, edited, or changed on its way to the controller has another one.
 
-use std::sync::LazyLock;
-
 use planish_types::{ControllerKind, ControllerLines};
 
 use crate::{About, Job, aerotech, csv, galil, gcode, header::Comment, pmac, pmac::PmacBuffer};
@@ -60,7 +58,12 @@ pub(crate) fn dry_run_line(about: &About) -> Option<String> {
 }
 
 /// Lines of a machine file whose controller is of another kind.
-static NO_LINES: LazyLock<ControllerLines> = LazyLock::new(ControllerLines::default);
+static NO_LINES: ControllerLines = ControllerLines {
+    prologue: Vec::new(),
+    epilogue: Vec::new(),
+    tool_on: Vec::new(),
+    tool_off: Vec::new(),
+};
 
 impl<const N: usize> Job<'_, N> {
     /// Returns the lines that the machine file states for this controller.
@@ -76,7 +79,8 @@ impl<const N: usize> Job<'_, N> {
     /// controller than that of the machine file; `None` if there is nothing to warn of.
     pub(crate) fn lines_left_out(&self) -> Option<String> {
         let own = self.plan.machine.controller()?;
-        let is_other = own.kind != self.grids.kind && !self.plan.machine.controller_lines().is_empty();
+        let is_other =
+            own.kind != self.grids.kind && !self.plan.machine.controller_lines().is_empty();
         is_other.then(|| {
             format!(
                 "the machine file states lines for its controller, {}, and this is a program for {}: they are left out",
@@ -161,7 +165,10 @@ pub(crate) fn handling(kind: ControllerKind, buffer: PmacBuffer) -> Vec<String> 
             "tool off, then stop the task",
             "the task stops at a line up to 16 commands ahead of the motion: compare positions with the marks",
         ],
-        #[expect(unreachable_patterns, reason = "controllers of which no source was read say nothing")]
+        #[allow(
+            unreachable_patterns,
+            reason = "controllers of which no source was read say nothing"
+        )]
         _ => return Vec::new(),
     };
     [("load", load), ("start it", start), ("stop", stop), ("abort", abort)]

@@ -147,7 +147,9 @@ impl Subcommand for Export {
                 ControllerKind::Galil => GalilArgs::augment_args(own),
                 ControllerKind::Pmac => PmacArgs::augment_args(with_clock(own, kind)),
                 ControllerKind::Gcode => GcodeArgs::augment_args(with_clock(own, kind)),
-                ControllerKind::Xps => XpsArgs::augment_args(own).mut_arg("tick_s", clock_help(kind)),
+                ControllerKind::Xps => {
+                    XpsArgs::augment_args(own).mut_arg("tick_s", clock_help(kind))
+                }
                 _ => with_clock(own, kind),
             };
             CommonArgs::augment_args(own).about(kind.about())
@@ -198,9 +200,9 @@ impl FromArgMatches for Export {
         }
         if controller == ControllerKind::Xps {
             let XpsArgs { commands, group, positioners, .. } = XpsArgs::from_arg_matches(own)?;
-            export.companion = commands.zip(group).map(|(file, name)| {
-                Companion::XpsCommands(file, XpsGroup { name, positioners })
-            });
+            export.companion = commands
+                .zip(group)
+                .map(|(file, name)| Companion::XpsCommands(file, XpsGroup { name, positioners }));
         }
         if controller == ControllerKind::Gcode {
             let GcodeArgs { f_word, path_tolerance_mm } = GcodeArgs::from_arg_matches(own)?;
@@ -341,7 +343,9 @@ impl Export {
         let name = out.file_name().unwrap_or_default().to_string_lossy();
         let problem = match (self.common.dry_run, name.contains("dry-run")) {
             (true, false) => "is the name of a dry run; give one with \"dry-run\" in it",
-            (false, true) => "names a dry run, and the tool of this program goes on; give --dry-run, or another --out",
+            (false, true) => {
+                "names a dry run, and the tool of this program goes on; give --dry-run, or another --out"
+            }
             _ => return Ok(()),
         };
         Err(Failure::new(format!("{}: {problem}", out.display())))

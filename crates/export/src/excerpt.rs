@@ -57,13 +57,15 @@ pub(crate) fn between<const N: usize>(
     let mut nodes = slice(whole, from, to);
     let mut ramps = [0, 0];
     if !rests(whole, from) {
-        let before = ramp(&nodes, plan, run_up).map_err(|e| refused(from, "run-up to", &e))?;
+        let first = slice(&nodes, 0, 1);
+        let before = ramp(&first, plan, run_up).map_err(|e| refused(from, "run-up to", &e))?;
         ramps[0] = before.segments();
         nodes = joined(&before, &nodes);
     }
     if !rests(whole, to) {
-        let after = ramp(&reversed(&nodes), plan, run_up)
-            .map_err(|e| refused(to, "run-down from", &e))?;
+        let n = nodes.segments();
+        let last = reversed(&slice(&nodes, n - 1, n));
+        let after = ramp(&last, plan, run_up).map_err(|e| refused(to, "run-down from", &e))?;
         ramps[1] = after.segments();
         nodes = joined(&nodes, &reversed(&after));
     }
@@ -80,9 +82,7 @@ fn rests<const N: usize>(nodes: &Nodes<N>, k: usize) -> bool {
     let n = nodes.segments();
     match nodes.interpolation {
         Interpolation::Hermite => nodes.velocity[k] == [0.0; N],
-        Interpolation::Linear => {
-            k == 0 || k == n || nodes.stands(k) || nodes.stands(k - 1)
-        }
+        Interpolation::Linear => k == 0 || k == n || nodes.stands(k) || nodes.stands(k - 1),
     }
 }
 
@@ -94,7 +94,24 @@ fn slice<const N: usize>(whole: &Nodes<N>, from: usize, to: usize) -> Nodes<N> {
         counts: whole.counts[from..=to].to_vec(),
         velocity: whole.velocity[from..=to].to_vec(),
         tool_on: whole.tool_on[from..to].to_vec(),
-        ..whole.clone()
+        ..without_nodes(whole)
+    }
+}
+
+/// Returns a motion with the grids of `nodes`, and no node.
+fn without_nodes<const N: usize>(nodes: &Nodes<N>) -> Nodes<N> {
+    Nodes {
+        count: nodes.count,
+        tick_s: nodes.tick_s,
+        ticks: Vec::new(),
+        counts: Vec::new(),
+        velocity: Vec::new(),
+        tool_on: Vec::new(),
+        interpolation: nodes.interpolation,
+        deviation_mm: nodes.deviation_mm,
+        contact_mm: nodes.contact_mm,
+        added_s: nodes.added_s,
+        uneven: nodes.uneven,
     }
 }
 
@@ -107,7 +124,7 @@ fn reversed<const N: usize>(nodes: &Nodes<N>) -> Nodes<N> {
         counts: nodes.counts.iter().rev().copied().collect(),
         velocity: nodes.velocity.iter().rev().map(opposite).collect(),
         tool_on: nodes.tool_on.iter().rev().copied().collect(),
-        ..nodes.clone()
+        ..without_nodes(nodes)
     }
 }
 
@@ -124,23 +141,26 @@ fn joined<const N: usize>(first: &Nodes<N>, second: &Nodes<N>) -> Nodes<N> {
     nodes
 }
 
-/// Returns the shortest motion from rest to the first node of `rest` that keeps the limits. Its last node is that node.
+/// Returns the shortest motion from rest to the beginning of the segment `first` that keeps the limits.
 fn ramp<const N: usize>(
-    rest: &Nodes<N>,
+    first: &Nodes<N>,
     plan: &AxesPlan<N>,
     run_up: &RunUpLimits,
 ) -> Result<Nodes<N>, Invalid> {
     let [least, most] = run_up.ticks;
-    let most_half = (LONGEST_HALF_S / rest.tick_s) as i64;
-    let first = slice(rest, 0, 1);
+    // Without a tolerance the controller joins no lines.
+    let tolerance_mm = if run_up.tolerance_mm > 0.0 { run_up.tolerance_mm } else { f64::INFINITY };
+    let most_half = (LONGEST_HALF_S / first.tick_s) as i64;
+    // The accelerations are continuous by the formula; the proof of the whole program judges their rounding.
+    let plan = &AxesPlan { may_step: false, ..*plan };
     let mut half = least.max(1);
     loop {
-        let pieces = pieces(rest, half, [least, most]);
-        let ramp = with_half(rest, plan, half / pieces * pieces, pieces);
-        // Its joint with the rest is proven, too.
-        let proof = limits::prove(&joined(&ramp, &first), plan).map(|_| ());
-        let is_good = proof.is_ok() && farthest_mm(&joined(&ramp, &first)) <= run_up.tolerance_mm;
-        if is_good {
+        let pieces = pieces(first, half, [least, most]);
+        let ramp = with_half(first, plan, half / pieces * pieces, pieces);
+        // Its joint with the segment is proven, too.
+        let with_joint = joined(&ramp, first);
+        let proof = limits::prove(&with_joint, plan);
+        if proof.is_ok() && farthest_mm(&with_joint, plan) <= tolerance_mm {
             return Ok(ramp);
         }
         if half >= most_half {
@@ -174,10 +194,8 @@ fn with_half<const N: usize>(
     // a_m = v / h - a / 2
     let middle: [f64; N] = from_fn(|i| v[i] / h - a[i] / 2.0);
     let n = 2 * pieces;
-    let mut nodes = slice(rest, 0, 0);
+    let mut nodes = without_nodes(rest);
     nodes.ticks = (0..=n).map(|k| k * (half / pieces)).collect();
-    nodes.counts.clear();
-    nodes.velocity.clear();
     nodes.tool_on = vec![false; n as usize];
     for tick in nodes.ticks.clone() {
         let t = tick as f64 * rest.tick_s;
@@ -225,14 +243,12 @@ fn since_rest(middle: f64, last: f64, h: f64, t: f64) -> [f64; 2] {
     let u = (t - h).max(0.0);
     // v = v_h + a_m u + (a - a_m) u^2 / 2h,  p = p_h + v_h u + a_m u^2 / 2 + (a - a_m) u^3 / 6h
     let change = (last - middle) / h;
-    [
-        p + u * (v + u * (middle / 2.0 + u * change / 6.0)),
-        v + u * (middle + u * change / 2.0),
-    ]
+    [p + u * (v + u * (middle / 2.0 + u * change / 6.0)), v + u * (middle + u * change / 2.0)]
 }
 
-/// Returns the largest distance of joined lines from their corners but the last one, mm; 0 for cubics.
-fn farthest_mm<const N: usize>(nodes: &Nodes<N>) -> f64 {
+/// Returns the largest distance of joined lines from their corners but the last one, along the linear axes, mm; 0 for
+/// cubics.
+fn farthest_mm<const N: usize>(nodes: &Nodes<N>, plan: &AxesPlan<N>) -> f64 {
     if nodes.interpolation == Interpolation::Hermite {
         return 0.0;
     }
@@ -246,7 +262,8 @@ fn farthest_mm<const N: usize>(nodes: &Nodes<N>) -> f64 {
             Some(j) => (mean(j), seconds(j).min(seconds(k))),
             None => ([0.0; N], seconds(k)),
         };
-        let change = (0..N).map(|i| mean(k)[i] - before[i]).fold(0.0, f64::hypot);
+        let linear = (0..N).filter(|i| !plan.axes[*i].is_rotary);
+        let change = linear.map(|i| mean(k)[i] - before[i]).fold(0.0, f64::hypot);
         // |change of velocity| T / 8
         farthest = farthest.max(change * shorter_s / 8.0);
     }
@@ -262,14 +279,14 @@ mod tests {
     fn the_run_up_grows_from_rest_to_the_state_of_the_mark() {
         for (v, a, h) in [(3.0, 0.0, 0.5), (-2.0, 40.0, 0.25), (0.1, -200.0, 0.01)] {
             let middle = v / h - a / 2.0;
-            let at = |t: f64| since_rest(middle, a, h, t);
-            assert_eq!(at(0.0), [0.0, 0.0]);
-            assert!((at(2.0 * h)[1] - v).abs() < 1e-12 * (1.0 + v.abs()), "{v} {a}");
+            let moved = |t: f64| since_rest(middle, a, h, t);
+            assert_eq!(moved(0.0), [0.0, 0.0]);
+            assert!((moved(2.0 * h)[1] - v).abs() < 1e-12 * (1.0 + v.abs()), "{v} {a}");
             for t in [0.3 * h, h, 1.7 * h] {
                 let d = 1e-5 * h;
-                let slope = (at(t + d)[0] - at(t - d)[0]) / (2.0 * d);
+                let slope = (moved(t + d)[0] - moved(t - d)[0]) / (2.0 * d);
                 // Central differences of a cubic are off by d^2 / 6 of the jerk.
-                assert!((slope - at(t)[1]).abs() < 1e-8 * (1.0 + v.abs() + a.abs()), "{v} {t}");
+                assert!((slope - moved(t)[1]).abs() < 1e-8 * (1.0 + v.abs() + a.abs()), "{v} {t}");
             }
         }
     }

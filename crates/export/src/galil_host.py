@@ -24,6 +24,10 @@ class Refusal(Exception):
     """A reason not to begin."""
 
 
+class Fault(Exception):
+    """A reason to stop."""
+
+
 def read_part(path):
     """Lines, checksum and description of a file."""
     with open(path, encoding="ascii") as file:
@@ -47,9 +51,9 @@ def read_program(paths):
     parts = [read_part(path) for path in paths]
     before = None
     for number, (path, (_, checksum, about)) in enumerate(zip(paths, parts), 1):
-        part = about.get("part", {"number": 1, "of": 1})
-        if part["number"] != number or part["of"] != len(paths) or part.get("after") != before:
-            raise Refusal(f"{path}: is part {part['number']} of {part['of']}; give all parts of one program in order")
+        part = about.get("part", {"number": 1, "parts": 1})
+        if part["number"] != number or part["parts"] != len(paths) or part.get("after") != before:
+            raise Refusal(f"{path}: is part {part['number']} of {part['parts']}; give all parts of one program in order")
         before = checksum
     commands, block = [], None
     for line in (line for lines, _, _ in parts for line in lines):
@@ -130,7 +134,7 @@ class Host:
         if wanted != self.is_on:
             self.tool(wanted)
         if not is_moving and not self.is_ended:
-            raise RuntimeError(f"the motion ended after {done:.0f} segments: the buffer ran empty, or an axis stopped")
+            raise Fault(f"the motion ended after {done:.0f} segments: the buffer ran empty, or an axis stopped")
 
     def run(self, commands):
         room = dict.fromkeys(self.letters, 0)
@@ -195,6 +199,9 @@ def main():
         host.run(commands)
     except Refusal as problem:
         sys.exit(f"{problem}; nothing has moved")
+    except Fault as problem:
+        host.stop()
+        sys.exit(str(problem))
     except BaseException:
         host.stop()
         raise

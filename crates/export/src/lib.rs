@@ -489,6 +489,10 @@ impl<const N: usize> Job<'_, N> {
     /// beside it. Refuses a plan that exceeds the limits, or of which the controller has no program within them and
     /// within its number of segments. Lines may change the dwell times by at most [`MOST_UNEVEN`].
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
+        if self.plan.machine.name().trim().is_empty() {
+            let problem = "has no name, and a program states the machine that it is for";
+            return Err(Invalid::whole("machine", problem, "give it a `name` in its file"));
+        }
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
         let follows_tool = matches!(can.tool, Tool::Switched(_));
@@ -496,47 +500,14 @@ impl<const N: usize> Job<'_, N> {
         let mut warnings: Vec<String> = warning.into_iter().collect();
         warnings.extend(self.lines_left_out());
         let tick_s = self.grids.tick_s;
-        // Fewer than one are a step that no segment is as short as; the generator refuses it.
-        let most_ticks = match self.settings.max_step_s {
-            Some(step_s) => (step_s / tick_s).floor().min(can.most_ticks as f64) as i64,
-            None => can.most_ticks,
-        };
-        if most_ticks < 1 {
-            let problem = format!("is shorter than one tick of {tick_s} s");
-            let array = if can.most_ticks < 1 { "longest segment" } else { "max_step_s" };
-            let remedy = "give a longer `max_step_s`, or a smaller tick";
-            return Err(Invalid::whole(array, problem, remedy));
-        }
-        let settings = generate::GeneratorSettings {
-            controller: self.grids,
-            most_ticks,
-            path_deviation_mm: self.settings.path_deviation_mm,
-            follows_tool,
-        };
-        let nodes = generate(self.plan, &settings)?;
+        let (nodes, excerpt) = self.placed(can.most_ticks, follows_tool)?;
         let n = nodes.segments();
         if let Some(most) = self.grids.max_segments.filter(|most| n > *most) {
             let problem = format!("has {n} segments, the controller takes {most}");
             let remedy = "give a larger `path_deviation_mm`, or plan fewer lines in one run";
             return Err(Invalid::whole("program", problem, remedy));
         }
-        if nodes.interpolation == Interpolation::Linear && nodes.uneven > MOST_UNEVEN {
-            return Err(self.too_uneven(&nodes));
-        }
-        let least_s = self.grids.min_segment_s.max(self.plan.machine.limits().min_segment_s());
-        let run_up = excerpt::RunUpLimits {
-            ticks: [((least_s / tick_s) * (1.0 - 1e-9)).ceil() as i64, most_ticks],
-            tolerance_mm: self.settings.gcode.path_tolerance_mm.unwrap_or(self.settings.path_deviation_mm),
-        };
-        let (added_s, mut nodes, mut ramps) = (nodes.added_s, nodes, [0, 0]);
-        if let Some(marks) = self.settings.marks {
-            (nodes, ramps) = excerpt::between(&nodes, self.plan, marks, &run_up)?;
-        }
-        if self.settings.dry_run {
-            nodes.tool_on.fill(false);
-        }
-        let n = nodes.segments();
-        let excerpt = self.settings.marks.map(|marks| excerpt_of(&nodes, marks, ramps));
+        let added_s = nodes.added_s;
         let (proof, reach) = limits::prove(&nodes, self.plan)?;
         let plan_s = self.plan.total_time_s();
         if added_s > WARNED_ADDED * plan_s {
@@ -588,6 +559,56 @@ impl<const N: usize> Job<'_, N> {
         Ok((nodes, about))
     }
 
+    /// Returns the nodes of the program, or of its part between two marks with run-up and run-down, and the place of
+    /// that part. `most_ticks` is the longest segment of the controller; `follows_tool` is true if the program switches
+    /// the tool. In a dry run the tool is off in every segment.
+    fn placed(
+        &self,
+        most_ticks: i64,
+        follows_tool: bool,
+    ) -> Result<(Nodes<N>, Option<Excerpt>), Invalid> {
+        let tick_s = self.grids.tick_s;
+        // Fewer than one are a step that no segment is as short as; the generator refuses it.
+        let longest_ticks = match self.settings.max_step_s {
+            Some(step_s) => (step_s / tick_s).floor().min(most_ticks as f64) as i64,
+            None => most_ticks,
+        };
+        if longest_ticks < 1 {
+            let problem = format!("is shorter than one tick of {tick_s} s");
+            let array = if most_ticks < 1 { "longest segment" } else { "max_step_s" };
+            let remedy = "give a longer `max_step_s`, or a smaller tick";
+            return Err(Invalid::whole(array, problem, remedy));
+        }
+        let settings = generate::GeneratorSettings {
+            controller: self.grids,
+            most_ticks: longest_ticks,
+            path_deviation_mm: self.settings.path_deviation_mm,
+            follows_tool,
+        };
+        let mut nodes = generate(self.plan, &settings)?;
+        if nodes.interpolation == Interpolation::Linear && nodes.uneven > MOST_UNEVEN {
+            return Err(self.too_uneven(&nodes));
+        }
+        let mut excerpt = None;
+        if let Some(marks) = self.settings.marks {
+            let least_s = self.grids.min_segment_s.max(self.plan.machine.limits().min_segment_s());
+            // A hair less is the rounding of a number that was typed.
+            let least_ticks = ((least_s / tick_s) * (1.0 - 1e-9)).ceil() as i64;
+            let tolerance_mm = self.settings.gcode.path_tolerance_mm;
+            let run_up = excerpt::RunUpLimits {
+                ticks: [least_ticks.max(1), longest_ticks],
+                tolerance_mm: tolerance_mm.unwrap_or(self.settings.path_deviation_mm),
+            };
+            let (inside, ramps) = excerpt::between(&nodes, self.plan, marks, &run_up)?;
+            nodes = inside;
+            excerpt = Some(excerpt_of(&nodes, marks, ramps));
+        }
+        if self.settings.dry_run {
+            nodes.tool_on.fill(false);
+        }
+        Ok((nodes, excerpt))
+    }
+
     /// Returns the error for lines that change the dwell times of the plan too much. It names finer counts and a finer
     /// clock, or asks for a plan with less acceleration if they are fine already.
     fn too_uneven(&self, nodes: &Nodes<N>) -> Invalid {
@@ -625,7 +646,10 @@ impl<const N: usize> Job<'_, N> {
     /// is `None`.
     fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
         if self.settings.dry_run {
-            return Ok(("off throughout, because this is a dry run: nobody switches it on".into(), None));
+            return Ok((
+                "off throughout, because this is a dry run: nobody switches it on".into(),
+                None,
+            ));
         }
         let who = match tool {
             Tool::Switched(how) => return Ok((how, None)),

@@ -11,9 +11,7 @@
 use planish_types::ControllerKind;
 use serde::Serialize;
 
-use crate::{
-    Marks, Program, ProgramSettings, around, around::UNSEALED, decimal, pmac::PmacBuffer,
-};
+use crate::{Marks, Program, ProgramSettings, around, around::UNSEALED, decimal, pmac::PmacBuffer};
 
 /// Place of a file among the parts of a program.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -21,7 +19,7 @@ pub struct Part {
     /// Number of the part, from 1.
     pub number: usize,
     /// Number of parts.
-    pub of: usize,
+    pub parts: usize,
     /// True if the motion goes on from this part to the next one without a stop, so that all parts are one program.
     pub joins: bool,
     /// Index of the first mark of the part in the whole program.
@@ -59,17 +57,17 @@ pub fn in_parts(
     let comment = around::comment(kind).expect("a controller whose parts join has comments");
     let lines: Vec<&str> = program.text.lines().collect();
     let marks = program.about.marks.all();
-    let of = cuts.len() - 1;
-    let mut parts: Vec<Program> = Vec::with_capacity(of);
+    let count = cuts.len() - 1;
+    let mut parts: Vec<Program> = Vec::with_capacity(count);
     let mut after = None;
     for (k, cut) in cuts.windows(2).enumerate() {
         let [from, to] = [cut[0], cut[1]];
         // Of the first part the header; its checksum is another one.
         let begin = if k == 0 { 1 } else { marks[from].line - 1 };
-        let end = if k + 1 == of { lines.len() } else { marks[to].line - 1 };
+        let end = if k + 1 == count { lines.len() } else { marks[to].line - 1 };
         let mut head = vec![UNSEALED.to_string()];
         head.extend(around::dry_run_line(&program.about).filter(|_| k > 0));
-        head.push(format!("part {} of {of}, joined without a stop", k + 1));
+        head.push(format!("part {} of {count}, joined without a stop", k + 1));
         if let Some(before) = &after {
             let place: Vec<String> = marks[from].position.iter().map(|p| decimal(*p, 6)).collect();
             head.push(format!("after the part with the checksum crc32 {before}"));
@@ -87,8 +85,8 @@ pub fn in_parts(
         }
         // Lines of this part are later by this many than in the whole program.
         let first_line = text.lines().count() + 1;
-        text.extend(lines[begin..end].iter().flat_map(|line| [line, "\n"]));
-        if is_opened && k + 1 < of {
+        text.extend(lines[begin..end].iter().flat_map(|line| [*line, "\n"]));
+        if is_opened && k + 1 < count {
             text += "CLOSE\n";
         }
         let text = around::sealed(&text);
@@ -97,7 +95,8 @@ pub fn in_parts(
             mark
         });
         let mut about = program.about.clone();
-        about.part = Some(Part { number: k + 1, of, joins: true, first_mark: from, after });
+        about.part =
+            Some(Part { number: k + 1, parts: count, joins: true, first_mark: from, after });
         about.segments = to - from;
         about.total_time_s = marks.get(to).map_or(about.total_time_s, |mark| mark.time_s);
         about.marks = Marks::from_list(own_marks.collect());

@@ -93,7 +93,9 @@ impl PmacBuffer {
             return Err(Invalid::whole(name, problem, format!("give a number from 1 to {last}")));
         }
         let mut around = lines.prologue.iter().chain(&lines.epilogue);
-        if matches!(self, Self::Rotary(_)) && around.any(|line| line.to_uppercase().contains("WHILE")) {
+        if matches!(self, Self::Rotary(_))
+            && around.any(|line| line.to_uppercase().contains("WHILE"))
+        {
             let problem = "is asked for, and the machine file states a line with WHILE";
             let remedy = "wait by the host: a rotary buffer takes no loops";
             return Err(Invalid::whole(name, problem, remedy));
@@ -148,7 +150,9 @@ fn check_tool_lines(lines: &ControllerLines, tool_output: Option<u32>) -> Result
     let Some(m) = tool_output else { return Ok(()) };
     let assigns = |line: &String| {
         let line = line.to_uppercase().replace(' ', "");
-        line.strip_prefix('M').and_then(|l| l.split_once('=')).is_some_and(|(n, _)| n.parse() == Ok(m))
+        line.strip_prefix('M')
+            .and_then(|l| l.split_once('='))
+            .is_some_and(|(n, _)| n.parse() == Ok(m))
     };
     match lines.prologue.iter().chain(&lines.epilogue).find(|line| assigns(line)) {
         None => Ok(()),

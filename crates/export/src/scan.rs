@@ -72,7 +72,8 @@ pub fn scan_arrays(program: &Program) -> Result<String, Invalid> {
             user = if line.ends_with('1') { ON } else { OFF };
         } else if line.contains(':') && !line.starts_with(';') {
             for word in line.split(' ') {
-                let Some((position, velocity)) = word.get(1..).and_then(|w| w.split_once(':')) else {
+                let Some((position, velocity)) = word.get(1..).and_then(|w| w.split_once(':'))
+                else {
                     continue;
                 };
                 let axis = file.axes.entry(word[..1].into()).or_default();

@@ -71,7 +71,9 @@ pub fn commands(about: &About, group: &XpsGroup, file: &str) -> Result<String, I
     let is_name = |name: &str| {
         !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c))
     };
-    for name in [&group.name].into_iter().chain(&group.positioners).map(String::as_str).chain([file]) {
+    for name in
+        [&group.name].into_iter().chain(&group.positioners).map(String::as_str).chain([file])
+    {
         if !is_name(name) {
             let remedy = "give a name of letters, digits, _, - and dots, as the controller has it";
             return Err(Invalid::whole("group", format!("has the name {name:?}"), remedy));
@@ -92,7 +94,8 @@ pub fn commands(about: &About, group: &XpsGroup, file: &str) -> Result<String, I
     let places: Vec<String> = starts.iter().map(|(_, _, p)| decimal(*p, DIGITS)).collect();
     let mut lines = vec![
         format!("# {file} for {}, BLAKE3 {}", about.machine, about.program_blake3),
-        "# send each line to port 5001, wait for its answer, and stop at an answer other than 0".into(),
+        "# send each line to port 5001, wait for its answer, and stop at an answer other than 0"
+            .into(),
         format!("# put {file} into the folder Trajectories by FTP, or SFTP on an XPS-D"),
     ];
     if about.dry_run {

@@ -110,7 +110,11 @@ fn pmac(buffer: PmacBuffer) -> ProgramSettings {
 
 /// Returns the settings of the programs of this kind.
 fn settings_of(kind: ControllerKind) -> ProgramSettings {
-    if kind == ControllerKind::Pmac { pmac(PmacBuffer::Program(7)) } else { ProgramSettings::default() }
+    if kind == ControllerKind::Pmac {
+        pmac(PmacBuffer::Program(7))
+    } else {
+        ProgramSettings::default()
+    }
 }
 
 /// Returns position and velocity of the axes at the time `t` since the start.
@@ -215,7 +219,8 @@ fn lines_of_the_machine_file_change_no_motion() {
             ..ControllerFile::new(kind)
         };
         let machine = machine(Some(stated));
-        let made = program(&circle(|_| true), &machine, kind, &settings_of(kind), &origin()).unwrap();
+        let made =
+            program(&circle(|_| true), &machine, kind, &settings_of(kind), &origin()).unwrap();
         let text: Vec<&str> = made.text.lines().collect();
         let line = |wanted: &str| text.iter().position(|line| *line == wanted).unwrap() + 1;
         let first = made.about.marks.all()[0].line;
@@ -226,9 +231,18 @@ fn lines_of_the_machine_file_change_no_motion() {
         assert_eq!(with.break_time_s(), without.break_time_s(), "{kind:?}");
         assert!((0..with.len()).all(|k| with.segment(k) == without.segment(k)), "{kind:?}");
         // A program for another controller leaves them out, and says so.
-        let other = program(&circle(|_| true), &machine, ControllerKind::Csv, &settings_of(kind), &origin());
+        let other = program(
+            &circle(|_| true),
+            &machine,
+            ControllerKind::Csv,
+            &settings_of(kind),
+            &origin(),
+        );
         let warnings = other.unwrap().about.warnings;
-        assert!(warnings.iter().any(|w| w.contains("states lines for its controller")), "{warnings:?}");
+        assert!(
+            warnings.iter().any(|w| w.contains("states lines for its controller")),
+            "{warnings:?}"
+        );
     }
 }
 
@@ -253,7 +267,11 @@ fn every_program_starts_at_its_marks_without_a_jump() {
             let rest = read(kind, &made);
             keeps_limits(&rest, kind, &name);
             // The circle is at 50 mm/s at most, of 1000 mm/s^2 and 20000 mm/s^3: 0.3 s by jerk and acceleration.
-            assert!(excerpt.run_up_s > 0.0 && excerpt.run_up_s < 1.0, "{name}: {}", excerpt.run_up_s);
+            assert!(
+                excerpt.run_up_s > 0.0 && excerpt.run_up_s < 1.0,
+                "{name}: {}",
+                excerpt.run_up_s
+            );
             let own = made.about.marks.all();
             let run_up = excerpt.run_up_segments;
             assert_eq!(own[run_up].position, marks[mark].position, "{name}");
@@ -262,7 +280,8 @@ fn every_program_starts_at_its_marks_without_a_jump() {
             let is_lines = kind == ControllerKind::Gcode;
             // Half a line before its first node begins the motion of lines.
             let shift = |motion: &AxesMotion, made: &Program| {
-                if is_lines { 0.5 * (made.about.marks.all()[1].time_s) } else { 0.0 }.min(motion.total_time_s())
+                if is_lines { 0.5 * (made.about.marks.all()[1].time_s) } else { 0.0 }
+                    .min(motion.total_time_s())
             };
             let (from_s, at_s) = (
                 marks[mark].time_s + shift(&motion, &whole),
@@ -279,7 +298,8 @@ fn every_program_starts_at_its_marks_without_a_jump() {
                 }
             }
             // The lines are those of the whole program, but for absolute times.
-            if !matches!(kind, ControllerKind::Csv | ControllerKind::Ros | ControllerKind::Aerotech) {
+            if !matches!(kind, ControllerKind::Csv | ControllerKind::Ros | ControllerKind::Aerotech)
+            {
                 let text: Vec<&str> = made.text.lines().collect();
                 let (a, b) = (marks[mark + 1].line - 1, marks[n - 1].line - 1);
                 let a_own = own[run_up + 1].line - 1;
@@ -321,7 +341,8 @@ fn a_run_up_beyond_the_travel_is_refused() {
 #[test]
 fn parts_are_the_same_motion() {
     let mut joined = 0;
-    let pmacs = [PmacBuffer::Rotary(1), PmacBuffer::Program(3)].map(|b| (ControllerKind::Pmac, pmac(b)));
+    let pmacs =
+        [PmacBuffer::Rotary(1), PmacBuffer::Program(3)].map(|b| (ControllerKind::Pmac, pmac(b)));
     let all = ControllerKind::ALL.map(|kind| (kind, ProgramSettings::default()));
     for (kind, settings) in all.into_iter().chain(pmacs) {
         let whole = write(kind, &settings);
@@ -345,7 +366,10 @@ fn parts_are_the_same_motion() {
                 let line = |text: &str, n: usize| text.lines().nth(n - 1).unwrap().to_string();
                 assert_eq!(line(&part.text, mark.line), line(&whole.text, wanted.line), "{kind:?}");
                 let alone = reader::read_axes(kind, part.text.as_bytes(), &beside(part));
-                assert!(alone.unwrap_err().to_string().contains("of 3; give all parts"), "{kind:?}");
+                assert!(
+                    alone.unwrap_err().to_string().contains("of 3; give all parts"),
+                    "{kind:?}"
+                );
             }
             let mut wrong = files.clone();
             wrong.swap(1, 2);
@@ -379,7 +403,8 @@ fn parts_are_the_same_motion() {
 fn scan_arrays_have_the_numbers_of_the_program() {
     let motion = circle(|k| !(400..500).contains(&k));
     let settings = pmac(PmacBuffer::OfTheHost);
-    let made = program(&motion, &machine(None), ControllerKind::Pmac, &settings, &origin()).unwrap();
+    let made =
+        program(&motion, &machine(None), ControllerKind::Pmac, &settings, &origin()).unwrap();
     let arrays: serde_json::Value = serde_json::from_str(&scan_arrays(&made).unwrap()).unwrap();
     let run = read(ControllerKind::Pmac, &made);
     let list = |name: &str| arrays[name].as_array().unwrap().clone();

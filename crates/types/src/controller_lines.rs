@@ -96,7 +96,8 @@ pub fn check_line(kind: ControllerKind, line: &str) -> Result<(), (String, Strin
     let short: String = line.chars().take(40).collect();
     let refusal = |problem: String, remedy: &str| Err((problem, remedy.to_string()));
     let Some((most, commands)) = language(kind) else {
-        let problem = format!("is {short:?}, and a {} file has no place for a command", kind.name());
+        let problem =
+            format!("is {short:?}, and a {} file has no place for a command", kind.name());
         return refusal(problem, "leave it out: the host waits and switches");
     };
     if line.trim().is_empty() || line.trim() != line {
@@ -139,9 +140,10 @@ fn language(kind: ControllerKind) -> Option<(usize, &'static str)> {
             "G4 P, M0, M3 to M5, M7 to M9, S, M62 to M68 (not output 0 on) or M100 to M199",
         ),
         ControllerKind::Aerotech => (TERMINAL_LINE, "DOUT or DWELL"),
-        ControllerKind::Xps => {
-            (LONG_LINE, "GPIODigitalSet(...), GPIOAnalogSet(...), TimerSet(...) or EventExtended...(...)")
-        }
+        ControllerKind::Xps => (
+            LONG_LINE,
+            "GPIODigitalSet(...), GPIOAnalogSet(...), TimerSet(...) or EventExtended...(...)",
+        ),
         _ => return None,
     })
 }
@@ -212,9 +214,9 @@ fn is_xps(line: &str) -> bool {
     let Some((name, rest)) = line.split_once('(') else { return false };
     let is_call = rest.ends_with(')') && !rest[..rest.len() - 1].contains(['(', ')']);
     let is_known = ["GPIODigitalSet", "GPIOAnalogSet", "TimerSet"].contains(&name)
-        || name.strip_prefix("EventExtended").is_some_and(|n| {
-            n.chars().all(|c| c.is_ascii_alphabetic())
-        });
+        || name
+            .strip_prefix("EventExtended")
+            .is_some_and(|n| n.chars().all(|c| c.is_ascii_alphabetic()));
     // An action of an event may move or run a program.
     let moves = ["Move", "ExecuteTCLScript", "KillTCLScript", "ExecuteCommand"];
     is_call && is_known && !moves.iter().any(|word| rest.contains(word))
@@ -231,7 +233,16 @@ mod tests {
             (ControllerKind::Pmac, &["M2=1", "DWELL2000", "WHILE(M11=0) WAIT"]),
             (
                 ControllerKind::Gcode,
-                &["G4 P2", "M3 S1000", "M66 P1 L3 Q60", "M64 P2", "M65 P0", "M101 P1", "M0", "S500"],
+                &[
+                    "G4 P2",
+                    "M3 S1000",
+                    "M66 P1 L3 Q60",
+                    "M64 P2",
+                    "M65 P0",
+                    "M101 P1",
+                    "M0",
+                    "S500",
+                ],
             ),
             (ControllerKind::Aerotech, &["DOUT X,0,1", "DWELL 2"]),
             (ControllerKind::Xps, &["GPIODigitalSet(GPIO1.DO,1,1)", "EventExtendedWait()"]),
@@ -249,19 +260,54 @@ mod tests {
         let cases: [(ControllerKind, &[&str]); 7] = [
             (
                 ControllerKind::Galil,
-                &["PA 1,1", "BGA", "PVA=1,0,2", "XQ #BEAM", "SB 1;BGA", "ST", "JG 5", "TM 500", "s", "OP 1"],
+                &[
+                    "PA 1,1",
+                    "BGA",
+                    "PVA=1,0,2",
+                    "XQ #BEAM",
+                    "SB 1;BGA",
+                    "ST",
+                    "JG 5",
+                    "TM 500",
+                    "s",
+                    "OP 1",
+                ],
             ),
-            (ControllerKind::Pmac, &["X1", "M1==1", "RAPID", "INC", "CMD", "M1=1 X5", "DWELL-1", "P1=2"]),
+            (
+                ControllerKind::Pmac,
+                &["X1", "M1==1", "RAPID", "INC", "CMD", "M1=1 X5", "DWELL-1", "P1=2"],
+            ),
             (
                 ControllerKind::Gcode,
-                &["G0 X1", "G91", "G20", "G92 X0", "G10 L2 P1 X1", "M6 T1", "M62 P0", "M64 P0", "M2",
-                    "G4", "o<x> call", "M3 G0 X1", "F5", "M100.5"],
+                &[
+                    "G0 X1",
+                    "G91",
+                    "G20",
+                    "G92 X0",
+                    "G10 L2 P1 X1",
+                    "M6 T1",
+                    "M62 P0",
+                    "M64 P0",
+                    "M2",
+                    "G4",
+                    "o<x> call",
+                    "M3 G0 X1",
+                    "F5",
+                    "M100.5",
+                ],
             ),
-            (ControllerKind::Aerotech, &["LINEAR X 1", "PVT X 1,0 TIME 1", "END PROGRAM", "VELOCITY OFF"]),
+            (
+                ControllerKind::Aerotech,
+                &["LINEAR X 1", "PVT X 1,0 TIME 1", "END PROGRAM", "VELOCITY OFF"],
+            ),
             (
                 ControllerKind::Xps,
-                &["GroupMoveAbsolute(G,1)", "GPIODigitalSet(A,1);GroupKill(G)", "EventExtendedRemove(1)GroupKill(G)",
-                    "EventExtendedConfigurationActionSet(ExecuteTCLScript,a,b,c)"],
+                &[
+                    "GroupMoveAbsolute(G,1)",
+                    "GPIODigitalSet(A,1);GroupKill(G)",
+                    "EventExtendedRemove(1)GroupKill(G)",
+                    "EventExtendedConfigurationActionSet(ExecuteTCLScript,a,b,c)",
+                ],
             ),
             (ControllerKind::Csv, &["M3"]),
             (ControllerKind::Ros, &["M3"]),
@@ -289,7 +335,10 @@ mod tests {
         assert!(galil.clone().checked(ControllerKind::Galil).is_ok());
         let early = ControllerLines { prologue: lines(&["SB 3", "SB 1"]), ..galil.clone() };
         let said = early.checked(ControllerKind::Galil).unwrap_err().to_string();
-        assert!(said.contains("controller.prologue[1]: is \"SB 1\", which switches the tool"), "{said}");
+        assert!(
+            said.contains("controller.prologue[1]: is \"SB 1\", which switches the tool"),
+            "{said}"
+        );
         let half = ControllerLines { tool_off: vec![], ..galil.clone() };
         assert!(half.checked(ControllerKind::Galil).is_err());
         assert!(galil.checked(ControllerKind::Pmac).is_err());

@@ -3,11 +3,7 @@
 use std::path::PathBuf;
 
 use planish_export::{Program, ProgramSettings, cuts, in_parts, joins_without_stop};
-use planish_handoff::{
-    Failure, Inputs, OutputFile, Status,
-    flags::OutputFileArgs,
-    say, warn,
-};
+use planish_handoff::{Failure, Inputs, OutputFile, Status, flags::OutputFileArgs, say, warn};
 use planish_types::PathDistance;
 
 use super::{AboutFile, Companion, Export, MotionInput, beside, refuse_foreign_about};
@@ -67,7 +63,7 @@ impl Export {
             let mut part = motion.program(self.controller, &settings, inputs)?;
             part.about.part = Some(planish_export::Part {
                 number: k + 1,
-                of: cuts.len() - 1,
+                parts: cuts.len() - 1,
                 joins: false,
                 first_mark: cut[0],
                 after: None,
@@ -124,13 +120,13 @@ impl Export {
         Ok(Status::Done)
     }
 
-    /// Returns the path of part `number` of `of`: `run.part-2-of-3.dmc` for `run.dmc`, with as many digits for each
+    /// Returns the path of part `number` of `count`: `run.part-2-of-3.dmc` for `run.dmc`, with as many digits for each
     /// number, so that names ascend.
-    fn path_of_part(&self, number: usize, of: usize) -> PathBuf {
+    fn path_of_part(&self, number: usize, count: usize) -> PathBuf {
         let OutputFileArgs { out, .. } = &self.common.output;
         let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let digits = of.to_string().len();
-        let mut name = format!("{stem}.part-{number:0digits$}-of-{of}");
+        let digits = count.to_string().len();
+        let mut name = format!("{stem}.part-{number:0digits$}-of-{count}");
         if let Some(ending) = out.extension() {
             name += &format!(".{}", ending.to_string_lossy());
         }

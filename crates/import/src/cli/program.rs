@@ -142,7 +142,8 @@ impl ProgramArgs {
         inputs: &mut Inputs,
     ) -> Result<(Vec<u8>, Configuration), Failure> {
         if self.about.is_some() {
-            let problem = "--about: is for a program in one file; the file beside each part is read";
+            let problem =
+                "--about: is for a program in one file; the file beside each part is read";
             return Err(Failure::new(problem));
         }
         let mut parts = Vec::with_capacity(self.file.len());

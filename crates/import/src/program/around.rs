@@ -20,7 +20,7 @@ use planish_types::{AxesMotion, ControllerKind, Invalid, check_line};
 use super::{Configuration, wrong};
 
 /// Beginnings of lines, besides those of [`check_line`] and comments, that may stand before a prologue.
-const OPENING: [&str; 7] = ["%", "PROGRAM", "OPEN", "CLOSE", "&", "O", "N"];
+const OPENING: [&str; 5] = ["%", "PROGRAM", "OPEN", "CLOSE", "&"];
 
 /// Lines that may stand after an epilogue.
 const CLOSING: [&str; 6] = ["G94 F60", "M2", "M30", "%", "END PROGRAM", "CLOSE"];
@@ -45,7 +45,9 @@ pub(super) fn head(text: &str) -> Result<Head, Invalid> {
             is_sealed = true;
             let found = checksum(text);
             if stated != found {
-                let problem = format!("is {stated} in the first line, and that of the lines below is {found}");
+                let problem = format!(
+                    "is {stated} in the first line, and that of the lines below is {found}"
+                );
                 let remedy = "export it again: it was changed or cut off; or take the first line off if the change is \
                               meant";
                 return Err(Invalid::whole("checksum", problem, remedy));
@@ -66,8 +68,9 @@ pub(super) fn head(text: &str) -> Result<Head, Invalid> {
 
 /// Returns the words of a line that is a comment as Planish writes it; `None` for another line.
 fn comment(line: &str) -> Option<&str> {
-    let words = line.trim().strip_prefix(['\'', '(', ';', '#'])?;
-    Some(words.trim_end_matches(')').trim())
+    const OPENING: [char; 6] = ['\'', '(', ';', '#', '/', '*'];
+    let line = line.trim().strip_prefix(OPENING)?;
+    Some(line.trim_start_matches(OPENING).trim_end_matches([')', '*']).trim())
 }
 
 /// Returns the eight hexadecimal digits after `before`, if `words` begin so.
@@ -104,8 +107,9 @@ pub(super) fn joined(texts: &[Cow<str>]) -> Result<String, (usize, Invalid)> {
         }
         if head.after != before {
             let [stated, found] = [&head.after, &before].map(|c| c.clone().unwrap_or_default());
-            let problem =
-                format!("follows the part with the checksum {stated}, and that before it has {found}");
+            let problem = format!(
+                "follows the part with the checksum {stated}, and that before it has {found}"
+            );
             return Err((i, Invalid::at_index("part", i + 1, problem, remedy)));
         }
         before = Some(checksum(text));
@@ -139,7 +143,10 @@ pub(super) fn without_machine_lines(
         let words = comment(line);
         match (block, words) {
             (None, Some("prologue of the machine file")) if moves => {
-                return Err(wrong(i + 1, "begins the prologue of the machine file within the motion"));
+                return Err(wrong(
+                    i + 1,
+                    "begins the prologue of the machine file within the motion",
+                ));
             }
             (None, Some("prologue of the machine file")) => block = Some("end of the prologue"),
             (None, Some("epilogue of the machine file")) => block = Some("end of the epilogue"),
@@ -163,7 +170,8 @@ pub(super) fn without_machine_lines(
             (None, None) => {
                 let upper = line.trim().to_uppercase();
                 let is_opening = OPENING.iter().any(|word| upper.starts_with(word));
-                moves |= !(upper.is_empty() || is_opening || check_line(controller, &upper).is_ok());
+                moves |=
+                    !(upper.is_empty() || is_opening || check_line(controller, &upper).is_ok());
                 plain += line;
             }
             (None, Some(_)) => plain += line,
@@ -172,7 +180,11 @@ pub(super) fn without_machine_lines(
     }
     if let Some(end) = block {
         let problem = format!("has no line {end:?}");
-        return Err(Invalid::whole("program", problem, "export it again: it was changed or cut off"));
+        return Err(Invalid::whole(
+            "program",
+            problem,
+            "export it again: it was changed or cut off",
+        ));
     }
     check_outputs(controller, &assigned, &plain)?;
     Ok(Cow::Owned(plain))
@@ -185,12 +197,14 @@ fn check_outputs(controller: ControllerKind, lines: &[&str], motion: &str) -> Re
     }
     for line in lines {
         let compact = line.to_uppercase().replace(' ', "");
-        let Some((output, value)) = compact.split_once('=').filter(|(o, _)| o.starts_with('M')) else {
+        let Some((output, value)) = compact.split_once('=').filter(|(o, _)| o.starts_with('M'))
+        else {
             continue;
         };
         let switch = format!("{output}==");
         if value != "0" && motion.to_uppercase().contains(&switch) {
-            let problem = format!("has the line {line:?} of the machine file, and {output} is the tool");
+            let problem =
+                format!("has the line {line:?} of the machine file, and {output} is the tool");
             let remedy = "take it out of the machine file, and export again";
             return Err(Invalid::whole("program", problem, remedy));
         }
@@ -254,7 +268,11 @@ mod tests {
         let after = format!("{HEAD}ABS\nPVT1\nX1:0\n{TAIL}X2:0\n");
         assert!(message(&after).contains("line[10]: goes on after"), "{}", message(&after));
         let open = HEAD.replace("; end of the prologue\n", "");
-        assert!(message(&open).contains("has no line \"end of the prologue\""), "{}", message(&open));
+        assert!(
+            message(&open).contains("has no line \"end of the prologue\""),
+            "{}",
+            message(&open)
+        );
         let moving = HEAD.replace("DWELL2000", "X5:0");
         assert!(message(&moving).contains("line[2]: is \"X5:0\""), "{}", message(&moving));
         let on = HEAD.replace("DWELL2000", "M1=1") + "M1==1\nPVT1\nX1:0\nM1==0\nDWELL0\n";
@@ -262,7 +280,8 @@ mod tests {
     }
 
     fn part(k: usize, after: Option<&str>, body: &str) -> String {
-        let after = after.map_or(String::new(), |c| format!("# after the part with the checksum crc32 {c}\n"));
+        let after = after
+            .map_or(String::new(), |c| format!("# after the part with the checksum crc32 {c}\n"));
         let rest = format!("# part {k} of 2, joined without a stop\n{after}{body}");
         let crc = checksum(&format!("\n{rest}"));
         format!("# checksum: crc32 {crc} of the lines below\n{rest}")
@@ -273,10 +292,13 @@ mod tests {
         let first = part(1, None, "0,1\n");
         let crc = first[18..26].to_string();
         let second = part(2, Some(&crc), "1,2\n");
-        let of = |texts: &[&str]| joined(&texts.iter().map(|t| Cow::Borrowed(*t)).collect::<Vec<_>>());
-        assert_eq!(of(&[&first, &second]).unwrap(), "0,1\n1,2\n");
-        let said = |texts: &[&str]| of(texts).unwrap_err().1.to_string();
-        assert!(said(&[&second, &first]).contains("part[1]: is part 2 of 2, and stands as number 1"));
+        let join =
+            |texts: &[&str]| joined(&texts.iter().map(|t| Cow::Borrowed(*t)).collect::<Vec<_>>());
+        assert_eq!(join(&[&first, &second]).unwrap(), "0,1\n1,2\n");
+        let said = |texts: &[&str]| join(texts).unwrap_err().1.to_string();
+        assert!(
+            said(&[&second, &first]).contains("part[1]: is part 2 of 2, and stands as number 1")
+        );
         assert!(said(&[&first, &first]).contains("part[2]: is part 1 of 2"));
         assert!(said(&[&first]).contains("part[1]: is part 1 of 2, and stands as number 1 of 1"));
         let other = part(2, Some("00000000"), "1,2\n");
