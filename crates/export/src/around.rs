@@ -9,7 +9,7 @@
 //! the CRC-32 of zlib over the lines below it, each with one line feed at its end, whatever ends it in the file. A
 //! program that was cut off, edited, or changed on its way to the controller has another one.
 
-use planish_types::{ControllerKind, ControllerLines};
+use planish_types::{ControllerKind, ControllerLines, Machine};
 
 use crate::{About, Job, aerotech, csv, galil, gcode, header::Comment, pmac, pmac::PmacBuffer};
 
@@ -65,14 +65,19 @@ static NO_LINES: ControllerLines = ControllerLines {
     tool_off: Vec::new(),
 };
 
+/// Returns the lines that the machine file states for a controller of this kind.
+pub(crate) fn lines_for(machine: &Machine, kind: ControllerKind) -> &ControllerLines {
+    if machine.controller().is_some_and(|own| own.kind == kind) {
+        machine.controller_lines()
+    } else {
+        &NO_LINES
+    }
+}
+
 impl<const N: usize> Job<'_, N> {
     /// Returns the lines that the machine file states for this controller.
     pub(crate) fn lines(&self) -> &ControllerLines {
-        if self.plan.machine.controller().is_some_and(|own| own.kind == self.grids.kind) {
-            self.plan.machine.controller_lines()
-        } else {
-            &NO_LINES
-        }
+        lines_for(self.plan.machine, self.grids.kind)
     }
 
     /// Returns the warning about lines of the machine file that this program does not have, because it is for another

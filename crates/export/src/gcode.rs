@@ -17,6 +17,10 @@
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer.
 //!
+//! No offset moves the path. If the positions are readings of the axes, every line has `G53`; else `G54` alone counts,
+//! which the operator sets for the part, and `G92.2` leaves out what G92 has left. `M49` locks the overrides of feed and
+//! spindle at 100 % until `M2`.
+//!
 //! The tool is digital output 0.
 //!
 //! | word | takes effect | used |

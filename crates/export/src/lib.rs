@@ -20,6 +20,9 @@
 //! | `aerotech` | Aerotech Ensemble, AeroBasic PVT | yes | no |
 //! | `ros` | ROS message JointTrajectory | yes | no |
 //!
+//! Around the motion: `around` (checksum, lines of the machine file, how to run the program), `excerpt` (the part between
+//! two marks, from rest to rest), `parts` (several files), `scan` (arrays for the trajectory-scan program of the PMAC).
+//!
 //! Only this crate and `planish-import` convert units.
 
 // The command line names this library as any other program does.
@@ -367,7 +370,10 @@ pub fn check(
     match controller {
         // The fewest axes: a motion of more is refused when it is there.
         ControllerKind::Galil => galil::sample_s(&grids, 2).map(|_| ()),
-        ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
+        ControllerKind::Pmac => {
+            pmac::checked(&grids, &settings.pmac)?;
+            pmac::check_lines(around::lines_for(machine, controller), &settings.pmac)
+        }
         ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
         ControllerKind::Xps
         | ControllerKind::Csv

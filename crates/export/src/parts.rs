@@ -24,7 +24,7 @@ pub struct Part {
     pub joins: bool,
     /// Index of the first mark of the part in the whole program.
     pub first_mark: usize,
-    /// CRC-32 in the first line of the text of the part before; `None` in the first part, and in parts that do not join.
+    /// CRC-32 in the first line of the part before; `None` in the first part, and in parts that do not join.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub after: Option<String>,
 }

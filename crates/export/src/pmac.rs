@@ -17,7 +17,11 @@
 //! tool goes to the start by itself (`RAPID`, each axis at its own speed, then `DWELL0`, so that the first segment
 //! begins from rest); without `tool_output` the host, which has to know when the motion begins, goes there before.
 //!
-//! Source: Turbo PMAC software reference, program commands PVT{data}, {axis}{data}:{data},
+//! The buffer: the lines are those of a motion program, which a host puts into a buffer. With [`PmacBuffer`] the text
+//! opens it itself: `OPEN PROG n CLEAR` to `CLOSE`, or `OPEN ROT` to `CLOSE`. A rotary buffer takes lines while it runs,
+//! so that parts join without a stop; it takes no loops.
+//!
+//! Source: Turbo PMAC software reference, OPEN PROGRAM, OPEN ROTARY, CLEAR, program commands PVT{data}, {axis}{data}:{data},
 //! M{data}=={expression}, M{data}={expression}, RAPID, DWELL; Turbo PMAC user manual, Synchronous M-Variable
 //! Assignment (with its note on the last move). Neither states a length of a line; 80 characters are those
 //! of a terminal.
@@ -145,9 +149,11 @@ pub(crate) fn checked(
     Ok([tick_s, unit_s, most])
 }
 
-/// Refuses lines of the machine file that assign the M-variable of the tool.
-fn check_tool_lines(lines: &ControllerLines, tool_output: Option<u32>) -> Result<(), Invalid> {
-    let Some(m) = tool_output else { return Ok(()) };
+/// Refuses a buffer that the controller does not have, and lines of the machine file that do not go with the settings:
+/// loops in a rotary buffer, and lines that assign the M-variable of the tool.
+pub(crate) fn check_lines(lines: &ControllerLines, settings: &PmacSettings) -> Result<(), Invalid> {
+    settings.buffer.check(lines)?;
+    let Some(m) = settings.tool_output else { return Ok(()) };
     let assigns = |line: &String| {
         let line = line.to_uppercase().replace(' ', "");
         line.strip_prefix('M')
@@ -167,8 +173,7 @@ fn check_tool_lines(lines: &ControllerLines, tool_output: Option<u32>) -> Result
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let settings = &job.settings.pmac;
     let [tick_s, unit_s, most] = checked(&job.grids, settings)?;
-    settings.buffer.check(job.lines())?;
-    check_tool_lines(job.lines(), settings.tool_output)?;
+    check_lines(job.lines(), settings)?;
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(
             "this program does not switch it, --tool-output names an M-variable that does: the host \

@@ -9,8 +9,11 @@
 //! its events (start and end of a trajectory, start of an element) and actions on its digital outputs,
 //! which the host configures before the run. A motion that lifts the tool is refused.
 //!
+//! [`commands`] writes the calls that check and run the file, with the lines of the machine file around them.
+//!
 //! Source: Newport XPS-Q8 user's manual (EDH0301), sections 8.3.6 (trajectory file description) and 8.3.8
-//! (verification and execution), and XPS programmer's manual, EventExtendedConfigurationActionSet. No
+//! (verification and execution), and XPS programmer's manual, EventExtendedConfigurationActionSet; newportxps,
+//! `XPS_C8_drivers.py` (form of the calls). No
 //! length of a line is stated; a line here has up to 100 characters.
 
 use planish_types::Invalid;

@@ -1,5 +1,5 @@
-//! Programs as an operator loads them, written by `planish-export` and read back by `planish-import`: checksum, dry run,
-//! lines of the machine file, the rest from a mark, and parts.
+//! Programs as an operator loads them, written by `planish-export` and read back by `planish-import`: checksum, dry
+//! run, lines of the machine file, the rest from a mark, and parts.
 
 use planish_export::{
     Origin, Program, ProgramSettings, cuts, in_parts, joins_without_stop,

@@ -1,5 +1,5 @@
-//! What stands around the motion of a program that Planish wrote: its checksum, the words DRY RUN, the number of a part,
-//! and the lines of the machine file.
+//! What stands around the motion of a program that Planish wrote: its checksum, the words DRY RUN, the number of a
+//! part, and the lines of the machine file.
 //!
 //! | comment | meaning |
 //! |---|---|
@@ -10,8 +10,8 @@
 //! | `prologue of the machine file` to `end of the prologue` | lines that move nothing, before the motion |
 //! | `epilogue of the machine file` to `end of the epilogue` | the same after the motion |
 //!
-//! A program without them is read as it stands. The lines of the machine file are not read as motion, but each must be a
-//! line that a machine file may state ([`check_line`]). Before the prologue and after the epilogue nothing may move.
+//! A program without them is read as it stands. The lines of the machine file are not read as motion, but each must be
+//! a line that a machine file may state ([`check_line`]). Before the prologue and after the epilogue nothing may move.
 
 use std::borrow::Cow;
 
