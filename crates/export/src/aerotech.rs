@@ -20,7 +20,7 @@ use planish_types::Invalid;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter};
 
-const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
+pub(crate) const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
 
 /// Number of decimals of a position in mm, a velocity in mm/s and a time in s. Larger: longer lines. Smaller: rounding
 /// that the controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
@@ -42,7 +42,9 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     let lengths = if job.turns() { "mm or deg, mm/s or deg/s" } else { "mm, mm/s" };
     let axes: Vec<&str> = job.plan.axes.iter().map(letter).collect();
     let mut text = about.header(&COMMENT, &format!("{lengths}, s since the start"));
-    text += "PROGRAM\nABS\nVELOCITY ON\nPVT INIT TIME ABS\n";
+    text += "PROGRAM\n";
+    text += &job.prologue();
+    text += "ABS\nVELOCITY ON\nPVT INIT TIME ABS\n";
     for k in 1..=about.segments {
         about.marks.add(&text, q.time_s(k - 1), q.position(k - 1));
         let states = axes.iter().zip(q.position(k)).zip(q.velocity[k]);
@@ -51,6 +53,8 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         text +=
             &format!("PVT {}TIME {}\n", words.collect::<String>(), decimal(q.time_s(k), DIGITS));
     }
-    text += &format!("WAIT MOVEDONE {}\nVELOCITY OFF\nEND PROGRAM\n", axes.join(" "));
+    text += &format!("WAIT MOVEDONE {}\nVELOCITY OFF\n", axes.join(" "));
+    text += &job.epilogue();
+    text += "END PROGRAM\n";
     Ok((text, about))
 }

@@ -17,7 +17,7 @@ use planish_types::Invalid;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter};
 
-const COMMENT: Comment = Comment { open: "// ", close: "", line: 120 };
+pub(crate) const COMMENT: Comment = Comment { open: "// ", close: "", line: 120 };
 
 /// Number of decimals of a position in mm and a velocity in mm/s, and of a time in ms. Larger: longer lines. Smaller:
 /// rounding that the controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.

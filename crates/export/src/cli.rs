@@ -1,16 +1,19 @@
 //! The subcommands of `planish-export`: one for each controller, with the flags that all share and its own.
 
 mod near_path;
+mod parts;
 
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
-use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use planish_export::{
-    About, Origin, PATH_DEVIATION_MM, Program, ProgramSettings, check, gcode, pmac, program,
-    program_of_axes,
+    About, Origin, PATH_DEVIATION_MM, Program, ProgramSettings, check, gcode,
+    pmac::{self, PmacBuffer},
+    program, program_of_axes, scan_arrays,
+    xps::{self, XpsGroup},
 };
 use planish_form::{Form, FormFile};
 use planish_handoff::{
@@ -41,7 +44,20 @@ pub struct Export {
     tick_s: Option<f64>,
     pmac: pmac::PmacSettings,
     gcode: gcode::GcodeSettings,
+    /// File beside the program for whoever runs it; `None` if none is asked for.
+    companion: Option<Companion>,
     common: CommonArgs,
+}
+
+/// A file for whoever runs a program, made of the program.
+#[derive(Debug)]
+enum Companion {
+    /// Host script of a Galil.
+    GalilHost(PathBuf),
+    /// Calls of an XPS with this group of positioners.
+    XpsCommands(PathBuf, XpsGroup),
+    /// Arrays of the trajectory-scan program of a PMAC.
+    PmacScan(PathBuf),
 }
 
 /// The clock of any controller but a Galil.
@@ -57,6 +73,24 @@ struct GalilArgs {
     /// machine's controller, else 1/1024, that of TM 1000]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     sample_s: Option<f64>,
+    /// Write a host in Python beside the program, which sends it through gclib, refills the buffer and switches the tool
+    #[arg(long, value_name = "FILE")]
+    host_script: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct XpsArgs {
+    #[command(flatten)]
+    clock: ClockArgs,
+    /// Write the calls that check and run the trajectory, one per line
+    #[arg(long, value_name = "FILE", requires = "group")]
+    commands: Option<PathBuf>,
+    /// Name of the MultipleAxes group on the controller, for --commands
+    #[arg(long, value_name = "NAME", requires = "commands")]
+    group: Option<String>,
+    /// Names of the positioners of the group, in the order of the axes, to ask what the verification found
+    #[arg(long, value_name = "P,Q", value_delimiter = ',', requires = "commands")]
+    positioners: Vec<String>,
 }
 
 #[derive(Debug, Args)]
@@ -67,6 +101,16 @@ struct PmacArgs {
     /// M-variable that switches the tool, 1 for on [default: the program does not switch it]
     #[arg(long, value_name = "M")]
     tool_output: Option<u32>,
+    /// Number of the motion program into which the text loads itself: OPEN PROG N CLEAR to CLOSE
+    #[arg(long, value_name = "N", conflicts_with = "rotary")]
+    open_program: Option<u32>,
+    /// Coordinate system into whose rotary buffer the text loads itself: OPEN ROT to CLOSE. Parts then join without a
+    /// stop
+    #[arg(long, value_name = "CS")]
+    rotary: Option<u32>,
+    /// Write the arrays of the public trajectory-scan program, as pymalcolm and ophyd-async fill them [JSON]
+    #[arg(long, value_name = "FILE")]
+    scan_arrays: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
@@ -86,12 +130,17 @@ struct GcodeArgs {
 
 /// Adds the flag `--tick-s` of the clock to a subcommand, with the default of this controller in its help.
 fn with_clock(command: Command, kind: ControllerKind) -> Command {
-    ClockArgs::augment_args(command).mut_arg("tick_s", |flag| {
+    ClockArgs::augment_args(command).mut_arg("tick_s", clock_help(kind))
+}
+
+/// Returns the function that gives the flag `--tick-s` its help for this controller.
+fn clock_help(kind: ControllerKind) -> impl FnOnce(Arg) -> Arg {
+    move |flag| {
         flag.help(format!(
             "Clock, s: times are rounded to it [default: that of the machine's controller, else {:e}]",
             kind.model().tick_s
         ))
-    })
+    }
 }
 
 impl Subcommand for Export {
@@ -102,6 +151,9 @@ impl Subcommand for Export {
                 ControllerKind::Galil => GalilArgs::augment_args(own),
                 ControllerKind::Pmac => PmacArgs::augment_args(with_clock(own, kind)),
                 ControllerKind::Gcode => GcodeArgs::augment_args(with_clock(own, kind)),
+                ControllerKind::Xps => {
+                    XpsArgs::augment_args(own).mut_arg("tick_s", clock_help(kind))
+                }
                 _ => with_clock(own, kind),
             };
             CommonArgs::augment_args(own).about(kind.about())
@@ -129,17 +181,32 @@ impl FromArgMatches for Export {
             tick_s: None,
             pmac: pmac::PmacSettings::default(),
             gcode: gcode::GcodeSettings::default(),
+            companion: None,
             common: CommonArgs::from_arg_matches(own)?,
         };
         if controller == ControllerKind::Galil {
-            let GalilArgs { sample_s } = GalilArgs::from_arg_matches(own)?;
+            let GalilArgs { sample_s, host_script } = GalilArgs::from_arg_matches(own)?;
             export.tick_s = sample_s.map(|s| 2.0 * s);
+            export.companion = host_script.map(Companion::GalilHost);
             return Ok(export);
         }
         export.tick_s = ClockArgs::from_arg_matches(own)?.tick_s;
         if controller == ControllerKind::Pmac {
-            let PmacArgs { feedrate_time_unit_s, tool_output } = PmacArgs::from_arg_matches(own)?;
-            export.pmac = pmac::PmacSettings { feedrate_time_unit_s, tool_output };
+            let PmacArgs { feedrate_time_unit_s, tool_output, open_program, rotary, scan_arrays } =
+                PmacArgs::from_arg_matches(own)?;
+            let buffer = match (open_program, rotary) {
+                (Some(n), _) => PmacBuffer::Program(n),
+                (None, Some(n)) => PmacBuffer::Rotary(n),
+                (None, None) => PmacBuffer::OfTheHost,
+            };
+            export.pmac = pmac::PmacSettings { feedrate_time_unit_s, tool_output, buffer };
+            export.companion = scan_arrays.map(Companion::PmacScan);
+        }
+        if controller == ControllerKind::Xps {
+            let XpsArgs { commands, group, positioners, .. } = XpsArgs::from_arg_matches(own)?;
+            export.companion = commands
+                .zip(group)
+                .map(|(file, name)| Companion::XpsCommands(file, XpsGroup { name, positioners }));
         }
         if controller == ControllerKind::Gcode {
             let GcodeArgs { f_word, path_tolerance_mm, rotary_lines } =
@@ -195,6 +262,19 @@ struct CommonArgs {
     /// Leave the tool on where the motion has it off and the program cannot switch it
     #[arg(long)]
     always_on: bool,
+    /// Write the same motion with the tool off. The name of --out then has "dry-run" in it
+    #[arg(long)]
+    dry_run: bool,
+    /// Write the rest from this mark of the program on, with a run-up from rest and the tool off in it: the number of
+    /// segments that have run
+    #[arg(long, value_name = "N", conflicts_with_all = ["parts", "max_lines"])]
+    from_mark: Option<usize>,
+    /// Write the program in N files: FILE.part-1-of-N and so on
+    #[arg(long, value_name = "N", conflicts_with = "max_lines")]
+    parts: Option<usize>,
+    /// Write the program in files of at most N lines
+    #[arg(long, value_name = "N")]
+    max_lines: Option<usize>,
     #[command(flatten)]
     part: PartArgs,
     #[command(flatten)]
@@ -209,9 +289,8 @@ impl Export {
     pub fn run(&self) -> Result<Status, Failure> {
         let common = &self.common;
         let OutputFileArgs { out, force } = &common.output;
-        let mut about = out.clone().into_os_string();
-        about.push(".json");
-        let about = PathBuf::from(about);
+        self.check_name()?;
+        let about = beside(out);
         let settings = self.settings();
         // Before the motion, which may be large, or not there yet
         let machine = Inputs::new().read_machine(&common.machine.machine.machine)?;
@@ -222,18 +301,32 @@ impl Export {
         let mut inputs = Inputs::new();
         let motion = common.read(&mut inputs)?;
         let distance = near_path::checked(&common.near_path, &motion, &mut inputs)?;
+        if common.parts.is_some() || common.max_lines.is_some() {
+            let made = self.in_parts(&motion, &settings, &inputs)?;
+            near_path::tell(distance.as_ref());
+            return self.write_parts(&made, distance, &inputs);
+        }
         let program_file = common.output.begin(&inputs)?;
         // A run that was ended between its two files has left this one.
         let is_alone = fs::symlink_metadata(out).is_err();
         let about_file = OutputFile::begin("--out", &about, *force || is_alone, &inputs)?;
         refuse_foreign_about(&about)?;
-        let made = motion.program(self.controller, &settings, &common.part.part(), &inputs)?;
+        let part = common.part.part();
+        let companion_file = self.begin_companion(*force, &inputs)?;
+        let mut made = motion.program(self.controller, &settings, &part, &inputs)?;
+        if let Some(mark) = common.from_mark.filter(|mark| *mark > 0) {
+            let settings = ProgramSettings { marks: Some([mark, made.about.segments]), ..settings };
+            made = motion.program(self.controller, &settings, &part, &inputs)?;
+        }
+        let companion = self.companion_text(&made)?;
         for warning in &made.about.warnings {
             warn(warning);
         }
         let about_json = AboutFile { about: &made.about, path_distance: distance };
         let about_text = format!("{}\n", serde_json::to_string_pretty(&about_json)?);
-        let files = [(about_file, about_text.as_bytes()), (program_file, made.text.as_bytes())];
+        let mut files =
+            vec![(about_file, about_text.as_bytes()), (program_file, made.text.as_bytes())];
+        files.extend(companion_file.map(|file| (file, companion.as_bytes())));
         OutputFile::write_together(files)?;
         let a = &made.about;
         let contact = a.contact_deviation_mm.map_or(String::new(), |mm| {
@@ -252,6 +345,49 @@ impl Export {
         Ok(Status::Done)
     }
 
+    /// Refuses a dry run whose file name does not say so, and another program whose name does.
+    fn check_name(&self) -> Result<(), Failure> {
+        let OutputFileArgs { out, .. } = &self.common.output;
+        let name = out.file_name().unwrap_or_default().to_string_lossy();
+        let problem = match (self.common.dry_run, name.contains("dry-run")) {
+            (true, false) => "is the name of a dry run; give one with \"dry-run\" in it",
+            (false, true) => {
+                "names a dry run, and the tool of this program goes on; give --dry-run, or another --out"
+            }
+            _ => return Ok(()),
+        };
+        Err(Failure::new(format!("{}: {problem}", out.display())))
+    }
+
+    /// Begins the file for whoever runs the program; `None` if none is asked for.
+    fn begin_companion(&self, force: bool, inputs: &Inputs) -> Result<Option<OutputFile>, Failure> {
+        let (flag, path) = match &self.companion {
+            None => return Ok(None),
+            Some(Companion::GalilHost(path)) => ("--host-script", path),
+            Some(Companion::XpsCommands(path, _)) => ("--commands", path),
+            Some(Companion::PmacScan(path)) => ("--scan-arrays", path),
+        };
+        let OutputFileArgs { out, .. } = &self.common.output;
+        if path == out || *path == beside(out) {
+            return Err(Failure::new(format!("{flag}: {} is the program, too", path.display())));
+        }
+        Ok(Some(OutputFile::begin(flag, path, force, inputs)?))
+    }
+
+    /// Returns the text of the file for whoever runs the program; empty if none is asked for.
+    fn companion_text(&self, made: &Program) -> Result<String, Failure> {
+        match &self.companion {
+            None => Ok(String::new()),
+            Some(Companion::GalilHost(_)) => Ok(include_str!("galil_host.py").into()),
+            Some(Companion::XpsCommands(_, group)) => {
+                let OutputFileArgs { out, .. } = &self.common.output;
+                let name = out.file_name().unwrap_or_default().to_string_lossy();
+                xps::commands(&made.about, group, &name).map_err(Failure::with_flags)
+            }
+            Some(Companion::PmacScan(_)) => scan_arrays(made).map_err(Failure::with_flags),
+        }
+    }
+
     /// Returns the settings of the program that the flags state.
     fn settings(&self) -> ProgramSettings {
         let common = &self.common;
@@ -261,6 +397,8 @@ impl Export {
             max_step_s: common.max_step_s,
             path_deviation_mm: common.path_deviation_mm,
             always_on: common.always_on,
+            dry_run: common.dry_run,
+            marks: None,
             pmac: self.pmac.clone(),
             gcode: self.gcode.clone(),
         }
@@ -359,6 +497,13 @@ impl MotionInput {
         }
         .map_err(Failure::with_flags)
     }
+}
+
+/// Returns the path of the JSON file beside a program.
+fn beside(program: &Path) -> PathBuf {
+    let mut path = program.to_path_buf().into_os_string();
+    path.push(".json");
+    PathBuf::from(path)
 }
 
 /// Refuses to replace the JSON file beside the program if no export wrote it, even with `--force`. Its name follows

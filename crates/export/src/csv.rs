@@ -12,7 +12,7 @@ use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 const DIGITS: usize = 9;
 
 /// Form of a comment line. The table is for no known controller, so 120 characters are chosen for reading.
-const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
+pub(crate) const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     job.tick()?;

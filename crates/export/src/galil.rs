@@ -51,7 +51,7 @@ fn least_sample_units(axes: usize) -> f64 {
 /// Argument of TM per second of sample time: its unit is 1/1.024e6 s. A fact of the controller.
 const TM_PER_S: f64 = 1.024e6;
 
-const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
+pub(crate) const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
 
 /// Number of segments that the buffer of an axis holds, a fact of the controller. The line that ends the motion takes
 /// one.
@@ -114,6 +114,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     let mut text = about.header(&COMMENT, &units);
     let starts = LETTERS.iter().zip(q.counts[0]).map(|(letter, c)| format!("{letter} {c}"));
     text += &format!("' start: {} counts\n", starts.collect::<Vec<_>>().join(", "));
+    text += &job.prologue();
     text += &LETTERS[..N].iter().map(|letter| format!("PV{letter}=0,0,-1\n")).collect::<String>();
     for k in 0..n {
         about.marks.add(&text, q.time_s(k), q.position(k));
@@ -138,5 +139,6 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         }
     }
     text += &LETTERS[..N].iter().map(|letter| format!("PV{letter}=0,0,0\n")).collect::<String>();
+    text += &job.epilogue();
     Ok((text, about))
 }

@@ -22,6 +22,10 @@
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer.
 //!
+//! No offset moves the path. If the positions are readings of the axes, every line has `G53`; else `G54` alone counts,
+//! which the operator sets for the part, and `G92.2` leaves out what G92 has left. `M49` locks the overrides of feed and
+//! spindle at 100 % until `M2`.
+//!
 //! The tool is digital output 0.
 //!
 //! | word | takes effect | used |
@@ -53,7 +57,7 @@ const FEED_DIGITS: i32 = 13;
 
 /// Form of a comment. The interpreter `rs274` takes lines of up to 252 characters ("Command too long" at 253), although
 /// the documentation says 256.
-const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
+pub(crate) const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
 
 /// Smallest path tolerance, mm, except 0. Larger: sensible tolerances are refused. Smaller: it would be written as 0,
 /// which means any deviation.
@@ -137,10 +141,15 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
              or ON_ABORT_COMMAND has to switch it off"
                 .into(),
         ) },
-        approach: Approach::InProgram(
+        approach: Approach::InProgram(if job.is_on_machine() {
             "the way from where the axes stand to the start is free: the program goes there by G0, straight, at the \
-             rapid feed of the controller, in the work coordinates that are active",
-        ),
+             rapid feed of the controller. Every line has G53: positions are those of the axes, and no work offset moves \
+             them"
+        } else {
+            "the way from where the axes stand to the start is free: the program goes there by G0, straight, at the \
+             rapid feed of the controller, in the work coordinates G54, which are set to those of the part, and without \
+             G92"
+        }),
     })?;
     let (mode, unit) = match settings.feed {
         Feed::InverseTime => ("G93", "lines per minute"),
@@ -150,13 +159,16 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     let mut text = about.header(&COMMENT, &format!("{lengths}, F in {unit}, G4 P in s"));
     let output = |words: &'static str| if switched { words } else { "" };
     text += output("M65 P0\n");
-    text += "G21 G90 G17 G40 G49 G94\n";
+    text += &job.prologue();
+    // No work offset but G54, by G53 none at all. M49: no override; M2 ends that.
+    text += "G21 G90 G17 G40 G49 G54 G94\nG92.2\nM49\n";
     text += &match tolerance {
         0.0 => "G61\n".to_string(),
         // Q0: lines of one feed that are nearly straight are not merged.
         p => format!("G64 P{} Q0\n", decimal(p, DIGITS)),
     };
-    text += &format!("G0 {}\n{mode}\n", job.words(q.position(0), DIGITS));
+    let frame = if job.is_on_machine() { "G53 " } else { "" };
+    text += &format!("{frame}G0 {}\n{mode}\n", job.words(q.position(0), DIGITS));
     let mut on = false;
     for k in 0..about.segments {
         about.marks.add(&text, q.time_s(k), q.position(k));
@@ -185,9 +197,10 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
             // F = 60 length / dt
             Feed::PerMinute => 60.0 * length / seconds,
         };
-        text += &format!("G1 {} F{}\n", job.words(to, DIGITS), significant(feed));
+        text += &format!("{frame}G1 {} F{}\n", job.words(to, DIGITS), significant(feed));
     }
     text += output("M65 P0\n");
+    text += &job.epilogue();
     text += "G94 F60\nM2\n";
     Ok((text, about))
 }

@@ -22,14 +22,16 @@ impl About {
     pub(crate) fn header(&self, comment: &Comment, units: &str) -> String {
         let starts = self.starts().into_iter();
         let starts = starts.map(|(name, unit, p)| format!("{name} {} {unit}", decimal(p, 9)));
-        let mut lines = vec![
+        let mut lines = vec![crate::around::UNSEALED.to_string()];
+        lines.extend(crate::around::dry_run_line(self));
+        lines.extend([
             format!("{} for {}, written by {}", self.controller, self.machine, self.made_by),
             format!("made from: {}", self.made_from),
             format!("units: {units}"),
             format!("start: {}", starts.collect::<Vec<_>>().join(", ")),
             format!("{} segments, total time {} s", self.segments, decimal(self.total_time_s, 9)),
             format!("tool: {}", self.tool),
-        ];
+        ]);
         lines.extend(self.preamble.iter().cloned());
         if let (Some(segments), Some(s)) = (self.buffer_segments, self.buffer_lasts_s) {
             lines.push(format!(
@@ -39,16 +41,23 @@ impl About {
             ));
         }
         lines.extend(self.warnings.iter().map(|w| format!("warning: {w}")));
-        let room = comment.line - comment.open.len() - comment.close.len();
+        comment.lines(lines)
+    }
+}
+
+impl Comment {
+    /// Returns these sentences as lines, each a whole comment; a long sentence goes on in further lines.
+    pub(crate) fn lines(&self, sentences: impl IntoIterator<Item = String>) -> String {
+        let room = self.line - self.open.len() - self.close.len();
         let mut text = String::new();
-        for line in lines {
+        for line in sentences {
             let is_plain = |c: &char| (' '..='~').contains(c) && !"();`".contains(*c);
             let line: Vec<char> =
                 line.chars().map(|c| if is_plain(&c) { c } else { '_' }).collect();
             for part in parts(&line, room) {
-                text += comment.open;
+                text += self.open;
                 text += &part;
-                text += comment.close;
+                text += self.close;
                 text += "\n";
             }
         }

@@ -24,16 +24,21 @@
 //! | `twincat` | Beckhoff TwinCAT, table of setpoints per cycle | yes | by a column |
 //! | `zaber` | Zaber, PVT sequence as CSV | yes | no |
 //!
+//! Around the motion: `around` (checksum, lines of the machine file, how to run the program), `excerpt` (the part between
+//! two marks, from rest to rest), `parts` (several files), `scan` (arrays for the trajectory-scan program of the PMAC).
+//!
 //! Only this crate and `planish-import` convert units.
 
 // The command line names this library as any other program does.
 extern crate self as planish_export;
 
 mod aerotech;
+mod around;
 mod automation1;
 mod cli;
 pub mod command;
 mod csv;
+mod excerpt;
 mod galil;
 pub mod gcode;
 mod generate;
@@ -42,15 +47,17 @@ mod limits;
 mod lines;
 mod marks;
 mod nodes;
+mod parts;
 mod plan;
 pub mod pmac;
 mod preamble;
 mod ros;
+mod scan;
 mod sinumerik;
 mod slowed;
 mod twincat;
 mod velocities;
-mod xps;
+pub mod xps;
 mod zaber;
 
 use std::array::from_fn;
@@ -70,6 +77,8 @@ use crate::{
 pub use crate::{
     limits::{Peak, Proof},
     marks::Marks,
+    parts::{ProgramPart, cuts, in_parts, joins_without_stop},
+    scan::scan_arrays,
 };
 
 /// Settings of a program.
@@ -86,6 +95,10 @@ pub struct ProgramSettings {
     /// True if the tool may stay on where the motion lifts it and the program cannot switch it; otherwise such a motion
     /// is refused.
     pub always_on: bool,
+    /// True for the same motion with the tool off.
+    pub dry_run: bool,
+    /// First and last mark of the part of the program that is written, from rest to rest; `None` for the whole program.
+    pub marks: Option<[usize; 2]>,
     /// Further settings of a program for a PMAC; other programs do not read them.
     pub pmac: pmac::PmacSettings,
     /// Further settings of a G-code program; other programs do not read them.
@@ -104,6 +117,8 @@ impl Default for ProgramSettings {
             max_step_s: None,
             path_deviation_mm: PATH_DEVIATION_MM,
             always_on: false,
+            dry_run: false,
+            marks: None,
             pmac: pmac::PmacSettings::default(),
             gcode: gcode::GcodeSettings::default(),
         }
@@ -149,6 +164,27 @@ pub struct About {
     /// reader of the program applies its inverse.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
+    /// True if the tool stays off: a dry run. Left out if false.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub dry_run: bool,
+    /// Place of this program in the whole one; left out if it is the whole one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub excerpt: Option<Excerpt>,
+    /// Place of this file among the parts of a program; left out for a program in one file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part: Option<ProgramPart>,
+    /// Lines of the machine file before the motion.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub prologue: Vec<String>,
+    /// Lines of the machine file after the motion.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub epilogue: Vec<String>,
+    /// Lines of the machine file by which the host switches the tool on.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tool_on_lines: Vec<String>,
+    /// Lines of the machine file by which the host switches the tool off.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tool_off_lines: Vec<String>,
     /// True if the motion was in the coordinates of the machine before the export.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
@@ -202,6 +238,27 @@ pub struct About {
     pub marks: Marks,
     /// BLAKE3 hash of the bytes of the program. The reader refuses this file with another program.
     pub program_blake3: String,
+}
+
+/// Place of a program in a whole one, from one mark to another.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Excerpt {
+    /// Index of the first mark.
+    pub from_mark: usize,
+    /// Index of the mark at which it ends; the number of marks for the end of the whole program.
+    pub to_mark: usize,
+    /// Number of the line of the first mark in the whole program.
+    pub from_line: usize,
+    /// BLAKE3 hash of the whole program.
+    pub whole_blake3: String,
+    /// Number of segments before the first mark, from rest, with the tool off, and their time, s.
+    pub run_up_segments: usize,
+    /// Time of the run-up, s.
+    pub run_up_s: f64,
+    /// Number of segments after the last mark, to rest, with the tool off.
+    pub run_down_segments: usize,
+    /// Time of the run-down, s.
+    pub run_down_s: f64,
 }
 
 /// An axis of a program of all axes.
@@ -323,7 +380,10 @@ pub fn check(
     match controller {
         // The fewest axes: a motion of more is refused when it is there.
         ControllerKind::Galil => galil::sample_s(&grids, 2).map(|_| ()),
-        ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
+        ControllerKind::Pmac => {
+            pmac::checked(&grids, &settings.pmac)?;
+            pmac::check_lines(around::lines_for(machine, controller), &settings.pmac)
+        }
         ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
         ControllerKind::SinumerikPoly => sinumerik::checked(&grids).map(|_| ()),
         _ => tick_s(&grids).map(|_| ()),
@@ -403,7 +463,14 @@ fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Pro
         ControllerKind::XpsPt => xps::write_pt(job),
         ControllerKind::Zaber => zaber::write(job),
     }?;
+    let text = around::sealed(&text);
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
+    if let Some(excerpt) = &mut about.excerpt {
+        let settings = ProgramSettings { marks: None, ..job.settings.clone() };
+        let whole = write(&Job { settings: &settings, ..*job }, controller)?.about;
+        excerpt.from_line = whole.marks.line(excerpt.from_mark);
+        excerpt.whole_blake3 = whole.program_blake3;
+    }
     Ok(Program { text, about })
 }
 
@@ -442,62 +509,59 @@ impl<const N: usize> Job<'_, N> {
     /// beside it. Refuses a plan that exceeds the limits, or of which the controller has no program within them and
     /// within its number of segments. Lines may change the dwell times by at most [`MOST_UNEVEN`].
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
+        if self.plan.machine.name().trim().is_empty() {
+            let problem = "has no name, and a program states the machine that it is for";
+            return Err(Invalid::whole("machine", problem, "give it a `name` in its file"));
+        }
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
         let follows_tool = matches!(can.tool, Tool::Switched(_));
         let (tool, warning) = self.tool(can.tool)?;
         let mut warnings: Vec<String> = warning.into_iter().collect();
+        warnings.extend(self.lines_left_out());
         let tick_s = self.grids.tick_s;
-        // Fewer than one are a step that no segment is as short as; the generator refuses it.
-        let most_ticks = match self.settings.max_step_s {
-            Some(step_s) => (step_s / tick_s).floor().min(can.most_ticks as f64) as i64,
-            None => can.most_ticks,
-        };
-        if most_ticks < 1 {
-            let problem = format!("is shorter than one tick of {tick_s} s");
-            let array = if can.most_ticks < 1 { "longest segment" } else { "max_step_s" };
-            let remedy = "give a longer `max_step_s`, or a smaller tick";
-            return Err(Invalid::whole(array, problem, remedy));
-        }
-        let settings = generate::GeneratorSettings {
-            controller: self.grids,
-            most_ticks,
-            path_deviation_mm: self.settings.path_deviation_mm,
-            follows_tool,
-        };
-        let nodes = generate(self.plan, &settings)?;
+        let (nodes, excerpt) = self.placed(can.most_ticks, follows_tool)?;
         let n = nodes.segments();
         if let Some(most) = self.grids.max_segments.filter(|most| n > *most) {
             let problem = format!("has {n} segments, the controller takes {most}");
             let remedy = "give a larger `path_deviation_mm`, or plan fewer lines in one run";
             return Err(Invalid::whole("program", problem, remedy));
         }
-        if nodes.interpolation == Interpolation::Linear && nodes.uneven > MOST_UNEVEN {
-            return Err(self.too_uneven(&nodes));
-        }
+        let added_s = nodes.added_s;
         let (proof, reach) = limits::prove(&nodes, self.plan)?;
         let plan_s = self.plan.total_time_s();
-        if nodes.added_s > WARNED_ADDED * plan_s {
+        if added_s > WARNED_ADDED * plan_s {
             warnings.push(format!(
                 "the program takes {:.3} s, {:.1} % longer than the plan: the plan asks for more than this controller \
                  can be told; simulate the program",
-                nodes.total_s(),
-                100.0 * nodes.added_s / plan_s
+                plan_s + added_s,
+                100.0 * added_s / plan_s
             ));
         }
+        let mut preamble =
+            preamble::sentences(self.plan, self.origin, (&proof, &reach), &can.approach);
+        preamble.extend(around::handling(self.grids.kind, self.settings.pmac.buffer));
+        preamble.extend(excerpt.as_ref().map(Excerpt::sentence));
         let about = About {
             controller: name,
             machine: self.plan.machine.name().into(),
             made_from: self.origin.made_from.clone(),
             made_by: self.origin.made_by.clone(),
             part_to_axes: self.origin.part_to_axes,
+            dry_run: self.settings.dry_run,
+            excerpt,
+            part: None,
+            prologue: self.lines().prologue.clone(),
+            epilogue: self.lines().epilogue.clone(),
+            tool_on_lines: self.lines().tool_on.clone(),
+            tool_off_lines: self.lines().tool_off.clone(),
             was_on_axes: self.origin.was_on_axes,
             start_mm: self.of_x_and_y(nodes.position(0)),
             count_mm: self.of_x_and_y(nodes.count),
             axes: self.about_axes(&nodes, &reach),
             sample_s: None,
             tool,
-            preamble: preamble::sentences(self.plan, self.origin, (&proof, &reach), &can.approach),
+            preamble,
             feedrate_time_unit_s: None,
             tick_s,
             segments: n,
@@ -506,13 +570,63 @@ impl<const N: usize> Job<'_, N> {
             buffer_lasts_s: None,
             path_deviation_mm: nodes.deviation_mm,
             contact_deviation_mm: nodes.contact_mm,
-            added_time_s: nodes.added_s,
+            added_time_s: added_s,
             limits: proof,
             warnings,
             marks: Marks::default(),
             program_blake3: String::new(),
         };
         Ok((nodes, about))
+    }
+
+    /// Returns the nodes of the program, or of its part between two marks with run-up and run-down, and the place of
+    /// that part. `most_ticks` is the longest segment of the controller; `follows_tool` is true if the program switches
+    /// the tool. In a dry run the tool is off in every segment.
+    fn placed(
+        &self,
+        most_ticks: i64,
+        follows_tool: bool,
+    ) -> Result<(Nodes<N>, Option<Excerpt>), Invalid> {
+        let tick_s = self.grids.tick_s;
+        // Fewer than one are a step that no segment is as short as; the generator refuses it.
+        let longest_ticks = match self.settings.max_step_s {
+            Some(step_s) => (step_s / tick_s).floor().min(most_ticks as f64) as i64,
+            None => most_ticks,
+        };
+        if longest_ticks < 1 {
+            let problem = format!("is shorter than one tick of {tick_s} s");
+            let array = if most_ticks < 1 { "longest segment" } else { "max_step_s" };
+            let remedy = "give a longer `max_step_s`, or a smaller tick";
+            return Err(Invalid::whole(array, problem, remedy));
+        }
+        let settings = generate::GeneratorSettings {
+            controller: self.grids,
+            most_ticks: longest_ticks,
+            path_deviation_mm: self.settings.path_deviation_mm,
+            follows_tool,
+        };
+        let mut nodes = generate(self.plan, &settings)?;
+        if nodes.interpolation == Interpolation::Linear && nodes.uneven > MOST_UNEVEN {
+            return Err(self.too_uneven(&nodes));
+        }
+        let mut excerpt = None;
+        if let Some(marks) = self.settings.marks {
+            let least_s = self.grids.min_segment_s.max(self.plan.machine.limits().min_segment_s());
+            // A hair less is the rounding of a number that was typed.
+            let least_ticks = ((least_s / tick_s) * (1.0 - 1e-9)).ceil() as i64;
+            let tolerance_mm = self.settings.gcode.path_tolerance_mm;
+            let run_up = excerpt::RunUpLimits {
+                ticks: [least_ticks.max(1), longest_ticks],
+                tolerance_mm: tolerance_mm.unwrap_or(self.settings.path_deviation_mm),
+            };
+            let (inside, ramps) = excerpt::between(&nodes, self.plan, marks, &run_up)?;
+            nodes = inside;
+            excerpt = Some(excerpt_of(&nodes, marks, ramps));
+        }
+        if self.settings.dry_run {
+            nodes.tool_on.fill(false);
+        }
+        Ok((nodes, excerpt))
     }
 
     /// Returns the error for lines that change the dwell times of the plan too much. It names finer counts and a finer
@@ -559,6 +673,12 @@ impl<const N: usize> Job<'_, N> {
     /// lifts the tool if the program cannot switch it, unless the tool may stay on. Without a warning the second value
     /// is `None`.
     fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
+        if self.settings.dry_run {
+            return Ok((
+                "off throughout, because this is a dry run: nobody switches it on".into(),
+                None,
+            ));
+        }
         let who = match tool {
             Tool::Switched(how) => return Ok((how, None)),
             Tool::LeftToTheHost(who) => who.to_string(),
@@ -604,6 +724,12 @@ impl<const N: usize> Job<'_, N> {
         self.plan.contact.is_some()
     }
 
+    /// Returns true if the positions of the program are readings of the axes of the machine: the machine file states
+    /// where the part lies, or the motion was on the axes. If false, they are positions on the part.
+    fn is_on_machine(&self) -> bool {
+        self.is_of_all_axes() || self.origin.was_on_axes || self.origin.part_to_axes.is_some()
+    }
+
     /// Returns true if an axis is rotary.
     fn turns(&self) -> bool {
         self.plan.axes.iter().any(|axis| axis.is_rotary)
@@ -621,6 +747,37 @@ impl<const N: usize> Job<'_, N> {
     /// hold.
     fn tick(&self) -> Result<f64, Invalid> {
         tick_s(&self.grids)
+    }
+}
+
+/// Returns the place of the nodes between two marks, with these numbers of segments of run-up and run-down, in the whole
+/// program, whose line and hash are not known yet.
+fn excerpt_of<const N: usize>(nodes: &Nodes<N>, marks: [usize; 2], ramps: [usize; 2]) -> Excerpt {
+    let n = nodes.segments();
+    Excerpt {
+        from_mark: marks[0],
+        to_mark: marks[1],
+        from_line: 0,
+        whole_blake3: String::new(),
+        run_up_segments: ramps[0],
+        run_up_s: nodes.time_s(ramps[0]),
+        run_down_segments: ramps[1],
+        run_down_s: nodes.time_s(n) - nodes.time_s(n - ramps[1]),
+    }
+}
+
+impl Excerpt {
+    /// Returns the sentence for the operator on the marks, run-up and run-down.
+    fn sentence(&self) -> String {
+        let Self { run_up_segments, run_down_segments, .. } = self;
+        format!(
+            "from mark {} to mark {} of the whole program. The first {run_up_segments} segments, {} s, run up from rest, \
+             and the last {run_down_segments}, {} s, run down to rest: tool off in both",
+            self.from_mark,
+            self.to_mark,
+            decimal(self.run_up_s, 6),
+            decimal(self.run_down_s, 6)
+        )
     }
 }
 

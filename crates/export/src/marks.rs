@@ -18,6 +18,21 @@ pub struct Marks {
 }
 
 impl Marks {
+    /// Returns the number of the line of mark `index`, from 1; 0 if there is no such mark.
+    pub(crate) fn line(&self, index: usize) -> usize {
+        self.all.get(index).map_or(0, |mark| mark.line)
+    }
+
+    /// Returns all marks, in the order of their lines.
+    pub fn all(&self) -> &[ProgramMark] {
+        &self.all
+    }
+
+    /// Returns these marks as those of a text of their own.
+    pub(crate) fn from_list(all: Vec<ProgramMark>) -> Self {
+        Self { all, ..Self::default() }
+    }
+
     /// Marks the end of `text`, at which the first line of a segment follows. The segment begins at `time_s` with the
     /// axes at `position`.
     pub(crate) fn add<const N: usize>(&mut self, text: &str, time_s: f64, position: [f64; N]) {

@@ -17,12 +17,16 @@
 //! tool goes to the start by itself (`RAPID`, each axis at its own speed, then `DWELL0`, so that the first segment
 //! begins from rest); without `tool_output` the host, which has to know when the motion begins, goes there before.
 //!
-//! Source: Turbo PMAC software reference, program commands PVT{data}, {axis}{data}:{data},
+//! The buffer: the lines are those of a motion program, which a host puts into a buffer. With [`PmacBuffer`] the text
+//! opens it itself: `OPEN PROG n CLEAR` to `CLOSE`, or `OPEN ROT` to `CLOSE`. A rotary buffer takes lines while it runs,
+//! so that parts join without a stop; it takes no loops.
+//!
+//! Source: Turbo PMAC software reference, OPEN PROGRAM, OPEN ROTARY, CLEAR, program commands PVT{data}, {axis}{data}:{data},
 //! M{data}=={expression}, M{data}={expression}, RAPID, DWELL; Turbo PMAC user manual, Synchronous M-Variable
 //! Assignment (with its note on the last move). Neither states a length of a line; 80 characters are those
 //! of a terminal.
 
-use planish_types::{ControllerModel, Invalid};
+use planish_types::{ControllerLines, ControllerModel, Invalid};
 
 use crate::{
     Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter, positive, tick_s,
@@ -37,7 +41,7 @@ const RESOLUTION_S: f64 = 2.5e-7;
 /// Largest number of an M-variable, a fact of the controller.
 const LAST_M_VARIABLE: u32 = 8191;
 
-const COMMENT: Comment = Comment { open: "; ", close: "", line: 80 };
+pub(crate) const COMMENT: Comment = Comment { open: "; ", close: "", line: 80 };
 
 /// Number of decimals of a position in mm, and of a velocity in mm/s. Larger: longer lines. Smaller: rounding that
 /// the controller may notice. Chosen: counts below 1e-9 mm are refused.
@@ -50,11 +54,63 @@ pub struct PmacSettings {
     pub feedrate_time_unit_s: f64,
     /// Number of the M-variable that switches the tool, 1 being on; `None` if the program does not switch it.
     pub tool_output: Option<u32>,
+    /// Buffer of the controller into which the text loads the program.
+    pub buffer: PmacBuffer,
+}
+
+/// Buffer of the controller into which the text of a program loads it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PmacBuffer {
+    /// The text has the lines of the program only, for a host that opens a buffer.
+    OfTheHost,
+    /// Fixed motion program of this number: `OPEN PROG n CLEAR` to `CLOSE`.
+    Program(u32),
+    /// Rotary buffer of this coordinate system, which takes lines while it runs: `OPEN ROT` to `CLOSE`.
+    Rotary(u32),
+}
+
+/// Largest numbers of a motion program and of a coordinate system, facts of the controller (Turbo PMAC software
+/// reference, OPEN PROGRAM; user manual, 16 rotary buffers).
+const LAST_PROGRAM: u32 = 32767;
+const LAST_COORDINATE_SYSTEM: u32 = 16;
+
+impl PmacBuffer {
+    /// Returns the lines that open the buffer.
+    pub(crate) fn opening(self) -> String {
+        match self {
+            Self::OfTheHost => String::new(),
+            Self::Program(n) => format!("CLOSE\nOPEN PROG {n} CLEAR\n"),
+            Self::Rotary(n) => format!("CLOSE\n&{n}\nOPEN ROT\n"),
+        }
+    }
+
+    /// Refuses numbers that the controller does not have, and lines of the machine file that wait in a loop, which a
+    /// rotary buffer does not take.
+    fn check(self, lines: &ControllerLines) -> Result<(), Invalid> {
+        let (name, number, last) = match self {
+            Self::OfTheHost => return Ok(()),
+            Self::Program(n) => ("open_program", n, LAST_PROGRAM),
+            Self::Rotary(n) => ("rotary", n, LAST_COORDINATE_SYSTEM),
+        };
+        if number < 1 || number > last {
+            let problem = format!("is {number}");
+            return Err(Invalid::whole(name, problem, format!("give a number from 1 to {last}")));
+        }
+        let mut around = lines.prologue.iter().chain(&lines.epilogue);
+        if matches!(self, Self::Rotary(_))
+            && around.any(|line| line.to_uppercase().contains("WHILE"))
+        {
+            let problem = "is asked for, and the machine file states a line with WHILE";
+            let remedy = "wait by the host: a rotary buffer takes no loops";
+            return Err(Invalid::whole(name, problem, remedy));
+        }
+        Ok(())
+    }
 }
 
 impl Default for PmacSettings {
     fn default() -> Self {
-        Self { feedrate_time_unit_s: 1.0, tool_output: None }
+        Self { feedrate_time_unit_s: 1.0, tool_output: None, buffer: PmacBuffer::OfTheHost }
     }
 }
 
@@ -93,9 +149,31 @@ pub(crate) fn checked(
     Ok([tick_s, unit_s, most])
 }
 
+/// Refuses a buffer that the controller does not have, and lines of the machine file that do not go with the settings:
+/// loops in a rotary buffer, and lines that assign the M-variable of the tool.
+pub(crate) fn check_lines(lines: &ControllerLines, settings: &PmacSettings) -> Result<(), Invalid> {
+    settings.buffer.check(lines)?;
+    let Some(m) = settings.tool_output else { return Ok(()) };
+    let assigns = |line: &String| {
+        let line = line.to_uppercase().replace(' ', "");
+        line.strip_prefix('M')
+            .and_then(|l| l.split_once('='))
+            .is_some_and(|(n, _)| n.parse() == Ok(m))
+    };
+    match lines.prologue.iter().chain(&lines.epilogue).find(|line| assigns(line)) {
+        None => Ok(()),
+        Some(line) => {
+            let problem = format!("is M{m}, and the machine file states the line {line:?}");
+            let remedy = "take the line out of the machine file: the program switches the tool";
+            Err(Invalid::whole("tool_output", problem, remedy))
+        }
+    }
+}
+
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let settings = &job.settings.pmac;
     let [tick_s, unit_s, most] = checked(&job.grids, settings)?;
+    check_lines(job.lines(), settings)?;
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(
             "this program does not switch it, --tool-output names an M-variable that does: the host \
@@ -131,11 +209,14 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     // A velocity per millisecond needs three more.
     let more = (-unit_s.log10()).ceil().clamp(0.0, 9.0) as usize;
     let mut text = about.header(&COMMENT, &units);
+    let opening = settings.buffer.opening();
+    text += &opening;
     let switch = |on: bool, how: &str| {
         let output = settings.tool_output.map(|m| format!("M{m}{how}{}\n", u8::from(on)));
         output.unwrap_or_default()
     };
     text += &switch(false, "=");
+    text += &job.prologue();
     text += "ABS\n";
     if settings.tool_output.is_some() {
         text += &format!("RAPID\n{}\nDWELL0\n", job.words(q.position(0), DIGITS));
@@ -162,6 +243,10 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         text += &switch(false, "==");
         // Executes the line before it.
         text += "DWELL0\n";
+    }
+    text += &job.epilogue();
+    if !opening.is_empty() {
+        text += "CLOSE\n";
     }
     Ok((text, about))
 }

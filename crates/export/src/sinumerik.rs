@@ -32,7 +32,7 @@ use crate::{
 };
 
 /// Form of a comment. The manuals state no length of a line; 120 characters are chosen for reading.
-const COMMENT: Comment = Comment { open: "; ", close: "", line: 120 };
+pub(crate) const COMMENT: Comment = Comment { open: "; ", close: "", line: 120 };
 
 /// Number of decimals of a position and of a time in s. Larger: longer lines. Smaller: rounding that the controller may
 /// notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.

@@ -22,7 +22,7 @@ use planish_types::{Invalid, budget::affordable};
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 
 /// Form of a comment. A longer line would not fit a string of the PLC (255 characters).
-const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
+pub(crate) const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
 
 /// Number of decimals of positions, velocities and accelerations, mm or degrees and per s. Larger: longer rows. Smaller:
 /// accelerations of the cubic between two rows that are off: by 6 / T^2 of the last decimal of a position and by 4 / T

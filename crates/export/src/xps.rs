@@ -13,8 +13,11 @@
 //! its events (start and end of a trajectory, start of an element) and actions on its digital outputs,
 //! which the host configures before the run. A motion that lifts the tool is refused.
 //!
+//! [`commands`] writes the calls that check and run the file, with the lines of the machine file around them.
+//!
 //! Source: Newport XPS-Q8 user's manual (EDH0301), sections 8.3.6 (trajectory file description) and 8.3.8
-//! (verification and execution), and XPS programmer's manual, EventExtendedConfigurationActionSet. No
+//! (verification and execution), and XPS programmer's manual, EventExtendedConfigurationActionSet; newportxps,
+//! `XPS_C8_drivers.py` (form of the calls). No
 //! length of a line is stated; a line here has up to 100 characters.
 
 use planish_types::Invalid;
@@ -81,4 +84,77 @@ pub(crate) fn write_pt<const N: usize>(job: &Job<N>) -> Result<(String, About), 
         text.push('\n');
     }
     Ok((text, about))
+/// Names of a group of positioners on an XPS.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct XpsGroup {
+    /// Name of the MultipleAxes group, whose positioners are the axes of the program in its order.
+    pub name: String,
+    /// Names of its positioners; empty to leave out what the verification found for each.
+    pub positioners: Vec<String>,
+}
+
+/// Returns the calls that check and run the program in the file `file`, one per line, as they go to port 5001 of the
+/// controller. A line that starts with `#` is for the reader. The host waits for the answer of each call, and stops at
+/// an answer other than 0.
+///
+/// # Errors
+/// Refuses names that are not made of letters, digits, `_`, `-` and dots, another number of positioners than of axes,
+/// and a program with a run-up, during which the tool would be on.
+pub fn commands(about: &About, group: &XpsGroup, file: &str) -> Result<String, Invalid> {
+    let is_name = |name: &str| {
+        !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c))
+    };
+    for name in
+        [&group.name].into_iter().chain(&group.positioners).map(String::as_str).chain([file])
+    {
+        if !is_name(name) {
+            let remedy = "give a name of letters, digits, _, - and dots, as the controller has it";
+            return Err(Invalid::whole("group", format!("has the name {name:?}"), remedy));
+        }
+    }
+    let starts = about.starts();
+    if !(group.positioners.is_empty() || group.positioners.len() == starts.len()) {
+        let problem = format!("has {} positioners", group.positioners.len());
+        let remedy = format!("give {}, in the order of the columns", starts.len());
+        return Err(Invalid::whole("group", problem, remedy));
+    }
+    if about.excerpt.as_ref().is_some_and(|e| e.run_up_segments > 0) && !about.dry_run {
+        let problem = "would switch the tool on before the run-up";
+        let remedy = "write them for a `dry_run`, or switch the tool by an event of the controller";
+        return Err(Invalid::whole("commands", problem, remedy));
+    }
+    let name = &group.name;
+    let places: Vec<String> = starts.iter().map(|(_, _, p)| decimal(*p, DIGITS)).collect();
+    let mut lines = vec![
+        format!("# {file} for {}, BLAKE3 {}", about.machine, about.program_blake3),
+        "# send each line to port 5001, wait for its answer, and stop at an answer other than 0"
+            .into(),
+        format!("# put {file} into the folder Trajectories by FTP, or SFTP on an XPS-D"),
+    ];
+    if about.dry_run {
+        lines.push("# DRY RUN: the tool stays off".into());
+    }
+    lines.extend(about.tool_off_lines.iter().cloned());
+    lines.extend(about.prologue.iter().cloned());
+    lines.push(format!("GroupMoveAbsolute({name},{})", places.join(",")));
+    lines.push(format!("MultipleAxesPVTVerification({name},{file})"));
+    lines.extend(group.positioners.iter().map(|positioner| {
+        format!(
+            "MultipleAxesPVTVerificationResultGet({name}.{positioner},char *,double *,double *,double *,double *)"
+        )
+    }));
+    if !about.dry_run {
+        if about.tool_on_lines.is_empty() {
+            lines.push("# tool on here: the machine file states no tool_on".into());
+        }
+        lines.extend(about.tool_on_lines.iter().cloned());
+    }
+    lines.push(format!("MultipleAxesPVTExecution({name},{file},1)"));
+    lines.extend(about.tool_off_lines.iter().cloned());
+    lines.extend(about.epilogue.iter().cloned());
+    lines.push(format!(
+        "# to stop: tool off, then GroupMoveAbort({name}) on another socket; MultipleAxesPVTParametersGet({name},char *,\
+         int *) gives the element"
+    ));
+    Ok(lines.join("\n") + "\n")
 }

@@ -13,12 +13,12 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 /// Directory of a test with a trajectory without a manifest, and a machine file.
-struct Bench {
+pub(crate) struct Bench {
     tmp: TempDir,
 }
 
 impl Bench {
-    fn new(times: &[f64], coefficients: &[[[f64; 4]; 2]], tool_on: &[u8]) -> Self {
+    pub(crate) fn new(times: &[f64], coefficients: &[[[f64; 4]; 2]], tool_on: &[u8]) -> Self {
         let tmp = tempfile::tempdir().unwrap();
         let dir = tmp.path().join("t");
         fs::create_dir(&dir).unwrap();
@@ -79,7 +79,7 @@ impl Bench {
         fs::write(self.path("t/manifest.json"), manifest.to_string()).unwrap();
     }
 
-    fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+    pub(crate) fn path(&self, name: impl AsRef<Path>) -> PathBuf {
         self.tmp.path().join(name)
     }
 
@@ -402,4 +402,145 @@ fn a_motion_of_all_axes_has_its_own_flag() {
         "{text}"
     );
     assert!(text.contains("# kinematics: spindle, axes r in mm, c in deg"), "{text}");
+}
+
+/// Runs `planish-import program` in the directory of the bench; returns its exit code and messages.
+fn read_back(bench: &Bench, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = planish_testkit::program::stage("planish-import")
+        .current_dir(bench.tmp.path())
+        .arg("program")
+        .args(arguments)
+        .args(["--out", "back", "--force"])
+        .output()
+        .unwrap();
+    let said = [output.stdout, output.stderr].map(|s| String::from_utf8_lossy(&s).into_owned());
+    (output.status.code(), said.concat())
+}
+
+#[test]
+fn a_dry_run_has_its_name() {
+    let bench = Bench::simple();
+    let said = bench.refused("csv", &["--dry-run"]);
+    assert!(said.contains("p/a.txt: is the name of a dry run; give one with \"dry-run\" in it"), "{said}");
+    let output = planish_testkit::program::stage("planish-export")
+        .current_dir(bench.tmp.path())
+        .args(["csv", "--trajectory", "t", "--machine", "m.json", "--out", "p/dry-run.csv"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(said.contains("names a dry run, and the tool of this program goes on"), "{said}");
+    assert!(!bench.path("p").exists());
+}
+
+#[test]
+fn parts_are_read_in_their_order_only() {
+    let bench = Bench::simple();
+    let step = ["--max-step-s", "0.1"];
+    let (code, said) = bench.run("csv", "t", &[&step[..], &["--parts", "3"]].concat());
+    assert_eq!(code, Some(0), "{said}");
+    let parts = [1, 2, 3].map(|k| format!("p/a.part-{k}-of-3.txt"));
+    let [a, b, c] = parts.each_ref().map(String::as_str);
+    let (code, said) = read_back(&bench, &[a, b, c, "--controller", "csv"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (whole, _) = bench.done("csv", "t", &step);
+    let (_, of_whole) = read_back(&bench, &["p/a.txt", "--controller", "csv"]);
+    assert_eq!(said, of_whole);
+    for (files, expected) in [
+        (vec![a, c, b], "p/a.part-3-of-3.txt: part[2]: is part 3 of 3, and stands as number 2 of 3"),
+        (vec![a, b], "p/a.part-1-of-3.txt: part[1]: is part 1 of 3, and stands as number 1 of 2"),
+        (vec![b], "is part 2 of 3; give all parts"),
+    ] {
+        let (code, said) = read_back(&bench, &[&files[..], &["--controller", "csv"]].concat());
+        assert!(code == Some(2) && said.contains(expected), "{said}");
+    }
+    // As many parts as the lines need.
+    let lines = whole.lines().count();
+    let (code, said) =
+        bench.run("csv", "t", &[&step[..], &["--max-lines", &(lines - 5).to_string()]].concat());
+    assert!(code == Some(0) && said.is_empty(), "{said}");
+    assert!(bench.path("p/a.part-2-of-2.txt").exists() && bench.path("p/a.part-2-of-2.txt.json").exists());
+    let (code, said) = bench.run("csv", "t", &[&step[..], &["--max-lines", "3"]].concat());
+    assert!(code == Some(2) && said.contains("the head of a part alone may have more"), "{said}");
+    let (code, said) = bench.run("csv", "t", &["--parts", "0"]);
+    assert!(code == Some(2) && said.contains("--parts: is 0; give a number from 1 to"), "{said}");
+}
+
+#[test]
+fn the_rest_begins_at_a_mark() {
+    let bench = Bench::simple();
+    let (_, whole) = bench.done("pmac", "t", &["--tool-output", "1", "--max-step-s", "0.02"]);
+    let flags = ["--tool-output", "1", "--max-step-s", "0.02", "--from-mark", "2"];
+    let (text, about) = bench.done("pmac", "t", &flags);
+    assert!(text.contains("; from mark 2 to mark "), "{text}");
+    assert_eq!(about["excerpt"]["whole_blake3"], whole["program_blake3"]);
+    let line = about["excerpt"]["from_line"].as_u64().unwrap();
+    assert!(whole["marks"][2].as_str().unwrap().starts_with(&format!("{line} ")));
+    let (code, said) =
+        read_back(&bench, &["p/a.txt", "--controller", "pmac", "--about", "p/a.txt.json"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said) = bench.run("pmac", "t", &["--from-mark", "9999", "--always-on", "--force"]);
+    assert!(code == Some(2) && said.contains("the program has the marks 0 to"), "{said}");
+}
+
+#[test]
+fn lines_of_the_machine_file_that_move_are_refused() {
+    let bench = Bench::simple();
+    let with = |controller: Value| {
+        let axis = |axis: &str| json!({ "name": axis, "max_velocity_mm_per_s": 100, "max_acceleration_mm_per_s2": 1000 });
+        let machine = json!({ "name": "bench", "axes": [axis("x"), axis("y")], "controller": controller });
+        fs::write(bench.path("m.json"), machine.to_string()).unwrap();
+    };
+    for (controller, expected) in [
+        (json!({ "kind": "gcode", "prologue": ["M3 S500", "G0 X5"] }), "controller.prologue[1]: is \"G0 X5\""),
+        (json!({ "kind": "gcode", "epilogue": ["M64 P0"] }), "controller.epilogue[0]: is \"M64 P0\""),
+        (json!({ "kind": "pmac", "prologue": ["M1=1"] }), "tool-output: is M1, and the machine file states"),
+        (json!({ "kind": "csv", "prologue": ["M3"] }), "a csv file has no place for a command"),
+    ] {
+        let kind = controller["kind"].as_str().unwrap().to_string();
+        with(controller);
+        let more: &[&str] = if kind == "pmac" { &["--tool-output", "1"] } else { &[] };
+        let said = bench.refused(&kind, more);
+        assert!(said.contains(expected), "{kind}: {said}");
+    }
+    with(json!({ "kind": "xps", "tool_on": ["GPIODigitalSet(GPIO1.DO,1,1)"], "tool_off": ["GPIODigitalSet(GPIO1.DO,1,0)"],
+                 "prologue": ["GPIODigitalSet(GPIO1.DO,2,2)"] }));
+    let flags = ["--always-on", "--commands", "calls.txt", "--group", "XY", "--positioners", "X,Y"];
+    let (_, about) = bench.done("xps", "t", &flags);
+    let calls = fs::read_to_string(bench.path("calls.txt")).unwrap();
+    let calls: Vec<&str> = calls.lines().filter(|line| !line.starts_with('#')).collect();
+    let answers = "char *,double *,double *,double *,double *";
+    let expected = [
+        "GPIODigitalSet(GPIO1.DO,1,0)".to_string(),
+        "GPIODigitalSet(GPIO1.DO,2,2)".into(),
+        "GroupMoveAbsolute(XY,1,-2)".into(),
+        "MultipleAxesPVTVerification(XY,a.txt)".into(),
+        format!("MultipleAxesPVTVerificationResultGet(XY.X,{answers})"),
+        format!("MultipleAxesPVTVerificationResultGet(XY.Y,{answers})"),
+        "GPIODigitalSet(GPIO1.DO,1,1)".into(),
+        "MultipleAxesPVTExecution(XY,a.txt,1)".into(),
+        "GPIODigitalSet(GPIO1.DO,1,0)".into(),
+    ];
+    assert_eq!(calls, expected);
+    assert_eq!(about["prologue"], json!(["GPIODigitalSet(GPIO1.DO,2,2)"]));
+    let (code, said) = bench.run("xps", "t", &["--always-on", "--commands", "c.txt", "--group", "X;Y", "--force"]);
+    assert!(code == Some(2) && said.contains("has the name \"X;Y\""), "{said}");
+}
+
+#[test]
+fn a_pmac_program_opens_its_buffer() {
+    let bench = Bench::simple();
+    for (flags, first, last) in [
+        (["--open-program", "12"], "CLOSE\nOPEN PROG 12 CLEAR\nM1=0\nABS\n", "M1==0\nDWELL0\nCLOSE\n"),
+        (["--rotary", "2"], "CLOSE\n&2\nOPEN ROT\nM1=0\nABS\n", "M1==0\nDWELL0\nCLOSE\n"),
+    ] {
+        let (text, _) = bench.done("pmac", "t", &[&flags[..], &["--tool-output", "1"]].concat());
+        let body = text.lines().skip_while(|line| line.starts_with(';')).collect::<Vec<_>>().join("\n") + "\n";
+        assert!(body.starts_with(first) && body.ends_with(last), "{body}");
+        let (code, said) =
+            read_back(&bench, &["p/a.txt", "--controller", "pmac", "--about", "p/a.txt.json"]);
+        assert_eq!(code, Some(0), "{said}");
+    }
+    let said = Bench::simple().refused("pmac", &["--rotary", "17", "--always-on"]);
+    assert!(said.contains("rotary: is 17; give a number from 1 to 16"), "{said}");
 }

@@ -7,6 +7,8 @@ and SET_FEED_RATE(mm/min), both with four decimals, DWELL(s). A line takes 60 le
 end against the program's own words to half of the last decimal, and the total time against the header to
 the 5e-5 of the feed. A run of lines from rest to rest takes half of its first and half of its last line longer.
 
+Offsets that an operator left by G54 and G92 must not move a program for a machine whose file places the part.
+
 The interpreter ignores outputs. So where LinuxCNC's simulator is installed (`linuxcnc`), a short program of
 planish-export with every kind of switch runs in it, in real time and twice, after a run that has left the
 output on; digital output 0 and the position are sampled every millisecond.
@@ -37,7 +39,7 @@ def interpret(program):
 def main(folder):
     program = pathlib.Path(folder, "program.gcode").resolve()
     about = json.loads(pathlib.Path(f"{program}.json").read_text())
-    words = [re.match(r"G1 X(\S+) Y(\S+) F(\S+)", line) for line in program.read_text().splitlines()]
+    words = [re.match(r"(?:G53 )?G1 X(\S+) Y(\S+) F(\S+)", line) for line in program.read_text().splitlines()]
     planned = [[float(v) for v in w.groups()] for w in words if w]
     here, feed, seconds, slack, found, line = about["start_mm"], None, 0.0, 0.0, [], 0.0
     for name, arguments in re.findall(r"(\w+)\(([^)]*)\)", interpret(program)):
@@ -159,8 +161,8 @@ def npy(path, kind, shape, values):
     path.write_bytes(b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header.encode() + data)
 
 
-def bench_program(home):
-    """The program of SEGMENTS, by planish-export."""
+def bench_program(home, more=None):
+    """The program of SEGMENTS, by planish-export, for a machine file with the keys `more`, too."""
     plan = home / "plan"
     plan.mkdir()
     n, x, coefficients = len(SEGMENTS), START, []
@@ -173,13 +175,41 @@ def bench_program(home):
     npy(plan / "tool_on.npy", "|u1", (n,), [on for _, on in SEGMENTS])
     npy(plan / "dwell_index.npy", "<i8", (n,), [0] * n)
     axis = {"max_velocity_mm_per_s": 100, "max_acceleration_mm_per_s2": 1000}
-    machine = {"name": "bench", "axes": [{"name": name, **axis} for name in "xy"]}
+    machine = {"name": "bench", "axes": [{"name": name, **axis} for name in "xy"], **(more or {})}
     (home / "machine.json").write_text(json.dumps(machine))
     export = pathlib.Path(__file__).resolve().parents[3] / "target/release/planish-export"
     program = home / "program.ngc"
     command = [export, "gcode", "--trajectory", plan, "--machine", home / "machine.json", "--out", program]
     subprocess.run(command, check=True, capture_output=True)
     return program
+
+
+# Offsets that an operator may have left: of G54, and of G92.
+OFFSETS = "G21 G54\nG10 L2 P1 X10 Y20\nG92 X3 Y4\nM2\n"
+
+
+def offsets():
+    """Positions on the axes after offsets were left: the same with G53, moved by G54 alone without."""
+    for more, moved in (({"part_origin_mm": [40, 50]}, (0, 0)), ({}, (10, 20))):
+        with tempfile.TemporaryDirectory() as folder:
+            home = pathlib.Path(folder)
+            program = bench_program(home, more)
+            (home / "left.ngc").write_text(OFFSETS)
+            for name in ("tool.tbl", "empty.var"):
+                (home / name).touch()
+            for run in (home / "left.ngc", program):
+                command = ["rs274", "-t", home / "tool.tbl", "-v", home / "empty.var", "-g", run, home / "out.txt"]
+                subprocess.run(command, env={**os.environ, "HOME": folder}, check=True, capture_output=True)
+            calls = (home / "out.txt").read_text()
+            assert "DISABLE_FEED_OVERRIDE" in calls and "DISABLE_SPEED_OVERRIDE" in calls, calls
+            feeds = re.findall(r"STRAIGHT_FEED\((\S+), (\S+),", calls)
+            # Calls are in the coordinates of G54, 10 and 20 mm from the axes.
+            x, y = float(feeds[-1][0]) + 10, float(feeds[-1][1]) + 20
+            origin = more.get("part_origin_mm", [0, 0])
+            end = START + sum(moves for moves, _ in SEGMENTS)
+            wanted = origin[0] + end + moved[0], origin[1] + moved[1]
+            assert abs(x - wanted[0]) < 1e-3 and abs(y - wanted[1]) < 1e-3, f"{x}, {y} for {wanted}"
+    print("rs274: offsets of G54 and G92 move no program with G53, and of the others G54 alone; the overrides are off")
 
 
 def sampled(home, run):
@@ -240,6 +270,7 @@ def check_samples(samples):
 
 if __name__ == "__main__":
     main(sys.argv[1])
+    offsets()
     if shutil.which("linuxcnc"):
         simulate()
     else:

@@ -73,7 +73,7 @@ fn the_text_of_every_controller() {
     assert_eq!(body_with(ControllerKind::Pmac, &switched), expected);
     // Lines, then a dwell: the tool switches with the first, and at once after the last.
     let gcode = body(ControllerKind::Gcode);
-    let head = "M65 P0\nG21 G90 G17 G40 G49 G94\nG64 P0.005 Q0\nG0 X1 Y-2\nG93\nM62 P0\nG1 X";
+    let head = "M65 P0\nG21 G90 G17 G40 G49 G54 G94\nG92.2\nM49\nG64 P0.005 Q0\nG0 X1 Y-2\nG93\nM62 P0\nG1 X";
     assert!(gcode.starts_with(head), "{gcode}");
     let end: Vec<&str> = gcode.lines().rev().take(5).collect();
     assert_eq!(end[..3], ["M2", "G94 F60", "M65 P0"]);

@@ -638,8 +638,10 @@ impl OutputFile {
     /// # Errors
     /// Fails if the disk refuses one of them, or if another program has meanwhile created something at a path. None of
     /// the new files is then visible.
-    pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
-        let mut all = Vec::with_capacity(N);
+    pub fn write_together<'a>(
+        files: impl IntoIterator<Item = (Self, &'a [u8])>,
+    ) -> Result<(), HandoffError> {
+        let mut all = Vec::new();
         for (file, bytes) in files {
             let mut staged = Staged::file(&file.path, file.force)?;
             staged.write_all(bytes)?;

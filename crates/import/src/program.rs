@@ -21,6 +21,7 @@
 //! encoder count. Without a list of axes a program moves x and y.
 
 pub mod aerotech;
+mod around;
 pub mod automation1;
 pub mod csv;
 pub mod galil;
@@ -59,9 +60,24 @@ pub struct Configuration {
     /// in them, too.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
+    /// True if the program is a dry run, with the tool off throughout.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub dry_run: bool,
+    /// Run-up and run-down of a program between two marks of another one; `None` for a whole program.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub excerpt: Option<RampTimes>,
     /// BLAKE3 hash of the program that this configuration belongs to; `None` if it was written by hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub program_blake3: Option<String>,
+}
+
+/// Times in which a program between two marks speeds up and slows down with the tool off, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RampTimes {
+    /// Time from the start of the motion to the first mark, s.
+    pub run_up_s: f64,
+    /// Time from the last mark to the end of the motion, s.
+    pub run_down_s: f64,
 }
 
 /// An axis of a program that lists its axes.
@@ -159,6 +175,8 @@ impl Configuration {
             feedrate_time_unit_s: self.feedrate_time_unit_s.or(about.feedrate_time_unit_s),
             part_to_axes: self.part_to_axes.or(about.part_to_axes),
             was_on_axes: self.was_on_axes || about.was_on_axes,
+            dry_run: self.dry_run || about.dry_run,
+            excerpt: self.excerpt.or(about.excerpt),
             program_blake3: self.program_blake3.or(about.program_blake3),
         }
     }
@@ -208,9 +226,15 @@ pub fn read_axes(
 ) -> Result<AxesMotion, Invalid> {
     belongs(bytes, configuration)?;
     let text = crate::text::text("program", bytes)?;
+    let head = around::head(&text)?;
+    if let Some([k, n]) = head.part {
+        let remedy = "give all parts, in their order";
+        return Err(Invalid::whole("program", format!("is part {k} of {n}"), remedy));
+    }
+    let text = around::without_machine_lines(controller, &text)?;
     let text = text.as_ref();
     let layout = configuration.layout()?;
-    match controller {
+    let motion = match controller {
         ControllerKind::Galil => galil::read(text, configuration, &layout),
         ControllerKind::Xps => xps::read(text, &layout),
         ControllerKind::Pmac => pmac::read(text, configuration, &layout),
@@ -223,7 +247,29 @@ pub fn read_axes(
         ControllerKind::Twincat => twincat::read(text, &layout),
         ControllerKind::XpsPt => xps::read_pt(text, &layout),
         ControllerKind::Zaber => zaber::read(text, &layout),
-    }
+    }?;
+    around::with_tool(motion, &head, configuration)
+}
+
+/// Returns the program whose parts are `parts`, in their order, each with the hash that the file beside it states. The
+/// parts are those of a program that runs from one to the next without a stop.
+///
+/// # Errors
+/// Refuses a part with another hash, a part that was changed, is missing or in the wrong place, and files that are no
+/// such parts; the index of the part comes with the error.
+pub fn join(parts: &[(Vec<u8>, Configuration)]) -> Result<Vec<u8>, (usize, Invalid)> {
+    let texts = parts.iter().enumerate().map(|(i, (bytes, configuration))| {
+        belongs(bytes, configuration).map_err(|e| (i, e))?;
+        crate::text::text("program", bytes).map_err(|e| (i, e))
+    });
+    let texts: Vec<_> = texts.collect::<Result<_, _>>()?;
+    around::joined(&texts).map(String::into_bytes)
+}
+
+/// Returns true if the program, or the file beside it, says that it is a dry run, with the tool off throughout.
+pub fn is_dry_run(bytes: &[u8], configuration: &Configuration) -> bool {
+    let text = crate::text::text("program", bytes).unwrap_or_default();
+    configuration.dry_run || around::head(&text).is_ok_and(|head| head.is_dry_run)
 }
 
 /// Returns a doubt about a program: a text on a probable mistake that may also be intended. Only dwells of G-code are

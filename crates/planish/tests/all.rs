@@ -29,6 +29,8 @@ mod dwell_cli_solvers;
 mod dwell_hostile;
 #[path = "../../export/tests/cli.rs"]
 mod export_cli;
+#[path = "../../export/tests/galil_host.rs"]
+mod export_galil_host;
 #[path = "../../fixture/tests/cli.rs"]
 mod fixture_cli;
 #[path = "../../import/tests/cases.rs"]

@@ -102,7 +102,8 @@ impl Coverage {
         }
         let Some(spans_mm) = self.spans_mm else {
             return Some(
-                "the motion removes nothing: tool_on is 0 in every segment; is it inverted?".into(),
+                "the motion removes nothing: tool_on is 0 in every segment; is it inverted, or a dry run?"
+                    .into(),
             );
         };
         Some(format!(

@@ -12,6 +12,8 @@ mod bspline_feed;
 mod conventions;
 #[path = "equivariance.rs"]
 mod equivariance;
+#[path = "load.rs"]
+mod load;
 #[path = "outcomes.rs"]
 mod outcomes;
 #[path = "papers.rs"]

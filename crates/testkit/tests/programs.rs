@@ -36,7 +36,11 @@ struct Target {
 fn targets() -> Vec<Target> {
     use ControllerKind::*;
     let target = |controller, tool_output, tick_s, switches| {
-        let pmac = pmac::PmacSettings { feedrate_time_unit_s: 0.001, tool_output };
+        let pmac = pmac::PmacSettings {
+            feedrate_time_unit_s: 0.001,
+            tool_output,
+            ..pmac::PmacSettings::default()
+        };
         Target { controller, pmac, tick_s, switches }
     };
     vec![
@@ -370,7 +374,7 @@ fn programs_of_random_problems_keep_the_limits() {
         let count_mm = [1e-4, 1e-3, 1e-5][random.random_range(0..3)];
         let tick_s = [None, Some(5e-4), Some(1e-3), Some(2e-3), Some(4e-3)];
         let tick_s = tick_s[random.random_range(0..5)];
-        let pmac = pmac::PmacSettings { feedrate_time_unit_s: 1.0, tool_output: Some(1) };
+        let pmac = pmac::PmacSettings { tool_output: Some(1), ..pmac::PmacSettings::default() };
         for controller in ControllerKind::ALL {
             let name =
                 format!("case {case}, tick {tick_s:?} s, count {count_mm} mm, {controller:?}");

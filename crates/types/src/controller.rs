@@ -27,7 +27,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Invalid, MachineAxis};
+use crate::{Invalid, MachineAxis, controller_lines::ControllerLines};
 
 /// Largest numbers of linear and of rotary axes of a machine; every controller has a grid for each of them.
 const MOST_LINEAR: usize = 3;
@@ -109,6 +109,18 @@ pub struct ControllerFile {
     /// True if the program switches the tool.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub switches_tool: Option<bool>,
+    /// Lines of the controller's language before the motion, see [`crate::controller_lines`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub prologue: Vec<String>,
+    /// Lines of the controller's language after the motion.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub epilogue: Vec<String>,
+    /// Lines by which the host switches the tool on (Galil, XPS).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tool_on: Vec<String>,
+    /// Lines by which the host switches the tool off (Galil, XPS).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tool_off: Vec<String>,
 }
 
 /// Rounding of one axis in the program of a controller.
@@ -412,7 +424,18 @@ impl ControllerFile {
             max_segments: None,
             interpolation: None,
             switches_tool: None,
+            prologue: Vec::new(),
+            epilogue: Vec::new(),
+            tool_on: Vec::new(),
+            tool_off: Vec::new(),
         }
+    }
+
+    /// Returns the checked lines around the motion. Refuses lines that may move an axis, switch the tool on, or break
+    /// the program.
+    pub(crate) fn checked_lines(&self) -> Result<ControllerLines, Invalid> {
+        let Self { prologue, epilogue, tool_on, tool_off, .. } = self.clone();
+        ControllerLines { prologue, epilogue, tool_on, tool_off }.checked(self.kind)
     }
 
     /// Returns the checked controller of a machine with these axes, with the defaults of its kind. Refuses settings

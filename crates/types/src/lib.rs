@@ -28,6 +28,7 @@ mod axes_motion;
 mod baseline;
 pub mod budget;
 mod controller;
+pub mod controller_lines;
 pub mod doubts;
 mod dwell_density;
 mod dwell_time;
@@ -61,6 +62,7 @@ pub use axes_motion::AxesMotion;
 pub use controller::{
     AxisGrid, ControllerFile, ControllerKind, ControllerModel, Counts, Interpolation,
 };
+pub use controller_lines::{ControllerLines, check_line};
 pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;

@@ -27,8 +27,8 @@
 //! which is the limit of each axis itself for axes along x and y.
 
 use crate::{
-    ControllerKind, ControllerModel, Invalid, Kinematics, Limits, MachineAxis, MachineFile,
-    Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
+    ControllerKind, ControllerLines, ControllerModel, Invalid, Kinematics, Limits, MachineAxis,
+    MachineFile, Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
 };
 
 /// A machine: limits of its axes, their travel, and the position of the part on it.
@@ -41,6 +41,7 @@ pub struct Machine {
     part_origin_z_mm: f64,
     part_to_axes: Option<Transform>,
     controller: Option<ControllerModel>,
+    controller_lines: ControllerLines,
 }
 
 /// Returns a machine whose axes x and y read the coordinates of the part and have no limit of travel.
@@ -54,6 +55,7 @@ impl From<Limits> for Machine {
             part_origin_z_mm: 0.0,
             part_to_axes: None,
             controller: None,
+            controller_lines: ControllerLines::default(),
         }
     }
 }
@@ -80,7 +82,24 @@ impl Machine {
         }
         let part_to_axes = part_to_axes(&file)?;
         let controller = file.controller.as_ref().map(|c| c.checked(&axes)).transpose()?;
-        Ok(Self { limits, travel_mm, axes, kinematics, part_origin_z_mm, part_to_axes, controller })
+        let lines = file.controller.as_ref().map(crate::ControllerFile::checked_lines);
+        let controller_lines = lines.transpose()?.unwrap_or_default();
+        Ok(Self {
+            limits,
+            travel_mm,
+            axes,
+            kinematics,
+            part_origin_z_mm,
+            part_to_axes,
+            controller,
+            controller_lines,
+        })
+    }
+
+    /// Returns the lines that the machine file states around the motion, in the language of its own controller; all
+    /// lists are empty without a controller.
+    pub fn controller_lines(&self) -> &ControllerLines {
+        &self.controller_lines
     }
 
     /// Returns the controller that the machine file states, or `None` if it states none.

@@ -98,6 +98,7 @@ fn judge_axes(cli: &VerifyCli, axes: &Path) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let (motion, manifest): (AxesMotion, _) = inputs.read_with_manifest("axes", axes)?;
     let machine = cli.machine.read(axes, manifest.as_ref(), &mut inputs)?;
+    warn_of_dry_run(motion.tool_on());
     let settings = VerifySettings {
         position_step_mm: cli.position_step_mm,
         velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
@@ -135,6 +136,15 @@ fn judge_axes(cli: &VerifyCli, axes: &Path) -> Result<Status, Failure> {
     Ok(status)
 }
 
+/// Warns of a motion whose tool is off in every segment.
+fn warn_of_dry_run(tool_on: &[bool]) {
+    if !tool_on.contains(&true) {
+        warn(
+            "the tool is off in every segment: this is a verdict on a dry run, not on a program that removes",
+        );
+    }
+}
+
 /// Settings of a verdict, with the tolerance of the distance from the path if it is known.
 #[derive(serde::Serialize)]
 struct JudgedSettings {
@@ -167,6 +177,7 @@ fn judge_trajectory(cli: &VerifyCli, trajectory: PathBuf) -> Result<Status, Fail
             names.join(", ")
         ));
     }
+    warn_of_dry_run(on_axes.motion.tool_on());
     let distance = cli.near_path.measure(&on_axes, &mut inputs)?;
     let tolerance_mm = distance.map(|distance| distance.tolerance_mm);
     let task = task!("verify", JudgedSettings { settings, max_path_distance_mm: tolerance_mm });

@@ -1,6 +1,6 @@
 //! `planish-import program`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use planish_handoff::{
@@ -15,8 +15,9 @@ use super::{about, foreign};
 
 #[derive(Debug, Args)]
 pub struct ProgramArgs {
-    /// Program of a controller
-    file: PathBuf,
+    /// Program of a controller, or all its parts in their order; the JSON file beside each part is read
+    #[arg(required = true)]
+    file: Vec<PathBuf>,
     /// Controller of the program
     #[arg(long, value_name = "NAME", value_parser = controller())]
     controller: ControllerKind,
@@ -52,6 +53,9 @@ struct ProgramOutcome<'a> {
     total_time_s: f64,
     /// True if the tool removes in every segment.
     always_on: bool,
+    /// True if the program is a dry run.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    dry_run: bool,
     /// Names of the axes, if the configuration lists them.
     #[serde(skip_serializing_if = "Option::is_none")]
     axes: Option<Vec<&'a String>>,
@@ -70,35 +74,38 @@ impl ProgramArgs {
             feedrate_time_unit_s: self.feedrate_time_unit_s,
             ..Configuration::default()
         };
-        let configuration = match &self.about {
-            Some(path) => {
-                let bytes = foreign(&mut inputs, "about", path)?;
-                let of_file = serde_json::from_slice(&bytes)
-                    .map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-                by_flags.completed_by(of_file)
-            }
-            None => by_flags,
-        };
         let controller = self.controller;
+        let (bytes, configuration) = match &self.file[..] {
+            [file] => {
+                let configuration = match &self.about {
+                    Some(path) => by_flags.completed_by(configuration_of(&mut inputs, path)?),
+                    None => by_flags,
+                };
+                (foreign(&mut inputs, "file", file)?, configuration)
+            }
+            _ => self.joined(by_flags, &mut inputs)?,
+        };
+        let file = &self.file[0];
         let more = ConfigurationSetting { configuration: &configuration };
         let task = task!("program", ProgramSettings { controller, more });
-        let bytes = foreign(&mut inputs, "file", &self.file)?;
         let is_of_all_axes = !configuration.axes.is_empty();
         let kind = if is_of_all_axes { &kind::AXES } else { Trajectory::KIND };
         let mut output = match Output::directory(&self.output, kind).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let refused = |e: Invalid| about(&self.file, &e);
+        let refused = |e: Invalid| about(file, &e);
         if let Some(doubt) = program::doubt(controller, &bytes) {
-            warn(format!("{}: {doubt}", self.file.display()));
+            warn(format!("{}: {doubt}", file.display()));
         }
+        let dry_run = program::is_dry_run(&bytes, &configuration);
         let (segments, total_time_s) = if is_of_all_axes {
             let motion = program::read_axes(controller, &bytes, &configuration).map_err(refused)?;
             let outcome = ProgramOutcome {
                 segments: motion.len(),
                 total_time_s: motion.total_time_s(),
                 always_on: motion.tool_on().iter().all(|on| *on),
+                dry_run,
                 axes: Some(configuration.axes.iter().map(|axis| &axis.name).collect()),
                 units: Some(configuration.axes.iter().map(|axis| &axis.unit).collect()),
             };
@@ -113,6 +120,7 @@ impl ProgramArgs {
                 segments: motion.len(),
                 total_time_s: motion.total_time_s(),
                 always_on: motion.tool_on().iter().all(|on| *on),
+                dry_run,
                 axes: None,
                 units: None,
             };
@@ -120,9 +128,40 @@ impl ProgramArgs {
             (motion.len(), motion.total_time_s())
         };
         say(format!(
-            "planish-import: {segments} segments, {total_time_s:.4} s -> {}",
+            "planish-import: {segments} segments, {total_time_s:.4} s{} -> {}",
+            if dry_run { ", a dry run with the tool off" } else { "" },
             self.output.out.display()
         ));
         Ok(Status::Done)
     }
+
+    /// Returns the program whose parts are given, and its configuration, which is that of the first part.
+    fn joined(
+        &self,
+        by_flags: Configuration,
+        inputs: &mut Inputs,
+    ) -> Result<(Vec<u8>, Configuration), Failure> {
+        if self.about.is_some() {
+            let problem =
+                "--about: is for a program in one file; the file beside each part is read";
+            return Err(Failure::new(problem));
+        }
+        let mut parts = Vec::with_capacity(self.file.len());
+        for path in &self.file {
+            let mut beside = path.clone().into_os_string();
+            beside.push(".json");
+            let configuration = configuration_of(inputs, Path::new(&beside))?;
+            parts.push((foreign(inputs, "file", path)?, configuration));
+        }
+        let bytes = program::join(&parts).map_err(|(i, e)| about(&self.file[i], &e))?;
+        let (_, first) = parts.swap_remove(0);
+        let configuration = by_flags.completed_by(Configuration { program_blake3: None, ..first });
+        Ok((bytes, configuration))
+    }
+}
+
+/// Returns the configuration in the file that planish-export wrote beside a program.
+fn configuration_of(inputs: &mut Inputs, path: &Path) -> Result<Configuration, Failure> {
+    let bytes = foreign(inputs, "about", path)?;
+    serde_json::from_slice(&bytes).map_err(|e| Failure::new(format!("{}: {e}", path.display())))
 }

@@ -8,6 +8,8 @@
 //! | G4 P | stand for P seconds, after the motion before has ended |
 //! | M62 P0, M63 P0 | tool on, tool off with the next motion (G0, G1; a G4 is none) |
 //! | M64 P0, M65 P0 | tool on, tool off at once, after the motion before has ended |
+//! | G53 on a line | positions are those of the axes; on all lines of the motion, or on none |
+//! | G92.2, M48, M49 | no offset by G92; override of the feed on, off |
 //! | G17 G21 G40 G49 G54 G61 G64 G80 G90 G91.1 G97 G98 G99 | accepted: plane, mm, no compensation, path mode, absolute, no cycle |
 //! | O, S, T | accepted: number of the program, speed and tool that no M word uses |
 //! | M2, M30, or a second % | end; a program without one was cut off |
@@ -93,6 +95,8 @@ struct Machine<'a> {
     /// Sum of the dwells with the tool off, s, that the program makes before it sets the start position. They count
     /// once it is set.
     wait_s: f64,
+    /// True if the positions are those of the axes (G53), false if they are work coordinates; `None` before the first.
+    is_of_axes: Option<bool>,
 }
 
 impl<'a> Machine<'a> {
@@ -110,6 +114,7 @@ impl<'a> Machine<'a> {
             tolerance_mm: 0.0,
             parts: Vec::new(),
             wait_s: 0.0,
+            is_of_axes: None,
         }
     }
 
@@ -184,6 +189,11 @@ impl<'a> Machine<'a> {
                 Err(e) => return Err(e),
             }
         } else if self.letters.iter().any(|letter| value(*letter).is_some()) {
+            let is_of_axes = has(&words, 'G', &[530]);
+            if self.is_of_axes.replace(is_of_axes).is_some_and(|before| before != is_of_axes) {
+                let problem = "has positions of the axes (G53) beside work coordinates";
+                return Err(wrong(number, problem));
+            }
             let axes = self.letters.iter().zip(&self.position);
             let target = axes.map(|(letter, here)| value(*letter).or(*here)).collect();
             self.go(number, target, value('F'))?;
@@ -320,6 +330,8 @@ fn code(v: f64) -> Option<i64> {
 /// uses.
 fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
     let mut groups = Vec::new();
+    // With the words of a motion G53 says in which coordinates they are.
+    let is_frame = axes.iter().any(|letter| has_letter(words, *letter));
     for (i, (letter, v)) in words.iter().enumerate() {
         let not_understood = || wrong(number, format!("has {letter}{v}, which is not understood"));
         match letter {
@@ -348,6 +360,9 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
                         let remedy = "write the program with G90";
                         return Err(Invalid::at_index("program line", number, problem, remedy));
                     }
+                    ('G', 530) if is_frame => "not modal",
+                    ('G', 922) => "not modal",
+                    ('M', 480 | 490) => "override",
                     ('G', 280 | 300 | 530) => {
                         let problem = format!(
                             "has G{v}, which is not understood: the machine goes to a place of its own"

@@ -7,7 +7,8 @@
 //! `RAPID` or `LINEAR` before the first `PVT` goes to where the motion starts; a program without it starts where the axes
 //! stand.
 //!
-//! A file may have what a host sends around the program: `OPEN PROG n CLEAR`, `CLOSE`, `&1B1R`, definitions of axes. The
+//! A file may have what a host sends around the program: `OPEN PROG n CLEAR`, `OPEN ROT`, `CLOSE`, `&1B1R`, definitions
+//! of axes. The
 //! words are in upper or lower case, several in a line or one, with comments after `;` and `//` and within `/* */`. `Isx90`
 //! sets the unit of time of the velocities. Labels and variables that no move uses change nothing. A second program, a
 //! PLC program, `CMD` and every other word are refused.
@@ -168,6 +169,7 @@ struct PmacProgram<'a> {
     output: Output,
     is_open: bool,
     is_closed: bool,
+    is_rotary: bool,
 }
 
 impl<'a> PmacProgram<'a> {
@@ -189,6 +191,7 @@ impl<'a> PmacProgram<'a> {
             output: Output::default(),
             is_open: false,
             is_closed: false,
+            is_rotary: false,
         }
     }
 
@@ -219,6 +222,8 @@ impl<'a> PmacProgram<'a> {
         let needs = || number.ok_or_else(|| missing(line, raw));
         match (word.as_str(), tail) {
             ("CLOSE", _) => self.is_closed = self.is_open,
+            // The next lines of a rotary buffer, which go on without a stop.
+            ("OPEN", _) if self.is_closed && self.is_rotary => self.is_closed = false,
             // Lines that a host sends: coordinate system, program, run.
             ("&" | "#" | "B" | "R", _)
                 if self.is_closed || !word.starts_with(char::is_alphabetic) => {}
@@ -227,7 +232,7 @@ impl<'a> PmacProgram<'a> {
                 let problem = format!("has {:?} after CLOSE, which ends the program", short(raw));
                 return Err(Invalid::at_index("program line", line, problem, remedy));
             }
-            ("OPEN", _) if self.is_open => {
+            ("OPEN", _) if self.is_open && !self.is_rotary => {
                 let remedy = "give a file with one program";
                 return Err(Invalid::at_index(
                     "program line",
@@ -237,6 +242,7 @@ impl<'a> PmacProgram<'a> {
                 ));
             }
             ("OPEN", _) => self.is_open = true,
+            ("ROTARY" | "ROT", _) if self.is_open => self.is_rotary = true,
             ("PLC" | "PLCC" | "ROTARY" | "ROT", _) => {
                 let remedy = "give the motion program alone, OPEN PROG to CLOSE";
                 let problem = format!("has {}, which is no motion program", short(raw));
