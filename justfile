@@ -266,6 +266,18 @@ test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
+# just test-planners linuxcnc --rows "coupon raster"; just test-planners readers. Installs Debian's linuxcnc-uspace (root)
+#
+# Programs of the fixtures in LinuxCNC's own trajectory planner, and read by interpreters that we did not write
+[group('4 slower tests')]
+test-planners what="" *flags: build
+    @which linuxcnc > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends linuxcnc-uspace)
+    @test -d target/planners || python3 -m venv target/planners
+    @target/planners/bin/pip install --quiet numpy==2.4.6 nc-gcode-interpreter==0.1.9 dls-pmacanalyse==3.0.0
+    @for what in {{ if what == "" { "readers linuxcnc" } else { what } }}; do \
+        target/planners/bin/python scripts/test-planners.py $what {{ flags }} || exit; \
+    done
+
 # Plans as programs of every controller, read back and judged: the tables of docs/controller-programs.md (--grids: clocks and counts)
 [group('5 pages and tables')]
 programs-table *flags: build

@@ -344,7 +344,8 @@ impl Fit {
             return self.with_beginning(start);
         }
         let mut guesses = Vec::new();
-        for i in 0..GRID_OF_CORNERS {
+        // The first of them slows down nowhere.
+        for i in -1..GRID_OF_CORNERS {
             for j in 0..GRID_OF_ACCELERATIONS {
                 let mut guess = start;
                 guess[CORNER] = 0.9 * self.largest_corner_mm_per_s / 2_f64.powi(i);

@@ -23,11 +23,14 @@ const STEP_S: f64 = 5e-5;
 const BEFORE_S: f64 = 0.731_3;
 const RATE_HZ: f64 = 1000.0;
 
-/// Lines of 10 mm with turns of many angles, which stay near the origin.
+const TURNS: [f64; 16] =
+    [0.4, 2.2, 0.9, 3.0, 1.4, 2.6, 0.2, 1.9, 2.9, 0.7, 1.2, 2.4, 3.1, 0.5, 1.7, 2.1];
+
+/// 48 lines of 10 mm with turns of many angles, which stay near the origin.
 fn corners() -> Vec<[f64; 2]> {
     let mut heading: f64 = 0.3;
     let mut points = vec![[0.0, 0.0]];
-    for turn in [0.4, 2.2, 0.9, 3.0, 1.4, 2.6, 0.2, 1.9, 2.9, 0.7, 1.2, 2.4, 3.1, 0.5, 1.7, 2.1] {
+    for turn in TURNS.iter().cycle().take(48) {
         let [x, y] = points[points.len() - 1];
         points.push([x + 10.0 * heading.cos(), y + 10.0 * heading.sin()]);
         heading += turn;
@@ -164,7 +167,7 @@ fn one_noisy_log_shows_lag_smoothing_corners_and_clock() {
         lag_s: 0.008,
         smoothing_s: 0.02,
         corner_mm_per_s: 4.0,
-        acceleration_mm_per_s2: 150.0,
+        acceleration_mm_per_s2: 400.0,
         clock: 1.0002,
     };
     let points = corners();
@@ -199,7 +202,7 @@ fn a_controller_of_other_rules_is_not_taken_for_one_of_these() {
         lag_s: 0.008,
         smoothing_s: 0.02,
         corner_mm_per_s: 4.0,
-        acceleration_mm_per_s2: 150.0,
+        acceleration_mm_per_s2: 400.0,
         clock: 1.0,
     };
     let points = corners();
@@ -222,7 +225,7 @@ fn a_log_of_another_place_or_without_its_beginning_is_refused() {
         lag_s: 0.008,
         smoothing_s: 0.02,
         corner_mm_per_s: 4.0,
-        acceleration_mm_per_s2: 150.0,
+        acceleration_mm_per_s2: 400.0,
         clock: 1.0,
     };
     let points = corners();
