@@ -18,8 +18,10 @@ import tempfile
 
 SERVO_PERIOD_S = 0.001
 GAIN = 1000
-# Speed of the simulator's clock. Faster: the interpreter may fall behind the planner, which then stops.
+# Speed of the simulator's clock, and lines in a second of this clock above which it runs half as fast. Faster: the
+# interpreter falls behind the planner, which then stops.
 FASTER = 4
+MANY_LINES_PER_S = 200
 
 INI = """[EMC]
 VERSION = 1.1
@@ -162,7 +164,7 @@ def write_machine(home, axes):
     (home / "sim.hal").write_text("\n".join(hal) + "\n")
 
 
-def run(program, machine, log, longest_s):
+def run(program, machine, log, longest_s, speed=FASTER):
     """Runs `program` on the axes of the machine file `machine`; writes the samples to `log`. Returns what LinuxCNC
     reported, one message in a line."""
     axes = json.loads(pathlib.Path(machine).read_text())["axes"]
@@ -184,7 +186,7 @@ def run(program, machine, log, longest_s):
         environment["PATH"] = f"{folder}:{environment['PATH']}"
         faster = faster_clock(home)
         if faster:
-            environment |= {"LD_PRELOAD": str(faster), "FASTER": str(FASTER)}
+            environment |= {"LD_PRELOAD": str(faster), "FASTER": str(speed)}
         # Shared memory, lock, fifo and processes of its own: a simulator that ends kills all that it sees.
         alone = ["unshare", "--ipc", "--mount", "--net", "--pid", "--fork", "--kill-child",
                  "--mount-proc", "sh", "-c"]

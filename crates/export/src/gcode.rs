@@ -35,7 +35,7 @@
 
 use planish_types::Invalid;
 
-use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, generate::Nodes};
+use crate::{Abilities, About, Approach, Job, Tool, decimal, generate::Nodes, header::Comment};
 
 /// Number of decimals of a position in mm and of a time in s. Larger: longer lines. Smaller: rounding that a
 /// controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.

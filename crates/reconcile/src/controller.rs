@@ -1,4 +1,4 @@
-//! What an unknown controller makes of its program, from one log of a known test motion.
+//! Identification of an unknown controller, from one log of a known test motion.
 //!
 //! ```text
 //! q(t) = L_tau S_w K r((t - b) / (1 + e))                                                      (1)

@@ -183,7 +183,11 @@ fn a_controller_from_a_log_is_a_file_that_simulate_takes() {
     write_test_motion(dir);
     let ended = identify(dir, &["--out", "controller.json"]);
     assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
-    assert!(text(&ended.stdout).contains("lag of the axes (first order): 8"), "{}", text(&ended.stdout));
+    assert!(
+        text(&ended.stdout).contains("lag of the axes (first order): 8"),
+        "{}",
+        text(&ended.stdout)
+    );
     let file: Value =
         serde_json::from_str(&fs::read_to_string(dir.join("controller.json")).unwrap()).unwrap();
     let errors = file["errors"].as_array().unwrap();
@@ -216,6 +220,10 @@ fn a_log_of_another_motion_writes_no_controller() {
         .output()
         .unwrap();
     assert_eq!(ended.status.code(), Some(2), "{}", text(&ended.stderr));
-    assert!(text(&ended.stderr).contains("does not begin at rest within"), "{}", text(&ended.stderr));
+    assert!(
+        text(&ended.stderr).contains("does not begin at rest within"),
+        "{}",
+        text(&ended.stderr)
+    );
     assert!(!dir.join("controller.json").exists());
 }

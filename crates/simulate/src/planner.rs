@@ -16,7 +16,7 @@ use planish_numerics::polynomial::{derivative, evaluate, shifted};
 
 use crate::{motion::MotionPiece, servo::hermite};
 
-/// What a planner makes of the commanded motion.
+/// Change of the commanded motion by a planner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)] // the equations above have w, d and a
 pub enum Planner {
@@ -328,7 +328,7 @@ mod tests {
         }
     }
 
-    /// From rest to rest on a line the ramps from d to v cost (v - d)^2 / (a v).
+    /// The ramps from d to v and back on a line cost (v - d)^2 / (a v).
     #[test]
     fn a_corner_costs_the_time_of_its_ramps() {
         let (v, d, a) = (20.0, 4.0, 150.0);

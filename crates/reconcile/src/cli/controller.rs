@@ -14,7 +14,7 @@ use planish_types::{Trajectory, text::significant};
 /// The subcommand of `planish import` that identifies a controller, by the name that it has there.
 #[derive(Debug, Subcommand)]
 pub enum ImportNames {
-    /// What an unknown controller makes of its program, from the log of a test motion, as an error budget
+    /// Lag, smoothing, corner speed and clock of a controller, from the log of a test motion, as an error budget
     Controller(ControllerArgs),
 }
 
