@@ -18,7 +18,7 @@ import tempfile
 
 SERVO_PERIOD_S = 0.001
 GAIN = 1000
-# Speed of the simulator's clock, and lines in a second of this clock above which it runs half as fast. Faster: the
+# Speed of the simulator's clock, and lines in a second of this clock above which it runs in real time. Faster: the
 # interpreter falls behind the planner, which then stops.
 FASTER = 4
 MANY_LINES_PER_S = 200

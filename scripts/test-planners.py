@@ -82,7 +82,7 @@ def execute(program):
     if not said.exists():
         longest_s = 3 * about["total_time_s"] + 30
         has_many_lines = about["segments"] > linuxcnc.MANY_LINES_PER_S * about["total_time_s"]
-        speed = linuxcnc.FASTER / 2 if has_many_lines else linuxcnc.FASTER
+        speed = 1 if has_many_lines else linuxcnc.FASTER
         said.write_text(linuxcnc.run(program, table.MACHINE, log, longest_s, speed))
     return log, said.read_text().strip()
 
@@ -95,7 +95,7 @@ def has_run(program, log):
     """True if the motion ends where the last line of the program does, and never waited for the interpreter."""
     rows = [line.split(",")[1:] for line in log.read_text().splitlines()[1:]]
     at_rest = sum(1 for before, row in zip(rows, rows[1:]) if before == row and row[-1] == "1")
-    if at_rest > MOST_AT_REST and "G4 P" not in program.read_text():
+    if at_rest > MOST_AT_REST and not re.search("^G4 P", program.read_text(), flags=re.M):
         return False
     last = re.findall(r"^G1 X(\S+) Y(\S+)", program.read_text(), flags=re.M)[-1]
     end = log.read_text().splitlines()[-1].split(",")[1:3]

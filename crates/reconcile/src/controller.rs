@@ -42,8 +42,8 @@ const SMOOTHING: usize = 3;
 const CORNER: usize = 4;
 const ACCELERATION: usize = 5;
 
-/// Number of samples that a fit of a part of the log compares, and the fit of the whole log. Larger: more time. Smaller:
-/// larger standard errors.
+/// Number of samples that a fit of a part of the log compares, and the fit of the whole log. Larger: more time.
+/// Smaller: larger standard errors.
 const SAMPLES_OF_PART: usize = 2_000;
 const SAMPLES_OF_LOG: usize = 100_000;
 
@@ -114,8 +114,8 @@ impl Controller {
             return None;
         }
         Some(format!(
-            "the fit leaves {} um RMS, and the noise of the log is {} um: the controller does more than to lag, to smooth \
-             and to slow down at corners, or the log is of another motion",
+            "the fit leaves {} um RMS, and the noise of the log is {} um: the controller does more than to lag, to \
+             smooth and to slow down at corners, or the log is of another motion",
             significant(1e3 * self.left_rms_mm, 3),
             significant(1e3 * self.noise_mm, 3)
         ))

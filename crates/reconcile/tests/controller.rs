@@ -3,7 +3,7 @@
 use planish_reconcile::controller::identify;
 use planish_testkit::case_generator;
 use planish_types::{Trajectory, TrajectoryBuilder};
-use rand::Rng;
+use rand::RngExt;
 
 /// Rules of a controller that this test makes.
 struct Hidden {

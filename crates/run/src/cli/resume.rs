@@ -145,8 +145,8 @@ impl Interrupted {
     }
 }
 
-/// Checks the log of a machine with more axes than x and y. Its columns are axes, and the removal is that of the contact
-/// point, so a file is refused. Without a log, warns that the motion is taken from the plan of x and y.
+/// Checks the log of a machine with more axes than x and y. Its columns are axes, and the removal is that of the
+/// contact point, so a file is refused. Without a log, warns that the motion is taken from the plan of x and y.
 fn check_log_of_axes(log: Option<&str>) -> Result<(), Failure> {
     match log {
         Some(log) if !Path::new(log).is_dir() => Err(Failure::new(format!(
