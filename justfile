@@ -275,6 +275,17 @@ test-controllers: build
     @target/controllers/bin/python -m pip install --quiet zaber-motion==10.3.0 nc-gcode-interpreter==0.1.9 blark==0.8.3
     @target/controllers/bin/python crates/export/tests/vendors.py out/controllers/methods/pvt/trajectory \
         fixtures/machines/ion-beam.json
+# just test-planners linuxcnc --rows "coupon raster"; just test-planners readers. Installs Debian's linuxcnc-uspace (root)
+#
+# Programs of the fixtures in LinuxCNC's own trajectory planner, and read by interpreters that we did not write
+[group('4 slower tests')]
+test-planners what="" *flags: build
+    @which linuxcnc > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends linuxcnc-uspace)
+    @test -d target/planners || python3 -m venv target/planners
+    @target/planners/bin/pip install --quiet numpy==2.4.6 nc-gcode-interpreter==0.1.9 dls-pmacanalyse==3.0.0
+    @for what in {{ if what == "" { "readers linuxcnc" } else { what } }}; do \
+        target/planners/bin/python scripts/test-planners.py $what {{ flags }} || exit; \
+    done
 
 # Plans as programs of every controller, read back and judged: the tables of docs/controller-programs.md (--grids: clocks and counts)
 [group('5 pages and tables')]

@@ -1,12 +1,13 @@
 """Interrupts runs at random times, plans the rest, and prints how much of the undisturbed residual is reached.
 
-    just resume-table                   three fixtures, 30 times each
-    just resume-table coupon times=3    one fixture, fewer times
+    just resume-table                               three fixtures, 30 times each
+    just resume-table coupon times=3 tool_on=0.1,1  one fixture, fewer times, some of the rows
 
 The log of the executed motion has noise of 0.1 um at 200 Hz. Every row is one time for which the tool stayed on.
 """
 
 import json
+import os
 import random
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ import numpy as np
 FIXTURES = ["coupon", "disk-20", "flat-92x16"]
 TOOL_ON_S = [0.0, 0.1, 1.0]
 OUT = Path("out/resume-table")
+PLANISH = Path(os.environ.get("PLANISH_PROGRAMS", "target/release")) / "planish"
 RATE_HZ = 200
 NOISE_MM = 1e-4
 PLAN = "pvt+refined"
@@ -25,7 +27,7 @@ PLAN = "pvt+refined"
 
 def planish(*words, codes=(0, 1)):
     """Runs a command of Planish without its messages; fails with them if the exit code is another one."""
-    ended = subprocess.run(["target/release/planish", *map(str, words)], capture_output=True, text=True)
+    ended = subprocess.run([PLANISH, *map(str, words)], capture_output=True, text=True)
     if ended.returncode not in codes:
         sys.exit(ended.stdout + ended.stderr)
 
@@ -48,25 +50,32 @@ def write_log(trajectory, abort_s, noise, path):
 def row(run, fixture, times, tool_on_s):
     """Plans the rest after each of the times; returns the ratios to the undisturbed residual, and the named marks."""
     trajectory = run / "methods" / PLAN / "trajectory"
-    rest = OUT / fixture / "rest"
+    rest = OUT / fixture / f"rest-{tool_on_s:g}"
     ratios, marks = [], []
     for k, abort_s in enumerate(times):
-        log = OUT / fixture / "log.csv"
+        log = OUT / fixture / f"log-{tool_on_s:g}.csv"
         write_log(trajectory, abort_s, np.random.default_rng(k), log)
         shutil.rmtree(rest, ignore_errors=True)
         planish("resume", f"run={run}", f"plan={PLAN}", f"log={log}", "trace=--tool-on=tool_on",
                 f"tool_on_s={tool_on_s}", "plan_joint=no", "new_path=no", f"out={rest}")
         outcome = json.loads((rest / "resume.json").read_text())
         best = next(way for way in outcome["ways"] if way["name"] == outcome["recommended"])
-        ratios.append(best["rms_nm"] / outcome["undisturbed_rms_nm"])
+        ratio = best["rms_nm"] / outcome["undisturbed_rms_nm"]
+        ratios.append(ratio)
         if not outcome["is_mended"]:
             marks.append(best["mark"]["depth_nm"])
+            x, y = outcome["executed"]["place_mm"]
+            print(f"  {fixture}, {tool_on_s:g} s: abort at {abort_s:.2f} s, ({x:.2f}, {y:.2f}) mm: {ratio:.3f}, "
+                  f"mark {best['mark']['depth_nm']:.2f} nm at {best['mark']['place_mm']} mm, at once beyond the plan "
+                  f"{outcome['mark']['depth_nm']:.2f} nm", file=sys.stderr, flush=True)
     return ratios, marks
 
 
 def main():
     words = sys.argv[1:]
     count = next((int(word[6:]) for word in words if word.startswith("times=")), 30)
+    chosen = next((word[8:] for word in words if word.startswith("tool_on=")), None)
+    seconds = [float(s) for s in chosen.split(",")] if chosen else TOOL_ON_S
     fixtures = [word for word in words if "=" not in word] or FIXTURES
     print("| fixture | tool on s | mended | largest ratio of these | named marks, nm |")
     print("|---|---|---|---|---|")
@@ -76,7 +85,7 @@ def main():
         total_s = load(run / "methods" / PLAN / "trajectory", "break_time_s")[-1]
         draw = random.Random(67)
         times = [total_s * draw.uniform(0.02, 0.98) for _ in range(count)]
-        for tool_on_s in TOOL_ON_S:
+        for tool_on_s in seconds:
             ratios, marks = row(run, fixture, times, tool_on_s)
             mended = [ratio for ratio in ratios if ratio <= 1.05]
             named = f"{min(marks):.2f} to {max(marks):.2f}" if marks else "none"

@@ -188,10 +188,10 @@ pub(crate) fn handling(kind: ControllerKind, buffer: PmacBuffer) -> Vec<String> 
             "the panel shows the block that is executed: its line is that of the mark",
         ],
         ControllerKind::Twincat => [
-            "copy it to the PLC, where our program (docs/twincat-table.st) reads it",
-            "bExecute of our program, with the axes at the start",
-            "bExecute off: our program resets bToolOn in the same cycle",
-            "the number of the row that was fed last is its cycle: time and column `segment` give the mark",
+            "copy it to the PLC, where bLoad of our program (docs/twincat-table.st) reads it",
+            "bStart of our program, with the axes at the start",
+            "bAbort: bToolOn goes off in the same cycle, and the axes stop by MC_Stop",
+            "nRow is the row that was fed last: its column `segment` is the mark",
         ],
         ControllerKind::XpsPt => [
             "by FTP, or SFTP on an XPS-D, into the folder Trajectories of the controller",

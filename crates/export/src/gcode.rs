@@ -44,7 +44,7 @@
 
 use planish_types::Invalid;
 
-use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
+use crate::{Abilities, About, Approach, Job, Tool, decimal, generate::Nodes, header::Comment};
 
 /// Number of decimals of a position in mm and of a time in s. Larger: longer lines. Smaller: rounding that a
 /// controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
@@ -155,6 +155,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         Feed::InverseTime => ("G93", "lines per minute"),
         Feed::PerMinute => ("G94", "mm per minute"),
     };
+    about.preamble.extend(of_planner(job, &q, about.segments, tick_s));
     let lengths = if job.turns() { "mm and deg" } else { "mm" };
     let mut text = about.header(&COMMENT, &format!("{lengths}, F in {unit}, G4 P in s"));
     let output = |words: &'static str| if switched { words } else { "" };
@@ -203,6 +204,49 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     text += &job.epilogue();
     text += "G94 F60\nM2\n";
     Ok((text, about))
+}
+
+/// Used fraction of an acceleration limit above which the planner of LinuxCNC takes more time than the program states.
+/// Derived: in the blend of two lines it uses half of the acceleration along the path.
+const PLANNER_USE: f64 = 0.5;
+
+/// Part of the time of a program above [`PLANNER_USE`] from which the program says so. Larger: programs that a planner
+/// spoils are silent. Smaller: the sentence is in every program.
+const PLANNER_TIME: f64 = 0.01;
+
+/// Returns the sentence on what a planner makes of the program, if the lines need much acceleration.
+fn of_planner<const N: usize>(
+    job: &Job<N>,
+    q: &Nodes<N>,
+    segments: usize,
+    tick_s: f64,
+) -> Option<String> {
+    let mut before = [0.0; N];
+    let mut before_s = f64::INFINITY;
+    let [mut much_s, mut total_s] = [0.0; 2];
+    for k in 0..segments {
+        let seconds = q.duration(k) as f64 * tick_s;
+        let (from, to) = (q.position(k), q.position(k + 1));
+        let velocity: [f64; N] = std::array::from_fn(|a| (to[a] - from[a]) / seconds);
+        // a = (m_k - m_{k-1}) / min(T_{k-1}, T_k)
+        let is_much = job.plan.axes.iter().enumerate().any(|(a, axis)| {
+            let acceleration = (velocity[a] - before[a]) / seconds.min(before_s);
+            acceleration.abs() > PLANNER_USE * axis.max_acceleration
+        });
+        much_s += if is_much { seconds } else { 0.0 };
+        total_s += seconds;
+        (before, before_s) = (velocity, seconds);
+    }
+    let part = much_s / total_s;
+    if part < PLANNER_TIME {
+        return None;
+    }
+    Some(format!(
+        "planner: {:.0} % of the time uses more than half of an acceleration limit. There LinuxCNC takes longer than \
+         the lines state, and removes more. --max-step-s 0.002 lowers the difference, a plan for smaller limits avoids \
+         it. Record the first run with the tool off, and compare it by planish import trace and planish simulate",
+        100.0 * part
+    ))
 }
 
 /// Returns a positive feed with [`FEED_DIGITS`] significant digits.

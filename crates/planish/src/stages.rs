@@ -1,13 +1,34 @@
 //! Table of the stages.
 
-use planish_handoff::Stage;
+use clap::Subcommand;
+use planish_handoff::{Failure, Stage, Status, Subcommands};
+
+/// Subcommands of `planish import` that are of other stages.
+#[derive(Debug, Subcommand)]
+pub enum ImportNames {
+    /// Those of `planish tool`
+    #[command(flatten)]
+    Tool(planish_tool::command::ImportNames),
+    /// Those of `planish reconcile`
+    #[command(flatten)]
+    Reconcile(planish_reconcile::command::ImportNames),
+}
+
+impl Subcommands for ImportNames {
+    fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Tool(names) => names.run(),
+            Self::Reconcile(names) => names.run(),
+        }
+    }
+}
 
 /// The stages, in the order of a run; `planish-run` runs them.
 pub const STAGES: [Stage; 23] = [
     planish_app::command::COMMAND,
     planish_run::command::COMMAND,
     planish_fixture::command::COMMAND,
-    planish_import::command::command::<planish_tool::command::ImportNames>(),
+    planish_import::command::command::<ImportNames>(),
     planish_register::command::COMMAND,
     planish_surface::command::command::<planish_tool::command::SurfaceNames>(),
     planish_tool::command::COMMAND,

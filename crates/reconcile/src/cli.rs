@@ -1,5 +1,7 @@
 //! The command line of `planish-reconcile`.
 
+pub mod controller;
+
 use std::path::PathBuf;
 
 use clap::Args;

@@ -4,6 +4,8 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
+pub use crate::cli::controller::ImportNames;
+
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
     \x20     --out out/reconcile --corrected-tif out/tool-learnt\n\

@@ -92,6 +92,7 @@ fn error(kind: Kind, size: f64, unit: &str, note: &str) -> ErrorFile {
         correlation_s: None,
         time_constant_s: None,
         damping_ratio: None,
+        acceleration_mm_per_s2: None,
         degree: None,
     }
 }

@@ -35,6 +35,7 @@ pub mod bands;
 mod cli;
 pub mod command;
 mod contradictory;
+pub mod controller;
 pub mod correlation;
 pub mod determined;
 pub mod draw;

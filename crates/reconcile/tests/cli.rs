@@ -5,12 +5,12 @@ mod example;
 use std::{fs, path::Path, process::Output};
 
 use example::{before, gaussian, grid, planned};
-use planish_simulate::{SimulationSettings as Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, motion::Motion, servo::Servo, simulate};
 use planish_testkit::{
     program::{text, write},
     skipped::reference,
 };
-use planish_types::{Axis, Grid, Surface};
+use planish_types::{Axis, Grid, Surface, TrajectoryBuilder};
 use serde_json::Value;
 
 fn prepare(dir: &Path) {
@@ -144,4 +144,86 @@ fn the_rate_of_the_reference_plate_is_found_without_a_hold() {
     // The specification: 3.1000 +- 0.0005 %.
     assert!((rate - 3.1).abs() < 5e-4 && error < 6e-4, "{rate} {error}");
     assert!(of("magnification", "held_because").is_string(), "{manifest}");
+}
+
+/// Writes the command of a zigzag in `command`, and in `log` what axes with a lag of 8 ms make of it.
+fn write_test_motion(dir: &Path) {
+    let mut builder = TrajectoryBuilder::default();
+    for k in 0..8 {
+        let [from, to] = [k, k + 1].map(|k| [f64::from(k), f64::from(k % 2) * 5.0]);
+        let line = |a: usize| [from[a], (to[a] - from[a]) / 0.5, 0.0, 0.0];
+        builder.push(0.5, [line(0), line(1)], true, None);
+    }
+    let command = builder.build().unwrap();
+    let pieces = Motion::new(&command, f64::INFINITY).unwrap().pieces;
+    let (motion, _) = Servo::FirstOrder { lag_s: 0.008 }.follow(&pieces, &vec![0; pieces.len()]);
+    let mut log = TrajectoryBuilder::default();
+    log.push(0.5, [[0.0; 4]; 2], true, None);
+    for p in motion {
+        log.push(p.duration_s, p.coefficient_mm, true, None);
+    }
+    write(dir, "command", &command);
+    write(dir, "log", &log.build().unwrap());
+}
+
+fn identify(dir: &Path, more: &[&str]) -> Output {
+    planish_testkit::program::stage("planish-import")
+        .current_dir(dir)
+        .args(["controller", "--trajectory", "log", "--planned", "command"])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_controller_from_a_log_is_a_file_that_simulate_takes() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    write_test_motion(dir);
+    let ended = identify(dir, &["--out", "controller.json"]);
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    assert!(
+        text(&ended.stdout).contains("lag of the axes (first order): 8"),
+        "{}",
+        text(&ended.stdout)
+    );
+    let file: Value =
+        serde_json::from_str(&fs::read_to_string(dir.join("controller.json")).unwrap()).unwrap();
+    let errors = file["errors"].as_array().unwrap();
+    let lag = errors.iter().find(|e| e["kind"] == "servo_first_order").unwrap();
+    // The log has no noise: the least squares end where their steps settle.
+    assert!((lag["size"].as_f64().unwrap() - 8.0).abs() < 1e-3, "{lag}");
+    let ended = planish_testkit::program::stage("planish-simulate")
+        .current_dir(dir)
+        .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "before"])
+        .args(["--servo-of", "controller.json", "--out", "removal"])
+        .output()
+        .unwrap();
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    assert!(text(&ended.stdout).contains("after the servo of the process"));
+    // What is there is replaced with --force only.
+    let again = identify(dir, &["--out", "controller.json"]);
+    assert_eq!(again.status.code(), Some(2), "{}", text(&again.stderr));
+}
+
+#[test]
+fn a_log_of_another_motion_writes_no_controller() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    write_test_motion(dir);
+    let ended = planish_testkit::program::stage("planish-import")
+        .current_dir(dir)
+        .args(["controller", "--trajectory", "log", "--planned", "trajectory"])
+        .args(["--out", "controller.json"])
+        .output()
+        .unwrap();
+    assert_eq!(ended.status.code(), Some(2), "{}", text(&ended.stderr));
+    assert!(
+        text(&ended.stderr).contains("does not begin at rest within"),
+        "{}",
+        text(&ended.stderr)
+    );
+    assert!(!dir.join("controller.json").exists());
 }

@@ -176,3 +176,29 @@ fn a_fixed_error_is_made_up_for() {
         assert!(price.kept && left < price.without.expected_rms_nm, "{percent}: {left}");
     }
 }
+
+/// Tests a controller that lags, smooths and slows down at corners: the plan for it leaves at most 1.05 times the
+/// residual that a machine without lag has.
+#[test]
+fn a_plan_for_a_controller_leaves_what_a_machine_without_lag_does() {
+    let without = plan();
+    let ideal_nm = without.iterates[without.best].rms_nm;
+    let acceleration = "acceleration_mm_per_s2";
+    let controller = process(&[
+        with(error("corner_speed", 4.0, "mm/s", "fixed"), acceleration, 400.0),
+        error("smoothing", 20.0, "ms", "fixed"),
+        error("servo_first_order", 8.0, "ms", "fixed"),
+    ]);
+    let (_, price) = plan_for(&controller);
+    println!("{ideal_nm:.4} nm without lag, {price:?}");
+    assert_eq!(price.in_the_objective, ["corner_speed", "smoothing", "servo_first_order"]);
+    assert!(price.with.expected_rms_nm.min(price.without.expected_rms_nm) <= 1.05 * ideal_nm);
+    // Ten times as slow, the lag shows, and the plan makes up for most of it.
+    let slow = process(&[
+        error("smoothing", 200.0, "ms", "fixed"),
+        error("servo_first_order", 80.0, "ms", "fixed"),
+    ]);
+    let (_, price) = plan_for(&slow);
+    println!("ten times as slow: {price:?}");
+    assert!(price.kept && price.with.expected_rms_nm < price.without.expected_rms_nm);
+}

@@ -5,8 +5,8 @@
 //! long, along the same curve, removes r times as much. So every deviation of the run is a trajectory that the
 //! simulator executes as it is.
 //!
-//! The order is that of the machine. The servo follows the commanded motion, play adds to it, and every dwell point
-//! is misplaced. Then the machine's axes are turned, scaled and shifted against the map, and the rate acts there.
+//! The order is that of the machine. The planner slows down at the corners of the commanded motion and smooths it. The
+//! servo follows this motion, play adds to it, and every dwell point is misplaced. Then the machine's axes are turned, scaled and shifted against the map, and the rate acts there.
 
 use ndarray::Array2;
 use planish_types::{Grid, Invalid, Tif, Trajectory, outcome::virtual_machine::Truth};
@@ -14,6 +14,7 @@ use planish_types::{Grid, Invalid, Tif, Trajectory, outcome::virtual_machine::Tr
 use crate::{
     error_budget::{Distribution, Effect, ErrorBudget, Scalar},
     motion::{Motion, MotionPiece},
+    planner::Planner,
     play::with_play,
     servo::Servo,
 };
@@ -35,6 +36,8 @@ pub struct Deviation {
     tif_ellipticity: f64,
     tif_diagonal_ellipticity: f64,
     tif_rotation_rad: f64,
+    corners: Vec<Planner>,
+    smoothing: Vec<Planner>,
     servos: Vec<Servo>,
     backlash_mm: f64,
     /// Relative deviation of the rate by noise, its mean over every piece of the motion; empty if there is none.
@@ -80,8 +83,9 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
 }
 
 impl Deviation {
-    /// Returns the response of the axes that is the same in every run of `process`: its errors `velocity_lag`,
-    /// `servo_first_order` and `servo_second_order` of a fixed size other than 0, in the order of the file.
+    /// Returns the response of planner and axes that is the same in every run of `process`: its errors `corner_speed`,
+    /// `smoothing`, `velocity_lag`, `servo_first_order` and `servo_second_order` of a fixed size other than 0, in the
+    /// order of the file.
     pub fn servos_of(process: &ErrorBudget) -> Self {
         let mut run = Self::default();
         for error in &process.errors {
@@ -96,9 +100,10 @@ impl Deviation {
         run
     }
 
-    /// Returns the number of servo models through which the commanded motion passes, one after the other.
+    /// Returns the number of models of planner and servo through which the commanded motion passes, one after the
+    /// other.
     pub fn servo_count(&self) -> usize {
-        self.servos.len()
+        self.corners.len() + self.smoothing.len() + self.servos.len()
     }
 
     /// Adds an error with this effect to those that are already there. `size` is a fraction, or in mm, rad or s, as its
@@ -121,6 +126,10 @@ impl Deviation {
             Scalar::ServoFirstOrder => self.servos.push(Servo::FirstOrder { lag_s: size }),
             Scalar::ServoSecondOrder { damping_ratio } => {
                 self.servos.push(Servo::SecondOrder { lag_s: size, damping_ratio });
+            }
+            Scalar::Smoothing => self.smoothing.push(Planner::Smoothing { window_s: size }),
+            Scalar::CornerSpeed { acceleration_mm_per_s2 } => {
+                self.corners.push(Planner::Corners { step_mm_per_s: size, acceleration_mm_per_s2 });
             }
             Scalar::Backlash => self.backlash_mm += size,
         }
@@ -197,6 +206,9 @@ impl Deviation {
         // What the beam did, where a log has it, is a factor of all of them.
         rate.iter_mut().zip(&pieces).for_each(|(r, p)| *r *= p.rate_factor);
         let mut origin: Vec<usize> = (0..pieces.len()).collect();
+        for planner in self.corners.iter().chain(&self.smoothing) {
+            (pieces, origin) = planner.follow(&pieces, &origin);
+        }
         for servo in &self.servos {
             (pieces, origin) = servo.follow(&pieces, &origin);
         }

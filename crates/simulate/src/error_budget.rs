@@ -60,6 +60,10 @@ pub enum Kind {
     ServoFirstOrder,
     /// Lag at constant velocity of axes that follow their command as a servo of second order.
     ServoSecondOrder,
+    /// Time over which the planner of the controller averages the commanded positions.
+    Smoothing,
+    /// Largest change of the velocity at a corner for which the planner of the controller does not slow down, mm/s.
+    CornerSpeed,
     /// Play of each axis: after it turns back, the tool stands until the drive has moved by the play.
     Backlash,
     /// Independent error of the time of every dwell point.
@@ -105,6 +109,10 @@ pub struct ErrorFile {
     /// Damping ratio of `servo_second_order`; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damping_ratio: Option<f64>,
+    /// Acceleration along the path with which the planner slows down at a corner (`corner_speed`), mm/s^2; absent for
+    /// other kinds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceleration_mm_per_s2: Option<f64>,
     /// Largest total degree of `map_low_order`; absent for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
@@ -165,13 +173,24 @@ pub enum Scalar {
     VelocityLag,
     ServoFirstOrder,
     ServoSecondOrder { damping_ratio: f64 },
+    Smoothing,
+    CornerSpeed { acceleration_mm_per_s2: f64 },
     Backlash,
 }
 
 impl Scalar {
     /// Returns true if the error delays the axes.
     pub fn is_a_lag(self) -> bool {
-        matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
+        let is_servo = matches!(
+            self,
+            Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. }
+        );
+        is_servo || self.is_of_planner()
+    }
+
+    /// Returns true if the planner of the controller causes the error. Its size is not small, so it has no first order.
+    pub fn is_of_planner(self) -> bool {
+        matches!(self, Self::Smoothing | Self::CornerSpeed { .. })
     }
 
     /// Returns true if the maps before and after a run can determine the error. These are the rate, offsets, rotation
@@ -193,6 +212,8 @@ impl Scalar {
             | Self::VelocityLag
             | Self::ServoFirstOrder
             | Self::ServoSecondOrder { .. }
+            | Self::Smoothing
+            | Self::CornerSpeed { .. }
             | Self::Backlash => false,
         }
     }
@@ -219,6 +240,8 @@ const LENGTHS: &[Unit] = &[("mm", 1.0), ("um", 1e-3)];
 const ANGLES: &[Unit] = &[("deg", std::f64::consts::PI / 180.0), ("mrad", 1e-3), ("rad", 1.0)];
 /// Units in which a file may state a time, with their sizes in s.
 const TIMES: &[Unit] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
+/// Units in which a file may state a speed, with their sizes in mm/s.
+const SPEEDS: &[Unit] = &[("mm/s", 1.0)];
 /// Units in which a file may state a height, with their sizes in nm.
 const HEIGHTS: &[Unit] = &[("nm", 1.0)];
 
@@ -237,6 +260,11 @@ const LARGEST_LENGTH_MM: f64 = 1e3;
 /// Largest size of a lag or of a servo's time, s; a larger one is refused. Axes with this lag follow frequencies up to
 /// about 0.2 Hz, which follows no plan. Larger: wrong units pass. Smaller: slow axes are refused.
 const LARGEST_LAG_S: f64 = 1.0;
+/// Largest change of the velocity at a corner, mm/s; a larger one is refused as a wrong unit. Smaller: fast machines are
+/// refused.
+const LARGEST_SPEED_MM_PER_S: f64 = 1e5;
+/// Smallest and largest acceleration of a planner along the path, mm/s^2; others are refused as a wrong unit.
+const PATH_ACCELERATIONS_MM_PER_S2: [f64; 2] = [1e-3, 1e7];
 /// Largest size of an error of the map, nm; a larger one is refused as a wrong unit. Smaller: large but real errors are
 /// refused.
 const LARGEST_HEIGHT_NM: f64 = 1e6;
@@ -272,7 +300,8 @@ impl Kind {
                 (LENGTHS, LARGEST_LENGTH_MM)
             }
             Rotation | TifRotation => (ANGLES, LARGEST_ANGLE_RAD),
-            VelocityLag | ServoFirstOrder | ServoSecondOrder => (TIMES, LARGEST_LAG_S),
+            VelocityLag | ServoFirstOrder | ServoSecondOrder | Smoothing => (TIMES, LARGEST_LAG_S),
+            CornerSpeed => (SPEEDS, LARGEST_SPEED_MM_PER_S),
             TimingJitter | TimingTick => (TIMES, LARGEST_TIME_S),
             MapNoise | MapLowOrder => (HEIGHTS, LARGEST_HEIGHT_NM),
         }
@@ -366,10 +395,15 @@ impl ErrorFile {
             (Kind::ServoFirstOrder | Kind::ServoSecondOrder, Distribution::Fixed) => {
                 "axes are not ahead of their command; give the lag, or a velocity_lag"
             }
+            (Kind::Smoothing | Kind::CornerSpeed, Distribution::Fixed) => {
+                "give what the planner does, a positive number"
+            }
             (_, Distribution::Fixed) => "",
             _ => "a standard deviation or half a width is not negative; give its magnitude",
         };
-        if size < 0.0 && !remedy.is_empty() {
+        // A corner that lets no change of the velocity pass would never be left.
+        let is_negative = size < 0.0 || self.kind == Kind::CornerSpeed && size == 0.0;
+        if is_negative && !remedy.is_empty() {
             let problem = format!("the size of {name} is {} {}", self.size, self.unit);
             return Err(bad(problem, remedy));
         }
@@ -388,7 +422,7 @@ impl ErrorFile {
     }
 
     /// Refuses a distribution that does not fit the kind. Noise along the run and errors of the map are normal, a tick
-    /// uniform, and the lag of a servo of first or second order fixed. Other errors may have any.
+    /// uniform, and the lag of a servo of first or second order and the errors of a planner fixed. Other errors may have any.
     fn check_distribution(&self, index: usize, name: &str) -> Result<(), Invalid> {
         use Kind::*;
         let only = match self.kind {
@@ -396,7 +430,7 @@ impl ErrorFile {
                 Distribution::Normal
             }
             TimingTick => Distribution::Uniform,
-            ServoFirstOrder | ServoSecondOrder => Distribution::Fixed,
+            ServoFirstOrder | ServoSecondOrder | Smoothing | CornerSpeed => Distribution::Fixed,
             _ => return Ok(()),
         };
         if self.distribution == only {
@@ -416,12 +450,17 @@ impl ErrorFile {
             ("correlation_s", self.correlation_s),
             ("time_constant_s", self.time_constant_s),
             ("damping_ratio", self.damping_ratio),
+            ("acceleration_mm_per_s2", self.acceleration_mm_per_s2),
             ("degree", degree),
         ];
         let wanted = match self.kind {
             Kind::RateNoise => Some(("correlation_s", 1e-6, LONGEST_TIME_S)),
             Kind::RateWarmUp => Some(("time_constant_s", 1e-6, LONGEST_TIME_S)),
             Kind::ServoSecondOrder => Some(("damping_ratio", DAMPING_RATIOS[0], DAMPING_RATIOS[1])),
+            Kind::CornerSpeed => {
+                let [least, most] = PATH_ACCELERATIONS_MM_PER_S2;
+                Some(("acceleration_mm_per_s2", least, most))
+            }
             Kind::MapLowOrder => Some(("degree", 1.0, LARGEST_DEGREE as f64)),
             _ => None,
         };
@@ -472,6 +511,10 @@ impl ErrorFile {
             Kind::ServoSecondOrder => {
                 Effect::Scalar(Scalar::ServoSecondOrder { damping_ratio: value })
             }
+            Kind::Smoothing => Effect::Scalar(Scalar::Smoothing),
+            Kind::CornerSpeed => {
+                Effect::Scalar(Scalar::CornerSpeed { acceleration_mm_per_s2: value })
+            }
             Kind::Backlash => Effect::Scalar(Scalar::Backlash),
             Kind::TimingJitter => Effect::Noise(Noise::Jitter),
             Kind::TimingTick => Effect::Noise(Noise::Tick),
@@ -496,6 +539,7 @@ mod tests {
             correlation_s: None,
             time_constant_s: None,
             damping_ratio: None,
+            acceleration_mm_per_s2: None,
             degree: None,
         };
         ErrorBudgetFile { name: "process".into(), errors: vec![error] }.checked()

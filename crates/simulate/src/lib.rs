@@ -20,8 +20,8 @@
 //! TIF.
 //!
 //! A motion of an imperfect process is simulated as another motion with another TIF. [`error_budget`] reads the errors,
-//! [`sample`] draws them, and [`deviation`] applies them with [`motion`], [`servo`], [`tool`] and the play of the
-//! axes. [`runs`] computes the removal with them. [`virtual_machine`] runs a plan with them and measures the
+//! [`sample`] draws them, and [`deviation`] applies them with [`motion`], [`planner`], [`servo`], [`tool`] and the play
+//! of the axes. [`runs`] computes the removal with them. [`virtual_machine`] runs a plan with them and measures the
 //! residual.
 //!
 //! | symbol | variable | shape | unit |
@@ -45,6 +45,7 @@ pub mod gridded;
 mod kernel;
 mod lattice;
 pub mod motion;
+pub mod planner;
 mod play;
 pub mod quadrature;
 pub mod runs;

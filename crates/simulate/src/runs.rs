@@ -113,9 +113,11 @@ impl<'a> Runs<'a> {
             | Scalar::TifEllipticity
             | Scalar::TifDiagonalEllipticity
             | Scalar::TifRotation => self.width_mm,
-            Scalar::VelocityLag | Scalar::ServoFirstOrder | Scalar::ServoSecondOrder { .. } => {
-                self.motion.largest_speed_mm_per_s()
-            }
+            Scalar::VelocityLag
+            | Scalar::ServoFirstOrder
+            | Scalar::ServoSecondOrder { .. }
+            | Scalar::Smoothing
+            | Scalar::CornerSpeed { .. } => self.motion.largest_speed_mm_per_s(),
         }
     }
 

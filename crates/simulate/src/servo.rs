@@ -171,7 +171,7 @@ fn lagging(r: &[f64; 4], lag_s: f64) -> [f64; 4] {
 }
 
 /// Returns the coefficients of the cubic that leads from the first state to the second in the time h, s.
-fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
+pub(crate) fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
     let mean = (q - p) / h;
     [p, v, (3.0 * mean - 2.0 * v - w) / h, (v + w - 2.0 * mean) / (h * h)]
 }

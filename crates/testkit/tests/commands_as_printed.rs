@@ -62,7 +62,7 @@ const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
 /// How-to pages, whose commands are run and whose outputs are checked, but for those without commands. One that needs
 /// files of another stands after it.
-const HOW_TO_WITH_OUTPUT: [&str; 25] = [
+const HOW_TO_WITH_OUTPUT: [&str; 26] = [
     "import-a-map",
     "import-a-tif",
     "prepare-a-map",
@@ -81,6 +81,7 @@ const HOW_TO_WITH_OUTPUT: [&str; 25] = [
     "first-run",
     "go-on-after-an-abort",
     "gwyddion",
+    "identify-a-controller",
     "many-parts",
     "maps-in-series",
     "place-the-part",

@@ -57,6 +57,13 @@ impl Work<'_> {
         let distribution = e.stated.distribution;
         match e.effect {
             _ if e.size == 0.0 => Ok(Vec::new()),
+            // A planner has one size, which is fixed: its effect is the difference of two runs.
+            Effect::Scalar(effect) if effect.is_of_planner() => {
+                let mut run = Deviation::default();
+                run.add(effect, e.size);
+                let field = (self.residual(&Deviation::default())? - self.residual(&run)?) / e.size;
+                Ok(vec![Linear { error, distribution, field, size: e.size }])
+            }
             Effect::Scalar(effect) => {
                 // A servo of any order begins as a lag.
                 let effect = match effect {

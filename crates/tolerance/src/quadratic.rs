@@ -377,6 +377,8 @@ fn combination(effect: Scalar) -> Option<Combination> {
         Scalar::VelocityLag
         | Scalar::ServoFirstOrder
         | Scalar::ServoSecondOrder { .. }
+        | Scalar::Smoothing
+        | Scalar::CornerSpeed { .. }
         | Scalar::Backlash => return None,
     })
 }

@@ -106,6 +106,9 @@ impl Interrupted {
             abort_s = Some(time_of(&program, line)?);
         }
         let motion = format!("{run}/methods/{}/trajectory", plan_of(&plan));
+        if Path::new(&format!("{run}/methods/{}/on-axes", plan_of(&plan))).is_dir() {
+            check_log_of_axes(log.as_deref())?;
+        }
         let plan = format!("{run}/methods/{plan}");
         is_directory("plan", &format!("{plan}/trajectory"))?;
         is_directory("plan", &motion)?;
@@ -139,6 +142,25 @@ impl Interrupted {
         );
         named.extend(Named::words("trace", &self.trace, false));
         named
+    }
+}
+
+/// Checks the log of a machine with more axes than x and y. Its columns are axes, and the removal is that of the
+/// contact point, so a file is refused. Without a log, warns that the motion is taken from the plan of x and y.
+fn check_log_of_axes(log: Option<&str>) -> Result<(), Failure> {
+    match log {
+        Some(log) if !Path::new(log).is_dir() => Err(Failure::new(format!(
+            "log={log}: the machine has more axes than x and y, and removes at the contact point; make its motion by \
+             planish import trace --machine FILE and planish axes contact, and give log=DIR"
+        ))),
+        Some(_) => Ok(()),
+        None => {
+            warn(
+                "the machine has more axes than x and y: the executed motion is taken from the plan of x and y, which \
+                 the other axes may slow down; log=DIR with the motion of the contact point is exact",
+            );
+            Ok(())
+        }
     }
 }
 
