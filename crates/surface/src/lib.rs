@@ -6,6 +6,7 @@
 //! * [`mod@fill`]: heights for holes.
 //! * [`target`]: the form that the part is to have, fitted and subtracted.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
+//! * [`binning`]: a map of fewer pixels.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
 //! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`]: the best
 //!   shape; [`specification`]: limits on all of these quantities.
@@ -16,6 +17,7 @@
 extern crate self as planish_surface;
 
 mod basis;
+pub mod binning;
 mod cli;
 pub mod command;
 mod distance;
