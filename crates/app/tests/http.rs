@@ -187,6 +187,18 @@ fn a_fixture_becomes_a_program_with_the_bytes_of_the_printed_command() {
     assert!(count > 20, "{count} files");
     assert_eq!(program, fs::read(other.join("program.galil")).unwrap());
 
+    // In the directory of the session it goes on: nothing is made again, and nothing changes.
+    let kept = dir.path().join("kept");
+    fs::rename(&elsewhere, &kept).unwrap();
+    let output = Command::new(planish())
+        .args(&words[1..])
+        .current_dir(&session)
+        .env("PLANISH_SHARE", workspace())
+        .output()
+        .unwrap();
+    assert!(output.status.code().unwrap() < 2, "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(compare(&one, &kept.join("runs/raster-coupon")), count);
+
     // The report has a token of its own, and a policy without this server.
     let report = server.raw(
         format!(
@@ -283,10 +295,11 @@ fn an_estimate_agrees_with_the_plan() {
             estimated("time_s"),
             estimate["took_s"].as_f64().unwrap()
         );
-        // The residual: the estimate leaves out what limits and corners of the motion leave, and has fewer dwell times.
-        // The time: turns take a tenth of the run on flat-92x16, and the front is flat about the chosen point.
-        assert!((estimated("rms_nm") / rms_nm - 1.0).abs() < 0.1, "{fixture}");
-        assert!((estimated("time_s") / time_s - 1.0).abs() < 0.2, "{fixture}");
+        // Residual: the dwell times are smoother than the motion of the plan, and change at their points alone. Time:
+        // corners take a tenth of the run on flat-92x16, and on coupon 10 % more time lower the residual by 2.5 % only,
+        // so that the chosen point is known no better.
+        assert!((estimated("rms_nm") / rms_nm - 1.0).abs() < 0.15, "{fixture}");
+        assert!((estimated("time_s") / time_s - 1.0).abs() < 0.25, "{fixture}");
         let points = estimate["points"].as_array().unwrap();
         for two in points.windows(2) {
             assert!(two[0]["time_s"].as_f64() <= two[1]["time_s"].as_f64());

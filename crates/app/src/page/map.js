@@ -12,14 +12,16 @@ class MapView {
   /** `title` names the map in words; `colours` are its stops; without `details` the view has no profiles and histogram. */
   constructor(root, title, colours, details = true) {
     Object.assign(this, { root, title, details, palette: palette(colours), onPoint: () => {} });
-    root.innerHTML = (details ? "" : `<h3>${title[0].toUpperCase()}${title.slice(1)}</h3>`) + `<canvas tabindex="0" role="img"></canvas><p class="note value" aria-live="polite"></p>
+    root.innerHTML = (details ? "" : `<h3>${title[0].toUpperCase()}${title.slice(1)}</h3>`) +
+      `<div><canvas tabindex="0" role="img"></canvas><p class="note value" aria-live="polite"></p>
       <div class="tools"><label>Colours to <select class="clip"><option value="1">the largest value</option><option value="0.99">99 % of the pixels</option>
       <option value="0.95">95 % of the pixels</option></select></label>
       <button type="button" class="in" aria-label="Zoom in">+</button><button type="button" class="out" aria-label="Zoom out">&minus;</button>
       <button type="button" class="whole">Whole map</button><span class="save">Save: </span>
       <button type="button" class="copy">Copy numbers</button></div>
-      <p class="note scale"></p><details><summary>Statistics of the whole map</summary><table><tbody></tbody></table></details>
-      <p class="doubt" hidden></p>` + (details ? `<canvas role="img"></canvas><canvas role="img"></canvas>` : "");
+      <p class="note scale"></p><p class="doubt" hidden></p></div>
+      <div><details><summary>Statistics of the whole map</summary><table><tbody></tbody></table></details>` +
+      (details ? `<canvas role="img"></canvas><canvas role="img"></canvas></div>` : "</div>");
     root.hidden = true;
     root.querySelector("details").open = details;
     [this.canvas, this.profiles, this.histogram] = root.querySelectorAll("canvas");

@@ -96,7 +96,7 @@ async function upload(role, files) {
     chosen[role] = names.length > 1 ? { arrays: names } : { file: names[0] };
     $(`${role}-chosen`).textContent = names.join(", ");
     if (role === "part") $("part-fixture").value = "";
-    if (role === "tool" && $("tool-source").value === "fixture" || $("tool-source").value === "formula") {
+    if (role === "tool" && ["fixture", "formula"].includes($("tool-source").value)) {
       $("tool-source").value = "rates";
       showSource();
     }
