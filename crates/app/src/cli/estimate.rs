@@ -6,8 +6,8 @@
 //! residual^2 = R^2 + W^2                                                                                             (1)
 //! ```
 //!
-//! R is the residual of the plan on the binned map, RMS, and W the RMS within its pixels. The tool is wider than these
-//! pixels, so that it removes almost nothing of W.
+//! R is the residual of the plan on the binned map, RMS, and W the RMS within its pixels about their planes. The tool is
+//! wider than these pixels, so that it removes almost nothing of W.
 
 use std::{
     fs::{self, File},
@@ -31,9 +31,9 @@ use super::{
 };
 
 /// Pixels of the binned map within the full width at half maximum of the tool. Larger: more pixels, and slower
-/// estimates. Smaller: the map no longer shows what the tool can correct. Chosen: a Gaussian tool lets through less than
-/// 1e-9 of a wave of two such pixels, exp(-(pi sigma / (FWHM / 8))^2 / 2) with FWHM = 2.355 sigma.
-const PIXELS_PER_WIDTH: f64 = 8.0;
+/// estimates. Smaller: the map no longer shows what the tool can correct. Derived: a Gaussian tool lets through less than
+/// 1e-13 of a wave of two such pixels, exp(-2 (pi sigma / L)^2) with L = FWHM / 3 and FWHM = 2.355 sigma.
+const PIXELS_PER_WIDTH: f64 = 6.0;
 /// Distance of the dwell points of an estimate, over the full width at half maximum of the tool. Larger: fewer dwell
 /// times, which remove less well than a motion whose speed changes from point to point. Smaller: slower estimates.
 /// Measured: a quarter of it changes the residual on coupon by 10 %.

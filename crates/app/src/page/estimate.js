@@ -65,11 +65,11 @@ function pointOf(points, elasticity) {
   return best ?? points[0];
 }
 
-/** The point that the settings choose: at their price of a second, else at their elasticity. */
+/** The point that the settings choose: at their price of a second, else at their elasticity, 0.5 by default. */
 function chosenPoint(answer) {
   const price = document.querySelector("[data-setting=time_weight_nm2_per_s]")?.value.trim();
   const elasticity = document.querySelector("[data-setting=time_elasticity]")?.value.trim();
-  return price || !elasticity || !(+elasticity > 0) ? answer.chosen : pointOf(answer.points, +elasticity);
+  return price ? answer.chosen : pointOf(answer.points, elasticity > 0 ? +elasticity : ELASTICITIES[DEFAULT_ELASTICITY]);
 }
 
 function sentenceOf(answer) {
@@ -92,7 +92,7 @@ function showEstimates() {
 async function showCard(pipeline, answer, error) {
   const card = $(`card-${pipeline}`);
   if (!card) return;
-  card.querySelector(".numbers").textContent = error ? error.replace("error: ", "") : `${number(answer.length_mm / 1000, 3)} m; about ${number(answer.chosen.rms_nm, 3)} nm in ${duration(answer.chosen.time_s)}`;
+  card.querySelector(".numbers").textContent = error ? error.replace("error: ", "") : `${number(answer.length_mm / 1000, 3)} m; about ${number(chosenPoint(answer).rms_nm, 3)} nm in ${duration(chosenPoint(answer).time_s)}`;
   const picture = card.querySelector("img");
   picture.hidden = !answer;
   if (!answer || picture.dataset.key === estimates[pipeline].key) return;
