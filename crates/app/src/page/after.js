@@ -11,12 +11,19 @@ function fillAfter({ source, reading }) {
   setReading("after", reading);
 }
 
-/** What was learnt and decided: the lines of the messages that are no commands. */
+/** The lines of the messages that say what was learnt, which are the first table, and what was decided. */
+function learntLines(messages) {
+  const lines = messages.split("\n"), begin = lines.findIndex((line) => line.startsWith("parameter "));
+  const end = lines.findIndex((line, i) => i > begin && !/^\S+ {2,}/.test(line));
+  const decided = lines.filter((line) => /^(now |next run |gain |RUN AGAIN|STOP|the plan: )/.test(line));
+  return [...(begin < 0 ? [] : lines.slice(begin, end < 0 ? undefined : end)), "", ...decided];
+}
+
 function showAfter(messages) {
   const found = state.session.after, isDone = found && ["done", "negative", "outdated"].includes(found.end);
-  const lines = messages.split("\n").filter((line) => /^(parameter |[a-z_]+ {2,}\S|now |next run |gain |RUN AGAIN|STOP|the plan: )/.test(line));
+  const lines = learntLines(messages);
   $("learnt").textContent = lines.join("\n");
-  $("learnt").hidden = !isDone || lines.length === 0;
+  $("learnt").hidden = !isDone || lines.length < 2;
   const key = JSON.stringify([found, state.has_reports[1]]);
   if (drawn.after === key) return;
   drawn.after = key;
