@@ -622,7 +622,7 @@ report-pictures: build browser
 [private]
 browser: python
     @which chromium > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium)
-    @target/python/bin/python -m pip install --quiet websocket-client
+    @target/python/bin/python -m pip install --quiet websocket-client h5py
 
 # Run the benchmarks
 [group('3 development')]

@@ -20,8 +20,14 @@ pub type Words = Vec<String>;
 pub const OWN_MACHINE: &str = "machine.json";
 /// Recipe of a tool that is given by a formula, in the directory of the session.
 pub const TOOL_RECIPE: &str = "tool-recipe.json";
+/// Form that is subtracted from the map of the part, in the directory of the session.
+pub const TARGET: &str = "target.json";
+/// Map of few pixels of which an estimate is made, in the directory of the session.
+pub const BINNED_MAP: &str = "estimates/map";
 /// Setting of a pipeline that names the controller of a program.
 const EXPORT: &str = "export";
+/// Settings that an estimate leaves out: programs and films, which it does not make, and the step, which is its own.
+const NOT_ESTIMATED: [&str; 5] = [EXPORT, "program_of", "frames", "noise_nm", "step_mm"];
 /// Largest length of a text of the user in a command, bytes. Chosen: names in HDF5 files are shorter.
 const MOST_TEXT_BYTES: usize = 200;
 
@@ -62,6 +68,12 @@ pub struct PartChoice {
     /// Reading of its file.
     #[serde(default)]
     pub reading: Reading,
+    /// Clear aperture; the whole map if absent.
+    #[serde(default)]
+    pub aperture: Option<Aperture>,
+    /// Form that the part is to have, as the text of a form file; `None` if the map is the error already.
+    #[serde(default)]
+    pub target: Option<String>,
     /// Function that is subtracted before the plan: `piston`, `plane` or `none`.
     pub level: String,
     /// Full width at half maximum of the tool, mm, if narrower pits and dust are to be masked.
@@ -69,7 +81,17 @@ pub struct PartChoice {
     pub feature_mm: Option<f64>,
 }
 
-/// Sources of the map of a part.
+/// Clear aperture of a part. Numbers in mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Aperture {
+    /// Smallest and largest x, then y.
+    Rectangle([f64; 4]),
+    /// Centre x, centre y and radius.
+    Circle([f64; 3]),
+}
+
+/// Sources of the map of a part, or of a map measured after the run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PartSource {
@@ -90,6 +112,9 @@ pub struct ToolChoice {
     /// Reading of its file.
     #[serde(default)]
     pub reading: Reading,
+    /// Formula whose fit replaces a measured tool: `gaussian`, `super-gaussian` or `mixture`; `None` for the samples.
+    #[serde(default)]
+    pub fit: Option<String>,
 }
 
 /// Sources of a tool.
@@ -188,47 +213,75 @@ impl Reading {
     }
 }
 
+impl PartSource {
+    /// Returns the directory of the map of `role`, in that of the session: three arrays are one as they are.
+    pub fn surface(&self, role: &str) -> String {
+        match self {
+            Self::Arrays => format!("files/{role}"),
+            Self::Fixture(_) | Self::File(_) => format!("{role}/surface"),
+        }
+    }
+
+    /// Returns the command that reads an uploaded map of the folder `role` into its directory
+    /// ([`PartSource::surface`]); `None` for arrays.
+    ///
+    /// # Errors
+    /// Refuses a name that cannot be that of a file, and a fixture, which is not uploaded.
+    pub fn import(&self, role: &str, reading: &Reading) -> Result<Option<Words>, Refusal> {
+        let name = match self {
+            Self::Fixture(_) => return Err(Refusal::of_value("give a file; a fixture is none")),
+            Self::Arrays => return Ok(None),
+            Self::File(name) => name,
+        };
+        let mut command = words(&["planish", "import", "surface", &uploaded(role, name)?]);
+        command.extend(reading.words()?);
+        command.extend(words(&["--out", &self.surface(role), "--force"]));
+        Ok(Some(command))
+    }
+}
+
 impl PartChoice {
-    /// Returns the commands that read the part into `part/surface`, and prepare it as the plan will, in
-    /// `part/prepared`.
+    /// Returns the commands that read the part, and prepare it as the plan will, in `part/prepared`.
     ///
     /// # Errors
     /// Refuses a name of a file or fixture that cannot be one, and an unknown level.
     pub fn commands(&self, folder: &str) -> Result<Vec<Words>, Refusal> {
-        let read = match &self.source {
-            PartSource::Fixture(name) => fixture(folder, name, "part")?,
-            PartSource::File(name) => {
-                let file = uploaded("part", name)?;
-                let mut read = words(&["planish", "import", "surface", &file]);
-                read.extend(self.reading.words()?);
-                read.extend(words(&["--out", "part/surface", "--force"]));
-                read
-            }
-            PartSource::Arrays => words(&[
-                "planish",
-                "surface",
-                "prepare",
-                "--surface",
-                "files/part",
-                "--level",
-                "none",
-                "--out",
-                "part/surface",
-                "--force",
-            ]),
+        let mut commands = match &self.source {
+            PartSource::Fixture(name) => vec![fixture(folder, name, "part")?],
+            source => source.import("part", &self.reading)?.into_iter().collect(),
         };
-        let mut prepare = words(&["planish", "surface", "prepare", "--surface", "part/surface"]);
+        let mut prepare = words(&["planish", "surface", "prepare", "--surface"]);
+        prepare.push(self.source.surface("part"));
         prepare.extend(self.preparation()?);
         prepare.extend(words(&["--out", "part/prepared", "--force"]));
-        Ok(vec![read, prepare])
+        commands.push(prepare);
+        Ok(commands)
     }
 
     /// Returns the flags of `planish surface prepare`, which are the setting `prepare` of a pipeline, too.
-    fn preparation(&self) -> Result<Words, Refusal> {
+    ///
+    /// # Errors
+    /// Refuses an unknown level.
+    pub fn preparation(&self) -> Result<Words, Refusal> {
         if !["none", "piston", "plane"].contains(&self.level.as_str()) {
             return Err(Refusal::of_value("the level is none, piston or plane"));
         }
-        let mut flags = words(&["--level", &self.level]);
+        let mut flags = Words::new();
+        if self.target.is_some() {
+            flags.extend(words(&["--target", TARGET]));
+        }
+        match &self.aperture {
+            None => {}
+            Some(Aperture::Rectangle(mm)) => {
+                flags.push("--aperture-rectangle-mm".into());
+                flags.extend(mm.map(|mm| mm.to_string()));
+            }
+            Some(Aperture::Circle(mm)) => {
+                flags.push("--aperture-circle-mm".into());
+                flags.extend(mm.map(|mm| mm.to_string()));
+            }
+        }
+        flags.extend(words(&["--level", &self.level]));
         if let Some(feature_mm) = self.feature_mm {
             flags.push("--mask-outliers".into());
             flags.push(format!("--feature-mm={feature_mm}"));
@@ -238,11 +291,18 @@ impl PartChoice {
 }
 
 impl ToolChoice {
-    /// Returns the command that makes the tool in `tool/tif`.
+    /// Returns the commands that make the tool in `tool/tif`.
     ///
     /// # Errors
-    /// Refuses a name of a file or fixture that cannot be one.
+    /// Refuses a name of a file or fixture that cannot be one, an unknown formula, and a formula for a tool that is one.
     pub fn commands(&self, folder: &str) -> Result<Vec<Words>, Refusal> {
+        let is_measured =
+            !matches!(self.source, ToolSource::Fixture(_) | ToolSource::Formula { .. });
+        if let Some(fit) = &self.fit
+            && (!is_measured || !["gaussian", "super-gaussian", "mixture"].contains(&fit.as_str()))
+        {
+            return Err(Refusal::of_value(format!("there is no fit '{fit}' of this tool")));
+        }
         let mut command = match &self.source {
             ToolSource::Fixture(name) => return Ok(vec![fixture(folder, name, "tool")?]),
             ToolSource::Formula { .. } => {
@@ -273,8 +333,15 @@ impl ToolChoice {
         if !matches!(self.source, ToolSource::Arrays) {
             command.extend(self.reading.words()?);
         }
-        command.extend(words(&["--out", "tool/tif", "--force"]));
-        Ok(vec![command])
+        let Some(fit) = &self.fit else {
+            command.extend(words(&["--out", "tool/tif", "--force"]));
+            return Ok(vec![command]);
+        };
+        command.extend(words(&["--out", "tool/measured", "--force"]));
+        let mut fitted = words(&["planish", "tool", "prepare", "--tif", "tool/measured"]);
+        fitted.push(format!("--fit-formula={fit}"));
+        fitted.extend(words(&["--use-fit", "--out", "tool/tif", "--force"]));
+        Ok(vec![command, fitted])
     }
 
     /// Returns the recipe of a tool that is given by a formula, as JSON; `None` for another tool. The recipe has a small
@@ -336,11 +403,6 @@ impl PlanChoice {
         machine: &MachineChoice,
         description: &PipelineDescription,
     ) -> Result<(Words, String), Refusal> {
-        let definition = Definition::built_in(&self.pipeline)
-            .filter(|_| description.pipeline == self.pipeline)
-            .ok_or_else(|| {
-                Refusal::of_value(format!("there is no pipeline '{}'", self.pipeline))
-            })?;
         let mut command = words(&["planish", "run", &self.pipeline]);
         let is_own = !matches!(
             (&part.source, &tool.source),
@@ -352,7 +414,8 @@ impl PlanChoice {
                 name.as_str()
             }
             _ => {
-                command.extend(words(&["surface=part/surface", "tif=tool/tif"]));
+                command.push(format!("surface={}", part.source.surface("part")));
+                command.push("tif=tool/tif".into());
                 "own"
             }
         };
@@ -364,6 +427,50 @@ impl PlanChoice {
         }
         command.push(format!("machine={}", machine.path(&description.folder)?));
         command.push(format!("prepare={}", part.preparation()?.join(" ")));
+        command.extend(self.setting_words(description, &[])?);
+        let out = format!("runs/{}-{mirror}", self.pipeline);
+        command.push(format!("out={out}"));
+        Ok((command, out))
+    }
+
+    /// Returns the command of an estimate of this plan, and the directory that it writes to. It is made of
+    /// [`BINNED_MAP`] and the tool of the session, with dwell points `step_mm` apart.
+    ///
+    /// # Errors
+    /// Refuses the settings that [`PlanChoice::command`] refuses.
+    pub fn estimate(
+        &self,
+        machine: &MachineChoice,
+        description: &PipelineDescription,
+        step_mm: f64,
+    ) -> Result<(Words, String), Refusal> {
+        let mut command = words(&["planish", "stage", &self.pipeline, "estimate"]);
+        command.push(format!("surface={BINNED_MAP}"));
+        command.push("tif=tool/tif".into());
+        command.push(format!("machine={}", machine.path(&description.folder)?));
+        command.push("prepare=--level none".into());
+        command.push(format!("step_mm={step_mm}"));
+        command.extend(self.setting_words(description, &NOT_ESTIMATED)?);
+        let out = format!("estimates/{}", self.pipeline);
+        command.push(format!("out={out}"));
+        Ok((command, out))
+    }
+
+    /// Returns the settings as words of a command, without those that are empty or in `left_out`.
+    ///
+    /// # Errors
+    /// Refuses a setting that the pipeline does not have or that names a file, and a value that it cannot have.
+    pub fn setting_words(
+        &self,
+        description: &PipelineDescription,
+        left_out: &[&str],
+    ) -> Result<Words, Refusal> {
+        let definition = Definition::built_in(&self.pipeline)
+            .filter(|_| description.pipeline == self.pipeline)
+            .ok_or_else(|| {
+                Refusal::of_value(format!("there is no pipeline '{}'", self.pipeline))
+            })?;
+        let mut all = Words::new();
         for (name, value) in &self.settings {
             let setting = definition.settings.iter().find(|s| s.name == *name && s.kind.is_plain());
             let setting = setting.ok_or_else(|| {
@@ -373,12 +480,12 @@ impl PlanChoice {
                 setting.kind.check(value).map_err(|wanted| {
                     Refusal::of_value(format!("{name} is '{value}'; give {wanted}"))
                 })?;
-                command.push(format!("{name}={value}"));
+                if !left_out.contains(&name.as_str()) {
+                    all.push(format!("{name}={value}"));
+                }
             }
         }
-        let out = format!("runs/{}-{mirror}", self.pipeline);
-        command.push(format!("out={out}"));
-        Ok((command, out))
+        Ok(all)
     }
 
     /// Returns the controller of the program; `None` without one.
@@ -422,7 +529,14 @@ mod tests {
     }
 
     fn part(source: PartSource) -> PartChoice {
-        PartChoice { source, reading: Reading::default(), level: "plane".into(), feature_mm: None }
+        PartChoice {
+            source,
+            reading: Reading::default(),
+            aperture: None,
+            target: None,
+            level: "plane".into(),
+            feature_mm: None,
+        }
     }
 
     fn plan(settings: &[(&str, &str)]) -> PlanChoice {
@@ -450,6 +564,7 @@ mod tests {
         let tool = ToolChoice {
             source: ToolSource::Fixture("coupon".into()),
             reading: Reading::default(),
+            fit: None,
         };
         let machine = MachineChoice::Fixture("ion-beam".into());
         let raster = description("raster");
@@ -464,6 +579,27 @@ mod tests {
         let coupon = part(PartSource::Fixture("coupon".into()));
         let (command, _) = plan(&[]).command(&coupon, &tool, &machine, &raster).unwrap();
         assert_eq!(command[3], "fixture=coupon");
+        let choice = plan(&[("pitch_mm", "2"), ("export", "galil"), ("time_elasticity", "0.25")]);
+        let (estimate, _) = choice.estimate(&machine, &raster, 0.5).unwrap();
+        assert_eq!(
+            estimate.join(" "),
+            "planish stage raster estimate surface=estimates/map tif=tool/tif \
+             machine=/share/fixtures/machines/ion-beam.json prepare=--level none step_mm=0.5 pitch_mm=2 time_elasticity=0.25 \
+             out=estimates/raster"
+        );
+        let cropped = PartChoice {
+            aperture: Some(Aperture::Circle([1.0, -2.5, 40.0])),
+            target: Some("{}".into()),
+            ..part(PartSource::Arrays)
+        };
+        assert_eq!(
+            cropped.preparation().unwrap().join(" "),
+            "--target target.json --aperture-circle-mm 1 -2.5 40 --level plane"
+        );
+        let fitted =
+            ToolChoice { fit: Some("gaussian".into()), source: ToolSource::Arrays, ..tool.clone() };
+        assert!(fitted.commands("").unwrap()[1].contains(&"--fit-formula=gaussian".into()));
+        assert!(ToolChoice { fit: Some("gaussian".into()), ..tool }.commands("").is_err());
     }
 
     #[test]
@@ -472,13 +608,18 @@ mod tests {
             assert!(part(PartSource::File(name.into())).commands("").is_err(), "{name}");
             assert!(part(PartSource::Fixture(name.into())).commands("").is_err(), "{name}");
             let tool = ToolSource::Rates(name.into());
-            assert!(ToolChoice { source: tool, reading: Reading::default() }.commands("").is_err());
+            assert!(
+                ToolChoice { source: tool, reading: Reading::default(), fit: None }
+                    .commands("")
+                    .is_err()
+            );
             assert!(MachineChoice::Fixture(name.into()).path("").is_err(), "{name}");
         }
         let coupon = part(PartSource::Fixture("coupon".into()));
         let tool = ToolChoice {
             source: ToolSource::Fixture("coupon".into()),
             reading: Reading::default(),
+            fit: None,
         };
         let own = MachineChoice::Own;
         for setting in [

@@ -2,6 +2,7 @@
 
 mod answer;
 mod connection;
+mod estimate;
 mod files;
 mod job;
 mod map;

@@ -14,6 +14,19 @@ pub const MOST_HEAD_BYTES: usize = 16 << 10;
 pub const MOST_CHOICE_BYTES: u64 = 256 << 10;
 /// Largest uploaded file, bytes. The readers take maps of up to this size.
 pub const MOST_UPLOAD_BYTES: u64 = 2 << 30;
+/// Files of the page beside the page itself, in the order of its scripts.
+pub const ASSETS: [&str; 10] = [
+    "page.css",
+    "canvas.js",
+    "map.js",
+    "reading.js",
+    "machine.js",
+    "plan.js",
+    "estimate.js",
+    "result.js",
+    "after.js",
+    "page.js",
+];
 /// Largest number of headers of a request.
 const MOST_HEADERS: usize = 64;
 /// Largest length of the name of an uploaded file, bytes; file systems allow 255.
@@ -46,8 +59,14 @@ pub enum Route {
     Program,
     /// The report of the run.
     Report,
+    /// The report of the next run.
+    NextReport,
     /// Answer of the report: the plan that is to be run.
     Answer,
+    /// Picture of the path of an estimate, by the name of its pipeline.
+    PathPicture(String),
+    /// An estimate of the plan in the body.
+    Estimate,
     /// A file that the user gives for a part or a tool.
     Upload(Role, String),
     /// A choice of the user, in the body.
@@ -63,6 +82,14 @@ pub enum MapName {
     Part,
     /// The tool.
     Tool,
+    /// The part as the run has it.
+    Before,
+    /// The removal of the plan that is to be run.
+    Removal,
+    /// The residual that this plan leaves.
+    Residual,
+    /// The map measured after the run.
+    After,
 }
 
 /// Purposes of an uploaded file. Each has a folder of its own in the session.
@@ -74,6 +101,8 @@ pub enum Role {
     Tool,
     /// Map of the spot before the tool acted.
     Before,
+    /// Map of the part after the run.
+    After,
 }
 
 /// Steps whose choice a request can send.
@@ -87,7 +116,9 @@ pub enum ChoiceKind {
     Machine,
     /// The plan.
     Plan,
-    /// The demonstration: all of them.
+    /// The map after the run.
+    After,
+    /// The demonstration: part, tool, machine and plan.
     Demo,
 }
 
@@ -98,6 +129,7 @@ impl Role {
             Self::Part => "part",
             Self::Tool => "tool",
             Self::Before => "before",
+            Self::After => "after",
         }
     }
 }
@@ -180,9 +212,9 @@ impl Guard {
         format!("/{}/", self.token)
     }
 
-    /// Returns the path of the report.
-    pub fn report(&self) -> String {
-        format!("/{}/report.html", self.report_token)
+    /// Returns the paths of the report of the run, and of that of the next run.
+    pub fn reports(&self) -> [String; 2] {
+        ["report.html", "next.html"].map(|name| format!("/{}/{name}", self.report_token))
     }
 
     /// Returns what an allowed request asks for.
@@ -216,8 +248,12 @@ impl Guard {
         if !first.is_empty() {
             return Err(no_such_path());
         }
-        if same(token, &self.report_token) && !changes && path == ["report.html"] {
-            return Ok(Route::Report);
+        if same(token, &self.report_token) && !changes {
+            return match path {
+                ["report.html"] => Ok(Route::Report),
+                ["next.html"] => Ok(Route::NextReport),
+                _ => Err(Refusal::new(403, "this token reads reports alone")),
+            };
         }
         if !same(token, &self.token) {
             return Err(Refusal::new(
@@ -232,10 +268,15 @@ impl Guard {
 /// Returns what the path after the token asks for.
 fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
     Ok(match (changes, path) {
-        (false, [name @ ("" | "page.css" | "page.js" | "map.js")]) => Route::Asset((*name).into()),
+        (false, [name]) if name.is_empty() || ASSETS.contains(name) => Route::Asset((*name).into()),
         (false, ["state"]) => Route::State,
         (false, ["map", "part"]) => Route::Map(MapName::Part),
         (false, ["map", "tool"]) => Route::Map(MapName::Tool),
+        (false, ["map", "before"]) => Route::Map(MapName::Before),
+        (false, ["map", "removal"]) => Route::Map(MapName::Removal),
+        (false, ["map", "residual"]) => Route::Map(MapName::Residual),
+        (false, ["map", "after"]) => Route::Map(MapName::After),
+        (false, ["path", name]) if is_word(name) => Route::PathPicture((*name).into()),
         (false, ["pipeline", name]) if is_word(name) => Route::Pipeline((*name).into()),
         (false, ["machine.json"]) => Route::Machine,
         (false, ["session.sh"]) => Route::Script,
@@ -246,6 +287,7 @@ fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
                 "part" => Role::Part,
                 "tool" => Role::Tool,
                 "before" => Role::Before,
+                "after" => Role::After,
                 _ => return Err(no_such_path()),
             };
             check_file_name(name)?;
@@ -255,6 +297,8 @@ fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
         (true, ["tool"]) => Route::Choice(ChoiceKind::Tool),
         (true, ["machine"]) => Route::Choice(ChoiceKind::Machine),
         (true, ["plan"]) => Route::Choice(ChoiceKind::Plan),
+        (true, ["after"]) => Route::Choice(ChoiceKind::After),
+        (true, ["estimate"]) => Route::Estimate,
         (true, ["demo"]) => Route::Choice(ChoiceKind::Demo),
         (true, ["cancel"]) => Route::Cancel,
         _ => return Err(no_such_path()),
@@ -373,6 +417,10 @@ mod tests {
             "upload/other/x",
             "upload/part/",
             "map/../../x",
+            "path/..",
+            "path/../../x",
+            "upload/after/..",
+            "next.html",
             "pipeline/..",
             "page.js/..",
             "",

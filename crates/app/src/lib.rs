@@ -1,6 +1,7 @@
 //! `planish-app`: a page in the browser that plans by the programs that exist.
 //!
 //! * [`guard`]: decides which request is answered.
+//! * [`after`]: the step after the run.
 //! * [`choice`]: what the user chose in a step, and the command lines that do it.
 //! * [`session`]: all steps, as the file of a session holds them.
 //! * [`refusal`]: a request that is not answered, and why.
@@ -10,6 +11,7 @@
 // The command line names this library as any other program does.
 extern crate self as planish_app;
 
+pub mod after;
 pub mod choice;
 mod cli;
 pub mod command;

@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::choice::{MachineChoice, PartChoice, PlanChoice, ToolChoice, Words};
+use crate::{
+    after::AfterChoice,
+    choice::{MachineChoice, PartChoice, PlanChoice, ToolChoice, Words},
+};
 
 /// All steps of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -16,8 +19,12 @@ pub struct Session {
     pub machine: Option<MachineChoice>,
     /// The plan.
     pub plan: Option<SessionStep<PlanChoice>>,
+    /// The map after the run.
+    pub after: Option<SessionStep<AfterChoice>>,
     /// Directory of the run, in that of the session; empty before the first plan.
     pub run: String,
+    /// Time that the last plan took which ran to its end, s; `None` before one has.
+    pub plan_took_s: Option<f64>,
     /// Number of steps that were begun, which makes two that are alike distinct.
     pub steps: u64,
 }
@@ -66,11 +73,13 @@ pub enum StepName {
     Tool,
     /// The plan.
     Plan,
+    /// The map after the run.
+    After,
 }
 
 impl StepName {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Part, Self::Tool, Self::Plan];
+    pub const ALL: [Self; 4] = [Self::Part, Self::Tool, Self::Plan, Self::After];
 
     /// Returns the name of the file with the messages of the step.
     pub fn log(self) -> &'static str {
@@ -78,6 +87,7 @@ impl StepName {
             Self::Part => "part.log",
             Self::Tool => "tool.log",
             Self::Plan => "plan.log",
+            Self::After => "after.log",
         }
     }
 }
@@ -109,6 +119,7 @@ impl Session {
             StepName::Part => self.part.as_mut().map(|step| &mut step.end),
             StepName::Tool => self.tool.as_mut().map(|step| &mut step.end),
             StepName::Plan => self.plan.as_mut().map(|step| &mut step.end),
+            StepName::After => self.after.as_mut().map(|step| &mut step.end),
         }
     }
 
@@ -123,12 +134,22 @@ impl Session {
         }
     }
 
-    /// Marks the plan as outdated, because an earlier step changes.
+    /// Marks the plan, and what was learnt after its run, as outdated, because an earlier step changes.
     pub fn outdate_plan(&mut self) {
         if let Some(plan) = &mut self.plan
             && plan.done().is_some()
         {
             plan.end = StepEnd::Outdated;
+        }
+        self.outdate_after();
+    }
+
+    /// Marks what was learnt after the run as outdated, because the plan changes.
+    pub fn outdate_after(&mut self) {
+        if let Some(after) = &mut self.after
+            && after.done().is_some()
+        {
+            after.end = StepEnd::Outdated;
         }
     }
 
@@ -137,7 +158,8 @@ impl Session {
         let part = self.part.iter().flat_map(|step| &step.commands);
         let tool = self.tool.iter().flat_map(|step| &step.commands);
         let plan = self.plan.iter().flat_map(|step| &step.commands);
-        part.chain(tool).chain(plan).collect()
+        let after = self.after.iter().flat_map(|step| &step.commands);
+        part.chain(tool).chain(plan).chain(after).collect()
     }
 }
 
@@ -152,6 +174,8 @@ mod tests {
         let choice = PartChoice {
             source,
             reading: Reading::default(),
+            aperture: None,
+            target: None,
             level: "piston".into(),
             feature_mm: None,
         };

@@ -2,7 +2,7 @@
 
     browser.py PLANISH_BIN_DIR WORK_DIR [--shots DIR] [--file MAP ...]
 
-Every --file is a map of an instrument that is read, too, with what it does not state: --file "map.mat unit=m". Needs chromium (Debian package), numpy and websocket-client.
+Every --file is a map of an instrument that is read, too, with what it does not state: --file "map.mat unit=m". Needs chromium (Debian package), numpy, h5py and websocket-client.
 Exit code 1 when a check fails.
 """
 
@@ -16,12 +16,14 @@ import time
 
 import numpy as np
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "compare/tests"))
+for other in ("compare/tests", "import/tests"):
+    sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / other))
 from chromium import FAILED, Browser, check  # noqa: E402
+from writers import WAVELENGTH, write_datx, write_four_sight, write_mat  # noqa: E402
 
 SHARE = pathlib.Path(__file__).resolve().parents[3]
 # Widths of the pictures, px, and whether they are dark.
-SCREENS = [(1280, 900, False), (1280, 900, True), (800, 900, False), (390, 844, False), (390, 844, True)]
+SCREENS = [(1280, 900, False), (1280, 900, True), (800, 900, False), (390, 844, False), (390, 844, True), (2560, 1300, False)]
 
 
 class App:
@@ -90,21 +92,109 @@ def check_demo(browser, shots):
     wait(browser, "!document.getElementById('download').hidden", 10)
     size = browser.js("fetch('program').then((a) => a.text()).then((t) => t.length)")
     check("and can be saved", size > 1000, size)
+    wait(browser, "planish.estimates.raster && !!planish.estimates.raster.answer", 30)
     # A sixth of 7 mm is 1.167 mm; the ripple of this Gaussian of 1 mm is 0.1 % at 1.54 mm.
-    check("the pitch is proposed by the tool, and not above its limit", "1.1 mm" in browser.js("document.getElementById('proposal').textContent"))
+    check("the pitch is proposed by the tool, and not above its limit", "1.1 mm" in browser.js("document.getElementById('proposal-pitch_mm').textContent"))
     check("its verdict is shown", "program" in browser.js("document.getElementById('program-verdict').textContent"))
+
+
+def shots(browser, folder):
+    """Looks at the page on every screen, and saves it."""
     for width, height, dark in SCREENS:
         browser.size(width, height, dark)
         browser.settle()
         wide = browser.js("document.documentElement.scrollWidth")
         check(f"nothing is wider than {width} px", wide <= width, wide)
-        if shots:
-            browser.shot(shots / f"demo-{width}{'-dark' if dark else ''}.png", whole=True)
+        if folder:
+            browser.shot(folder / f"demo-{width}{'-dark' if dark else ''}.png", whole=True)
     browser.size(1280, 900)
 
 
+def check_estimates(browser):
+    """Estimates, the slider, and the kinds of paths."""
+    wait(browser, "document.getElementById('estimate').textContent.startsWith('Estimate: ')", 30)
+    print(f"     an estimate takes {browser.js('planish.estimates.raster.answer.took_s'):.2f} s, seen after {browser.js('planish.estimates.raster.answer.seen_s'):.2f} s")
+    before = browser.js("document.getElementById('estimate').textContent")
+    browser.js("(() => { const s = document.getElementById('worth'); s.value = 8; s.dispatchEvent(new Event('input')); })()")
+    after = browser.js("document.getElementById('estimate').textContent")
+    check("the slider goes along the front", after != before and browser.js("document.querySelector('[data-setting=time_elasticity]').value") == "2", after[:60])
+    times = browser.js("[0.1, 0.5, 2].map((e) => pointOf(planish.estimates.raster.answer.points, e).time_s)")
+    check("more worth of time is a shorter run", times[0] > times[1] > times[2], times)
+    browser.js("document.querySelector('[data-setting=time_elasticity]').value = ''; showEstimates()")
+    browser.js("document.getElementById('compare-paths').click()")
+    wait(browser, "planish.state.pipelines.every((name) => planish.estimates[name])", 60)
+    browser.settle()
+    drawn = browser.js("[...document.querySelectorAll('.card img')].filter((i) => !i.hidden && i.naturalWidth > 0).length")
+    check("kinds of paths are drawn side by side", drawn >= 4, f"{drawn} of 5")
+    texts = browser.js("[...document.querySelectorAll('.card .numbers')].filter((n) => n.textContent).length")
+    check("each with its numbers or its refusal", texts == 5, texts)
+
+
+def check_result(browser):
+    """Maps of the result: one point for all, zoom, and a drawing as SVG."""
+    wait(browser, "!!planish.views.residual && !!planish.views.residual.map", 20)
+    browser.js("planish.views.before.canvas.focus()")
+    browser.key("ArrowRight")
+    browser.settle()
+    points = browser.js("['before', 'removal', 'residual'].map((n) => planish.views[n].point.join())")
+    check("one point moves in all maps", len(set(points)) == 1, points)
+    text = browser.js("document.getElementById('across-values').textContent")
+    check("values of all maps at the point", "before the run" in text and "residual" in text, text[:90])
+    # At every pixel the map before is removal plus residual.
+    rest = browser.js("Math.max(...planish.views.before.map.values.map((v, i) => Math.abs(v - planish.views.removal.map.values[i] - planish.views.residual.map.values[i])))")
+    check("the map before is removal plus residual", rest < 1e-4, rest)
+    browser.key("+")
+    browser.settle()
+    width = browser.js("(() => { const v = planish.views.before, e = v.map.edges_mm; return (v.window[1] - v.window[0]) / (e[1] - e[0]); })()")
+    check("a map zooms", abs(width - 1 / 1.6) < 1e-9, width)
+    browser.key("0")
+    svg = browser.js("(() => { const v = planish.views.before, s = new SvgContext(400, 300); v.paint(s); return s.toString(); })()")
+    check("a drawing is SVG", svg.startswith("<svg") and "<image" in svg and "NaN" not in svg and "undefined" not in svg, svg[:60])
+
+
+def check_machine(browser):
+    field = "document.querySelector('#machine-limits input')"
+    browser.js(f"{field}.value = '120'; {field}.dispatchEvent(new Event('change'))")
+    text = browser.js("JSON.parse(document.getElementById('machine-text').value).axes[0].max_velocity_mm_per_s")
+    check("a limit with its unit is edited", text == 120, text)
+    browser.js(f"{field}.value = '-1'; {field}.dispatchEvent(new Event('change'))")
+    press(browser, "machine-form")
+    wait(browser, "!document.getElementById('error').hidden", 10)
+    check("and checked", "max_velocity_mm_per_s" in error(browser), error(browser)[:80])
+    browser.js(f"{field}.value = '250'; {field}.dispatchEvent(new Event('change'))")
+
+
+def check_aperture(browser):
+    before = browser.js("planish.views.part.map.pixels[0]")
+    put(browser, "part-aperture", "circle")
+    numbers = browser.js("document.getElementById('part-aperture-mm').value").split(" ")
+    check("an aperture is proposed by the map", len(numbers) == 3, numbers)
+    press(browser, "part-form")
+    wait(browser, f"planish.views.part.map.pixels[0] !== {before}", 20)
+    pixels, edges = browser.js("planish.views.part.map.pixels"), browser.js("planish.views.part.map.edges_mm")
+    check("a circle is as wide as it is high", pixels[0] == pixels[1], pixels)
+    check("and has its diameter", abs(edges[1] - edges[0] - 2 * float(numbers[2])) <= 1.0, edges)
+    put(browser, "part-aperture", "")
+    press(browser, "part-form")
+    wait(browser, f"planish.views.part.map.pixels[0] === {before}", 20)
+
+
+def check_after(browser, programs, work, session):
+    """The map after a run with hidden errors leads to the next run."""
+    run = session / "runs/raster-coupon"
+    subprocess.run([programs / "planish", "simulate", "--trajectory", run / "methods/joint/trajectory", "--tif", run / "fixture/tif", "--surface", run / "surface",
+                    "--error-budget", SHARE / "fixtures/error-budgets/hidden.json", "--seed", "7", "--measured-out", work / "after", "--out", work / "truth"],
+                   check=True, stdout=subprocess.DEVNULL)
+    give(browser, "after-file", *(work / "after" / f"{n}.npy" for n in ("height_nm", "x_mm", "y_mm")))
+    wait(browser, "planish.state.session.after && planish.state.session.after.end !== 'running'", 120)
+    check("the map after the run is learnt from", browser.js("planish.state.session.after.end") in ("done", "negative"), browser.js("planish.state.messages[3][1].slice(-300)"))
+    text = browser.js("document.getElementById('learnt').textContent")
+    check("the page says what it taught, and whether to run again", "rate_scale" in text and ("RUN AGAIN" in text or "STOP" in text), text[-120:])
+    wait(browser, "!!document.querySelector('#next-report iframe')", 10)
+
+
 def check_labels(browser):
-    bare = browser.js("[...document.querySelectorAll('input, select, textarea')].filter((e) => !e.labels.length).map((e) => e.id)")
+    bare = browser.js("[...document.querySelectorAll('input, select, textarea')].filter((e) => !e.labels.length && !e.getAttribute('aria-label')).map((e) => e.id)")
     check("every field has a label", bare == [], bare)
     shown = browser.js("[...document.querySelectorAll('#settings label')].filter((l) => !l.querySelector('small').textContent).length")
     check("and every setting a sentence", shown == 0)
@@ -155,7 +245,7 @@ def check_arrays(browser, work, session):
     press(browser, "program-form")
     wait(browser, "planish.state.running || planish.state.program === 'program.csv'", 10)
     check("an own part becomes a program", idle(browser, "plan") in ("done", "negative") and browser.js("planish.state.program") == "program.csv", error(browser))
-    check("beside a script", "planish run raster 'surface=part/surface'" in (session / "session.sh").read_text())
+    check("beside a script", "planish run raster 'surface=files/part'" in (session / "session.sh").read_text())
 
 
 def check_wrong_and_cancel(browser, work):
@@ -193,6 +283,39 @@ def check_tabs_and_restart(browser, app, programs, session):
     check("the session opens again", browser.js("planish.state.session.part.choice.level") == "plane")
     browser.js("fetch('/state').then((a) => a.status)")
     return again
+
+
+def check_programs(browser, work, session):
+    """Files as instruments write them, from the file to a program."""
+    x, y = 0.5 * np.arange(49), 0.5 * np.arange(33)
+    z = 15 * np.outer(np.cos(y / 5), np.sin(x / 6))
+    write_datx(work / "mirror.datx", z[::-1] / (0.5 * WAVELENGTH * 1e9), "Fringes", 5e-4)
+    write_four_sight(work / "mirror.h5", z[::-1] / 632.8, 0.5)
+    mesh = np.meshgrid(x / 1e3, y / 1e3)
+    write_mat(work / "mirror.mat", X=mesh[0], Y=mesh[1], Z=z / 1e9)
+    for name in ("mirror.datx", "mirror.h5", "mirror.mat"):
+        give(browser, "part-file", work / name)
+        wait(browser, f"planish.state.session.part.choice.source.file === '{name}' && planish.state.session.part.end !== 'running'", 60)
+        if name == "mirror.mat":
+            wait(browser, "document.querySelectorAll('#part .asked').length > 0", 10)
+            asked = browser.js("[...document.querySelectorAll('#part .asked [id]')].map((e) => e.id)")
+            check("what a .mat does not state is asked for", "part-unit" in asked, asked)
+            browser.js("document.getElementById('part-unit').value = 'm'; document.getElementById('part-coordinate_unit').value = 'm'")
+            browser.js("document.getElementById('part-unit').dispatchEvent(new Event('change'))")
+            wait(browser, "planish.state.session.part.end === 'done'", 60)
+        wait(browser, "planish.state.session.part.end === 'done' && planish.views.part.map.pixels[0] === 49", 20)
+        rms = browser.js("planish.views.part.map.numbers[0][1]")
+        # The heights of a 4Sight file are of single precision.
+        check(f"{name} has its RMS", abs(rms / z.std() - 1) < 1e-6, rms)
+        for setting, text in [("pitch_mm", "2"), ("plan_joint", "no"), ("refine", "no"), ("frames", "0")]:
+            browser.js(f"document.querySelector('[data-setting={setting}]').value = '{text}'")
+        put(browser, "controller", "csv")
+        press(browser, "program-form")
+        wait(browser, "!!planish.state.running", 10)
+        end = idle(browser, "plan")
+        size = browser.js("fetch('program').then((a) => a.text()).then((t) => t.length)")
+        check(f"{name} becomes a program", end in ("done", "negative") and size > 1000, (end, size))
+    browser.js("document.getElementById('part-unit').value = ''; document.getElementById('part-coordinate_unit').value = ''")
 
 
 def check_files(browser, files):
@@ -239,10 +362,17 @@ def main():
         if options.shots:
             browser.shot(options.shots / "empty.png", whole=True)
         check_demo(browser, options.shots)
+        check_estimates(browser)
+        check_result(browser)
         check_labels(browser)
+        check_machine(browser)
+        check_after(browser, options.programs, options.work, session)
+        shots(browser, options.shots)
         complaints = [c for c in browser.complaints() if not c.startswith("request to " + app.address.rsplit("/", 2)[0])]
         check("the browser has no complaints", complaints == [], complaints[:3])
         check_arrays(browser, options.work, session)
+        check_aperture(browser)
+        check_programs(browser, options.work, session)
         check_files(browser, options.file)
         check_wrong_and_cancel(browser, options.work)
         app = check_tabs_and_restart(browser, app, options.programs, session)

@@ -4,6 +4,7 @@ mod bcls;
 mod bound;
 mod bounded_least_squares;
 mod feed_law;
+mod front;
 mod lucy_richardson;
 mod non_negative_least_squares;
 mod rifta;
@@ -43,6 +44,8 @@ pub enum Solver {
     ChooseTools(several_tools::ChooseTools),
     /// Residual that no path and no motion of this tool can beat in a run time, with its gap
     Bound(bound::BoundArgs),
+    /// Residual against run time along a path, estimated from dwell times without a motion
+    Front(front::FrontArgs),
     /// Least squares with bounds from the limits of a machine
     #[command(hide = true)]
     Bcls(bcls::Bcls),
@@ -72,6 +75,7 @@ impl Solver {
             Self::SeveralTools(arguments) => arguments.run(),
             Self::ChooseTools(arguments) => arguments.run(),
             Self::Bound(arguments) => arguments.run(),
+            Self::Front(arguments) => arguments.run(),
             Self::Bcls(arguments) => arguments.run(),
             Self::NonNegativeLeastSquares(arguments) => arguments.run(),
             Self::TikhonovLsqr(arguments) => arguments.run(),

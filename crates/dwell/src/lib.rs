@@ -36,6 +36,7 @@ pub mod command;
 mod continuation;
 mod dwell_map;
 mod extension;
+pub mod front;
 pub mod lucy_richardson;
 mod model;
 mod objective;

@@ -19,44 +19,7 @@ from astropy.io import fits
 from prysm import io as prysm
 from scipy import io as scipy
 
-NO_DATA = 1.7976931348623157e308
-WAVELENGTH = 632.8e-9
-
-
-def write_datx(path, raw, unit, pitch_m, scale=0.5, obliquity=1.0):
-    """A .datx as Zygo Mx lays it out; NaN becomes the value for no data."""
-    text = h5py.string_dtype("ascii")
-    links = [
-        ("Root", "Measurement", "M"),
-        ("M", "Surface", "S"),
-        ("M", "Attributes", "/Attributes/A"),
-        ("S", "Path", "/Data/Surface/S"),
-    ]
-    with h5py.File(path, "w") as f:
-        table = np.zeros(4, dtype=[(n, text) for n in ("Source", "Link", "Destination")])
-        for i, link in enumerate(links):
-            table[i] = link
-        f.create_dataset("MetaData", data=table)
-        f.create_group("/Attributes/A").attrs["Data Context.Count:Value"] = np.array([1.0])
-        # A second surface that nothing links to.
-        f.create_dataset("/Data/Surface/Other", data=np.zeros((2, 2)))
-        d = f.create_dataset("/Data/Surface/S", data=np.where(np.isnan(raw), NO_DATA, raw))
-        d.attrs.create("Unit", data=np.array([unit], dtype=object), dtype=text)
-        for name, value in [
-            ("No Data", NO_DATA),
-            ("Wavelength", WAVELENGTH),
-            ("Interferometric Scale Factor", scale),
-            ("Obliquity Factor", obliquity),
-        ]:
-            d.attrs.create(name, data=np.array([value]))
-        kind = np.dtype(
-            [("Category", text), ("BaseUnit", text), ("Parameters", h5py.vlen_dtype(np.float64))]
-        )
-        for name in ("X Converter", "Y Converter"):
-            value = np.zeros(1, dtype=kind)
-            value[0] = ("LateralCat", "Pixels", np.array([0, pitch_m, 0, 0]))
-            d.attrs.create(name, data=value, dtype=kind)
-
+from writers import NO_DATA, WAVELENGTH, write_datx
 
 def write_metropro(path, raw, pitch_m, wavelength, scale, resolution, sign):
     """A MetroPro .dat of format 1 without intensity."""

@@ -1,5 +1,6 @@
 //! Subcommands of `planish-surface`, one file each, and arguments that several of them share.
 
+mod bin;
 mod draw;
 mod line;
 mod prepare;
@@ -23,6 +24,8 @@ pub enum SurfaceCommand<Others: Subcommands> {
     /// Make the desired removal: crop to the clear aperture, mask outliers, level; on request fill holes
     /// and extend beyond the aperture
     Prepare(Box<prepare::PrepareArgs>),
+    /// Make a map of fewer pixels: the means of squares of pixels
+    Bin(bin::BinArgs),
     /// Make the desired removal of a strip from a profile (slopes or heights along a line), and integrate the tool
     /// across it
     Line(Box<line::LineArgs>),
@@ -44,6 +47,7 @@ impl<Others: Subcommands> SurfaceCommand<Others> {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Prepare(arguments) => arguments.run(),
+            Self::Bin(arguments) => arguments.run(),
             Self::Line(arguments) => arguments.run(),
             Self::Statistics(arguments) => arguments.run(),
             Self::Psd(arguments) => arguments.run(),

@@ -6,6 +6,7 @@
 //! * [`mod@fill`]: heights for holes.
 //! * [`target`]: the form that the part is to have, fitted and subtracted.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
+//! * [`binning`]: a map of fewer pixels.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
 //! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`]: the best
 //!   shape; [`specification`]: limits on all of these quantities.
@@ -15,6 +16,7 @@
 // The command line names this library as any other program does.
 extern crate self as planish_surface;
 
+pub mod binning;
 mod cli;
 pub mod command;
 mod distance;

@@ -50,7 +50,7 @@ const ROOMS: [Room; 21] = [
     ("campaign", &["types", "draw", "handoff", "simulate"]),
     ("benchmark", &["types", "handoff", "fixture", "dwell", "simulate", "verify"]),
     ("pipeline", &["types", "handoff"]),
-    ("app", &["types", "draw", "handoff", "pipeline"]),
+    ("app", &["types", "form", "draw", "handoff", "pipeline"]),
     ("run", &["types", "handoff", "pipeline"]),
     ("sweep", &["numerics", "types", "handoff", "pipeline"]),
     ("planish", &ALL),

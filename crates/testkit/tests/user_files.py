@@ -8,11 +8,13 @@ what is called .datx here is FITS, which takes four lines to write and states it
 """
 
 import json
-import struct
 import sys
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "import/tests"))
+from writers import write_mat as mat  # noqa: E402
 
 
 def fits(path, height_nm, pitch_mm):
@@ -23,18 +25,6 @@ def fits(path, height_nm, pitch_mm):
     head = "".join(f"{card:<80}" for card in cards).encode()
     data = np.ascontiguousarray(height_nm, ">f8").tobytes()
     Path(path).write_bytes(head.ljust(-len(head) // 2880 * -2880) + data.ljust(-len(data) // 2880 * -2880, b"\0"))
-
-
-def mat(path, **arrays):
-    """MATLAB version 5: each matrix of doubles, column by column."""
-    def element(kind, data):
-        return struct.pack("<2I", kind, len(data)) + data + bytes(-len(data) % 8)
-
-    content = b"MATLAB 5.0 MAT-file, made by a test".ljust(124) + b"\0\1IM"
-    for name, a in arrays.items():
-        content += element(14, element(6, struct.pack("<2I", 6, 0)) + element(5, struct.pack("<2i", *a.shape))
-                           + element(1, name.encode()) + element(9, a.astype("<f8").tobytes("F")))
-    Path(path).write_bytes(content)
 
 
 fixture = Path(sys.argv[1])

@@ -3,6 +3,7 @@
 use std::io::{self, Read, Write};
 
 use planish_app::{
+    after::NEXT_RUN,
     guard::{ChoiceKind, Head, MOST_CHOICE_BYTES, MOST_UPLOAD_BYTES, Route},
     refusal::Refusal,
     session::{Session, StepName},
@@ -11,6 +12,7 @@ use planish_draw::{colour, page};
 use serde::Serialize;
 
 use super::{
+    estimate::estimate,
     map::map_bytes,
     server::{Server, read_json},
 };
@@ -22,6 +24,8 @@ const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'sel
 const REPORT_POLICY: &str = "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; \
                              style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'";
 
+/// Report of the next run, in its directory.
+const NEXT_REPORT: &str = "plan/report/report.html";
 const HTML: &str = "text/html; charset=utf-8";
 const JSON: &str = "application/json";
 
@@ -45,10 +49,12 @@ struct StateReport<'a> {
     messages: Vec<(StepName, String)>,
     /// Names of the pipelines.
     pipelines: Vec<&'a String>,
-    /// Path of the report.
-    report: String,
-    /// True if the run has a report.
-    has_report: bool,
+    /// Paths of the reports of the run and of the next one.
+    reports: [String; 2],
+    /// True for each of these reports that is there.
+    has_reports: [bool; 2],
+    /// Folder of the fixtures, for the command lines that the page composes.
+    folder: &'a str,
     /// Name of the program of the run; empty if there is none.
     program: String,
     /// Directory of the session.
@@ -62,9 +68,7 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
     let answer = server.guard.admit(head).and_then(|route| match route {
         Route::Asset(name) => Ok(asset(&name)),
         Route::State => state(server),
-        Route::Map(name) => {
-            Ok(Answer::new("application/octet-stream", map_bytes(&server.files, name)?))
-        }
+        Route::Map(name) => Ok(Answer::new("application/octet-stream", map_bytes(server, name)?)),
         Route::Pipeline(name) => match server.pipelines.get(&name) {
             Some(pipeline) => json(pipeline),
             None => Err(Refusal::new(404, "there is no such pipeline")),
@@ -72,9 +76,18 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
         Route::Machine => machine(server),
         Route::Script => Ok(Answer::download("session.sh", server.files.script()?)),
         Route::Program => program(server),
-        Route::Report => {
-            let bytes = run_file(server, "report/report.html")?;
-            Ok(Answer { policy: REPORT_POLICY, ..Answer::new(HTML, bytes) })
+        Route::Report => Ok(report(run_file(server, "report/report.html")?)),
+        Route::NextReport => {
+            let path = server.files.inside(&format!("{NEXT_RUN}/{NEXT_REPORT}"))?;
+            Ok(report(server.files.read(&path)?))
+        }
+        Route::PathPicture(name) => {
+            let path = server.files.inside(&format!("estimates/{name}/tool_path.svg"))?;
+            Ok(Answer::new("image/svg+xml", server.files.read(&path)?))
+        }
+        Route::Estimate => {
+            let choice = read_json(&choice_bytes(head, body)?)?;
+            json(&estimate(server, &choice)?)
         }
         Route::Answer => Ok(Answer::new(JSON, run_file(server, "report/summary.json")?)),
         Route::Upload(role, name) => {
@@ -83,15 +96,13 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
             json(&name)
         }
         Route::Choice(kind) => {
-            let mut bytes = Vec::new();
-            let length = head.body_bytes(MOST_CHOICE_BYTES)?;
-            let read = body.take(length).read_to_end(&mut bytes);
-            read.map_err(|e| Refusal::of_value(format!("the choice ended early: {e}")))?;
+            let bytes = choice_bytes(head, body)?;
             match kind {
                 ChoiceKind::Part => server.choose_part(read_json(&bytes)?),
                 ChoiceKind::Tool => server.choose_tool(read_json(&bytes)?),
                 ChoiceKind::Machine => server.choose_machine(&bytes),
                 ChoiceKind::Plan => server.choose_plan(read_json(&bytes)?),
+                ChoiceKind::After => server.choose_after(read_json(&bytes)?),
                 ChoiceKind::Demo => server.begin_demo(),
             }?;
             state(server)
@@ -102,6 +113,20 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
         }
     });
     answer.unwrap_or_else(|refusal| Answer::of_refusal(&refusal))
+}
+
+/// Reads the body of a choice.
+fn choice_bytes(head: &Head, body: &mut dyn Read) -> Result<Vec<u8>, Refusal> {
+    let mut bytes = Vec::new();
+    let length = head.body_bytes(MOST_CHOICE_BYTES)?;
+    let read = body.take(length).read_to_end(&mut bytes);
+    read.map_err(|e| Refusal::of_value(format!("the choice ended early: {e}")))?;
+    Ok(bytes)
+}
+
+/// Returns a report, which has a program of its own and texts of files.
+fn report(bytes: Vec<u8>) -> Answer {
+    Answer { policy: REPORT_POLICY, ..Answer::new(HTML, bytes) }
 }
 
 impl Answer {
@@ -149,8 +174,15 @@ fn asset(name: &str) -> Answer {
             let style = page::style(include_str!("../page/page.css"));
             Answer::new("text/css; charset=utf-8", style.into_bytes())
         }
-        "page.js" => program_text(include_str!("../page/page.js")),
+        "canvas.js" => program_text(include_str!("../page/canvas.js")),
         "map.js" => program_text(include_str!("../page/map.js")),
+        "reading.js" => program_text(include_str!("../page/reading.js")),
+        "machine.js" => program_text(include_str!("../page/machine.js")),
+        "plan.js" => program_text(include_str!("../page/plan.js")),
+        "estimate.js" => program_text(include_str!("../page/estimate.js")),
+        "result.js" => program_text(include_str!("../page/result.js")),
+        "after.js" => program_text(include_str!("../page/after.js")),
+        "page.js" => program_text(include_str!("../page/page.js")),
         _ => Answer::new(HTML, include_bytes!("../page/page.html").to_vec()),
     }
 }
@@ -166,7 +198,7 @@ fn json(value: &impl Serialize) -> Result<Answer, Refusal> {
 
 fn state(server: &Server) -> Result<Answer, Refusal> {
     let live = server.live();
-    let messages = StepName::ALL.map(|step| (step, server.files.log(step)));
+    let messages = StepName::ALL.map(|step| (step, server.files.text_end(step.log())));
     let run_has = |path: &str| {
         !live.session.run.is_empty()
             && server.files.inside(&format!("{}/{path}", live.session.run)).is_ok()
@@ -176,8 +208,12 @@ fn state(server: &Server) -> Result<Answer, Refusal> {
         running: live.job.as_ref().map(|job| (job.step, job.begun.elapsed().as_secs_f64())),
         messages: messages.to_vec(),
         pipelines: server.pipelines.keys().collect(),
-        report: server.guard.report(),
-        has_report: run_has("report/report.html"),
+        reports: server.guard.reports(),
+        has_reports: [
+            run_has("report/report.html"),
+            server.files.inside(&format!("{NEXT_RUN}/{NEXT_REPORT}")).is_ok(),
+        ],
+        folder: server.folder(),
         program: program_name(&live.session).filter(|name| run_has(name)).unwrap_or_default(),
         directory: server.files.dir.display().to_string(),
         colours: colour::BLUE_TO_BROWN,

@@ -164,9 +164,9 @@ impl Files {
         File::create(self.dir.join(step.log()))
     }
 
-    /// Returns the end of the messages of a step; empty if it has none.
-    pub fn log(&self, step: StepName) -> String {
-        let bytes = read_regular(&self.dir.join(step.log())).unwrap_or_default();
+    /// Returns the end of a file of messages; empty if it is not there.
+    pub fn text_end(&self, name: &str) -> String {
+        let bytes = read_regular(&self.dir.join(name)).unwrap_or_default();
         String::from_utf8_lossy(&bytes[bytes.len().saturating_sub(SHOWN_BYTES)..]).into_owned()
     }
 }

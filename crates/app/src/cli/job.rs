@@ -58,6 +58,7 @@ pub fn start(
 ) -> Result<(), Refusal> {
     let Some(first) = tasks.first() else { return Ok(()) };
     server.files.save_session(&live.session)?;
+    live.estimate.replace();
     live.job =
         Some(Job { step: first.step, begun: Instant::now(), child: None, is_cancelled: false });
     drop(live);
@@ -83,6 +84,10 @@ fn run(server: &Server, tasks: &[Task]) {
         let mut live = server.live();
         if let Some(known) = live.session.end_mut(task.step) {
             *known = end;
+        }
+        if task.step == StepName::Plan && matches!(end, StepEnd::Done | StepEnd::Negative) {
+            live.session.plan_took_s =
+                live.job.as_ref().map(|job| job.begun.elapsed().as_secs_f64());
         }
         if i + 1 == tasks.len() {
             live.job = None;

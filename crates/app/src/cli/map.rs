@@ -4,10 +4,10 @@ use std::path::Path;
 
 use planish_app::{guard::MapName, refusal::Refusal};
 use planish_handoff::Inputs;
-use planish_types::{Grid, Surface, Tif, doubts};
+use planish_types::{Grid, Removal, Surface, Tif, doubts};
 use serde::Serialize;
 
-use super::files::Files;
+use super::server::Server;
 
 /// Largest number of values along the longer side of a drawing. Larger: more to send and to draw. Smaller: coarser
 /// pictures on a wide screen.
@@ -39,15 +39,50 @@ struct MapHead {
 ///
 /// # Errors
 /// Fails if the step has no map yet.
-pub fn map_bytes(files: &Files, name: MapName) -> Result<Vec<u8>, Refusal> {
+pub fn map_bytes(server: &Server, name: MapName) -> Result<Vec<u8>, Refusal> {
+    let files = &server.files;
     match name {
         MapName::Part => surface(&files.inside("part/prepared")?),
         MapName::Tool => tool(&files.inside("tool/tif")?),
+        MapName::After => {
+            let live = server.live();
+            let after = live.session.after.as_ref().map(|step| step.choice.source.surface("after"));
+            drop(live);
+            let after = after.ok_or_else(|| Refusal::new(404, "there is no map after the run"))?;
+            surface(&files.inside(&after)?)
+        }
+        MapName::Before => {
+            let run = server.live().session.run.clone();
+            if run.is_empty() {
+                return Err(Refusal::new(404, "there is no run yet"));
+            }
+            surface(&files.inside(&format!("{run}/surface"))?)
+        }
+        MapName::Removal | MapName::Residual => {
+            let plan = server.recommended(&server.live().session)?;
+            removal(&files.inside(&format!("{plan}/removal"))?, name)
+        }
     }
+}
+
+fn removal(dir: &Path, name: MapName) -> Result<Vec<u8>, Refusal> {
+    let removal: Removal = Inputs::new().read("removal", dir).map_err(|e| unreadable(&e))?;
+    let residual = removal.residual();
+    if name == MapName::Residual {
+        return Ok(heights(residual, None));
+    }
+    let map = Surface::new(*residual.grid(), removal.removal_nm().clone());
+    Ok(heights(&map.map_err(|e| unreadable(&e))?, None))
 }
 
 fn surface(dir: &Path) -> Result<Vec<u8>, Refusal> {
     let map: Surface = Inputs::new().read("surface", dir).map_err(|e| unreadable(&e))?;
+    let doubt = doubts::of_heights(&map);
+    Ok(heights(&map, doubt))
+}
+
+/// Returns the bytes of a map of heights.
+fn heights(map: &Surface, doubt: Option<String>) -> Vec<u8> {
     let statistics = map.statistics();
     let numbers = vec![
         ("RMS", statistics.rms, "nm"),
@@ -56,8 +91,7 @@ fn surface(dir: &Path) -> Result<Vec<u8>, Refusal> {
         ("mean", statistics.mean, "nm"),
         ("valid pixels", statistics.valid_count as f64, ""),
     ];
-    let doubt = doubts::of_heights(&map);
-    Ok(drawing(map.grid(), map.height_nm().iter(), (statistics.mean, "nm"), numbers, doubt))
+    drawing(map.grid(), map.height_nm().iter(), (statistics.mean, "nm"), numbers, doubt)
 }
 
 fn tool(dir: &Path) -> Result<Vec<u8>, Refusal> {
@@ -71,7 +105,8 @@ fn tool(dir: &Path) -> Result<Vec<u8>, Refusal> {
     Ok(drawing(tif.grid(), tif.rate_nm_per_s().iter(), (0.0, "nm/s"), numbers, doubt))
 }
 
-fn unreadable(problem: &dyn std::fmt::Display) -> Refusal {
+/// Returns the refusal for something of the session that cannot be read.
+pub fn unreadable(problem: &dyn std::fmt::Display) -> Refusal {
     Refusal::new(500, problem.to_string())
 }
 
@@ -79,7 +114,7 @@ fn unreadable(problem: &dyn std::fmt::Display) -> Refusal {
 /// `unit` that of the values.
 fn drawing<'a>(
     grid: &Grid,
-    values: impl Iterator<Item = &'a f64>,
+    mut values: impl Iterator<Item = &'a f64>,
     (centre, unit): (f64, &'static str),
     numbers: Vec<(&'static str, f64, &'static str)>,
     doubt: Option<String>,
@@ -88,10 +123,15 @@ fn drawing<'a>(
     let block = nx.max(ny).div_ceil(MOST_VALUES).max(1);
     let [columns, rows] = [nx, ny].map(|n| n.div_ceil(block));
     let mut sums = vec![(0.0, 0_u32); columns * rows];
-    for (k, value) in values.enumerate().filter(|(_, value)| value.is_finite()) {
-        let (sum, count) = &mut sums[k / nx / block * columns + k % nx / block];
-        *sum += value;
-        *count += 1;
+    for row in 0..ny {
+        let sums = &mut sums[row / block * columns..][..columns];
+        for (column, value) in values.by_ref().take(nx).enumerate() {
+            if value.is_finite() {
+                let (sum, count) = &mut sums[column / block];
+                *sum += value;
+                *count += 1;
+            }
+        }
     }
     let [x, y] = [&grid.x, &grid.y].map(|axis| axis.edges_mm()[0]);
     let [dx, dy] = [&grid.x, &grid.y].map(|axis| axis.step_mm());

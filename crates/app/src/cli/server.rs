@@ -2,32 +2,36 @@
 
 use std::{
     collections::BTreeMap,
-    env,
+    env, fs,
     process::Command,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use planish_app::{
+    after::{AfterChoice, MeasuredRun},
     choice::{
-        MachineChoice, OWN_MACHINE, PartChoice, PartSource, PlanChoice, Reading, TOOL_RECIPE,
-        ToolChoice, ToolSource,
+        MachineChoice, OWN_MACHINE, PartChoice, PartSource, PlanChoice, Reading, TARGET,
+        TOOL_RECIPE, ToolChoice, ToolSource,
     },
-    guard::Guard,
+    guard::{Guard, check_file_name},
     refusal::Refusal,
     session::{Session, SessionStep, StepName},
 };
+use planish_form::FormFile;
 use planish_handoff::{Failure, Inputs};
 use planish_pipeline::description::PipelineDescription;
+use planish_types::outcome::report::AnsweredSummary;
 use rand::RngExt;
 use serde::Deserialize;
 
 use super::{
+    estimate::{BinnedFor, Latest},
     files::Files,
     job::{self, Job, Task},
 };
 
 /// Pipelines that the page offers.
-const PIPELINES: [&str; 3] = ["raster", "maze", "spiral"];
+const PIPELINES: [&str; 5] = ["raster", "maze", "spiral", "random-adaptive", "multi-pitch"];
 /// Fixture of the demonstration, and its machine.
 const DEMO: [&str; 2] = ["coupon", "ion-beam"];
 
@@ -39,6 +43,8 @@ pub struct Server {
     pub files: Files,
     /// Pipelines that the page offers, as data.
     pub pipelines: BTreeMap<String, PipelineDescription>,
+    /// Map of the estimates; locked while one is made.
+    pub binned: Mutex<Option<BinnedFor>>,
     live: Mutex<Live>,
 }
 
@@ -48,6 +54,8 @@ pub struct Live {
     pub session: Session,
     /// The job that runs; `None` if none does.
     pub job: Option<Job>,
+    /// The estimate that runs.
+    pub estimate: Latest,
 }
 
 /// Body of a request that chooses the machine.
@@ -80,8 +88,9 @@ impl Server {
         let mut session = files.session()?;
         session.reopen();
         let [token, report_token] = [token(), token()];
-        let live = Mutex::new(Live { session, job: None });
-        Ok(Arc::new(Self { guard: Guard::new(port, token, report_token), files, pipelines, live }))
+        let live = Mutex::new(Live { session, job: None, estimate: Latest::default() });
+        let guard = Guard::new(port, token, report_token);
+        Ok(Arc::new(Self { guard, files, pipelines, binned: Mutex::new(None), live }))
     }
 
     /// Returns the state, for one thread at a time.
@@ -128,7 +137,7 @@ impl Server {
                 let trial = format!("trial-of-{OWN_MACHINE}");
                 self.files.write(&trial, text.as_bytes())?;
                 let read = Inputs::new().read_machine(&self.files.dir.join(&trial));
-                let _ = std::fs::remove_file(self.files.dir.join(&trial));
+                let _ = fs::remove_file(self.files.dir.join(&trial));
                 read.map_err(|e| Refusal::of_value(e.problem))?;
                 self.files.write(OWN_MACHINE, text.as_bytes())?;
                 MachineChoice::Own
@@ -166,10 +175,13 @@ impl Server {
         let part = PartChoice {
             source: PartSource::Fixture(fixture.clone()),
             reading: Reading::default(),
+            aperture: None,
+            target: None,
             level: "piston".into(),
             feature_mm: None,
         };
-        let tool = ToolChoice { source: ToolSource::Fixture(fixture), reading: Reading::default() };
+        let source = ToolSource::Fixture(fixture);
+        let tool = ToolChoice { source, reading: Reading::default(), fit: None };
         let machine = MachineChoice::Fixture(machine);
         let plan = PlanChoice { pipeline: "raster".into(), settings: BTreeMap::new() };
         let mut live = self.idle()?;
@@ -183,15 +195,79 @@ impl Server {
         job::start(self, live, tasks)
     }
 
-    /// Asks the running job to end.
+    /// Begins the step after the run.
+    ///
+    /// # Errors
+    /// Refuses it before there is a run with a plan, and the same as [`Server::choose_part`].
+    pub fn choose_after(self: &Arc<Self>, choice: AfterChoice) -> Result<(), Refusal> {
+        let mut live = self.idle()?;
+        let session = &live.session;
+        let part = session.part.as_ref().and_then(SessionStep::done);
+        let plan = session.plan.as_ref().and_then(SessionStep::done);
+        let (Some(part), Some(plan), Some(machine)) = (part, plan, &session.machine) else {
+            return Err(Refusal::of_value(
+                "a run comes first: plan it, and measure the part after it",
+            ));
+        };
+        match &choice.source {
+            PartSource::File(name) => drop(self.files.inside(&format!("files/after/{name}"))?),
+            _ => drop(self.files.inside("files/after/height_nm.npy")?),
+        }
+        let trajectory = format!("{}/trajectory", self.executed(session, plan)?);
+        let run = MeasuredRun { part, machine, plan, trajectory: &trajectory };
+        let description = self.pipelines.get(&plan.pipeline);
+        let description =
+            description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
+        let commands = choice.commands(&run, description)?;
+        live.session.after = live.session.begin(choice, commands.clone());
+        job::start(self, live, vec![Task { step: StepName::After, commands }])
+    }
+
+    /// Returns the directory of the plan that ran, in that of the session: the program as it was read back, else the
+    /// plan that the report recommends.
+    ///
+    /// # Errors
+    /// Refuses a run without either.
+    fn executed(&self, session: &Session, plan: &PlanChoice) -> Result<String, Refusal> {
+        let recommended = self.recommended(session)?;
+        let Some(controller) = plan.controller() else { return Ok(recommended) };
+        let end = format!("+{controller}");
+        let of_recommended = format!("{recommended}{end}");
+        if recommended.ends_with(&end) || self.files.inside(&of_recommended).is_err() {
+            return Ok(recommended);
+        }
+        Ok(of_recommended)
+    }
+
+    /// Returns the directory of the plan that the report recommends, in that of the session.
+    ///
+    /// # Errors
+    /// Refuses a run without one.
+    pub fn recommended(&self, session: &Session) -> Result<String, Refusal> {
+        let none = || Refusal::new(404, "the run recommends no plan");
+        if session.run.is_empty() {
+            return Err(none());
+        }
+        let path = self.files.inside(&format!("{}/report/summary.json", session.run))?;
+        let answered: AnsweredSummary = read_json(&self.files.read(&path)?)?;
+        let method = answered.answer.method.filter(|name| check_file_name(name).is_ok());
+        Ok(format!("{}/methods/{}", session.run, method.ok_or_else(none)?))
+    }
+
+    /// Asks the running job and the running estimate to end.
     pub fn cancel(&self) {
-        if let Some(job) = &mut self.live().job {
+        let mut live = self.live();
+        live.estimate.replace();
+        if let Some(job) = &mut live.job {
             job.cancel();
         }
     }
 
     /// Returns the state if no job runs.
-    fn idle(&self) -> Result<MutexGuard<'_, Live>, Refusal> {
+    ///
+    /// # Errors
+    /// Refuses it while one runs.
+    pub fn idle(&self) -> Result<MutexGuard<'_, Live>, Refusal> {
         let live = self.live();
         if live.job.is_some() {
             return Err(Refusal::new(409, "a step is running; wait for its end, or cancel it"));
@@ -205,6 +281,9 @@ impl Server {
             PartSource::Fixture(name) => self.check_fixture(name)?,
             PartSource::File(name) => drop(self.files.inside(&format!("files/part/{name}"))?),
             PartSource::Arrays => drop(self.files.inside("files/part/height_nm.npy")?),
+        }
+        if let Some(target) = &choice.target {
+            self.files.write(TARGET, checked_target(target)?.as_bytes())?;
         }
         session.outdate_plan();
         session.part = session.begin(choice, commands.clone());
@@ -244,6 +323,7 @@ impl Server {
             description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
         let (command, run) = choice.command(part, tool, machine, description)?;
         session.run = run;
+        session.outdate_after();
         session.plan = session.begin(choice, vec![command.clone()]);
         Ok(Task { step: StepName::Plan, commands: vec![command] })
     }
@@ -268,6 +348,21 @@ impl Server {
             Err(Refusal::of_value(format!("there is no machine '{name}'")))
         }
     }
+}
+
+/// Returns the text of a form file that names no other file.
+///
+/// # Errors
+/// Refuses what is no form file, and the form of a map, which is a path.
+fn checked_target(text: &str) -> Result<&str, Refusal> {
+    let file: FormFile = serde_json::from_str(text)
+        .map_err(|e| Refusal::of_value(format!("the form cannot be read: {e} (docs/forms.md)")))?;
+    if file.surface.is_some() {
+        return Err(Refusal::of_value(
+            "the form names a map by its path, which this page does not take; use planish surface prepare --target",
+        ));
+    }
+    Ok(text)
 }
 
 /// Reads the body of a request.

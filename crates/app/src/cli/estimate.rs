@@ -1,0 +1,257 @@
+//! Estimates: residual against time without a motion, on a map of few pixels, made while the user chooses.
+//!
+//! An estimate runs the stage `estimate` of a pipeline. A later one replaces it, and so does a step of the session.
+//!
+//! ```text
+//! residual^2 = R^2 + W^2                                                                                             (1)
+//! ```
+//!
+//! R is the residual of the plan on the binned map, RMS, and W the RMS within its pixels about their planes. The tool is
+//! wider than these pixels, so that it removes almost nothing of W.
+
+use std::{
+    fs::{self, File},
+    io::Write,
+    process::{Command, Stdio},
+    sync::PoisonError,
+    time::Instant,
+};
+
+use planish_app::{
+    choice::{BINNED_MAP, MachineChoice, PartSource, PlanChoice, ToolSource, Words},
+    refusal::Refusal,
+};
+use planish_handoff::{Artifact, Inputs, Running, words};
+use planish_types::{Surface, Tif, ToolPath};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    map::unreadable,
+    server::{Server, read_json},
+};
+
+/// Pixels of the binned map within the full width at half maximum of the tool. Larger: more pixels, and slower
+/// estimates. Smaller: the map no longer shows what the tool can correct. Derived: a Gaussian tool lets through less than
+/// 1e-13 of a wave of two such pixels, exp(-2 (pi sigma / L)^2) with L = FWHM / 3 and FWHM = 2.355 sigma.
+const PIXELS_PER_WIDTH: f64 = 6.0;
+/// Distance of the dwell points of an estimate, over the full width at half maximum of the tool. Larger: fewer dwell
+/// times, which remove less well than a motion whose speed changes from point to point. Smaller: slower estimates.
+/// Measured: a quarter of it changes the residual on coupon by 10 %.
+const STEP_PER_WIDTH: f64 = 0.2;
+/// Messages of the last estimate, in the directory of the session.
+const LOG: &str = "estimate.log";
+
+/// The estimate that runs, and the number of the latest one that was asked for.
+#[derive(Default)]
+pub struct Latest {
+    number: u64,
+    child: Option<u32>,
+}
+
+/// Part and tool, by the numbers of their steps, for which the binned map was made, and what it hides.
+#[derive(Clone, Copy, PartialEq)]
+pub struct BinnedFor {
+    steps: [u64; 2],
+    square_px: usize,
+    within_rms_nm: f64,
+    step_mm: f64,
+}
+
+/// An estimate, as the page gets it.
+#[derive(Serialize)]
+pub struct EstimateReport {
+    /// Command line of the estimate.
+    command: Words,
+    /// Residual against time, with rising time.
+    points: Vec<Point>,
+    /// The point of the wanted worth of time.
+    chosen: Point,
+    /// Length of the path, mm.
+    length_mm: f64,
+    /// Side of the squares of pixels that became one, px.
+    square_px: usize,
+    /// Wall time of the estimate, s.
+    took_s: f64,
+    /// Warnings of the programs.
+    warnings: Vec<String>,
+}
+
+/// A point of the front, as its file has it.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct Point {
+    price_nm2_per_s: f64,
+    rms_nm: f64,
+    time_s: f64,
+}
+
+/// The front, as its file has it.
+#[derive(Deserialize)]
+struct FrontFile {
+    points: Vec<Point>,
+    chosen: Point,
+}
+
+/// Outcome of the binning, as its manifest has it.
+#[derive(Deserialize)]
+struct BinningOutcome {
+    within_rms_nm: f64,
+}
+
+impl Latest {
+    /// Ends the estimate that runs, and lets no earlier one go on. Returns the number of the next one.
+    pub fn replace(&mut self) -> u64 {
+        self.number += 1;
+        if let Some(child) = self.child {
+            Running::end(child);
+        }
+        self.number
+    }
+}
+
+/// Returns an estimate of a plan.
+///
+/// # Errors
+/// Refuses it while a step runs, before part, tool and machine are there, for a fixture whose tool varies, and when the
+/// programs refuse it. An estimate that a later one has replaced is refused, too.
+pub fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refusal> {
+    let begun = Instant::now();
+    let (number, steps, machine) = begin(server)?;
+    let mut binned = server.binned.lock().unwrap_or_else(PoisonError::into_inner);
+    let description = server.pipelines.get(&choice.pipeline);
+    let description = description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
+    // Settings that are refused cost no map.
+    choice.setting_words(description, &[])?;
+    File::create(server.files.dir.join(LOG)).map_err(|e| Refusal::new(500, e.to_string()))?;
+    let known = match *binned {
+        Some(known) if known.steps == steps => known,
+        _ => {
+            let made = bin(server, number, steps)?;
+            *binned = Some(made);
+            made
+        }
+    };
+    let (command, out) = choice.estimate(&machine, description, known.step_mm)?;
+    run(server, number, &command)?;
+    report(server, (command, &out), known, begun)
+}
+
+/// Returns the number of a new estimate, the numbers of the steps of part and tool, and the machine.
+fn begin(server: &Server) -> Result<(u64, [u64; 2], MachineChoice), Refusal> {
+    let mut live = server.idle()?;
+    let session = &live.session;
+    let part = session.part.as_ref().filter(|step| step.done().is_some());
+    let tool = session.tool.as_ref().filter(|step| step.done().is_some());
+    let (Some(part), Some(tool), Some(machine)) = (part, tool, session.machine.clone()) else {
+        return Err(Refusal::of_value(
+            "an estimate needs part, tool and machine; finish these steps",
+        ));
+    };
+    if let (PartSource::Fixture(_), ToolSource::Fixture(name)) =
+        (&part.choice.source, &tool.choice.source)
+        && fs::exists(format!("{}fixtures/{name}.tool", server.folder())).unwrap_or(false)
+    {
+        return Err(Refusal::of_value(format!(
+            "the tool of {name} varies over the part, and an estimate takes it as constant; plan to see the result"
+        )));
+    }
+    let steps = [part.number, tool.number];
+    Ok((live.estimate.replace(), steps, machine))
+}
+
+/// Makes the binned map of the part for the tool.
+fn bin(server: &Server, number: u64, steps: [u64; 2]) -> Result<BinnedFor, Refusal> {
+    let mut inputs = Inputs::new();
+    let tool = server.files.inside("tool/tif")?;
+    let tif: Tif = inputs.read_tool("tif", &tool).map_err(|e| unreadable(&e))?;
+    let map = server.files.inside("part/prepared")?;
+    let map: Surface = inputs.read("surface", &map).map_err(|e| unreadable(&e))?;
+    let pixel_mm = map.grid().x.step_mm().max(map.grid().y.step_mm());
+    let (rows, columns) = map.grid().shape();
+    // The shorter side keeps two squares.
+    let most = rows.min(columns).div_ceil(2).max(1) as f64;
+    let square_px = (tif.half_maximum_width_mm() / PIXELS_PER_WIDTH / pixel_mm).floor();
+    let square_px = square_px.clamp(1.0, most) as usize;
+    let command: Words = ["planish", "surface", "bin", "--surface", "part/prepared"]
+        .map(String::from)
+        .into_iter()
+        .chain([format!("--square-px={square_px}"), "--out".into(), BINNED_MAP.into()])
+        .chain(["--force".into()])
+        .collect();
+    run(server, number, &command)?;
+    let made = server.files.inside(BINNED_MAP)?;
+    let manifest = inputs.read_manifest("surface", &made, Surface::KIND);
+    let manifest = manifest.map_err(|e| unreadable(&e))?;
+    let outcome: BinningOutcome =
+        manifest.read_outcome(&made, "estimate again").map_err(|e| unreadable(&e))?;
+    // Three digits are enough, and make a command that can be read.
+    let step_mm = (1e3 * STEP_PER_WIDTH * tif.half_maximum_width_mm()).round().max(1.0) / 1e3;
+    Ok(BinnedFor { steps, square_px, within_rms_nm: outcome.within_rms_nm, step_mm })
+}
+
+/// Runs a command of the estimate `number` to its end, with its messages in the log.
+fn run(server: &Server, number: u64, command: &Words) -> Result<(), Refusal> {
+    let failed = |e: &dyn std::fmt::Display| Refusal::new(500, format!("cannot estimate: {e}"));
+    let replaced = || Refusal::new(409, "a later choice has replaced this estimate");
+    let log = server.files.dir.join(LOG);
+    let mut log = File::options().append(true).open(log).map_err(|e| failed(&e))?;
+    writeln!(log, "$ {}", words::join(command)).map_err(|e| failed(&e))?;
+    let program = std::env::current_exe().map_err(|e| failed(&e))?;
+    let mut process = Command::new(program);
+    process
+        .args(command.get(1..).unwrap_or_default())
+        .current_dir(&server.files.dir)
+        .stdin(Stdio::null())
+        .stdout(log.try_clone().map_err(|e| failed(&e))?)
+        .stderr(log.try_clone().map_err(|e| failed(&e))?);
+    let running = {
+        let mut live = server.live();
+        if live.estimate.number != number {
+            return Err(replaced());
+        }
+        let running = Running::start(&mut process).map_err(|e| failed(&e))?;
+        live.estimate.child = Some(running.id());
+        running
+    };
+    let status = running.wait().map_err(|e| failed(&e))?;
+    let mut live = server.live();
+    live.estimate.child = None;
+    if live.estimate.number != number {
+        return Err(replaced());
+    }
+    drop(live);
+    match status.code() {
+        Some(0 | 1) => Ok(()),
+        _ => {
+            let messages = server.files.text_end(LOG);
+            let error = messages.lines().rfind(|line| line.starts_with("error: "));
+            Err(Refusal::of_value(error.unwrap_or("the estimate ended early").to_string()))
+        }
+    }
+}
+
+/// Returns the numbers of an estimate whose commands have ended.
+fn report(
+    server: &Server,
+    (command, out): (Words, &str),
+    binned: BinnedFor,
+    begun: Instant,
+) -> Result<EstimateReport, Refusal> {
+    let mut inputs = Inputs::new();
+    let path = server.files.inside(&format!("{out}/tool_path"))?;
+    let path: ToolPath = inputs.read("tool-path", &path).map_err(|e| unreadable(&e))?;
+    let front = server.files.inside(&format!("{out}/front.json"))?;
+    let front: FrontFile = read_json(&server.files.read(&front)?)?;
+    // (1)
+    let whole = |p: Point| Point { rms_nm: p.rms_nm.hypot(binned.within_rms_nm), ..p };
+    let messages = server.files.text_end(LOG);
+    let warnings = messages.lines().filter(|line| line.starts_with("warning: "));
+    Ok(EstimateReport {
+        command,
+        points: front.points.into_iter().map(whole).collect(),
+        chosen: whole(front.chosen),
+        length_mm: (0..path.len()).map(|i| path.segment_length_mm(i)).sum(),
+        square_px: binned.square_px,
+        took_s: begun.elapsed().as_secs_f64(),
+        warnings: warnings.map(String::from).collect(),
+    })
+}
