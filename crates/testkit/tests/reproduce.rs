@@ -59,5 +59,8 @@ fn the_page_says_what_changed() {
     let different = [number(0.2043), number(0.3)].map(|claim| claim.is_different());
     assert_eq!(different, [false, true]);
     let quoted = comma_separated(&[Claim::check("a \"b\", c", "1 nm".into(), true)]);
-    assert_eq!(quoted.lines().nth(1), Some("\"a \"\"b\"\", c\",\"not given\",\"1 nm\",\"\",\"holds\""));
+    assert_eq!(
+        quoted.lines().nth(1),
+        Some("\"a \"\"b\"\", c\",\"not given\",\"1 nm\",\"\",\"holds\"")
+    );
 }

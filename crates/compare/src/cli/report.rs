@@ -17,7 +17,9 @@ use planish_compare::{
     summary::{Summary, negative},
     table::{csv, execution_table, specification_table, table, table_of_runs},
 };
-use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
+use planish_handoff::{
+    Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task, tells_text,
+};
 use planish_types::{progress, text::visible};
 use serde_json::json;
 
@@ -56,9 +58,6 @@ pub struct ReportCommand {
     /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so
     #[arg(long, value_name = "NAME")]
     assumed_machine: Option<String>,
-    /// Print no table and no plots
-    #[arg(long)]
-    quiet: bool,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -96,7 +95,6 @@ impl ReportCommand {
             program_row: program,
             after_servo,
             assumed_machine,
-            quiet,
             plots,
             output,
         } = self;
@@ -132,7 +130,7 @@ impl ReportCommand {
         let status = negative(&runs).map_or(Status::Done, Status::Negative);
         let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
 
-        let plotted = !quiet && plots.are_wanted();
+        let plotted = tells_text() && plots.are_wanted();
         // The table is wanted every time, also when the files are there already.
         let wanted = writer.is_some() || plotted;
         let views = progress::part(0, 3, || if wanted { views(read) } else { vec![] });
@@ -153,14 +151,12 @@ impl ReportCommand {
                 .extend(drawn.iter().map(|(name, svg)| (name.as_str(), svg.clone().into_bytes())));
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
-        if !quiet {
-            tell(&runs);
-            if plotted {
-                say(sparkline::plots(&views));
-            }
-            for name in ["summary.json", "report.html"] {
-                say(visible(&output.out.join(name).to_string_lossy()));
-            }
+        tell(&runs);
+        if plotted {
+            say(sparkline::plots(&views));
+        }
+        for name in ["summary.json", "report.html"] {
+            say(visible(&output.out.join(name).to_string_lossy()));
         }
         warn_of_old(&runs);
         Ok(status)

@@ -191,7 +191,7 @@ impl Next {
     fn go_on(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         match self.programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 

@@ -66,6 +66,11 @@ impl Installation {
         if self.is_installed { String::new() } else { self.repository() }
     }
 
+    /// Returns the script that makes all plans of a sweep. Only a clone of the repository has it.
+    pub fn workflow(&self) -> PathBuf {
+        self.root.join("workflow/sweep.sh")
+    }
+
     /// Returns the names of the pipelines, in alphabetical order.
     pub fn pipelines(&self) -> Vec<String> {
         let mut names = self.names("pipelines", "yaml");

@@ -296,7 +296,7 @@ impl Rest<'_> {
         let programs = Programs::new(self.place, Messages::Shown)?;
         match programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 

@@ -268,7 +268,7 @@ impl Course {
                 self.negative.push(format!("{} ({program})", out.unwrap_or(&"")));
                 Ok(())
             }
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 
@@ -475,7 +475,7 @@ impl Course {
     fn quiet(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         match self.programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 

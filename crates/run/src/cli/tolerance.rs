@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, warn};
+use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, tells_text, warn};
 use serde_json::Value;
 
 use super::{
@@ -77,7 +77,9 @@ impl Tolerance {
                 &["--error-budget", &error_budget, "--free", free, "--out", &own, "--force"],
             ];
             // The program goes on in this line.
-            let _ = write!(stdout(), "\n{pipeline}: ").and_then(|()| stdout().flush());
+            if tells_text() {
+                let _ = write!(stdout(), "\n{pipeline}: ").and_then(|()| stdout().flush());
+            }
             let code = Programs::new(&place, Messages::Shown)?
                 .run(&command("planish-tolerance", &flags.concat()))?;
             if code != 0 {
