@@ -23,7 +23,7 @@ pub struct Installation {
     pub programs: PathBuf,
     /// Working directory of the user.
     here: PathBuf,
-    /// True if the programs are installed: outputs then go to the working directory, not to the clone.
+    /// True if the programs are installed, and not those of a clone.
     is_installed: bool,
 }
 
@@ -61,9 +61,11 @@ impl Installation {
         if self.root == self.here { String::new() } else { format!("{}/", self.root.display()) }
     }
 
-    /// Returns the prefix for paths of outputs: empty if Planish is installed, otherwise that of [`Self::repository`].
+    /// Returns the prefix for paths of outputs. Within a clone it is that of [`Self::repository`]; otherwise it is empty,
+    /// and outputs go to the working directory of the user.
     pub fn home(&self) -> String {
-        if self.is_installed { String::new() } else { self.repository() }
+        let is_within = self.here.starts_with(&self.root);
+        if is_within && !self.is_installed { self.repository() } else { String::new() }
     }
 
     /// Returns the script that makes all plans of a sweep. Only a clone of the repository has it.
