@@ -511,7 +511,7 @@ surface-pictures: build
     prepare --centre centroid --pixel-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
-# Print the table of docs/lines.md: five mirror lines with and without a weight of slopes, judged by NumPy alone
+# Print the table of docs/lines.csv: five mirror lines with and without a weight of slopes, judged by NumPy alone
 [group('5 pages and tables')]
 line-table out="out/lines": build python
     @target/python/bin/python scripts/line-table.py {{ quote(out) }}
