@@ -119,7 +119,7 @@ impl NextRun {
         let least_gain_percent = user.take("least_gain_percent").unwrap_or("5".into());
         let out = user.take_path("out").unwrap_or_else(|| {
             let after = std::path::absolute(&last.after).unwrap_or_default();
-            format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
+            format!("out/next-run/{}", directory_name(&name_of(&after)))
         });
         let settings = with_plain(&definition, &user);
         let scope = place.settings(&definition, &settings)?;

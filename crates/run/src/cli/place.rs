@@ -23,8 +23,6 @@ pub struct Installation {
     pub programs: PathBuf,
     /// Working directory of the user.
     here: PathBuf,
-    /// True if the programs are installed, and not those of a clone.
-    is_installed: bool,
 }
 
 impl Installation {
@@ -49,7 +47,6 @@ impl Installation {
         })?;
         Ok(Self {
             root: root.canonicalize().unwrap_or(root),
-            is_installed: programs.is_some(),
             programs: programs.unwrap_or(beside),
             here: env::current_dir()?,
         })
@@ -59,13 +56,6 @@ impl Installation {
     /// working directory.
     pub fn repository(&self) -> String {
         if self.root == self.here { String::new() } else { format!("{}/", self.root.display()) }
-    }
-
-    /// Returns the prefix for paths of outputs. Within a clone it is that of [`Self::repository`]; otherwise it is empty,
-    /// and outputs go to the working directory of the user.
-    pub fn home(&self) -> String {
-        let is_within = self.here.starts_with(&self.root);
-        if is_within && !self.is_installed { self.repository() } else { String::new() }
     }
 
     /// Returns the script that makes all plans of a sweep. Only a clone of the repository has it.
@@ -149,7 +139,6 @@ impl Installation {
         let mut scope = Scope::new(definition, settings).map_err(Failure::new)?;
         let word = |text: String| if text.is_empty() { vec![] } else { vec![text] };
         scope.set("repository", word(self.repository()));
-        scope.set("home", word(self.home()));
         let surface = scope.text("surface").map_err(Failure::new)?;
         scope.set("surface_name", word(name_of(&self.here.join(surface))));
         let name = scope.text("name").map_err(Failure::new)?;

@@ -186,7 +186,7 @@ impl Settings {
         let export = user.take("export").filter(|controller| !controller.is_empty());
         let out = user.take_path("out").unwrap_or_else(|| {
             let map = std::path::absolute(&surface).unwrap_or_default();
-            format!("{}out/{NAME}/{}", place.home(), directory_name(&name_of(&map)))
+            format!("out/{NAME}/{}", directory_name(&name_of(&map)))
         });
         if let Some(word) = user.settings.iter().chain(&user.words).next() {
             return Err(Failure::new(format!(

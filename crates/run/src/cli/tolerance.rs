@@ -49,9 +49,9 @@ impl Tolerance {
         let error_budget = user.take_path("error_budget").unwrap_or_else(|| {
             format!("{}fixtures/error-budgets/{errors}.json", place.repository())
         });
-        let out = user.take_path("out").unwrap_or_else(|| {
-            format!("{}out/tolerance/{}", place.home(), mirror(&user, is_reference))
-        });
+        let out = user
+            .take_path("out")
+            .unwrap_or_else(|| format!("out/tolerance/{}", mirror(&user, is_reference)));
         if is_reference {
             for (part, path) in reference(Path::new(&out))? {
                 user.settings.push(format!("{part}={}", path.display()));
