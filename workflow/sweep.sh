@@ -45,8 +45,7 @@ done
 for number in "$at_once" "$plans_per_job" "$most_jobs"; do
     case $number in *[!0-9]*) refuse "'$number' is no whole number" ;; esac
 done
-case $(pwd -P) in "$root") here=out ;; *) here=$root/out ;; esac
-[ -n "$out" ] || out=$here/sweeps/$name
+[ -n "$out" ] || out=out/sweeps/$name
 case $out in -*) out=./$out ;; esac
 case $profile in */*) ;; *) profile=$root/workflow/profiles/$profile ;; esac
 [ -f "$profile/config.yaml" ] || refuse "$profile has no config.yaml; profile is local, slurm, or a directory with one"
