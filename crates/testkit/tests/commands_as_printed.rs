@@ -22,7 +22,7 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// Commands that are not run here, with the reason.
-const EXCEPTIONS: [(&str, &str); 17] = [
+const EXCEPTIONS: [(&str, &str); 16] = [
     ("planish run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
     ("just programs-table --grids", "minutes"),
@@ -49,7 +49,6 @@ const EXCEPTIONS: [(&str, &str); 17] = [
     ("just reproduce", "minutes; `just ci-long` runs it"),
     ("just reproduce pvt", "part of `just reproduce`"),
     ("PLANISH_REFERENCE=DIR just reproduce", "needs the reference mirror"),
-    ("PLANISH_REFERENCE=DIR just paths-table", "needs the reference mirror"),
 ];
 
 /// Page with the machine file that other pages name.
