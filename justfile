@@ -104,7 +104,7 @@ snakemake:
     @test -d target/snakemake || python3 -m venv "$(mkdir -p target && cd target && pwd -P)/snakemake"
     @target/snakemake/bin/python -m pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
 
-# 500 runs of the virtual machine on the fixture coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign-results.md)
+# 500 runs of the virtual machine on the fixture coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
 #
 # How often the truth is within two standard errors of planish-reconcile
 [group('5 pages and tables')]

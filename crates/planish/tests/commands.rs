@@ -135,14 +135,14 @@ fn a_pipeline_tells_its_report_as_json() {
         "frames=0",
         &out,
     ];
-    let of = |flag: &str| {
+    let told = |flag: &str| {
         let mut command = Command::new(planish());
         let output = command.args(words).arg(flag).env("PLANISH_SHARE", root).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         text(&output.stdout)
     };
-    let told: Value = serde_json::from_str(&of("--json")).unwrap();
-    let summary = &told["outputs"][0]["outcome"];
-    assert!(summary["methods"]["pvt"]["rms_nm"].as_f64().unwrap() < 10.0, "{told}");
-    assert_eq!(of("--quiet"), "");
+    let object: Value = serde_json::from_str(&told("--json")).unwrap();
+    let summary = &object["outputs"][0]["outcome"];
+    assert!(summary["methods"]["pvt"]["rms_nm"].as_f64().unwrap() < 10.0, "{object}");
+    assert_eq!(told("--quiet"), "");
 }

@@ -54,7 +54,7 @@ fn check(place: &Installation) -> Result<Status, Failure> {
     let scope = place.scope(&definition, &settings.collect::<Vec<_>>())?;
     let code = run(place, scope, "run", Messages::Kept(File::create(&log)?))?.code;
     let summary = summary(&out).unwrap_or_default();
-    let rms_nm = |of: &Value| of["rms_nm"].as_f64().unwrap_or(f64::NAN);
+    let rms_nm = |row: &Value| row["rms_nm"].as_f64().unwrap_or(f64::NAN);
     let (before, after) = (rms_nm(&summary["initial"]), rms_nm(&summary["methods"]["pvt"]));
     if code != 0 || !(after < before) {
         let log = log.display();
