@@ -58,7 +58,7 @@ const RUNNER: &str = "planish-run";
 /// as `compare`, the word after it decides: a flag or a subcommand of the stage starts the stage.
 pub fn start(stages: &[Stage]) -> ExitCode {
     let mut words: Vec<OsString> = env::args_os().collect();
-    telling::move_flags_to_the_end(&mut words);
+    telling::move_flags_behind(&mut words);
     let name = words.first().and_then(|path| Path::new(path).file_stem()).map(OsStr::to_os_string);
     if let Some(stage) = stages.iter().find(|stage| name.as_deref() == Some(OsStr::new(stage.name)))
     {

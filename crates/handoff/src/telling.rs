@@ -85,7 +85,7 @@ pub(crate) fn take_flags(command: &Command, arguments: &mut Vec<OsString>) {
 
 /// Moves the flags that stand before the first command to the end: `planish --json dwell ...` is `planish dwell ...
 /// --json`.
-pub(crate) fn move_flags_to_the_end(words: &mut Vec<OsString>) {
+pub(crate) fn move_flags_behind(words: &mut Vec<OsString>) {
     let is_flag = |word: &OsString| FLAGS.iter().any(|(name, ..)| *word == *format!("--{name}"));
     while words.len() > 2 && is_flag(&words[1]) {
         let flag = words.remove(1);
