@@ -170,7 +170,7 @@ impl Programs {
     fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
-                "cannot run {}: {e}; build the programs with just build",
+                "cannot run {}: {e}; build the programs with cargo build --release",
                 command.program
             ))
         })
