@@ -137,7 +137,7 @@ fn a_pipeline_tells_its_report_as_json() {
     ];
     let told = |flag: &str| {
         let mut command = Command::new(planish());
-        let output = command.args(words).arg(flag).env("PLANISH_SHARE", root).output().unwrap();
+        let output = command.args(words).arg(flag).env("PLANISH_SHARE", &root).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         text(&output.stdout)
     };
