@@ -58,7 +58,9 @@ def main():
         print(f"\n## {called}\n\n{heading(about['about'])}")
         for command in about["commands"]:
             if command["name"]:
-                print(f"\n### {called} {command['name']}\n\n{heading(command['about'])}")
+                # The commands of planish-run need no `run` before them.
+                before = "planish" if about["program"] == "planish-run" else called
+                print(f"\n### {before} {command['name']}\n\n{heading(command['about'])}")
                 if command["baseline"]:
                     print("\nA baseline, to compare with the literature; a report never recommends its plan.")
             if command["about"].startswith("Second name of "):
