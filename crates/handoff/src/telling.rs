@@ -1,5 +1,5 @@
-//! How a program tells its result: as text, with `--quiet` only by warnings, verdicts and errors, and with `--json` as
-//! one JSON object.
+//! Three ways in which a program tells its result: as text, with `--quiet` only by warnings, verdicts and errors, and with
+//! `--json` as one JSON object.
 //!
 //! ```json
 //! { "exit_code": 1, "message": "verdict: ...", "outputs": [ { "path": "out/v", "kind": "verdict", "outcome": {} } ],
@@ -26,7 +26,7 @@ enum Telling {
     Json,
 }
 
-/// What a program tells, so far.
+/// State of the telling: its way, and the outputs and lines so far.
 struct Told {
     telling: Telling,
     outputs: Vec<Value>,
