@@ -1,5 +1,5 @@
-//! Three ways in which a program tells its result: as text, with `--quiet` only by warnings, verdicts and errors, and with
-//! `--json` as one JSON object.
+//! Three ways in which a program tells its result: as text, with `--quiet` only by warnings, verdicts and errors, and
+//! with `--json` as one JSON object.
 //!
 //! ```json
 //! { "exit_code": 1, "message": "verdict: ...", "outputs": [ { "path": "out/v", "kind": "verdict", "outcome": {} } ],
