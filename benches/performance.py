@@ -110,7 +110,7 @@ def certified(whole):
             name, pitch, points, runs, figures(row["least_s"]), figures(row["median_s"]), figures(row["memory_mib"]),
             f"{found['model_rms_nm']:.4f}", f"{found['total_time_s']:.1f}", gap,
         ))
-    return table(
+    return (
         ["part", "pitch, mm", "points", "runs", "least, s", "median, s", "memory, MiB", "RMS, nm", "total, s", "relative gap"], rows
     )
 
@@ -199,7 +199,7 @@ def main():
     kernels = divan(bench)
     medians = {name: median for name, _, _, median in kernels}
     write("kernels", head, in_ms(kernels))
-    put("limits", limits(medians))
+    write("limits", *limits(medians))
 
     whole = Whole(stages, out)
     flat = json.loads(Path("fixtures/flat-92x16.json").read_text())
@@ -235,10 +235,10 @@ def main():
     sides = ("2703", "168 x 985 px, 2703", "1022564", "8192 x 8192 px, 1022564")
     put("whole", table(columns, [row for row in rows if row[1].startswith(sides)]))
     put("growth", growth(disks))
-    put("certified", certified(whole))
-    put("ratios", ratios(medians))
-    put("residual", residuals(whole, stages))
-    put("peers", table(head, in_ms(peers.measure())))
+    write("certified", *certified(whole))
+    write("ratios", *ratios(medians))
+    write("residual", *residuals(whole, stages))
+    write("peers", head, in_ms(peers.measure()))
 
 
 def limits(seconds):
@@ -256,9 +256,9 @@ def limits(seconds):
         ("schedule_pvt_long false 1000000", "memory: 400 bytes a segment, counted in the loops", 4e8 / bytes_per_s),
         ("dwell_lucy_richardson_large true", "two `convolution f64 1641`: what the points reach, and what is left", 2 * seconds["convolution f64 1641"]),
     ]
-    return table(
+    return (
         ["work", "limit", "limit, ms", "median, ms", "ratio"],
-        [(f"`{n}`", what, figures(1e3 * least), figures(1e3 * seconds[n]), figures(seconds[n] / least)) for n, what, least in rows],
+        [(n, what, figures(1e3 * least), figures(1e3 * seconds[n]), figures(seconds[n] / least)) for n, what, least in rows],
     )
 
 
@@ -272,8 +272,8 @@ def ratios(seconds):
         ("dwell_bounded_least_squares_by_pitch", "1", "0.25", "mm between the points, 16 times as many"),
     ):
         ratio = seconds[f"{kernel} {large}"] / seconds[f"{kernel} {small}"]
-        rows.append((f"`{kernel}`", f"{small} to {large} {what}", figures(ratio)))
-    return table(["work", "from and to", "times"], rows)
+        rows.append((kernel, f"{small} to {large} {what}", figures(ratio)))
+    return ["work", "from and to", "times"], rows
 
 
 def residuals(whole, stages):
@@ -302,7 +302,7 @@ def residuals(whole, stages):
             seconds.append(run(command))
         report = json.loads((at / "residual/manifest.json").read_text())["outcome"]["report"]
         rows.append((name, steps, figures(statistics.median(seconds)), f"{report['model_rms_nm']:.4f}"))
-    return table(["solver", "steps", "median, s", "RMS of what is left, nm"], rows)
+    return ["solver", "steps", "median, s", "RMS of what is left, nm"], rows
 
 
 def growth(disks):

@@ -1,4 +1,4 @@
-"""The table of docs/lines.md: slope errors of five mirror lines before and after their plans, without and with a weight
+"""The table of docs/lines.csv: slope errors of five mirror lines before and after their plans, without and with a weight
 of the slope of the residual (`just line-table`).
 
 The residuals are computed here, from the profile, the samples of the tool and the coefficients of the motion, and by

@@ -45,12 +45,19 @@ done
 for number in "$at_once" "$plans_per_job" "$most_jobs"; do
     case $number in *[!0-9]*) refuse "'$number' is no whole number" ;; esac
 done
-case $(pwd -P) in "$root") here=out ;; *) here=$root/out ;; esac
-[ -n "$out" ] || out=$here/sweeps/$name
+[ -n "$out" ] || out=out/sweeps/$name
 case $out in -*) out=./$out ;; esac
 case $profile in */*) ;; *) profile=$root/workflow/profiles/$profile ;; esac
 [ -f "$profile/config.yaml" ] || refuse "$profile has no config.yaml; profile is local, slurm, or a directory with one"
 profile=$(cd "$profile" && pwd -P)
+
+# The workflow has a virtual environment of its own.
+python=$root/target/snakemake/bin/python
+if ! "$python" -c 'import snakemake' 2> /dev/null; then
+    mkdir -p "$root/target"
+    python3 -m venv "$(cd "$root/target" && pwd -P)/snakemake"
+    "$python" -m pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
+fi
 
 # What a cluster hands a job on to quotes no paths.
 case $profile in
@@ -86,7 +93,7 @@ set -f
 # shellcheck disable=SC2086  # the numbers and the flags are several words
 workflow() {
     # By its module: the first line of the program names a path, which a shell takes apart.
-    "$root/target/snakemake/bin/python" -m snakemake --snakefile "$root/workflow/Snakefile" --directory "$at" \
+    "$python" -m snakemake --snakefile "$root/workflow/Snakefile" --directory "$at" \
         --profile "$profile" --config $config $flags "$@" || exit 2
 }
 

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # Commands, the pages that show their tables, and the folder of their results, which is made anew: what is there already
 # may be of an older program.
 TABLES = {
-    "just line-table": (["docs/lines.md"], "out/lines"),
+    "just line-table": (["docs/lines.csv"], "out/lines"),
     "just axes-table": (["docs/axes.md"], "out/axes-table"),
     "just paths-table": (["docs/paths.md", "docs/joint-paths.csv"], "out/paths-table"),
     "just joint-table mirror": (["docs/joint.md"], None),

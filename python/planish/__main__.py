@@ -1,18 +1,21 @@
-"""`planish run PIPELINE NAME=VALUE...`: the pipelines of the repository, without a clone of it."""
+"""The command `planish` of the wheel: `list` and `doctor` are here, everything else is the program with all stages."""
 
 import subprocess
 import sys
 import warnings
 
-from . import PlanishError, programs
+from . import _EXECUTABLE, PlanishError, programs
 from ._plan import pipeline, plan, share
 
 USAGE = """planish run PIPELINE [NAME=VALUE...]   run a pipeline: planish run raster surface=mirror tif=tool machine=m.json
 planish show PIPELINE                  its settings, with their defaults and units
+planish STAGE --help                   one stage at a time: import, tool, surface, dwell, verify, export and others
+planish compare|tolerance|campaign|next-run|resume ...    several runs
+planish app                            a page in the browser that plans
 planish list                           pipelines, fixture mirrors, machines, planish.m and a notebook, that are here
 planish doctor                         system, version, programs, and a plan of a tiny mirror as a check
 planish --version                      the version
-planish-STAGE --help                   one stage at a time; from Python: import planish
+planish help                           every command
 """
 
 
@@ -67,10 +70,21 @@ def version():
     return ran.stdout.split()[-1]
 
 
+def whole(*arguments):
+    """Command and environment of the program with all stages."""
+    _, environment = pipeline()
+    del environment["PLANISH_PROGRESS"]
+    folder = programs()
+    # In the wheel, the name `planish` is that of this script.
+    names = [f"planish_programs{_EXECUTABLE}", f"planish{_EXECUTABLE}"]
+    file = next(folder / name for name in names if (folder / name).is_file())
+    return [str(file), *arguments], environment
+
+
 def main():
     arguments = sys.argv[1:]
     goal = arguments[0] if arguments else ""
-    if goal in ("", "-h", "--help", "help"):
+    if goal in ("", "-h", "--help"):
         print(USAGE, end="")
         return 0
     try:
@@ -92,14 +106,8 @@ def main():
             print(f"{what}: {next(share().rglob(file))}")
         print(f"programs (PLANISH_PROGRAMS): {programs()}")
         return 0
-    if goal not in ("run", "show"):
-        print(f"error: '{goal}' is no command; give run, show, list or doctor", file=sys.stderr)
-        return 2
-    if len(arguments) < 2:
-        print(f"error: {goal} what? Give a pipeline: planish {goal} raster (planish list names them)", file=sys.stderr)
-        return 2
     try:
-        command, environment = pipeline(*arguments)
+        command, environment = whole(*arguments)
     except PlanishError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -49,7 +49,7 @@ def share() -> pathlib.Path:
 def pipeline(*arguments: str) -> tuple[list[str], dict[str, str]]:
     """Command and environment of `planish run` and `planish show`."""
     folder = programs()
-    environment = {**os.environ, "PLANISH_PROGRAMS": str(folder), "PLANISH_SHARE": str(share())}
+    environment = {**os.environ, "PLANISH_PROGRAMS": str(folder), "PLANISH_SHARE": str(share()), "PLANISH_PROGRESS": "1"}
     return [str(folder / "planish-run"), *arguments], environment
 
 
@@ -80,7 +80,8 @@ def plan(
     out : path, optional
         Directory of the run. Without it the directory is temporary, and Python removes it with the plan.
     progress : bool or function, optional
-        Shows the stage that runs: by default in a notebook and on a terminal. A function is given each text.
+        Shows the stage that runs and the number of stages: by default in a notebook and on a terminal. A function is
+        given each text, such as "stage 3 of 21: planish-toolpath raster".
     **settings
         Settings of the pipeline, which `planish show raster` lists: `pitch_mm=2, plan_joint=False, export="galil"`.
 
@@ -433,11 +434,12 @@ def _watched(command, environment, show):
     reader = threading.Thread(target=lambda: printed.extend(ran.stdout), daemon=True)
     reader.start()
     try:
-        stage = 0
+        stage = ""
         for line in ran.stderr:
             line = line.rstrip("\n")
-            if line.startswith("planish-"):
-                stage += 1
+            if line.startswith("progress: "):
+                stage = line.removeprefix("progress: ")
+            elif line.startswith("planish-"):
                 show(f"stage {stage}: {' '.join(word for word in line.split()[:2] if not word.startswith('--'))}")
             else:
                 said.append(line)

@@ -1,7 +1,7 @@
 #!/bin/sh
 # What a new user does in a clone, with the times: README's first command, then a mirror made with NumPy, from its arrays to
 # a Galil and a G-code program in the machine's own axes: try-clone.sh REPOSITORY PYTHON OUT. Cargo's registry is at hand;
-# nothing else is: `just` and every program are built. OUT is made by this script, or absent.
+# nothing else is: every program is built. OUT is made by this script, or absent.
 set -eu
 repository=$(cd "$1" && pwd -P)
 python=$2
@@ -16,12 +16,12 @@ mkdir -p "$out/lab"
 : > "$out/made-by-try-clone"
 cd "$out"
 git clone --quiet "$repository" clone
-export CARGO_INSTALL_ROOT="$PWD/cargo" PATH="$PWD/cargo/bin:$PATH"
 unset CARGO_TARGET_DIR PLANISH_PROGRAMS
 
-first=$(grep -m 1 '^cargo install .* just run raster$' clone/README.md)
+build=$(grep -o 'cargo build [a-z -]*--bins' clone/README.md)
+first=$(grep -m 1 '^planish run raster$' clone/README.md)
 begun=$(date +%s)
-(cd clone && sh -c "$first") > first-command 2>&1 || { tail -n 20 first-command >&2; exit 1; }
+(cd clone && PATH="$PWD/target/release:$PATH" sh -c "$build && $first") > first-command 2>&1 || { tail -n 20 first-command >&2; exit 1; }
 tail -n 12 first-command
 times > processor-time
 echo "first command: $(($(date +%s) - begun)) s, processor time (user, system) $(sed -n 2p processor-time); $(du -sm clone/target | cut -f 1) MB in target"
@@ -29,7 +29,7 @@ echo "first command: $(($(date +%s) - begun)) s, processor time (user, system) $
 cd lab
 begun=$(date +%s)
 "$python" "$repository/python/tests/mirror.py" write
-just --justfile ../clone/justfile run raster surface=mirror tif=tool machine=machine.json pitch_mm=2 step_mm=2 \
+../clone/target/release/planish run raster surface=mirror tif=tool machine=machine.json pitch_mm=2 step_mm=2 \
     export=galil out=plan > run 2>&1 || { tail -n 20 run >&2; exit 1; }
 grep '^program: ' run
 # The plan that the program is of

@@ -267,7 +267,7 @@ mod tests {
                     "total_time_s": time, "rms_nm": rms, "rms_detilted_nm": rms, "below_95_percent_nm": null,
                     "limits_kept": kept,
                 },
-                "report": format!("plans/{i}/report.html"), "again": format!("just run raster pitch_mm={i}"),
+                "report": format!("plans/{i}/report.html"), "again": format!("planish run raster pitch_mm={i}"),
             })
         };
         let plans: Vec<Value> = plans.iter().enumerate().map(row).collect();
@@ -304,7 +304,7 @@ mod tests {
             sentence.contains("plan-1 is to be run: it leaves 1.03 nm RMS in 10 s"),
             "{sentence}"
         );
-        assert!(sentence.ends_with("just run raster pitch_mm=1"), "{sentence}");
+        assert!(sentence.ends_with("planish run raster pitch_mm=1"), "{sentence}");
         assert!(table(&plans, Some(0.5)).sentence().starts_with("None of the 3 plans"));
     }
 

@@ -20,7 +20,7 @@ use crate::{
     arguments::arguments,
     describe, from_run,
     message::{complain, shortened},
-    words,
+    telling, words,
 };
 
 /// Name of the flag for the memory budget, which every program has.
@@ -33,7 +33,8 @@ pub(crate) const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershe
 /// Parses the command line. For `--completions`, `--man`, `--describe`, `--help` and wrong usage,
 /// it prints a text and ends the program.
 pub(crate) fn parse<C: Parser>() -> C {
-    let arguments = arguments();
+    let mut arguments = arguments();
+    telling::take_flags(&command::<C>(), &mut arguments);
     if let Some(text) = generated(command::<C>, &arguments[1..]) {
         match text {
             Ok(bytes) => {
@@ -88,7 +89,7 @@ fn command<C: CommandFactory>() -> clap::Command {
             "Memory that the program may take, GiB: it refuses what needs more [default: {}]",
             budget::DEFAULT_MEMORY_GIB
         ));
-    C::command().arg(memory).after_help(after_help::<C>())
+    C::command().arg(memory).args(telling::flags()).after_help(after_help::<C>())
 }
 
 /// Returns the command line that started this process, quoted for a shell, with `tool` as the name of the program.
@@ -175,6 +176,12 @@ pub(crate) fn generated(
     arguments: &[OsString],
 ) -> Option<Result<Vec<u8>, String>> {
     let whole = || definition().mut_subcommands(|c| c.hide(false));
+    if let [names @ .., last] = arguments
+        && last == "--man"
+    {
+        // A word that is no command is for the stage to refuse.
+        return named(whole(), names).map(man_page);
+    }
     let first = arguments.first()?.to_str()?;
     let (flag, value) = first.split_once('=').map_or((first, None), |(f, v)| (f, Some(v)));
     let value = value.or_else(|| arguments.get(1)?.to_str());
@@ -191,10 +198,15 @@ pub(crate) fn generated(
             clap_complete::generate(shell, &mut command, name, &mut bytes);
             Some(Ok(bytes))
         }
-        "--man" => Some(man_page(whole())),
         "--describe" => Some(Ok(format!("{:#}\n", describe::program(definition())).into_bytes())),
         _ => None,
     }
+}
+
+/// Returns the command that `names` lead to, one subcommand in the other; `None` if one of them is no subcommand.
+fn named(mut command: clap::Command, names: &[OsString]) -> Option<clap::Command> {
+    command.build();
+    names.iter().try_fold(command, |command, name| command.find_subcommand(name).cloned())
 }
 
 /// Returns the manual page in roff: the program, then each subcommand with its flags.
@@ -286,6 +298,6 @@ mod tests {
     fn anything_else_is_for_the_stage() {
         assert_eq!(ask(&[]), None);
         assert_eq!(ask(&["--pitch-mm", "1"]), None);
-        assert_eq!(ask(&["raster", "--man"]), None);
+        assert_eq!(ask(&["no-command", "--man"]), None);
     }
 }

@@ -18,6 +18,8 @@ use std::{any::TypeId, path::PathBuf};
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
 
+use crate::telling;
+
 /// Returns the description of a program's command line as JSON, in the form that the module head shows.
 pub(crate) fn program(mut command: Command) -> Value {
     command.build();
@@ -38,7 +40,7 @@ pub(crate) fn program(mut command: Command) -> Value {
 }
 
 fn one(name: &str, command: &Command) -> Value {
-    let flags = command.get_arguments().filter(|a| !is_help(a)).map(flag);
+    let flags = command.get_arguments().filter(|a| !is_help(a) && !telling::is_shared(a)).map(flag);
     json!({
         "name": name,
         "about": about(command),

@@ -82,6 +82,7 @@ mod publish;
 mod shell;
 mod stage;
 pub mod system;
+mod telling;
 pub mod words;
 
 pub use allocator::Allocator;
@@ -94,6 +95,7 @@ pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
 pub use stage::{Stage, Subcommands, stage_command, start};
+pub use telling::{exit, keep_output, tells_text};
 
 /// Error about a file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.

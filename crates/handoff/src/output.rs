@@ -32,6 +32,7 @@ use crate::{
     place::{is_within, obstacle, parent_of, plain, refuse_foreign_files, special_file},
     publish::{self, Staged},
     shell::{Failure, Status, say},
+    telling,
 };
 
 /// Period at which the progress on a terminal is redrawn, and delay before it first appears.
@@ -184,6 +185,10 @@ impl Output {
         {
             let out = self.args.out.display();
             say(format!("{}: {out} unchanged, nothing to do", task.tool));
+            for Directory { path, kind, .. } in &self.directories {
+                let outcome = artifact::read_manifest(path, kind)?.map(|manifest| manifest.outcome);
+                telling::keep_output(path, kind.name, outcome.unwrap_or_default());
+            }
             let negative = each.into_iter().find(|status| *status != Status::Done);
             return Ok(Begin::Unchanged(negative.unwrap_or(Status::Done)));
         }
@@ -438,6 +443,7 @@ impl Writer {
             ..self.manifest.clone()
         };
         artifact::write_file(&dir.join(MANIFEST), manifest.to_text().as_bytes())?;
+        telling::keep_output(&directory.path, kind.name, manifest.outcome);
         self.directories.remove(index);
         self.staged.push(staged);
         self.show_when_complete()
@@ -452,6 +458,7 @@ impl Writer {
         let index = index.unwrap_or_else(|| panic!("no {} is to be written", path.display()));
         let mut staged = Staged::file(path, self.force)?;
         staged.write_all(bytes)?;
+        telling::keep_output(path, "file", Value::Null);
         self.files.remove(index);
         self.staged.push(staged);
         self.show_when_complete()
@@ -616,6 +623,7 @@ impl OutputFile {
     /// # Errors
     /// Fails if the disk refuses it, or if another program has meanwhile created something at the path.
     pub fn write(self, bytes: &[u8]) -> Result<(), HandoffError> {
+        telling::keep_output(&self.path, "file", Value::Null);
         show_file(&self.path, self.force, bytes)
     }
 

@@ -12,7 +12,7 @@ use clap::Parser;
 use crate::{
     command_line::{self, with_flags},
     message::{complain, without_commands},
-    publish, system,
+    publish, system, telling,
 };
 
 /// Status of a stage that was able to run.
@@ -66,18 +66,17 @@ pub fn program<Flags: Parser>(body: impl FnOnce(&Flags) -> Result<Status, Failur
     // After a panic of the body, its changed state is not used any more.
     let end = panic::catch_unwind(AssertUnwindSafe(|| body(&flags)));
     publish::wait_for_signal_under_way();
-    match end {
-        Ok(Ok(Status::Done)) => ExitCode::SUCCESS,
-        Ok(Ok(Status::Negative(reason))) => {
-            complain(&format!("verdict: {reason}"));
-            ExitCode::from(1)
-        }
-        Ok(Err(failure)) => {
-            complain(&format!("error: {failure}"));
-            ExitCode::from(2)
-        }
-        Err(_) => ExitCode::from(2),
+    let (code, message) = match end {
+        Ok(Ok(Status::Done)) => (0, None),
+        Ok(Ok(Status::Negative(reason))) => (1, Some(format!("verdict: {reason}"))),
+        Ok(Err(failure)) => (2, Some(format!("error: {failure}"))),
+        Err(_) => (2, None),
+    };
+    if let Some(message) = &message {
+        complain(message);
     }
+    telling::tell_end(code, message.as_deref());
+    ExitCode::from(code)
 }
 
 /// Prints a warning on standard error; a closed pipe is not an error.
@@ -85,7 +84,13 @@ pub fn warn(message: impl Display) {
     complain(&format!("warning: {message}"));
 }
 
-/// Prints text on standard output, with control characters escaped; a closed pipe is not an error.
+/// Prints text on standard output, with control characters escaped; a closed pipe is not an error. With `--quiet` and
+/// `--json` it prints nothing.
 pub fn say(message: impl Display) {
-    let _ = writeln!(std::io::stdout(), "{}", without_commands(&message.to_string()));
+    let text = without_commands(&message.to_string());
+    if telling::tells_text() {
+        let _ = writeln!(std::io::stdout(), "{text}");
+    } else {
+        telling::keep_text(&text);
+    }
 }

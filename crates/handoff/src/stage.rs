@@ -10,7 +10,7 @@ use std::{
     process::{Command, ExitCode},
 };
 
-use crate::{Failure, Status, arguments, command_line, message::complain, say};
+use crate::{Failure, Status, arguments, command_line, message::complain, say, telling};
 
 /// Name of the program that contains all stages.
 const PROGRAM: &str = "planish";
@@ -58,6 +58,7 @@ const RUNNER: &str = "planish-run";
 /// as `compare`, the word after it decides: a flag or a subcommand of the stage starts the stage.
 pub fn start(stages: &[Stage]) -> ExitCode {
     let mut words: Vec<OsString> = env::args_os().collect();
+    telling::move_flags_behind(&mut words);
     let name = words.first().and_then(|path| Path::new(path).file_stem()).map(OsStr::to_os_string);
     if let Some(stage) = stages.iter().find(|stage| name.as_deref() == Some(OsStr::new(stage.name)))
     {

@@ -13,10 +13,9 @@ use crate::{
 pub const SHARED: &str = "shared";
 
 /// Names of the facts: values that the program finds when it runs a pipeline and that no definition file states.
-pub const FACTS: [&str; 12] = [
+pub const FACTS: [&str; 11] = [
     "pipeline",
     "repository",
-    "home",
     "surface_kind",
     "tif_kind",
     "surface_name",

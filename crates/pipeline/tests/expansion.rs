@@ -14,7 +14,6 @@ fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) ->
     scope.check().unwrap();
     for (fact, words) in [
         ("repository", vec![]),
-        ("home", vec![]),
         ("surface_name", vec!["mirror"]),
         ("directory_name", vec!["m"]),
         ("machine_name", vec!["machine.json"]),

@@ -4,6 +4,7 @@ mod after_tool;
 mod campaign;
 mod claim;
 mod compare;
+mod doctor;
 mod execute;
 mod next_run;
 mod place;
@@ -17,6 +18,7 @@ mod several_page;
 mod several_tools;
 mod spread;
 mod start;
+mod sweep;
 mod tolerance;
 mod verdict;
 
@@ -59,6 +61,13 @@ pub enum RunCommand {
     ///
     /// Everything goes to out/next-run/MAP, or to OUT with out=OUT (docs/campaign.md).
     NextRun(next_run::NextRun),
+    /// Make all plans of a sweep and recommend one: planish sweep sweeps/small.yaml
+    ///
+    /// Settings: out=DIR, profile=slurm for a cluster, refine_front=yes for plans between those of the front, retry=yes,
+    /// at_once=N, plans_per_job=N, most_jobs=N, snakemake=FLAGS (docs/sweeps.md). It needs a clone, and python3.
+    Sweep(sweep::Sweep),
+    /// Print what is here, and plan a fixture as a check
+    Doctor(doctor::Doctor),
     /// Plan with several tools of a rack: choose them, then plan, judge and simulate tool by tool from coarse to fine
     ///
     /// The tools that follow are planned again on what the motion before them removes. Everything goes to
@@ -94,6 +103,8 @@ impl RunCommand {
             Self::Campaign(arguments) => arguments.run(),
             Self::CampaignSpread(arguments) => arguments.run(),
             Self::NextRun(arguments) => arguments.run(),
+            Self::Sweep(arguments) => arguments.run(),
+            Self::Doctor(arguments) => arguments.run(),
             Self::Several(arguments) => arguments.run(),
             Self::Resume(arguments) => arguments.run(),
             Self::Start(arguments) => arguments.run(),

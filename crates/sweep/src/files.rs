@@ -59,9 +59,9 @@ fn has_tool(sweep: &Sweep, plan: &SweptPlan) -> bool {
         && plan.varying().is_none_or(|text| varying.iter().any(|(known, _)| known == text))
 }
 
-/// Returns the `just run` command that makes a plan again, quoted for a shell.
+/// Returns the `planish run` command that makes a plan again, quoted for a shell.
 pub fn again(sweep: &Sweep, plan: &SweptPlan) -> String {
-    let mut command = "just run".to_string();
+    let mut command = "planish run".to_string();
     for word in sweep.again(plan) {
         command += &match word.split_once('=') {
             Some((name, value)) => format!(" {name}={}", words::quote(value)),

@@ -45,7 +45,7 @@ pub struct Sweep {
     pub reports: bool,
     /// Constraints that a plan must keep to be on the front of residual against time.
     pub constraints: Constraints,
-    /// Settings of `just run` that all plans share, to make a plan again.
+    /// Settings of `planish run` that all plans share, to make a plan again.
     pub again: Vec<String>,
     /// Hashes of the inputs that all plans share.
     pub ground: Ground,
@@ -392,7 +392,7 @@ impl Sweep {
         Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
     }
 
-    /// Returns the settings of `just run` that make a plan again; the first word is the name of the pipeline.
+    /// Returns the settings of `planish run` that make a plan again; the first word is the name of the pipeline.
     pub fn again(&self, plan: &SweptPlan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
         // A plan of motion and times as one problem does not depend on the error budget.
@@ -489,7 +489,7 @@ fn with_defaults(
     mut settings: Vec<(String, SettingValue)>,
     ground: &Ground,
 ) -> Vec<(String, SettingValue)> {
-    // A tool that is given by name is what it is, as in `just run tif=DIR`.
+    // A tool that is given by name is what it is, as in `planish run tif=DIR`.
     let is_own = !settings.iter().any(|(key, _)| matches!(key.as_str(), "varying" | "tool"));
     if let Some(text) = ground.own_varying.as_ref().filter(|_| is_own) {
         settings.push(("varying".into(), SettingValue::Word(text.clone())));

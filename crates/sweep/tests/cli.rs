@@ -142,7 +142,7 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     assert!(number(&plans[0], "rms_nm") < number(&plans[1], "rms_nm"));
 
     let again = ended(0, &["again", &one, plans[1]["id"].as_str().unwrap()]);
-    assert!(again.starts_with("just run raster "), "{again}");
+    assert!(again.starts_with("planish run raster "), "{again}");
     assert!(
         again.contains(" pitch_mm=2 step_mm=1 time_elasticity=2 plan_joint=yes refine=no"),
         "{again}"

@@ -23,7 +23,7 @@ use serde_json::Value;
 
 /// Commands that are not run here, with the reason.
 const EXCEPTIONS: [(&str, &str); 18] = [
-    ("just run bspline", "two minutes"),
+    ("planish run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
     ("just programs-table --grids", "minutes"),
     (
@@ -31,16 +31,16 @@ const EXCEPTIONS: [(&str, &str); 18] = [
          --rows \"coupon raster,coupon maze,raster,maze\"",
         "minutes",
     ),
-    ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
+    ("planish sweep sweeps/small.yaml refine_front=yes", "a minute"),
     (
-        "just sweep sweeps/reference.yaml profile=slurm \
+        "planish sweep sweeps/reference.yaml profile=slurm \
          snakemake='--default-resources slurm_partition=NAME slurm_account=NAME'",
         "needs a cluster; `just test-slurm` has one on this machine",
     ),
     ("just test-faults", "minutes; .ci/run disturbs a twentieth as often"),
     ("just test-killed", "half an hour; .ci/run kills one pipeline"),
     (
-        "just run raster fixture=coupon out=out/warming varying=\"time --table warm-up.txt\"",
+        "planish run raster fixture=coupon out=out/warming varying=\"time --table warm-up.txt\"",
         "ends with 1, as the page says; `just test-pipelines` runs such a tool",
     ),
     ("just test-schedulers-long", "an hour; a piece of it is run"),
@@ -54,7 +54,6 @@ const EXCEPTIONS: [(&str, &str); 18] = [
     ("just reproduce", "minutes; `just ci-long` runs it"),
     ("just reproduce pvt", "part of `just reproduce`"),
     ("PLANISH_REFERENCE=DIR just reproduce", "needs the reference mirror"),
-    ("PLANISH_REFERENCE=DIR just paths-table", "needs the reference mirror"),
 ];
 
 /// Page with the machine file that other pages name.

@@ -1,4 +1,4 @@
-//! A flag has one meaning in all programs. `docs/glossary.md` states the meaning of a flag that several commands
+//! A flag has one meaning in all programs. `docs/prose/flags.txt` states the meaning of a flag that several commands
 //! describe in different words, and every description begins with it.
 
 use std::{
@@ -9,8 +9,8 @@ use std::{
 use planish_testkit::workspace;
 use serde_json::Value;
 
-/// Heading of the table of shared flags in the glossary.
-const HEADING: &str = "## Flags of several programs";
+/// File of the flags that several commands describe in different words.
+const MEANINGS: &str = "docs/prose/flags.txt";
 
 /// A flag of one command.
 struct Flag {
@@ -53,16 +53,14 @@ fn flags() -> Vec<Flag> {
     flags
 }
 
-/// The meanings of the glossary by the name of the flag: "| `--name` | meaning |".
+/// The meanings of shared flags by the name of the flag: "--name: meaning".
 fn meanings() -> BTreeMap<String, String> {
-    let page = fs::read_to_string(workspace().join("docs/glossary.md")).unwrap();
-    let (_, rest) = page.split_once(HEADING).expect("the glossary has a table of shared flags");
-    let section = rest.split("\n## ").next().unwrap();
+    let page = fs::read_to_string(workspace().join(MEANINGS)).unwrap();
     let row = |line: &str| {
-        let (name, meaning) = line.strip_prefix("| `--")?.split_once("` | ")?;
-        Some((name.to_string(), meaning.split(" |").next()?.trim().to_string()))
+        let (name, meaning) = line.strip_prefix("--")?.split_once(": ")?;
+        Some((name.to_string(), meaning.trim().to_string()))
     };
-    section.lines().filter_map(row).collect()
+    page.lines().filter_map(row).collect()
 }
 
 /// Returns true if the description begins with the meaning, as whole words.
@@ -88,7 +86,7 @@ fn mistakes(flags: &[Flag], meanings: &BTreeMap<String, String>) -> Vec<String> 
             None if texts.len() > 1 => {
                 let places: Vec<_> = all.iter().map(|flag| place(flag)).collect();
                 found.push(format!(
-                    "--{name} has {} descriptions, and docs/glossary.md does not state one meaning. If the meanings \
+                    "--{name} has {} descriptions, and {MEANINGS} does not state one meaning. If the meanings \
                      differ, rename a flag:\n{}",
                     texts.len(),
                     places.join("\n")
@@ -104,7 +102,7 @@ fn mistakes(flags: &[Flag], meanings: &BTreeMap<String, String>) -> Vec<String> 
     }
     let once = |name: &str| by_name.get(name).is_none_or(|all| all.len() < 2);
     let stale = meanings.keys().filter(|name| once(name));
-    found.extend(stale.map(|name| format!("docs/glossary.md: no two commands have --{name}")));
+    found.extend(stale.map(|name| format!("{MEANINGS}: no two commands have --{name}")));
     found
 }
 

@@ -4,7 +4,7 @@
 #[path = "../examples/reproduce/claim.rs"]
 mod claim;
 
-use claim::{Claim, changed, table};
+use claim::{Claim, changed, comma_separated, table};
 
 fn number(ours: f64) -> Claim {
     Claim::number("residual", "nm", 0.204, ours, 0.01)
@@ -56,4 +56,11 @@ fn the_page_says_what_changed() {
     assert_eq!(rows[0], "| residual | 0.204 nm | 0.204 nm | 1.00 | agrees within 1 % |");
     assert_eq!(rows[1], "| residual | 0.204 nm | 0.300 nm | 1.47 | differs; EXPECTED: Agrees |");
     assert_eq!(rows[2], "| so | not given | 1 nm |  | holds |");
+    let different = [number(0.2043), number(0.3)].map(|claim| claim.is_different());
+    assert_eq!(different, [false, true]);
+    let quoted = comma_separated(&[Claim::check("a \"b\", c", "1 nm".into(), true)]);
+    assert_eq!(
+        quoted.lines().nth(1),
+        Some("\"a \"\"b\"\", c\",\"not given\",\"1 nm\",\"\",\"holds\"")
+    );
 }

@@ -21,7 +21,7 @@ use planish_compare::{
 use planish_handoff::{
     Failure, Inputs, Output, Status,
     flags::{OutputArgs, PartArgs},
-    kind, say, task,
+    kind, say, task, tells_text,
 };
 use planish_types::{progress, text::visible};
 use serde_json::json;
@@ -63,9 +63,6 @@ pub struct ReportCommand {
     assumed_machine: Option<String>,
     #[command(flatten)]
     part: PartArgs,
-    /// Print no table and no plots
-    #[arg(long)]
-    quiet: bool,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -104,7 +101,6 @@ impl ReportCommand {
             after_servo,
             assumed_machine,
             part,
-            quiet,
             plots,
             output,
         } = self;
@@ -144,7 +140,7 @@ impl ReportCommand {
         let status = negative(&runs).map_or(Status::Done, Status::Negative);
         let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
 
-        let plotted = !quiet && plots.are_wanted();
+        let plotted = tells_text() && plots.are_wanted();
         // The plots are wanted every time, also when the files are there already.
         let views = if writer.is_some() || plotted { made_views(read) } else { vec![] };
         if let Some(mut writer) = writer {
@@ -153,14 +149,12 @@ impl ReportCommand {
                 beside.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
-        if !quiet {
-            tell(&runs);
-            if plotted {
-                say(sparkline::plots(&views));
-            }
-            for name in ["summary.json", "report.html"] {
-                say(visible(&output.out.join(name).to_string_lossy()));
-            }
+        tell(&runs);
+        if plotted {
+            say(sparkline::plots(&views));
+        }
+        for name in ["summary.json", "report.html"] {
+            say(visible(&output.out.join(name).to_string_lossy()));
         }
         warn_of_old(&runs);
         Ok(status)

@@ -163,9 +163,9 @@ pub fn page(table: &Table, to_table: &str) -> String {
 /// Returns the sentence on the plan to be run as HTML, with its command set as code.
 fn with_command(table: &Table) -> String {
     let sentence = table.sentence();
-    match sentence.split_once("just run ") {
+    match sentence.split_once("planish run ") {
         Some((before, settings)) => {
-            format!("{}<code>just run {}</code>", escaped(before), escaped(settings))
+            format!("{}<code>planish run {}</code>", escaped(before), escaped(settings))
         }
         None => escaped(&sentence),
     }
@@ -291,7 +291,7 @@ mod tests {
         table.0.name = "<script>".into();
         table.0.plans[0].path = "\"><script>".into();
         table.0.plans[0].report = Some("\"><script>".into());
-        table.0.plans[0].again = "just run <script>".into();
+        table.0.plans[0].again = "planish run <script>".into();
         let page = page(&table, "");
         assert!(!page.contains("<script>"), "{page}");
     }

@@ -98,9 +98,8 @@ pub fn campaign(words: &[String], messages: Messages) -> Result<u8, Failure> {
         Some(map) => name_of(&std::path::absolute(map)?),
         None => fixture.clone(),
     };
-    let out = user
-        .take_path("out")
-        .unwrap_or_else(|| format!("{}out/campaign/{}", place.home(), directory_name(&name)));
+    let out =
+        user.take_path("out").unwrap_or_else(|| format!("out/campaign/{}", directory_name(&name)));
     if !Path::new(&error_budget).is_file() {
         return Err(Failure::new(format!(
             "error_budget {error_budget} is no file; give the errors of the virtual machine (docs/tolerance.md)"

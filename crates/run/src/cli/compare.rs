@@ -45,7 +45,7 @@ impl Compare {
         let skip = user.take("skip").unwrap_or_default();
         let out = user
             .take_path("out")
-            .unwrap_or_else(|| format!("{}out/compare/{}", place.home(), directory_name(fixture)));
+            .unwrap_or_else(|| format!("out/compare/{}", directory_name(fixture)));
         let tif = user.get("tif").map(|path| no_flag(&path)).unwrap_or_default();
         let settings = user.settings;
         let is_all = fixture == "all";

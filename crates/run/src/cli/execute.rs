@@ -13,7 +13,7 @@ use std::{
 use planish_handoff::{
     Failure, Inputs, Running,
     from_run::{REHEARSAL, SETTINGS_OF_FLAGS},
-    say, stage_command, words,
+    say, stage_command, tells_text, words,
 };
 use planish_pipeline::{
     scope::{Origins, Scope, Words},
@@ -49,6 +49,8 @@ pub enum Messages {
     Shown,
     /// A log file, which the caller shows if a command fails.
     Kept(File),
+    /// The user's terminal, for warnings, verdicts and errors alone (`--quiet`, `--json`).
+    Quiet,
 }
 
 /// End of a run: exit code 0, 1 or 2, and the final values of the settings. The reason for a code above 0 was printed.
@@ -76,6 +78,10 @@ impl Programs {
         let path = env::join_paths(folders).map_err(|e| {
             Failure::new(format!("{}: cannot be in the PATH: {e}", place.programs.display()))
         })?;
+        let messages = match messages {
+            Messages::Shown if !tells_text() => Messages::Quiet,
+            other => other,
+        };
         Ok(Self { path, messages })
     }
 
@@ -86,8 +92,14 @@ impl Programs {
     pub fn run(&self, command: &StageCommand) -> Result<u8, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
-        if let Messages::Kept(file) = &self.messages {
-            process.stdout(file.try_clone()?).stderr(file.try_clone()?);
+        match &self.messages {
+            Messages::Shown => {}
+            Messages::Kept(file) => {
+                process.stdout(file.try_clone()?).stderr(file.try_clone()?);
+            }
+            Messages::Quiet => {
+                process.stdout(Stdio::null());
+            }
         }
         Ok(code(self.ended(command, ended(&mut process))?))
     }
@@ -100,8 +112,14 @@ impl Programs {
         let file = File::create(message)
             .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
         process.stderr(file);
-        if let Messages::Kept(file) = &self.messages {
-            process.stdout(file.try_clone()?);
+        match &self.messages {
+            Messages::Shown => {}
+            Messages::Kept(file) => {
+                process.stdout(file.try_clone()?);
+            }
+            Messages::Quiet => {
+                process.stdout(Stdio::null());
+            }
         }
         Ok(code(self.ended(command, ended(&mut process))?))
     }
@@ -152,7 +170,7 @@ impl Programs {
     fn ended<T>(&self, command: &StageCommand, ended: io::Result<T>) -> Result<T, Failure> {
         ended.map_err(|e| {
             Failure::new(format!(
-                "cannot run {}: {e}; build the programs with just build",
+                "cannot run {}: {e}; build the programs with cargo build --release",
                 command.program
             ))
         })
@@ -163,13 +181,24 @@ impl Programs {
         let _ = match &self.messages {
             Messages::Shown => writeln!(io::stderr(), "{line}"),
             Messages::Kept(file) => writeln!(&*file, "{line}"),
+            Messages::Quiet => Ok(()),
         };
+    }
+
+    /// Prints a warning or an error, also if the messages are quiet.
+    fn complain(&self, line: &str) {
+        match &self.messages {
+            Messages::Quiet => {
+                let _ = writeln!(io::stderr(), "{line}");
+            }
+            Messages::Shown | Messages::Kept(_) => self.print(line),
+        }
     }
 
     /// Prints a line on standard output, or to the log file if the messages are kept there.
     fn say(&self, line: &str) {
         match &self.messages {
-            Messages::Shown => say(line),
+            Messages::Shown | Messages::Quiet => say(line),
             Messages::Kept(_) => self.print(line),
         }
     }
@@ -228,8 +257,9 @@ pub fn run<'a>(
     }
     let (_lock, assumed) = claim.take(&as_typed())?;
     for text in assumed.iter().chain(&assumed_machine) {
-        programs.print(&format!("warning: {text}"));
+        programs.complain(&format!("warning: {text}"));
     }
+    let mut count = Count::new(&walk)?;
     let mut last = 0;
     let mut took_s = BTreeMap::new();
     let mut has_report = false;
@@ -244,6 +274,9 @@ pub fn run<'a>(
             Step::Run(command) => command.program.clone(),
             Step::Say(_) => String::new(),
         };
+        if !program.is_empty() {
+            count.next(&programs);
+        }
         if let Some(estimate) = estimate_of_rounds(&program, &took_s) {
             programs.print(&estimate);
         }
@@ -262,9 +295,41 @@ pub fn run<'a>(
     if last < 2
         && let Some(text) = assumed_machine
     {
-        programs.print(&format!("warning: {text}"));
+        programs.complain(&format!("warning: {text}"));
     }
     Ok(Ended { code: last, scope: walk.scope })
+}
+
+/// Environment variable of a caller that wants a line with the number of every command, such as the Python module.
+const PROGRESS: &str = "PLANISH_PROGRESS";
+
+/// Number of the commands of a run, for a caller that wants it.
+struct Count {
+    done: usize,
+    /// Number of commands to run, as far as is known before the run; `None` if nobody wants it.
+    total: Option<usize>,
+}
+
+impl Count {
+    fn new(walk: &Walk) -> Result<Self, Failure> {
+        if env::var_os(PROGRESS).is_none() {
+            return Ok(Self { done: 0, total: None });
+        }
+        let mut ahead = walk.clone();
+        let mut total = 0;
+        while let Some(step) = ahead.step().map_err(Failure::new)? {
+            total += usize::from(matches!(step, Step::Run(_)));
+        }
+        Ok(Self { done: 0, total: Some(total) })
+    }
+
+    /// Counts a command that begins, and prints its number.
+    fn next(&mut self, programs: &Programs) {
+        self.done += 1;
+        if let Some(total) = self.total {
+            programs.print(&format!("progress: {} of {}", self.done, total.max(self.done)));
+        }
+    }
 }
 
 /// Returns true if the step is the command that makes the report of the run.
@@ -385,7 +450,7 @@ impl Rehearsal {
         }
         self.is_over = true;
         if let Some(refusal) = cannot_switch_tool(&ahead)? {
-            programs.print(&format!("error: {refusal}"));
+            programs.complain(&format!("error: {refusal}"));
             return Ok(false);
         }
         self.all(programs, ahead, &self.made)
@@ -407,7 +472,7 @@ impl Rehearsal {
                 continue;
             }
             if let Some(refusal) = programs.rehearsal(&command, &self.out, made)? {
-                programs.print(&refusal);
+                programs.complain(&refusal);
                 return Ok(false);
             }
         }

@@ -124,7 +124,7 @@ impl NextRun {
         let least_gain_percent = user.take("least_gain_percent").unwrap_or("5".into());
         let out = user.take_path("out").unwrap_or_else(|| {
             let after = std::path::absolute(&last.after).unwrap_or_default();
-            format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
+            format!("out/next-run/{}", directory_name(&name_of(&after)))
         });
         let settings = with_plain(&definition, &user);
         let scope = place.settings(&definition, &settings)?;
@@ -196,7 +196,7 @@ impl Next {
     fn go_on(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         match self.programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 

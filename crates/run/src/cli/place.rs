@@ -23,8 +23,6 @@ pub struct Installation {
     pub programs: PathBuf,
     /// Working directory of the user.
     here: PathBuf,
-    /// True if the programs are installed: outputs then go to the working directory, not to the clone.
-    is_installed: bool,
 }
 
 impl Installation {
@@ -49,7 +47,6 @@ impl Installation {
         })?;
         Ok(Self {
             root: root.canonicalize().unwrap_or(root),
-            is_installed: programs.is_some(),
             programs: programs.unwrap_or(beside),
             here: env::current_dir()?,
         })
@@ -61,9 +58,9 @@ impl Installation {
         if self.root == self.here { String::new() } else { format!("{}/", self.root.display()) }
     }
 
-    /// Returns the prefix for paths of outputs: empty if Planish is installed, otherwise that of [`Self::repository`].
-    pub fn home(&self) -> String {
-        if self.is_installed { String::new() } else { self.repository() }
+    /// Returns the script that makes all plans of a sweep. Only a clone of the repository has it.
+    pub fn workflow(&self) -> PathBuf {
+        self.root.join("workflow/sweep.sh")
     }
 
     /// Returns the names of the pipelines, in alphabetical order.
@@ -142,7 +139,6 @@ impl Installation {
         let mut scope = Scope::new(definition, settings).map_err(Failure::new)?;
         let word = |text: String| if text.is_empty() { vec![] } else { vec![text] };
         scope.set("repository", word(self.repository()));
-        scope.set("home", word(self.home()));
         let surface = scope.text("surface").map_err(Failure::new)?;
         scope.set("surface_name", word(name_of(&self.here.join(surface))));
         let name = scope.text("name").map_err(Failure::new)?;

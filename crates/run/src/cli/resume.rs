@@ -232,7 +232,7 @@ impl Resume {
         let interrupted = Interrupted::take(&mut user)?;
         let out = user.take_path("out").unwrap_or_else(|| {
             let run = std::path::absolute(&interrupted.run).unwrap_or_default();
-            format!("{}out/resume/{}", place.home(), directory_name(&name_of(&run)))
+            format!("out/resume/{}", directory_name(&name_of(&run)))
         });
         let same = place.definition("rest")?;
         let new = match &interrupted.pipeline {
@@ -318,7 +318,7 @@ impl Rest<'_> {
         let programs = Programs::new(self.place, Messages::Shown)?;
         match programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 

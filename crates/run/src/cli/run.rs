@@ -1,9 +1,9 @@
 //! `planish-run run`, `stage` and `show`: a pipeline, one stage of it, and its settings.
 
-use std::process;
+use std::{fs, path::Path};
 
 use clap::Args;
-use planish_handoff::{Failure, Status, say};
+use planish_handoff::{Failure, Status, keep_output, say};
 use planish_pipeline::{
     description::{PipelineDescription, SettingDescription},
     kind::{Kind, unit},
@@ -64,6 +64,11 @@ fn stage(pipeline: &str, stage: &str, settings: &[String]) -> Result<Status, Fai
     let definition = place.definition(pipeline)?;
     let scope = place.scope(&definition, settings)?;
     let ended = run(&place, scope, stage, Messages::Shown)?;
+    let out = ended.scope.text("out").map_err(Failure::new)?;
+    // Another stage than the report may be asked for, or the run ended before it.
+    let summary = fs::read_to_string(Path::new(&out).join("report/summary.json")).ok();
+    let summary = summary.and_then(|text| serde_json::from_str(&text).ok());
+    keep_output(Path::new(&out), "run", summary.unwrap_or_default());
     end(ended.code)
 }
 
@@ -75,7 +80,7 @@ fn stage(pipeline: &str, stage: &str, settings: &[String]) -> Result<Status, Fai
 pub fn end(code: u8) -> Result<Status, Failure> {
     match code {
         0 => Ok(Status::Done),
-        code => process::exit(code.into()),
+        code => planish_handoff::exit(code),
     }
 }
 
@@ -122,7 +127,7 @@ impl Show {
         }
         let name = &definition.name;
         say(format!(
-            "\nGiven as NAME=VALUE: just run {name} NAME=VALUE... The commands of each stage: pipelines/{name}.yaml and \
+            "\nGiven as NAME=VALUE: planish run {name} NAME=VALUE... The commands of each stage: pipelines/{name}.yaml and \
              shared.yaml."
         ));
         Ok(Status::Done)

@@ -168,7 +168,7 @@ impl<'a> Silent<'a> {
         self.log.rewind()?;
         self.log.read_to_end(&mut messages)?;
         let _ = io::copy(&mut &messages[..], &mut io::stderr());
-        std::process::exit(2)
+        planish_handoff::exit(2)
     }
 }
 

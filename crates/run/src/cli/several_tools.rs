@@ -202,7 +202,7 @@ impl Settings {
         let export = user.take("export").filter(|controller| !controller.is_empty());
         let out = user.take_path("out").unwrap_or_else(|| {
             let map = std::path::absolute(&surface).unwrap_or_default();
-            format!("{}out/{NAME}/{}", place.home(), directory_name(&name_of(&map)))
+            format!("out/{NAME}/{}", directory_name(&name_of(&map)))
         });
         for (name, instead) in NOT_OF_SEVERAL {
             if user.get(name).is_some() {
@@ -316,7 +316,7 @@ impl Course {
                 self.negative.push(format!("{} ({program})", out.unwrap_or(&"")));
                 Ok(())
             }
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 
@@ -606,7 +606,7 @@ impl Course {
     fn quiet(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
         match self.programs.run(&command(program, flags))? {
             0 | 1 => Ok(()),
-            _ => std::process::exit(2),
+            _ => planish_handoff::exit(2),
         }
     }
 

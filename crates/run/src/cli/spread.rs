@@ -34,7 +34,7 @@ impl CampaignSpread {
         let mirror = surface.or(fixture.clone());
         let out = user.take_path("out").unwrap_or_else(|| {
             let mirror = mirror.unwrap_or("coupon".into());
-            format!("{}out/campaign-spread/{}", place.home(), directory_name(&mirror))
+            format!("out/campaign-spread/{}", directory_name(&mirror))
         });
         let mut reports = vec!["spread".to_string()];
         for seed in 1..=seeds {

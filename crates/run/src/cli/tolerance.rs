@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, warn};
+use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, tells_text, warn};
 use serde_json::Value;
 
 use super::{
@@ -54,9 +54,9 @@ impl Tolerance {
         let error_budget = user.take_path("error_budget").unwrap_or_else(|| {
             format!("{}fixtures/error-budgets/{errors}.json", place.repository())
         });
-        let out = user.take_path("out").unwrap_or_else(|| {
-            format!("{}out/tolerance/{}", place.home(), mirror(&user, is_reference))
-        });
+        let out = user
+            .take_path("out")
+            .unwrap_or_else(|| format!("out/tolerance/{}", mirror(&user, is_reference)));
         if is_reference {
             for (part, path) in reference(Path::new(&out))? {
                 user.settings.push(format!("{part}={}", path.display()));
@@ -82,7 +82,9 @@ impl Tolerance {
                 &["--error-budget", &error_budget, "--free", free, "--out", &own, "--force"],
             ];
             // The program goes on in this line.
-            let _ = write!(stdout(), "\n{pipeline}: ").and_then(|()| stdout().flush());
+            if tells_text() {
+                let _ = write!(stdout(), "\n{pipeline}: ").and_then(|()| stdout().flush());
+            }
             let code = Programs::new(&place, Messages::Shown)?
                 .run(&command("planish-tolerance", &flags.concat()))?;
             if code != 0 {

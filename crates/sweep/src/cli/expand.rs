@@ -105,7 +105,7 @@ impl Expand {
 }
 
 /// A mirror and its tool as the sweep makes them. `map` and `tool` are each a path and a hash; `again` are the
-/// settings of `just run` that make the mirror again.
+/// settings of `planish run` that make the mirror again.
 struct MadeMirror {
     steps: Vec<Step>,
     map: (String, String),
@@ -252,7 +252,7 @@ impl Grounds<'_> {
         Ok(Some(text))
     }
 
-    /// Returns the map and the tool of the sweep, with the steps that make them and the settings by which `just run`
+    /// Returns the map and the tool of the sweep, with the steps that make them and the settings by which `planish run`
     /// gets them.
     fn mirror(&mut self, d: &Description) -> Result<MadeMirror, Failure> {
         match &d.mirror {

@@ -237,7 +237,7 @@ fn mirror(sweep: &Sweep, stages: &Stages, dir: &Path) -> Result<(Size, usize), F
     for step in &sweep.mirror_steps {
         match stages.run(step)? {
             End::Done => {}
-            // A tool that is less exact than was asked for is the tool all the same, as in `just run`.
+            // A tool that is less exact than was asked for is the tool all the same, as in `planish run`.
             End::Negative(text)
                 if step.arguments.first().is_some_and(|a| a.starts_with("tool-")) =>
             {

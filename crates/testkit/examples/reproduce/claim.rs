@@ -129,6 +129,11 @@ impl Claim {
         self.found == self.expected
     }
 
+    /// Returns true if the computed number or statement differs from that of the paper.
+    pub fn is_different(&self) -> bool {
+        self.found == Verdict::Differs
+    }
+
     fn cells(&self) -> [String; 5] {
         let verdict = match (self.found, self.within) {
             (Verdict::Agrees, _) if self.paper == NOT_GIVEN => "holds".into(),
@@ -183,12 +188,24 @@ pub fn significant(value: f64, digits: usize) -> String {
     format!("{value:.decimals$}")
 }
 
+/// Columns of the tables.
+const COLUMNS: [&str; 5] = ["claim", "paper", "ours", "ratio", "verdict"];
+
 /// The claims as a table in Markdown.
-pub fn table(claims: &[Claim]) -> String {
-    let mut text =
-        String::from("| claim | paper | ours | ratio | verdict |\n|---|---|---|---|---|\n");
+pub fn table<'a>(claims: impl IntoIterator<Item = &'a Claim>) -> String {
+    let mut text = format!("| {} |\n|---|---|---|---|---|\n", COLUMNS.join(" | "));
     for claim in claims {
         text.push_str(&format!("| {} |\n", claim.cells().join(" | ")));
+    }
+    text
+}
+
+/// The claims as a CSV file.
+pub fn comma_separated(claims: &[Claim]) -> String {
+    let mut text = COLUMNS.join(",") + "\n";
+    for claim in claims {
+        let quoted = claim.cells().map(|cell| format!("\"{}\"", cell.replace('"', "\"\"")));
+        text.push_str(&(quoted.join(",") + "\n"));
     }
     text
 }

@@ -1,8 +1,8 @@
 //! The claims of the four papers, computed: `reproduce [pvt|trig-spline|bspline|multi-pitch]`, all
 //! of them without an argument.
 //!
-//! Prints the tables of a paper, writes them between their markers in `docs/reproduction-*.md`, and the
-//! figures to `docs/reproduction/`. Tables of the reference mirror are made when `PLANISH_REFERENCE`
+//! Prints the tables of a paper, and writes them as CSV files to `docs/reproduction/`, beside the figures. The rows that
+//! differ from the paper are also in `docs/reproduction-*.md`, between the markers of the table. Tables of the reference mirror are made when `PLANISH_REFERENCE`
 //! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
 //!
 //! Numbers of papers are only compared with, and never used to compute ours. "Better" is said only of the
@@ -21,7 +21,7 @@ mod trig_spline;
 
 use std::{env, fs, process::ExitCode, time::Instant};
 
-use claim::{Claim, table};
+use claim::{Claim, comma_separated, table};
 use planish_fixture::{Fixture, Recipe, make};
 use planish_testkit::workspace;
 
@@ -81,10 +81,12 @@ fn main() -> ExitCode {
         let mut page = fs::read_to_string(&file).expect("every paper has its page");
         let outcome = reproduce();
         for (marker, claims) in &outcome.tables {
-            let text = table(claims);
-            println!("{marker}\n\n{text}");
+            println!("{marker}\n\n{}", table(claims));
             changed += claim::changed(claims);
-            page = filled(&page, marker, &text);
+            let file = docs.join("reproduction").join(format!("{marker}.csv"));
+            fs::write(file, comma_separated(claims)).expect("docs/reproduction is writable");
+            let different = claims.iter().filter(|claim| claim.is_different());
+            page = filled(&page, marker, &table(different));
         }
         for (figure, svg) in &outcome.figures {
             let file = docs.join("reproduction").join(format!("{figure}.svg"));
