@@ -20,6 +20,8 @@ OUT = ROOT / "out/benchmark"
 LINES = "009 023 027 029 031 033 035 037 039 041 051 053 059 079 081 085 087 097 099 101".split()
 # Standard deviations of the tools of the lines, mm.
 LINE_TOOLS = [2.5, 5.0]
+# Unit and sign of the slopes of a line: the files state no sign.
+SIGN = "--value-unit urad --positive hill"
 # Part of a line that is its strip across, mm.
 STRIP_MM = 8
 # Standard deviations of the tools of the map, mm.
@@ -101,10 +103,19 @@ def lines(folder):
                     x_mm = float(words[0]) * about["X1_FACTOR"] * 1e3
                     urad = float(words[1]) * about["Y1_FACTOR"] * 1e6
                     file.write(f"{x_mm:.6f},{urad:.6f}\n")
-        flags = f"--value-unit urad --positive hill --subtract cylinder-x --strip-width-mm {STRIP_MM}"
         for sigma_mm, tool in tools.items():
             out = OUT / f"dabam-{number}-sigma-{sigma_mm:g}"
-            planish("surface", "line", "--profile", profile, "--tif", tool, *flags.split(), "--out", out)
+            shape = ["--subtract", "cylinder-x", "--strip-width-mm", STRIP_MM]
+            planish("surface", "line", "--profile", profile, *SIGN.split(), "--tif", tool, *shape, "--out", out)
+            # What `planish run line` needs.
+            settings = {
+                "profile": str(profile),
+                "profile_settings": SIGN,
+                "tif": str(tool),
+                "subtract": "cylinder-x",
+                "strip_width_mm": str(STRIP_MM),
+            }
+            (out / "line.json").write_text(json.dumps(settings, indent=2))
 
 
 def main(folder):
