@@ -105,7 +105,8 @@ impl ScoreArgs {
                 Ok((fixture.surface, fixture.tif))
             }
             Source::Measured(part) => {
-                let [surface, tif] = ["surface", "tif"].map(|name| folder.join(&part.folder).join(name));
+                let [surface, tif] =
+                    ["surface", "tif"].map(|name| folder.join(&part.folder).join(name));
                 if !surface.exists() {
                     return Err(Failure::new(format!(
                         "{}: the measured part is not there; make it with benchmark/measured.py",

@@ -10,9 +10,7 @@ use planish_numerics::{
 };
 use planish_simulate::{SimulationSettings, error_budget::ErrorBudget, simulate};
 use planish_tolerance::{ToleranceSettings, tolerance};
-use planish_types::{
-    Invalid, Machine, Surface, Tif, Trajectory, outcome::tolerance::Quantiles,
-};
+use planish_types::{Invalid, Machine, Surface, Tif, Trajectory, outcome::tolerance::Quantiles};
 use planish_verify::{Program, VerifySettings, verify_on_axes};
 use serde::Serialize;
 
