@@ -629,6 +629,11 @@ browser: python
 bench:
     cargo bench --locked --workspace --bench stages
 
+# Run all methods on the problems of the benchmark, and score them against the bound on any path
+[group('5 pages and tables')]
+benchmark *words: build
+    python3 benchmark/run.py {{words}}
+
 # The same work by NumPy, SciPy and Clarabel (makes its own virtual environment)
 [group('3 development')]
 bench-peers: peers

@@ -6,9 +6,11 @@ use std::{
 };
 
 use clap::{CommandFactory, Parser, Subcommand};
-use planish_benchmark::{Problem, score, trajectory};
+use planish_benchmark::{Problem, Score, ScoreError, Source, Task, scores, trajectory};
 use planish_fixture::{Recipe, make};
 use planish_handoff::{Failure, Inputs, Status, say, with_flags};
+use planish_simulate::error_budget::ErrorBudgetFile;
+use planish_types::{Surface, Tif, Trajectory};
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-benchmark score benchmark/problems/coupon.json submission.csv";
@@ -39,9 +41,10 @@ struct ScoreArgs {
     /// Problem, like those in benchmark/problems [JSON]
     #[arg(value_name = "PROBLEM")]
     problem: PathBuf,
-    /// Motion with the header t,x,y,vx,vy, in s, mm and mm/s [CSV]
-    #[arg(value_name = "SUBMISSION")]
-    submission: PathBuf,
+    /// Motions with the header t,x,y,vx,vy, in s, mm and mm/s [CSV], or directories with a motion: of a plan, or of
+    /// `planish import program`
+    #[arg(value_name = "SUBMISSION", required = true)]
+    submissions: Vec<PathBuf>,
 }
 
 /// The command `planish benchmark`.
@@ -62,18 +65,101 @@ impl ScoreArgs {
         let mut inputs = Inputs::new();
         let problem: Problem = inputs.read_json("problem", &self.problem)?;
         let folder = self.problem.parent().unwrap_or(Path::new(""));
-        let file = folder.join(&problem.recipe);
-        let recipe: Recipe = inputs.read_json("recipe", &file)?;
-        let fixture = make(&recipe).map_err(|e| of_file(&file, &e))?;
+        let (surface, tif) = self.part(&problem, folder, &mut inputs)?;
         let machine = inputs.read_machine(&folder.join(&problem.machine))?;
-        let bytes = inputs.read_bytes("submission", &self.submission, LARGEST_SUBMISSION)?;
-        let text = String::from_utf8(bytes).map_err(|e| of_file(&self.submission, &e))?;
-        let motion = trajectory(&text).map_err(|e| of_file(&self.submission, &e))?;
-        let score = score(&fixture.surface, &fixture.tif, &machine, &motion)
-            .map_err(|e| of_file(&self.submission, &e))?;
-        say(serde_json::to_string_pretty(&score)?);
-        Ok(Status::Done)
+        let file = folder.join(&problem.error_budget);
+        let errors: ErrorBudgetFile = inputs.read_json("error-budget", &file)?;
+        let errors = errors.checked().map_err(|e| of_file(&file, &e))?;
+        let mut motions = Vec::new();
+        for submission in &self.submissions {
+            motions.push(motion(submission, &mut inputs)?);
+        }
+        let task = Task { desired: &surface, tif: &tif, machine: &machine, errors: &errors };
+        let scores = scores(&task, &motions).map_err(|e| of_file(&self.problem, &e))?;
+        if let [only] = self.submissions.as_slice() {
+            let score = scores.into_iter().next().expect("one score");
+            say(serde_json::to_string_pretty(&score.map_err(|e| of_file(only, &e))?)?);
+            return Ok(Status::Done);
+        }
+        let rows: Vec<Row> = self.submissions.iter().zip(scores).map(Row::new).collect();
+        say(serde_json::to_string_pretty(&rows)?);
+        let refused = rows.iter().filter(|row| row.score.is_none()).count();
+        if refused == 0 {
+            return Ok(Status::Done);
+        }
+        Ok(Status::Negative(format!("{refused} of {} motions have no score", rows.len())))
     }
+
+    /// Returns the desired removal and the tool of the problem, whose files are relative to `folder`.
+    fn part(
+        &self,
+        problem: &Problem,
+        folder: &Path,
+        inputs: &mut Inputs,
+    ) -> Result<(Surface, Tif), Failure> {
+        match problem.source().map_err(|e| of_file(&self.problem, &e))? {
+            Source::Recipe(recipe) => {
+                let file = folder.join(recipe);
+                let recipe: Recipe = inputs.read_json("recipe", &file)?;
+                let fixture = make(&recipe).map_err(|e| of_file(&file, &e))?;
+                Ok((fixture.surface, fixture.tif))
+            }
+            Source::Measured(part) => {
+                let [surface, tif] =
+                    ["surface", "tif"].map(|name| folder.join(&part.folder).join(name));
+                if !surface.exists() {
+                    return Err(Failure::new(format!(
+                        "{}: the measured part is not there; make it with benchmark/measured.py",
+                        surface.display()
+                    )));
+                }
+                let read = (inputs.read("surface", &surface)?, inputs.read_tool("tif", &tif)?);
+                same_content(inputs, "surface", &surface, &part.surface_blake3)?;
+                same_content(inputs, "tif", &tif, &part.tif_blake3)?;
+                Ok(read)
+            }
+        }
+    }
+}
+
+/// A submission with its score, or with the reason why it has none.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    submission: &'a Path,
+    #[serde(flatten)]
+    score: Option<Score>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    refused: Option<String>,
+}
+
+impl<'a> Row<'a> {
+    fn new((submission, score): (&'a PathBuf, Result<Score, ScoreError>)) -> Self {
+        let refused = score.as_ref().err().map(ToString::to_string);
+        Self { submission, score: score.ok(), refused }
+    }
+}
+
+/// Returns the motion of a submission: a file of rows, or a directory.
+fn motion(submission: &Path, inputs: &mut Inputs) -> Result<Trajectory, Failure> {
+    if submission.is_dir() {
+        return Ok(inputs.read("submission", submission)?);
+    }
+    let bytes = inputs.read_bytes("submission", submission, LARGEST_SUBMISSION)?;
+    let text = String::from_utf8(bytes).map_err(|e| of_file(submission, &e))?;
+    trajectory(&text).map_err(|e| of_file(submission, &e))
+}
+
+/// Refuses the input `role` if its content is not the one that the problem states.
+fn same_content(inputs: &Inputs, role: &str, path: &Path, blake3: &str) -> Result<(), Failure> {
+    let digest = inputs.digest(role).unwrap_or_default();
+    if digest == blake3 {
+        return Ok(());
+    }
+    Err(Failure::new(format!(
+        "{}: has the content {digest}, but the problem is stated for {blake3}; make it anew with \
+         benchmark/measured.py",
+        path.display()
+    )))
 }
 
 /// Returns the failure of a command by an error about a file.

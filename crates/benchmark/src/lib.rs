@@ -6,10 +6,12 @@
 //! ```
 //!
 //! The limits are those of `planish-verify`, exact on the whole of (1). The residual is that of `planish-simulate`. The
-//! bound is that of `planish-dwell bound` for the time of the submission, so that no plan has an excess below 0.
+//! bound is that of `planish-dwell bound` for the time of the submission, so that no plan has an excess below 0. What the
+//! errors of the process add is that of `planish-tolerance`.
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | `problem` | part, tool, machine and errors |
 //! | `submission` | the rows of a submission, and their refusals |
 //! | `score` | the numbers of a motion |
 
@@ -17,24 +19,10 @@
 extern crate self as planish_benchmark;
 
 pub mod command;
+mod problem;
 mod score;
 mod submission;
 
-use serde::Deserialize;
-
-pub use score::{Score, ScoreError, score};
+pub use problem::{MeasuredPart, Problem, Source};
+pub use score::{Score, ScoreError, Task, scores};
 pub use submission::{LONGEST_STEP_S, trajectory};
-
-/// A problem of the benchmark: a part and a tool by their recipe, and a machine.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Problem {
-    /// Name of the problem.
-    pub name: String,
-    /// Description of the problem.
-    pub doc: String,
-    /// Recipe of part and tool, with its seed: a file beside the problem file.
-    pub recipe: String,
-    /// Machine with its limits: a file beside the problem file.
-    pub machine: String,
-}

@@ -2,6 +2,8 @@
 
 use std::{f64::consts::TAU, fs, path::Path, process::Output};
 
+use planish_benchmark::Source;
+use planish_fixture::{Recipe, make};
 use planish_testkit::{
     program::{stage, text},
     workspace,
@@ -71,6 +73,66 @@ fn a_motion_has_a_score_above_the_bound() {
 }
 
 #[test]
+fn of_several_motions_each_has_its_score_or_the_reason_why_it_has_none() {
+    let tmp = tempfile::tempdir().unwrap();
+    let file = |name: &str, seconds: f64| {
+        let path = tmp.path().join(name);
+        fs::write(&path, submission(&rows(seconds))).unwrap();
+        path
+    };
+    // Passes of 20 mm in 0.05 s need 160 times the largest acceleration.
+    let [slow, slower, fast] =
+        [file("slow.csv", 8.0), file("slower.csv", 8.05), file("fast.csv", 0.05)];
+    let problem = workspace().join("benchmark/problems/coupon-fluid-jet.json");
+    let output =
+        stage("planish-benchmark").arg("score").args([&problem, &slow, &slower, &fast]).output();
+    let output = output.unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let rows: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let refused = rows[2]["refused"].as_str().unwrap();
+    assert!(refused.contains("breaks a limit"), "{refused}");
+    let alone = score(tmp.path(), &fs::read_to_string(&slower).unwrap());
+    let alone: Value = serde_json::from_slice(&alone.stdout).unwrap();
+    for key in ["residual_rms_nm", "residual_pv_nm", "with_errors", "slope_rms_nrad"] {
+        assert_eq!(rows[1][key], alone[key], "{key}");
+    }
+    // Times 0.6 % apart share a bound: its tangent is below the bound of the second time, by the second order.
+    let [tangent, own] = [&rows[1], &alone].map(|row| row["bound_rms_nm"].as_f64().unwrap());
+    assert!(tangent <= own * (1.0 + 2e-3) && tangent >= own * (1.0 - 5e-3), "{tangent} {own}");
+}
+
+#[test]
+fn a_measured_part_that_is_missing_or_another_one_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    fs::write(tmp.path().join("motion.csv"), submission(&rows(8.0))).unwrap();
+    let problem = |folder: &str| {
+        let fixtures = workspace().join("fixtures");
+        let measured = format!(
+            r#"{{ "folder": "{folder}", "surface_blake3": "{0:064}", "tif_blake3": "{0:064}" }}"#,
+            1
+        );
+        let text = format!(
+            r#"{{ "name": "p", "doc": "d", "measured": {measured},
+                  "machine": "{0}/machines/fluid-jet.json", "error_budget": "{0}/error-budgets/fluid-jet.json" }}"#,
+            fixtures.display()
+        );
+        fs::write(tmp.path().join("problem.json"), text).unwrap();
+        let arguments = ["problem.json", "motion.csv"].map(|name| tmp.path().join(name));
+        let output = stage("planish-benchmark").arg("score").args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{}", text(&output.stdout));
+        text(&output.stderr)
+    };
+    let message = problem("nowhere");
+    assert!(message.contains("nowhere") && message.contains("measured.py"), "{message}");
+    let recipe = workspace().join("fixtures/coupon.json");
+    let mut program = stage("planish-fixture");
+    program.arg(recipe).arg("--out").arg(tmp.path().join("part"));
+    assert!(program.output().unwrap().status.success());
+    let message = problem("part");
+    assert!(message.contains("part/surface: has the content"), "{message}");
+}
+
+#[test]
 fn a_motion_that_breaks_a_limit_by_a_millionth_is_refused_with_place_and_value() {
     let tmp = tempfile::tempdir().unwrap();
     // From rest with the acceleration a along x, and to rest again; the limit is 2000 mm/s^2.
@@ -128,7 +190,7 @@ fn jumps_gaps_and_numbers_that_are_none_are_refused_with_place_and_value() {
 }
 
 #[test]
-fn every_problem_names_a_recipe_and_a_machine_that_exist() {
+fn every_problem_names_files_that_exist() {
     let folder = workspace().join("benchmark/problems");
     let mut count = 0;
     for entry in fs::read_dir(&folder).unwrap() {
@@ -136,10 +198,23 @@ fn every_problem_names_a_recipe_and_a_machine_that_exist() {
         let problem: planish_benchmark::Problem =
             serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
         assert_eq!(path.file_stem().unwrap().to_str(), Some(problem.name.as_str()));
-        for file in [&problem.recipe, &problem.machine] {
+        for file in [&problem.machine, &problem.error_budget] {
             assert!(folder.join(file).is_file(), "{}: {file}", path.display());
+        }
+        match problem.source().unwrap() {
+            Source::Recipe(recipe_file) => {
+                let text = fs::read_to_string(folder.join(recipe_file)).unwrap();
+                let recipe: Recipe = serde_json::from_str(&text).unwrap();
+                // Those of `fixtures` are made elsewhere, and used by ten times as many tests.
+                if recipe_file.starts_with("../recipes") {
+                    make(&recipe).unwrap_or_else(|e| panic!("{}: {e}", recipe.name));
+                }
+            }
+            Source::Measured(part) => {
+                assert_eq!([part.surface_blake3.len(), part.tif_blake3.len()], [64, 64]);
+            }
         }
         count += 1;
     }
-    assert!(count >= 30, "{count}");
+    assert!(count >= 80, "{count}");
 }

@@ -48,7 +48,10 @@ const ROOMS: [Room; 21] = [
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),
-    ("benchmark", &["types", "handoff", "fixture", "dwell", "simulate", "verify"]),
+    (
+        "benchmark",
+        &["numerics", "types", "handoff", "fixture", "dwell", "simulate", "verify", "tolerance"],
+    ),
     ("pipeline", &["types", "handoff"]),
     ("app", &["types", "form", "draw", "handoff", "pipeline"]),
     ("run", &["types", "handoff", "pipeline"]),
