@@ -71,6 +71,7 @@ pub fn run(user: &mut UserSettings) -> Result<Status, Failure> {
         is_joint: record.is_joint,
         export: record.export.clone(),
         export_settings: record.export_settings.clone(),
+        page: record.page.clone(),
         keep_rms_nm: Some(record.planned_rms_nm),
         out,
     };

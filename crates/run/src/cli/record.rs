@@ -6,7 +6,7 @@ use planish_handoff::{Failure, Inputs, OutputFile, say};
 use planish_types::{Rack, RackEntry, Surface};
 use serde::{Deserialize, Serialize};
 
-use super::several::is_directory;
+use super::{several::is_directory, several_page::PageSettings};
 
 /// Name of the file of a run with several tools from which another one goes on.
 pub const RECORD: &str = "several.json";
@@ -33,6 +33,8 @@ pub struct Record {
     pub export: Option<String>,
     /// Further flags of the programs.
     pub export_settings: Vec<String>,
+    /// What the page of the run states.
+    pub page: PageSettings,
     /// Map before the run.
     pub surface: PathBuf,
     /// Residual that was planned for all tools, RMS, nm.

@@ -4,6 +4,7 @@ use std::{fs, path::Path};
 
 use planish_handoff::{Failure, Inputs, OutputFile};
 use planish_types::{Rack, RackEntry};
+use serde::{Deserialize, Serialize};
 
 use super::{
     execute::Programs,
@@ -14,6 +15,7 @@ use super::{
 const STATEMENTS: [&str; 4] = ["part_name", "part_number", "date", "operator"];
 
 /// Settings of the page.
+#[derive(Clone, Serialize, Deserialize)]
 pub struct PageSettings {
     /// True if each tool of the rack is also planned and executed alone.
     compares: bool,

@@ -400,6 +400,7 @@ impl Course {
             is_joint: settings.is_joint,
             export: settings.export.clone(),
             export_settings: settings.export_settings.clone(),
+            page: settings.page.clone(),
             surface: std::path::absolute(map)?,
             planned_rms_nm: settings.keep_rms_nm.unwrap_or(planned_rms_nm),
         })
