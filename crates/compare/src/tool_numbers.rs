@@ -95,7 +95,7 @@ fn between(
 }
 
 /// Returns the rate at a place along the section through the peak, nm/s.
-pub(crate) fn section_at(tif: &Tif, [column, row]: [usize; 2], axis: usize, place_mm: f64) -> f64 {
+fn section_at(tif: &Tif, [column, row]: [usize; 2], axis: usize, place_mm: f64) -> f64 {
     let grid = tif.grid();
     match axis {
         0 => tif.rate_at(place_mm, grid.y.coordinate_mm(row)),

@@ -237,18 +237,17 @@ fn planted_terms_a_known_tool_and_what_the_user_states_are_in_the_report() {
     let rows = fs::read_to_string(dir.path().join("report/front.csv")).unwrap();
     let rows: Vec<&str> = rows.lines().collect();
     assert_eq!(rows.len(), 3, "{rows:?}");
-    let row =
-        |plan: &str| rows.iter().find(|row| row.starts_with(&format!("run,{plan},"))).unwrap();
-    assert!(
-        row("pvt").ends_with(",true,true,true") && row("pvt").contains(",plan,60,2.5"),
-        "{rows:?}"
-    );
-    assert!(
-        row("joint").ends_with(",true,false,false") && row("joint").contains(",plan,61,5"),
-        "{rows:?}"
-    );
+    for (plan, time, rms_nm, end) in
+        [("pvt", "60", 2.5, ",true,true,true"), ("joint", "61", 5.0, ",true,false,false")]
+    {
+        let start = format!("run,{plan},plan,{time},");
+        let row = rows.iter().find(|row| row.starts_with(&start)).unwrap();
+        let rms: f64 = row.split(',').nth(4).unwrap().parse().unwrap();
+        // The rim of a disc of 61 pixels is known to 1 / 61.
+        assert!((rms / rms_nm - 1.0).abs() < 1.0 / 61.0 && row.ends_with(end), "{row}");
+    }
     let front = fs::read_to_string(dir.path().join("report/front.svg")).unwrap();
-    assert!(front.contains("pvt: 2.5 nm in 60 s"), "{front}");
+    assert!(front.contains("<title>pvt: 2.") && front.contains(" nm in 60 s</title>"), "{front}");
     let page = fs::read_to_string(dir.path().join("report/report.html")).unwrap();
     assert!(
         page.contains("FWHM x 4.71 mm, y 3.53") && page.contains("volume rate 94.2"),
