@@ -55,7 +55,7 @@ fn the_text_of_every_controller() {
     let motion = motion([true; 2]);
     let body_with = |controller, settings: &ProgramSettings| {
         let text = write(&motion, controller, settings).unwrap();
-        let comment = |l: &&str| !["' ", "; ", "# ", "("].iter().any(|c| l.starts_with(c));
+        let comment = |l: &&str| !["' ", "; ", "# ", "// ", "("].iter().any(|c| l.starts_with(c));
         text.lines().filter(comment).collect::<Vec<_>>().join("\n")
     };
     let body = |controller| body_with(controller, &settings());
