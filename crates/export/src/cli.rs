@@ -239,11 +239,11 @@ struct CommonArgs {
     #[command(flatten)]
     near_path: NearPathArgs,
     /// Size of a count, mm, of the linear axes: one number, or one for each axis as in X,Y [default: that of the
-    /// machine's controller, else that of the kind: 0.0001 or 0.000001]
+    /// machine's controller, or of the kind]
     #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true)]
     count_mm: Option<Vec<f64>>,
     /// Size of a count of the rotary axes, degrees: one number, or one for each axis [default: that of the machine's
-    /// controller, else that of the kind: 0.0001 or 0.000001]
+    /// controller, or of the kind]
     #[arg(
         long,
         value_name = "C",

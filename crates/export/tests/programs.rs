@@ -55,7 +55,7 @@ fn the_text_of_every_controller() {
     let motion = motion([true; 2]);
     let body_with = |controller, settings: &ProgramSettings| {
         let text = write(&motion, controller, settings).unwrap();
-        let comment = |l: &&str| !["' ", "; ", "# ", "("].iter().any(|c| l.starts_with(c));
+        let comment = |l: &&str| !["' ", "; ", "# ", "// ", "("].iter().any(|c| l.starts_with(c));
         text.lines().filter(comment).collect::<Vec<_>>().join("\n")
     };
     let body = |controller| body_with(controller, &settings());
@@ -114,7 +114,7 @@ fn the_text_of_every_controller() {
     assert!((sums[1] - 1.0).abs() < 1e-6 && sums[2] == 0.0, "{sums:?}");
     let table = body(ControllerKind::Twincat);
     let head = "cycle_s,0.002\ncycle,x_mm,vx_mm_per_s,ax_mm_per_s2,y_mm,vy_mm_per_s,ay_mm_per_s2,tool_on,segment\n0,1,0,";
-    assert!(table.starts_with(head) && table.ends_with(",2,0,0,-2,0,0,0,2"), "{table:.300}");
+    assert!(table.starts_with(head) && table.ends_with(",2,0,0,-2,0,0,0,3"), "{table:.300}");
     let point = |x: &str, sec: u32, nanosec: u32| {
         format!(
             "  {{\"positions\": [{x}, -0.002], \"velocities\": [0.0, 0.0], \"time_from_start\": {{\"sec\": {sec}, \

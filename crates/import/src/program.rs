@@ -468,7 +468,10 @@ mod tests {
         let lines =
             "; a comment\nN10 G17 G90 FGROUP(X,Y)\ng0x1y-2\nG93 G1 X=2 F600 ; on\nG4 F.2\nM30\n";
         is_the_move(&read(ControllerKind::Sinumerik, lines), true);
-        is_the_move(&read(ControllerKind::XpsPt, "0.1, 1, 0\n0.2, 0, 0\n"), true);
+        // One line between two parabolas of its time, from rest to rest, then the stop.
+        let elements = read(ControllerKind::XpsPt, "0.1, 1, 0\n0.2, 0, 0\n");
+        assert!((elements.len(), (elements.total_time_s() - 0.4).abs() < 1e-12) == (5, true));
+        assert_eq!(elements.segment(4).position_mm(0.1), [2.0, -2.0]);
         // With d = 1: 3 d p^2 / PL^2 - 2 d p^3 / PL^3, once with PL in ms, once with p from 0 to 1, and W at 2 mm/s.
         let poly = "G0 X1 Y-2 W0\nFGROUP(W)\nUPATH\nF60\nPOLY PO[X]=(2,0.0003,-0.000002) W=0.1 PL=100\n\
                     W=0.3 X2\nM30\n";

@@ -46,7 +46,7 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 ///
 /// A controller's program that planish-import program read is judged by another law. Its acceleration may step at a
 /// node by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight
-/// lines (gcode, sinumerik, xps-pt) is not judged.
+/// lines (such as gcode) is not judged.
 ///
 /// With --tool-path, the motion may not leave its path by more than a tolerance while the tool is on. Without it, the
 /// verdict states the distance that the maker of the motion states.
