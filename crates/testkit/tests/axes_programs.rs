@@ -150,7 +150,7 @@ fn a_program_says_its_axes_and_their_units() {
     assert_eq!(axes, [("r", "mm"), ("z", "mm"), ("c", "deg"), ("b", "deg")]);
     // Every line of G-code has the four words, and a radius is X.
     let (text, _) = plan.program(ControllerKind::Gcode, &ProgramSettings::default());
-    let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G1 ")).collect();
+    let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G53 G1 ")).collect();
     let has = |line: &str| [" X", " Z", " C", " B", " F"].iter().all(|word| line.contains(word));
     assert!(lines.len() > 100 && lines.iter().all(|line| has(line)));
     let (text, _) = plan.program(ControllerKind::Galil, &ProgramSettings::default());
