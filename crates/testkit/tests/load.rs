@@ -326,11 +326,28 @@ fn a_run_up_beyond_the_travel_is_refused() {
         ..MachineFile::default()
     };
     let machine = Machine::new(file).unwrap();
-    let settings = ProgramSettings { marks: Some([100, 200]), ..ProgramSettings::default() };
-    let made = program(&circle(|_| true), &machine, ControllerKind::Xps, &settings, &origin());
-    let said = made.unwrap_err().to_string();
-    assert!(said.contains("mark: 100: no run-up to it keeps the limits"), "{said}");
-    assert!(said.contains("beyond its travel") && said.contains("planish resume"), "{said}");
+    let write = |marks| {
+        let settings = ProgramSettings { marks, ..ProgramSettings::default() };
+        program(&circle(|_| true), &machine, ControllerKind::Xps, &settings, &origin())
+    };
+    let n = write(None).unwrap().about.segments;
+    // In the middle the circle is fastest, and the run-up is some millimetres along its tangent.
+    let mut refusals = 0;
+    for mark in (n / 2..n / 2 + n / 8).step_by((n / 80).max(1)) {
+        match write(Some([mark, n])) {
+            Ok(made) => {
+                assert!(made.about.limits.reach_mm.iter().flatten().all(|p| p.abs() <= 5.001))
+            }
+            Err(e) => {
+                let said = e.to_string();
+                let expected = format!("mark: {mark}: no run-up to it keeps the limits");
+                assert!(said.contains(&expected) && said.contains("beyond its travel"), "{said}");
+                assert!(said.contains("planish resume"), "{said}");
+                refusals += 1;
+            }
+        }
+    }
+    assert!(refusals > 0);
     let beyond = ProgramSettings { marks: Some([9999, 10_000]), ..ProgramSettings::default() };
     let made = program(&circle(|_| true), &machine, ControllerKind::Xps, &beyond, &origin());
     assert!(made.unwrap_err().to_string().contains("the program has the marks 0 to"));
