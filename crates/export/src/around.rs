@@ -12,11 +12,12 @@
 use planish_types::{ControllerKind, ControllerLines, Machine};
 
 use crate::{
-    About, Job, aerotech, automation1, csv, galil, gcode, header::Comment, pmac, pmac::PmacBuffer, sinumerik, twincat,
+    Job, aerotech, automation1, csv, galil, gcode,
+    header::{Comment, UNSEALED},
+    pmac,
+    pmac::PmacBuffer,
+    sinumerik, twincat,
 };
-
-/// Checksum line of a text whose checksum is not known yet.
-pub(crate) const UNSEALED: &str = "checksum: crc32 00000000 of the lines below";
 
 /// First lines of the parts of a text that the machine file states, and the line that ends each.
 const PROLOGUE: [&str; 2] = ["prologue of the machine file", "end of the prologue"];
@@ -55,11 +56,6 @@ pub(crate) fn sealed(text: &str) -> String {
     };
     let digits = checksum(rest.lines());
     format!("{}\n{rest}", first.replace("00000000", &digits))
-}
-
-/// Returns the line that says that a program is a dry run; `None` if it is none.
-pub(crate) fn dry_run_line(about: &About) -> Option<String> {
-    about.dry_run.then(|| "DRY RUN: the tool stays off, nobody switches it on".to_string())
 }
 
 /// Lines of a machine file whose controller is of another kind.

@@ -203,7 +203,8 @@ impl FromArgMatches for Export {
             export.companion = scan_arrays.map(Companion::PmacScan);
         }
         if controller == ControllerKind::Xps {
-            let XpsArgs { commands, group, positioners, .. } = XpsArgs::from_arg_matches(own)?;
+            let XpsArgs { clock, commands, group, positioners } = XpsArgs::from_arg_matches(own)?;
+            export.tick_s = clock.tick_s;
             export.companion = commands
                 .zip(group)
                 .map(|(file, name)| Companion::XpsCommands(file, XpsGroup { name, positioners }));

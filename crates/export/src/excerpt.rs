@@ -153,6 +153,7 @@ fn ramp<const N: usize>(
     let most_half = (LONGEST_HALF_S / first.tick_s) as i64;
     // The accelerations are continuous by the formula; the proof of the whole program judges their rounding.
     let plan = &AxesPlan { may_step: false, ..*plan };
+    let mut beyond_travel = None;
     let mut half = least.max(1);
     loop {
         let pieces = pieces(first, half, [least, most]);
@@ -163,9 +164,15 @@ fn ramp<const N: usize>(
         if proof.is_ok() && farthest_mm(&with_joint, plan) <= tolerance_mm {
             return Ok(ramp);
         }
+        let fault = proof
+            .err()
+            .unwrap_or_else(|| Invalid::whole("run-up", "has lines beyond the path tolerance", ""));
+        // The travel is what a longer run-up leaves; the limits are what a shorter one exceeds.
         if half >= most_half {
-            let corner = || Invalid::whole("run-up", "has lines beyond the path tolerance", "");
-            return Err(proof.err().unwrap_or_else(corner));
+            return Err(beyond_travel.unwrap_or(fault));
+        }
+        if fault.array == "program" {
+            beyond_travel.get_or_insert(fault);
         }
         half = ((half as f64 * GROWTH).ceil() as i64).min(most_half);
     }

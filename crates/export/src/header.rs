@@ -6,6 +6,14 @@ use crate::{About, decimal};
 /// like MSG as a command, but not one that begins with dots.
 const CONTINUED: &str = "... ";
 
+/// Checksum line of a text whose checksum is not known yet.
+pub(crate) const UNSEALED: &str = "checksum: crc32 00000000 of the lines below";
+
+/// Returns the line that says that a program is a dry run; `None` if it is none.
+pub(crate) fn dry_run_line(about: &About) -> Option<String> {
+    about.dry_run.then(|| "DRY RUN: the tool stays off, nobody switches it on".to_string())
+}
+
 /// Form of a comment of a controller: the characters that open and close it, and the length of a line.
 pub(crate) struct Comment {
     pub open: &'static str,
@@ -22,8 +30,8 @@ impl About {
     pub(crate) fn header(&self, comment: &Comment, units: &str) -> String {
         let starts = self.starts().into_iter();
         let starts = starts.map(|(name, unit, p)| format!("{name} {} {unit}", decimal(p, 9)));
-        let mut lines = vec![crate::around::UNSEALED.to_string()];
-        lines.extend(crate::around::dry_run_line(self));
+        let mut lines = vec![UNSEALED.to_string()];
+        lines.extend(dry_run_line(self));
         lines.extend([
             format!("{} for {}, written by {}", self.controller, self.machine, self.made_by),
             format!("made from: {}", self.made_from),

@@ -11,7 +11,9 @@
 use planish_types::ControllerKind;
 use serde::Serialize;
 
-use crate::{Marks, Program, ProgramSettings, around, around::UNSEALED, decimal, pmac::PmacBuffer};
+use crate::{
+    Marks, Program, ProgramSettings, around, decimal, header, header::UNSEALED, pmac::PmacBuffer,
+};
 
 /// Place of a file among the parts of a program.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -66,7 +68,7 @@ pub fn in_parts(
         let begin = if k == 0 { 1 } else { marks[from].line - 1 };
         let end = if k + 1 == count { lines.len() } else { marks[to].line - 1 };
         let mut head = vec![UNSEALED.to_string()];
-        head.extend(around::dry_run_line(&program.about).filter(|_| k > 0));
+        head.extend(header::dry_run_line(&program.about).filter(|_| k > 0));
         head.push(format!("part {} of {count}, joined without a stop", k + 1));
         if let Some(before) = &after {
             let place: Vec<String> = marks[from].position.iter().map(|p| decimal(*p, 6)).collect();

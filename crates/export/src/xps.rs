@@ -125,8 +125,11 @@ pub fn commands(about: &About, group: &XpsGroup, file: &str) -> Result<String, I
     }
     let name = &group.name;
     let places: Vec<String> = starts.iter().map(|(_, _, p)| decimal(*p, DIGITS)).collect();
+    // A name from the user must not begin a line of its own.
+    let printable = |c: char| if (' '..='~').contains(&c) { c } else { '_' };
+    let machine: String = about.machine.chars().map(printable).collect();
     let mut lines = vec![
-        format!("# {file} for {}, BLAKE3 {}", about.machine, about.program_blake3),
+        format!("# {file} for {machine}, BLAKE3 {}", about.program_blake3),
         "# send each line to port 5001, wait for its answer, and stop at an answer other than 0"
             .into(),
         format!("# put {file} into the folder Trajectories by FTP, or SFTP on an XPS-D"),

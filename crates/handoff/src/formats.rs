@@ -80,7 +80,7 @@ pub fn formats_markdown() -> String {
 }
 
 /// Keys of a machine file: (key, unit, description). Keys of an axis stand under `axes`.
-const MACHINE_KEYS: [(&str, &str, &str); 34] = [
+const MACHINE_KEYS: [(&str, &str, &str); 38] = [
     ("name", "-", "Name of the machine."),
     (
         "axes",
@@ -207,6 +207,18 @@ const MACHINE_KEYS: [(&str, &str, &str); 34] = [
         "-",
         "`false` if no output of the controller is wired to the tool.",
     ),
+    (
+        "controller.prologue",
+        "-",
+        "Lines of the controller's language before the motion, which move nothing ([list](controllers.md#lines-of-the-machine)).",
+    ),
+    ("controller.epilogue", "-", "Lines after the motion."),
+    (
+        "controller.tool_on",
+        "-",
+        "Lines by which the host of a Galil or an XPS switches the tool on.",
+    ),
+    ("controller.tool_off", "-", "Lines by which it switches the tool off."),
 ];
 
 const MACHINE_FILE: &str = "

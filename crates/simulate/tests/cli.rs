@@ -404,7 +404,10 @@ fn a_motion_that_never_touches_the_map_is_a_negative_verdict() {
     assert!(removal.removal_nm().iter().all(|r| *r == 0.0));
     let (code, said, ..) = said_of(moved_pass(0.0, [false, false]), &[]);
     assert_eq!(code, 1);
-    assert!(said.contains("tool_on is 0 in every segment; is it inverted, or a dry run?"), "{said}");
+    assert!(
+        said.contains("tool_on is 0 in every segment; is it inverted, or a dry run?"),
+        "{said}"
+    );
 }
 
 #[test]

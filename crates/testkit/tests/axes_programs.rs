@@ -157,7 +157,7 @@ fn a_program_says_its_axes_and_their_units() {
     // Every line of G-code has the four words, and a radius is X.
     let settings = ProgramSettings { gcode: tried(), ..ProgramSettings::default() };
     let (text, _) = plan.program(ControllerKind::Gcode, &settings);
-    let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G1 ")).collect();
+    let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G53 G1 ")).collect();
     let has = |line: &str| [" X", " Z", " C", " B", " F"].iter().all(|word| line.contains(word));
     assert!(lines.len() > 100 && lines.iter().all(|line| has(line)));
     let (text, _) = plan.program(ControllerKind::Galil, &ProgramSettings::default());

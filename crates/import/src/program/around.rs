@@ -1,5 +1,5 @@
-//! What stands around the motion of a program that Planish wrote: its checksum, the words DRY RUN, the number of a
-//! part, and the lines of the machine file.
+//! Text around the motion of a program that Planish wrote: its checksum, the words DRY RUN, the number of a part, and
+//! the lines of the machine file.
 //!
 //! | comment | meaning |
 //! |---|---|
