@@ -313,7 +313,7 @@ mod tests {
         assert!((end_s - 2.01).abs() < 1e-12, "{end_s}");
         let n = 2000;
         for t in [0.003, 0.015, 0.4, 0.999, 1.007, 1.0199, 1.3, 1.7, 1.705, 1.9] {
-            // The midpoint rule errs by h^2 / 24 of the curvature: 1e-10 mm.
+            // The midpoint rule errs by v h^2 / (8 w) where the command starts: 2e-9 mm.
             let mut mean = [0.0; 2];
             for k in 0..n {
                 let s = t - window_s * (f64::from(k) + 0.5) / f64::from(n);
@@ -322,8 +322,8 @@ mod tests {
             }
             let q = position(&motion, t);
             for a in 0..2 {
-                // The jerk is below 2 mm/s^3: cubics err by far less than 1e-9 mm.
-                assert!((q[a] - mean[a]).abs() < 1e-9, "{t}: {} for {}", q[a], mean[a]);
+                // The jerk is below 2 mm/s^3: cubics err by far less.
+                assert!((q[a] - mean[a]).abs() < 5e-9, "{t}: {} for {}", q[a], mean[a]);
             }
         }
     }
