@@ -169,16 +169,11 @@ def run_linuxcnc(names, plans, modes):
                 print(f"{name}, {plan}, {mode}: LinuxCNC reports {said}", file=sys.stderr)
 
 
-def planned_nodes(to, program, controller):
-    """Positions of the ends of the segments, as planish-import reads the program."""
-    import numpy
-
-    back = pathlib.Path(f"{program}-back")
-    table.run("planish-import", "program", program, "--controller", controller, "--about", f"{program}.json", "--out",
-              back, "--force")
-    cubic, time = numpy.load(back / "coefficient_mm.npy"), numpy.load(back / "break_time_s.npy")
-    powers = numpy.diff(time)[:, None] ** numpy.arange(4)
-    return numpy.einsum("kan,kn->ka", cubic, powers)
+def words(text):
+    """Positions in the words of the program itself, in the order of its segments."""
+    number = r"(-?[0-9.]+)"
+    pairs = re.findall(rf"^(?:G1 )?X{number}(?::\S+)? Y{number}", text, flags=re.M)
+    return [tuple(map(float, pair)) for pair in pairs]
 
 
 def read_sinumerik(text):
@@ -186,8 +181,8 @@ def read_sinumerik(text):
     from nc_gcode_interpreter import nc_to_dataframe
     import numpy
 
-    frame, _ = nc_to_dataframe(text, iteration_limit=10**8)
-    moves = frame.filter(frame["gg01_motion"].is_not_null() & frame["X"].is_not_null() & frame["Y"].is_not_null())
+    frame, _ = nc_to_dataframe(text, iteration_limit=10**8, disable_forward_fill=True)
+    moves = frame.filter(frame["X"].is_not_null() & frame["Y"].is_not_null())
     return moves.select(["X", "Y"]).to_numpy(), numpy.float32
 
 
@@ -230,10 +225,10 @@ READERS = {"pmac": read_pmac, "sinumerik": read_sinumerik}
 
 
 def run_readers(names, plans):
-    """A line for each program: the positions as an interpreter reads them beside those of planish-import."""
+    """A line for each program: the positions as an interpreter reads them, beside the words of the program."""
     import numpy
 
-    written = table.run("planish-export", "--help").stdout
+    known = table.run("planish-export", "--help").stdout
     table.show(["plan", "controller", "positions", "largest difference, mm"])
     table.show(["---"] * 4)
     for name in names:
@@ -244,17 +239,17 @@ def run_readers(names, plans):
             continue
         for plan in plans:
             for controller, read in READERS.items():
-                if f"  {controller} " not in written:
+                if f"  {controller} " not in known:
                     continue
                 program = export(to, plan, controller)
                 if not program:
                     continue
-                points, kind = read(program.read_text())
-                nodes = planned_nodes(to, program, controller)
+                text = program.read_text()
+                points, kind = read(text)
+                written = numpy.array(words(text))
                 # A program that goes to its start has this position before its segments.
-                points = points[len(points) - len(nodes):]
-                # Evaluation of a cubic at its end rounds; the program has nine decimals.
-                apart = numpy.abs(numpy.asarray(points, kind) - numpy.round(nodes, 9).astype(kind)).max()
+                points = points[len(points) - len(written):]
+                apart = numpy.abs(numpy.asarray(points, kind) - written.astype(kind)).max()
                 table.show([f"{name}, {plan}", controller, str(len(points)), f"{apart:g}"])
 
 
