@@ -8,7 +8,6 @@ docs/controller-programs.md.
 """
 
 import argparse
-import concurrent.futures
 import importlib.util
 import json
 import pathlib
@@ -43,9 +42,6 @@ MODES = {
     "lines of 2 ms": (["--max-step-s=0.002"], None),
     "G64 alone": ([], "G64"),
 }
-# Simulators beside each other. More: one that ends has been seen to end another one.
-AT_ONCE = 1
-
 
 def trajectory(to, plan):
     return to / {"pvt": "pvt", "joint": "joint/trajectory"}[plan]
@@ -152,23 +148,23 @@ def run_linuxcnc(names, plans, modes):
                     jobs.append((name, plan, mode, to, program))
     table.show(["plan", "program", "residual", "time", "largest use of a limit", "kept"])
     table.show(["---"] * 6)
-    with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as pool:
-        runs = pool.map(lambda job: execute(job[4]), jobs)
-        for (name, plan, mode, to, program), (log, said) in zip(jobs, runs):
-            if not has_run(program, log):
-                pathlib.Path(f"{program}.said").unlink()
-                sys.exit(f"{program}: the run was interrupted, or the interpreter fell behind; run this again, what has "
-                         "ended stays")
-            planned = to / f"planned-{plan}.json"
-            if not planned.exists():
-                planned.write_text(json.dumps(table.residual(to, trajectory(to, plan), f"removal-{plan}")))
-            planned_nm = json.loads(planned.read_text())
-            about = json.loads(pathlib.Path(f"{program}.json").read_text())
-            planned_s = about["total_time_s"] - about["added_time_s"]
-            first = f"{name}, {plan}: {planned_nm:.4f} nm in {planned_s:.2f} s"
-            table.show([first, mode, *(judge(to, program, log, planned_nm))])
-            if said:
-                print(f"{name}, {plan}, {mode}: LinuxCNC reports {said}", file=sys.stderr)
+    # One after the other: a simulator that ends has been seen to end another one.
+    for name, plan, mode, to, program in jobs:
+        log, said = execute(program)
+        if not has_run(program, log):
+            pathlib.Path(f"{program}.said").unlink()
+            sys.exit(f"{program}: the run was interrupted, or the interpreter fell behind; run this again, what has "
+                     "ended stays")
+        planned = to / f"planned-{plan}.json"
+        if not planned.exists():
+            planned.write_text(json.dumps(table.residual(to, trajectory(to, plan), f"removal-{plan}")))
+        planned_nm = json.loads(planned.read_text())
+        about = json.loads(pathlib.Path(f"{program}.json").read_text())
+        planned_s = about["total_time_s"] - about["added_time_s"]
+        first = f"{name}, {plan}: {planned_nm:.4f} nm in {planned_s:.2f} s"
+        table.show([first, mode, *(judge(to, program, log, planned_nm))])
+        if said:
+            print(f"{name}, {plan}, {mode}: LinuxCNC reports {said}", file=sys.stderr)
 
 
 def words(text):
