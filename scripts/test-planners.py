@@ -83,7 +83,7 @@ def execute(program):
     return log, said.read_text().strip()
 
 
-# Samples at rest with the tool on, beside those of a dwell, from which the interpreter has fallen behind.
+# Samples at rest with the tool on, beside those of a dwell, from which the interpreter was too slow.
 MOST_AT_REST = 20
 
 
@@ -153,7 +153,7 @@ def run_linuxcnc(names, plans, modes):
         log, said = execute(program)
         if not has_run(program, log):
             pathlib.Path(f"{program}.said").unlink()
-            sys.exit(f"{program}: the run was interrupted, or the interpreter fell behind; run this again, what has "
+            sys.exit(f"{program}: the run was interrupted, or the interpreter was too slow; run this again, what has "
                      "ended stays")
         planned = to / f"planned-{plan}.json"
         if not planned.exists():

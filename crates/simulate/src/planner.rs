@@ -148,11 +148,11 @@ impl<'a> Past<'a> {
         }
     }
 
-    /// Returns the first break of the command after the time `t_s`; infinity behind the last one.
+    /// Returns the first break of the command after the time `t_s`; infinity after the last one.
     fn next_break_s(&mut self, t_s: f64) -> f64 {
-        // A break that rounding has moved to this time is behind it.
-        let behind_s = t_s + 1e-12 * t_s.abs().max(1.0);
-        match self.find(behind_s) {
+        // A break that rounding has moved to this time is before it.
+        let after_s = t_s + 1e-12 * t_s.abs().max(1.0);
+        match self.find(after_s) {
             None => self.pieces[0].start_s,
             Some(k) if k + 1 < self.pieces.len() => self.pieces[k + 1].start_s,
             Some(_) => f64::INFINITY,
