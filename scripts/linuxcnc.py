@@ -19,7 +19,7 @@ import tempfile
 SERVO_PERIOD_S = 0.001
 GAIN = 1000
 # Speed of the simulator's clock, and lines in a second of this clock above which it runs in real time. Faster: the
-# interpreter falls behind the planner, which then stops.
+# interpreter is too slow for the planner, which then stops.
 FASTER = 4
 MANY_LINES_PER_S = 200
 
@@ -79,7 +79,7 @@ sampler = subprocess.Popen(["halsampler", "-t"], stdout=open("{home}/samples", "
 time.sleep(0.3)
 command.program_open("{program}")
 command.wait_complete()
-# The way to the start waits until the planner has its queue full: an interpreter that falls behind on a busy computer
+# The way to the start waits until the planner has its queue full: an interpreter that is too slow on a busy computer
 # would stop the motion, and here it is the planner that is tried.
 command.rapidrate(0.0)
 command.auto(linuxcnc.AUTO_RUN, 0)

@@ -8,7 +8,6 @@ docs/controller-programs.md.
 """
 
 import argparse
-import concurrent.futures
 import importlib.util
 import json
 import pathlib
@@ -43,9 +42,6 @@ MODES = {
     "lines of 2 ms": (["--max-step-s=0.002"], None),
     "G64 alone": ([], "G64"),
 }
-# Simulators beside each other. More: the interpreter falls behind the planner.
-AT_ONCE = 2
-
 
 def trajectory(to, plan):
     return to / {"pvt": "pvt", "joint": "joint/trajectory"}[plan]
@@ -87,14 +83,16 @@ def execute(program):
     return log, said.read_text().strip()
 
 
-# Samples at rest with the tool on, beside those of a dwell, from which the interpreter has fallen behind.
+# Samples at rest with the tool on, beside those of a dwell, from which the interpreter was too slow.
 MOST_AT_REST = 20
 
 
 def has_run(program, log):
     """True if the motion ends where the last line of the program does, and never waited for the interpreter."""
     rows = [line.split(",")[1:] for line in log.read_text().splitlines()[1:]]
-    at_rest = sum(1 for before, row in zip(rows, rows[1:]) if before == row and row[-1] == "1")
+    # At the end the tool is on until the interpreter has gone on.
+    moves = [k for k in range(1, len(rows)) if rows[k][:-1] != rows[k - 1][:-1]]
+    at_rest = sum(1 for k in range(1, moves[-1]) if rows[k] == rows[k - 1] and rows[k][-1] == "1")
     if at_rest > MOST_AT_REST and not re.search("^G4 P", program.read_text(), flags=re.M):
         return False
     last = re.findall(r"^G1 X(\S+) Y(\S+)", program.read_text(), flags=re.M)[-1]
@@ -150,35 +148,30 @@ def run_linuxcnc(names, plans, modes):
                     jobs.append((name, plan, mode, to, program))
     table.show(["plan", "program", "residual", "time", "largest use of a limit", "kept"])
     table.show(["---"] * 6)
-    with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as pool:
-        runs = pool.map(lambda job: execute(job[4]), jobs)
-        for (name, plan, mode, to, program), (log, said) in zip(jobs, runs):
-            if not has_run(program, log):
-                pathlib.Path(f"{program}.said").unlink()
-                sys.exit(f"{program}: the run was interrupted, or the interpreter fell behind; run this again, what has "
-                         "ended stays")
-            planned = to / f"planned-{plan}.json"
-            if not planned.exists():
-                planned.write_text(json.dumps(table.residual(to, trajectory(to, plan), f"removal-{plan}")))
-            planned_nm = json.loads(planned.read_text())
-            about = json.loads(pathlib.Path(f"{program}.json").read_text())
-            planned_s = about["total_time_s"] - about["added_time_s"]
-            first = f"{name}, {plan}: {planned_nm:.4f} nm in {planned_s:.2f} s"
-            table.show([first, mode, *(judge(to, program, log, planned_nm))])
-            if said:
-                print(f"{name}, {plan}, {mode}: LinuxCNC reports {said}", file=sys.stderr)
+    # One after the other: a simulator that ends has been seen to end another one.
+    for name, plan, mode, to, program in jobs:
+        log, said = execute(program)
+        if not has_run(program, log):
+            pathlib.Path(f"{program}.said").unlink()
+            sys.exit(f"{program}: the run was interrupted, or the interpreter was too slow; run this again, what has "
+                     "ended stays")
+        planned = to / f"planned-{plan}.json"
+        if not planned.exists():
+            planned.write_text(json.dumps(table.residual(to, trajectory(to, plan), f"removal-{plan}")))
+        planned_nm = json.loads(planned.read_text())
+        about = json.loads(pathlib.Path(f"{program}.json").read_text())
+        planned_s = about["total_time_s"] - about["added_time_s"]
+        first = f"{name}, {plan}: {planned_nm:.4f} nm in {planned_s:.2f} s"
+        table.show([first, mode, *(judge(to, program, log, planned_nm))])
+        if said:
+            print(f"{name}, {plan}, {mode}: LinuxCNC reports {said}", file=sys.stderr)
 
 
-def planned_nodes(to, program, controller):
-    """Positions of the ends of the segments, as planish-import reads the program."""
-    import numpy
-
-    back = pathlib.Path(f"{program}-back")
-    table.run("planish-import", "program", program, "--controller", controller, "--about", f"{program}.json", "--out",
-              back, "--force")
-    cubic, time = numpy.load(back / "coefficient_mm.npy"), numpy.load(back / "break_time_s.npy")
-    powers = numpy.diff(time)[:, None] ** numpy.arange(4)
-    return numpy.einsum("kan,kn->ka", cubic, powers)
+def words(text):
+    """Positions in the words of the program itself, in the order of its segments."""
+    number = r"(-?[0-9.]+)"
+    pairs = re.findall(rf"^(?:G1 )?X{number}(?::\S+)? Y{number}", text, flags=re.M)
+    return [tuple(map(float, pair)) for pair in pairs]
 
 
 def read_sinumerik(text):
@@ -186,8 +179,8 @@ def read_sinumerik(text):
     from nc_gcode_interpreter import nc_to_dataframe
     import numpy
 
-    frame, _ = nc_to_dataframe(text, iteration_limit=10**8)
-    moves = frame.filter(frame["gg01_motion"].is_not_null() & frame["X"].is_not_null() & frame["Y"].is_not_null())
+    frame, _ = nc_to_dataframe(text, iteration_limit=10**8, disable_forward_fill=True)
+    moves = frame.filter(frame["X"].is_not_null() & frame["Y"].is_not_null())
     return moves.select(["X", "Y"]).to_numpy(), numpy.float32
 
 
@@ -230,10 +223,10 @@ READERS = {"pmac": read_pmac, "sinumerik": read_sinumerik}
 
 
 def run_readers(names, plans):
-    """A line for each program: the positions as an interpreter reads them beside those of planish-import."""
+    """A line for each program: the positions as an interpreter reads them, beside the words of the program."""
     import numpy
 
-    written = table.run("planish-export", "--help").stdout
+    known = table.run("planish-export", "--help").stdout
     table.show(["plan", "controller", "positions", "largest difference, mm"])
     table.show(["---"] * 4)
     for name in names:
@@ -244,17 +237,17 @@ def run_readers(names, plans):
             continue
         for plan in plans:
             for controller, read in READERS.items():
-                if f"  {controller} " not in written:
+                if f"  {controller} " not in known:
                     continue
                 program = export(to, plan, controller)
                 if not program:
                     continue
-                points, kind = read(program.read_text())
-                nodes = planned_nodes(to, program, controller)
+                text = program.read_text()
+                points, kind = read(text)
+                written = numpy.array(words(text))
                 # A program that goes to its start has this position before its segments.
-                points = points[len(points) - len(nodes):]
-                # Evaluation of a cubic at its end rounds; the program has nine decimals.
-                apart = numpy.abs(numpy.asarray(points, kind) - numpy.round(nodes, 9).astype(kind)).max()
+                points = points[len(points) - len(written):]
+                apart = numpy.abs(numpy.asarray(points, kind) - written.astype(kind)).max()
                 table.show([f"{name}, {plan}", controller, str(len(points)), f"{apart:g}"])
 
 

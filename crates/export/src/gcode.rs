@@ -243,8 +243,9 @@ fn of_planner<const N: usize>(
     }
     Some(format!(
         "planner: {:.0} % of the time uses more than half of an acceleration limit. There LinuxCNC takes longer than \
-         the lines state, and removes more. --max-step-s 0.002 lowers the difference, a plan for smaller limits avoids \
-         it. Record the first run with the tool off, and compare it by planish import trace and planish simulate",
+         the lines state, and removes more. Lines of at most 0.002 s lower the difference, a plan for smaller limits \
+         avoids it. Record the first run with the tool off, and compare it by planish import trace and planish \
+         simulate",
         100.0 * part
     ))
 }

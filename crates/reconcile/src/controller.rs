@@ -72,6 +72,9 @@ const KNOWN: f64 = 5.0;
 
 /// Ratio of the RMS of the fit to the noise of the log above which the controller does more than (1).
 const MOST_OVER_NOISE: f64 = 3.0;
+/// RMS of the fit, mm, up to which the controller is what it is taken for, whatever the noise: 1 nm. Larger: other rules
+/// stay unsaid in logs without noise. Smaller: the cubics of the model count as other rules.
+const LEAST_LEFT_MM: f64 = 1e-6;
 
 /// A value with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -110,7 +113,7 @@ impl Controller {
     /// Returns the reason why the controller is not what the fit takes it for: the fit leaves more than the noise of
     /// the log. `None` if it is.
     pub fn drawback(&self) -> Option<String> {
-        if self.left_rms_mm <= MOST_OVER_NOISE * self.noise_mm {
+        if self.left_rms_mm <= LEAST_LEFT_MM.max(MOST_OVER_NOISE * self.noise_mm) {
             return None;
         }
         Some(format!(

@@ -1,5 +1,6 @@
 //! The integration tests of this library, as one program. `crates/planish/tests` has those that run programs.
 
+#[path = "controller.rs"]
 mod controller;
 mod example;
 mod known;

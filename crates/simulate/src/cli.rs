@@ -37,9 +37,8 @@ pub struct Simulate {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     mirror: MirrorArgs,
-    /// Predict the removal of axes that follow the motion as planner and servos of this process do: its errors
-    /// corner_speed, smoothing, velocity_lag, servo_first_order and servo_second_order of a fixed size; no other error
-    /// [JSON]
+    /// Predict the removal of axes that follow the motion as planner and servos of this process do. Of its errors only
+    /// corner_speed, smoothing, velocity_lag, servo_first_order and servo_second_order of a fixed size count [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["error_budget", "frames"])]
     servo_of: Option<PathBuf>,
     /// Method of integration along the motion

@@ -148,11 +148,11 @@ impl<'a> Past<'a> {
         }
     }
 
-    /// Returns the first break of the command after the time `t_s`; infinity behind the last one.
+    /// Returns the first break of the command after the time `t_s`; infinity after the last one.
     fn next_break_s(&mut self, t_s: f64) -> f64 {
-        // A break that rounding has moved to this time is behind it.
-        let behind_s = t_s + 1e-12 * t_s.abs().max(1.0);
-        match self.find(behind_s) {
+        // A break that rounding has moved to this time is before it.
+        let after_s = t_s + 1e-12 * t_s.abs().max(1.0);
+        match self.find(after_s) {
             None => self.pieces[0].start_s,
             Some(k) if k + 1 < self.pieces.len() => self.pieces[k + 1].start_s,
             Some(_) => f64::INFINITY,
@@ -313,7 +313,7 @@ mod tests {
         assert!((end_s - 2.01).abs() < 1e-12, "{end_s}");
         let n = 2000;
         for t in [0.003, 0.015, 0.4, 0.999, 1.007, 1.0199, 1.3, 1.7, 1.705, 1.9] {
-            // The midpoint rule errs by h^2 / 24 of the curvature: 1e-10 mm.
+            // The midpoint rule errs by v h^2 / (8 w) where the command starts: 2e-9 mm.
             let mut mean = [0.0; 2];
             for k in 0..n {
                 let s = t - window_s * (f64::from(k) + 0.5) / f64::from(n);
@@ -322,8 +322,8 @@ mod tests {
             }
             let q = position(&motion, t);
             for a in 0..2 {
-                // The jerk is below 2 mm/s^3: cubics err by far less than 1e-9 mm.
-                assert!((q[a] - mean[a]).abs() < 1e-9, "{t}: {} for {}", q[a], mean[a]);
+                // The jerk is below 2 mm/s^3: cubics err by far less.
+                assert!((q[a] - mean[a]).abs() < 5e-9, "{t}: {} for {}", q[a], mean[a]);
             }
         }
     }
