@@ -414,8 +414,8 @@ fn ten_thousand_mutated_requests_leave_no_file_outside() {
     let after = r#"{"source":{"file":"map.datx"},"reading":{"unit":"nm"}}"#;
     let bases = [
         [server.head("POST", "upload/part/map.datx", 3).as_bytes(), b"abc"].concat(),
-        [&server.head("POST", "estimate", estimate.len()), &*estimate].concat().into_bytes(),
-        [&server.head("POST", "after", after.len()), after].concat().into_bytes(),
+        format!("{}{estimate}", server.head("POST", "estimate", estimate.len())).into_bytes(),
+        format!("{}{after}", server.head("POST", "after", after.len())).into_bytes(),
         server.head("GET", "path/raster", 0).into_bytes(),
     ];
     let mut random = planish_testkit::numbers(68);
