@@ -1,15 +1,15 @@
 //! `planish-run doctor`: what is here, and a plan of a fixture as a check.
 
-use std::{env, fs, fs::File, path::Path, process::Command, thread};
+use std::{env, fs, fs::File, process::Command, thread};
 
 use clap::Args;
-use planish_handoff::{Failure, Status, keep_output, say};
+use planish_handoff::{Failure, Status, say};
 use planish_types::budget;
-use serde_json::Value;
 
 use super::{
     execute::{Messages, run},
     place::Installation,
+    program::read_answer,
 };
 
 /// Settings of the check: a plan that takes a few seconds.
@@ -22,20 +22,22 @@ pub struct Doctor {}
 impl Doctor {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Installation::find()?;
-        let row = |name: &str, found: String| say(format!("{name:10} {found}"));
-        row("planish", format!("{} in {}", env!("CARGO_PKG_VERSION"), place.programs.display()));
-        row("system", format!("{} {}, {} cores", env::consts::OS, env::consts::ARCH, cores()));
-        row(
-            "memory",
-            format!("a stage may take {} GiB (--memory-gib)", budget::DEFAULT_MEMORY_GIB),
-        );
-        let pipelines = place.pipelines();
-        row("pipelines", format!("{} in {}pipelines", pipelines.len(), place.repository()));
+        row("planish", &format!("{} in {}", env!("CARGO_PKG_VERSION"), place.programs.display()));
+        row("system", &format!("{} {}, {} cores", env::consts::OS, env::consts::ARCH, cores()));
+        let gib = budget::DEFAULT_MEMORY_GIB;
+        row("memory", &format!("a stage may take {gib} GiB (--memory-gib)"));
+        let pipelines = place.pipelines().len();
+        row("pipelines", &format!("{pipelines} in {}pipelines", place.repository()));
         let python = Command::new("python3").arg("--version").output();
         let python = python.map(|found| String::from_utf8_lossy(&found.stdout).trim().to_string());
-        row("python3", python.unwrap_or_else(|_| "none; planish sweep needs it".into()));
+        row("python3", &python.unwrap_or_else(|_| "none; planish sweep needs it".into()));
         check(&place)
     }
+}
+
+/// Prints what was found of the part `name`.
+fn row(name: &str, found: &str) {
+    say(format!("{name:10} {found}"));
 }
 
 /// Returns the number of cores that the stages use.
@@ -53,23 +55,14 @@ fn check(place: &Installation) -> Result<Status, Failure> {
     let definition = place.definition("raster")?;
     let scope = place.scope(&definition, &settings.collect::<Vec<_>>())?;
     let code = run(place, scope, "run", Messages::Kept(File::create(&log)?))?.code;
-    let summary = summary(&out).unwrap_or_default();
-    let rms_nm = |row: &Value| row["rms_nm"].as_f64().unwrap_or(f64::NAN);
-    let (before, after) = (rms_nm(&summary["initial"]), rms_nm(&summary["methods"]["pvt"]));
-    if code != 0 || !(after < before) {
+    let answer = read_answer(&out).ok().filter(|answer| code == 0 && answer.method.is_some());
+    let Some(answer) = answer else {
         let log = log.display();
         return Ok(Status::Negative(format!(
             "the plan of the fixture coupon failed (exit code {code}); report this with {log}"
         )));
-    }
-    say(format!("check      {before:.2} nm RMS become {after:.2} nm"));
-    keep_output(&out, "check", summary);
+    };
+    row("check", &answer.sentence);
     fs::remove_dir_all(&folder)?;
     Ok(Status::Done)
-}
-
-/// Reads the numbers of the report of a run; `None` if it has none.
-fn summary(out: &Path) -> Option<Value> {
-    let text = fs::read_to_string(out.join("report/summary.json")).ok()?;
-    serde_json::from_str(&text).ok()
 }
