@@ -697,6 +697,8 @@ mod tests {
             [
                 "pipeline",
                 "fixture",
+                "part",
+                "tool",
                 "initial",
                 "slope_base_mm",
                 "reach",
@@ -714,7 +716,7 @@ mod tests {
         assert_eq!(keys(&json["methods"]["pvt"]["plan"]), ["state", "word", "text"]);
         assert_eq!(
             keys(&json["initial"]),
-            ["rms_nm", "pv_nm", "slope_rms_nrad", "short_wave_rms_nm", "zone_rms"]
+            ["rms_nm", "pv_nm", "slope_rms_nrad", "short_wave_rms_nm", "zone_rms", "low_order"]
         );
         assert_eq!(keys(&json["without_motion"]), ["rms_nm", "total_time_s"]);
         assert_eq!(json["without_motion"]["total_time_s"], 3.5);
@@ -727,6 +729,7 @@ mod tests {
                 "rms_detilted_nm",
                 "slope_rms_nrad",
                 "short_wave_rms_nm",
+                "low_order",
                 "total_time_s",
                 "max_velocity_mm_per_s",
                 "max_acceleration_mm_per_s2",
