@@ -100,6 +100,7 @@ fn apart(mut time_s: Vec<f64>) -> Vec<f64> {
 }
 
 /// What a motion does, as it is executed.
+#[derive(Debug)]
 struct Executed {
     time_s: f64,
     residual: Surface,
@@ -118,7 +119,7 @@ fn executed(task: &Task<'_>, motion: &Trajectory) -> Result<Executed, ScoreError
     let with_errors = tolerance(motion, tif, desired, errors, &ToleranceSettings::default())?;
     Ok(Executed {
         time_s: motion.total_time_s(),
-        residual: prediction.removal.residual(),
+        residual: prediction.removal.residual().clone(),
         with_errors: with_errors.outcome.residual,
     })
 }

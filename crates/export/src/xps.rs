@@ -84,6 +84,8 @@ pub(crate) fn write_pt<const N: usize>(job: &Job<N>) -> Result<(String, About), 
         text.push('\n');
     }
     Ok((text, about))
+}
+
 /// Names of a group of positioners on an XPS.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct XpsGroup {

@@ -11,7 +11,6 @@ use planish_compare::{
     answer::answer,
     places::Division,
     plan::PlanStatus,
-    reach::Reach,
     report::{RunData, RunMethod, tool},
     several::{Several, Subset, ToolAlone, ToolOfPlan, WavesLeft},
     summary::{MethodFacts, MethodResult, Summary, WallTimes},
@@ -27,6 +26,7 @@ use planish_types::{
         plan::{ChoiceReport, PlanOutcome, SeveralReport},
         verdict::Verdict,
     },
+    reach::Reach,
     text::visible,
 };
 use serde_json::json;
@@ -150,7 +150,8 @@ impl Reader<'_> {
         let choice = self.choice(inputs, &rack)?;
         let alone = self.alone(inputs, &rack)?;
         let narrowest = tools.iter().min_by(|a, b| width_mm(&a.tif).total_cmp(&width_mm(&b.tif)));
-        let reach = narrowest.and_then(|tool| Reach::new(&desired, &tool.tif));
+        let tifs: Vec<&Tif> = tools.iter().map(|tool| &tool.tif).collect();
+        let reach = Reach::new(&desired, &tifs);
         let division = Division::new(&desired, narrowest.map(|tool| &tool.tif));
         let picture: Vec<tool::Picture> = tools
             .iter()

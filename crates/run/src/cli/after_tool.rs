@@ -58,7 +58,7 @@ pub fn run(user: &mut UserSettings) -> Result<Status, Failure> {
     }
     let out = own_out.unwrap_or_else(|| {
         let run = name_of(&std::path::absolute(&of_run).unwrap_or_default());
-        format!("{}out/next-run/{}", place.home(), directory_name(&format!("{run}-after-{done}")))
+        format!("out/next-run/{}", directory_name(&format!("{run}-after-{done}")))
     });
     let settings = Settings {
         surface: after,
@@ -106,7 +106,7 @@ pub fn tolerance(user: &mut UserSettings) -> Result<Status, Failure> {
     }
     let out = own_out.unwrap_or_else(|| {
         let run = name_of(&std::path::absolute(&of_run).unwrap_or_default());
-        format!("{}out/tolerance/{}", place.home(), directory_name(&format!("{run}-set-up")))
+        format!("out/tolerance/{}", directory_name(&format!("{run}-set-up")))
     });
     // The rack of the first tool has all tools, with the least dwell times of their machines.
     let rack = format!("{of_run}/tools/{}/rack.json", tools[0].name);
