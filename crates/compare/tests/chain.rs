@@ -575,11 +575,12 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
         // reach, before and after), three verdicts by a specification, the process; slopes along y, before and
         // after, and their base, which is as long as the map. Without a tool there is no edge zone (width and
         // fraction, RMS of it and of the inside before and after, time, each of five places), two rows fill two
-        // thirds of three regions, and the answer has no row without a motion.
+        // thirds of three regions, and the answer has no row without a motion. The user states nothing about the part
+        // (four), the tool has no numbers, and so few pixels have no low-order terms, before and after.
         let edge = 2 + 2 + 2 + 1 + 5;
         assert_eq!(
             numbers.matches("null").count(),
-            2 + 1 + 1 + 3 + 3 + 1 + 3 + edge + 3 + 1,
+            2 + 1 + 1 + 3 + 3 + 1 + 3 + edge + 3 + 1 + 4 + 1 + 2,
             "{numbers}"
         );
     }
