@@ -154,7 +154,9 @@ impl Reader {
         let stage = STAGES.iter().find(|stage| stage.name == program);
         let stage = stage.ok_or_else(|| format!("there is no program {program}"))?;
         let flags = self.flags.entry(program.clone()).or_insert_with(stage.definition);
-        let matches = flags.try_get_matches_from_mut(words).map_err(|e| e.to_string())?;
+        // Every program takes this flag out of its command line before it reads the others.
+        let own = words.iter().filter(|word| *word != "--quiet");
+        let matches = flags.try_get_matches_from_mut(own).map_err(|e| e.to_string())?;
         let mut paths = Paths::default();
         add_paths(flags, &matches, &mut paths);
         if program == "planish-export" {
