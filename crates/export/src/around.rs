@@ -34,7 +34,10 @@ pub(crate) fn comment(kind: ControllerKind) -> Option<&'static Comment> {
         ControllerKind::Automation1 => Some(&automation1::COMMENT),
         ControllerKind::Sinumerik | ControllerKind::SinumerikPoly => Some(&sinumerik::COMMENT),
         ControllerKind::Twincat => Some(&twincat::COMMENT),
-        ControllerKind::Xps | ControllerKind::XpsPt | ControllerKind::Ros | ControllerKind::Zaber => None,
+        ControllerKind::Xps
+        | ControllerKind::XpsPt
+        | ControllerKind::Ros
+        | ControllerKind::Zaber => None,
     }
 }
 

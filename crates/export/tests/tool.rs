@@ -32,7 +32,10 @@ fn linuxcnc(text: &str) -> Events {
                 events.push((first.into(), on));
             }
             _ if first == "G4" => events.push(("G4".into(), on)),
-            _ => assert!(["G21", "G64", "G61", "G92.2", "G93", "G94", "M49"].contains(&first), "{line}"),
+            _ => assert!(
+                ["G21", "G64", "G61", "G92.2", "G93", "G94", "M49"].contains(&first),
+                "{line}"
+            ),
         }
     }
     panic!("no end");

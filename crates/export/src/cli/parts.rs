@@ -19,7 +19,7 @@ impl Export {
         settings: &ProgramSettings,
         inputs: &Inputs,
     ) -> Result<Vec<Program>, Failure> {
-        let whole = motion.program(self.controller, settings, &part_of_user, inputs)?;
+        let whole = motion.program(self.controller, settings, &self.common.part.part(), inputs)?;
         let segments = whole.about.segments;
         let most = segments.min(MOST_PARTS);
         if let Some(parts) = self.common.parts {
@@ -60,7 +60,8 @@ impl Export {
         }
         let parts = cuts.windows(2).enumerate().map(|(k, cut)| {
             let settings = ProgramSettings { marks: Some([cut[0], cut[1]]), ..settings.clone() };
-            let mut part = motion.program(self.controller, &settings, &part_of_user, inputs)?;
+            let mut part =
+                motion.program(self.controller, &settings, &self.common.part.part(), inputs)?;
             part.about.part = Some(planish_export::ProgramPart {
                 number: k + 1,
                 parts: cuts.len() - 1,
