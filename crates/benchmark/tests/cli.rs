@@ -111,12 +111,12 @@ fn a_measured_part_that_is_missing_or_another_one_is_refused() {
             r#"{{ "folder": "{folder}", "surface_blake3": "{0:064}", "tif_blake3": "{0:064}" }}"#,
             1
         );
-        let text = format!(
+        let content = format!(
             r#"{{ "name": "p", "doc": "d", "measured": {measured},
                   "machine": "{0}/machines/fluid-jet.json", "error_budget": "{0}/error-budgets/fluid-jet.json" }}"#,
             fixtures.display()
         );
-        fs::write(tmp.path().join("problem.json"), text).unwrap();
+        fs::write(tmp.path().join("problem.json"), content).unwrap();
         let arguments = ["problem.json", "motion.csv"].map(|name| tmp.path().join(name));
         let output = stage("planish-benchmark").arg("score").args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{}", text(&output.stdout));

@@ -70,7 +70,7 @@ impl ControllerLines {
             }
         }
         let host_switches = matches!(kind, ControllerKind::Galil | ControllerKind::Xps);
-        if !host_switches && !(self.tool_on.is_empty() && self.tool_off.is_empty()) {
+        if !(host_switches || self.tool_on.is_empty() && self.tool_off.is_empty()) {
             let problem = format!("is stated, and no host script of a {} reads it", kind.name());
             return Err(Invalid::whole("controller.tool_on", problem, "leave it out"));
         }
