@@ -33,17 +33,17 @@ pub struct MeasuredPart {
     pub tif_blake3: String,
 }
 
-/// Where a part and its tool come from.
+/// Source of a part and its tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Source<'a> {
-    /// From this recipe.
+    /// Recipe of part and tool.
     Recipe(&'a str),
-    /// From measured maps.
+    /// Maps that were measured.
     Measured(&'a MeasuredPart),
 }
 
 impl Problem {
-    /// Returns where part and tool come from.
+    /// Returns the source of part and tool.
     ///
     /// # Errors
     /// Refuses a problem with both sources, and one with neither.

@@ -41,7 +41,7 @@ pub struct Score {
     pub with_errors: Quantiles,
 }
 
-/// What a motion is scored on.
+/// Part, tool, machine and errors that a motion is scored on.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'a> {
     /// Desired removal.
@@ -99,7 +99,7 @@ fn apart(mut time_s: Vec<f64>) -> Vec<f64> {
     kept
 }
 
-/// What a motion does, as it is executed.
+/// Execution of a motion: its time, and what it leaves.
 #[derive(Debug)]
 struct Executed {
     time_s: f64,

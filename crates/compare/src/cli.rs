@@ -16,8 +16,9 @@ pub enum CompareCommand {
     /// Print the results of the methods of one or several runs side by side; write summary.json,
     /// report.html and figures (SVG)
     Report(report::ReportCommand),
-    /// Print what a run of several tools leaves; write summary.json, report.html and figures (SVG): the maps tool by
-    /// tool, and the residual against the time for the subsets of the rack
+    /// Print what a run of several tools leaves; write summary.json, report.html and figures (SVG)
+    ///
+    /// The page has the maps tool by tool, and the residual against the time for the subsets of the rack.
     Several(several::SeveralCommand),
     /// Draw the figures of a plan for papers and lab books, as PDF, PNG or SVG
     Figures(figures::Figures),

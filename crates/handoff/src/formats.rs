@@ -210,7 +210,7 @@ const MACHINE_KEYS: [(&str, &str, &str); 38] = [
     (
         "controller.prologue",
         "-",
-        "Lines of the controller's language before the motion, which move nothing ([list](controllers.md#lines-of-the-machine)).",
+        "Lines of the controller's language before the motion, which move nothing ([list](controller-runs.md#lines-of-the-machine)).",
     ),
     ("controller.epilogue", "-", "Lines after the motion."),
     (

@@ -33,7 +33,7 @@ pub struct Record {
     pub export: Option<String>,
     /// Further flags of the programs.
     pub export_settings: Vec<String>,
-    /// What the page of the run states.
+    /// Settings of the page.
     pub page: PageSettings,
     /// Map before the run.
     pub surface: PathBuf,

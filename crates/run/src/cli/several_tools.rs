@@ -79,9 +79,9 @@ const REMEDY: &str = "run it again";
 #[derive(Args)]
 pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
-    /// choose=yes or no, motion=refine or joint, compare=yes or no (each tool alone, too), export=CONTROLLER,
-    /// export_settings, part_name, part_number, date, operator, out=DIR. For a file of an instrument: surface=FILE and
-    /// surface_settings (flags of planish-import)
+    /// choose=yes or no, motion=refine or joint, compare=yes or no (each tool alone, too). For programs:
+    /// export=CONTROLLER, export_settings. For the page: part_name, part_number, date, operator, out=DIR. For a file of
+    /// an instrument: surface=FILE and surface_settings (flags of planish-import)
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -108,7 +108,7 @@ pub struct Settings {
     pub is_joint: bool,
     pub export: Option<String>,
     pub export_settings: Vec<String>,
-    /// What the page of the run states.
+    /// Settings of the page.
     pub page: PageSettings,
     /// Residual that the plan shall keep, RMS, nm; `None` if the prices of the rack decide.
     pub keep_rms_nm: Option<f64>,
