@@ -6,7 +6,7 @@ use std::{
 };
 
 use clap::{CommandFactory, Parser, Subcommand};
-use planish_benchmark::{Problem, Score, ScoreError, Source, Task, scores, trajectory};
+use planish_benchmark::{Problem, Score, ScoreError, ScoreTask, Source, scores, trajectory};
 use planish_fixture::{Recipe, make};
 use planish_handoff::{Failure, Inputs, Status, say, with_flags};
 use planish_simulate::error_budget::ErrorBudgetFile;
@@ -74,7 +74,7 @@ impl ScoreArgs {
         for submission in &self.submissions {
             motions.push(motion(submission, &mut inputs)?);
         }
-        let task = Task { desired: &surface, tif: &tif, machine: &machine, errors: &errors };
+        let task = ScoreTask { desired: &surface, tif: &tif, machine: &machine, errors: &errors };
         let scores = scores(&task, &motions).map_err(|e| of_file(&self.problem, &e))?;
         if let [only] = self.submissions.as_slice() {
             let score = scores.into_iter().next().expect("one score");

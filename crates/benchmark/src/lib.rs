@@ -24,5 +24,5 @@ mod score;
 mod submission;
 
 pub use problem::{MeasuredPart, Problem, Source};
-pub use score::{Score, ScoreError, Task, scores};
+pub use score::{Score, ScoreError, ScoreTask, scores};
 pub use submission::{LONGEST_STEP_S, trajectory};

@@ -43,7 +43,7 @@ pub struct Score {
 
 /// Part, tool, machine and errors that a motion is scored on.
 #[derive(Clone, Copy, Debug)]
-pub struct Task<'a> {
+pub struct ScoreTask<'a> {
     /// Desired removal.
     pub desired: &'a Surface,
     /// Tool.
@@ -73,7 +73,7 @@ pub enum ScoreError {
 /// # Errors
 /// Refuses a task for which there is no bound.
 pub fn scores(
-    task: &Task<'_>,
+    task: &ScoreTask<'_>,
     motions: &[Trajectory],
 ) -> Result<Vec<Result<Score, ScoreError>>, ScoreError> {
     let executed: Vec<_> = motions.iter().map(|motion| executed(task, motion)).collect();
@@ -109,8 +109,8 @@ struct Executed {
 
 /// Simulates a motion, without and with errors. Refuses a motion that breaks a limit of the machine, and what the
 /// simulation refuses.
-fn executed(task: &Task<'_>, motion: &Trajectory) -> Result<Executed, ScoreError> {
-    let Task { desired, tif, machine, errors } = *task;
+fn executed(task: &ScoreTask<'_>, motion: &Trajectory) -> Result<Executed, ScoreError> {
+    let ScoreTask { desired, tif, machine, errors } = *task;
     let settings = VerifySettings { program: Some(Program::Cubics), ..VerifySettings::default() };
     if let Some(reason) = verify_on_axes(motion, machine, &settings)?.reason() {
         return Err(ScoreError::Limit(reason));
