@@ -176,6 +176,8 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
             "answer",
             "pipeline",
             "fixture",
+            "part",
+            "tool",
             "initial",
             "slope_base_mm",
             "reach",
