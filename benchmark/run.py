@@ -99,7 +99,7 @@ def run(name, out):
     if code > 1:
         return name, [], f"`planish-run {' '.join(command)}` ended with code {code}; see {log}"
     motions = sorted((out / "plans").glob("**/methods/*/trajectory"))
-    code, text = start("planish-benchmark", "score", FOLDER / f"{name}.json", *motions, log=log)
+    code, text = start("planish-benchmark", "score", "--no-errors", FOLDER / f"{name}.json", *motions, log=log)
     if code > 1:
         return name, [], f"`planish-benchmark score` ended with code {code}; see {log}"
     rows = json.loads(text)
@@ -115,13 +115,11 @@ def write_tables(scored, out):
     """Writes every score, and the table of the excess in percent: rows are methods, columns problems."""
     with (out / "scores.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["problem", "method", *COLUMNS, "median_nm", "below_95_percent_nm", "refused"])
+        writer.writerow(["problem", "method", *COLUMNS, "refused"])
         for name, rows in scored.items():
             for row in rows:
-                errors = row.get("with_errors", {})
-                quantiles = [errors.get("median_nm"), errors.get("below_95_percent_nm")]
                 numbers = [row.get(column) for column in COLUMNS]
-                writer.writerow([name, row["method"], *numbers, *quantiles, row.get("refused")])
+                writer.writerow([name, row["method"], *numbers, row.get("refused")])
     methods = sorted({row["method"] for rows in scored.values() for row in rows})
     with (out / "excess.csv").open("w", newline="") as file:
         writer = csv.writer(file)

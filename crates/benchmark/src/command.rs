@@ -45,6 +45,9 @@ struct ScoreArgs {
     /// `planish import program`
     #[arg(value_name = "SUBMISSION", required = true)]
     submissions: Vec<PathBuf>,
+    /// Draw no runs with the errors of the process, which take most of the time
+    #[arg(long)]
+    no_errors: bool,
 }
 
 /// The command `planish benchmark`.
@@ -70,11 +73,12 @@ impl ScoreArgs {
         let file = folder.join(&problem.error_budget);
         let errors: ErrorBudgetFile = inputs.read_json("error-budget", &file)?;
         let errors = errors.checked().map_err(|e| of_file(&file, &e))?;
+        let errors = if self.no_errors { None } else { Some(&errors) };
         let mut motions = Vec::new();
         for submission in &self.submissions {
             motions.push(motion(submission, &mut inputs)?);
         }
-        let task = ScoreTask { desired: &surface, tif: &tif, machine: &machine, errors: &errors };
+        let task = ScoreTask { desired: &surface, tif: &tif, machine: &machine, errors };
         let scores = scores(&task, &motions).map_err(|e| of_file(&self.problem, &e))?;
         if let [only] = self.submissions.as_slice() {
             let score = scores.into_iter().next().expect("one score");

@@ -37,8 +37,9 @@ pub struct Score {
     pub reached_rms_nm: f64,
     /// Excess of the residual RMS over the bound, relative to it.
     pub excess: f64,
-    /// Residual RMS over runs with the errors of the process, nm.
-    pub with_errors: Quantiles,
+    /// Residual RMS over runs with the errors of the process, nm; absent if they were not drawn.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub with_errors: Option<Quantiles>,
 }
 
 /// Part, tool, machine and errors that a motion is scored on.
@@ -50,8 +51,8 @@ pub struct ScoreTask<'a> {
     pub tif: &'a Tif,
     /// Machine with its limits.
     pub machine: &'a Machine,
-    /// Errors of the process.
-    pub errors: &'a ErrorBudget,
+    /// Errors of the process; `None` to draw none.
+    pub errors: Option<&'a ErrorBudget>,
 }
 
 /// Reasons for which a motion has no score.
@@ -104,7 +105,7 @@ fn apart(mut time_s: Vec<f64>) -> Vec<f64> {
 struct Executed {
     time_s: f64,
     residual: Surface,
-    with_errors: Quantiles,
+    with_errors: Option<Quantiles>,
 }
 
 /// Simulates a motion, without and with errors. Refuses a motion that breaks a limit of the machine, and what the
@@ -116,11 +117,15 @@ fn executed(task: &ScoreTask<'_>, motion: &Trajectory) -> Result<Executed, Score
         return Err(ScoreError::Limit(reason));
     }
     let prediction = simulate(motion, tif, desired, SimulationSettings::Gridded)?;
-    let with_errors = tolerance(motion, tif, desired, errors, &ToleranceSettings::default())?;
+    let mut with_errors = None;
+    if let Some(errors) = errors {
+        let drawn = tolerance(motion, tif, desired, errors, &ToleranceSettings::default())?;
+        with_errors = Some(drawn.outcome.residual);
+    }
     Ok(Executed {
         time_s: motion.total_time_s(),
         residual: prediction.removal.residual().clone(),
-        with_errors: with_errors.outcome.residual,
+        with_errors,
     })
 }
 
