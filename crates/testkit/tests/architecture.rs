@@ -144,7 +144,12 @@ const IMPURE: [&str; 14] = [
 
 /// Flags in the sources of libraries that are no settings of the library: a comment in a program for a
 /// controller, whose reader has the command line before him.
-const FLAGS_FOR_OPERATORS: [(&str, &str); 1] = [("pmac.rs", "--tool-output")];
+const FLAGS_FOR_OPERATORS: [(&str, &str); 4] = [
+    ("pmac.rs", "--tool-output"),
+    ("around.rs", "--host-script"),
+    ("around.rs", "--commands"),
+    ("around.rs", "--from-mark"),
+];
 
 /// Marks of unfinished code; they are split so that this file does not contain them.
 const UNFINISHED: [&str; 3] =
