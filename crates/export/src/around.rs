@@ -134,22 +134,7 @@ pub(crate) fn handling(kind: ControllerKind, buffer: PmacBuffer) -> Vec<String> 
             "tool off, then GroupMoveAbort",
             "MultipleAxesPVTParametersGet gives the number of the current element, from 1: the mark is one less",
         ],
-        ControllerKind::Pmac => match buffer {
-            PmacBuffer::Rotary(_) => [
-                "DEFINE ROT once after power-up, from the highest coordinate system to the lowest, then B0, then this file \
-                 while it runs",
-                "R, after B0 and the first lines",
-                "tool off, then A: the axes slow down at Ixx95",
-                "PR is the number of lines that are still in the buffer. LIST PC lists the line that is read next, one or \
-                 two moves ahead",
-            ],
-            _ => [
-                "from OPEN PROG n CLEAR to CLOSE, with no program running",
-                "B n, then R, in the coordinate system of the axes",
-                "tool off, then A: the axes slow down at Ixx95. H, a feed hold, would leave the tool over one place",
-                "LIST PC lists the line that is read next, one or two moves ahead of the motion",
-            ],
-        },
+        ControllerKind::Pmac => pmac_handling(buffer),
         ControllerKind::Gcode => [
             "open this file",
             "from its first line only. Run-from-line leaves out the modes: --from-mark writes the rest",
@@ -208,6 +193,26 @@ pub(crate) fn handling(kind: ControllerKind, buffer: PmacBuffer) -> Vec<String> 
     [("load", load), ("start it", start), ("stop", stop), ("abort", abort)]
         .map(|(what, how)| format!("{what}: {how}"))
         .to_vec()
+}
+
+/// Returns the four sentences of [`handling`] for a PMAC.
+fn pmac_handling(buffer: PmacBuffer) -> [&'static str; 4] {
+    match buffer {
+        PmacBuffer::Rotary(_) => [
+            "DEFINE ROT once after power-up, from the highest coordinate system to the lowest, then B0, then this file \
+                 while it runs",
+            "R, after B0 and the first lines",
+            "tool off, then A: the axes slow down at Ixx95",
+            "PR is the number of lines that are still in the buffer. LIST PC lists the line that is read next, one or \
+                 two moves ahead",
+        ],
+        _ => [
+            "from OPEN PROG n CLEAR to CLOSE, with no program running",
+            "B n, then R, in the coordinate system of the axes",
+            "tool off, then A: the axes slow down at Ixx95. H, a feed hold, would leave the tool over one place",
+            "LIST PC lists the line that is read next, one or two moves ahead of the motion",
+        ],
+    }
 }
 
 #[cfg(test)]
