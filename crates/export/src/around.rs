@@ -200,11 +200,11 @@ fn pmac_handling(buffer: PmacBuffer) -> [&'static str; 4] {
     match buffer {
         PmacBuffer::Rotary(_) => [
             "DEFINE ROT once after power-up, from the highest coordinate system to the lowest, then B0, then this file \
-                 while it runs",
+             while it runs",
             "R, after B0 and the first lines",
             "tool off, then A: the axes slow down at Ixx95",
             "PR is the number of lines that are still in the buffer. LIST PC lists the line that is read next, one or \
-                 two moves ahead",
+             two moves ahead",
         ],
         _ => [
             "from OPEN PROG n CLEAR to CLOSE, with no program running",
