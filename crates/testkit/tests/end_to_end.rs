@@ -194,7 +194,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     assert_eq!([&summary["pipeline"], &summary["fixture"]], ["raster", "coupon"]);
     assert_eq!(
         keys(&summary["initial"]),
-        ["rms_nm", "pv_nm", "slope_rms_nrad", "short_wave_rms_nm", "zone_rms"]
+        ["rms_nm", "pv_nm", "slope_rms_nrad", "short_wave_rms_nm", "zone_rms", "low_order"]
     );
     assert_eq!(keys(&summary["without_motion"]), ["rms_nm", "total_time_s"]);
     let methods = &summary["methods"];
@@ -208,6 +208,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "rms_detilted_nm",
                 "slope_rms_nrad",
                 "short_wave_rms_nm",
+                "low_order",
                 "total_time_s",
                 "max_velocity_mm_per_s",
                 "max_acceleration_mm_per_s2",
