@@ -2,7 +2,7 @@
 //! further positioner of the group. Distances are relative and velocities those at the end, in mm (or degrees) and s.
 //! The file has no header, so what it is made from is in the file beside it only.
 //!
-//! A PT file ([`write_pt`]) has lines `dt, dx, dy`: no velocities. No public source states how the controller moves
+//! A PT file (`write_pt`) has lines `dt, dx, dy`: no velocities. No public source states how the controller moves
 //! between two of its points. The lines are therefore as short and even as those of G-code: joined by parabolas, they
 //! keep the limits.
 //!

@@ -13,7 +13,7 @@
 //! | symbol | variable | shape |
 //! |---|---|---|
 //! | z | `map` | (ny, nx) |
-//! | phi | [`Basis::row`] | (nx, k) |
+//! | phi | `Basis::row` | (nx, k) |
 //! | c | `coefficients` | (k) |
 
 use nalgebra::{DMatrix, DVector};

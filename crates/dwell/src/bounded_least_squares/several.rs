@@ -165,7 +165,7 @@ pub struct KeptPlan {
 
 /// Finds dwell times that leave at most `most_rms_nm`, in little time: those of [`solve_several`] with the prices of
 /// all tools multiplied by one factor, the largest one at which the residual is kept. It is 1 if the prices as they are
-/// keep it, and is found to [`KEPT_FRACTION`] of the residual in at most [`MAX_PRICES`] problems.
+/// keep it, and is found to `KEPT_FRACTION` of the residual in at most `MAX_PRICES` problems.
 ///
 /// # Errors
 /// Refuses what [`solve_several`] refuses, and a residual that is not a number > 0.

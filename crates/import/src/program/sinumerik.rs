@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `G0 X Y` | to the start, before the motion |
 //! | `G93`, `G1 X Y F` | straight in 60/F s, F in every line |
-//! | `G642`, `CTOL=p` | lines are joined within p mm, as in [`super::lines`]; without CTOL, or with `G64`, they are not |
+//! | `G642`, `CTOL=p` | lines are joined within p mm, as in `super::lines`; without CTOL, or with `G64`, they are not |
 //! | `G4 F` | stand for F seconds |
 //! | `FGROUP(W)` | F is the feed of W: a block lasts as long as W needs for its way |
 //! | `UPATH` | all axes follow the parameter p of W |
