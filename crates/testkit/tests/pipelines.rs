@@ -764,7 +764,7 @@ fn the_command_of_a_plan_of_a_sweep_makes_the_same_plan_again() {
     assert_eq!(plans.len(), 2);
     for plan in plans {
         let command = planish(&["again", "two", &plan]);
-        let words = command.trim_end().strip_prefix("just ").unwrap().split(' ');
+        let words = command.trim_end().strip_prefix("planish ").unwrap().split(' ');
         let words: Vec<&str> = words.chain(["frames=0", "out=again"]).collect();
         let ended = run(dir.path(), &words);
         assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", text(&ended));
