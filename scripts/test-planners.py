@@ -133,13 +133,21 @@ def judge(to, program, log, planned_nm):
             "yes" if fraction <= 1.0 + 1e-3 else "no"]
 
 
+def prepared(name):
+    """Returns the folder with the plans of a row; None, with the reason on standard error, without its data."""
+    to = OUT / name.replace(" ", "-")
+    fixture, path, dwell, _ = ROWS[name]
+    if (to / "part.json").exists() or table.prepare(to, fixture, path, dwell, ["pvt", "joint"]):
+        return to
+    print(f"left out, PLANISH_REFERENCE is not set: {name}", file=sys.stderr)
+    return None
+
+
 def run_linuxcnc(names, plans, modes):
     jobs = []
     for name in names:
-        to = OUT / name.replace(" ", "-")
-        fixture, path, dwell, _ = ROWS[name]
-        if not (to / "part.json").exists() and not table.prepare(to, fixture, path, dwell, ["pvt", "joint"]):
-            print(f"left out, PLANISH_REFERENCE is not set: {name}", file=sys.stderr)
+        to = prepared(name)
+        if to is None:
             continue
         for plan in plans:
             for mode in modes:
@@ -230,10 +238,8 @@ def run_readers(names, plans):
     table.show(["plan", "controller", "positions", "largest difference, mm"])
     table.show(["---"] * 4)
     for name in names:
-        to = OUT / name.replace(" ", "-")
-        fixture, path, dwell, _ = ROWS[name]
-        if not (to / "part.json").exists() and not table.prepare(to, fixture, path, dwell, ["pvt", "joint"]):
-            print(f"left out, PLANISH_REFERENCE is not set: {name}", file=sys.stderr)
+        to = prepared(name)
+        if to is None:
             continue
         for plan in plans:
             for controller, read in READERS.items():

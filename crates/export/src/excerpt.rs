@@ -158,9 +158,9 @@ fn ramp<const N: usize>(
     loop {
         let pieces = pieces(first, half, [least, most]);
         let ramp = with_half(first, plan, half / pieces * pieces, pieces);
-        // Its joint with the segment is proven, too.
+        // Its joint with the segment is proven, too; the motion goes on from there.
         let with_joint = joined(&ramp, first);
-        let proof = limits::prove(&with_joint, plan);
+        let proof = limits::prove_to_last_node(&with_joint, plan);
         if proof.is_ok() && farthest_mm(&with_joint, plan) <= tolerance_mm {
             return Ok(ramp);
         }

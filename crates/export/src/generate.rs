@@ -274,7 +274,16 @@ impl<const N: usize> Nodes<N> {
     pub(crate) fn pieces(&self) -> Vec<ExecutedCubic<N>> {
         match self.interpolation {
             Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
-            Interpolation::Linear => self.joined(),
+            Interpolation::Linear => self.joined(self.segments()),
+        }
+    }
+
+    /// Returns the cubics of [`Self::pieces`] for nodes from which the motion goes on: joined lines without the way to
+    /// rest at the last node.
+    pub(crate) fn pieces_to_last_node(&self) -> Vec<ExecutedCubic<N>> {
+        match self.interpolation {
+            Interpolation::Hermite => self.pieces(),
+            Interpolation::Linear => self.joined(self.segments() - 1),
         }
     }
 
@@ -293,15 +302,15 @@ impl<const N: usize> Nodes<N> {
         ExecutedCubic { segment: k, start_s, time_s, coefficient }
     }
 
-    /// Returns the motion of joined lines: straight pieces, and the parabolas between them.
-    fn joined(&self) -> Vec<ExecutedCubic<N>> {
+    /// Returns the motion of joined lines: straight pieces, and the parabolas between them up to node `last`.
+    fn joined(&self, last: usize) -> Vec<ExecutedCubic<N>> {
         let n = self.segments();
         let mean = |k: usize| -> [f64; N] {
             from_fn(|a| self.distance(k)[a] as f64 * self.count[a] / self.segment_s(k))
         };
         let at_rest = [0.0; N];
         let mut pieces = Vec::with_capacity(2 * n + 1);
-        for k in 0..=n {
+        for k in 0..=last {
             let m = if k > 0 { mean(k - 1) } else { at_rest };
             let next = if k < n { mean(k) } else { at_rest };
             let node = self.position(k);

@@ -142,6 +142,22 @@ pub(crate) fn prove<const N: usize>(
     nodes: &Nodes<N>,
     plan: &AxesPlan<N>,
 ) -> Result<Proven<N>, Invalid> {
+    prove_pieces(nodes, &nodes.pieces(), plan)
+}
+
+/// Proves the same of a motion that goes on from its last node: what the axes do there is not judged.
+pub(crate) fn prove_to_last_node<const N: usize>(
+    nodes: &Nodes<N>,
+    plan: &AxesPlan<N>,
+) -> Result<Proven<N>, Invalid> {
+    prove_pieces(nodes, &nodes.pieces_to_last_node(), plan)
+}
+
+fn prove_pieces<const N: usize>(
+    nodes: &Nodes<N>,
+    pieces: &[ExecutedCubic<N>],
+    plan: &AxesPlan<N>,
+) -> Result<Proven<N>, Invalid> {
     // The last slot is that of the duration.
     let mut peaks = Peaks(vec![None; 3 * N + 1]);
     let least_s = plan.machine.limits().min_segment_s();
@@ -153,8 +169,7 @@ pub(crate) fn prove<const N: usize>(
         }
     }
     let mut reach = [[f64::INFINITY, f64::NEG_INFINITY]; N];
-    let pieces = nodes.pieces();
-    for piece in &pieces {
+    for piece in pieces {
         for (axis, limits) in plan.axes.iter().enumerate() {
             let orders = derivatives(&piece.coefficient[axis]);
             let r = range(&orders[0], piece.time_s);
@@ -174,7 +189,7 @@ pub(crate) fn prove<const N: usize>(
     }
     check_reach(plan, &reach)?;
     if plan.may_step && nodes.interpolation == Interpolation::Hermite {
-        check_acceleration_steps(plan, &pieces)?;
+        check_acceleration_steps(plan, pieces)?;
     }
     let (proven, not_proven) = match nodes.interpolation {
         Interpolation::Hermite if plan.may_step => (
