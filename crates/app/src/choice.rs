@@ -416,7 +416,8 @@ impl PlanChoice {
             _ => {
                 command.push(format!("surface={}", part.source.surface("part")));
                 command.push("tif=tool/tif".into());
-                "own"
+                // A run belongs to its map: those of arrays and of files are in two places.
+                if part.source == PartSource::Arrays { "arrays" } else { "own" }
             }
         };
         if is_own && matches!(machine, MachineChoice::Fixture(_)) && self.controller().is_some() {

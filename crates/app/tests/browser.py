@@ -94,7 +94,8 @@ def check_demo(browser, shots):
     check("and can be saved", size > 1000, size)
     wait(browser, "planish.estimates.raster && !!planish.estimates.raster.answer", 30)
     # A sixth of 7 mm is 1.167 mm; the ripple of this Gaussian of 1 mm is 0.1 % at 1.54 mm.
-    check("the pitch is proposed by the tool, and not above its limit", "1.1 mm" in browser.js("document.getElementById('proposal-pitch_mm').textContent"))
+    proposal = browser.js("document.getElementById('proposal-pitch_mm').textContent")
+    check("the pitch is proposed by the tool, and not above its limit", "1.1 mm" in proposal, proposal)
     check("its verdict is shown", "program" in browser.js("document.getElementById('program-verdict').textContent"))
 
 

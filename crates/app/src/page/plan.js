@@ -72,7 +72,7 @@ function proposal(setting, value, reason) {
     field.value = String(value);
     estimateSoon();
   });
-  place.replaceChildren(`Proposed: ${number(value)}. ${reason} `, take);
+  place.replaceChildren(`Proposed: ${number(value)} mm. ${reason} `, take);
 }
 
 /** What the tool proposes: pitch, overscan, and the least removal of the floor (docs/how-to/choose-pitch-overscan-floor.md). */

@@ -92,7 +92,7 @@ async function upload(role, files) {
     if (names.length > 1 && !names.includes(ARRAYS[role]))
       throw new Error(`Several files are ${ARRAYS[role] ?? "no map before the tool"}, x_mm.npy and y_mm.npy; otherwise give one file.`);
     $(`${role}-chosen`).textContent = `Reading ${names.join(", ")} ...`;
-    await Promise.all([...files].map((file, i) => ask(`upload/${role}/${names[i]}`, { method: "POST", body: file })));
+    for (const [i, file] of [...files].entries()) await ask(`upload/${role}/${names[i]}`, { method: "POST", body: file });
     chosen[role] = names.length > 1 ? { arrays: names } : { file: names[0] };
     $(`${role}-chosen`).textContent = names.join(", ");
     if (role === "part") $("part-fixture").value = "";
