@@ -110,11 +110,12 @@ fn why_of_tools(several: &Several) -> String {
     };
     format!(
         "{}, because their dwell times cost least of the {} subsets of the rack that were solved, of {all}: {} nm RMS in \
-         {} with changes; {proof}.",
+         {} with changes; {proof}.{}",
         chosen.tools.join(" and "),
         several.subsets.len(),
         significant(chosen.rms_nm, DIGITS),
-        duration(chosen.time_with_changes_s)
+        duration(chosen.time_with_changes_s),
+        several.cheapest_as_executed().unwrap_or_default()
     )
 }
 

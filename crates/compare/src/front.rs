@@ -116,8 +116,8 @@ pub fn points(runs: &[(&str, &Summary)]) -> Vec<FrontPoint> {
     points
 }
 
-/// Returns the points of a plan of several tools: the plan as it runs, each tool of the rack alone as it would run, and
-/// the dwell times of each subset of the rack.
+/// Returns the points of a plan of several tools: the plan as it runs, the other plans of the rack as they would run,
+/// and the dwell times of each subset of the rack.
 fn points_of_tools(run: &str, several: &Several) -> Vec<FrontPoint> {
     let point = |plan: String, kind, numbers: [f64; 2], limits_kept| FrontPoint {
         run: run.into(),
@@ -134,10 +134,10 @@ fn points_of_tools(run: &str, several: &Several) -> Vec<FrontPoint> {
         let numbers = [subset.time_with_changes_s, subset.rms_nm];
         points.push(point(name, PointKind::DwellTimes, numbers, None));
     }
-    for tool in &several.alone {
-        let numbers = [tool.time_with_change_s, tool.rms_nm];
-        let name = format!("{} alone, executed", tool.name);
-        points.push(point(name, PointKind::Plan, numbers, Some(tool.limits_kept)));
+    for other in &several.others {
+        let numbers = [other.time_with_changes_s, other.rms_nm];
+        let name = format!("{}, executed", other.words());
+        points.push(point(name, PointKind::Plan, numbers, Some(other.limits_kept)));
     }
     if let Some(last) = several.tools.last() {
         let names: Vec<&str> = several.tools.iter().map(|tool| tool.name.as_str()).collect();

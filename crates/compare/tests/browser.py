@@ -663,8 +663,8 @@ def tools(run, shots):
                 check(f"{name}: the removal is that of its motion", worst <= 0.501 * step, f"{worst:.1e} of {step:.1e} nm")
         points = browser.js("planish.DATA.front.points")
         chosen = [p for p in points if p["is_recommended"]]
-        wanted = len(several["subsets"]) + len(several["alone"]) + 1
-        check("every subset, every tool alone and the plan are points", len(points) == wanted and len(chosen) == 1, len(points))
+        wanted = len(several["subsets"]) + len(several["others"]) + 1
+        check("every subset, every other plan and the plan are points", len(points) == wanted and len(chosen) == 1, len(points))
         check("the plan has its time with changes", abs(chosen[0]["time_s"] - several["total_time_s"]) < 1e-9, chosen[0]["plan"])
         for i in range(len(names)):
             browser.js(f"(() => {{ const s = document.getElementById('a'); s.value = {i}; s.dispatchEvent(new Event('change')); }})()")

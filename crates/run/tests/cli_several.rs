@@ -55,8 +55,17 @@ fn prepare(dir: &Path) {
     fs::copy(machine, dir.join("machine.json")).unwrap();
 }
 
+/// Price of a second of the tools of the rack.
+const PRICE_NM2_PER_S: f64 = 1e-2;
+
 fn entry(name: &str, pitch_mm: f64) -> Value {
-    json!({ "name": name, "tif": name, "pitch_mm": pitch_mm, "time_weight_nm2_per_s": 1e-2, "change_s": 30.0 })
+    json!({
+        "name": name,
+        "tif": name,
+        "pitch_mm": pitch_mm,
+        "time_weight_nm2_per_s": PRICE_NM2_PER_S,
+        "change_s": 30.0,
+    })
 }
 
 fn write_rack(dir: &Path, rack: &Value) {
@@ -109,7 +118,13 @@ fn every_tool_keeps_its_limits_and_leaves_what_is_planned() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let more = ["machine=machine.json", "export=galil", "compare=yes", "part_number=47-11"];
+    let more = [
+        "machine=machine.json",
+        "export=galil",
+        "compare=yes",
+        "price_factors=4",
+        "part_number=47-11",
+    ];
     let output = run(dir, &more);
     let printed = text(&output.stdout);
     assert_eq!(output.status.code(), Some(0), "{printed}\n{}", text(&output.stderr));
@@ -141,8 +156,8 @@ fn every_tool_keeps_its_limits_and_leaves_what_is_planned() {
     the_page_has_the_run(dir, &removal);
 }
 
-/// Checks the page of the run: the tools in their order, what they leave, the subsets, and each tool alone. `last` is
-/// the outcome of the removal by the last tool.
+/// Checks the page of the run: the tools in their order, what they leave, the subsets, each tool alone, and the plan at
+/// four times the prices. `last` is the outcome of the removal by the last tool.
 fn the_page_has_the_run(dir: &Path, last: &RemovalOutcome) {
     let report = dir.join("out/report");
     let summary = fs::read_to_string(report.join("summary.json")).unwrap();
@@ -171,24 +186,36 @@ fn the_page_has_the_run(dir: &Path, last: &RemovalOutcome) {
         let text = fs::read_to_string(&program).unwrap();
         assert!(text.contains("number 47-11"), "{text:.400}");
     }
-    let alone = several["alone"].as_array().unwrap();
-    for tool in alone {
-        let name = tool["name"].as_str().unwrap();
-        let own = removal(dir, &format!("alone/{name}/tools/{name}/removal"));
-        assert!(
-            near(&tool["rms_nm"], own.rms_nm)
-                && near(&tool["time_with_change_s"], own.total_time_s + 30.0)
-        );
-        assert!(report.join(tool["report"].as_str().unwrap()).is_file());
+    let others = several["others"].as_array().unwrap();
+    let labels: Vec<&Value> = others.iter().map(|other| &other["label"]).collect();
+    assert_eq!(labels, ["coarse", "fine", "prices=4"]);
+    for other in others {
+        let label = other["label"].as_str().unwrap();
+        let names: Vec<&str> =
+            other["tools"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+        let executed: Vec<RemovalOutcome> = names
+            .iter()
+            .map(|name| removal(dir, &format!("others/{label}/tools/{name}/removal")))
+            .collect();
+        let rms_nm = executed[names.len() - 1].rms_nm;
+        let time_s = executed.iter().map(|tool| tool.total_time_s + 30.0).sum();
+        assert!(near(&other["rms_nm"], rms_nm), "{other}");
+        assert!(near(&other["time_with_changes_s"], time_s), "{other}");
+        // Half the mean square, and the price of every second; the rack has no set-up errors.
+        let cost_nm2 = 0.5 * rms_nm * rms_nm + PRICE_NM2_PER_S * time_s;
+        assert!(near(&other["cost_nm2"], cost_nm2), "{other} {cost_nm2}");
+        assert!(report.join(other["report"].as_str().unwrap()).is_file());
     }
-    assert_eq!(alone.len(), 2);
+    // A second costs more, so the plan takes less time.
+    let dearer_s = others[2]["time_with_changes_s"].as_f64().unwrap();
+    assert!(dearer_s < whole_s, "{dearer_s} {whole_s}");
     let chosen: Vec<&Value> =
         several["subsets"].as_array().unwrap().iter().filter(|s| s["is_chosen"] == true).collect();
     assert_eq!(chosen.len(), 1);
     assert_eq!(chosen[0]["tools"], json!(["fine", "coarse"]));
     let rows = fs::read_to_string(report.join("front.csv")).unwrap();
     let executed = rows.lines().find(|row| row.contains("coarse + fine, executed")).unwrap();
-    assert!(executed.ends_with(",true") && rows.contains("fine alone, executed"), "{rows}");
+    assert!(executed.ends_with(",true") && rows.contains("\"fine, executed\""), "{rows}");
     let mut page = stage("planish-compare");
     let refused = page.current_dir(dir).args(["report", "out", "--out", "other"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(2));
@@ -203,7 +230,8 @@ fn a_bad_setting_or_rack_ends_with_2_and_writes_nothing() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let cases: [(&[&str], &str); 9] = [
+    let cases: [(&[&str], &str); 10] = [
+        (&["price_factors=2,-1"], "price_factors has '-1'; give numbers above 0"),
         (&["compare=all"], "compare is 'all'; give yes or no"),
         (&["specification=limits.json"], "several takes no specification: it plans heights"),
         (&["form=form.json"], "several takes no form: its part is flat"),

@@ -176,7 +176,7 @@ fn refuse_several(path: &Node) -> Result<(), Complaint> {
         None => Ok(()),
         Some(node) => {
             let problem = "path is 'several', and a plan of a sweep has one tool; planish run several rack=FILE \
-                           compare=yes compares the subsets of a rack and each of its tools alone";
+                           price_factors=0.3,1,3 compare=yes executes the plans of a rack at several prices";
             Err(Complaint::new(node.line, problem))
         }
     }

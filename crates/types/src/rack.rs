@@ -98,6 +98,12 @@ impl RackEntry {
         }
     }
 
+    /// Returns the price of mounting this tool, nm^2: its time at the price of a second, and what its set-up error adds
+    /// to half the mean square of the residual.
+    pub fn change_nm2(&self) -> f64 {
+        self.time_weight_nm2_per_s * self.change_s + 0.5 * self.setup_error_nm.powi(2)
+    }
+
     /// Refuses a time or an error that is not in its range.
     fn check_numbers(&self) -> Result<(), String> {
         let [x, y] = self.setup_shift_mm;
@@ -124,6 +130,23 @@ impl RackEntry {
 }
 
 impl Rack {
+    /// Returns the cost by which plans of several tools are compared, nm^2:
+    ///
+    /// ```text
+    /// C = RMS^2 / 2 + sum over the tools of (price of a second x time + price of the change)
+    /// ```
+    ///
+    /// `times` are the tools that run, by name, each with the time of its motion, s.
+    pub fn cost_nm2(&self, rms_nm: f64, times: &[(&str, f64)]) -> f64 {
+        let mut cost_nm2 = 0.5 * rms_nm * rms_nm;
+        for (name, time_s) in times {
+            if let Some(tool) = self.tools.iter().find(|tool| tool.name == *name) {
+                cost_nm2 += tool.time_weight_nm2_per_s * time_s + tool.change_nm2();
+            }
+        }
+        cost_nm2
+    }
+
     /// Refuses a rack without tools, a name that cannot name a directory, two tools of one name, and a time or an error
     /// of a change that is not in its range.
     ///

@@ -12,7 +12,7 @@ use planish_compare::{
     places::Division,
     plan::PlanStatus,
     report::{RunData, RunMethod, tool},
-    several::{Several, Subset, ToolAlone, ToolOfPlan, WavesLeft},
+    several::{OtherExecuted, Several, Subset, ToolOfPlan, WavesLeft},
     summary::{MethodFacts, MethodResult, Summary, WallTimes},
 };
 use planish_handoff::{
@@ -29,6 +29,7 @@ use planish_types::{
     reach::Reach,
     text::visible,
 };
+use serde::Deserialize;
 use serde_json::json;
 
 use super::{
@@ -148,7 +149,7 @@ impl Reader<'_> {
         }
         let tools = in_order(tools, self.run, &desired);
         let choice = self.choice(inputs, &rack)?;
-        let alone = self.alone(inputs, &rack)?;
+        let others = self.others(inputs, &rack)?;
         let narrowest = tools.iter().min_by(|a, b| width_mm(&a.tif).total_cmp(&width_mm(&b.tif)));
         let tifs: Vec<&Tif> = tools.iter().map(|tool| &tool.tif).collect();
         let reach = Reach::new(&desired, &tifs);
@@ -157,8 +158,9 @@ impl Reader<'_> {
             .iter()
             .flat_map(|files| tool::pictures(&files.tif, &desired, &files.entry.name))
             .collect();
-        let mut several = Several { tools: rows(&tools), rack_size, alone, ..Several::default() };
+        let mut several = Several { tools: rows(&tools), rack_size, others, ..Several::default() };
         several.total_time_s = several.tools.last().map_or(0.0, |tool| tool.elapsed_s);
+        several.cost_nm2 = cost_nm2(&rack, &several.tools);
         if let Some(choice) = choice {
             several.relative_gap_of_choice =
                 choice.relative_gap_of_choice.filter(|gap| gap.is_finite());
@@ -296,36 +298,56 @@ impl Reader<'_> {
         Ok(outcome.report.and_then(|report| report.choice))
     }
 
-    /// Returns the plans of one tool alone, which `compare=yes` of the run makes in `alone/NAME`.
-    fn alone(&self, inputs: &mut Inputs, rack: &Rack) -> Result<Vec<ToolAlone>, Failure> {
+    /// Returns the other plans of the rack, which the settings compare and price_factors of the run make in
+    /// `others/LABEL`, by their labels.
+    fn others(&self, inputs: &mut Inputs, rack: &Rack) -> Result<Vec<OtherExecuted>, Failure> {
+        let folder = self.run.join("others");
+        let mut labels = Vec::new();
+        if folder.exists() {
+            for entry in fs::read_dir(&folder)? {
+                let entry = entry?;
+                if entry.path().is_dir() {
+                    labels.push(entry.file_name().to_string_lossy().into_owned());
+                }
+            }
+        }
+        labels.sort();
         let mut rows = Vec::new();
-        for RackEntry { name, change_s, .. } in &rack.tools {
-            let run = self.run.join("alone").join(name);
-            let at = run.join("tools").join(name);
-            if !at.join("removal").exists() {
-                continue;
-            }
-            let judged =
-                if at.join("program").join("removal").exists() { at.join("program") } else { at };
-            let role = |part: &str| format!("alone/{name}/{part}");
-            let removal: Removal = inputs.read(&role("removal"), &judged.join("removal"))?;
-            let place = judged.join("verdict");
-            let manifest = inputs.read_manifest(&role("verdict"), &place, &kind::VERDICT)?;
-            let verdict: Verdict = manifest.read_outcome(&place, AGAIN)?;
-            let mut report = None;
-            if run.join("report").join("report.html").exists() {
-                report = Some(format!("{}alone/{name}/report/report.html", self.to_run));
-            }
-            rows.push(ToolAlone {
-                name: name.clone(),
-                rms_nm: removal.residual().statistics().rms,
-                time_with_change_s: verdict.total_time_s + change_s,
-                limits_kept: verdict.limits_respected,
-                report,
+        for label in labels {
+            let report = folder.join(&label).join("report");
+            let role = format!("others/{label}");
+            let page: PageOfOther = inputs.read_json(&role, &report.join("summary.json"))?;
+            let tools = &page.several.tools;
+            rows.push(OtherExecuted {
+                tools: tools.iter().map(|tool| tool.name.clone()).collect(),
+                price_factor: label
+                    .strip_prefix("prices=")
+                    .and_then(|factor| factor.parse().ok())
+                    .unwrap_or(1.0),
+                rms_nm: tools.last().map_or(0.0, |tool| tool.rms_nm),
+                time_s: tools.iter().map(|tool| tool.time_s).collect(),
+                time_with_changes_s: page.several.total_time_s,
+                cost_nm2: cost_nm2(rack, tools),
+                limits_kept: page.several.keeps_limits(),
+                report: format!("{}others/{label}/report/report.html", self.to_run),
+                label,
             });
         }
         Ok(rows)
     }
+}
+
+/// Part of the summary of another run of several tools.
+#[derive(Deserialize)]
+struct PageOfOther {
+    several: Several,
+}
+
+/// Returns the cost of a plan as executed, at the prices of the rack, nm^2.
+fn cost_nm2(rack: &Rack, tools: &[ToolOfPlan]) -> f64 {
+    let times: Vec<(&str, f64)> =
+        tools.iter().map(|tool| (tool.name.as_str(), tool.time_s)).collect();
+    rack.cost_nm2(tools.last().map_or(0.0, |tool| tool.rms_nm), &times)
 }
 
 /// Returns the tools in the order in which they run: the first begins with the map of the run, and each other one with

@@ -434,9 +434,7 @@ impl Loaded {
 
     /// Returns the tool with the price of mounting it, in half the mean square of the residual.
     fn rack_tool(&self) -> RackTool<'_> {
-        let RackEntry { change_s, setup_error_nm, time_weight_nm2_per_s, .. } = &self.tool;
-        let change_nm2 = time_weight_nm2_per_s * change_s + 0.5 * setup_error_nm * setup_error_nm;
-        RackTool { task: self.task(), change_nm2 }
+        RackTool { task: self.task(), change_nm2: self.tool.change_nm2() }
     }
 }
 

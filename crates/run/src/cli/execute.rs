@@ -124,8 +124,12 @@ impl Programs {
         Ok(code(self.ended(command, ended(&mut process))?))
     }
 
-    /// Runs a command without showing its output. Returns its message if its exit code is not 0; otherwise `None`.
-    fn refusal(&self, command: &StageCommand) -> Result<Option<String>, Failure> {
+    /// Runs a command without showing its output. Returns its exit code and its message if the code is not 0; otherwise
+    /// `None`.
+    ///
+    /// # Errors
+    /// Fails if the command cannot be run.
+    pub fn refusal(&self, command: &StageCommand) -> Result<Option<(u8, String)>, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
         process.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
@@ -133,7 +137,7 @@ impl Programs {
         if status.success() {
             return Ok(None);
         }
-        Ok(Some(String::from_utf8_lossy(&message).trim().to_string()))
+        Ok(Some((code(status), String::from_utf8_lossy(&message).trim().to_string())))
     }
 
     /// Runs a command up to the point where its work begins. `run` is the directory of the run, and `made` the paths in
@@ -553,7 +557,7 @@ fn state_recommended(programs: &Programs, scope: &mut Scope) -> Result<(), Failu
     trial.set("recommended", vec![best.clone()]);
     let commands = if is_tried { Walk::commands(trial, "export") } else { Ok(vec![]) };
     for command in commands.map_err(Failure::new)? {
-        if let Some(refusal) = programs.refusal(&command)? {
+        if let Some((_, refusal)) = programs.refusal(&command)? {
             let refusal = refusal.trim_start_matches("error: ");
             programs.print(&format!(
                 "the plan marked as the best, {best}, is none for {export}: {refusal}"

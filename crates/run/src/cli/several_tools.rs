@@ -15,7 +15,8 @@
 //! | `after` | map after the last tool |
 //! | `table.txt` | the table of the run |
 //! | `several.json` | tools and settings, from which `next-run` goes on after a measured map |
-//! | `alone/NAME` | with compare=yes: the same with this tool of the rack alone |
+//! | `others/TOOLS` | with compare=yes: the same with these tools of the rack |
+//! | `others/prices=FACTOR` | with price_factors: the same with the prices of the rack times this factor |
 //! | `report` | the page of the run |
 
 use std::{
@@ -46,7 +47,7 @@ use super::{
     rack::{CheckedRack, refuse_other_axes},
     record::Record,
     several::{UserSettings, command},
-    several_page::{PageOfRun, PageSettings, ToolOfRack},
+    several_page::{PageOfRun, PageSettings},
 };
 
 /// Name under which `planish run` knows this command beside the pipelines.
@@ -79,9 +80,10 @@ const REMEDY: &str = "run it again";
 #[derive(Args)]
 pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
-    /// choose=yes or no, motion=refine or joint, compare=yes or no (each tool alone, too). For programs:
+    /// choose=yes or no, motion=refine or joint. To compare: compare=yes (each tool alone, and each subset of the rack
+    /// that may cost less as executed), price_factors=0.3,3 (the plan at these multiples of the prices). For programs:
     /// export=CONTROLLER, export_settings. For the page: part_name, part_number, date, operator, out=DIR. For a file of
-    /// an instrument: surface=FILE and surface_settings (flags of planish-import)
+    /// an instrument: surface=FILE and surface_settings (flags of planish import)
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -212,7 +214,7 @@ impl Settings {
         if let Some(word) = user.settings.iter().chain(&user.words).next() {
             return Err(Failure::new(format!(
                 "'{word}' is no setting of {NAME}; it has surface, surface_settings, rack, machine, prepare, choose, \
-                 motion, compare, export, export_settings, part_name, part_number, date, operator and out"
+                 motion, compare, price_factors, export, export_settings, part_name, part_number, date, operator and out"
             )));
         }
         let settings = Self {
@@ -357,10 +359,7 @@ impl Course {
         for entry in rack.tools {
             tools.push(self.tool(entry, map)?);
         }
-        let whole_rack: Vec<ToolOfRack> = tools
-            .iter()
-            .map(|tool| ToolOfRack { entry: tool.entry.clone(), machine: tool.machine.clone() })
-            .collect();
+        let rack: Vec<RackEntry> = tools.iter().map(RunTool::stated).collect();
         let mut chosen = self.choose(tools, map)?;
         chosen.sort_by(|a, b| b.width_mm.total_cmp(&a.width_mm));
         // Nobody shall run the program of a tool that an earlier run had chosen.
@@ -381,7 +380,7 @@ impl Course {
             chosen.remove(0);
         }
         self.tell(map, &rows)?;
-        self.write_page(&whole_rack)
+        self.write_page(rack, &rows)
     }
 
     /// Makes the record of a run with these tools for this map, whose plan leaves `planned_rms_nm`.
@@ -407,20 +406,34 @@ impl Course {
     }
 
     /// Writes the page of the run to `report`.
-    fn write_page(&mut self, rack: &[ToolOfRack]) -> Result<(), Failure> {
+    fn write_page(&mut self, rack: Vec<RackEntry>, rows: &[Row]) -> Result<(), Failure> {
         let Settings { surface, machine, is_assumed, is_joint, out, page, .. } = &self.settings;
         let mut assumed = None;
         if *is_assumed {
             assumed = Some(Inputs::new().read_machine(Path::new(machine))?.name().to_string());
         }
         let mirror = name_of(&std::path::absolute(surface)?);
+        let mut choice = None;
+        if self.settings.chooses
+            && let Some(row) = rows.first()
+        {
+            choice = report_of(&self.path(&format!("choice/{}", row.tool)))?.choice;
+        }
+        let rms_nm = rows.last().map_or(0.0, |row| row.executed_rms_nm);
+        let times: Vec<(&str, f64)> =
+            rows.iter().map(|row| (row.tool.as_str(), row.time_s)).collect();
+        let rack = Rack { tools: rack };
         let run = PageOfRun {
             out,
             mirror: &mirror,
             assumed_machine: assumed.as_deref(),
             motion: if *is_joint { "joint" } else { "refine" },
+            machine: self.machine_copy(),
+            choice,
+            cost_nm2: rack.cost_nm2(rms_nm, &times),
+            rack: rack.tools,
         };
-        match page.write(&self.programs, &run, rack)? {
+        match page.write(&self.programs, &run)? {
             0 => Ok(()),
             1 => {
                 self.negative.push(format!("{} (planish-compare)", self.path("report")));
@@ -428,6 +441,12 @@ impl Course {
             }
             _ => std::process::exit(2),
         }
+    }
+
+    /// Returns the path of the copy of the machine of the run.
+    fn machine_copy(&self) -> String {
+        let file = Path::new(&self.settings.machine).file_name().unwrap_or_default();
+        self.path(&format!("machine/{}", file.to_string_lossy()))
     }
 
     /// Prepares a tool: copies the file of its machine, and makes its tool path unless the rack has one.
@@ -444,10 +463,7 @@ impl Course {
                 OutputFile::begin("out", &copy, true, &Inputs::new())?.write(&text)?;
                 copy.display().to_string()
             }
-            None => {
-                let file = Path::new(&self.settings.machine).file_name().unwrap_or_default();
-                self.path(&format!("machine/{}", file.to_string_lossy()))
-            }
+            None => self.machine_copy(),
         };
         let tool_path = match &entry.tool_path {
             Some(own) => own.display().to_string(),
@@ -605,9 +621,9 @@ impl Course {
 
     /// Runs a command on a motion that nobody executes: a negative verdict on it does not count.
     fn quiet(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
-        match self.programs.run(&command(program, flags))? {
-            0 | 1 => Ok(()),
-            _ => planish_handoff::exit(2),
+        match self.programs.refusal(&command(program, flags))? {
+            Some((2.., message)) => Err(Failure::new(message)),
+            _ => Ok(()),
         }
     }
 

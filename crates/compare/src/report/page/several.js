@@ -1,4 +1,4 @@
-// A plan of several tools: its tools, the subsets of the rack, and each tool alone.
+// A plan of several tools: its tools, the subsets of the rack, and the other plans that were executed.
 
 function tableRow(parent, name, cells) {
   const tr = element("tr");
@@ -18,7 +18,7 @@ function linkTo(path, text) {
 function fillSeveral() {
   byId("several-section").hidden = !SEVERAL;
   if (!SEVERAL) return;
-  const { tools, subsets, alone, warnings } = SEVERAL;
+  const { tools, subsets, others, warnings } = SEVERAL;
   for (const text of warnings) byId("reasons").append(element("p", text, { class: "warning" }));
   const kept = (limits) => (limits ? "kept" : "exceeded");
   const rows = byId("several-tools");
@@ -29,14 +29,18 @@ function fillSeveral() {
       fixed(t.elapsed_s, 2), t.max_velocity_mm_per_s.map((v) => fixed(v, 2)).join(", "), t.machine || "-", kept(t.limits_kept), linkTo(t.program, (t.program || "").split("/").at(-1))]);
     if (!t.limits_kept) row.cells[11].className = "bad";
   }
-  byId("several-subsets-section").hidden = !subsets.length && !alone.length;
+  byId("several-subsets-section").hidden = !subsets.length && !others.length;
   const table = byId("several-subsets");
   tableRow(table, "th", ["tools", "what", "RMS (nm)", "time of each tool (s)", "with changes (s)", "cost (nm\u00b2)", "limits"]);
   for (const s of subsets) {
     const row = tableRow(table, "td", [s.tools.join(" + "), s.is_chosen ? "dwell times alone, chosen" : "dwell times alone", fixed(s.rms_nm, 4), s.time_s.map((t) => fixed(t, 2)).join(" + "), fixed(s.time_with_changes_s, 2), fixed(s.cost_nm2, 4), "-"]);
     if (s.is_chosen) row.cells[1].className = "best";
   }
-  for (const a of alone)
-    tableRow(table, "td", [a.name, linkTo(a.report, "executed alone"), fixed(a.rms_nm, 4), "-", fixed(a.time_with_change_s, 2), "-", kept(a.limits_kept)]);
-  tableRow(table, "td", [tools.map((t) => t.name).join(" + "), "executed, this plan", fixed(tools.at(-1).rms_nm, 4), tools.map((t) => fixed(t.time_s, 2)).join(" + "), fixed(SEVERAL.total_time_s, 2), "-", kept(tools.every((t) => t.limits_kept))]);
+  const executed = (names, what, p, times) => tableRow(table, "td", [names, what, fixed(p.rms_nm, 4), times.map((t) => fixed(t, 2)).join(" + "), fixed(p.time_with_changes_s, 2), fixed(p.cost_nm2, 4), kept(p.limits_kept)]);
+  for (const other of others) {
+    const factor = other.price_factor === 1 ? "" : ", prices \u00d7 " + number(other.price_factor);
+    executed(other.tools.join(" + ") + factor, linkTo(other.report, "executed"), other, other.time_s);
+  }
+  const own = { rms_nm: tools.at(-1).rms_nm, time_with_changes_s: SEVERAL.total_time_s, cost_nm2: SEVERAL.cost_nm2, limits_kept: tools.every((t) => t.limits_kept) };
+  executed(tools.map((t) => t.name).join(" + "), "executed, this plan", own, tools.map((t) => t.time_s));
 }
