@@ -60,7 +60,7 @@ def main(source, executed):
     shutil.copytree("notebook", "typed", ignore=lambda _, names: set(names) - {"mirror", "tool", "machine.json"}
                     if "mirror" in names else set())
     ran = commands("notebook")
-    ran += [f"planish-export {c} --trajectory=plan/trajectory --machine=machine.json --out={o}"
+    ran += [f"planish export {c} --trajectory=plan/trajectory --machine=machine.json --out={o}"
             for c, o in (("galil", "program.galil"), ("gcode", "program.ngc"))]
     environment = {**os.environ, "PATH": f"{planish.programs()}{os.pathsep}{os.environ['PATH']}"}
     for command in ran:

@@ -1,4 +1,4 @@
-//! The subcommands of `planish-toolpath`, one file each. Most of them are a method to make a path; this file has what
+//! The subcommands of `planish toolpath`, one file each. Most of them are a method to make a path; this file has what
 //! these methods have in common.
 
 mod draw;
@@ -177,7 +177,7 @@ struct Region {
     doubts: Vec<String>,
 }
 
-/// Returns a warning for a path in projection if a form file, written by `planish-surface prepare`, lies beside the map
+/// Returns a warning for a path in projection if a form file, written by `planish surface prepare`, lies beside the map
 /// in the folder `dir`.
 fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>, Failure> {
     let beside = dir.join(kind::FORM_FILE);
@@ -297,7 +297,7 @@ impl Region {
             let [x, y] = self.off_centre_mm;
             report.warnings.push(format!(
                 "the TIF removes ({x:.3}, {y:.3}) mm from where the tool stands (its centroid), so the path \
-                 lies that much the other way from the aperture; `planish-tool prepare --centre centroid` \
+                 lies that much the other way from the aperture; `planish tool prepare --centre centroid` \
                  centres it, where the tool is not mounted like that"
             ));
         }
@@ -312,12 +312,12 @@ impl Region {
         output.write(path, outcome, &Status::Done)?;
         let s = &report.statistics;
         say(format!(
-            "planish-toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
+            "planish toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
             s.points, s.length_mm, s.passes, s.lifts, s.longest_step_mm
         ));
         if let Some(AlongReport { along_surface: s, stretches: [low, high], .. }) = &along {
             say(format!(
-                "planish-toolpath: along the surface {:.1} mm, step <= {:.4} mm; lengths there are {low:.4} to {high:.4} of \
+                "planish toolpath: along the surface {:.1} mm, step <= {:.4} mm; lengths there are {low:.4} to {high:.4} of \
                  the given ones",
                 s.length_mm, s.longest_step_mm
             ));

@@ -1,4 +1,4 @@
-//! `planish-run several`: a plan of several tools, tool by tool from coarse to fine.
+//! `planish several`: a plan of several tools, tool by tool from coarse to fine.
 //!
 //! | directory | content |
 //! |---|---|
@@ -25,7 +25,7 @@ use std::{
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, OutputFile, Status,
+    Artifact, Begin, Failure, Inputs, Output, OutputFile, Status, as_command,
     flags::OutputArgs,
     kind::{self, Kind},
     say, task, warn, words,
@@ -81,7 +81,7 @@ pub struct Several {
     /// Settings: surface=DIR and rack=FILE (the map, and the tools of the lab), machine=FILE, prepare="--level piston",
     /// choose=yes or no, motion=refine or joint, compare=yes or no (each tool alone, too). For programs:
     /// export=CONTROLLER, export_settings. For the page: part_name, part_number, date, operator, out=DIR. For a file of
-    /// an instrument: surface=FILE and surface_settings (flags of planish-import)
+    /// an instrument: surface=FILE and surface_settings (flags of planish import)
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
     settings: Vec<String>,
 }
@@ -96,7 +96,7 @@ impl Several {
 pub struct Settings {
     /// Directory of the map before the run, or the file of an instrument.
     pub surface: String,
-    /// Flags of planish-import for the file of an instrument.
+    /// Flags of planish import for the file of an instrument.
     pub surface_settings: Vec<String>,
     /// File of the rack, or the record of the run that this one goes on with.
     pub rack: String,
@@ -104,7 +104,7 @@ pub struct Settings {
     pub is_assumed: bool,
     pub prepare: Vec<String>,
     pub chooses: bool,
-    /// True if dwell times and motion of a tool are planned as one problem, by `planish-joint`.
+    /// True if dwell times and motion of a tool are planned as one problem, by `planish joint`.
     pub is_joint: bool,
     pub export: Option<String>,
     pub export_settings: Vec<String>,
@@ -313,7 +313,7 @@ impl Course {
             0 => Ok(()),
             1 => {
                 let out = flags.iter().skip_while(|flag| **flag != "--out").nth(1);
-                self.negative.push(format!("{} ({program})", out.unwrap_or(&"")));
+                self.negative.push(format!("{} ({})", out.unwrap_or(&""), as_command(program)));
                 Ok(())
             }
             _ => planish_handoff::exit(2),
@@ -423,7 +423,7 @@ impl Course {
         match page.write(&self.programs, &run, rack)? {
             0 => Ok(()),
             1 => {
-                self.negative.push(format!("{} (planish-compare)", self.path("report")));
+                self.negative.push(format!("{} (planish compare)", self.path("report")));
                 Ok(())
             }
             _ => std::process::exit(2),

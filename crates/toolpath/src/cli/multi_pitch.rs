@@ -1,4 +1,4 @@
-//! `planish-toolpath multi-pitch`.
+//! `planish toolpath multi-pitch`.
 
 use std::path::PathBuf;
 
