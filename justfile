@@ -458,10 +458,12 @@ mode-table *fixtures:
 test-pipelines: build
     cargo test --release --locked --workspace --test pipelines
 
+# Those of README.md and of some pages: just test-commands first-run tutorials
+#
 # Run the commands of README.md and docs/ as they are printed, in a copy of this folder (makes its own virtual environment)
 [group('4 slower tests')]
-test-commands: build python
-    cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
+test-commands *pages: build python
+    PLANISH_PAGES={{ quote(pages) }} cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
 
 # just same-bytes HEAD~3 --only spiral: only the runs that contain this text
 #
@@ -554,8 +556,8 @@ test-tables *words: build python
 
 # Write the outputs that README.md and docs/ show below `printed by` anew, from what their commands print
 [group('5 pages and tables')]
-printed-numbers: build python
-    PLANISH_WRITE_PRINTED=1 cargo test --release --locked --workspace --test commands_as_printed \
+printed-numbers *pages: build python
+    PLANISH_PAGES={{ quote(pages) }} PLANISH_WRITE_PRINTED=1 cargo test --release --locked --workspace --test commands_as_printed \
         the_commands_of_readme_and_docs_run_as_they_are_printed || true
     git diff --stat README.md docs
 
