@@ -219,10 +219,26 @@ test-wheel-old:
     @which debootstrap > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends debootstrap)
     python/tests/try-old-system.sh target/wheel out/old-system
 
-# Run docs/notebook.ipynb in the environment of the wheel, and write its pictures into it
+# Try the Python module of this clone: plans from arrays, types and help, and the notebook (makes its own virtual environment)
+[group('4 slower tests')]
+test-python: module
+    @rm -rf out/module && mkdir -p out/module
+    python/tests/try-module.sh target/module/bin/python out/module
+
+# Run docs/notebook.ipynb with the Python module of this clone, and write its texts and pictures into it
 [group('5 pages and tables')]
-notebook: test-wheel
-    cp out/wheel/notebook.ipynb docs/notebook.ipynb
+notebook: module
+    just test-python || test -e out/module/notebook.ipynb
+    cp out/module/notebook.ipynb docs/notebook.ipynb
+
+# An environment with the module and the programs of this clone
+[private]
+module: build
+    @test -d target/module || python3 -m venv target/module
+    @find target/release -maxdepth 1 -type f -perm -u+x -name 'planish*' -exec ln -sf '{{ justfile_directory() }}/{}' target/module/bin/ \;
+    @target/module/bin/python -m pip install --quiet numpy
+    @echo '{{ justfile_directory() }}/python' > "$(target/module/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/planish.pth"
+    @python3 python/stubs.py target/release/planish > python/planish/_stages.pyi
 
 # Call the programs from Octave by python/matlab/planish.m, and compare the bytes with those of the command line (root, the first time)
 [group('4 slower tests')]
