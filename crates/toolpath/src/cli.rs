@@ -82,6 +82,9 @@ struct RegionArgs {
     /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
+    /// Refuse a path that leaves the travel, instead of a warning: no program can run it
+    #[arg(long, requires = "machine")]
+    within_travel: bool,
     #[command(flatten)]
     form: FormArgs,
     #[command(flatten)]
@@ -173,6 +176,8 @@ struct Region {
     /// Machine, if its travel is limited or its limits are doubtful; otherwise `None`, so that the report does not
     /// depend on it.
     machine: Option<Machine>,
+    /// True if a path that leaves the travel is refused.
+    within_travel: bool,
     /// Probable mistakes in the inputs.
     doubts: Vec<String>,
 }
@@ -257,6 +262,7 @@ impl Region {
             overscan_mm,
             inset_mm,
             machine,
+            within_travel: args.within_travel,
             doubts,
         })
     }
@@ -302,7 +308,11 @@ impl Region {
             ));
         }
         if let Some(machine) = &self.machine {
-            report.warnings.extend(travel_warnings(path, surface, machine));
+            let beyond = travel_warnings(path, surface, machine);
+            if self.within_travel && !beyond.is_empty() {
+                return Err(Failure::new(with_flags(&beyond.join("; "))));
+            }
+            report.warnings.extend(beyond);
         }
         for warning in &mut report.warnings {
             *warning = with_flags(warning);

@@ -132,7 +132,7 @@ impl FromMapsArgs {
         }
         say(format!(
             "{}: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
-            name.program,
+            as_command(name.program),
             made.peak_nm_per_s(),
             made.vrr_nm_mm2_per_s(),
             file.output.out.display()
