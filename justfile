@@ -219,10 +219,26 @@ test-wheel-old:
     @which debootstrap > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends debootstrap)
     python/tests/try-old-system.sh target/wheel out/old-system
 
-# Run docs/notebook.ipynb in the environment of the wheel, and write its pictures into it
+# Try the Python module of this clone: plans from arrays, types and help, and the notebook (makes its own virtual environment)
+[group('4 slower tests')]
+test-python: module
+    @rm -rf out/module && mkdir -p out/module
+    python/tests/try-module.sh target/module/bin/python out/module
+
+# Run docs/notebook.ipynb with the Python module of this clone, and write its texts and pictures into it
 [group('5 pages and tables')]
-notebook: test-wheel
-    cp out/wheel/notebook.ipynb docs/notebook.ipynb
+notebook: module
+    just test-python || test -e out/module/notebook.ipynb
+    cp out/module/notebook.ipynb docs/notebook.ipynb
+
+# An environment with the module and the programs of this clone
+[private]
+module: build
+    @test -d target/module || python3 -m venv target/module
+    @find target/release -maxdepth 1 -type f -perm -u+x -name 'planish*' -exec ln -sf '{{ justfile_directory() }}/{}' target/module/bin/ \;
+    @target/module/bin/python -m pip install --quiet numpy
+    @echo '{{ justfile_directory() }}/python' > "$(target/module/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/planish.pth"
+    @python3 python/stubs.py target/release/planish > python/planish/_stages.pyi
 
 # Call the programs from Octave by python/matlab/planish.m, and compare the bytes with those of the command line (root, the first time)
 [group('4 slower tests')]
@@ -458,10 +474,12 @@ mode-table *fixtures:
 test-pipelines: build
     cargo test --release --locked --workspace --test pipelines
 
+# Those of README.md and of some pages: just test-commands first-run tutorials
+#
 # Run the commands of README.md and docs/ as they are printed, in a copy of this folder (makes its own virtual environment)
 [group('4 slower tests')]
-test-commands: build python
-    cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
+test-commands *pages: build python
+    PLANISH_PAGES={{ quote(pages) }} cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
 
 # just same-bytes HEAD~3 --only spiral: only the runs that contain this text
 #
@@ -554,8 +572,8 @@ test-tables *words: build python
 
 # Write the outputs that README.md and docs/ show below `printed by` anew, from what their commands print
 [group('5 pages and tables')]
-printed-numbers: build python
-    PLANISH_WRITE_PRINTED=1 cargo test --release --locked --workspace --test commands_as_printed \
+printed-numbers *pages: build python
+    PLANISH_PAGES={{ quote(pages) }} PLANISH_WRITE_PRINTED=1 cargo test --release --locked --workspace --test commands_as_printed \
         the_commands_of_readme_and_docs_run_as_they_are_printed || true
     git diff --stat README.md docs
 

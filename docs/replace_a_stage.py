@@ -1,4 +1,4 @@
-"""A dwell solver in NumPy, in the place of `planish-dwell`.
+"""A dwell solver in NumPy, in the place of `planish dwell`.
 
     python3 docs/replace_a_stage.py SURFACE TIF TOOL_PATH OUT
 

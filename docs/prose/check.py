@@ -19,6 +19,8 @@ import sys
 
 MAX_SENTENCE = 30
 MAX_PARAGRAPH = 100
+MAX_PAGE = 2500
+MAX_BOOK = 50000
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 WORDS = pathlib.Path(__file__).resolve().parent / "words.txt"
@@ -26,6 +28,9 @@ WORDS = pathlib.Path(__file__).resolve().parent / "words.txt"
 # Pages and sources that the checks read, as patterns below the root.
 PAGES = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**/*.md"]
 SOURCES = ["crates/*/src/**/*.rs"]
+
+# Pages that nobody reads from top to bottom: lists that a command writes, decisions and changes.
+LISTS = re.compile(r"(docs/(programs|formats|SUMMARY|decisions/.*)|CHANGELOG|CONTRIBUTING)\.md$")
 
 # A full stop after one of these does not end a sentence.
 ABBREVIATIONS = set(
@@ -181,6 +186,13 @@ def percentile(values, part):
     return ordered[min(len(ordered) - 1, int(part * len(ordered)))] if ordered else 0
 
 
+def book(pages):
+    """The words of README.md and of the pages of the book but for LISTS, without code blocks, by page, the longest first."""
+    read = [page for page in pages if not LISTS.search(page.resolve().as_posix())]
+    texts = [re.sub(r"```.*?```|<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.S) for page in read]
+    return sorted(((len(words(text)), str(short(page))) for page, text in zip(read, texts)), reverse=True)
+
+
 def files(only):
     """The pages and the sources, all of them or those below the paths of --only."""
     pages = sorted({path for pattern in PAGES for path in ROOT.glob(pattern)})
@@ -285,6 +297,10 @@ def main():
               f"longest {longest[0]} words at {longest[1]} (goal {MAX_SENTENCE})")
         print(f"sentences of more than {MAX_SENTENCE} words: {sum(n > MAX_SENTENCE for n, _ in lengths)}")
         print(f"longest paragraph, bullet or cell: {paragraph[0]} words at {paragraph[1]} (goal {MAX_PARAGRAPH})")
+    counts = book(pages)
+    if counts:
+        print(f"words of {len(counts)} pages without code: {sum(count for count, _ in counts)} (goal {MAX_BOOK}), "
+              f"longest page {counts[0][0]} at {counts[0][1]} (goal {MAX_PAGE})")
     if comments:
         print(f"headless doc comments and flag descriptions: {len(headless)} of {len(comments)} (goal 0)")
     print(f"findings: {len(findings)}")

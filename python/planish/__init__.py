@@ -14,7 +14,7 @@ Or stage by stage:
 
 An artifact is a directory of arrays with their units in their names, and a manifest (docs/formats.md). Without `out` it
 is temporary: Python removes it with the last reference to it. The functions are made of what the programs say of
-themselves (`planish-dwell --describe`), one for each subcommand; a flag `--pitch-mm` is the argument `pitch_mm`, and a
+themselves (`planish dwell --describe`), one for each subcommand; a flag `--pitch-mm` is the argument `pitch_mm`, and a
 word of Python has an underscore at its end (`planish.import_`, `return_`). They run the programs, so that what they
 write has the bytes of the command line. `help(planish.dwell.bounded_least_squares)` shows the arguments with their units
 and defaults, and `_stages.pyi` states their types.
@@ -190,10 +190,10 @@ class _Program:
         described = subprocess.run([file, "--describe"], capture_output=True, check=True)
         description = json.loads(described.stdout)
         self.__doc__ = description["about"]
-        self.__name__ = description["program"]
+        self.__name__ = f"planish.{_argument(name)}"
         self._commands = {}
         for command in description["commands"]:
-            function = _function(file, command)
+            function = _function(file, self.__name__, command)
             if command["name"]:
                 self._commands[command["name"].replace("-", "_")] = function
             else:
@@ -214,10 +214,10 @@ class _Program:
         return self._itself(*positional, **flags)
 
 
-def _function(file, command):
-    """A function that runs one command of a program."""
+def _function(file, program, command):
+    """A function that runs one command of the program in `file`, which is `program` in Python."""
     flags = {_argument(flag["name"]): flag for flag in command["flags"]}
-    name = " ".join(filter(None, [file.stem, command["name"]]))
+    name = ".".join(filter(None, [program, command["name"].replace("-", "_")]))
 
     def function(*positional, **given):
         words = [command["name"]] if command["name"] else []

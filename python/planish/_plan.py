@@ -81,7 +81,7 @@ def plan(
         Directory of the run. Without it the directory is temporary, and Python removes it with the plan.
     progress : bool or function, optional
         Shows the stage that runs and the number of stages: by default in a notebook and on a terminal. A function is
-        given each text, such as "stage 3 of 21: planish-toolpath raster".
+        given each text, such as "stage 3 of 21: planish toolpath raster".
     **settings
         Settings of the pipeline, which `planish show raster` lists: `pitch_mm=2, plan_joint=False, export="galil"`.
 
@@ -341,7 +341,7 @@ def save_map(file: str | os.PathLike[str], surface: typing.Any, name: str = "hei
     """Writes a map in nm to an HDF5 file (.h5, .hdf5) or a FITS image (.fits), with its units and coordinates.
 
     `surface` is (map, x, y) or an xarray.DataArray, as for `plan`, or a plan or an artifact, whose map is `name`:
-    save_map("residual.fits", plan, "residual_nm"). The file must not exist. `planish-import surface` reads it back. HDF5
+    save_map("residual.fits", plan, "residual_nm"). The file must not exist. `planish import surface` reads it back. HDF5
     needs h5py.
     """
     file = pathlib.Path(file)
@@ -439,8 +439,8 @@ def _watched(command, environment, show):
             line = line.rstrip("\n")
             if line.startswith("progress: "):
                 stage = line.removeprefix("progress: ")
-            elif line.startswith("planish-"):
-                show(f"stage {stage}: {' '.join(word for word in line.split()[:2] if not word.startswith('--'))}")
+            elif line.startswith("planish "):
+                show(f"stage {stage}: {' '.join(word for word in line.split()[:3] if not word.startswith('--'))}")
             else:
                 said.append(line)
         ran.wait()

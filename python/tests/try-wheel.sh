@@ -18,12 +18,4 @@ python3 -m venv environment
 environment/bin/pip install --quiet "$wheels"/planish-*"$(uname -m)".whl
 echo "installed in $(($(date +%s) - begun)) s"
 env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_wheel.py"
-# Plans from arrays, with what they may need beside the wheel
-environment/bin/pip install --quiet xarray h5py matplotlib pandas mypy
-mkdir plan types
-(cd plan && env -i HOME="$PWD" PATH=/usr/bin:/bin ../environment/bin/python "$here/try_plan.py")
-(cd types && env -i HOME="$PWD" PATH=/usr/bin:/bin ../environment/bin/python "$here/try_types.py")
-# The notebook, with what it needs beside the wheel
-environment/bin/pip install --quiet nbclient ipykernel
-env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_notebook.py" "$here/../../docs/notebook.ipynb" \
-    notebook.ipynb
+"$here/try-module.sh" environment/bin/python .

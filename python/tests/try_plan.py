@@ -45,7 +45,7 @@ def from_arrays_to_a_program():
     plan = planish.plan(surface, tool, MACHINE, progress=stages.append, **SETTINGS)
     program = plan.program("galil")
     print(f"from arrays to a program: {time.monotonic() - begun:.0f} s, {len(stages)} stages")
-    assert stages[-1].endswith("planish-run verdict"), stages
+    assert stages[-1].endswith("planish verdict"), stages
     assert plan.negative is None and plan.method == "pvt+refined" and "pvt" in plan.methods, plan.methods
     assert "pvt+refined runs on lab" in repr(plan)
     # The residual is what the heights leave without the removal, pixel by pixel; and its RMS is that of the report.

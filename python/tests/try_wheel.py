@@ -78,9 +78,10 @@ def every_program_has_its_own_name():
         said = subprocess.run([file, "--version"], capture_output=True, text=True, check=True).stdout.split()
         assert said[0] == file.name, said
         usage = subprocess.run([file, "--help"], capture_output=True, text=True, check=True).stdout
-        assert f"Usage: {file.name} " in usage and f"\n  {file.name} " in usage, usage
+        typed = "planish" if file.name == "planish-run" else file.name.replace("-", " ", 1)
+        assert f"Usage: {typed} " in usage and f"\n  {typed} " in usage, usage
     manifest = planish.load("made/path").manifest
-    assert manifest["tool"] == "planish-toolpath" and manifest["command"].startswith("planish-toolpath raster "), manifest
+    assert manifest["tool"] == "planish-toolpath" and manifest["command"].startswith("planish toolpath raster "), manifest
     # By a symbolic link, as a user may put one into a folder of his PATH
     pathlib.Path("link").symlink_to(folder / "planish-run")
     subprocess.run(["./link", "--version"], capture_output=True, check=True)

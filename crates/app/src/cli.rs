@@ -40,12 +40,12 @@ impl ServeArguments {
         let port = listener.local_addr()?.port();
         let server = Server::open(files, port)?;
         let address = format!("http://127.0.0.1:{port}{}", server.guard.page());
-        say(format!("planish-app: {address}"));
+        say(format!("planish app: {address}"));
         say(
-            "planish-app: the address is for you alone; Ctrl-C ends the page, and the session stays",
+            "planish app: the address is for you alone; Ctrl-C ends the page, and the session stays",
         );
         if !self.no_browser && !system::open_in_browser(&address) {
-            say("planish-app: no browser was found; open the address yourself");
+            say("planish app: no browser was found; open the address yourself");
         }
         connection::listen(&listener, &server)?;
         Ok(Status::Done)

@@ -1,12 +1,12 @@
-//! `planish-app`: the page that plans.
+//! `planish app`: the page that plans.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-app\n\
-    \x20 planish-app sessions/mirror-7 --port 8123 --no-browser";
+    \x20 planish app\n\
+    \x20 planish app sessions/mirror-7 --port 8123 --no-browser";
 
 /// Open a page in the browser that plans: part, tool, machine, plan, result, program
 ///
@@ -20,7 +20,7 @@ struct AppCli {
     session: crate::cli::ServeArguments,
 }
 
-/// The stage `planish-app` as the command `planish app`: its name, its main function, and its command line.
+/// The command `planish app`: its name, its main function, and its command line.
 pub const COMMAND: planish_handoff::Stage =
     planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: AppCli::command };
 

@@ -1,4 +1,4 @@
-//! `planish-app`: a page in the browser that plans by the programs that exist.
+//! `planish app`: a page in the browser that plans by the programs that exist.
 //!
 //! * [`guard`]: decides which request is answered.
 //! * [`after`]: the step after the run.

@@ -44,7 +44,7 @@ impl Server {
             .unwrap();
         let mut line = String::new();
         BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().strip_prefix("planish-app: http://127.0.0.1:").unwrap();
+        let address = line.trim().strip_prefix("planish app: http://127.0.0.1:").unwrap();
         let (port, token) = address.split_once('/').unwrap();
         Self { process, port: port.parse().unwrap(), token: token.trim_matches('/').into() }
     }

@@ -16,7 +16,7 @@ pub enum AxesCommand {
     /// Every axis runs cubics between nodes at which its position and velocity are exact. Where an axis would exceed a
     /// limit, the motion is slowed down there, and the program says how much longer the tool removes.
     Motion(motion::MotionCommand),
-    /// Contact point that a motion of the axes executes, for planish-simulate
+    /// Contact point that a motion of the axes executes, for planish simulate
     Contact(contact::Contact),
 }
 

@@ -101,7 +101,7 @@ pub fn contact(
     if deviation_mm > TOLERANCE_MM {
         let problem =
             format!("moves the contact point {:.4} um away from cubics", 1e3 * deviation_mm);
-        let remedy = "give a motion of planish-axes, whose axes do not jump";
+        let remedy = "give a motion of planish axes, whose axes do not jump";
         return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
     }
     let trajectory = Trajectory::new(break_time_s, coefficient, tool_on, dwell_index)?;

@@ -29,7 +29,7 @@ const MOST_TURN_DEG: f64 = 90.0;
 const MOST_HALVES: u32 = 12;
 
 /// Largest jump of a spindle at a node that counts as rounding, degrees. Larger: real jumps pass. Smaller: rounding of
-/// a path at 1e-9 mm from the centre is refused. Chosen: `planish-verify` reports the smaller jumps that are real.
+/// a path at 1e-9 mm from the centre is refused. Chosen: `planish verify` reports the smaller jumps that are real.
 const MOST_JUMP_DEG: f64 = 1.0;
 
 const AWAY_FROM_CENTRE: &str = "lead the path farther from the centre of the spindle";

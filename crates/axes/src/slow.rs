@@ -33,7 +33,7 @@ const GROWTH: f64 = 1.6;
 const ROUNDS: usize = 32;
 
 /// Excess of the stretch over 1 that counts as rounding. Larger: limits are exceeded by it. Smaller: rounding slows the
-/// motion down. Chosen: a tenth of what planish-verify takes for rounding.
+/// motion down. Chosen: a tenth of what planish verify takes for rounding.
 pub(crate) const ROUNDING: f64 = 1e-10;
 
 /// Relative amount by which a piece is stretched more than it needs. Larger: the motion is slower by it. Smaller: more
@@ -120,7 +120,7 @@ fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<
             let end = evaluate(&a, h);
             if let Some(jerk) = limits.max_jerk {
                 add("jerk", range(&derivative(&a), h).peak().0, jerk, 1.0 / 3.0);
-                // As planish-verify allows it in a program: from the middle of a segment to that of the next.
+                // As planish verify allows it in a program: from the middle of a segment to that of the next.
                 let step = (a[0] - before.0[axis]).abs();
                 add("step of the acceleration", step, 0.5 * jerk * (before.1 + h), 1.0 / 3.0);
                 if k == last {

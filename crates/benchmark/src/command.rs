@@ -1,4 +1,4 @@
-//! `planish-benchmark`: scores of submitted motions.
+//! `planish benchmark`: scores of submitted motions.
 
 use std::{
     path::{Path, PathBuf},
@@ -13,7 +13,7 @@ use planish_simulate::error_budget::ErrorBudgetFile;
 use planish_types::{Surface, Tif, Trajectory};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-benchmark score benchmark/problems/coupon.json submission.csv";
+    \x20 planish benchmark score benchmark/problems/coupon.json submission.csv";
 
 /// Largest submission that is read, bytes. Larger: more memory for files of another kind. Smaller: fine motions are
 /// refused.

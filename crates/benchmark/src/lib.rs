@@ -5,9 +5,9 @@
 //! excess = residual RMS of the executed motion / bound on any path in the same time - 1             (2)
 //! ```
 //!
-//! The limits are those of `planish-verify`, exact on the whole of (1). The residual is that of `planish-simulate`. The
-//! bound is that of `planish-dwell bound` for the time of the submission, so that no plan has an excess below 0. What the
-//! errors of the process add is that of `planish-tolerance`.
+//! The limits are those of `planish verify`, exact on the whole of (1). The residual is that of `planish simulate`. The
+//! bound is that of `planish dwell bound` for the time of the submission, so that no plan has an excess below 0. What the
+//! errors of the process add is that of `planish tolerance`.
 //!
 //! | module | what it holds |
 //! |---|---|

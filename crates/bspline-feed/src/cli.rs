@@ -1,4 +1,4 @@
-//! The command line of `planish-bspline-feed`, and the run from its flags to its files.
+//! The command line of `planish bspline-feed`, and the run from its flags to its files.
 
 use clap::Args;
 use planish_bspline_feed::{
@@ -95,7 +95,7 @@ impl Feed {
         let tolerance_mm = path.tolerance_mm(None)?.max(run_out_mm);
         let distance = PathDistance::new(&plan.trajectory, &path, Some(tolerance_mm))?;
         let excess = distance.excess().map(|excess| {
-            format!("{excess}; plan by planish-refine, whose scheduler pvt stays within it")
+            format!("{excess}; plan by planish refine, whose scheduler pvt stays within it")
         });
         let status = plan
             .drawback(&surface, &settings)

@@ -1,11 +1,11 @@
-//! `planish-bspline-feed`: desired removal, TIF and tool path become a feed profile and its motion.
+//! `planish bspline-feed`: desired removal, TIF and tool path become a feed profile and its motion.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-bspline-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/bspline";
+    \x20 planish bspline-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/bspline";
 
 /// Find the feed along every pass of a path, as a B-spline, and the motion that runs it
 ///

@@ -48,7 +48,7 @@ pub enum FeedError {
     #[error(
         "tool_path: segment {segment} at {point_mm:?} mm turns inside the clear aperture; a B-spline feed \
          needs straight passes that turn outside it: give a raster with overscan, or schedule this \
-         path with `planish-schedule pvt`"
+         path with `planish schedule pvt`"
     )]
     CornerInside {
         /// Index of this segment in the path.

@@ -35,8 +35,8 @@ const MARGIN: f64 = 0.5e-6;
 const LEAST_ROUNDINGS: f64 = 4.0;
 
 /// Largest change of the velocity in the time of the shortest piece, mm/s. It is a tenth of the step that
-/// `planish-verify` takes for rounding. Links use no larger acceleration, whatever the machine allows. Larger: dropped
-/// pieces cause velocity steps that `planish-verify` reports. Smaller: slower links on machines with large
+/// `planish verify` takes for rounding. Links use no larger acceleration, whatever the machine allows. Larger: dropped
+/// pieces cause velocity steps that `planish verify` reports. Smaller: slower links on machines with large
 /// accelerations.
 const LARGEST_STEP_MM_PER_S: f64 = 1e-7;
 

@@ -201,7 +201,7 @@ impl FeedPlan {
             return Some(format!(
                 "the limit on jerk of the machine is exceeded: by a factor of {:.3} inside pieces, and the \
                  acceleration steps by up to {:.4} mm/s^2; a B-spline feed keeps no limit on jerk: plan with \
-                 `planish-joint`, or `planish-dwell` and `planish-schedule pvt`, which keep it",
+                 `planish joint`, or `planish dwell` and `planish schedule pvt`, which keep it",
                 jerk.inside, jerk.largest_acceleration_step_mm_per_s2
             ));
         }
@@ -277,7 +277,7 @@ pub fn plan(
     settings: &FeedSettings,
 ) -> Result<FeedPlan, FeedError> {
     check(settings)?;
-    tif.same_everywhere("planish-bspline-feed")?;
+    tif.same_everywhere("planish bspline-feed")?;
     plausible::check_path(surface, tif, path)?;
     let OnLattice { tif, lattice } = tif.on_lattice_of(surface.grid(), PARTS_TOLERANCE)?;
     let tif = &*tif;

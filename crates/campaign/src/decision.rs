@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! now:       S0^2 = M0^2 - sigma^2                  M0 the RMS of the map
-//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish-tolerance`, at every quantile over the runs
+//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish tolerance`, at every quantile over the runs
 //! gain:      G = S0 - S1
 //! ```
 //!
@@ -52,7 +52,7 @@ impl Default for DecisionSettings {
     }
 }
 
-/// An error of the measured map, with the RMS that `planish-tolerance` found for it.
+/// An error of the measured map, with the RMS that `planish tolerance` found for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapError {
     /// RMS that the error adds to the map, nm.

@@ -132,7 +132,7 @@ pub fn check_run(run: &RunRecords) -> Vec<String> {
     let path = run.tool_path.as_ref();
     if path.is_some_and(|path| differs(path, "surface", Some(&run.surface.digest))) {
         sentences
-            .push("the tool path was made for another surface; run planish-toolpath again".into());
+            .push("the tool path was made for another surface; run planish toolpath again".into());
     }
     let dwell = run.dwell.as_ref();
     for role in dwell.map(|dwell| solved_for_another(run, dwell)).unwrap_or_default() {
@@ -177,13 +177,13 @@ impl Context<'_> {
         let mut reasons = Vec::new();
         let trajectory = m.trajectory.digest.as_str();
         if m.verdict.input("trajectory").is_some_and(|digest| digest != trajectory) {
-            reasons.push("its verdict is of another trajectory: run planish-verify again".into());
+            reasons.push("its verdict is of another trajectory: run planish verify again".into());
         }
         if differs(&m.removal, "trajectory", Some(trajectory)) {
-            reasons.push("its removal is of another trajectory: run planish-simulate again".into());
+            reasons.push("its removal is of another trajectory: run planish simulate again".into());
         }
         if m.frames.as_ref().is_some_and(|f| differs(f, "trajectory", Some(trajectory))) {
-            let remedy = "run planish-simulate --frames again, or remove its frames";
+            let remedy = "run planish simulate --frames again, or remove its frames";
             reasons.push(format!("its frames are of another trajectory: {remedy}"));
         }
         let motion = m.trajectory.record.as_ref();
@@ -192,7 +192,7 @@ impl Context<'_> {
         // Dwell times, motion and rounds of a refinement come from one run of it.
         let mut others = [record(&m.iterations), dwell.clone()].into_iter().flatten();
         if others.any(|other| motion.is_some_and(|m| m.tool == other.tool && m.key != other.key)) {
-            reasons.push("its artifacts are of two refinements: run planish-refine again".into());
+            reasons.push("its artifacts are of two refinements: run planish refine again".into());
         }
         if let (Some(made), Some(own)) = (record_input(&m.trajectory, "dwell"), m.dwell.as_ref())
             && dwell.as_ref().map(|d| &d.tool) != motion.map(|m| &m.tool)
@@ -202,7 +202,7 @@ impl Context<'_> {
                 .push("its motion is of other dwell times than its own: schedule it again".into());
         }
         if !self.one_machine && self.machine_differs(m) {
-            let remedy = "run planish-verify again with the machine of the run";
+            let remedy = "run planish verify again with the machine of the run";
             reasons.push(format!(
                 "its verdict is about another machine than it was scheduled for: {remedy}"
             ));
@@ -210,7 +210,7 @@ impl Context<'_> {
         if m.limits_kept == (true, Some(false)) && !self.machine_differs(m) {
             let problem =
                 "its verdict says that the limits are kept, its schedule that they are not";
-            reasons.push(format!("{problem}: run planish-verify again"));
+            reasons.push(format!("{problem}: run planish verify again"));
         }
         reasons
     }
@@ -221,8 +221,8 @@ impl Context<'_> {
         let mut reasons = Vec::new();
         let surface = Some(self.run.surface.digest.as_str());
         for (artifact, name, how) in [
-            (Some(&m.removal), "removal is", "planish-simulate"),
-            (m.frames.as_ref(), "frames are", "planish-simulate --frames"),
+            (Some(&m.removal), "removal is", "planish simulate"),
+            (m.frames.as_ref(), "frames are", "planish simulate --frames"),
         ] {
             for (role, digest) in [("surface", surface), ("tif", self.tif)] {
                 if artifact.is_some_and(|artifact| differs(artifact, role, digest)) {

@@ -1,4 +1,4 @@
-//! Residual that the errors of a process add to the plan of a run, as `planish-tolerance` found it.
+//! Residual that the errors of a process add to the plan of a run, as `planish tolerance` found it.
 //!
 //! The keys are those of `process` in `summary.json`. Every RMS is without the terms of `free` (the mean, or the best
 //! plane). A run is here one execution of the plan by the process, with random errors.
@@ -148,7 +148,7 @@ impl ErrorBudget {
 }
 
 /// Returns a sentence on the expected residual of the plan `method`, on the error that adds most, and on the error
-/// whose removal would lower the residual most. `outcome` is the result of `planish-tolerance`.
+/// whose removal would lower the residual most. `outcome` is the result of `planish tolerance`.
 fn sentence(outcome: &ToleranceOutcome, method: &str) -> String {
     let [low, high] = outcome.residual.interval_95_percent_nm.map(|v| significant(v, 3));
     let mut sentence = format!(

@@ -20,7 +20,7 @@ use planish_types::{DwellTime, Invalid, Trajectory};
 use serde::Serialize;
 
 /// Smallest excursion that counts as an overshoot, mm. Larger: real overshoots are missed. Smaller: rounding counts.
-/// Chosen: the tolerance of a position in `planish-verify`.
+/// Chosen: the tolerance of a position in `planish verify`.
 const OVERSHOOT_MM: f64 = 1e-6;
 
 /// Deviations of a motion from its planned dwell times, its overshoot, and its jerk.

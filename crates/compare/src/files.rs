@@ -68,7 +68,7 @@ fn read_methods(
     let methods_dir = run.join("methods");
     if !methods_dir.exists() && run.join("tools").is_dir() && run.join("rack.json").is_file() {
         return Err(Failure::new(format!(
-            "{}: is a run of several tools, whose page is {}; planish-compare several makes it again",
+            "{}: is a run of several tools, whose page is {}; planish compare several makes it again",
             run.display(),
             run.join("report").join("report.html").display()
         )));
@@ -290,7 +290,7 @@ pub struct Names<'a> {
     pub after_servo: bool,
 }
 
-/// Reader of the verdicts of `planish-surface spec` on the maps of a run. All verdicts must be by one specification,
+/// Reader of the verdicts of `planish surface spec` on the maps of a run. All verdicts must be by one specification,
 /// and each about the map that is there now.
 struct Judge<'a> {
     inputs: &'a mut Inputs,
@@ -355,7 +355,7 @@ impl Judge<'_> {
     }
 }
 
-/// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. If no method has
+/// Reads the result of `planish tolerance` in `run`/tolerance for the motion of one of the methods. If no method has
 /// that motion now, it returns a remark instead; both are `None` if there is no such directory. `role` is the prefix of
 /// its role as an input; `records` and `names` are those of the methods.
 fn read_process(
@@ -375,10 +375,10 @@ fn read_process(
         records.iter().position(|r| record.input("trajectory") == Some(&r.trajectory.digest))
     });
     let (Some(manifest), Some(method)) = (manifest, method) else {
-        let remark = "tolerance: it is of a motion that no method of the run has now; run planish-tolerance again";
+        let remark = "tolerance: it is of a motion that no method of the run has now; run planish tolerance again";
         return Ok((None, Some(remark.into())));
     };
-    let outcome = manifest.read_outcome(&dir, "run planish-tolerance again")?;
+    let outcome = manifest.read_outcome(&dir, "run planish tolerance again")?;
     let settings = manifest.read_settings(&dir)?;
     Ok((Some(ErrorBudget::new(&names[method], settings, outcome, arrays)), None))
 }
@@ -501,7 +501,7 @@ struct MethodFiles {
 impl MethodFiles {
     /// Returns the planned dwell times of the method: its own, or otherwise those of the run (`of_run`); `None` if
     /// neither exists. A program that was read back has those of its plan among `methods`, or `None` if that is not
-    /// there. A B-spline of the feed along the lines of a raster (`planish-bspline-feed`) has none.
+    /// there. A B-spline of the feed along the lines of a raster (`planish bspline-feed`) has none.
     fn dwell<'a>(
         &'a self,
         methods: &'a [Self],
@@ -604,7 +604,7 @@ fn read_after_servo(
     // Whole, so that the report records its arrays.
     let (after, manifest): (Removal, _) = inputs.read_with_manifest(&role_of_file, &place)?;
     let Some(manifest) = manifest else {
-        let problem = "has no manifest; run planish-simulate --servo-of again";
+        let problem = "has no manifest; run planish simulate --servo-of again";
         return Err(Failure::new(format!("{}: {problem}", place.display())));
     };
     let record = record_of(&manifest);
@@ -612,15 +612,15 @@ fn read_after_servo(
         let expected = removal.record.as_ref().and_then(|record| record.input(role));
         if expected.is_some() && expected != record.input(role) {
             stale.push(format!(
-                "{AFTER_SERVO} is of another {role} than removal; run planish-simulate --servo-of again"
+                "{AFTER_SERVO} is of another {role} than removal; run planish simulate --servo-of again"
             ));
         }
     }
-    match manifest.read_outcome::<ServoOutcome>(&place, "run planish-simulate again")?.servos {
+    match manifest.read_outcome::<ServoOutcome>(&place, "run planish simulate again")?.servos {
         Some(0) => Ok(None),
         Some(_) => Ok(Some(after.residual().statistics().rms)),
         None => Err(Failure::new(format!(
-            "{}: does not say what a servo leaves; run planish-simulate --servo-of",
+            "{}: does not say what a servo leaves; run planish simulate --servo-of",
             place.display()
         ))),
     }
@@ -651,7 +651,7 @@ fn read_on_axes(
     let role = format!("{role}/{ON_AXES}");
     let again = |what: String| {
         Failure::new(format!(
-            "{}: {what}; run planish-axes motion and what follows again",
+            "{}: {what}; run planish axes motion and what follows again",
             place.display()
         ))
     };
@@ -672,7 +672,7 @@ fn read_on_axes(
     for (name, record, from, digest) in parts {
         if record.and_then(|record| record.input(from)) != Some(digest) {
             stale.push(format!(
-                "{ON_AXES}/{name} was made from another {from} than that which is there; run planish-axes motion and \
+                "{ON_AXES}/{name} was made from another {from} than that which is there; run planish axes motion and \
                  what follows again"
             ));
         }
@@ -680,7 +680,7 @@ fn read_on_axes(
     let verdict = manifest.read_outcome(&place.join("verdict"), "verify it again")?;
     let made = motion.manifest.as_ref().ok_or_else(|| again("axes has no manifest".into()))?;
     let outcome: MotionReport =
-        made.read_outcome(&place.join("axes"), "run planish-axes motion again")?;
+        made.read_outcome(&place.join("axes"), "run planish axes motion again")?;
     check_names(&outcome, motion.value.axes()).map_err(|e| again(e.to_string()))?;
     Ok(Some(AxesFiles { outcome, motion: motion.value, verdict, removal: removal.value }))
 }

@@ -17,7 +17,7 @@ pub fn check_names(outcome: &MotionReport, axes: usize) -> Result<(), Invalid> {
         return Ok(());
     }
     let problem = format!("names {} axes of {axes}", outcome.axes.len());
-    Err(Invalid::whole("outcome", problem, "run planish-axes motion again"))
+    Err(Invalid::whole("outcome", problem, "run planish axes motion again"))
 }
 
 /// Residual, time and limits of a plan that all axes of the machine run.

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! is recommended. One percent more time is taken if it lowers the mean square by at least half a percent, as in
-//! `planish-joint` by default.
+//! `planish joint` by default.
 
 /// Largest excess of the RMS of a recommended plan over the smallest RMS, relative to the smallest. Larger: shorter
 /// runs with a larger residual. Smaller: the plan of the smallest RMS whatever its time. Chosen: less than the errors
@@ -17,7 +17,7 @@
 const NEGLIGIBLE_RMS: f64 = 0.05;
 
 /// Exponent of the time in (1) of the module, dimensionless: percentage by which one percent more time must lower the
-/// mean square. Larger: shorter runs. Smaller: a smaller residual. Chosen: the default of `planish-joint`.
+/// mean square. Larger: shorter runs. Smaller: a smaller residual. Chosen: the default of `planish joint`.
 const TIME_ELASTICITY: f64 = 0.5;
 
 /// A plan that may be recommended: a motion within the limits of the machine.

@@ -1,4 +1,4 @@
-//! Verdicts of `planish-surface spec` on the maps of a run: before the run, predicted, and measured after it.
+//! Verdicts of `planish surface spec` on the maps of a run: before the run, predicted, and measured after it.
 //!
 //! | column | judged |
 //! |---|---|

@@ -23,7 +23,7 @@ use crate::{
 
 pub use picture::{page, svg};
 
-/// Table of the plans of a sweep, as `planish-sweep table` writes it.
+/// Table of the plans of a sweep, as `planish sweep table` writes it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(transparent)]
 pub struct Table(pub SweepTable);

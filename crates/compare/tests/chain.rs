@@ -261,19 +261,19 @@ fn what_belongs_together_is_compared_and_its_dwell_times_are_optimal() {
 fn a_foreign_verdict_or_removal_or_motion_is_not_valid() {
     type Break = fn(&Lab);
     let cases: [(&str, Break); 4] = [
-        ("its verdict is of another trajectory: run planish-verify again", |lab| {
+        ("its verdict is of another trajectory: run planish verify again", |lab| {
             let verdict = lab.method("constant-acceleration").join("verdict");
             replace(&verdict, &lab.method("pvt").join("verdict"));
         }),
-        ("its removal is of another trajectory: run planish-simulate again", |lab| {
+        ("its removal is of another trajectory: run planish simulate again", |lab| {
             let removal = lab.method("constant-acceleration").join("removal");
             replace(&removal, &lab.method("pvt").join("removal"));
         }),
         // The same command made another motion: array and manifest agree, the judges are old.
-        ("its verdict is of another trajectory: run planish-verify again", |lab| {
+        ("its verdict is of another trajectory: run planish verify again", |lab| {
             lab.schedule("pvt", 0.625);
         }),
-        ("its removal is of another surface: run planish-simulate again", |lab| {
+        ("its removal is of another surface: run planish simulate again", |lab| {
             let (path, dwell) = (lab.run.join("tool_path"), lab.run.join("dwell"));
             let keep = tempfile::tempdir().unwrap();
             for part in [&path, &dwell] {

@@ -1,4 +1,4 @@
-//! The subcommands of `planish-export`: one for each controller, with the flags that all share and its own.
+//! The subcommands of `planish export`: one for each controller, with the flags that all share and its own.
 
 mod near_path;
 mod parts;
@@ -17,7 +17,7 @@ use planish_export::{
 };
 use planish_form::{Form, FormFile};
 use planish_handoff::{
-    Failure, Inputs, Manifest, OutputFile, Status,
+    Failure, Inputs, Manifest, OutputFile, Status, as_command,
     flags::{AxesArgs, NearPathArgs, OnAxes, OutputFileArgs, PartArgs, TrajectoryArgs},
     say, warn,
 };
@@ -334,7 +334,7 @@ impl Export {
             format!(", contact point within {:.2} um of the plan's", 1e3 * mm)
         });
         say(format!(
-            "planish-export: {} segments, {:.4} s, {:.4} s longer than the plan, path within {:.2} um of it{contact}, \
+            "planish export: {} segments, {:.4} s, {:.4} s longer than the plan, path within {:.2} um of it{contact}, \
              limits kept -> {}",
             a.segments,
             a.total_time_s,
@@ -433,7 +433,7 @@ impl CommonArgs {
                     let names: Vec<&str> = on_axes.machine.axes().iter().map(|a| a.name).collect();
                     return Err(Failure::new(format!(
                         "{}: has the axes {}, and --trajectory moves x and y; give --axes with the motion that \
-                         planish-axes motion makes",
+                         planish axes motion makes",
                         self.machine.machine.machine.display(),
                         names.join(", ")
                     )));
@@ -473,10 +473,11 @@ impl MotionInput {
     ) -> Result<Program, Failure> {
         let origin = |role: &str, dir: &Path, manifest: Option<&Manifest>| {
             let digest = inputs.digest(role).unwrap_or_default();
-            let by = manifest.map_or(String::new(), |m| format!(" by {} {}", m.tool, m.method));
+            let by = manifest
+                .map_or(String::new(), |m| format!(" by {} {}", as_command(&m.tool), m.method));
             Origin {
                 made_from: format!("{role} {}{by}, BLAKE3 {digest}", dir.display()),
-                made_by: format!("planish-export {}", env!("CARGO_PKG_VERSION")),
+                made_by: format!("planish export {}", env!("CARGO_PKG_VERSION")),
                 part: part.clone(),
                 ..Origin::default()
             }
@@ -522,7 +523,7 @@ fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     Err(Failure::new(format!(
-        "{}: would be replaced by what planish-export says of its program, and Planish did not \
+        "{}: would be replaced by what planish export says of its program, and Planish did not \
          write it; give another --out",
         about.display()
     )))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Host of a Galil PVT program that planish-export wrote: fills the buffer, begins, refills, switches the tool.
+"""Host of a Galil PVT program that planish export wrote: fills the buffer, begins, refills, switches the tool.
 
     python3 galil_host.py ADDRESS PROGRAM [PROGRAM ...]
 

@@ -51,7 +51,7 @@ use crate::{Abilities, About, Approach, Job, Tool, decimal, generate::Nodes, hea
 const DIGITS: usize = 9;
 
 /// Number of significant digits of F. Larger: longer lines. Smaller: times that are off, and with them the
-/// accelerations at nodes. Derived: nine let an acceleration at its limit exceed it by 2e-9, which `planish-verify`
+/// accelerations at nodes. Derived: nine let an acceleration at its limit exceed it by 2e-9, which `planish verify`
 /// does not allow; thirteen are four orders more exact.
 const FEED_DIGITS: i32 = 13;
 

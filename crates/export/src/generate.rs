@@ -55,7 +55,7 @@ const BYTES_PER_SEGMENT: usize = 1024;
 const MOST_ROUNDS: usize = 80;
 
 /// Excess of a limit, as a fraction of it, that counts as rounding of the arithmetic. Larger: a program may exceed a
-/// limit by it. Smaller: rounding is mended in further rounds. Chosen: that of `planish-verify`.
+/// limit by it. Smaller: rounding is mended in further rounds. Chosen: that of `planish verify`.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
 /// Smallest excess of the travel, as a fraction of the path deviation, that is mended by shorter segments, which follow

@@ -27,7 +27,7 @@
 //! Around the motion: `around` (checksum, lines of the machine file, how to run the program), `excerpt` (the part between
 //! two marks, from rest to rest), `parts` (several files), `scan` (arrays for the trajectory-scan program of the PMAC).
 //!
-//! Only this crate and `planish-import` convert units.
+//! Only this crate and `planish import` convert units.
 
 // The command line names this library as any other program does.
 extern crate self as planish_export;
@@ -315,7 +315,7 @@ pub fn program(
     let axes = <&[MachineAxis; 2]>::try_from(machine.axes());
     let (Ok(axes), Kinematics::Xy) = (axes, machine.kinematics()) else {
         let problem = "has other axes than x and y, and a trajectory moves x and y";
-        let remedy = "give `axes` with the motion that planish-axes motion makes";
+        let remedy = "give `axes` with the motion that planish axes motion makes";
         return Err(Invalid::whole("machine", problem, remedy));
     };
     let grids = grids(machine, controller, settings)?;

@@ -353,10 +353,10 @@ struct WorstExcess {
     remedy: &'static str,
 }
 
-const REMEDY: &str = "schedule for this machine with planish-schedule pvt or stop-at-corners, \
-                      and see planish-verify";
-const REMEDY_OF_AXES: &str = "make the motion for this machine with planish-axes motion, from a plan that rests at both \
-                              ends, and see planish-verify --axes";
+const REMEDY: &str = "schedule for this machine with planish schedule pvt or stop-at-corners, \
+                      and see planish verify";
+const REMEDY_OF_AXES: &str = "make the motion for this machine with planish axes motion, from a plan that rests at both \
+                              ends, and see planish verify --axes";
 
 impl WorstExcess {
     /// Keeps a fault if its `ratio` to the limit is the worst so far; `make` returns the error.

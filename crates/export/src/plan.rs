@@ -31,7 +31,7 @@ pub(crate) struct AxesPlan<'a, const N: usize> {
     pub grids: [AxisGrid; N],
     /// Lever of every axis (l of the module), mm per mm or per degree.
     pub lever: [f64; N],
-    /// True if the acceleration may step at a node by J (T1 + T2) / 2, as in a motion of planish-axes; J is the limit
+    /// True if the acceleration may step at a node by J (T1 + T2) / 2, as in a motion of planish axes; J is the limit
     /// on jerk, T1 and T2 are the durations beside the node. False if the acceleration of the plan may not step.
     pub may_step: bool,
     /// Function that returns the contact point of the tool; `None` in a motion for x and y.

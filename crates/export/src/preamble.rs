@@ -29,7 +29,7 @@ pub(crate) fn sentences<const N: usize>(
         lines.extend(kinematics(machine));
     } else if origin.was_on_axes {
         lines.push(
-            "part: where the transform says that planish-register applied, not where the machine file says".into(),
+            "part: where the transform says that planish register applied, not where the machine file says".into(),
         );
     } else if let Some(transform) = machine.part_to_axes() {
         lines.push(place(transform));

@@ -62,7 +62,7 @@ fn a_limit_within_a_segment_is_found_for_every_controller() {
         let said = refused(14.9, 60.0, None);
         assert!(
             said.contains("segment[0]: x velocity reaches 15.000000 mm/s after 0.500000 s, the limit is 14.9 mm/s")
-                && said.contains("planish-schedule pvt"),
+                && said.contains("planish schedule pvt"),
             "{said}"
         );
         let said = refused(15.0, 59.9, None);

@@ -303,7 +303,7 @@ impl Form {
             "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
              more)"
         );
-        let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
+        let remedy = "fill the form by `planish surface prepare --fill`, give a formula in a form file, or make these \
                       pixels of the map of the part invalid";
         Err(Invalid::at_index("form", (r, c), problem, remedy))
     }

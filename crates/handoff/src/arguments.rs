@@ -4,8 +4,8 @@ use std::{env, ffi::OsString, sync::OnceLock};
 
 static CHOSEN: OnceLock<Vec<OsString>> = OnceLock::new();
 
-/// Keeps the command line of the stage that `planish` runs: its name as the user wrote it, then its arguments. Only the
-/// first call counts.
+/// Keeps the command line of the stage that `planish` runs: the words that name it, such as `planish dwell`, then its
+/// arguments. Only the first call counts.
 pub(crate) fn choose(words: Vec<OsString>) {
     CHOSEN.get_or_init(|| words);
 }

@@ -385,7 +385,7 @@ fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Se
     let head: ManifestHead = serde_json::from_str(text).map_err(unreadable)?;
     if head.kind == kind::FORMER_DWELL_DENSITY {
         let problem = "holds a feed, as an older Planish called a dwell_density; make it again, by \
-                       `planish-schedule trig-spline --dwell-density-out` or `planish-bspline-feed`";
+                       `planish schedule trig-spline --dwell-density-out` or `planish bspline-feed`";
         return Err(HandoffError::new(dir, problem));
     }
     if head.kind != kind.name {

@@ -20,6 +20,7 @@ use crate::{
     arguments::arguments,
     describe, from_run,
     message::{complain, shortened},
+    stage::as_command,
     telling, words,
 };
 
@@ -64,10 +65,7 @@ pub(crate) fn end(error: &clap::Error) -> ! {
     if from_run::is_stage() {
         // The usage is that of flags which the user of a pipeline does not see.
         text.truncate(text.find("\n\nUsage:").unwrap_or(text.len()));
-        let program = arguments().first().map(|path| path.to_string_lossy().into_owned());
-        let program =
-            program.as_deref().and_then(|path| path.rsplit('/').next()).unwrap_or_default();
-        text += &format!("\n{program} --help lists its flags");
+        text += &format!("\n{} --help lists its flags", arguments()[0].display());
     }
     let is_changed = matches!(shortened(&text), Cow::Owned(_)) || from_run::is_stage();
     if error.use_stderr() && is_changed {
@@ -92,11 +90,11 @@ fn command<C: CommandFactory>() -> clap::Command {
     C::command().arg(memory).args(telling::flags()).after_help(after_help::<C>())
 }
 
-/// Returns the command line that started this process, quoted for a shell, with `tool` as the name of the program.
+/// Returns the command line of the stage program `tool` with the arguments of this process, quoted for a shell.
 pub(crate) fn as_typed(tool: &str) -> String {
     let arguments = arguments();
     let arguments = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned());
-    words::join(std::iter::once(tool.to_string()).chain(arguments))
+    format!("{} {}", as_command(tool), words::join(arguments))
 }
 
 /// Parses the value of a flag for x and y: a number for both, or two numbers as `X,Y`.

@@ -164,7 +164,7 @@ impl TrajectoryArgs {
             inputs.read_with_manifest("trajectory", &self.trajectory)?;
         if let Some(other) = manifest.as_ref().filter(|m| m.frame != Trajectory::KIND.frame) {
             let problem = format!(
-                "is in other coordinates than the map ({}); take it back to those of the part by planish-register \
+                "is in other coordinates than the map ({}); take it back to those of the part by planish register \
                  apply --inverse",
                 other.frame
             );
@@ -174,7 +174,7 @@ impl TrajectoryArgs {
     }
 
     /// Reads a motion and a machine, and transforms the motion to the coordinates of the axes. A motion that
-    /// planish-register has already transformed to a machine stays as it is.
+    /// planish register has already transformed to a machine stays as it is.
     ///
     /// Refuses a motion that was made for another machine than that of `machine`, unless
     /// `--other-machine` accepts it.
@@ -338,7 +338,7 @@ impl NearPathArgs {
             let (own, other) = if is_there { (with, without) } else { (without, with) };
             let problem = format!(
                 "is in the coordinates of {own}, and the motion in those of {other}; transform one of them by \
-                 planish-register apply"
+                 planish register apply"
             );
             return Err(HandoffError::new(dir, problem));
         }

@@ -238,13 +238,13 @@ the sign and the direction of `along`, and o is `part_origin_mm`. An axis that c
 way: give the opposite sign.
 
 Plans stay in the coordinates of the part, within the largest box of limits there that the axes can follow in every
-direction. `planish-verify` judges the motion of the axes, and `planish-export` writes it. If fiducials say how the part
-lies ([from run to run](campaign.md)), `planish-register apply` takes the motion to the axes. These keys are then not
+direction. `planish verify` judges the motion of the axes, and `planish export` writes it. If fiducials say how the part
+lies ([from run to run](campaign.md)), `planish register apply` takes the motion to the axes. These keys are then not
 applied again.
 
-On a machine with other kinematics than `xy` that box is of x and y alone, or of `kinematics.contact`. `planish-axes`
-makes the motion of all axes ([axes](axes.md)), `planish-verify --axes` judges it, and `planish-export --axes` writes
-its program. `planish-export --trajectory` refuses such a machine.
+On a machine with other kinematics than `xy` that box is of x and y alone, or of `kinematics.contact`. `planish axes`
+makes the motion of all axes ([axes](axes.md)), `planish verify --axes` judges it, and `planish export --axes` writes
+its program. `planish export --trajectory` refuses such a machine.
 ";
 
 /// Keys of an error budget: (key, unit, description).
@@ -275,7 +275,7 @@ const FORM_FILE: &str = "
 
 The form of a part, given by `--form` or `--target`: one JSON object. Its kinds and keys are in
 [the form of a part](forms.md#the-form-file). Planish refuses a key that the kind does not use.
-`planish-surface prepare --target` writes one as `form.json` beside its map.
+`planish surface prepare --target` writes one as `form.json` beside its map.
 ";
 
 const ERROR_BUDGET: &str = "

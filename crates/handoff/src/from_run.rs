@@ -1,4 +1,4 @@
-//! Environment variables by which `planish-run` tells a program that it starts how the user sees its flags.
+//! Environment variables by which `planish run` tells a program that it starts how the user sees its flags.
 //!
 //! [`SETTINGS_OF_FLAGS`] has a line for each flag: the flag, a tab, and the setting that a user gives in its place. A
 //! line without a flag names the setting that takes all other flags of the program. Messages then name the settings.
@@ -20,7 +20,7 @@ pub const REHEARSAL: &str = "PLANISH_REHEARSAL";
 /// Flags that every program has and that no setting stands for.
 const OF_EVERY_PROGRAM: [&str; 2] = ["--help", "--version"];
 
-/// Returns true if `planish-run` started the program as a stage.
+/// Returns true if `planish run` started the program as a stage.
 pub(crate) fn is_stage() -> bool {
     env::var_os(SETTINGS_OF_FLAGS).is_some()
 }

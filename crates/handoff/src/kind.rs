@@ -522,8 +522,8 @@ pub const AXES: Kind = Kind {
     version: 1,
     doc: "A motion of all n axes of a machine: k cubic polynomials per axis in segment-local time, as those of a \
           trajectory. The outcome of the manifest names the axes, in the order of the machine file: the linear axes, then \
-          the rotary ones. That of planish-axes states the distance of the executed contact point from the plan. \
-          planish-import writes the kind from a program or a log of all axes.",
+          the rotary ones. That of planish axes states the distance of the executed contact point from the plan. \
+          planish import writes the kind from a program or a log of all axes.",
     frame: "positions of the axes of a machine, as they read",
     arrays: &[
         array(

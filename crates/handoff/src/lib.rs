@@ -10,7 +10,7 @@
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
 //! * `describe`: the flags as data, for functions of other languages.
 //! * [`flags`]: groups of flags that several programs share.
-//! * [`from_run`]: environment variables by which `planish-run` informs the programs that it starts.
+//! * [`from_run`]: environment variables by which `planish run` informs the programs that it starts.
 //! * [`Inputs`]: the inputs of a command, with their hashes.
 //! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
 //! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
@@ -94,7 +94,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
-pub use stage::{Stage, Subcommands, stage_command, start};
+pub use stage::{Stage, Subcommands, as_command, stage_command, start};
 pub use telling::{exit, keep_output, tells_text};
 
 /// Error about a file or directory that cannot be used. The message states the file, the place, the value and

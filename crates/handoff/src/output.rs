@@ -32,6 +32,7 @@ use crate::{
     place::{is_within, obstacle, parent_of, plain, refuse_foreign_files, special_file},
     publish::{self, Staged},
     shell::{Failure, Status, say},
+    stage::as_command,
     telling,
 };
 
@@ -184,7 +185,7 @@ impl Output {
             && self.files.iter().all(|(_, path)| path.exists())
         {
             let out = self.args.out.display();
-            say(format!("{}: {out} unchanged, nothing to do", task.tool));
+            say(format!("{}: {out} unchanged, nothing to do", as_command(task.tool)));
             for Directory { path, kind, .. } in &self.directories {
                 let outcome = artifact::read_manifest(path, kind)?.map(|manifest| manifest.outcome);
                 telling::keep_output(path, kind.name, outcome.unwrap_or_default());
@@ -331,7 +332,7 @@ impl Output {
             staged: Vec::new(),
             left_over: Vec::new(),
             frame: None,
-            progress: shown_progress(format!("{} {}", task.tool, task.method)),
+            progress: shown_progress(format!("{} {}", as_command(task.tool), task.method)),
             rounds: watched_rounds(),
         }
     }

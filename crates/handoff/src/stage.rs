@@ -72,19 +72,10 @@ pub fn start(stages: &[Stage]) -> ExitCode {
         (Some(stage), runner)
             if runner.is_none() || (stage.name != RUNNER && takes_next_word(stage, next)) =>
         {
-            let is_full_name = first == stage.name;
-            let name = if is_full_name {
-                stage.name.into()
-            } else {
-                format!("{PROGRAM} {}", stage.word())
-            };
-            words.splice(..2, [OsString::from(name)]);
+            words.remove(0);
             run(stage, words)
         }
-        (_, Some(runner)) => {
-            words[0] = PROGRAM.into();
-            run(runner, words)
-        }
+        (_, Some(runner)) => run(runner, words),
         _ => overview(stages, &words),
     }
 }
@@ -94,8 +85,9 @@ fn takes_next_word(stage: &Stage, word: Option<&OsStr>) -> bool {
     word.is_none_or(|word| word.as_encoded_bytes().starts_with(b"-") || stage.has_subcommand(word))
 }
 
-/// Runs a stage with the command line `words`, of which the first is the name of the program.
-fn run(stage: &Stage, words: Vec<OsString>) -> ExitCode {
+/// Runs a stage with the arguments in `words`, after the first one. Messages and help name it as a user types it.
+fn run(stage: &Stage, mut words: Vec<OsString>) -> ExitCode {
+    words[0] = as_command(stage.name).into();
     arguments::choose(words);
     (stage.main)()
 }
@@ -143,6 +135,12 @@ fn definition(stages: &[Stage]) -> clap::Command {
         }
     }
     command
+}
+
+/// Returns the stage program `name` as a user types it: `planish dwell` for `planish-dwell`. The subcommands of
+/// `planish-run` follow `planish` itself.
+pub fn as_command(name: &str) -> String {
+    if name == RUNNER { PROGRAM.into() } else { name.replacen("planish-", "planish ", 1) }
 }
 
 /// Returns the command that runs the stage program `name`. It is the file of this name in the first of `folders` that

@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 use ndarray::Array2;
 use planish_handoff::{
-    Failure, Inputs, Output, Status, Subcommands, Writer, flags::OutputArgs, kind::Kind, pair, say,
-    warn, with_flags,
+    Failure, Inputs, Output, Status, Subcommands, Writer, as_command, flags::OutputArgs,
+    kind::Kind, pair, say, warn, with_flags,
 };
 use planish_import::{
     FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, ReadingSettings, Rotation, Scale,
@@ -267,6 +267,7 @@ pub fn in_flags(statement: Statement) -> Statement {
 /// Prints the warnings, and how the file was read (format, pixels, unit, orientation), for the user to check. `program`
 /// begins each line but the warnings.
 pub fn report(program: &str, statement: &Statement, grid: &Grid) {
+    let program = as_command(program);
     for warning in &statement.warnings {
         warn(warning);
     }

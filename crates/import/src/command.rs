@@ -1,4 +1,4 @@
-//! `planish-import`: reads files of instruments and of other programs.
+//! `planish import`: reads files of instruments and of other programs.
 
 use std::process::ExitCode;
 
@@ -6,8 +6,8 @@ use clap::{CommandFactory, Parser};
 use planish_handoff::{Stage, Subcommands};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
-    \x20 planish-import trace gathering.dat --format xps --unit mm --rate-hz 1000 --out out/run";
+    \x20 planish import surface mirror.datx --picture mirror.svg --out out/surface\n\
+    \x20 planish import trace gathering.dat --format xps --unit mm --rate-hz 1000 --out out/run";
 
 /// Read files of instruments and of other programs
 #[derive(Debug, Parser)]

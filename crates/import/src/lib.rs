@@ -13,7 +13,7 @@
 //! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV, ROS, Aerotech, SINUMERIK, TwinCAT, Zaber |
 //! | [`trace`] | logs of the motion that a machine made: CSV, HDF5, XPS, Aerotech, Galil |
 //!
-//! Limits on the memory and work for one file are in `budget`. Only this crate and `planish-export` convert
+//! Limits on the memory and work for one file are in `budget`. Only this crate and `planish export` convert
 //! units.
 
 // The command line names this library as any other program does.

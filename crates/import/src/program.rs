@@ -1,6 +1,6 @@
 //! Reads programs of motion controllers back, as the motion that the controller will run.
 //!
-//! This module follows the manuals of the controllers, not `planish-export`. The two share no code, so that
+//! This module follows the manuals of the controllers, not `planish export`. The two share no code, so that
 //! an error in one of them is not hidden by the same error in the other.
 //!
 //! | module | program | motion between two lines |

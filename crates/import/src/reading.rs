@@ -423,7 +423,7 @@ pub fn surface(
 
 /// Converts a reading to a complete tool influence function (TIF): rates in nm/s at offsets from the tool centre. A
 /// unit without a time counts as per second. A spot that must be cut out or divided by its time is read by
-/// `planish-tool` instead.
+/// `planish tool` instead.
 ///
 /// # Errors
 /// Refuses what [`surface`] refuses, and rates of which [`Tif::new`] makes no TIF.
@@ -451,7 +451,7 @@ fn map(
     let mut warnings = std::mem::take(&mut reading.warnings);
     let (unit, unit_from) = unit(&reading, settings, kind, &mut warnings)?;
     if unit.is_rate() && kind == MapQuantity::Heights {
-        let remedy = "planish-tool from-maps reads rates by `rate`; leave out `dwell_s`";
+        let remedy = "planish tool from-maps reads rates by `rate`; leave out `dwell_s`";
         let problem = format!("of the values is {unit}, a removal rate, and heights are wanted");
         return Err(Invalid::whole("unit", problem, remedy));
     }

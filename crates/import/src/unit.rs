@@ -82,7 +82,7 @@ impl Unit {
                 "the height of a fringe depends on the interferometer: give `unit` waves, `surface_per_value` and \
                  `override_file`"
             }
-            Some(Quantity::Angle) => "slopes are read by planish-import slopes",
+            Some(Quantity::Angle) => "slopes are read by planish import slopes",
             _ => {
                 "a map of lengths or rates is needed: m, mm, um, nm, angstrom, in, mil or waves, a rate over s, min or h; \
                  where the word is wrong, give the unit and `override_file`"

@@ -87,7 +87,7 @@ fn looks(bytes: &[u8]) -> (String, String) {
             ),
             (true, 2) => (
                 "text with lines of 2 numbers".into(),
-                "planish-surface line reads a profile; save a matrix of 2 columns as .npy".into(),
+                "planish surface line reads a profile; save a matrix of 2 columns as .npy".into(),
             ),
             (true, n) if n > 1 => (
                 format!("text with {n} numbers in its first line"),

@@ -950,7 +950,7 @@ fn rates_keep_their_time() {
     // Rates are no heights, and no depths.
     let said = refused(&second("tif.csv"), &[]);
     assert!(
-        said.contains("is nm/min, a removal rate") && said.contains("planish-tool from-maps"),
+        said.contains("is nm/min, a removal rate") && said.contains("planish tool from-maps"),
         "{said}"
     );
     let depth = ["--dwell-s", "10", "--half-size-mm", "3"];

@@ -42,7 +42,7 @@ const MAX_BULGE: f64 = 1e-3;
 const JERK_ALLOWANCE: f64 = 1e-6;
 
 /// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, as a fraction of the
-/// limit. Larger: real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
+/// limit. Larger: real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish verify`.
 const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 
 /// Ratio of a value to its limit from which on the report counts the axis as near the limit. Larger: a shorter time

@@ -1,11 +1,11 @@
-//! `planish-joint`: desired removal, TIF, tool path and machine become the motion along a smooth curve.
+//! `planish joint`: desired removal, TIF, tool path and machine become the motion along a smooth curve.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-joint --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/feed";
+    \x20 planish joint --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/feed";
 
 /// Find how fast to run along a path with rounded corners: the dwell-time density of least residual within the
 /// limits of the machine, and its motion

@@ -32,7 +32,7 @@ use crate::further::FurtherLimits;
 const INTERVALS: usize = 4;
 
 /// Fraction of the limit on jerk that is left for rounding. Larger: a longer average than needed. Smaller:
-/// `planish-verify` may find the limit exceeded by rounding. Chosen.
+/// `planish verify` may find the limit exceeded by rounding. Chosen.
 const ROUNDING_MARGIN: f64 = 1e-9;
 
 /// Least duration of a piece over the interval h; a shorter piece is joined to its neighbour. Larger: a segment of the

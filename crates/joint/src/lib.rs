@@ -27,7 +27,7 @@
 //! between two nodes. A row is a constraint `c >= 0` on the densities that a limit of the machine imposes. The pull is
 //! the Tikhonov term of the objective, which draws the densities to their least values. A round is one solution of the
 //! convex program, after which limits are tightened or new tangents are taken. The judge is the proof that a motion
-//! keeps the limits, by `planish-verify` or by [`axes`]. Further axes are those beyond x and y.
+//! keeps the limits, by `planish verify` or by [`axes`]. Further axes are those beyond x and y.
 
 // The command line names this library as any other program does.
 extern crate self as planish_joint;

@@ -57,7 +57,7 @@ const LITTLE_CHANGE: f64 = 0.25;
 
 /// Fraction of the limit on acceleration that the rows of a clothoid leave free. It allows for the motion between the
 /// points of (1) of the module and for the cubic pieces. Larger: slower corners. Smaller: more rounds with tightened
-/// rows, because `planish-verify` finds the limit exceeded. Chosen.
+/// rows, because `planish verify` finds the limit exceeded. Chosen.
 const CURVED_MARGIN: f64 = 2e-2;
 
 /// Fraction of the limit on velocity that is left free on a clothoid. Larger: slower corners. Smaller: the velocity
@@ -70,8 +70,8 @@ const TURNED_MARGIN: f64 = 2e-3;
 /// component that is larger by 1.3e-3, and the cubic pieces differ by 2e-3 of the limit.
 const ALONG_CURVE_MARGIN: f64 = 4e-3;
 
-/// Fraction of a limit that is left free for rounding. Larger: slower motions. Smaller: `planish-verify` may find a
-/// limit exceeded by rounding. Derived: half of what `planish-verify` allows.
+/// Fraction of a limit that is left free for rounding. Larger: slower motions. Smaller: `planish verify` may find a
+/// limit exceeded by rounding. Derived: half of what `planish verify` allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
 
 /// Largest excess of a further axis over its limit between two of its points, by (5) of the module. Larger: fewer rows,

@@ -433,7 +433,7 @@ fn planned(
     let further = further.as_ref();
     let Smooth { curves, moved_mm } = curve::curves(path, &rounding);
     if curves.is_empty() {
-        let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
+        let remedy = "give a path that moves, or schedule rests with `planish schedule position`";
         return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
     }
     let (mesh, widened) = first_mesh(&curves, path, tif, spacing_mm, settings)?;

@@ -6,7 +6,7 @@ use crate::phrase::is_name;
 
 /// Verbs that earlier versions of the pipelines had, each with the advice for a message on what to write instead.
 const REPLACED: [(&str, &str); 6] = [
-    ("quietly", "give the command a flag for it, such as --quiet of planish-compare report"),
+    ("quietly", "give the command a flag for it, such as --quiet of planish compare report"),
     (
         "attempt",
         "state the directory as `optional` of a stage, and the command as the first of its `steps`",

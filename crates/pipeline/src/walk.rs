@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use planish_handoff::words;
+use planish_handoff::{as_command, words};
 
 use crate::{
     action::Action,
@@ -187,7 +187,7 @@ impl<'a> Walk<'a> {
 impl StageCommand {
     /// Returns the command as one line for a shell. In `--flag=value`, only the value is in quotation marks.
     pub fn line(&self) -> String {
-        let mut line = self.program.clone();
+        let mut line = as_command(&self.program);
         for argument in &self.arguments {
             line.push(' ');
             line.push_str(&quote_argument(argument));
@@ -263,14 +263,14 @@ stages:
         assert_eq!(
             steps(&["a=1 2"], false),
             [
-                "planish-x --p '1 2' --q --out out/x",
-                "planish-y x",
-                "out/y: planish-x --out out/y",
-                "planish-y y",
-                "out/z: planish-x z",
+                "planish x --p '1 2' --q --out out/x",
+                "planish y x",
+                "out/y: planish x --out out/y",
+                "planish y y",
+                "out/z: planish x z",
                 "say the end of z",
-                "planish-x z",
-                "planish-z best"
+                "planish x z",
+                "planish z best"
             ]
         );
     }
@@ -279,7 +279,7 @@ stages:
     fn a_stage_that_is_left_does_no_more() {
         assert_eq!(
             steps(&["a=x"], true)[2..],
-            ["out/y: planish-x --out out/y", "out/z: planish-x z", "planish-x z", "planish-z best"]
+            ["out/y: planish x --out out/y", "out/z: planish x z", "planish x z", "planish z best"]
         );
     }
 
@@ -294,6 +294,6 @@ stages:
             refusal_dir: None,
             origins: Origins::default(),
         };
-        assert_eq!(command.line(), r"planish-x --a=1 --b='x y' --c 'it'\''s' '--d=' '$(e)'");
+        assert_eq!(command.line(), r"planish x --a=1 --b='x y' --c 'it'\''s' '--d=' '$(e)'");
     }
 }

@@ -23,7 +23,7 @@ impl Subcommands for ImportNames {
     }
 }
 
-/// The stages, in the order of a run; `planish-run` runs them.
+/// The stages, in the order of a run; `planish run` runs them.
 pub const STAGES: [Stage; 23] = [
     planish_app::command::COMMAND,
     planish_run::command::COMMAND,

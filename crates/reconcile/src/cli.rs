@@ -1,4 +1,4 @@
-//! The command line of `planish-reconcile`.
+//! The command line of `planish reconcile`.
 
 pub mod controller;
 

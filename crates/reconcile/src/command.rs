@@ -1,4 +1,4 @@
-//! `planish-reconcile`: what a run teaches of the machine and its tool.
+//! `planish reconcile`: what a run teaches of the machine and its tool.
 
 use std::process::ExitCode;
 
@@ -7,9 +7,9 @@ use clap::{CommandFactory, Parser};
 pub use crate::cli::controller::ImportNames;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
+    \x20 planish reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
     \x20     --out out/reconcile --corrected-tif out/tool-learnt\n\
-    \x20 planish-reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
+    \x20 planish reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
     \x20     --hold magnification --hold power --error-budget fixtures/error-budgets/ion-beam.json --out out/reconcile";
 
 /// Learn the rate, the place, the width and the shape of the tool from the maps before and after a run

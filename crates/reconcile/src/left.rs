@@ -11,12 +11,12 @@ use planish_simulate::error_budget::{
 
 use crate::{fit::LeastSquaresFit, parameter::Parameter};
 
-/// Notes of `planish-reconcile` on the errors in a file.
-const LEARNT: &str = "learnt: standard error of planish-reconcile";
+/// Notes of `planish reconcile` on the errors in a file.
+const LEARNT: &str = "learnt: standard error of planish reconcile";
 const BELIEVED: &str = "not learnt: what is believed of a machine that nobody knows";
-const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correct it";
+const DRIFTS: &str = "learnt by planish reconcile; the next plan does not correct it";
 const FROM_THE_REST: &str =
-    "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
+    "learnt: what the fit of planish reconcile leaves, over the root of two maps";
 
 /// Returns the error budget of the next run. `refused[i]` is true if the data do not determine parameter `i`,
 /// `estimates[i]` is its value and standard error, and `corrections[i]` its correction in the next plan. `process` is

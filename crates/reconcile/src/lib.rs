@@ -5,7 +5,7 @@
 //! ```
 //!
 //! M is the removal of the executed motion with its deviations (`planish_simulate::runs`, the model by which
-//! `planish-tolerance` judges a plan and the virtual machine runs it), Q the low-order terms that an interferometer
+//! `planish tolerance` judges a plan and the virtual machine runs it), Q the low-order terms that an interferometer
 //! does not measure (piston, tilt, power; more where asked for), n noise of any correlation. Least squares over the
 //! pixels that are valid in both maps, by Gauss and Newton's steps, give all unknowns together ([`fit`]).
 //!

@@ -353,7 +353,7 @@ pub fn reconcile(
     comparison: &Comparison<'_>,
     settings: &ReconcileSettings,
 ) -> Result<Reconciled, Invalid> {
-    comparison.tif.same_in_all_directions("planish-reconcile")?;
+    comparison.tif.same_in_all_directions("planish reconcile")?;
     let (parameters, terms) = settings.chosen(|p| p.is_of(comparison.tif))?;
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;

@@ -1,4 +1,4 @@
-//! The subcommands of `planish-refine`, one file each, and the code that they share.
+//! The subcommands of `planish refine`, one file each, and the code that they share.
 
 mod pareto;
 mod refine;

@@ -1,4 +1,4 @@
-//! `planish-refine`: correction of dwell times against the motion that will run.
+//! `planish refine`: correction of dwell times against the motion that will run.
 
 use std::process::ExitCode;
 
@@ -6,8 +6,8 @@ use clap::{CommandFactory, Parser};
 use planish_handoff::Failure;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined\n\
-    \x20 planish-refine pareto --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/pareto";
+    \x20 planish refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined\n\
+    \x20 planish refine pareto --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/pareto";
 
 /// Correct the dwell times against the removal of the scheduled motion, round by round
 ///
@@ -30,6 +30,6 @@ fn main() -> ExitCode {
     planish_handoff::program(|cli: &RefineCli| match (&cli.command, &cli.refine) {
         (Some(command), _) => command.run(),
         (None, Some(arguments)) => arguments.run(),
-        (None, None) => Err(Failure::new("no arguments; planish-refine --help shows them")),
+        (None, None) => Err(Failure::new("no arguments; planish refine --help shows them")),
     })
 }

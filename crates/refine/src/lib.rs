@@ -37,11 +37,11 @@
 //! errors of the process add a quadratic t'Q t of the dwell times. The additional removal by its fixed errors is
 //! subtracted from the map.
 //!
-//! The scheduler is any [`Scheduler`] of `planish-schedule`. It states h: the time of every segment that is not its
+//! The scheduler is any [`Scheduler`] of `planish schedule`. It states h: the time of every segment that is not its
 //! dwell time. A segment that takes less than its dwell time (`trig-spline` gives the time of a segment without length
 //! to its neighbours) has that time in h, and raises no bound.
 //!
-//! This crate calls `planish-simulate` and `planish-verify` as they are, so that its residual and its
+//! This crate calls `planish simulate` and `planish verify` as they are, so that its residual and its
 //! limits are those that both report of the trajectory that it writes.
 //!
 //! | symbol | variable | shape | unit |
@@ -179,7 +179,7 @@ pub struct Iterate {
     pub total_time_s: f64,
     /// Number of segments whose time the scheduler had to lengthen.
     pub stretched: usize,
-    /// True if `planish-verify` finds that the motion keeps the limits.
+    /// True if `planish verify` finds that the motion keeps the limits.
     pub limits_respected: bool,
 }
 

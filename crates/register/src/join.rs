@@ -209,7 +209,7 @@ fn whole(maps: &[Surface]) -> Result<Grid, RefusedMap> {
         });
         let farthest = farthest_mm.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
         let problem = format!("needs a joined map of {nx} x {ny} pixels");
-        let remedy = "check the place and the pitch of the maps (planish-import surface)";
+        let remedy = "check the place and the pitch of the maps (planish import surface)";
         let reason = Invalid::whole("mosaic", problem, remedy);
         return Err(RefusedMap { index: farthest.map_or(0, |map| map.0), reason });
     }

@@ -199,7 +199,7 @@ fn check(settings: &MapSettings) -> Result<(), Invalid> {
     }
     if settings.most_rotation_deg > 30.0 {
         let problem = format!("is {}", settings.most_rotation_deg);
-        let remedy = "turn the map by hand first (planish-import surface), to within 30 degrees";
+        let remedy = "turn the map by hand first (planish import surface), to within 30 degrees";
         return Err(Invalid::whole("most_rotation_deg", problem, remedy));
     }
     if settings.free_order > MOST_ORDER {

@@ -1,4 +1,4 @@
-//! The subcommands of `planish-run`, one file each.
+//! The subcommands of `planish run`, one file each.
 
 mod after_tool;
 mod campaign;

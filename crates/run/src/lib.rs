@@ -1,4 +1,4 @@
-//! `planish-run`: runs of a pipeline, and the owner of the directory of a run.
+//! `planish run`: runs of a pipeline, and the owner of the directory of a run.
 //!
 //! * [`owner`]: the pipeline and the mirror that a directory belongs to.
 //!

@@ -309,10 +309,10 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     artifact("dwell", json!({"status": "negative", "reason": "not certified"}));
     let ended = verdict(&["methods/pvt"]);
     assert_eq!(ended.status.code(), Some(1));
-    assert_eq!(message(&ended), "verdict: run/dwell (planish-stage): not certified\n");
+    assert_eq!(message(&ended), "verdict: run/dwell (planish stage): not certified\n");
     let both = message(&verdict(&["methods/pvt", "methods/ideal"]));
     assert!(
-        both.contains("not certified; run/methods/ideal/verdict (planish-stage): it jumps"),
+        both.contains("not certified; run/methods/ideal/verdict (planish stage): it jumps"),
         "{both}"
     );
     refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
@@ -427,11 +427,17 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
 }
 
+/// Writes a script that can be run.
+fn write_script(file: &Path, script: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    fs::write(file, script).unwrap();
+    fs::set_permissions(file, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
 /// Creates programs that write their arguments to the file `log`, one line each, and end with the code in
 /// `codes/PROGRAM`. In a rehearsal they write them to the file `rehearsed`, say which flags are settings, and end with
 /// the code in `codes/PROGRAM.rehearsed`.
 fn recorders(dir: &Path) -> std::path::PathBuf {
-    use std::os::unix::fs::PermissionsExt;
     let programs = dir.join("programs");
     fs::create_dir(&programs).unwrap();
     for name in [
@@ -444,9 +450,7 @@ fn recorders(dir: &Path) -> std::path::PathBuf {
                       [ ! -f \"codes/$name.rehearsed\" ] || exit \"$(cat \"codes/$name.rehearsed\")\"\n\
                       exit 0; fi\nprintf '%s' \"$name\" >> log\nprintf '<%s>' \"$@\" >> log\necho >> log\n\
                       [ ! -f \"codes/$name\" ] || exit \"$(cat \"codes/$name\")\"\n";
-        let file = programs.join(format!("planish-{name}"));
-        fs::write(&file, script).unwrap();
-        fs::set_permissions(&file, fs::Permissions::from_mode(0o755)).unwrap();
+        write_script(&programs.join(format!("planish-{name}")), script);
     }
     fs::create_dir(dir.join("codes")).unwrap();
     programs
@@ -485,8 +489,13 @@ fn every_command_is_printed_as_it_runs_and_a_setting_is_one_argument() {
     );
     assert_eq!(log[0], first);
     // What is printed runs again in a shell, with the same arguments.
-    let printed: Vec<&str> = text.lines().filter(|line| line.starts_with("planish-")).collect();
+    let printed: Vec<&str> = text.lines().filter(|line| line.starts_with("planish ")).collect();
     assert_eq!(printed.len(), log.len(), "{text}");
+    // The one program, as a caller of the recorders.
+    let planish = dir.path().join("programs/planish");
+    let script = "#!/bin/sh\ncase $1 in verdict | program) ;; *) stage=$1; shift ;; esac\n\
+                  exec planish-${stage:-run} \"$@\"\n";
+    write_script(&planish, script);
     let path =
         format!("{}:{}", dir.path().join("programs").display(), std::env::var("PATH").unwrap());
     for (line, called) in printed.iter().zip(&log) {
@@ -655,7 +664,7 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     assert_eq!(ended.status.code(), Some(0), "{text}");
     let warning =
         "warning: no machine was named, so this is planned for ion-beam, a machine of the fixtures";
-    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("planish-")).collect();
+    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("planish ")).collect();
     assert!(lines[0].starts_with(warning) && lines[lines.len() - 1].starts_with(warning), "{text}");
     let report = log.iter().find(|line| line.starts_with("planish-compare<report>")).unwrap();
     assert!(report.contains("<--assumed-machine=ion-beam>"), "{report}");
@@ -702,7 +711,7 @@ fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
     let (ended, _) = recorded(dir.path(), &[&QUICK[..], &own].concat());
     let rehearsed = fs::read_to_string(dir.path().join("rehearsed")).unwrap();
     assert_eq!(rehearsed.matches("planish-export galil").count(), 2, "{rehearsed}");
-    assert!(message(&ended).contains("planish-dwell bounded-least-squares"));
+    assert!(message(&ended).contains("planish dwell bounded-least-squares"));
 }
 
 /// Checks that a pipe in place of the report is refused; to read it would never end.

@@ -6,7 +6,7 @@
 //! j    = 6 c3
 //! ```
 //!
-//! The claim goes into the manifest of every schedule. `planish-verify`, which shares no code with this file, must come
+//! The claim goes into the manifest of every schedule. `planish verify`, which shares no code with this file, must come
 //! to the same result. A step (jump) below the tolerances counts as rounding: the motion is then continuous.
 
 pub use planish_types::outcome::plan::Claim;

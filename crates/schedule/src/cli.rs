@@ -62,7 +62,7 @@ pub enum ScheduleCommand {
     Program(program::ProgramCommand),
     /// Motion that was executed when a run was interrupted: up to the abort, the stop, and the tool that stays on
     ///
-    /// After the abort the axes slow down together, the fastest at its largest acceleration. planish-run resume runs
+    /// After the abort the axes slow down together, the fastest at its largest acceleration. planish resume runs
     /// this command.
     Abort(abort::Abort),
 }
@@ -225,7 +225,7 @@ impl<S: MotionCommand + Args> SchedulerCommand<S> {
 /// Returns the message about a motion that is too far from its path, with the remedy.
 fn nearer(excess: String) -> String {
     with_flags(&format!(
-        "{excess}. planish-schedule pvt stays within it; or give a larger tolerance that is harmless on this part"
+        "{excess}. planish schedule pvt stays within it; or give a larger tolerance that is harmless on this part"
     ))
 }
 

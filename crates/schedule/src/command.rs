@@ -1,11 +1,11 @@
-//! `planish-schedule`: a motion from a tool path and dwell times.
+//! `planish schedule`: a motion from a tool path and dwell times.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-schedule pvt --tool-path out/tool_path --dwell out/dwell --machine machine.json --mode monotone --out out/trajectory";
+    \x20 planish schedule pvt --tool-path out/tool_path --dwell out/dwell --machine machine.json --mode monotone --out out/trajectory";
 
 /// Turn a tool path and dwell times into a motion that the machine can follow
 #[derive(Parser)]

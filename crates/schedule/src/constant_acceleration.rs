@@ -203,7 +203,7 @@ pub(crate) fn least_piece_s(end_s: f64) -> f64 {
 const ROUNDING_MM: f64 = 1e-9;
 
 /// Excursion beyond the ends of a segment above which it counts as an overshoot, mm: 1 nm, the
-/// position tolerance of `planish-verify`. Larger: fewer segments count. Smaller: more, without end:
+/// position tolerance of `planish verify`. Larger: fewer segments count. Smaller: more, without end:
 /// after every stop an axis swings back by an amount that falls quadratically from one segment to the
 /// next. On the reference maze 478 x and 628 y segments overshoot by more than 1 nm, 632 and 700 by
 /// more than 1e-9 mm.

@@ -13,7 +13,7 @@
 //! | [`baselines::average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
 //! | [`baselines::position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
 //!
-//! The closed loop (`planish-refine`) takes any [`Scheduler`]; [`SCHEDULERS`] has them by name. [`claim`] measures
+//! The closed loop (`planish refine`) takes any [`Scheduler`]; [`SCHEDULERS`] has them by name. [`claim`] measures
 //! every motion against the limits of the machine. [`interpolator`] turns the dwell-time density of `trig_spline`
 //! into reference positions, tick by tick. [`abort`] cuts a motion where a run was interrupted.
 //!
@@ -40,9 +40,9 @@ pub mod trig_spline;
 
 use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory};
 
-/// A scheduler with its settings. The closed loop (`planish-refine`) calls every scheduler through this trait.
+/// A scheduler with its settings. The closed loop (`planish refine`) calls every scheduler through this trait.
 pub trait Scheduler: std::fmt::Debug {
-    /// Returns the name of the scheduler, which is also its subcommand of `planish-schedule`.
+    /// Returns the name of the scheduler, which is also its subcommand of `planish schedule`.
     fn name(&self) -> &'static str;
 
     /// Returns the name of the kind of motion; `None` if the scheduler has one kind only.
@@ -111,7 +111,7 @@ pub struct Choices {
 /// Row of the table [`SCHEDULERS`].
 #[derive(Clone, Copy, Debug)]
 pub struct Named {
-    /// Name of the scheduler, which is also its subcommand of `planish-schedule`.
+    /// Name of the scheduler, which is also its subcommand of `planish schedule`.
     pub name: &'static str,
     /// Phrase that describes the motion of the scheduler.
     pub about: &'static str,

@@ -86,7 +86,7 @@ impl Scheduler for StopAtCornersSettings {
 }
 
 /// Largest step of the velocity at a node that the tool passes without a stop, mm/s: a tenth of the step that
-/// `planish-verify` takes for rounding. Larger: `planish-verify` reports the steps. Smaller: the tool stops at nodes of
+/// `planish verify` takes for rounding. Larger: `planish verify` reports the steps. Smaller: the tool stops at nodes of
 /// a straight line whose coordinates are rounded.
 const STRAIGHT_MM_PER_S: f64 = 1e-7;
 

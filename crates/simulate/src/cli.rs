@@ -1,4 +1,4 @@
-//! The command line of `planish-simulate`.
+//! The command line of `planish simulate`.
 
 mod virtual_run;
 

@@ -1,13 +1,13 @@
-//! `planish-simulate`: removal and residual of a trajectory.
+//! `planish simulate`: removal and residual of a trajectory.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface --out out/removal\n\
-    \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface --frames 24 --out out/frames\n\
-    \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface \\\n\
+    \x20 planish simulate --trajectory out/trajectory --tif tool --surface out/surface --out out/removal\n\
+    \x20 planish simulate --trajectory out/trajectory --tif tool --surface out/surface --frames 24 --out out/frames\n\
+    \x20 planish simulate --trajectory out/trajectory --tif tool --surface out/surface \\\n\
     \x20     --error-budget fixtures/error-budgets/ion-beam.json --seed 7 --measured-out out/after --out out/truth";
 
 /// Predict what a trajectory removes from a surface, and what remains; or run it with hidden errors

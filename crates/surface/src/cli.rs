@@ -1,4 +1,4 @@
-//! Subcommands of `planish-surface`, one file each, and arguments that several of them share.
+//! Subcommands of `planish surface`, one file each, and arguments that several of them share.
 
 mod bin;
 mod draw;

@@ -26,7 +26,7 @@ pub enum SweepCommand {
     /// Propose plans between those of the front, as one more round of the sweep; exit code 1 if the front has stopped
     /// moving
     Propose(propose::Propose),
-    /// Write the results of all plans to DIR/table.json, which planish-compare sweep reads
+    /// Write the results of all plans to DIR/table.json, which planish compare sweep reads
     Table(table::TableCommand),
     /// Print the command that makes a plan again
     Again(again::Again),

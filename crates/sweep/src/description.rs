@@ -10,7 +10,7 @@ use crate::setting::{EXCLUSIVE, METHODS, Owner, PATHS, Setting, default, one_of}
 pub struct Description {
     /// Source of the mirror: its map and its tool.
     pub mirror: Mirror,
-    /// Flags of `planish-surface prepare`, with which the map is prepared, as one text.
+    /// Flags of `planish surface prepare`, with which the map is prepared, as one text.
     pub prepare: String,
     /// Further tools: a name, and the directory of the tool's artifact.
     pub tools: Vec<(String, String)>,
@@ -39,9 +39,9 @@ pub enum Mirror {
         surface: String,
         /// Path of the tool.
         tif: String,
-        /// Flags of `planish-import surface`, as one text; used if the map is a file of an instrument.
+        /// Flags of `planish import surface`, as one text; used if the map is a file of an instrument.
         surface_settings: String,
-        /// Flags of `planish-tool from-maps`, as one text; used if the tool is a file of an instrument.
+        /// Flags of `planish tool from-maps`, as one text; used if the tool is a file of an instrument.
         tif_settings: String,
     },
 }
@@ -105,7 +105,7 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
     })
 }
 
-/// Reads the node `mirror`. Returns the source of the mirror, and the flags of `planish-surface prepare`.
+/// Reads the node `mirror`. Returns the source of the mirror, and the flags of `planish surface prepare`.
 fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
     let mut table = DescriptionTable::new("mirror", node)?;
     let line = table.line;

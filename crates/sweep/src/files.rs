@@ -23,7 +23,7 @@ pub const VERSION: u32 = 1;
 pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
     let path = dir.join("sweep.json");
     if !path.exists() {
-        let problem = "is not there; write it by planish-sweep expand";
+        let problem = "is not there; write it by planish sweep expand";
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
     // 1e5 plans take more than an input of a stage may.

@@ -440,7 +440,7 @@ mod tests {
             (
                 "varying",
                 "1",
-                "varying is 1; give none, or the words of planish-tool incidence, rate,",
+                "varying is 1; give none, or the words of planish tool incidence, rate,",
             ),
             ("varying", "prepare", "varying is 'prepare'; give none, or the words of"),
             (

@@ -1,7 +1,7 @@
 //! Tools that vary over the part. The setting `varying` holds the command that makes such a tool; the sweep runs it
 //! together with the steps of the mirror.
 
-/// Subcommands of `planish-tool` that make a varying tool from a TIF and a map.
+/// Subcommands of `planish tool` that make a varying tool from a TIF and a map.
 const COMMANDS: [&str; 5] = ["incidence", "rate", "footprint", "edge", "turned"];
 
 /// Second names that some of these subcommands have.
@@ -18,7 +18,7 @@ const PATH_FLAGS: [&str; 2] = ["--form", "--table"];
 
 /// Describes the allowed values of the setting `varying`, for messages.
 pub fn wanted() -> String {
-    format!("{NONE}, or the words of planish-tool {}, with their flags", COMMANDS.join(", "))
+    format!("{NONE}, or the words of planish tool {}, with their flags", COMMANDS.join(", "))
 }
 
 /// Checks that `text` is an allowed value of the setting `varying`.

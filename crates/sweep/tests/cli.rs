@@ -135,7 +135,7 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     }
     let failed = row(&one, &plans[3]);
     assert_eq!((&failed["status"], &failed["numbers"]), (&"failed".into(), &Value::Null));
-    assert!(failed["message"].as_str().unwrap().starts_with("planish-toolpath: "), "{failed}");
+    assert!(failed["message"].as_str().unwrap().starts_with("planish toolpath: "), "{failed}");
     // A dearer second takes less time and leaves more.
     let number = |plan: &Value, key: &str| row(&one, plan)["numbers"][key].as_f64().unwrap();
     assert!(number(&plans[0], "total_time_s") > number(&plans[1], "total_time_s"));

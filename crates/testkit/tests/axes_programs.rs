@@ -222,7 +222,7 @@ fn what_no_program_of_all_axes_can_do_is_refused() {
     let made =
         program_of_axes(&plan.motion, &weak, &plan.form, ControllerKind::Csv, &settings, &origin);
     let said = made.unwrap_err().to_string();
-    assert!(said.contains("deg/s") && said.contains("planish-axes motion"), "{said}");
+    assert!(said.contains("deg/s") && said.contains("planish axes motion"), "{said}");
     // A trajectory of x and y does not move this machine.
     let rest = [[0.0; 4]; 2];
     let stands = Trajectory::new(vec![0.0, 1.0], vec![rest], vec![true], vec![None]).unwrap();

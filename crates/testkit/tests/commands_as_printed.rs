@@ -7,7 +7,10 @@
 //!
 //! A code block below the line `<!-- printed by: COMMAND -->` shows what that command prints. Its words and numbers are
 //! compared with what the command prints here; `just printed-numbers` writes them anew. COMMAND may be the beginning of a
-//! long one, followed by ` ...`.
+//! long one, followed by ` ...`. In tutorials and how-to pages every command that prints something has such a block. A
+//! block below `<!-- file: PATH -->` is written to that file.
+//!
+//! With words in PLANISH_PAGES, only README.md and the pages whose names contain one of them are run.
 #![cfg(unix)]
 
 use std::{
@@ -61,7 +64,7 @@ const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
 
 /// How-to pages, whose commands are run and whose outputs are checked, but for those without commands. One that needs
 /// files of another stands after it.
-const HOW_TO_WITH_OUTPUT: [&str; 26] = [
+const HOW_TO_WITH_OUTPUT: [&str; 27] = [
     "import-a-map",
     "import-a-tif",
     "prepare-a-map",
@@ -81,6 +84,7 @@ const HOW_TO_WITH_OUTPUT: [&str; 26] = [
     "go-on-after-an-abort",
     "gwyddion",
     "identify-a-controller",
+    "load-and-start",
     "many-parts",
     "maps-in-series",
     "place-the-part",
@@ -122,12 +126,24 @@ const PRINTED_BY: &str = "<!-- printed by: ";
 /// Beginning of the part of that line that excludes the last N numbers, for times and memory.
 const BUT_FOR: &str = ", but for the last ";
 
-/// A code block: its mark, its text, and the command that prints it.
+/// Beginning of the line above a block that is the text of a file.
+const FILE: &str = "<!-- file: ";
+
+/// A code block: its mark, its text, the file that holds it, and the command that prints it.
 #[derive(Debug, Default, PartialEq)]
 struct Block {
     mark: String,
     text: String,
+    file: Option<String>,
     printed: Option<Printed>,
+}
+
+/// A command of a page that was run, what it printed, and whether the page shows this.
+#[derive(Debug, Default, PartialEq)]
+struct Ran {
+    command: String,
+    output: String,
+    is_shown: bool,
 }
 
 /// The command that prints a block, and the count of numbers at the end of every line that differ from run
@@ -198,15 +214,14 @@ fn lines_with_words(block: &Block, place: &[&str]) -> usize {
     block.text.lines().zip(place).filter(same).count()
 }
 
-/// What the command `by` printed, of the commands of a page and their outputs. `by` may be the beginning of a long
-/// command, followed by ` ...`: the last such command of the page so far.
-fn output_of<'a>(printed: &'a [(String, String)], by: &str) -> Option<&'a str> {
-    let mut commands = printed.iter().rev();
-    let (_, output) = match by.strip_suffix(" ...") {
-        Some(beginning) => commands.find(|(command, _)| command.starts_with(beginning))?,
-        None => commands.find(|(command, _)| command == by)?,
-    };
-    Some(output)
+/// The command `by` of those of a page so far. `by` may be the beginning of a long command, followed by ` ...`: the last
+/// such command.
+fn ran_by<'a>(ran: &'a mut [Ran], by: &str) -> Option<&'a mut Ran> {
+    let mut commands = ran.iter_mut().rev();
+    match by.strip_suffix(" ...") {
+        Some(beginning) => commands.find(|ran| ran.command.starts_with(beginning)),
+        None => commands.find(|ran| ran.command == by),
+    }
 }
 
 /// The code blocks of a page.
@@ -217,8 +232,9 @@ fn blocks(page: &str) -> Vec<Block> {
     for line in page.lines() {
         match (line.strip_prefix("```"), &mut open) {
             (Some(mark), None) => {
-                let printed = Printed::from_line(above);
-                open = Some(Block { mark: mark.into(), printed, ..Block::default() });
+                let file = above.strip_prefix(FILE).and_then(|path| path.strip_suffix(" -->"));
+                let (file, printed) = (file.map(String::from), Printed::from_line(above));
+                open = Some(Block { mark: mark.into(), file, printed, ..Block::default() });
             }
             (Some(_), Some(_)) => blocks.extend(open.take()),
             (None, Some(block)) => block.text.extend([line, "\n"]),
@@ -248,7 +264,8 @@ fn bare(command: &str) -> &str {
     command.split(" #").next().unwrap().trim()
 }
 
-/// README.md, then docs/*.md by name, then the tutorials, then the how-to pages that show output.
+/// README.md, then docs/*.md by name, then the tutorials, then the how-to pages that show output. With words in
+/// PLANISH_PAGES, only README.md and those that one of the words is a part of.
 fn pages() -> Vec<(String, String)> {
     let mut names = vec!["README.md".to_string()];
     for folder in ["docs", "docs/tutorials"] {
@@ -259,11 +276,21 @@ fn pages() -> Vec<(String, String)> {
         names.extend(docs.into_iter().map(|name| format!("{folder}/{name}")));
     }
     names.extend(HOW_TO_WITH_OUTPUT.map(|name| format!("docs/how-to/{name}.md")));
+    let wanted = wanted_pages();
+    names.retain(|name| {
+        name == "README.md" || wanted.is_empty() || wanted.iter().any(|word| name.contains(word))
+    });
     let read = |name: String| {
         let text = fs::read_to_string(workspace().join(&name)).unwrap();
         (name, text)
     };
     names.into_iter().map(read).collect()
+}
+
+/// The words in PLANISH_PAGES.
+fn wanted_pages() -> Vec<String> {
+    let words = std::env::var("PLANISH_PAGES").unwrap_or_default();
+    words.split_whitespace().map(String::from).collect()
 }
 
 /// A copy of what a clone has, without the sources: a command of cargo runs in the workspace, so that
@@ -361,63 +388,104 @@ impl Clone {
     }
 }
 
-#[test]
-fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
-    let clone = Clone::new("commands");
-    clone.succeed("user files", &["bash", "-c"], "planish-fixture fixtures/coupon.json --out made");
-    let user_files = workspace().join("crates/testkit/tests/user_files.py");
-    clone.succeed("user files", &["python3", user_files.to_str().unwrap()], "made");
-    clone.write_machine();
+/// Findings on the pages: commands that fail or whose output is not shown, lines that show another output, and the
+/// number of commands.
+#[derive(Default)]
+struct Findings {
+    failures: Vec<String>,
+    stale: Vec<String>,
+    commands: usize,
+}
 
-    let mut count = 0;
-    let (mut stale, mut failures) = (Vec::new(), Vec::new());
-    let mut example = None;
-    for (name, page) in pages() {
-        let mut printed: Vec<(String, String)> = Vec::new();
-        let mut written = page.clone();
-        for block in blocks(&page) {
-            match (block.mark.as_str(), &block.printed) {
-                ("sh", _) => {
-                    for command in commands(&block.text) {
-                        match exception(&command) {
-                            Some(reason) => println!("{name}, left out ({reason}): {command}"),
-                            None => match clone.attempt(&name, &["bash", "-c"], &command) {
-                                Ok(output) => {
-                                    printed.push((bare(&command).into(), output));
-                                }
-                                Err(failure) => failures.push(failure),
-                            },
-                        }
-                        count += 1;
-                    }
+impl Findings {
+    /// Runs the commands of a page, and compares the outputs that it shows. Returns the page with what is printed now.
+    fn of_page(&mut self, clone: &Clone, name: &str, page: &str) -> String {
+        let mut ran: Vec<Ran> = Vec::new();
+        let mut written = page.to_string();
+        for block in blocks(page) {
+            match (block.mark.as_str(), &block.file, &block.printed) {
+                ("sh", ..) => ran.extend(self.run(clone, name, &block)),
+                (_, Some(file), _) => fs::write(clone.dir.join(file), &block.text).unwrap(),
+                ("python", ..) if name == FIRST_MIRROR => {}
+                ("python", ..) => {
+                    clone.succeed(name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
                 }
-                ("python", _) if name == FIRST_MIRROR => {}
-                ("python", _) => {
-                    clone.succeed(&name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
-                }
-                (_, Some(by)) => {
-                    let Some(output) = output_of(&printed, &by.by) else {
-                        failures.push(format!("{name}: `{}` is not run, or fails", by.by));
+                (.., Some(by)) => {
+                    let Some(ran) = ran_by(&mut ran, &by.by) else {
+                        self.failures.push(format!("{name}: `{}` is not run, or fails", by.by));
                         continue;
                     };
-                    let Some(lines) = shown_lines(&block, output) else {
-                        let text = &block.text;
-                        failures.push(format!(
-                            "{name}: `{}` prints nothing like\n{text}\n{output}",
-                            by.by
-                        ));
-                        continue;
-                    };
-                    for (shown, line) in block.text.lines().zip(&lines) {
-                        if !same_line(shown, line, by.varying) {
-                            stale.push(format!("{name}, `{}`:\n  {shown}\n  {line}", by.by));
-                        }
+                    ran.is_shown = true;
+                    if let Some(lines) = self.compare(name, &block, by, &ran.output) {
+                        written = written.replacen(&block.text, &(lines.join("\n") + "\n"), 1);
                     }
-                    written = written.replacen(&block.text, &(lines.join("\n") + "\n"), 1);
                 }
                 _ => {}
             }
         }
+        if name.starts_with("docs/tutorials/") || name.starts_with("docs/how-to/") {
+            let hidden = ran.iter().filter(|ran| !ran.is_shown && !ran.output.trim().is_empty());
+            self.failures.extend(hidden.map(|Ran { command, output, .. }| {
+                format!("{name}: no block below shows what `{command}` prints:\n{output}")
+            }));
+        }
+        written
+    }
+
+    /// Runs the commands of a block. Returns those that succeed.
+    fn run(&mut self, clone: &Clone, name: &str, block: &Block) -> Vec<Ran> {
+        let mut all = Vec::new();
+        for command in commands(&block.text) {
+            self.commands += 1;
+            if let Some(reason) = exception(&command) {
+                println!("{name}, left out ({reason}): {command}");
+                continue;
+            }
+            match clone.attempt(name, &["bash", "-c"], &command) {
+                Ok(output) => {
+                    all.push(Ran { command: bare(&command).into(), output, is_shown: false });
+                }
+                Err(failure) => self.failures.push(failure),
+            }
+        }
+        all
+    }
+
+    /// Compares the lines of a block with those of an output. Returns the lines of the output.
+    fn compare<'a>(
+        &mut self,
+        name: &str,
+        block: &Block,
+        printed: &Printed,
+        output: &'a str,
+    ) -> Option<Vec<&'a str>> {
+        let Printed { by, varying } = printed;
+        let Some(lines) = shown_lines(block, output) else {
+            let text = &block.text;
+            self.failures.push(format!("{name}: `{by}` prints nothing like\n{text}\n{output}"));
+            return None;
+        };
+        for (shown, line) in block.text.lines().zip(&lines) {
+            if !same_line(shown, line, *varying) {
+                self.stale.push(format!("{name}, `{by}`:\n  {shown}\n  {line}"));
+            }
+        }
+        Some(lines)
+    }
+}
+
+#[test]
+fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
+    let clone = Clone::new("commands");
+    clone.succeed("user files", &["bash", "-c"], "planish fixture fixtures/coupon.json --out made");
+    let user_files = workspace().join("crates/testkit/tests/user_files.py");
+    clone.succeed("user files", &["python3", user_files.to_str().unwrap()], "made");
+    clone.write_machine();
+
+    let mut findings = Findings::default();
+    let mut example = None;
+    for (name, page) in pages() {
+        let written = findings.of_page(&clone, &name, &page);
         if std::env::var_os("PLANISH_WRITE_PRINTED").is_some() && written != page {
             fs::write(workspace().join(&name), written).unwrap();
         }
@@ -426,7 +494,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
             example = Some(clone.row_of_the_example());
         }
     }
-    assert!(count > 20, "only {count} commands are found");
+    let Findings { failures, stale, commands } = findings;
     assert!(failures.is_empty(), "commands of the pages fail:\n{}", failures.join("\n"));
     assert!(
         stale.is_empty(),
@@ -434,7 +502,10 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
          `just printed-numbers` writes them anew:\n{}",
         stale.join("\n")
     );
-
+    if !wanted_pages().is_empty() {
+        return;
+    }
+    assert!(commands > 20, "only {commands} commands are found");
     let (before, after) = example.expect("a page has the example of an own stage");
     println!("docs/replace_a_stage.py: {before:.4} nm RMS become {after:.4} nm");
     assert!(after * EXAMPLE_IMPROVES < before, "{before} nm become {after} nm");
@@ -480,11 +551,14 @@ fn every_command_is_in_a_block_that_is_run_and_every_exception_is_needed() {
     for (name, page) in &pages {
         for block in blocks(page).iter().filter(|block| block.mark != "sh") {
             for line in block.text.lines() {
-                let first = line.split_whitespace().next().unwrap_or_default();
-                let program = first == "just"
-                    || first == "cargo"
-                    || first.starts_with("planish-") && !first.ends_with(':');
-                assert!(!program, "{name}: mark the block of `{line}` with sh");
+                let mut words = line.split_whitespace();
+                let is_command = match words.next() {
+                    Some("just" | "cargo") => true,
+                    // A message of a command begins with its name and a colon.
+                    Some("planish") => words.next().is_some_and(|word| !word.ends_with(':')),
+                    _ => false,
+                };
+                assert!(!is_command, "{name}: mark the block of `{line}` with sh");
             }
         }
     }
@@ -522,11 +596,15 @@ fn a_stale_number_is_found_and_a_time_of_computation_is_not() {
         shown_lines(&block, "a: 3 x\na: 4 y\na: 5 z\na: 6 z\n").unwrap(),
         ["a: 3 x", "a: 4 y"]
     );
-    let of_page =
-        [("a --b 1".to_string(), "first".to_string()), ("a --b 2".into(), "second".into())];
-    assert_eq!(output_of(&of_page, "a --b 1"), Some("first"));
-    assert_eq!(
-        (output_of(&of_page, "a --b ..."), output_of(&of_page, "c ...")),
-        (Some("second"), None)
-    );
+    let mut of_page = [("a --b 1", "first"), ("a --b 2", "second")].map(|(command, output)| Ran {
+        command: command.into(),
+        output: output.into(),
+        is_shown: false,
+    });
+    for (by, output) in [("a --b 1", Some("first")), ("a --b ...", Some("second")), ("c ...", None)]
+    {
+        assert_eq!(ran_by(&mut of_page, by).map(|ran| ran.output.as_str()), output);
+    }
+    let page = "<!-- file: out/a.json -->\n```json\n{}\n```\n";
+    assert_eq!(blocks(page)[0].file.as_deref(), Some("out/a.json"));
 }

@@ -236,7 +236,7 @@ fn what_the_terminal_shows_runs_again_when_it_is_copied() {
     let first = ended_with(&run(dir.path(), &settings), 0);
     let shown: Vec<&str> = first
         .lines()
-        .filter(|line| line.starts_with("planish-") && line.contains("--force"))
+        .filter(|line| line.starts_with("planish ") && line.contains("--force"))
         .collect();
     assert!(shown.len() > 12, "{first}");
     // No line does nothing, and none is left out by a colon.
@@ -260,7 +260,7 @@ fn what_the_terminal_shows_runs_again_when_it_is_copied() {
         assert!(matches!(copied.status.code(), Some(0 | 1)), "{line}: {text}");
         // An export is written anew, with the same bytes.
         // The report that chooses the plan of a program is made before the one that recommends the program.
-        let says_nothing = line.starts_with("planish-export")
+        let says_nothing = line.starts_with("planish export")
             || line.contains(" --quiet ")
             || line.contains("--program-row=");
         assert!(text.contains("unchanged") || says_nothing, "{line}: {text}");
@@ -291,7 +291,7 @@ fn a_mistake_names_what_there_is() {
     // The machine file is read before anything else is done.
     fs::write(dir.path().join("m.json"), "{}").unwrap();
     let text = ended_with(&run(dir.path(), &["run", "raster", "machine=m.json", "out=o"]), 2);
-    assert!(text.contains("m.json") && !text.contains("planish-fixture"), "{text}");
+    assert!(text.contains("m.json") && !text.contains("planish fixture"), "{text}");
     assert_eq!(entries(dir.path()), ["m.json".to_string()].into());
 
     let list = ended_with(&run(dir.path(), &["--list"]), 0);
@@ -478,7 +478,7 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
         (&["program_of=pvt"], "give a controller too (export=galil)"),
     ] {
         let text = ended_with(&run(dir.path(), &[&["run", "raster", "out=n"], more].concat()), 2);
-        assert!(text.contains(said) && !text.contains("planish-fixture"), "{text}");
+        assert!(text.contains(said) && !text.contains("planish fixture"), "{text}");
     }
     ended_with(&run(dir.path(), &[&refined[..], &["refine=no"]].concat()), 0);
     assert_eq!(fs::read(&dwell).unwrap(), kept);
@@ -546,7 +546,7 @@ fn a_negative_verdict_on_the_plan_ends_the_run_with_1_after_the_report() {
     fs::copy(machine, dir.path().join("machine.json")).unwrap();
     for _ in 0..2 {
         let text = ended_with(&run(dir.path(), &settings), 1);
-        assert!(text.contains("(planish-bspline-feed): "), "{text}");
+        assert!(text.contains("(planish bspline-feed): "), "{text}");
         assert!(text.contains("b/report/report.html"), "the report came first: {text}");
     }
 }
@@ -567,7 +567,7 @@ fn a_prediction_that_does_not_keep_the_specification_ends_the_run_with_1() {
         let said = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), code);
         assert!(said.contains("PV height after plane (nm)"), "{said}");
         assert_eq!(
-            said.contains("out/specified/joint/specification (planish-surface): 1 of 1"),
+            said.contains("out/specified/joint/specification (planish surface): 1 of 1"),
             code == 1
         );
         let before = manifest(&dir.path().join("out/specified/before/specification"));
@@ -656,7 +656,7 @@ fn what_is_no_campaign_and_no_next_run_is_refused_and_nothing_is_written() {
         (vec!["campaign", "runs=0"], "runs is '0'; give 1 to 99"),
         (vec!["campaign", "pipeline=shared"], "'shared' is no pipeline that plans a run"),
         (vec!["campaign", "error_budget=none.json"], "error_budget none.json is no file"),
-        (vec!["campaign", "surface=machine.json", "tif=tool"], "read it with planish-import"),
+        (vec!["campaign", "surface=machine.json", "tif=tool"], "read it with planish import"),
         (vec!["campaign", "surface=mirror"], "surface is given without tif"),
         (vec!["campaign", "reconcile=--hold 'x", "out=o"], "the quotation mark"),
         (vec!["campaign", "export=galil"], "leave export out"),
@@ -725,7 +725,7 @@ fn what_a_controller_cannot_do_is_found_before_hours_of_planning() {
     ] {
         let words = [&["run", "raster", "fixture=coupon", "out=o"], settings].concat();
         let text = ended_with(&run(dir.path(), &words), 2);
-        assert!(text.contains(said) && !text.contains("planish-fixture"), "{settings:?}: {text}");
+        assert!(text.contains(said) && !text.contains("planish fixture"), "{settings:?}: {text}");
         assert!(entries(dir.path()).is_empty(), "{settings:?}");
     }
     // A path that lifts the tool is known before the dwell times are.
@@ -733,7 +733,7 @@ fn what_a_controller_cannot_do_is_found_before_hours_of_planning() {
     let text = ended_with(&run(dir.path(), &lifts), 2);
     let remedy = "Give export_settings=--always-on";
     assert!(text.contains("a galil program cannot switch it") && text.contains(remedy), "{text}");
-    assert!(text.contains("planish-toolpath") && !text.contains("planish-dwell "), "{text}");
+    assert!(text.contains("planish toolpath") && !text.contains("planish dwell "), "{text}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The command line of `planish-tolerance`.
+//! The command line of `planish tolerance`.
 
 use std::path::PathBuf;
 

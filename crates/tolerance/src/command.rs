@@ -1,13 +1,13 @@
-//! `planish-tolerance`: what the errors of a process add to the residual of a plan.
+//! `planish tolerance`: what the errors of a process add to the residual of a plan.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-tolerance --trajectory out/trajectory --tif tool --surface out/surface \\\n\
+    \x20 planish tolerance --trajectory out/trajectory --tif tool --surface out/surface \\\n\
     \x20     --error-budget fixtures/error-budgets/ion-beam.json --out out/tolerance\n\
-    \x20 planish-tolerance --trajectory out/trajectory --tif tool --surface out/surface \\\n\
+    \x20 planish tolerance --trajectory out/trajectory --tif tool --surface out/surface \\\n\
     \x20     --error-budget my-error_budget.json --simulated-runs 1000 --out out/tolerance";
 
 /// Say before the run what each error of a process adds to the residual, and what to expect of all of them

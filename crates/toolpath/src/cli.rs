@@ -1,4 +1,4 @@
-//! The subcommands of `planish-toolpath`, one file each. Most of them are a method to make a path; this file has what
+//! The subcommands of `planish toolpath`, one file each. Most of them are a method to make a path; this file has what
 //! these methods have in common.
 
 mod draw;
@@ -82,6 +82,9 @@ struct RegionArgs {
     /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
+    /// Refuse a path that leaves the travel, instead of a warning: no program can run it
+    #[arg(long, requires = "machine")]
+    within_travel: bool,
     #[command(flatten)]
     form: FormArgs,
     #[command(flatten)]
@@ -173,11 +176,13 @@ struct Region {
     /// Machine, if its travel is limited or its limits are doubtful; otherwise `None`, so that the report does not
     /// depend on it.
     machine: Option<Machine>,
+    /// True if a path that leaves the travel is refused.
+    within_travel: bool,
     /// Probable mistakes in the inputs.
     doubts: Vec<String>,
 }
 
-/// Returns a warning for a path in projection if a form file, written by `planish-surface prepare`, lies beside the map
+/// Returns a warning for a path in projection if a form file, written by `planish surface prepare`, lies beside the map
 /// in the folder `dir`.
 fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>, Failure> {
     let beside = dir.join(kind::FORM_FILE);
@@ -257,6 +262,7 @@ impl Region {
             overscan_mm,
             inset_mm,
             machine,
+            within_travel: args.within_travel,
             doubts,
         })
     }
@@ -297,12 +303,16 @@ impl Region {
             let [x, y] = self.off_centre_mm;
             report.warnings.push(format!(
                 "the TIF removes ({x:.3}, {y:.3}) mm from where the tool stands (its centroid), so the path \
-                 lies that much the other way from the aperture; `planish-tool prepare --centre centroid` \
+                 lies that much the other way from the aperture; `planish tool prepare --centre centroid` \
                  centres it, where the tool is not mounted like that"
             ));
         }
         if let Some(machine) = &self.machine {
-            report.warnings.extend(travel_warnings(path, surface, machine));
+            let beyond = travel_warnings(path, surface, machine);
+            if self.within_travel && !beyond.is_empty() {
+                return Err(Failure::new(with_flags(&beyond.join("; "))));
+            }
+            report.warnings.extend(beyond);
         }
         for warning in &mut report.warnings {
             *warning = with_flags(warning);
@@ -312,12 +322,12 @@ impl Region {
         output.write(path, outcome, &Status::Done)?;
         let s = &report.statistics;
         say(format!(
-            "planish-toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
+            "planish toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
             s.points, s.length_mm, s.passes, s.lifts, s.longest_step_mm
         ));
         if let Some(AlongReport { along_surface: s, stretches: [low, high], .. }) = &along {
             say(format!(
-                "planish-toolpath: along the surface {:.1} mm, step <= {:.4} mm; lengths there are {low:.4} to {high:.4} of \
+                "planish toolpath: along the surface {:.1} mm, step <= {:.4} mm; lengths there are {low:.4} to {high:.4} of \
                  the given ones",
                 s.length_mm, s.longest_step_mm
             ));

@@ -96,7 +96,7 @@ pub struct RasterSettings {
 
 impl RasterSettings {
     /// Returns settings for lines along x, centred and one after the other, joined by square turns: the defaults of
-    /// `planish-toolpath raster`.
+    /// `planish toolpath raster`.
     pub fn new(pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> Self {
         Self {
             pitch_mm,

@@ -39,8 +39,12 @@ pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) ->
         let length = high - low;
         let available = to - from;
         let remedy = if length <= available {
-            let least = if from > low { from - low } else { to - high };
-            format!("; with part_origin_mm of {} moved by {least:.3} mm all of it fits", AXES[axis])
+            // The middle: a motion swings a little beyond the path.
+            let to_middle = (from + to - low - high) / 2.0;
+            format!(
+                "; with part_origin_mm of {} moved by {to_middle:.3} mm the path is in the middle of the travel",
+                AXES[axis]
+            )
         } else {
             String::new()
         };

@@ -24,7 +24,7 @@ pub fn rest(path: &ToolPath, executed: &Trajectory) -> Result<ToolPath, Invalid>
     let served = executed.dwell_index().iter().rev().flatten().next().copied();
     let served = served.filter(|i| *i < path.len()).ok_or_else(|| {
         let problem = "serves no dwell point of the tool path";
-        Invalid::whole("trajectory", problem, "give that of planish-schedule abort")
+        Invalid::whole("trajectory", problem, "give that of planish schedule abort")
     })?;
     let mut on = Foot::new(path, served, place);
     for i in served + 1..path.len().min(served + 1 + AHEAD) {

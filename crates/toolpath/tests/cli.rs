@@ -221,11 +221,21 @@ fn the_overscan_says_where_it_leaves_the_travel() {
          far",
         "the clear aperture is from 10.000 to 30.000 mm there, which leaves an overscan of 2.000 mm at most \
          (--overscan-mm)",
-        "with part_origin_mm of x moved by 1.000 mm all of it fits",
+        "with part_origin_mm of x moved by 4.000 mm the path is in the middle of the travel",
     ] {
         assert!(short.contains(part), "{part}: {short}");
     }
     assert_eq!(read(&dir.join("free")).0, read(&dir.join("short")).0);
+    let strict =
+        ["--tif", "tif", "--machine", "machine.json", "--within-travel", "--out", "refused"];
+    let refused = run(dir, &[&BASIC[..], &strict].concat());
+    assert_eq!(refused.status.code(), Some(2));
+    let message = String::from_utf8(refused.stderr).unwrap().replace('\n', " ");
+    assert!(
+        message.starts_with("error: the path leaves the travel of axis x of bench"),
+        "{message}"
+    );
+    assert!(!dir.join("refused").exists());
     machine(", \"travel_mm\": [12, 31]");
     let small = said("small");
     assert!(small.contains("5.000 mm too far; the clear aperture itself"), "{small}");

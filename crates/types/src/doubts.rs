@@ -214,7 +214,7 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
     let plane = tif.border_plane_nm_per_s();
     let left = tif.vrr_nm_mm2_per_s() - plane.sum() * tif.grid().pixel_mm2();
     let remedy = format!(
-        "planish-tool prepare --subtract-border takes it off, and leaves {} of {} nm mm^2/s",
+        "planish tool prepare --subtract-border takes it off, and leaves {} of {} nm mm^2/s",
         significant(left, 5),
         significant(tif.vrr_nm_mm2_per_s(), 5)
     );

@@ -285,7 +285,7 @@ impl Tif {
                 format!(
                     "varies over the part, and {method} assumes a tool that is the same everywhere"
                 ),
-                "give a tif; planish-dwell bounded-least-squares, planish-refine, planish-joint and planish-simulate \
+                "give a tif; planish dwell bounded-least-squares, planish refine, planish joint and planish simulate \
                  take a tool that varies",
             )),
         }
@@ -301,8 +301,8 @@ impl Tif {
                 format!(
                     "has a rate that depends on the time of the run, and {method} assumes a constant one"
                 ),
-                "give a tool without time_factor; planish-dwell bounded-least-squares, planish-refine, planish-joint and \
-                 planish-simulate take one",
+                "give a tool without time_factor; planish dwell bounded-least-squares, planish refine, planish joint and \
+                 planish simulate take one",
             )),
         }
     }
@@ -315,8 +315,8 @@ impl Tif {
             Some(_) => Err(Invalid::whole(
                 "tif",
                 format!("turns with the direction of the motion, and {method} takes no such tool"),
-                "give a tool without heading_weight; planish-dwell bounded-least-squares, planish-refine, planish-joint \
-                 and planish-simulate take one",
+                "give a tool without heading_weight; planish dwell bounded-least-squares, planish refine, planish joint \
+                 and planish simulate take one",
             )),
         }
     }

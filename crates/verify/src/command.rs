@@ -1,4 +1,4 @@
-//! `planish-verify`: checks whether a trajectory keeps the limits of a machine.
+//! `planish verify`: checks whether a trajectory keeps the limits of a machine.
 
 use std::{
     path::{Path, PathBuf},
@@ -19,11 +19,11 @@ use planish_verify::{AxesVerdict, Program, Verdict, VerifySettings, verify_axes,
 use serde::Deserialize;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict\n\
-    \x20 planish-verify --axes out/axes --machine five-axis.json --out out/verdict";
+    \x20 planish verify --trajectory out/trajectory --machine machine.json --out out/verdict\n\
+    \x20 planish verify --axes out/axes --machine five-axis.json --out out/verdict";
 
 /// Returns the law by which a controller runs the motion of this manifest. `None` if the motion is not a program that
-/// `planish-import program` read.
+/// `planish import program` read.
 fn program_of(manifest: &Manifest) -> Option<Program> {
     let is_program = manifest.tool == "planish-import" && manifest.method == "program";
     if !is_program {
@@ -44,14 +44,14 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 /// The program judges the motion of the axes. If the machine file states how the part lies on them, the motion is
 /// transformed there. A limit on jerk allows no step of the acceleration.
 ///
-/// A controller's program that planish-import program read is judged by another law. Its acceleration may step at a
+/// A controller's program that planish import program read is judged by another law. Its acceleration may step at a
 /// node by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight
 /// lines (such as gcode) is not judged.
 ///
 /// With --tool-path, the motion may not leave its path by more than a tolerance while the tool is on. Without it, the
 /// verdict states the distance that the maker of the motion states.
 ///
-/// A motion of all axes (--axes) is judged by the law of such a program: of cubics, or of lines if planish-import program
+/// A motion of all axes (--axes) is judged by the law of such a program: of cubics, or of lines if planish import program
 /// read it from such lines.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
@@ -172,7 +172,7 @@ fn judge_trajectory(cli: &VerifyCli, trajectory: PathBuf) -> Result<Status, Fail
         let names: Vec<&str> = machine.axes().iter().map(|a| a.name).collect();
         warn(format!(
             "{} has the axes {}; this verdict is on the contact point along x and y only. Make the motion of the axes by \
-             planish-axes motion, and judge it by --axes",
+             planish axes motion, and judge it by --axes",
             machine.name(),
             names.join(", ")
         ));

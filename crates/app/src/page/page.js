@@ -160,9 +160,9 @@ async function show(next) {
 
 /** What runs, and how long it will take: as its program says, else as the last plan took. */
 function progress([step, seconds], messages) {
-  const commands = messages.split("\n").filter((line) => line.startsWith("planish-") && / --(out|force|run) /.test(line + " "));
+  const commands = messages.split("\n").filter((line) => line.startsWith("planish ") && / --(out|force|run) /.test(line + " "));
   const last = commands.pop(), told = messages.split("\n").filter((line) => line.includes("it takes about")).pop();
-  const command = last ? `, command ${commands.length + 1}: ${last.split(" ")[0]}` : "";
+  const command = last ? `, command ${commands.length + 1}: ${last.split(" ", 2).join(" ")}` : "";
   const before = step === "plan" ? state.session.plan_took_s : null;
   let left = "";
   if (told && last && messages.lastIndexOf(told) > messages.lastIndexOf(last)) left = ` It says: ${told.split("it takes ").pop()}.`;

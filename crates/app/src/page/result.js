@@ -87,7 +87,7 @@ async function showResult() {
 function showProgram(messages) {
   // The verdicts of the other plans are in the messages of the plan.
   const readBack = `+${state.session.plan?.choice.settings.export}/verdict`;
-  const lines = messages.split("\n").filter((line) => /^(program|warning: the program)/.test(line) || line.startsWith("planish-verify:") && line.includes(readBack));
+  const lines = messages.split("\n").filter((line) => /^(program|warning: the program)/.test(line) || line.startsWith("planish verify:") && line.includes(readBack));
   $("program-verdict").textContent = lines.join("\n");
   $("program-verdict").hidden = state.program === "" || lines.length === 0;
   const isExport = !!state.session.plan?.choice.settings.export;

@@ -1,4 +1,4 @@
-//! `planish-axes contact`.
+//! `planish axes contact`.
 
 use std::path::PathBuf;
 

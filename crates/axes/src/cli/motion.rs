@@ -1,4 +1,4 @@
-//! `planish-axes motion`.
+//! `planish axes motion`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-campaign decide`.
+//! `planish campaign decide`.
 
 use std::path::{Path, PathBuf};
 
@@ -58,10 +58,10 @@ impl Decide {
             inputs.refuse_unrelated("tolerance", manifest.as_ref(), from)?;
         }
         let manifest = manifest.ok_or_else(|| {
-            let problem = "has no manifest, in which the errors of the map are; give the output of planish-tolerance";
+            let problem = "has no manifest, in which the errors of the map are; give the output of planish tolerance";
             Failure::new(format!("{}: {problem}", self.tolerance.display()))
         })?;
-        let remedy = "make it again by planish-tolerance";
+        let remedy = "make it again by planish tolerance";
         let outcome: ToleranceOutcome = manifest.read_outcome(&self.tolerance, remedy)?;
         let ToleranceSettings { free } = manifest.read_settings(&self.tolerance)?;
         let specification = match (&self.specified_now, &self.specified_next) {
@@ -158,7 +158,7 @@ fn is_kept(inputs: &mut Inputs, role: &str, dir: &Path) -> Result<bool, Failure>
     let manifest = inputs.read_manifest(role, dir, &kind::SPECIFICATION)?;
     let outcome: SpecificationOutcome = manifest.read_outcome(dir, "judge it again")?;
     outcome.specification.map(|report| report.passed).ok_or_else(|| {
-        let problem = "was measured without a specification; give planish-surface spec one";
+        let problem = "was measured without a specification; give planish surface spec one";
         Failure::new(format!("{}: {problem}", dir.display()))
     })
 }

@@ -1,4 +1,4 @@
-//! `planish-campaign measure`.
+//! `planish campaign measure`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-campaign report`.
+//! `planish campaign report`.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! `planish-campaign spread`.
+//! `planish campaign spread`.
 
 use std::path::PathBuf;
 

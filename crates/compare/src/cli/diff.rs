@@ -1,4 +1,4 @@
-//! `planish-compare diff`.
+//! `planish compare diff`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-compare dwell`.
+//! `planish compare dwell`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-compare figures`.
+//! `planish compare figures`.
 
 use std::path::PathBuf;
 

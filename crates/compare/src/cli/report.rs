@@ -1,4 +1,4 @@
-//! `planish-compare report`.
+//! `planish compare report`.
 
 use std::{
     io::{IsTerminal, Write},
@@ -55,7 +55,7 @@ pub struct ReportCommand {
     #[arg(long, value_name = "ROW")]
     program_row: Option<String>,
     /// Compare the plans by what they leave after the servo of the process: methods/<scheduler>/removal-after-servo, written
-    /// by planish-simulate --servo-of
+    /// by planish simulate --servo-of
     #[arg(long)]
     after_servo: bool,
     /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so

@@ -1,4 +1,4 @@
-//! `planish-compare several`.
+//! `planish compare several`.
 
 use std::{
     fs,

@@ -1,4 +1,4 @@
-//! `planish-compare sweep`.
+//! `planish compare sweep`.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ const LARGEST_TABLE_BYTES: u64 = 1 << 30;
 
 #[derive(Args)]
 pub struct Sweep {
-    /// Table of the plans, which planish-sweep table has written [JSON]
+    /// Table of the plans, which planish sweep table has written [JSON]
     table: PathBuf,
     #[command(flatten)]
     output: OutputArgs,
@@ -25,7 +25,7 @@ impl Sweep {
         let mut inputs = Inputs::new();
         let bytes = inputs.read_bytes("table", &self.table, LARGEST_TABLE_BYTES)?;
         let table: Table = serde_json::from_slice(&bytes).map_err(|e| {
-            Failure::new(format!("{}: {e}; write it by planish-sweep table", self.table.display()))
+            Failure::new(format!("{}: {e}; write it by planish sweep table", self.table.display()))
         })?;
         let to_table = self.to_table();
         let task = task!("sweep", json!({ "to_table": to_table }));

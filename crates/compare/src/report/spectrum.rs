@@ -1,6 +1,6 @@
 //! Power spectral density of a map, averaged over the directions, and the RMS of three bands.
 //!
-//! It is that of `planish-surface psd` with its defaults, of the same rectangle: the largest one
+//! It is that of `planish surface psd` with its defaults, of the same rectangle: the largest one
 //! without an invalid pixel, its plane taken off, under a Hann window
 //! ([`planish_numerics::spectrum`]). Before and after have their invalid pixels at the same places, so their spectra
 //! are of the same rectangle. The fraction of the map that it covers stands next to them.

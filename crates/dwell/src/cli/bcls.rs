@@ -1,4 +1,4 @@
-//! `planish-dwell bcls`.
+//! `planish dwell bcls`.
 
 use clap::Args;
 use planish_dwell::{

@@ -1,4 +1,4 @@
-//! `planish-dwell bound`.
+//! `planish dwell bound`.
 
 use clap::Args;
 use planish_dwell::path_free_bound::{BoundSettings, bounds_on_any_path};

@@ -1,4 +1,4 @@
-//! `planish-dwell bounded-least-squares`.
+//! `planish dwell bounded-least-squares`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-dwell feed-law`.
+//! `planish dwell feed-law`.
 
 use clap::Args;
 use planish_dwell::baselines::feed_law::{self, FeedLawSettings};

@@ -1,4 +1,4 @@
-//! `planish-dwell front`.
+//! `planish dwell front`.
 
 use clap::Args;
 use planish_dwell::{

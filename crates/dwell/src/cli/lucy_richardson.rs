@@ -1,4 +1,4 @@
-//! `planish-dwell lucy-richardson`.
+//! `planish dwell lucy-richardson`.
 
 use clap::Args;
 use planish_dwell::lucy_richardson::{self, LucyRichardsonSettings};

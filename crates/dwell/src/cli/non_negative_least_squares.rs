@@ -1,4 +1,4 @@
-//! `planish-dwell non-negative-least-squares`.
+//! `planish dwell non-negative-least-squares`.
 
 use clap::Args;
 use planish_dwell::baselines::non_negative_least_squares::{self, NonNegativeSettings};

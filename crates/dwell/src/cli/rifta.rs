@@ -1,4 +1,4 @@
-//! `planish-dwell rifta`.
+//! `planish dwell rifta`.
 
 use clap::Args;
 use planish_dwell::rifta::{self, RiftaSettings};

@@ -1,4 +1,4 @@
-//! `planish-dwell several-tools` and `planish-dwell choose-tools`: dwell times of a rack of tools, or of its best
+//! `planish dwell several-tools` and `planish dwell choose-tools`: dwell times of a rack of tools, or of its best
 //! subset.
 
 mod setup_draws;
@@ -406,7 +406,7 @@ impl Loaded {
         let name = &tool.name;
         let Some(tool_path) = &tool.tool_path else {
             let problem =
-                "has no tool_path; give the directory of one, as planish-toolpath makes it";
+                "has no tool_path; give the directory of one, as planish toolpath makes it";
             return Err(failure_of(name, problem.into()));
         };
         let tif =

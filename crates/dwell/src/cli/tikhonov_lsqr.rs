@@ -1,4 +1,4 @@
-//! `planish-dwell tikhonov-lsqr`.
+//! `planish dwell tikhonov-lsqr`.
 
 use clap::Args;
 use planish_dwell::tikhonov_lsqr::{self, TikhonovLsqrSettings};

@@ -1,4 +1,4 @@
-//! `planish-dwell truncated-svd`.
+//! `planish dwell truncated-svd`.
 
 use clap::Args;
 use planish_dwell::baselines::truncated_svd::{self, TruncatedSvdSettings};

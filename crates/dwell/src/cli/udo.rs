@@ -1,4 +1,4 @@
-//! `planish-dwell udo`.
+//! `planish dwell udo`.
 
 use clap::Args;
 use planish_dwell::udo::{self, UdoSettings};

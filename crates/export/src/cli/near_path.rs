@@ -21,7 +21,7 @@ pub(super) fn checked(
         MotionInput::Trajectory(dir, on_axes) => (dir, flags.measure(on_axes, inputs)?),
         MotionInput::Axes(_) if flags.tool_path.is_some() => {
             return Err(Failure::new(
-                "--tool-path: is for a motion of x and y; of --axes, planish-axes motion states the distance of the \
+                "--tool-path: is for a motion of x and y; of --axes, planish axes motion states the distance of the \
                  contact point",
             ));
         }
@@ -30,7 +30,7 @@ pub(super) fn checked(
     match distance.and_then(|distance| distance.excess()) {
         None => Ok(distance),
         Some(excess) => Err(Failure::new(with_flags(&format!(
-            "{}: {excess}; plan by planish-schedule pvt, which stays within it, or give a larger tolerance that is \
+            "{}: {excess}; plan by planish schedule pvt, which stays within it, or give a larger tolerance that is \
              harmless on this part",
             dir.display()
         )))),

@@ -109,7 +109,7 @@ impl Export {
         let joins = made[0].about.part.as_ref().is_some_and(|part| part.joins);
         let lines = made.iter().map(|part| part.text.lines().count()).max().unwrap_or(0);
         say(format!(
-            "planish-export: {} parts of up to {lines} lines, {} -> {}",
+            "planish export: {} parts of up to {lines} lines, {} -> {}",
             made.len(),
             if joins {
                 "one motion without a stop between them"

@@ -1,4 +1,4 @@
-//! `planish-import program`.
+//! `planish import program`.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,7 @@ pub struct ProgramArgs {
     /// Controller of the program
     #[arg(long, value_name = "NAME", value_parser = controller())]
     controller: ControllerKind,
-    /// File that planish-export wrote beside the program; the flags below take precedence over it
+    /// File that planish export wrote beside the program; the flags below take precedence over it
     #[arg(long, value_name = "FILE")]
     about: Option<PathBuf>,
     /// Place of the axes before the program, mm
@@ -128,7 +128,7 @@ impl ProgramArgs {
             (motion.len(), motion.total_time_s())
         };
         say(format!(
-            "planish-import: {segments} segments, {total_time_s:.4} s{} -> {}",
+            "planish import: {segments} segments, {total_time_s:.4} s{} -> {}",
             if dry_run { ", a dry run with the tool off" } else { "" },
             self.output.out.display()
         ));
@@ -160,7 +160,7 @@ impl ProgramArgs {
     }
 }
 
-/// Returns the configuration in the file that planish-export wrote beside a program.
+/// Returns the configuration in the file that planish export wrote beside a program.
 fn configuration_of(inputs: &mut Inputs, path: &Path) -> Result<Configuration, Failure> {
     let bytes = foreign(inputs, "about", path)?;
     serde_json::from_slice(&bytes).map_err(|e| Failure::new(format!("{}: {e}", path.display())))

@@ -1,4 +1,4 @@
-//! `planish-import slopes`.
+//! `planish import slopes`.
 
 use std::path::PathBuf;
 
@@ -115,11 +115,11 @@ impl SlopesArgs {
         let (ny, nx) = map.grid().shape();
         let [x, y] = report.slope_rms_urad.map(|v| significant(v, 4));
         say(format!(
-            "planish-import: slopes of {x} urad RMS along x and {y} urad along y, of which {} urad belong to no surface",
+            "planish import: slopes of {x} urad RMS along x and {y} urad along y, of which {} urad belong to no surface",
             significant(report.residual_urad, 3)
         ));
         say(format!(
-            "planish-import: {nx} x {ny} pixels of {} x {} mm, {:.4} nm RMS, {:.4} nm PV -> {}",
+            "planish import: {nx} x {ny} pixels of {} x {} mm, {:.4} nm RMS, {:.4} nm PV -> {}",
             significant(map.grid().x.step_mm(), 10),
             significant(map.grid().y.step_mm(), 10),
             statistics.rms,

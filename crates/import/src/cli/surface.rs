@@ -1,4 +1,4 @@
-//! `planish-import surface`.
+//! `planish import surface`.
 
 use clap::Args;
 use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task};
@@ -49,7 +49,7 @@ impl SurfaceArgs {
         output.write(&map, outcome, &Status::Done)?;
         report("planish-import", &statement, map.grid());
         say(format!(
-            "planish-import: {:.4} nm RMS, {:.4} nm PV, height {:.4} .. {:.4} nm -> {}",
+            "planish import: {:.4} nm RMS, {:.4} nm PV, height {:.4} .. {:.4} nm -> {}",
             statistics.rms,
             statistics.pv,
             map.height_nm().iter().copied().fold(f64::INFINITY, f64::min),

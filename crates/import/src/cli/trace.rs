@@ -1,4 +1,4 @@
-//! `planish-import trace`.
+//! `planish import trace`.
 
 use std::path::PathBuf;
 
@@ -92,7 +92,7 @@ pub struct TraceArgs {
     /// Motion between two samples
     #[arg(long, value_enum, default_value = "cubic")]
     between: Between,
-    /// Machine and its limits, whose axes the log holds by their names; writes their motion [axes artifact], of which planish-axes
+    /// Machine and its limits, whose axes the log holds by their names; writes their motion [axes artifact], of which planish axes
     /// contact makes that of the contact point [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["x", "y", "setpoint_x", "setpoint_y", "planned", "current"])]
     machine: Option<PathBuf>,
@@ -294,7 +294,7 @@ impl TraceArgs {
         let columns = trace.statement.columns.iter();
         let columns: Vec<String> = columns.map(|(role, name)| format!("{role} {name:?}")).collect();
         say(format!(
-            "planish-import: {} samples over {:.4} s at {} Hz ({}); columns: {}; unit of the positions: {}",
+            "planish import: {} samples over {:.4} s at {} Hz ({}); columns: {}; unit of the positions: {}",
             trace.time_s.len(),
             total_time_s,
             significant(trace.clock.rate_hz, 8),
@@ -302,7 +302,7 @@ impl TraceArgs {
             columns.join(", "),
             trace.statement.unit_from
         ));
-        say(format!("planish-import: {segments} segments -> {}", self.output.out.display()));
+        say(format!("planish import: {segments} segments -> {}", self.output.out.display()));
     }
 }
 
@@ -376,12 +376,12 @@ fn say_following(reference: &str, following: &Following) {
         };
         let [rms, largest] = [axis.rms_mm, axis.largest_mm].map(|mm| significant(1e3 * mm, 4));
         say(format!(
-            "planish-import: {name} beside the {reference}: {rms} um RMS, {largest} um at most (at {:.4} s), {lag}",
+            "planish import: {name} beside the {reference}: {rms} um RMS, {largest} um at most (at {:.4} s), {lag}",
             axis.largest_at_s
         ));
     }
     if reference == "plan" {
         let begins = significant(following.reference_begins_s, 7);
-        say(format!("planish-import: the plan begins {begins} s after the first sample"));
+        say(format!("planish import: the plan begins {begins} s after the first sample"));
     }
 }

@@ -335,7 +335,7 @@ fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
     let is_y = is_axis(values.slice(s![1.., 0]), values.slice(s![1.., 1]));
     if columns == 2 && rows >= CERTAIN {
         let problem = format!("has {rows} lines of 2 numbers, which are a profile, no map");
-        let remedy = "planish-surface line reads it; save a matrix of 2 columns as .npy";
+        let remedy = "planish surface line reads it; save a matrix of 2 columns as .npy";
         return Err(Invalid::whole(NAME, problem, remedy));
     }
     let is_x = is_axis(values.slice(s![0, 1..]), values.slice(s![1, 1..]));

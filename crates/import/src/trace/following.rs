@@ -390,7 +390,7 @@ fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Inv
             significant(apart_mm, 4),
             significant(extent_mm, 4)
         );
-        let remedy = "give the plan that was run, in the frame of the machine (planish-register apply), or a \
+        let remedy = "give the plan that was run, in the frame of the machine (planish register apply), or a \
                       larger `most_offset_s` where the log begins long before it";
         return Err(Invalid::whole("planned", problem, remedy));
     }

@@ -29,7 +29,7 @@ impl Subcommands for ImportNames {
 pub struct ControllerArgs {
     #[command(flatten)]
     trajectory: TrajectoryArgs,
-    /// Plan that was run: the commanded motion, from planish-import program or a scheduler [trajectory artifact]
+    /// Plan that was run: the commanded motion, from planish import program or a scheduler [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     planned: PathBuf,
     #[command(flatten)]

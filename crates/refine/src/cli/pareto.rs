@@ -1,4 +1,4 @@
-//! `planish-refine pareto`: residual against total time.
+//! `planish refine pareto`: residual against total time.
 
 use clap::Args;
 use planish_dwell::bounded_least_squares::Bound;
@@ -19,7 +19,7 @@ use super::iterations;
 
 /// Plan at rising prices of a second: residual against total time
 ///
-/// Each price has a plan of the closed loop, and a joint plan of motion and times (planish-joint). The program
+/// Each price has a plan of the closed loop, and a joint plan of motion and times (planish joint). The program
 /// writes the plans as iterations and DIR/pareto.svg, and prints a table. It also prints the least total time of
 /// any plan: the volume to be removed over the volumetric removal rate (VRR) of the tool.
 #[derive(Args)]

@@ -1,4 +1,4 @@
-//! `planish-refine`: the refinement itself.
+//! `planish refine`: the refinement itself.
 
 use std::path::{Path, PathBuf};
 

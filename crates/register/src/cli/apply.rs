@@ -1,4 +1,4 @@
-//! `planish-register apply`.
+//! `planish register apply`.
 
 use std::path::{Path, PathBuf};
 
@@ -102,7 +102,7 @@ impl ApplyArgs {
         output.write(&moved, outcome, &Status::Done)?;
         let [x, y] = transform.point([0.0, 0.0]);
         say(format!(
-            "planish-register: {}turned by {} degree, the origin to {x:.4}, {y:.4} mm -> {}",
+            "planish register: {}turned by {} degree, the origin to {x:.4}, {y:.4} mm -> {}",
             if transform.mirrors() { "turned over, " } else { "" },
             with_error(angle(transform), 5),
             self.output.out.display()

@@ -1,4 +1,4 @@
-//! `planish-register fit`.
+//! `planish register fit`.
 
 use std::path::PathBuf;
 
@@ -62,13 +62,13 @@ impl FitArgs {
             warn(warning);
         }
         say(format!(
-            "planish-register: {} fiducials, turned by {} degree, scale {}",
+            "planish register: {} fiducials, turned by {} degree, scale {}",
             report.fiducials,
             with_error(report.angle_deg, 5),
             with_error(report.scale, 6)
         ));
         say(format!(
-            "planish-register: the fiducials miss by {} um RMS; a place among them is known to {} um -> {}",
+            "planish register: the fiducials miss by {} um RMS; a place among them is known to {} um -> {}",
             significant(1e3 * report.rms_mm, 3),
             significant(1e3 * report.largest_standard_error_mm, 3),
             self.output.out.display()

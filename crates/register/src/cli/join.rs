@@ -1,4 +1,4 @@
-//! `planish-register join`.
+//! `planish register join`.
 
 use std::path::PathBuf;
 
@@ -44,7 +44,7 @@ impl JoinArgs {
         for overlap in &report.overlaps {
             let [first, second] = overlap.maps.map(|k| self.maps[k - 1].display());
             say(format!(
-                "planish-register: {first} and {second} differ by {} nm RMS on {} common pixels",
+                "planish register: {first} and {second} differ by {} nm RMS on {} common pixels",
                 significant(overlap.rms_nm, 4),
                 overlap.pixels
             ));
@@ -52,12 +52,12 @@ impl JoinArgs {
         if report.same_place {
             warn(
                 "all maps lie at the same place, so that they are averaged and not joined: the files may state no place; give \
-                 each its own with planish-import surface --place-mm X,Y",
+                 each its own with planish import surface --place-mm X,Y",
             );
         }
         let (ny, nx) = joined.joined.grid().shape();
         say(format!(
-            "planish-register: {} maps joined to {nx} x {ny} pixels, {} valid, {} in overlaps; misfit {} nm -> {}",
+            "planish register: {} maps joined to {nx} x {ny} pixels, {} valid, {} in overlaps; misfit {} nm -> {}",
             maps.len(),
             report.pixels,
             report.overlap_pixels,

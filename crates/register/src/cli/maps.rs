@@ -1,4 +1,4 @@
-//! `planish-register maps`.
+//! `planish register maps`.
 
 use std::path::PathBuf;
 
@@ -57,13 +57,13 @@ impl MapsArgs {
         let report = &registration.report;
         output.write(&registration.transform, json!({ "registration": report }), &Status::Done)?;
         say(format!(
-            "planish-register: the map after lies {} mm along x, {} mm along y, turned by {} degree",
+            "planish register: the map after lies {} mm along x, {} mm along y, turned by {} degree",
             with_error(report.shift_x_mm, 4),
             with_error(report.shift_y_mm, 4),
             with_error(report.rotation_deg, 5)
         ));
         say(format!(
-            "planish-register: {} pixels in common, correlation {}, {} nm RMS remain -> {}",
+            "planish register: {} pixels in common, correlation {}, {} nm RMS remain -> {}",
             report.pixels,
             significant(report.correlation, 3),
             significant(report.rms_nm, 4),

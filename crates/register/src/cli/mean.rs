@@ -1,4 +1,4 @@
-//! `planish-register mean`.
+//! `planish register mean`.
 
 use std::path::PathBuf;
 
@@ -77,13 +77,13 @@ impl MeanArgs {
                 _ => "is taken where it lies".into(),
             };
             say(format!(
-                "planish-register: {} {place}; it differs from the first map by {} nm RMS",
+                "planish register: {} {place}; it differs from the first map by {} nm RMS",
                 path.display(),
                 significant(member.difference_rms_nm, 4)
             ));
         }
         say(format!(
-            "planish-register: mean of {} maps, {} pixels; one map has a standard deviation of {} nm, the mean of {} nm -> {}",
+            "planish register: mean of {} maps, {} pixels; one map has a standard deviation of {} nm, the mean of {} nm -> {}",
             report.maps,
             report.pixels,
             significant(report.single_deviation_nm, 4),

@@ -1,4 +1,4 @@
-//! `planish-register place`.
+//! `planish register place`.
 
 use clap::Args;
 use planish_handoff::{
@@ -38,7 +38,7 @@ impl PlaceArgs {
         let [[xx, xy], [yx, yy]] = *transform.matrix();
         let [x, y] = transform.image_mm();
         say(format!(
-            "planish-register: the axes read x = {xx} x + {xy} y + {x} mm, y = {yx} x + {yy} y + {y} mm \
+            "planish register: the axes read x = {xx} x + {xy} y + {x} mm, y = {yx} x + {yy} y + {y} mm \
              of the part -> {}",
             self.output.out.display()
         ));

@@ -1,4 +1,4 @@
-//! `planish-run next-run run=DIR`: a run with several tools goes on after one of them, with the map that was measured.
+//! `planish next-run run=DIR`: a run with several tools goes on after one of them, with the map that was measured.
 //!
 //! The run has left `several.json`: its tools in the order in which they work, its settings, and the residual that was
 //! planned. The tools that are left are planned again for the measured map, at prices at which they keep that residual.

@@ -1,4 +1,4 @@
-//! `planish-run campaign`: simulated runs on the virtual machine, each planned from the map after the one before. A
+//! `planish campaign`: simulated runs on the virtual machine, each planned from the map after the one before. A
 //! chain is one such sequence; one learns from its runs, one does not, and one knows the machine.
 //!
 //! | directory | content |
@@ -156,7 +156,7 @@ fn take_mirror(user: &mut UserSettings) -> Result<[Option<String>; 2], Failure> 
     let mirror = [user.take_path("surface"), user.take_path("tif")];
     if let Some(map) = mirror.iter().flatten().find(|map| Path::new(map).is_file()) {
         return Err(Failure::new(format!(
-            "{map} is a file; read it with planish-import, and give the directory"
+            "{map} is a file; read it with planish import, and give the directory"
         )));
     }
     Ok(mirror)

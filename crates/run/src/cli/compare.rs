@@ -1,4 +1,4 @@
-//! `planish-run compare`: every scheduler along three tool paths, on one mirror or on all of them.
+//! `planish compare`: every scheduler along three tool paths, on one mirror or on all of them.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! `planish-run doctor`: what is here, and a plan of a fixture as a check.
+//! `planish doctor`: what is here, and a plan of a fixture as a check.
 
 use std::{env, fs, fs::File, process::Command, thread};
 

@@ -11,7 +11,7 @@ use std::{
 };
 
 use planish_handoff::{
-    Failure, Inputs, Running,
+    Failure, Inputs, Running, as_command,
     from_run::{REHEARSAL, SETTINGS_OF_FLAGS},
     say, stage_command, tells_text, words,
 };
@@ -175,7 +175,7 @@ impl Programs {
         ended.map_err(|e| {
             Failure::new(format!(
                 "cannot run {}: {e}; build the programs with cargo build --release",
-                command.program
+                as_command(&command.program)
             ))
         })
     }
@@ -371,15 +371,15 @@ pub fn as_typed() -> String {
     words::join(env::args_os().map(|word| word.to_string_lossy().into_owned()))
 }
 
-/// Usual smallest and largest number of rounds after which `planish-refine` ends. Larger or smaller: longer or shorter
+/// Usual smallest and largest number of rounds after which `planish refine` ends. Larger or smaller: longer or shorter
 /// estimates. Measured on the fixtures; the largest is the limit of that program.
 const ROUNDS: [f64; 2] = [10.0, 50.0];
 
-/// Smallest duration of `planish-refine`, s, that a run announces before it starts. Smaller: notes on runs that nobody
+/// Smallest duration of `planish refine`, s, that a run announces before it starts. Smaller: notes on runs that nobody
 /// waits for. Chosen.
 const TOLD_FROM_S: f64 = 60.0;
 
-/// Returns a note on the duration of `planish-refine`, the closed loop of dwell, schedule and simulate. `took_s` holds
+/// Returns a note on the duration of `planish refine`, the closed loop of dwell, schedule and simulate. `took_s` holds
 /// the seconds that each program took once. Returns `None` for another program, and for a short loop.
 fn estimate_of_rounds(program: &str, took_s: &BTreeMap<String, f64>) -> Option<String> {
     if program != "planish-refine" {

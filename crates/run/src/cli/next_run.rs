@@ -1,4 +1,4 @@
-//! `planish-run next-run`: plans the next run from the maps before and after the last one.
+//! `planish next-run`: plans the next run from the maps before and after the last one.
 //!
 //! | directory | content |
 //! |---|---|
@@ -65,7 +65,7 @@ impl Last {
         }
         if user.get("export").is_some() {
             return Err(Failure::new(
-                "the program is that of the commanded motion; leave export out, and give planish-export OUT/commanded",
+                "the program is that of the commanded motion; leave export out, and give planish export OUT/commanded",
             ));
         }
         let mut needed = |name: &str| {

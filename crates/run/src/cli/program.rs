@@ -1,4 +1,4 @@
-//! `planish-run program`: prints the plan from which the controller program of a run was written, and the
+//! `planish program`: prints the plan from which the controller program of a run was written, and the
 //! recommendation of the report.
 
 use std::path::{Path, PathBuf};

@@ -115,7 +115,7 @@ impl Record {
                 return Err(Failure::new(format!(
                     "after {after} is valid from {name} = {:.2} to {:.2} mm, and the map of the run from {:.2} to {:.2} \
                      mm: it is the map of another part, or lies elsewhere; give the map in the coordinates of the part \
-                     (planish-register)",
+                     (planish register)",
                     own[axis][0], own[axis][1], expected[axis][0], expected[axis][1]
                 )));
             }

@@ -1,4 +1,4 @@
-//! `planish-run resume`: plans the rest of a run that was interrupted.
+//! `planish resume`: plans the rest of a run that was interrupted.
 //!
 //! | directory | content |
 //! |---|---|
@@ -44,7 +44,7 @@ const MENDED: f64 = 1.05;
 #[derive(Args)]
 pub struct Resume {
     /// Settings: run=DIR, the interrupted run; one of abort_s=T, abort_line=N of its program, and log=FILE. A log is a
-    /// trajectory artifact, or a file for planish-import trace with its flags in trace="FLAGS". Further ones are
+    /// trajectory artifact, or a file for planish import trace with its flags in trace="FLAGS". Further ones are
     /// tool_on_s=T (time for which the tool removed after the abort), plan=NAME, tif=DIR, new_path=no, pipeline (of the
     /// new path), out=DIR, and those of the pipelines
     #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]

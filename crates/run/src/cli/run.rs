@@ -1,4 +1,4 @@
-//! `planish-run run`, `stage` and `show`: a pipeline, one stage of it, and its settings.
+//! `planish run`, `stage` and `show`: a pipeline, one stage of it, and its settings.
 
 use std::{fs, path::Path};
 

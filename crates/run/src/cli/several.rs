@@ -214,7 +214,7 @@ pub fn count(name: &str, text: &str, most: u32) -> Result<u32, Failure> {
 pub fn is_directory(name: &str, path: &str) -> Result<(), Failure> {
     if Path::new(path).is_file() {
         return Err(Failure::new(format!(
-            "{name} {path} is a file; read it with planish-import, and give the directory"
+            "{name} {path} is a file; read it with planish import, and give the directory"
         )));
     }
     if !Path::new(path).is_dir() {

@@ -1,4 +1,4 @@
-//! `planish-run several`: a plan of several tools, tool by tool from coarse to fine.
+//! `planish several`: a plan of several tools, tool by tool from coarse to fine.
 //!
 //! | directory | content |
 //! |---|---|
@@ -26,7 +26,7 @@ use std::{
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, OutputFile, Status,
+    Artifact, Begin, Failure, Inputs, Output, OutputFile, Status, as_command,
     flags::OutputArgs,
     kind::{self, Kind},
     say, task, warn, words,
@@ -98,7 +98,7 @@ impl Several {
 pub struct Settings {
     /// Directory of the map before the run, or the file of an instrument.
     pub surface: String,
-    /// Flags of planish-import for the file of an instrument.
+    /// Flags of planish import for the file of an instrument.
     pub surface_settings: Vec<String>,
     /// File of the rack, or the record of the run that this one goes on with.
     pub rack: String,
@@ -106,7 +106,7 @@ pub struct Settings {
     pub is_assumed: bool,
     pub prepare: Vec<String>,
     pub chooses: bool,
-    /// True if dwell times and motion of a tool are planned as one problem, by `planish-joint`.
+    /// True if dwell times and motion of a tool are planned as one problem, by `planish joint`.
     pub is_joint: bool,
     pub export: Option<String>,
     pub export_settings: Vec<String>,
@@ -315,7 +315,7 @@ impl Course {
             0 => Ok(()),
             1 => {
                 let out = flags.iter().skip_while(|flag| **flag != "--out").nth(1);
-                self.negative.push(format!("{} ({program})", out.unwrap_or(&"")));
+                self.negative.push(format!("{} ({})", out.unwrap_or(&""), as_command(program)));
                 Ok(())
             }
             _ => planish_handoff::exit(2),
@@ -436,7 +436,7 @@ impl Course {
         match page.write(&self.programs, &run)? {
             0 => Ok(()),
             1 => {
-                self.negative.push(format!("{} (planish-compare)", self.path("report")));
+                self.negative.push(format!("{} (planish compare)", self.path("report")));
                 Ok(())
             }
             _ => std::process::exit(2),

@@ -1,4 +1,4 @@
-//! `planish-run campaign-spread`: runs campaigns with several seeds, and shows how their results scatter.
+//! `planish campaign-spread`: runs campaigns with several seeds, and shows how their results scatter.
 
 use clap::Args;
 use planish_handoff::{Failure, Status};
@@ -13,7 +13,7 @@ use super::{
 
 #[derive(Args)]
 pub struct CampaignSpread {
-    /// Name of a fixture (coupon without one), seeds=N (20 without it), and settings of `planish-run campaign`; each
+    /// Name of a fixture (coupon without one), seeds=N (20 without it), and settings of `planish campaign`; each
     /// campaign is in out/campaign-spread/MIRROR/SEED, or in OUT/SEED with out=OUT
     #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
     words: Vec<String>,

@@ -1,4 +1,4 @@
-//! `planish-run start`: runs a command while the directory of a run is locked for it.
+//! `planish start`: runs a command while the directory of a run is locked for it.
 
 use std::{path::PathBuf, process};
 

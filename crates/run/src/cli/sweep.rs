@@ -1,4 +1,4 @@
-//! `planish-run sweep`: all plans of a sweep, by the workflow of a clone.
+//! `planish sweep`: all plans of a sweep, by the workflow of a clone.
 
 use std::process::Command;
 

@@ -1,4 +1,4 @@
-//! `planish-run tolerance`: effect of the errors of a process (its error budget) on the plans of several pipelines.
+//! `planish tolerance`: effect of the errors of a process (its error budget) on the plans of several pipelines.
 
 use std::{
     env, fs,
@@ -149,7 +149,7 @@ fn reference(out: &Path) -> Result<[(&'static str, PathBuf); 2], Failure> {
     Ok(places)
 }
 
-/// Reads the residual RMS that 95 % of the runs stay below, nm, from the manifest of `planish-tolerance`.
+/// Reads the residual RMS that 95 % of the runs stay below, nm, from the manifest of `planish tolerance`.
 fn below_95_percent_nm(tolerance: &Path) -> Result<f64, Failure> {
     fn find(value: &Value) -> Option<f64> {
         match value {

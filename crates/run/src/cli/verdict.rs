@@ -1,4 +1,4 @@
-//! `planish-run verdict`: lists the stages of a run that gave a negative verdict, from their manifests.
+//! `planish verdict`: lists the stages of a run that gave a negative verdict, from their manifests.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST, read_regular, words};
+use planish_handoff::{Failure, Manifest, Status, as_command, kind::MANIFEST, read_regular, words};
 use planish_types::outcome::{StageEnd, StageStatus};
 
 #[derive(Args)]
@@ -58,7 +58,8 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
             if let StageEnd { status: Some(StageStatus::Negative), reason } = manifest.end() {
                 let reason = reason.as_deref().unwrap_or("no reason given");
                 let at = run.join(at);
-                negative.push(format!("{} ({}): {reason}", at.display(), manifest.tool));
+                let command = as_command(&manifest.tool);
+                negative.push(format!("{} ({command}): {reason}", at.display()));
             }
         }
     }

@@ -1,4 +1,4 @@
-//! `planish-schedule abort`: the motion that an abort leaves.
+//! `planish schedule abort`: the motion that an abort leaves.
 
 use std::path::PathBuf;
 
@@ -69,7 +69,7 @@ impl Abort {
         let [x, y] = outcome.place_mm;
         output.write(&executed, &outcome, &Status::Done)?;
         say(format!(
-            "planish-schedule: {:.4} s were executed; the machine stands at ({x:.4}, {y:.4}) mm -> {}",
+            "planish schedule: {:.4} s were executed; the machine stands at ({x:.4}, {y:.4}) mm -> {}",
             outcome.executed_s,
             self.output.out.display()
         ));

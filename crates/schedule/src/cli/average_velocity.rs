@@ -1,4 +1,4 @@
-//! `planish-schedule average-velocity`.
+//! `planish schedule average-velocity`.
 
 use clap::Args;
 use planish_schedule::{

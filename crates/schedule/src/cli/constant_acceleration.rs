@@ -1,4 +1,4 @@
-//! `planish-schedule constant-acceleration`.
+//! `planish schedule constant-acceleration`.
 
 use clap::Args;
 use planish_schedule::{ScheduleError, constant_acceleration};

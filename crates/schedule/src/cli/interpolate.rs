@@ -1,4 +1,4 @@
-//! `planish-schedule interpolate`: positions from a dwell-time density or its NC program.
+//! `planish schedule interpolate`: positions from a dwell-time density or its NC program.
 
 use std::{
     ffi::OsStr,

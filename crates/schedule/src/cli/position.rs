@@ -1,4 +1,4 @@
-//! `planish-schedule position`.
+//! `planish schedule position`.
 
 use clap::Args;
 use planish_schedule::{

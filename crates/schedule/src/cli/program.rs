@@ -1,4 +1,4 @@
-//! `planish-schedule program`: the NC program of a feed artifact.
+//! `planish schedule program`: the NC program of a feed artifact.
 
 use std::{
     io::{BufWriter, Write},
@@ -29,7 +29,7 @@ pub struct ProgramCommand {
 
 /// Comment lines at the start of every program.
 const PROGRAM_HEAD: &str = "\
-(Feed of planish-schedule: trigonometric spline of the dwell-time density along the path)
+(Feed of planish schedule: trigonometric spline of the dwell-time density along the path)
 (X Y end point mm, I J corner of a blend mm, P Q densities at both ends s/mm, R S arc lengths mm)
 (U V velocity mm/s at the end of a cubic, T its time s, K1 tool on, K0 tool off)
 ";

@@ -1,4 +1,4 @@
-//! `planish-schedule pvt`.
+//! `planish schedule pvt`.
 
 use clap::Args;
 use planish_schedule::{ScheduleError, claim::Claim, pvt};

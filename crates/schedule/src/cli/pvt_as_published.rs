@@ -1,4 +1,4 @@
-//! `planish-schedule pvt-as-published`.
+//! `planish schedule pvt-as-published`.
 
 use clap::Args;
 use planish_schedule::{ScheduleError, baselines::pvt_as_published};

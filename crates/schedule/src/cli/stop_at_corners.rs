@@ -1,4 +1,4 @@
-//! `planish-schedule stop-at-corners`.
+//! `planish schedule stop-at-corners`.
 
 use clap::Args;
 use planish_schedule::{ScheduleError, stop_at_corners};

@@ -1,4 +1,4 @@
-//! `planish-schedule trig-spline`.
+//! `planish schedule trig-spline`.
 
 use std::path::{Path, PathBuf};
 

@@ -15,7 +15,7 @@ use super::{mode::Mode, timing::parallel};
 use crate::hermite::{accelerations, peak_velocity};
 
 /// Part of every limit that the schedule leaves free, relative: room for the tolerance of the interior point method
-/// (1e-7 at the worst) and the rounding of `planish-verify`. Larger: motions are slower. Smaller: `planish-verify` can
+/// (1e-7 at the worst) and the rounding of `planish verify`. Larger: motions are slower. Smaller: `planish verify` can
 /// report an excess.
 const MARGIN: f64 = 1e-6;
 

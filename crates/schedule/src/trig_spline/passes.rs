@@ -25,7 +25,7 @@ const SAME_DIRECTION: f64 = 1e-9;
 
 /// Largest distance from the path at which two directions still count as the same, mm, for a tool that keeps the first
 /// direction up to the middle of the second segment. Larger: the position steps at the node. Smaller: rounded
-/// coordinates of a line become corners. The value is a tenth of the position step that `planish-verify` takes for
+/// coordinates of a line become corners. The value is a tenth of the position step that `planish verify` takes for
 /// rounding.
 const SAME_LINE_MM: f64 = 1e-7;
 

@@ -1,4 +1,4 @@
-//! `planish-surface bin`.
+//! `planish surface bin`.
 
 use std::path::PathBuf;
 
@@ -36,7 +36,7 @@ impl BinArgs {
         let (rows, columns) = binned.surface.grid().shape();
         let report = &binned.report;
         say(format!(
-            "planish-surface: {columns} x {rows} px, RMS {:.4} nm, and {:.4} nm within the squares; {} of {} valid \
+            "planish surface: {columns} x {rows} px, RMS {:.4} nm, and {:.4} nm within the squares; {} of {} valid \
              pixels are in squares that are not half valid",
             binned.surface.statistics().rms,
             report.within_rms_nm,

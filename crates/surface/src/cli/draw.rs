@@ -1,4 +1,4 @@
-//! `planish-surface draw`.
+//! `planish surface draw`.
 
 use std::path::{Path, PathBuf};
 
@@ -54,7 +54,7 @@ impl DrawArgs {
         let output = self.output.begin(&inputs)?;
         output.write(maps_svg(&panels, &settings)?.as_bytes())?;
         let out = self.output.out.display();
-        say(format!("planish-surface: {} map(s) drawn to {out}", panels.len()));
+        say(format!("planish surface: {} map(s) drawn to {out}", panels.len()));
         Ok(Status::Done)
     }
 }

@@ -1,4 +1,4 @@
-//! `planish-surface line`.
+//! `planish surface line`.
 
 use std::path::PathBuf;
 
@@ -94,7 +94,7 @@ impl LineArgs {
         let peak = tool.peak_nm_per_s();
         output.write(&tool, json!({ "peak_nm_per_s": peak }), &Status::Done)?;
         say(format!(
-            "planish-surface: line of {} pixels of {} mm, RMS {:.4} nm, slopes {:.1} nrad RMS; the tool removes at most \
+            "planish surface: line of {} pixels of {} mm, RMS {:.4} nm, slopes {:.1} nrad RMS; the tool removes at most \
              {:.4} nm/s in the mean across -> {}",
             made.surface.grid().x.len(),
             made.surface.grid().x.step_mm(),
@@ -103,7 +103,7 @@ impl LineArgs {
             peak,
             self.output.out.display()
         ));
-        report.notes.iter().for_each(|note| say(format!("planish-surface: note: {note}")));
+        report.notes.iter().for_each(|note| say(format!("planish surface: note: {note}")));
         Ok(Status::Done)
     }
 

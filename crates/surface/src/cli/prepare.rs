@@ -1,4 +1,4 @@
-//! `planish-surface prepare`.
+//! `planish surface prepare`.
 
 use std::path::PathBuf;
 
@@ -435,7 +435,7 @@ fn print_report(report: &PrepareReport) {
         });
         let [x, y] = target.tilt_urad;
         say(format!(
-            "planish-surface: form subtracted, tilt {} and {} urad{}; it leaves {} nm RMS",
+            "planish surface: form subtracted, tilt {} and {} urad{}; it leaves {} nm RMS",
             significant(x, 6),
             significant(y, 6),
             fitted.collect::<String>(),
@@ -443,13 +443,13 @@ fn print_report(report: &PrepareReport) {
         ));
     }
     say(format!(
-        "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
+        "planish surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
         report.after.valid_pixels, report.after.rms_nm, report.after.pv_nm
     ));
     let notes = [
         report.removed_low_order.as_ref().and_then(|r| r.note.as_ref()),
         report.filled.as_ref().and_then(|r| r.note.as_ref()),
     ];
-    notes.into_iter().flatten().for_each(|note| say(format!("planish-surface: note: {note}")));
+    notes.into_iter().flatten().for_each(|note| say(format!("planish surface: note: {note}")));
     report.doubts.iter().for_each(warn);
 }

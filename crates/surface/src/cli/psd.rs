@@ -1,4 +1,4 @@
-//! `planish-surface psd`.
+//! `planish surface psd`.
 
 use clap::Args;
 use ndarray::Array1;
@@ -49,7 +49,7 @@ impl PsdArgs {
         output.write_arrays(&kind::PSD, &psd_arrays(&psd), &picture, outcome, &Status::Done)?;
         let r = &psd.report;
         say(format!(
-            "planish-surface: spectrum of {} x {} px ({:.1} % of the valid ones), RMS {:.4} nm, in the \
+            "planish surface: spectrum of {} x {} px ({:.1} % of the valid ones), RMS {:.4} nm, in the \
              spectrum {:.4} nm",
             r.shape.1,
             r.shape.0,
@@ -60,7 +60,7 @@ impl PsdArgs {
         for b in &r.bands {
             let [low, high] = b.band_per_mm;
             say(format!(
-                "planish-surface: {low} .. {high} /mm: {:.4} nm RMS (along x {:.4}, along y {:.4})",
+                "planish surface: {low} .. {high} /mm: {:.4} nm RMS (along x {:.4}, along y {:.4})",
                 b.rms_nm, b.rms_x_nm, b.rms_y_nm
             ));
         }

@@ -1,4 +1,4 @@
-//! `planish-surface spec`.
+//! `planish surface spec`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-surface statistics`.
+//! `planish surface statistics`.
 
 use clap::Args;
 use planish_handoff::{Failure, Inputs, Status, say};

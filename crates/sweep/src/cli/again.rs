@@ -1,4 +1,4 @@
-//! `planish-sweep again`.
+//! `planish sweep again`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-sweep expand`.
+//! `planish sweep expand`.
 
 use std::{
     fs::{self, File, OpenOptions, TryLockError},

@@ -1,4 +1,4 @@
-//! `planish-sweep propose`.
+//! `planish sweep propose`.
 
 use std::path::PathBuf;
 

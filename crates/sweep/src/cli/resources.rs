@@ -1,4 +1,4 @@
-//! `planish-sweep resources`.
+//! `planish sweep resources`.
 
 use std::path::PathBuf;
 

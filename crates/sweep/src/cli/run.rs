@@ -1,4 +1,4 @@
-//! `planish-sweep run`: the stages of one job.
+//! `planish sweep run`: the stages of one job.
 
 use std::{
     collections::BTreeSet,

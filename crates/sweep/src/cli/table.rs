@@ -1,4 +1,4 @@
-//! `planish-sweep table`.
+//! `planish sweep table`.
 
 use std::path::PathBuf;
 

@@ -1,9 +1,9 @@
-//! `planish-tool from-maps`.
+//! `planish tool from-maps`.
 
 use std::path::PathBuf;
 
 use clap::Args;
-use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, warn};
+use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, as_command, pair, say, warn};
 use planish_import::{
     Origin, Reading, ReadingSettings, Scale, Statement,
     cli::{FileArgs, about, draw, in_flags, map_bytes, open, report},
@@ -52,6 +52,7 @@ pub struct FromMapsArgs {
 
 /// Prints the centre of a spot, the shift between its maps and the noise outside it.
 fn say_spot(program: &str, spot: &Spot) {
+    let program = as_command(program);
     say(format!(
         "{program}: spot at {} mm, shift {} mm (standard error {} mm), noise {:.4} nm RMS outside it",
         json!(spot.centre_mm),
@@ -131,7 +132,7 @@ impl FromMapsArgs {
         }
         say(format!(
             "{}: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
-            name.program,
+            as_command(name.program),
             made.peak_nm_per_s(),
             made.vrr_nm_mm2_per_s(),
             file.output.out.display()

@@ -1,4 +1,4 @@
-//! `planish-tool prepare`.
+//! `planish tool prepare`.
 
 use std::path::PathBuf;
 

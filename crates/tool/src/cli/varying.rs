@@ -1,4 +1,4 @@
-//! `planish-tool rate`, `incidence`, `spots`, `edge`, `turned`, `footprint` and `time`: tools that vary over the part
+//! `planish tool rate`, `incidence`, `spots`, `edge`, `turned`, `footprint` and `time`: tools that vary over the part
 //! or in time. A place is a point (x, y) at which the tool stands.
 
 use std::path::{Path, PathBuf};

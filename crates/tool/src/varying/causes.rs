@@ -276,7 +276,7 @@ impl<'a> Overhang<'a> {
                 100.0 * pad.least_covered()
             );
             let remedy = "give the radius of the pad in mm; a part that is narrower than its pad needs spots that were \
-                          measured there (planish-tool spots)";
+                          measured there (planish tool spots)";
             return Err(Invalid::whole("pad_radius_mm", problem, remedy));
         }
         Ok(pad)

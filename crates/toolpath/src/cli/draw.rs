@@ -1,4 +1,4 @@
-//! `planish-toolpath draw`.
+//! `planish toolpath draw`.
 
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ impl DrawArgs {
         let output = self.output.begin(&inputs)?;
         output.write(svg(&path, surface.as_ref()).as_bytes())?;
         let out = self.output.out.display();
-        say(format!("planish-toolpath: {} segments drawn to {out}", path.len()));
+        say(format!("planish toolpath: {} segments drawn to {out}", path.len()));
         Ok(Status::Done)
     }
 }

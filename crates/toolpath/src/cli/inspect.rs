@@ -1,4 +1,4 @@
-//! `planish-toolpath inspect`.
+//! `planish toolpath inspect`.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `planish-toolpath maze`.
+//! `planish toolpath maze`.
 
 use clap::{Args, ValueEnum};
 use planish_handoff::{Begin, Failure, Status, task};

@@ -1,4 +1,4 @@
-//! `planish-toolpath multi-pitch`.
+//! `planish toolpath multi-pitch`.
 
 use std::path::PathBuf;
 
@@ -42,6 +42,9 @@ pub struct MultiPitchArgs {
     /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
+    /// Refuse a path that leaves the travel, instead of a warning: no program can run it
+    #[arg(long, requires = "machine")]
+    within_travel: bool,
     /// Links between lines on which the tool stays on: all, those beyond the aperture (but not along the border of
     /// another region), or none
     #[arg(long, value_enum, default_value_t = Links::On)]
@@ -58,6 +61,7 @@ impl MultiPitchArgs {
             pitch_mm: self.min_pitch_mm,
             overscan_mm: self.overscan_mm,
             machine: self.machine.clone(),
+            within_travel: self.within_travel,
             form: FormArgs::default(),
             output: self.output.clone(),
         })?;

@@ -1,4 +1,4 @@
-//! `planish-toolpath passes`.
+//! `planish toolpath passes`.
 
 use clap::Args;
 use planish_handoff::{
@@ -39,7 +39,7 @@ impl PassesArgs {
         let outcome = json!({ "points": whole.point_mm().len(), "segments_of_a_pass": path.len() });
         output.write(&whole, outcome, &Status::Done)?;
         say(format!(
-            "planish-toolpath: {} passes of {} segments, {} -> {}",
+            "planish toolpath: {} passes of {} segments, {} -> {}",
             self.passes,
             path.len(),
             if self.back { "there and back" } else { "all forwards" },

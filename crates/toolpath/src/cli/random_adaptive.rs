@@ -1,4 +1,4 @@
-//! `planish-toolpath random-adaptive`.
+//! `planish toolpath random-adaptive`.
 
 use clap::Args;
 use planish_handoff::{Begin, Failure, Status, task};

@@ -1,4 +1,4 @@
-//! `planish-toolpath raster`.
+//! `planish toolpath raster`.
 
 use clap::{Args, ValueEnum};
 use planish_handoff::{Begin, Failure, Status, task};

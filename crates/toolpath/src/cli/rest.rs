@@ -1,4 +1,4 @@
-//! `planish-toolpath rest`.
+//! `planish toolpath rest`.
 
 use clap::Args;
 use planish_handoff::{
@@ -34,7 +34,7 @@ impl RestArgs {
         let left = rest(&path, &executed).map_err(Failure::with_flags)?;
         output.write(&left, json!({ "points": left.point_mm().len() }), &Status::Done)?;
         say(format!(
-            "planish-toolpath: {} of {} segments are left -> {}",
+            "planish toolpath: {} of {} segments are left -> {}",
             left.len(),
             path.len(),
             self.output.out.display()

@@ -1,4 +1,4 @@
-//! `planish-toolpath spiral`.
+//! `planish toolpath spiral`.
 
 use clap::Args;
 use planish_handoff::{Begin, Failure, Status, task};

@@ -4,7 +4,7 @@ use std::fmt::{self, Display};
 
 use serde::{Deserialize, Serialize};
 
-/// Outcome of `planish-schedule abort`.
+/// Outcome of `planish schedule abort`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AbortOutcome {
     /// Duration of the executed motion, with its stop and the time of the tool after it, s.
@@ -13,7 +13,7 @@ pub struct AbortOutcome {
     pub place_mm: [f64; 2],
 }
 
-/// Outcome of `planish-run resume`: its file `resume.json`.
+/// Outcome of `planish resume`: its file `resume.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ResumeOutcome {
     /// Motion that was executed.

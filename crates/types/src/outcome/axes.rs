@@ -1,4 +1,4 @@
-//! Outcome of `planish-axes motion`.
+//! Outcome of `planish axes motion`.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! Outcome of `planish-dwell bound`: residuals that no path and no motion of a tool can beat.
+//! Outcome of `planish dwell bound`: residuals that no path and no motion of a tool can beat.
 
 use serde::{Deserialize, Serialize};
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{End, PathDistance, TifLattice};
 
-/// Outcome of `planish-dwell`, `planish-schedule`, `planish-refine`, `planish-joint` or `planish-bspline-feed`. Each
+/// Outcome of `planish dwell`, `planish schedule`, `planish refine`, `planish joint` or `planish bspline-feed`. Each
 /// states what it knows. `R` is the report of the method.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanOutcome<R = PlanReport> {
@@ -197,7 +197,7 @@ pub struct ProvenGap {
     /// Excess of the objective over its minimum, relative to it, at most. Not finite if nothing is proven.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_gap: Option<f64>,
-    /// The same, as `planish-bspline-feed` calls it.
+    /// The same, as `planish bspline-feed` calls it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap: Option<f64>,
     /// Sentence on the plans that the bound compares with.

@@ -1,4 +1,4 @@
-//! Outcome of `planish-reconcile`: what a run did, found from the maps before and after it.
+//! Outcome of `planish reconcile`: what a run did, found from the maps before and after it.
 
 use serde::{Deserialize, Serialize};
 
@@ -86,7 +86,7 @@ pub struct Evidence {
     pub noise_ratio: Option<f64>,
 }
 
-/// Outcome of `planish-reconcile`.
+/// Outcome of `planish reconcile`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ReconciliationOutcome {
     /// Machine and tool.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::NoMore;
 
-/// Outcome of `planish-simulate`.
+/// Outcome of `planish simulate`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RemovalOutcome<More = NoMore> {
     /// RMS of the residual, mean removed, nm.

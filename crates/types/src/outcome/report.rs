@@ -1,4 +1,4 @@
-//! Part of the summary of `planish-compare` that other programs read: `summary.json` of a report.
+//! Part of the summary of `planish compare` that other programs read: `summary.json` of a report.
 
 use serde::{Deserialize, Serialize};
 

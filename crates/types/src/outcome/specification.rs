@@ -1,11 +1,11 @@
-//! Verdict of `planish-surface spec`: limit by limit, and on the whole specification.
+//! Verdict of `planish surface spec`: limit by limit, and on the whole specification.
 
 use serde::{Deserialize, Serialize};
 
 use super::NoMore;
 use crate::text::significant;
 
-/// Outcome of `planish-surface spec`.
+/// Outcome of `planish surface spec`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SpecificationOutcome<More = NoMore> {
     /// Further numbers.

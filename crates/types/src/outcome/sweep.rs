@@ -1,4 +1,4 @@
-//! Table of `planish-sweep`: the plans of a sweep with their numbers.
+//! Table of `planish sweep`: the plans of a sweep with their numbers.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::specification::{LimitReport, SpecificationReport};
 
-/// Table that `planish-sweep table` writes. `S` are the settings of a plan by name.
+/// Table that `planish sweep table` writes. `S` are the settings of a plan by name.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SweepTable<S = BTreeMap<String, SettingValue>> {

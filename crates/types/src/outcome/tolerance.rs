@@ -1,11 +1,11 @@
-//! Outcome of `planish-tolerance`: the residual that the errors of a process add to a plan.
+//! Outcome of `planish tolerance`: the residual that the errors of a process add to a plan.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::Grid;
 
-/// Settings of `planish-tolerance` that others read.
+/// Settings of `planish tolerance` that others read.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 pub struct ToleranceSettings {
     /// Low-order terms that are not part of the residual, `piston` or `plane`; `piston` where it is left out.

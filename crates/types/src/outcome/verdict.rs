@@ -1,4 +1,4 @@
-//! Verdict of `planish-verify` on a motion: the exact range of every quantity, and its limit.
+//! Verdict of `planish verify` on a motion: the exact range of every quantity, and its limit.
 //!
 //! A verdict that another program wrote may lack what is not needed to compare plans. It then reads as not exceeded.
 

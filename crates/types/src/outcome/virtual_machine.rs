@@ -1,4 +1,4 @@
-//! Outcome of a run of the virtual machine of `planish-simulate`.
+//! Outcome of a run of the virtual machine of `planish simulate`.
 
 use serde::{Deserialize, Serialize};
 

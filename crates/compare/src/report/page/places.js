@@ -45,7 +45,7 @@ function fillPlaces() {
   add("zones", "beyond the mirror", [none(), none(), told(run, at("time", "beyond_s"), 2)]);
   add("zones", "tool off", [none(), none(), told(run, at("time", "tool_off_s"), 2)]);
   byId("zones-note").textContent = width === null
-    ? "No edge zone: it is as wide as the tool, which is not known here (planish-compare report --tif)."
+    ? "No edge zone: it is as wide as the tool, which is not known here (planish compare report --tif)."
     : `The edge zone is ${number(width, 3)} mm wide, the radius of the tool at half its peak; ${fixed(100 * division.edge_fraction, 1)} % of the pixels lie in it. Each RMS is about the mean of the whole map.`;
 
   const [x, y] = division.region_bounds_mm, span = (b, k) => `${number(b[k], 3)} to ${number(b[k + 1], 3)} mm`;

@@ -15,7 +15,7 @@ function showMethod(a, b) {
   byId("frame-note").hidden = SEVERAL !== null && !A().frames;
   byId("frame-note").textContent = A().frames
     ? `The surface is the one simulated at the last of ${A().frames.time.length} times before the slider.`
-    : "No frames for this method: planish-simulate --frames N writes them to methods/<method>/frames; the tool moves all the same.";
+    : "No frames for this method: planish simulate --frames N writes them to methods/<method>/frames; the tool moves all the same.";
   const d = A().method.dwell;
   byId("dwell-section").hidden = !d;
   if (d) byId("dwell-note").textContent = d.executed_s
