@@ -22,6 +22,8 @@ pub const OWN_MACHINE: &str = "machine.json";
 pub const TOOL_RECIPE: &str = "tool-recipe.json";
 /// Form that is subtracted from the map of the part, in the directory of the session.
 pub const TARGET: &str = "target.json";
+/// Directory of an uploaded tool that varies, in the directory of the session.
+pub const VARYING_TOOL: &str = "files/varying";
 /// Map of few pixels of which an estimate is made, in the directory of the session.
 pub const BINNED_MAP: &str = "estimates/map";
 /// Setting of a pipeline that names the controller of a program.
@@ -138,6 +140,8 @@ pub enum ToolSource {
         /// Half the side of the square that becomes the tool, mm.
         half_size_mm: f64,
     },
+    /// The uploaded files of a tool that varies, of the kind `tool`, by their names.
+    Varying(Vec<String>),
     /// A Gaussian.
     Formula {
         /// Rate at the centre, nm/s.
@@ -290,14 +294,23 @@ impl PartChoice {
     }
 }
 
+impl ToolSource {
+    /// Returns the directory of the tool, in that of the session: a tool that varies is used as it was uploaded.
+    pub fn tif(&self) -> &'static str {
+        if matches!(self, Self::Varying(_)) { VARYING_TOOL } else { "tool/tif" }
+    }
+}
+
 impl ToolChoice {
-    /// Returns the commands that make the tool in `tool/tif`.
+    /// Returns the commands that make the tool in its directory ([`ToolSource::tif`]); none for a tool that varies.
     ///
     /// # Errors
     /// Refuses a name of a file or fixture that cannot be one, an unknown formula, and a formula for a tool that is one.
     pub fn commands(&self, folder: &str) -> Result<Vec<Words>, Refusal> {
-        let is_measured =
-            !matches!(self.source, ToolSource::Fixture(_) | ToolSource::Formula { .. });
+        let is_measured = matches!(
+            self.source,
+            ToolSource::Rates(_) | ToolSource::Arrays | ToolSource::Spot { .. }
+        );
         if let Some(fit) = &self.fit
             && (!is_measured || !["gaussian", "super-gaussian", "mixture"].contains(&fit.as_str()))
         {
@@ -314,6 +327,10 @@ impl ToolChoice {
                     "tool",
                     "--force",
                 ])]);
+            }
+            ToolSource::Varying(names) => {
+                names.iter().try_for_each(|name| check_file_name(name))?;
+                return Ok(vec![]);
             }
             ToolSource::Arrays => words(&["planish", "tool", "prepare", "--tif", "files/tool"]),
             ToolSource::Rates(name) => {
@@ -415,7 +432,7 @@ impl PlanChoice {
             }
             _ => {
                 command.push(format!("surface={}", part.source.surface("part")));
-                command.push("tif=tool/tif".into());
+                command.push(format!("tif={}", tool.source.tif()));
                 // A run belongs to its map: those of arrays and of files are in two places.
                 if part.source == PartSource::Arrays { "arrays" } else { "own" }
             }
@@ -435,7 +452,7 @@ impl PlanChoice {
     }
 
     /// Returns the command of an estimate of this plan, and the directory that it writes to. It is made of
-    /// [`BINNED_MAP`] and the tool of the session, with dwell points `step_mm` apart.
+    /// [`BINNED_MAP`] and the tool in `tif`, with dwell points `step_mm` apart.
     ///
     /// # Errors
     /// Refuses the settings that [`PlanChoice::command`] refuses.
@@ -443,11 +460,11 @@ impl PlanChoice {
         &self,
         machine: &MachineChoice,
         description: &PipelineDescription,
-        step_mm: f64,
+        (tif, step_mm): (&str, f64),
     ) -> Result<(Words, String), Refusal> {
         let mut command = words(&["planish", "stage", &self.pipeline, "estimate"]);
         command.push(format!("surface={BINNED_MAP}"));
-        command.push("tif=tool/tif".into());
+        command.push(format!("tif={tif}"));
         command.push(format!("machine={}", machine.path(&description.folder)?));
         command.push("prepare=--level none".into());
         command.push(format!("step_mm={step_mm}"));
@@ -581,7 +598,7 @@ mod tests {
         let (command, _) = plan(&[]).command(&coupon, &tool, &machine, &raster).unwrap();
         assert_eq!(command[3], "fixture=coupon");
         let choice = plan(&[("pitch_mm", "2"), ("export", "galil"), ("time_elasticity", "0.25")]);
-        let (estimate, _) = choice.estimate(&machine, &raster, 0.5).unwrap();
+        let (estimate, _) = choice.estimate(&machine, &raster, ("tool/tif", 0.5)).unwrap();
         assert_eq!(
             estimate.join(" "),
             "planish stage raster estimate surface=estimates/map tif=tool/tif \
@@ -600,7 +617,12 @@ mod tests {
         let fitted =
             ToolChoice { fit: Some("gaussian".into()), source: ToolSource::Arrays, ..tool.clone() };
         assert!(fitted.commands("").unwrap()[1].contains(&"--fit-formula=gaussian".into()));
-        assert!(ToolChoice { fit: Some("gaussian".into()), ..tool }.commands("").is_err());
+        assert!(ToolChoice { fit: Some("gaussian".into()), ..tool.clone() }.commands("").is_err());
+        let varying = ToolSource::Varying(vec!["weight.npy".into()]);
+        let varying = ToolChoice { source: varying, ..tool };
+        assert!(varying.commands("").unwrap().is_empty());
+        let (command, _) = plan(&[]).command(&choice, &varying, &machine, &raster).unwrap();
+        assert_eq!(command[4], "tif=files/varying");
     }
 
     #[test]
@@ -608,12 +630,10 @@ mod tests {
         for name in ["../x", "/etc/passwd", "a/b", "-x", ""] {
             assert!(part(PartSource::File(name.into())).commands("").is_err(), "{name}");
             assert!(part(PartSource::Fixture(name.into())).commands("").is_err(), "{name}");
-            let tool = ToolSource::Rates(name.into());
-            assert!(
-                ToolChoice { source: tool, reading: Reading::default(), fit: None }
-                    .commands("")
-                    .is_err()
-            );
+            for tool in [ToolSource::Rates(name.into()), ToolSource::Varying(vec![name.into()])] {
+                let tool = ToolChoice { source: tool, reading: Reading::default(), fit: None };
+                assert!(tool.commands("").is_err());
+            }
             assert!(MachineChoice::Fixture(name.into()).path("").is_err(), "{name}");
         }
         let coupon = part(PartSource::Fixture("coupon".into()));

@@ -12,7 +12,7 @@ use planish_draw::{colour, page};
 use serde::Serialize;
 
 use super::{
-    estimate::estimate,
+    estimate,
     map::map_bytes,
     server::{Server, read_json},
 };
@@ -87,7 +87,7 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
         }
         Route::Estimate => {
             let choice = read_json(&choice_bytes(head, body)?)?;
-            json(&estimate(server, &choice)?)
+            json(&estimate::answer(server, &choice)?)
         }
         Route::Answer => Ok(Answer::new(JSON, run_file(server, "report/summary.json")?)),
         Route::Upload(role, name) => {

@@ -57,6 +57,18 @@ pub struct BinnedFor {
     step_mm: f64,
 }
 
+/// Answers to a wish for an estimate. Each is an answer that the page expects, and no error of HTTP.
+#[derive(Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EstimateAnswer {
+    /// The estimate.
+    Estimate(Box<EstimateReport>),
+    /// A later choice has replaced it, or a step runs.
+    Replaced,
+    /// The choice has none: the sentence that says why.
+    Refused(String),
+}
+
 /// An estimate, as the page gets it.
 #[derive(Serialize)]
 pub struct EstimateReport {
@@ -108,14 +120,27 @@ impl Latest {
     }
 }
 
+/// Returns the answer to the wish for an estimate of a plan.
+///
+/// # Errors
+/// Fails if the disk or the system does.
+pub fn answer(server: &Server, choice: &PlanChoice) -> Result<EstimateAnswer, Refusal> {
+    match estimate(server, choice) {
+        Ok(report) => Ok(EstimateAnswer::Estimate(Box::new(report))),
+        Err(Refusal { status: 409, .. }) => Ok(EstimateAnswer::Replaced),
+        Err(Refusal { status: 400, sentence }) => Ok(EstimateAnswer::Refused(sentence)),
+        Err(refusal) => Err(refusal),
+    }
+}
+
 /// Returns an estimate of a plan.
 ///
 /// # Errors
-/// Refuses it while a step runs, before part, tool and machine are there, for a fixture whose tool varies, and when the
-/// programs refuse it. An estimate that a later one has replaced is refused, too.
-pub fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refusal> {
+/// Refuses it (400) before part, tool and machine are there, for a fixture whose tool varies, and when the programs
+/// refuse it; and (409) while a step runs, or when a later choice has replaced it.
+fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refusal> {
     let begun = Instant::now();
-    let (number, steps, machine) = begin(server)?;
+    let Begun { number, steps, machine, tif } = begin(server)?;
     let mut binned = server.binned.lock().unwrap_or_else(PoisonError::into_inner);
     let description = server.pipelines.get(&choice.pipeline);
     let description = description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
@@ -125,18 +150,29 @@ pub fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, 
     let known = match *binned {
         Some(known) if known.steps == steps => known,
         _ => {
-            let made = bin(server, number, steps)?;
+            let made = bin(server, number, (steps, tif))?;
             *binned = Some(made);
             made
         }
     };
-    let (command, out) = choice.estimate(&machine, description, known.step_mm)?;
+    let (command, out) = choice.estimate(&machine, description, (tif, known.step_mm))?;
     run(server, number, &command)?;
     report(server, (command, &out), known, begun)
 }
 
-/// Returns the number of a new estimate, the numbers of the steps of part and tool, and the machine.
-fn begin(server: &Server) -> Result<(u64, [u64; 2], MachineChoice), Refusal> {
+/// An estimate that begins.
+struct Begun {
+    /// Number of the estimate.
+    number: u64,
+    /// Numbers of the steps of part and tool.
+    steps: [u64; 2],
+    machine: MachineChoice,
+    /// Directory of the tool, in that of the session.
+    tif: &'static str,
+}
+
+/// Begins a new estimate, which replaces the one that runs.
+fn begin(server: &Server) -> Result<Begun, Refusal> {
     let mut live = server.idle()?;
     let session = &live.session;
     let part = session.part.as_ref().filter(|step| step.done().is_some());
@@ -155,13 +191,18 @@ fn begin(server: &Server) -> Result<(u64, [u64; 2], MachineChoice), Refusal> {
         )));
     }
     let steps = [part.number, tool.number];
-    Ok((live.estimate.replace(), steps, machine))
+    let tif = tool.choice.source.tif();
+    Ok(Begun { number: live.estimate.replace(), steps, machine, tif })
 }
 
 /// Makes the binned map of the part for the tool.
-fn bin(server: &Server, number: u64, steps: [u64; 2]) -> Result<BinnedFor, Refusal> {
+fn bin(
+    server: &Server,
+    number: u64,
+    (steps, tif): ([u64; 2], &str),
+) -> Result<BinnedFor, Refusal> {
     let mut inputs = Inputs::new();
-    let tool = server.files.inside("tool/tif")?;
+    let tool = server.files.inside(tif)?;
     let tif: Tif = inputs.read_tool("tif", &tool).map_err(|e| unreadable(&e))?;
     let map = server.files.inside("part/prepared")?;
     let map: Surface = inputs.read("surface", &map).map_err(|e| unreadable(&e))?;

@@ -41,11 +41,10 @@ async function estimate(choice) {
   $("estimate").textContent = "Estimating ...";
   try {
     const begun = performance.now();
-    const answer = await (await ask("estimate", { method: "POST", body: JSON.stringify({ pipeline: choice.pipeline, settings }) })).json();
-    answer.seen_s = (performance.now() - begun) / 1000;
-    estimates[choice.pipeline] = { key, answer };
+    const found = await (await ask("estimate", { method: "POST", body: JSON.stringify({ pipeline: choice.pipeline, settings }) })).json();
+    if (found !== "replaced") estimates[choice.pipeline] = { key, answer: found.estimate, error: found.refused };
+    if (found.estimate) found.estimate.seen_s = (performance.now() - begun) / 1000;
   } catch (error) {
-    if (error.status === 409) return showEstimates();
     estimates[choice.pipeline] = { key, error: error.message };
   }
   showEstimates();
@@ -83,9 +82,20 @@ function showEstimates() {
   const isKnown = known && known.key === estimateKey(planChoice(""));
   $("estimate").textContent = !isKnown ? "" : known.error ? "No estimate: " + known.error : sentenceOf(known.answer);
   $("estimate-warnings").textContent = isKnown && known.answer ? known.answer.warnings.join("\n") : "";
+  markRefused(isKnown && known.error ? known.error : "");
   $("front-box").hidden = !(isKnown && known.answer);
   if (!$("front-box").hidden) drawFront();
   for (const [pipeline, { answer, error }] of Object.entries(estimates)) showCard(pipeline, answer, error).catch((problem) => fail(problem.message));
+}
+
+/** Says a refusal beside the fields of the settings that it names, as settings or as flags. */
+function markRefused(error) {
+  for (const place of document.querySelectorAll("#plan-form .refused")) {
+    const field = place.closest("label").querySelector("[data-setting]"), name = field.dataset.setting;
+    const isNamed = error.includes(`${name} is `) || error.includes(`--${name.replaceAll("_", "-")} `);
+    place.textContent = isNamed ? error.replace("error: ", "") : "";
+    field.ariaInvalid = isNamed;
+  }
 }
 
 /** The card of a kind of path: its drawing and its numbers. */

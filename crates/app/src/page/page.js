@@ -70,11 +70,21 @@ async function drawMap(step, title) {
   views[step] ??= new MapView($(`${step}-view`), title, state.colours);
   views[step].show(map);
   showLimits();
+  if (step !== "after") await showPlaces();
   if (step !== "tool") return;
   const value = (name) => map.numbers.find(([known]) => known === name)[1];
   const [x0, x1] = map.edges_mm;
   toolNumbers = { peak: value("peak rate"), vrr: value("volumetric removal rate"), size: x1 - x0 - map.pitch_mm[0] };
   propose();
+}
+
+/** Shows a tool that varies at some places of the part. */
+async function showPlaces() {
+  const { tool } = state.session, isVarying = !!tool?.choice.source.varying && tool.end === "done";
+  $("places-view").hidden = !isVarying || !views.part;
+  if ($("places-view").hidden) return;
+  views.places ??= new MapView($("places-view"), "tool at nine places of the part", state.colours, false);
+  views.places.show(readMap(await (await ask("map/places")).arrayBuffer()));
 }
 
 function shellWord(word) {

@@ -33,7 +33,8 @@ function settingField(setting, value) {
   field.addEventListener("change", estimateSoon);
   const words = setting.name.replace(/_(s_per_mm|nm2_per_s|mm_per_s|percent|mm2|deg|mm|nm|s)$/, "").replaceAll("_", " ");
   const label = element("label", {}, words + " ", element("span", { className: "unit", textContent: setting.unit }),
-    field, element("small", { textContent: setting.help + (setting.words.length ? "" : ` (${setting.allowed})`) }));
+    field, element("small", { textContent: setting.help + (setting.words.length ? "" : ` (${setting.allowed})`) }),
+    element("small", { className: "bad refused" }));
   if (["pitch_mm", "overscan_mm", "min_dwell_s_per_mm"].includes(setting.name)) label.append(element("small", { id: "proposal-" + setting.name, className: "proposal" }));
   return label;
 }
@@ -93,11 +94,12 @@ function propose() {
 function showOthers() {
   const { part, tool } = state.session, source = part?.choice.source, map = source === "arrays" ? "files/part" : "part/surface";
   const isOwn = !source?.fixture || tool?.choice.source.fixture !== source.fixture;
-  const mirror = isOwn ? `surface=${map} tif=tool/tif` : `fixture=${source.fixture}`;
+  const tif = tool?.choice.source.varying ? "files/varying" : "tool/tif";
+  const mirror = isOwn ? `surface=${map} tif=${tif}` : `fixture=${source.fixture}`;
   const machine = state.session.machine?.fixture ? `${state.folder}fixtures/machines/${state.session.machine.fixture}.json` : "machine.json";
   const lines = Object.entries(OTHERS).map(([name, what]) => {
     if (name === "several") return `# ${what}; rack.json lists the tools\nplanish several surface=${map} rack=rack.json machine=${machine} out=runs/several`;
-    if (name === "line") return `# ${what}; profile.csv has the profile\nplanish surface line --profile profile.csv --tif tool/tif --strip-width-mm 10 --out runs/strip`;
+    if (name === "line") return `# ${what}; profile.csv has the profile\nplanish surface line --profile profile.csv --tif ${tif} --strip-width-mm 10 --out runs/strip`;
     return `# ${what}\nplanish run ${name} ${mirror} machine=${machine} out=runs/${name}`;
   });
   $("other-commands").textContent = lines.join("\n");
