@@ -73,7 +73,9 @@ function chosenPoint(answer) {
 
 function sentenceOf(answer) {
   const point = chosenPoint(answer), map = answer.square_px > 1 ? `, on means of ${answer.square_px} x ${answer.square_px} pixels` : "";
-  return `Estimate: ${number(point.rms_nm, 3)} nm RMS in ${duration(point.time_s)}, from dwell times without a motion${map}. ` +
+  const lines = answer.coarser > 1 ? `, along lines ${number(answer.coarser, 2)} times as far apart as yours` : "";
+  return `Estimate: ${number(point.rms_nm, 3)} nm RMS in ${duration(point.time_s)}, from dwell times without a motion${map}${lines}. ` +
+    "The plan may leave a quarter more or less, and take a quarter longer, because of corners and limits. " +
     `The path is ${number(answer.length_mm / 1000, 3)} m long. The exact plan follows when you press Plan.`;
 }
 

@@ -69,6 +69,8 @@ async function drawMap(step, title) {
   const map = readMap(await (await ask(`map/${step}`)).arrayBuffer());
   views[step] ??= new MapView($(`${step}-view`), title, state.colours);
   views[step].show(map);
+  if (given[step]) views[step].seen_s = (performance.now() - given[step]) / 1000;
+  delete given[step];
   showLimits();
   if (step !== "after") await showPlaces();
   if (step !== "tool") return;

@@ -4,6 +4,8 @@
 const ARRAYS = { part: "height_nm.npy", tool: "rate_nm_per_s.npy", varying: "weight.npy", after: "height_nm.npy" };
 /** Files of each role: { file } or { arrays }. */
 const chosen = { part: null, tool: null, before: null, varying: null, after: null };
+/** Time at which the files of a step were given, ms, until its map is drawn. */
+const given = {};
 
 /** Fields of a reading: name, unit, kind, sentence. */
 const READING = [
@@ -88,6 +90,7 @@ function askFor(step, messages) {
 async function upload(role, files) {
   try {
     fail("");
+    given[role] = performance.now();
     const names = [...files].map((file) => file.name.replace(/[^A-Za-z0-9._+-]/g, "_").replace(/^[.-]+/, "").slice(-100) || "file");
     if (role === "varying" && !names.includes(ARRAYS.varying)) throw new Error("A tool that varies has weight.npy among its files; give all of them.");
     if (names.length > 1 && !names.includes(ARRAYS[role]))

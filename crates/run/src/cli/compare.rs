@@ -2,7 +2,10 @@
 
 use clap::Args;
 use planish_handoff::{Failure, Status, warn};
-use planish_pipeline::{definition::DIRECTORY_NAME, scope::{Scope, Words}};
+use planish_pipeline::{
+    definition::DIRECTORY_NAME,
+    scope::{Scope, Words},
+};
 
 use super::{
     execute::{Messages, Programs, assumed_machine, run},
@@ -47,8 +50,7 @@ impl Compare {
         // The fixture of the first pipeline, if the user names no mirror.
         let definition = place.definition(PATHS[0])?;
         let named = named.map(|name| format!("fixture={name}"));
-        let first =
-            place.settings(&definition, &[named.as_slice(), &settings].concat())?;
+        let first = place.settings(&definition, &[named.as_slice(), &settings].concat())?;
         let text = |name: &str| first.text(name).map_err(Failure::new);
         let fixture = text("fixture")?;
         let out = match given {
@@ -66,8 +68,11 @@ impl Compare {
         let mut assumed_text = None;
         for fixture in &mirrors {
             for path in PATHS {
-                let at =
-                    if is_all { format!("{out}/{fixture}-{path}") } else { format!("{out}/{path}") };
+                let at = if is_all {
+                    format!("{out}/{fixture}-{path}")
+                } else {
+                    format!("{out}/{path}")
+                };
                 let own = [
                     vec![format!("fixture={fixture}")],
                     settings.clone(),
