@@ -30,6 +30,10 @@ pub const BINNED_MAP: &str = "estimates/map";
 const EXPORT: &str = "export";
 /// Settings that an estimate leaves out: programs and films, which it does not make, and the step, which is its own.
 const NOT_ESTIMATED: [&str; 5] = [EXPORT, "program_of", "frames", "noise_nm", "step_mm"];
+/// Setting of the name of the part.
+const PART_NAME: &str = "part_name";
+/// Settings that are texts for the heads of the report and of the program, and name no file.
+const STATED: [&str; 4] = [PART_NAME, "part_number", "date", "operator"];
 /// Distance of the lines of an estimate, over the full width at half maximum of the tool, if those of the plan are closer.
 /// Larger: dwell times that remove less well than those of the plan. Smaller: slower estimates: at 0.12 minutes on the
 /// fixture flat-92x16, because many dwell times are at their floor. A Gaussian tool has no ripple of these lines, 4e-17.
@@ -187,8 +191,8 @@ pub struct PlanChoice {
 /// Part, tool and machine of an estimate, in numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EstimateInputs<'a> {
-    /// Directory of the tool, in that of the session.
-    pub tif: &'a str,
+    /// Source of the tool.
+    pub tool: &'a ToolSource,
     /// Full width at half maximum of the tool, mm.
     pub width_mm: f64,
     /// Area that the path covers, mm^2.
@@ -223,11 +227,7 @@ impl Reading {
         ];
         for (flag, text) in texts {
             if let Some(text) = text {
-                if text.len() > MOST_TEXT_BYTES || text.contains(char::is_control) {
-                    return Err(Refusal::of_value(format!(
-                        "{flag} is too long or has control characters"
-                    )));
-                }
+                check_text(flag, text)?;
                 words.push(format!("{flag}={text}"));
             }
         }
@@ -334,6 +334,11 @@ impl ToolSource {
     /// Returns the directory of the tool, in that of the session: a tool that varies is used as it was uploaded.
     pub fn tif(&self) -> &'static str {
         if matches!(self, Self::Varying(_)) { VARYING_TOOL } else { "tool/tif" }
+    }
+
+    /// Returns the end of the name of a run or an estimate: a run belongs to the place of its tool.
+    pub fn run_suffix(&self) -> &'static str {
+        if matches!(self, Self::Varying(_)) { "-varying" } else { "" }
     }
 }
 
@@ -482,7 +487,12 @@ impl PlanChoice {
         command.push(format!("machine={}", machine.path(&description.folder)?));
         command.push(format!("prepare={}", part.preparation()?.join(" ")));
         command.extend(self.setting_words(description, &[])?);
-        let out = format!("runs/{}-{mirror}", self.pipeline);
+        if let PartSource::File(name) = &part.source
+            && self.settings.get(PART_NAME).is_none_or(String::is_empty)
+        {
+            command.push(format!("{PART_NAME}={name}"));
+        }
+        let out = format!("runs/{}-{mirror}{}", self.pipeline, tool.source.run_suffix());
         command.push(format!("out={out}"));
         Ok((command, out))
     }
@@ -512,11 +522,11 @@ impl PlanChoice {
         let step_mm = if lines_mm / fine_mm > FEW_POINTS { step_mm } else { fine_mm };
         let mut command = words(&["planish", "stage", &self.pipeline, "estimate"]);
         command.push(format!("surface={BINNED_MAP}"));
-        command.push(format!("tif={}", of.tif));
+        command.push(format!("tif={}", of.tool.tif()));
         command.push(format!("machine={}", machine.path(&description.folder)?));
         command.push("prepare=--level none".into());
         command.push(format!("step_mm={step_mm}"));
-        let mut left_out = NOT_ESTIMATED.to_vec();
+        let mut left_out = [&NOT_ESTIMATED[..], &STATED].concat();
         if coarser > 1.0 || self.number("min_dwell_s", description).is_some() {
             left_out.extend(["min_dwell_s", "min_dwell_s_per_mm"]);
             // As much time per area as along the lines of the plan.
@@ -528,7 +538,7 @@ impl PlanChoice {
             command.push(format!("pitch_mm={coarse_mm}"));
         }
         command.extend(self.setting_words(description, &left_out)?);
-        let out = format!("estimates/{}", self.pipeline);
+        let out = format!("estimates/{}{}", self.pipeline, of.tool.run_suffix());
         command.push(format!("out={out}"));
         Ok(Estimate { command, out, coarser })
     }
@@ -569,10 +579,15 @@ impl PlanChoice {
             })?;
         let mut all = Words::new();
         for (name, value) in &self.settings {
-            let setting = definition.settings.iter().find(|s| s.name == *name && s.kind.is_plain());
+            let is_stated = STATED.contains(&name.as_str());
+            let mut settings = definition.settings.iter().filter(|s| s.name == *name);
+            let setting = settings.find(|s| s.kind.is_plain() || is_stated);
             let setting = setting.ok_or_else(|| {
                 Refusal::of_value(format!("'{name}' is no setting that this page gives"))
             })?;
+            if is_stated {
+                check_text(name, value)?;
+            }
             if !value.is_empty() {
                 setting.kind.check(value).map_err(|wanted| {
                     Refusal::of_value(format!("{name} is '{value}'; give {wanted}"))
@@ -598,6 +613,14 @@ fn fixture(folder: &str, name: &str, out: &str) -> Result<Words, Refusal> {
     }
     let recipe = format!("{folder}fixtures/{name}.json");
     Ok(words(&["planish", "fixture", &recipe, "--out", out, "--force"]))
+}
+
+/// Refuses a text of the user that is too long or has control characters. `name` is that of its flag or setting.
+fn check_text(name: &str, text: &str) -> Result<(), Refusal> {
+    if text.len() > MOST_TEXT_BYTES || text.contains(char::is_control) {
+        return Err(Refusal::of_value(format!("{name} is too long or has control characters")));
+    }
+    Ok(())
 }
 
 /// Returns a fraction of a width, mm, with the three digits that make a command readable.
@@ -675,15 +698,18 @@ mod tests {
         assert_eq!(
             own.join(" "),
             "planish run raster surface=part/surface tif=tool/tif machine=/share/fixtures/machines/ion-beam.json \
-             prepare=--level plane pitch_mm=2 out=runs/raster-own"
+             prepare=--level plane pitch_mm=2 part_name=m.datx out=runs/raster-own"
         );
         assert_eq!(out, "runs/raster-own");
+        let named = plan(&[("part_name", "M 1"), ("operator", "me")]);
+        let (named, _) = named.command(&choice, &tool, &machine, &raster).unwrap();
+        assert_eq!(named[7..9], ["operator=me", "part_name=M 1"]);
         let coupon = part(PartSource::Fixture("coupon".into()));
         let (command, _) = plan(&[]).command(&coupon, &tool, &machine, &raster).unwrap();
         assert_eq!(command[3], "fixture=coupon");
         let choice = plan(&[("pitch_mm", "2"), ("export", "galil"), ("time_elasticity", "0.25")]);
         let of = EstimateInputs {
-            tif: "tool/tif",
+            tool: &tool.source,
             width_mm: 2.0,
             area_mm2: 100.0,
             floor_s_per_mm: 0.004,
@@ -714,10 +740,10 @@ mod tests {
         assert!(fitted.commands("").unwrap()[1].contains(&"--fit-formula=gaussian".into()));
         assert!(ToolChoice { fit: Some("gaussian".into()), ..tool.clone() }.commands("").is_err());
         let varying = ToolSource::Varying(vec!["weight.npy".into()]);
-        let varying = ToolChoice { source: varying, ..tool };
+        let varying = ToolChoice { source: varying, ..tool.clone() };
         assert!(varying.commands("").unwrap().is_empty());
-        let (command, _) = plan(&[]).command(&choice, &varying, &machine, &raster).unwrap();
-        assert_eq!(command[4], "tif=files/varying");
+        let (command, out) = plan(&[]).command(&choice, &varying, &machine, &raster).unwrap();
+        assert_eq!([&command[4], &out], ["tif=files/varying", "runs/raster-own-varying"]);
     }
 
     #[test]
@@ -746,6 +772,8 @@ mod tests {
             ("variant", "--out x"),
             ("nothing", "1"),
             ("export", "abacus"),
+            ("operator", "a\nb"),
+            ("fixture", "../x"),
         ] {
             let command = plan(&[setting]).command(&coupon, &tool, &own, &description("raster"));
             assert!(command.is_err(), "{setting:?}");

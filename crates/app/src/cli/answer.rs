@@ -82,7 +82,9 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
             Ok(report(server.files.read(&path)?))
         }
         Route::PathPicture(name) => {
-            let path = server.files.inside(&format!("estimates/{name}/tool_path.svg"))?;
+            let tool = server.live().session.tool.as_ref().map(|step| step.choice.source.clone());
+            let end = tool.map_or("", |tool| tool.run_suffix());
+            let path = server.files.inside(&format!("estimates/{name}{end}/tool_path.svg"))?;
             Ok(Answer::new("image/svg+xml", server.files.read(&path)?))
         }
         Route::Estimate => {

@@ -142,7 +142,7 @@ pub fn answer(server: &Server, choice: &PlanChoice) -> Result<EstimateAnswer, Re
 /// refuse it; and (409) while a step runs, or when a later choice has replaced it.
 fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refusal> {
     let begun = Instant::now();
-    let Begun { number, steps, machine, tif } = begin(server)?;
+    let Begun { number, steps, machine, tool } = begin(server)?;
     let mut binned = server.binned.lock().unwrap_or_else(PoisonError::into_inner);
     let description = server.pipelines.get(&choice.pipeline);
     let description = description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
@@ -152,7 +152,7 @@ fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refu
     let known = match *binned {
         Some(known) if known.steps == steps => known,
         _ => {
-            let made = bin(server, number, (steps, tif))?;
+            let made = bin(server, number, (steps, tool.tif()))?;
             *binned = Some(made);
             made
         }
@@ -162,7 +162,7 @@ fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refu
     // The faster axis bounds the speed along the path, as in the plan.
     let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
     let BinnedFor { width_mm, area_mm2, .. } = known;
-    let of = EstimateInputs { tif, width_mm, area_mm2, floor_s_per_mm: fastest.recip() };
+    let of = EstimateInputs { tool: &tool, width_mm, area_mm2, floor_s_per_mm: fastest.recip() };
     let made = choice.estimate(&machine, description, &of)?;
     run(server, number, &made.command)?;
     report(server, made, known, begun)
@@ -175,8 +175,7 @@ struct Begun {
     /// Numbers of the steps of part and tool.
     steps: [u64; 2],
     machine: MachineChoice,
-    /// Directory of the tool, in that of the session.
-    tif: &'static str,
+    tool: ToolSource,
 }
 
 /// Begins a new estimate, which replaces the one that runs.
@@ -199,8 +198,8 @@ fn begin(server: &Server) -> Result<Begun, Refusal> {
         )));
     }
     let steps = [part.number, tool.number];
-    let tif = tool.choice.source.tif();
-    Ok(Begun { number: live.estimate.replace(), steps, machine, tif })
+    let tool = tool.choice.source.clone();
+    Ok(Begun { number: live.estimate.replace(), steps, machine, tool })
 }
 
 /// Makes the binned map of the part for the tool.

@@ -15,7 +15,7 @@ let estimateTimer = 0;
 function estimateKey(choice) {
   const { part, tool, machine } = state.session;
   const settings = { ...choice.settings };
-  for (const name of ["time_elasticity", "export", "step_mm", "frames"]) delete settings[name];
+  for (const name of ["time_elasticity", "export", "step_mm", "frames", ...STATED]) delete settings[name];
   return JSON.stringify([part?.number, tool?.number, machine, choice.pipeline, settings]);
 }
 

@@ -99,7 +99,10 @@ function showStep(step, messages) {
   end.classList.toggle("bad", !!found && !["done", "running"].includes(found.end));
   if (!found) return;
   const place = section.querySelector(".done");
-  const warnings = messages.split("\n").filter((line) => /^(warning|error): /.test(line) || line.startsWith("verdict: ") && found.end === "negative");
+  const said = messages.split("\n").filter((line) => /^(warning|error): /.test(line) || line.startsWith("verdict: ") && found.end === "negative");
+  // Three arrays need no manifest here, and a verdict of the end may repeat an earlier one.
+  const warnings = said.filter((line, i) => !line.includes("no manifest.json, read as bare arrays") &&
+    !said.slice(0, i).some((earlier) => line.includes(earlier.replace(/^[a-z]+: /, ""))));
   const key = JSON.stringify([found.commands, found.end, messages]);
   if (place.dataset.key === key) return;
   place.dataset.key = key;

@@ -5,6 +5,8 @@ const pipelines = {};
 let toolNumbers = null;
 /** Settings that stand above the others. */
 const FIRST = new Set(["pitch_mm", "min_pitch_mm", "step_mm", "scan", "overscan_mm", "min_dwell_s_per_mm", "refine", "passes", "spacing_mm", "seed"]);
+/** Settings that are texts for the heads of the report and of the program. */
+const STATED = new Set(["part_name", "part_number", "date", "operator"]);
 /** Pipelines that the page does not run, and what they are for. */
 const OTHERS = {
   bspline: "speeds along straight passes as B-splines", "trig-spline": "a motion of trigonometric splines", rest: "moves and stops at every dwell point",
@@ -48,7 +50,7 @@ async function pipelineNamed(name) {
 async function showPipeline(name, values = {}) {
   const pipeline = await pipelineNamed(name);
   $("pipeline-title").textContent = pipeline.title;
-  const plain = pipeline.settings.filter((s) => s.is_plain && s.name !== "export");
+  const plain = pipeline.settings.filter((s) => (s.is_plain || STATED.has(s.name)) && s.name !== "export");
   $("settings").replaceChildren(...plain.filter((s) => FIRST.has(s.name)).map((s) => settingField(s, values[s.name])));
   $("more-settings").replaceChildren(...plain.filter((s) => !FIRST.has(s.name)).map((s) => settingField(s, values[s.name])));
   const controllers = pipeline.settings.find((s) => s.name === "export").words;
