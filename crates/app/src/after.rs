@@ -28,6 +28,8 @@ pub struct AfterChoice {
 pub struct MeasuredRun<'a> {
     /// Choice of the part.
     pub part: &'a PartChoice,
+    /// Directory of the tool, in that of the session.
+    pub tif: &'a str,
     /// Choice of the machine.
     pub machine: &'a MachineChoice,
     /// Choice of the plan.
@@ -52,7 +54,7 @@ impl AfterChoice {
         next.push(format!("before={}", run.part.source.surface("part")));
         next.push(format!("after={}", self.source.surface("after")));
         next.push(format!("trajectory={}", run.trajectory));
-        next.push("tif=tool/tif".into());
+        next.push(format!("tif={}", run.tif));
         next.push(format!("machine={}", run.machine.path(&description.folder)?));
         next.push(format!("pipeline={}", run.plan.pipeline));
         next.push(format!("prepare={}", run.part.preparation()?.join(" ")));
@@ -92,6 +94,7 @@ mod tests {
         };
         let run = MeasuredRun {
             part: &part,
+            tif: "tool/tif",
             machine: &MachineChoice::Own,
             plan: &plan,
             trajectory: "runs/raster-own/methods/joint+galil/trajectory",

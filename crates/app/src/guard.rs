@@ -82,6 +82,8 @@ pub enum MapName {
     Part,
     /// The tool.
     Tool,
+    /// A tool that varies, at some places of the part.
+    Places,
     /// The part as the run has it.
     Before,
     /// The removal of the plan that is to be run.
@@ -101,6 +103,8 @@ pub enum Role {
     Tool,
     /// Map of the spot before the tool acted.
     Before,
+    /// A file of a tool that varies.
+    Varying,
     /// Map of the part after the run.
     After,
 }
@@ -129,6 +133,7 @@ impl Role {
             Self::Part => "part",
             Self::Tool => "tool",
             Self::Before => "before",
+            Self::Varying => "varying",
             Self::After => "after",
         }
     }
@@ -272,6 +277,7 @@ fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
         (false, ["state"]) => Route::State,
         (false, ["map", "part"]) => Route::Map(MapName::Part),
         (false, ["map", "tool"]) => Route::Map(MapName::Tool),
+        (false, ["map", "places"]) => Route::Map(MapName::Places),
         (false, ["map", "before"]) => Route::Map(MapName::Before),
         (false, ["map", "removal"]) => Route::Map(MapName::Removal),
         (false, ["map", "residual"]) => Route::Map(MapName::Residual),
@@ -287,6 +293,7 @@ fn route(changes: bool, path: &[&str]) -> Result<Route, Refusal> {
                 "part" => Role::Part,
                 "tool" => Role::Tool,
                 "before" => Role::Before,
+                "varying" => Role::Varying,
                 "after" => Role::After,
                 _ => return Err(no_such_path()),
             };

@@ -115,6 +115,14 @@ def check_estimates(browser):
     """Estimates, the slider, and the kinds of paths."""
     wait(browser, "document.getElementById('estimate').textContent.startsWith('Estimate: ')", 30)
     print(f"     an estimate takes {browser.js('planish.estimates.raster.answer.took_s'):.2f} s, seen after {browser.js('planish.estimates.raster.answer.seen_s'):.2f} s")
+    pitch = "document.querySelector('[data-setting=pitch_mm]')"
+    for text in ("0.9", "0.8", "0"):
+        browser.js(f"{pitch}.value = '{text}'; {pitch}.dispatchEvent(new Event('change'))")
+        time.sleep(0.25)
+    wait(browser, "!!document.querySelector('#plan-form .refused:not(:empty)')", 20)
+    check("a refusal stands beside its field", "pitch_mm is '0'" in browser.js(f"{pitch}.closest('label').querySelector('.refused').textContent"))
+    browser.js(f"{pitch}.value = ''; {pitch}.dispatchEvent(new Event('change'))")
+    wait(browser, "document.getElementById('estimate').textContent.startsWith('Estimate: ') && !document.querySelector('#plan-form .refused:not(:empty)')", 30)
     before = browser.js("document.getElementById('estimate').textContent")
     browser.js("(() => { const s = document.getElementById('worth'); s.value = 8; s.dispatchEvent(new Event('input')); })()")
     after = browser.js("document.getElementById('estimate').textContent")
@@ -249,6 +257,28 @@ def check_arrays(browser, work, session):
     check("beside a script", "planish run raster 'surface=files/part'" in (session / "session.sh").read_text())
 
 
+def check_varying(browser, programs, work, session):
+    """A tool that varies, as planish tool has written it."""
+    subprocess.run([programs / "planish", "tool", "incidence", "--tif", session / "tool/tif", "--surface", session / "files/part", "--sphere-radius-mm", "30",
+                    "--exponent=-1.7", "--out", work / "varying"], check=True, stdout=subprocess.DEVNULL)
+    before = browser.js("document.getElementById('tool-source').value")
+    put(browser, "tool-source", "varying")
+    give(browser, "varying-file", *sorted((work / "varying").iterdir()))
+    wait(browser, "planish.views.places && !document.getElementById('places-view').hidden", 20)
+    least, most = browser.js("planish.views.places.map.numbers.map((n) => n[1])")
+    check("a tool that varies is drawn over the part", 0 < least < 0.99 * most, (least, most))
+    check("without the files of another", sorted(p.name for p in (session / "files/varying").iterdir()) == sorted(p.name for p in (work / "varying").iterdir()))
+    wait(browser, "!!planish.estimates.raster && planish.estimates.raster.key === estimateKey(planChoice(''))", 30)
+    check("and estimated", browser.js("planish.estimates.raster.answer?.chosen.time_s > 0"), browser.js("planish.estimates.raster.error"))
+    press(browser, "plan-form")
+    wait(browser, "!!planish.state.running", 10)
+    end = idle(browser, "plan")
+    check("and planned", end in ("done", "negative") and "tif=files/varying" in (session / "session.sh").read_text(), end)
+    put(browser, "tool-source", before)
+    press(browser, "tool-form")
+    wait(browser, "document.getElementById('places-view').hidden && planish.state.session.tool.end === 'done'", 20)
+
+
 def check_wrong_and_cancel(browser, work):
     (work / "notes.txt").write_text("this is no map\n")
     give(browser, "part-file", work / "notes.txt")
@@ -343,7 +373,7 @@ def check_large(browser, work):
     begun = time.time()
     give(browser, "part-file", *(work / f"{n}.npy" for n in ("height_nm", "x_mm", "y_mm")))
     wait(browser, "planish.views.part && planish.views.part.map.pixels[0] === 2000", 60)
-    print(f"     a map of 2000 x 2000 is drawn after {time.time() - begun:.2f} s")
+    print(f"     a map of 2000 x 2000 is drawn after {browser.js('planish.views.part.seen_s'):.2f} s, {time.time() - begun:.2f} s with this program")
 
 
 def main():
@@ -366,12 +396,14 @@ def main():
         check_estimates(browser)
         check_result(browser)
         check_labels(browser)
-        check_machine(browser)
         check_after(browser, options.programs, options.work, session)
         shots(browser, options.shots)
         complaints = [c for c in browser.complaints() if not c.startswith("request to " + app.address.rsplit("/", 2)[0])]
         check("the browser has no complaints", complaints == [], complaints[:3])
+        # The browser complains of every choice that the server refuses.
+        check_machine(browser)
         check_arrays(browser, options.work, session)
+        check_varying(browser, options.programs, options.work, session)
         check_aperture(browser)
         check_programs(browser, options.work, session)
         check_files(browser, options.file)

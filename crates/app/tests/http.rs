@@ -91,6 +91,14 @@ impl Server {
         self.settled()
     }
 
+    /// Returns the answer to the wish for an estimate.
+    #[track_caller]
+    fn estimate(&self, plan: &Value) -> Value {
+        let (status, body) = self.ask("POST", "estimate", plan.to_string().as_bytes());
+        assert_eq!(status, 200, "{}", String::from_utf8_lossy(&body));
+        serde_json::from_slice(&body).unwrap()
+    }
+
     fn settled(&self) -> Value {
         let since = Instant::now();
         loop {
@@ -273,14 +281,15 @@ fn an_estimate_agrees_with_the_plan() {
         let dir = tempfile::tempdir().unwrap();
         let server = Server::start(dir.path());
         let plan = json!({ "pipeline": "raster", "settings": { "refine": "no", "frames": "0" } });
-        let early = server.ask("POST", "estimate", plan.to_string().as_bytes());
-        assert_eq!(early.0, 400, "{}", String::from_utf8_lossy(&early.1));
+        let early = server.estimate(&plan);
+        assert!(early["refused"].as_str().unwrap().contains("part, tool and machine"), "{early}");
         server.choose("part", &part(&json!({ "fixture": fixture })));
         server.choose("tool", &json!({ "source": { "fixture": fixture } }));
         server.choose("machine", &json!({ "fixture": "ion-beam" }));
-        let (code, body) = server.ask("POST", "estimate", plan.to_string().as_bytes());
-        assert_eq!(code, 200, "{}", String::from_utf8_lossy(&body));
-        let estimate: Value = serde_json::from_slice(&body).unwrap();
+        let wrong = json!({ "pipeline": "raster", "settings": { "pitch_mm": "0" } });
+        let wrong = server.estimate(&wrong);
+        assert!(wrong["refused"].as_str().unwrap().contains("pitch_mm is '0'"), "{wrong}");
+        let estimate = server.estimate(&plan)["estimate"].take();
         let estimated = |name: &str| estimate["chosen"][name].as_f64().unwrap();
         let (code, picture) = server.ask("GET", "path/raster", b"");
         assert_eq!((code, &picture[..4]), (200, &b"<svg"[..]));

@@ -102,10 +102,10 @@ pub fn front(
         .par_iter()
         .map(|exponent| problem.point(scale * 10_f64.powf(*exponent)))
         .collect::<Result<Vec<_>, _>>()?;
-    let chosen = problem.point(match settings.worth {
-        Worth::Elasticity(x) => price_of_elasticity(&points, x),
-        Worth::Nm2PerS(price) => price,
-    })?;
+    let chosen = match settings.worth {
+        Worth::Elasticity(x) => point_of_elasticity(&points, x),
+        Worth::Nm2PerS(price) => problem.point(price)?,
+    };
     if !points.contains(&chosen) {
         points.push(chosen);
     }
@@ -154,22 +154,31 @@ impl Problem<'_> {
     }
 }
 
-/// Returns the price at the least value of (2), from points at prices that fall by one factor. The parabola through the
-/// least of them and its neighbours, over the logarithm of the price, has its vertex there.
-fn price_of_elasticity(points: &[FrontPoint], elasticity: f64) -> f64 {
+/// Returns the point at the least value of (2), from points at prices that fall by one factor. Over the logarithm of the
+/// price, the logarithms of M and T are parabolas through the least of these points and its neighbours, and so is (2). Its
+/// vertex is the point. If the least one is the first or the last, it is the point.
+fn point_of_elasticity(points: &[FrontPoint], elasticity: f64) -> FrontPoint {
     let values: Vec<f64> =
         points.iter().map(|p| 2.0 * p.rms_nm.ln() + elasticity * p.time_s.ln()).collect();
     let least = (0..values.len()).min_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-    let price = points[least].price_nm2_per_s;
-    let inner = least.clamp(1, values.len() - 2);
-    if inner != least {
-        return price;
+    if least == 0 || least + 1 == points.len() {
+        return points[least];
     }
-    let [before, at, after] = [values[least - 1], values[least], values[least + 1]];
-    let bend = before - 2.0 * at + after;
-    let shift = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
+    let bend = values[least - 1] - 2.0 * values[least] + values[least + 1];
+    let fall = 0.5 * (values[least - 1] - values[least + 1]);
     // One step is the factor between two prices.
-    price * (points[least + 1].price_nm2_per_s / price).powf(shift)
+    let steps = if bend > 0.0 { fall / bend } else { 0.0 };
+    let at = |number: fn(&FrontPoint) -> f64| {
+        let [before, at, after] =
+            [-1, 0, 1].map(|offset| number(&points[least.saturating_add_signed(offset)]).ln());
+        let slope = 0.5 * (after - before);
+        (at + slope * steps + 0.5 * (before - 2.0 * at + after) * steps * steps).exp()
+    };
+    FrontPoint {
+        price_nm2_per_s: at(|p| p.price_nm2_per_s),
+        rms_nm: at(|p| p.rms_nm),
+        time_s: at(|p| p.time_s),
+    }
 }
 
 #[cfg(test)]
@@ -190,16 +199,20 @@ mod tests {
     }
 
     #[test]
-    fn the_price_of_an_elasticity_is_where_a_percent_of_time_is_worth_it() {
+    fn the_point_of_an_elasticity_is_where_a_percent_of_time_is_worth_it() {
         let floor = 1e-2;
         let points = points(floor);
         for elasticity in [0.5, 1.0, 2.0] {
-            let price = price_of_elasticity(&points, elasticity);
+            let chosen = point_of_elasticity(&points, elasticity);
             // Elasticity 4 T^(-4) / (T^(-4) + floor) = e gives T^(-4) = e floor / (4 - e).
             let time = (elasticity * floor / (4.0 - elasticity)).powf(-0.25);
             let exact = 2.0 * time.powi(-5);
             // The parabola spans a factor of 40 of the price.
-            assert!((price / exact).ln().abs() < 0.5, "{elasticity}: {price} {exact}");
+            let ratio = chosen.price_nm2_per_s / exact;
+            assert!(ratio.ln().abs() < 0.5, "{elasticity}: {chosen:?} {exact}");
+            // The times of two points differ by a factor of 1.4, and the parabola follows ln M to 2 %.
+            let mean_square = chosen.time_s.powi(-4) + floor;
+            assert!((chosen.rms_nm.powi(2) / mean_square).ln().abs() < 0.05, "{chosen:?}");
         }
     }
 }

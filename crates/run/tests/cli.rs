@@ -613,6 +613,7 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         (&["campaign", "runs=0"], "runs is '0'; give 1 to 99"),
         (&["next-run", "before=none"], "before none is not there"),
         (&["compare", "coupon", "skip=x"], "leave it out for one mirror"),
+        (&["compare", "all", "surface=mirror"], "leave surface and tif out, or all"),
         (&["tolerance", "foo"], "'foo' is no pipeline and no setting"),
         (
             &["run", "raster", "pitch_mm=2", "pitch_mm=3"],
@@ -834,6 +835,22 @@ fn a_solver_that_is_left_out_has_no_command() {
     let has = |words: &str| log.iter().any(|line| line.contains(words));
     assert!(!has("o/solvers/nnls/") && !has("o/solvers/udo/") && has("o/solvers/udo-shift/"));
     assert!(has("<--skip=nnls udo>"), "{log:?}");
+}
+
+#[test]
+fn the_page_of_a_comparison_has_the_name_of_the_part_that_was_given() {
+    let dir = bench();
+    recorders(dir.path());
+    let own = ["compare", "surface=mirror", "tif=tool", "machine=machine.json", "part_name=M1"];
+    for (words, name) in [(&own[..], "mirror"), (&["compare", "coupon", own[3]], "coupon")] {
+        let (ended, log) = recorded(dir.path(), words);
+        assert_eq!(ended.status.code(), Some(0), "{}", message(&ended));
+        let page = log.last().unwrap();
+        for word in [format!("<--mirror={name}>"), format!("<out/compare/{name}/report>")] {
+            assert!(page.contains(&word), "{page}");
+        }
+        assert_eq!(page.contains("<--part-name=M1>"), name == "mirror", "{page}");
+    }
 }
 
 #[test]

@@ -12,7 +12,7 @@ use planish_draw::{colour, page};
 use serde::Serialize;
 
 use super::{
-    estimate::estimate,
+    estimate,
     map::map_bytes,
     server::{Server, read_json},
 };
@@ -82,12 +82,14 @@ pub fn respond(server: &std::sync::Arc<Server>, head: &Head, body: &mut dyn Read
             Ok(report(server.files.read(&path)?))
         }
         Route::PathPicture(name) => {
-            let path = server.files.inside(&format!("estimates/{name}/tool_path.svg"))?;
+            let tool = server.live().session.tool.as_ref().map(|step| step.choice.source.clone());
+            let end = tool.map_or("", |tool| tool.run_suffix());
+            let path = server.files.inside(&format!("estimates/{name}{end}/tool_path.svg"))?;
             Ok(Answer::new("image/svg+xml", server.files.read(&path)?))
         }
         Route::Estimate => {
             let choice = read_json(&choice_bytes(head, body)?)?;
-            json(&estimate(server, &choice)?)
+            json(&estimate::answer(server, &choice)?)
         }
         Route::Answer => Ok(Answer::new(JSON, run_file(server, "report/summary.json")?)),
         Route::Upload(role, name) => {

@@ -18,7 +18,10 @@ use std::{
 };
 
 use planish_app::{
-    choice::{BINNED_MAP, MachineChoice, PartSource, PlanChoice, ToolSource, Words},
+    choice::{
+        BINNED_MAP, Estimate, EstimateInputs, MachineChoice, PartSource, PlanChoice, ToolSource,
+        Words,
+    },
     refusal::Refusal,
 };
 use planish_handoff::{Artifact, Inputs, Running, words};
@@ -34,10 +37,6 @@ use super::{
 /// estimates. Smaller: the map no longer shows what the tool can correct. Derived: a Gaussian tool lets through less than
 /// 1e-13 of a wave of two such pixels, exp(-2 (pi sigma / L)^2) with L = FWHM / 3 and FWHM = 2.355 sigma.
 const PIXELS_PER_WIDTH: f64 = 6.0;
-/// Distance of the dwell points of an estimate, over the full width at half maximum of the tool. Larger: fewer dwell
-/// times, which remove less well than a motion whose speed changes from point to point. Smaller: slower estimates.
-/// Measured: a quarter of it changes the residual on coupon by 10 %.
-const STEP_PER_WIDTH: f64 = 0.2;
 /// Messages of the last estimate, in the directory of the session.
 const LOG: &str = "estimate.log";
 
@@ -54,7 +53,20 @@ pub struct BinnedFor {
     steps: [u64; 2],
     square_px: usize,
     within_rms_nm: f64,
-    step_mm: f64,
+    width_mm: f64,
+    area_mm2: f64,
+}
+
+/// Answers to a wish for an estimate. Each is an answer that the page expects, and no error of HTTP.
+#[derive(Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EstimateAnswer {
+    /// The estimate.
+    Estimate(Box<EstimateReport>),
+    /// A later choice has replaced it, or a step runs.
+    Replaced,
+    /// The choice has none: the sentence that says why.
+    Refused(String),
 }
 
 /// An estimate, as the page gets it.
@@ -66,8 +78,10 @@ pub struct EstimateReport {
     points: Vec<Point>,
     /// The point of the wanted worth of time.
     chosen: Point,
-    /// Length of the path, mm.
+    /// Length of the path of the plan, mm.
     length_mm: f64,
+    /// Factor by which the lines are further apart than those of the plan, at least 1.
+    coarser: f64,
     /// Side of the squares of pixels that became one, px.
     square_px: usize,
     /// Wall time of the estimate, s.
@@ -108,14 +122,27 @@ impl Latest {
     }
 }
 
+/// Returns the answer to the wish for an estimate of a plan.
+///
+/// # Errors
+/// Fails if the disk or the system does.
+pub fn answer(server: &Server, choice: &PlanChoice) -> Result<EstimateAnswer, Refusal> {
+    match estimate(server, choice) {
+        Ok(report) => Ok(EstimateAnswer::Estimate(Box::new(report))),
+        Err(Refusal { status: 409, .. }) => Ok(EstimateAnswer::Replaced),
+        Err(Refusal { status: 400, sentence }) => Ok(EstimateAnswer::Refused(sentence)),
+        Err(refusal) => Err(refusal),
+    }
+}
+
 /// Returns an estimate of a plan.
 ///
 /// # Errors
-/// Refuses it while a step runs, before part, tool and machine are there, for a fixture whose tool varies, and when the
-/// programs refuse it. An estimate that a later one has replaced is refused, too.
-pub fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refusal> {
+/// Refuses it (400) before part, tool and machine are there, for a fixture whose tool varies, and when the programs
+/// refuse it; and (409) while a step runs, or when a later choice has replaced it.
+fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, Refusal> {
     let begun = Instant::now();
-    let (number, steps, machine) = begin(server)?;
+    let Begun { number, steps, machine, tool } = begin(server)?;
     let mut binned = server.binned.lock().unwrap_or_else(PoisonError::into_inner);
     let description = server.pipelines.get(&choice.pipeline);
     let description = description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
@@ -125,18 +152,34 @@ pub fn estimate(server: &Server, choice: &PlanChoice) -> Result<EstimateReport, 
     let known = match *binned {
         Some(known) if known.steps == steps => known,
         _ => {
-            let made = bin(server, number, steps)?;
+            let made = bin(server, number, (steps, tool.tif()))?;
             *binned = Some(made);
             made
         }
     };
-    let (command, out) = choice.estimate(&machine, description, known.step_mm)?;
-    run(server, number, &command)?;
-    report(server, (command, &out), known, begun)
+    let file = server.files.dir.join(machine.path(&description.folder)?);
+    let limits = Inputs::new().read_machine(&file).map_err(|e| unreadable(&e))?.limits_on_part();
+    // The faster axis bounds the speed along the path, as in the plan.
+    let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
+    let BinnedFor { width_mm, area_mm2, .. } = known;
+    let of = EstimateInputs { tool: &tool, width_mm, area_mm2, floor_s_per_mm: fastest.recip() };
+    let made = choice.estimate(&machine, description, &of)?;
+    run(server, number, &made.command)?;
+    report(server, made, known, begun)
 }
 
-/// Returns the number of a new estimate, the numbers of the steps of part and tool, and the machine.
-fn begin(server: &Server) -> Result<(u64, [u64; 2], MachineChoice), Refusal> {
+/// An estimate that begins.
+struct Begun {
+    /// Number of the estimate.
+    number: u64,
+    /// Numbers of the steps of part and tool.
+    steps: [u64; 2],
+    machine: MachineChoice,
+    tool: ToolSource,
+}
+
+/// Begins a new estimate, which replaces the one that runs.
+fn begin(server: &Server) -> Result<Begun, Refusal> {
     let mut live = server.idle()?;
     let session = &live.session;
     let part = session.part.as_ref().filter(|step| step.done().is_some());
@@ -155,13 +198,14 @@ fn begin(server: &Server) -> Result<(u64, [u64; 2], MachineChoice), Refusal> {
         )));
     }
     let steps = [part.number, tool.number];
-    Ok((live.estimate.replace(), steps, machine))
+    let tool = tool.choice.source.clone();
+    Ok(Begun { number: live.estimate.replace(), steps, machine, tool })
 }
 
 /// Makes the binned map of the part for the tool.
-fn bin(server: &Server, number: u64, steps: [u64; 2]) -> Result<BinnedFor, Refusal> {
+fn bin(server: &Server, number: u64, (steps, tif): ([u64; 2], &str)) -> Result<BinnedFor, Refusal> {
     let mut inputs = Inputs::new();
-    let tool = server.files.inside("tool/tif")?;
+    let tool = server.files.inside(tif)?;
     let tif: Tif = inputs.read_tool("tif", &tool).map_err(|e| unreadable(&e))?;
     let map = server.files.inside("part/prepared")?;
     let map: Surface = inputs.read("surface", &map).map_err(|e| unreadable(&e))?;
@@ -183,9 +227,16 @@ fn bin(server: &Server, number: u64, steps: [u64; 2]) -> Result<BinnedFor, Refus
     let manifest = manifest.map_err(|e| unreadable(&e))?;
     let outcome: BinningOutcome =
         manifest.read_outcome(&made, "estimate again").map_err(|e| unreadable(&e))?;
-    // Three digits are enough, and make a command that can be read.
-    let step_mm = (1e3 * STEP_PER_WIDTH * tif.half_maximum_width_mm()).round().max(1.0) / 1e3;
-    Ok(BinnedFor { steps, square_px, within_rms_nm: outcome.within_rms_nm, step_mm })
+    // The path goes over the edges by half the tool.
+    let sides_mm = [(&map.grid().x, &tif.grid().x), (&map.grid().y, &tif.grid().y)]
+        .map(|(part, tool)| part.end_mm() - part.start_mm() + tool.end_mm() - tool.start_mm());
+    Ok(BinnedFor {
+        steps,
+        square_px,
+        within_rms_nm: outcome.within_rms_nm,
+        width_mm: tif.half_maximum_width_mm(),
+        area_mm2: sides_mm.iter().product(),
+    })
 }
 
 /// Runs a command of the estimate `number` to its end, with its messages in the log.
@@ -232,7 +283,7 @@ fn run(server: &Server, number: u64, command: &Words) -> Result<(), Refusal> {
 /// Returns the numbers of an estimate whose commands have ended.
 fn report(
     server: &Server,
-    (command, out): (Words, &str),
+    Estimate { command, out, coarser }: Estimate,
     binned: BinnedFor,
     begun: Instant,
 ) -> Result<EstimateReport, Refusal> {
@@ -249,7 +300,8 @@ fn report(
         command,
         points: front.points.into_iter().map(whole).collect(),
         chosen: whole(front.chosen),
-        length_mm: (0..path.len()).map(|i| path.segment_length_mm(i)).sum(),
+        length_mm: coarser * (0..path.len()).map(|i| path.segment_length_mm(i)).sum::<f64>(),
+        coarser,
         square_px: binned.square_px,
         took_s: begun.elapsed().as_secs_f64(),
         warnings: warnings.map(String::from).collect(),

@@ -122,6 +122,20 @@ impl Files {
         written.map_err(|e| on_disk(&e))
     }
 
+    /// Removes the files of a folder that are not among `names`: those of an earlier upload.
+    ///
+    /// # Errors
+    /// Fails if there is no such folder, or if the disk refuses it.
+    pub fn keep_alone(&self, folder: &str, names: &[String]) -> Result<(), Refusal> {
+        for entry in fs::read_dir(self.inside(folder)?).map_err(|e| on_disk(&e))? {
+            let entry = entry.map_err(|e| on_disk(&e))?;
+            if !names.iter().any(|name| **name == *entry.file_name()) {
+                fs::remove_file(entry.path()).map_err(|e| on_disk(&e))?;
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the absolute path of something that exists in the directory of the session.
     ///
     /// # Errors

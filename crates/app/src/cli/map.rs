@@ -1,10 +1,10 @@
 //! Maps for their drawing: the statistics of all pixels, and means of blocks of pixels.
 
-use std::path::Path;
+use std::{iter::repeat, path::Path};
 
 use planish_app::{guard::MapName, refusal::Refusal};
 use planish_handoff::Inputs;
-use planish_types::{Grid, Removal, Surface, Tif, doubts};
+use planish_types::{Grid, Pose, Removal, Surface, Tif, doubts};
 use serde::Serialize;
 
 use super::server::Server;
@@ -12,6 +12,10 @@ use super::server::Server;
 /// Largest number of values along the longer side of a drawing. Larger: more to send and to draw. Smaller: coarser
 /// pictures on a wide screen.
 const MOST_VALUES: usize = 700;
+
+/// Places along an axis at which a tool that varies is drawn, as fractions of the side of the part. On a disk all nine
+/// are on the part.
+const PLACES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 
 /// Description of a map, which stands before its values.
 #[derive(Serialize)]
@@ -43,7 +47,11 @@ pub fn map_bytes(server: &Server, name: MapName) -> Result<Vec<u8>, Refusal> {
     let files = &server.files;
     match name {
         MapName::Part => surface(&files.inside("part/prepared")?),
-        MapName::Tool => tool(&files.inside("tool/tif")?),
+        MapName::Tool => Ok(tool(&read_tool(server)?)),
+        MapName::Places => {
+            let part = read_surface(&files.inside("part/prepared")?)?;
+            places(&read_tool(server)?, part.grid())
+        }
         MapName::After => {
             let live = server.live();
             let after = live.session.after.as_ref().map(|step| step.choice.source.surface("after"));
@@ -75,8 +83,12 @@ fn removal(dir: &Path, name: MapName) -> Result<Vec<u8>, Refusal> {
     Ok(heights(&map.map_err(|e| unreadable(&e))?, None))
 }
 
+fn read_surface(dir: &Path) -> Result<Surface, Refusal> {
+    Inputs::new().read("surface", dir).map_err(|e| unreadable(&e))
+}
+
 fn surface(dir: &Path) -> Result<Vec<u8>, Refusal> {
-    let map: Surface = Inputs::new().read("surface", dir).map_err(|e| unreadable(&e))?;
+    let map = read_surface(dir)?;
     let doubt = doubts::of_heights(&map);
     Ok(heights(&map, doubt))
 }
@@ -94,15 +106,58 @@ fn heights(map: &Surface, doubt: Option<String>) -> Vec<u8> {
     drawing(map.grid(), map.height_nm().iter(), (statistics.mean, "nm"), numbers, doubt)
 }
 
-fn tool(dir: &Path) -> Result<Vec<u8>, Refusal> {
-    let tif: Tif = Inputs::new().read_tool("tif", dir).map_err(|e| unreadable(&e))?;
+/// Reads the tool of the session.
+fn read_tool(server: &Server) -> Result<Tif, Refusal> {
+    let dir = server.live().session.tool.as_ref().map(|step| step.choice.source.tif());
+    let dir = dir.ok_or_else(|| Refusal::new(404, "there is no tool yet"))?;
+    let read = Inputs::new().read_tool("tif", &server.files.inside(dir)?);
+    read.map_err(|e| unreadable(&e))
+}
+
+/// Returns the bytes of a map of the part with the removal rate of a tool that varies, which stands at each of
+/// [`PLACES`] in turn and points along x. A pixel has the largest of these rates.
+fn places(tif: &Tif, part: &Grid) -> Result<Vec<u8>, Refusal> {
+    let none = || Refusal::new(404, "the tool is the same everywhere");
+    let variation = tif.variation().ok_or_else(none)?;
+    let (ny, nx) = part.shape();
+    let factor = variation.factor_on(part);
+    let factors = factor.iter().flat_map(|factor| factor.iter().copied());
+    let factors: Vec<f64> = factors.chain(repeat(1.0)).take(ny * nx).collect();
+    let mut rates = vec![0.0_f64; ny * nx];
+    let mut peaks = Vec::new();
+    let [along_x, along_y] = [&part.x, &part.y].map(|axis| {
+        let [low, high] = axis.edges_mm();
+        PLACES.map(|fraction| low + fraction * (high - low))
+    });
+    for pose in along_y.iter().flat_map(|y| along_x.map(|x| Pose::along_x([x, *y]))) {
+        let mut peak = 0.0_f64;
+        for (i, largest) in rates.iter_mut().enumerate() {
+            let pixel = [part.x.coordinate_mm(i % nx), part.y.coordinate_mm(i / nx)];
+            let offset = [0, 1].map(|axis| pixel[axis] - pose.position_mm[axis]);
+            if [0, 1].iter().all(|axis| tif.cell(*axis, offset[*axis]).is_some()) {
+                let rate = factors[i] * tif.rate_of_tool_at(pose, offset);
+                *largest = largest.max(rate);
+                peak = peak.max(rate);
+            }
+        }
+        peaks.push(peak);
+    }
+    let numbers = vec![
+        ("smallest peak rate", peaks.iter().copied().fold(f64::INFINITY, f64::min), "nm/s"),
+        ("largest peak rate", peaks.iter().copied().fold(0.0, f64::max), "nm/s"),
+    ];
+    Ok(drawing(part, rates.iter(), (0.0, "nm/s"), numbers, None))
+}
+
+/// Returns the bytes of a map of the tool; of the mean tool, if it varies.
+fn tool(tif: &Tif) -> Vec<u8> {
     let numbers = vec![
         ("peak rate", tif.peak_nm_per_s(), "nm/s"),
         ("full width at half maximum", tif.half_maximum_width_mm(), "mm"),
         ("volumetric removal rate", tif.vrr_nm_mm2_per_s(), "nm mm^2/s"),
     ];
-    let doubt = doubts::of_tif(&tif);
-    Ok(drawing(tif.grid(), tif.rate_nm_per_s().iter(), (0.0, "nm/s"), numbers, doubt))
+    let doubt = doubts::of_tif(tif);
+    drawing(tif.grid(), tif.rate_nm_per_s().iter(), (0.0, "nm/s"), numbers, doubt)
 }
 
 /// Returns the refusal for something of the session that cannot be read.

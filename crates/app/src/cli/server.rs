@@ -11,7 +11,7 @@ use planish_app::{
     after::{AfterChoice, MeasuredRun},
     choice::{
         MachineChoice, OWN_MACHINE, PartChoice, PartSource, PlanChoice, Reading, TARGET,
-        TOOL_RECIPE, ToolChoice, ToolSource,
+        TOOL_RECIPE, ToolChoice, ToolSource, VARYING_TOOL,
     },
     guard::{Guard, check_file_name},
     refusal::Refusal,
@@ -214,7 +214,8 @@ impl Server {
             _ => drop(self.files.inside("files/after/height_nm.npy")?),
         }
         let trajectory = format!("{}/trajectory", self.executed(session, plan)?);
-        let run = MeasuredRun { part, machine, plan, trajectory: &trajectory };
+        let tif = session.tool.as_ref().map_or("", |step| step.choice.source.tif());
+        let run = MeasuredRun { part, tif, machine, plan, trajectory: &trajectory };
         let description = self.pipelines.get(&plan.pipeline);
         let description =
             description.ok_or_else(|| Refusal::of_value("there is no such pipeline"))?;
@@ -301,6 +302,11 @@ impl Server {
                 if let Some(before) = before {
                     self.files.inside(&format!("files/before/{before}"))?;
                 }
+            }
+            ToolSource::Varying(names) => {
+                self.files.keep_alone(VARYING_TOOL, names)?;
+                let read = Inputs::new().read_tool("tif", &self.files.inside(VARYING_TOOL)?);
+                read.map_err(|e| Refusal::of_value(e.to_string()))?;
             }
             ToolSource::Formula { .. } => {}
         }

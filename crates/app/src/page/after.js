@@ -25,8 +25,8 @@ function showAfter(messages) {
   $("learnt").textContent = lines.join("\n");
   $("learnt").hidden = !isDone || lines.length < 2;
   const key = JSON.stringify([found, state.has_reports[1]]);
-  if (drawn.after === key) return;
-  drawn.after = key;
+  if (drawn.next === key) return;
+  drawn.next = key;
   $("next-report").replaceChildren(...(isDone && state.has_reports[1] ? [reportFrame("Report of the next run", state.reports[1])] : []));
 }
 

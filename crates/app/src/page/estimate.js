@@ -15,7 +15,7 @@ let estimateTimer = 0;
 function estimateKey(choice) {
   const { part, tool, machine } = state.session;
   const settings = { ...choice.settings };
-  for (const name of ["time_elasticity", "export", "step_mm", "frames"]) delete settings[name];
+  for (const name of ["time_elasticity", "export", "step_mm", "frames", ...STATED]) delete settings[name];
   return JSON.stringify([part?.number, tool?.number, machine, choice.pipeline, settings]);
 }
 
@@ -41,11 +41,10 @@ async function estimate(choice) {
   $("estimate").textContent = "Estimating ...";
   try {
     const begun = performance.now();
-    const answer = await (await ask("estimate", { method: "POST", body: JSON.stringify({ pipeline: choice.pipeline, settings }) })).json();
-    answer.seen_s = (performance.now() - begun) / 1000;
-    estimates[choice.pipeline] = { key, answer };
+    const found = await (await ask("estimate", { method: "POST", body: JSON.stringify({ pipeline: choice.pipeline, settings }) })).json();
+    if (found !== "replaced") estimates[choice.pipeline] = { key, answer: found.estimate, error: found.refused };
+    if (found.estimate) found.estimate.seen_s = (performance.now() - begun) / 1000;
   } catch (error) {
-    if (error.status === 409) return showEstimates();
     estimates[choice.pipeline] = { key, error: error.message };
   }
   showEstimates();
@@ -74,7 +73,9 @@ function chosenPoint(answer) {
 
 function sentenceOf(answer) {
   const point = chosenPoint(answer), map = answer.square_px > 1 ? `, on means of ${answer.square_px} x ${answer.square_px} pixels` : "";
-  return `Estimate: ${number(point.rms_nm, 3)} nm RMS in ${duration(point.time_s)}, from dwell times without a motion${map}. ` +
+  const lines = answer.coarser > 1 ? `, along lines ${number(answer.coarser, 2)} times as far apart as yours` : "";
+  return `Estimate: ${number(point.rms_nm, 3)} nm RMS in ${duration(point.time_s)}, from dwell times without a motion${map}${lines}. ` +
+    "The plan may leave a quarter more or less, and take a quarter longer, because of corners and limits. " +
     `The path is ${number(answer.length_mm / 1000, 3)} m long. The exact plan follows when you press Plan.`;
 }
 
@@ -83,9 +84,20 @@ function showEstimates() {
   const isKnown = known && known.key === estimateKey(planChoice(""));
   $("estimate").textContent = !isKnown ? "" : known.error ? "No estimate: " + known.error : sentenceOf(known.answer);
   $("estimate-warnings").textContent = isKnown && known.answer ? known.answer.warnings.join("\n") : "";
+  markRefused(isKnown && known.error ? known.error : "");
   $("front-box").hidden = !(isKnown && known.answer);
   if (!$("front-box").hidden) drawFront();
   for (const [pipeline, { answer, error }] of Object.entries(estimates)) showCard(pipeline, answer, error).catch((problem) => fail(problem.message));
+}
+
+/** Says a refusal beside the fields of the settings that it names, as settings or as flags. */
+function markRefused(error) {
+  for (const place of document.querySelectorAll("#plan-form .refused")) {
+    const field = place.closest("label").querySelector("[data-setting]"), name = field.dataset.setting;
+    const isNamed = error.includes(`${name} is `) || error.includes(`--${name.replaceAll("_", "-")} `);
+    place.textContent = isNamed ? error.replace("error: ", "") : "";
+    field.ariaInvalid = isNamed;
+  }
 }
 
 /** The card of a kind of path: its drawing and its numbers. */

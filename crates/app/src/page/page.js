@@ -69,12 +69,24 @@ async function drawMap(step, title) {
   const map = readMap(await (await ask(`map/${step}`)).arrayBuffer());
   views[step] ??= new MapView($(`${step}-view`), title, state.colours);
   views[step].show(map);
+  if (given[step]) views[step].seen_s = (performance.now() - given[step]) / 1000;
+  delete given[step];
   showLimits();
+  if (step !== "after") await showPlaces();
   if (step !== "tool") return;
   const value = (name) => map.numbers.find(([known]) => known === name)[1];
   const [x0, x1] = map.edges_mm;
   toolNumbers = { peak: value("peak rate"), vrr: value("volumetric removal rate"), size: x1 - x0 - map.pitch_mm[0] };
   propose();
+}
+
+/** Shows a tool that varies at some places of the part. */
+async function showPlaces() {
+  const { tool } = state.session, isVarying = !!tool?.choice.source.varying && tool.end === "done";
+  $("places-view").hidden = !isVarying || !views.part;
+  if ($("places-view").hidden) return;
+  views.places ??= new MapView($("places-view"), "tool at nine places of the part", state.colours, false);
+  views.places.show(readMap(await (await ask("map/places")).arrayBuffer()));
 }
 
 function shellWord(word) {
@@ -87,7 +99,10 @@ function showStep(step, messages) {
   end.classList.toggle("bad", !!found && !["done", "running"].includes(found.end));
   if (!found) return;
   const place = section.querySelector(".done");
-  const warnings = messages.split("\n").filter((line) => /^(warning|error): /.test(line) || line.startsWith("verdict: ") && found.end === "negative");
+  const said = messages.split("\n").filter((line) => /^(warning|error): /.test(line) || line.startsWith("verdict: ") && found.end === "negative");
+  // Three arrays need no manifest here, and a verdict of the end may repeat an earlier one.
+  const warnings = said.filter((line, i) => !line.includes("no manifest.json, read as bare arrays") &&
+    !said.slice(0, i).some((earlier) => line.includes(earlier.replace(/^[a-z]+: /, ""))));
   const key = JSON.stringify([found.commands, found.end, messages]);
   if (place.dataset.key === key) return;
   place.dataset.key = key;

@@ -5,6 +5,8 @@ const pipelines = {};
 let toolNumbers = null;
 /** Settings that stand above the others. */
 const FIRST = new Set(["pitch_mm", "min_pitch_mm", "step_mm", "scan", "overscan_mm", "min_dwell_s_per_mm", "refine", "passes", "spacing_mm", "seed"]);
+/** Settings that are texts for the heads of the report and of the program. */
+const STATED = new Set(["part_name", "part_number", "date", "operator"]);
 /** Pipelines that the page does not run, and what they are for. */
 const OTHERS = {
   bspline: "speeds along straight passes as B-splines", "trig-spline": "a motion of trigonometric splines", rest: "moves and stops at every dwell point",
@@ -33,7 +35,8 @@ function settingField(setting, value) {
   field.addEventListener("change", estimateSoon);
   const words = setting.name.replace(/_(s_per_mm|nm2_per_s|mm_per_s|percent|mm2|deg|mm|nm|s)$/, "").replaceAll("_", " ");
   const label = element("label", {}, words + " ", element("span", { className: "unit", textContent: setting.unit }),
-    field, element("small", { textContent: setting.help + (setting.words.length ? "" : ` (${setting.allowed})`) }));
+    field, element("small", { textContent: setting.help + (setting.words.length ? "" : ` (${setting.allowed})`) }),
+    element("small", { className: "bad refused" }));
   if (["pitch_mm", "overscan_mm", "min_dwell_s_per_mm"].includes(setting.name)) label.append(element("small", { id: "proposal-" + setting.name, className: "proposal" }));
   return label;
 }
@@ -47,7 +50,7 @@ async function pipelineNamed(name) {
 async function showPipeline(name, values = {}) {
   const pipeline = await pipelineNamed(name);
   $("pipeline-title").textContent = pipeline.title;
-  const plain = pipeline.settings.filter((s) => s.is_plain && s.name !== "export");
+  const plain = pipeline.settings.filter((s) => (s.is_plain || STATED.has(s.name)) && s.name !== "export");
   $("settings").replaceChildren(...plain.filter((s) => FIRST.has(s.name)).map((s) => settingField(s, values[s.name])));
   $("more-settings").replaceChildren(...plain.filter((s) => !FIRST.has(s.name)).map((s) => settingField(s, values[s.name])));
   const controllers = pipeline.settings.find((s) => s.name === "export").words;
@@ -93,11 +96,12 @@ function propose() {
 function showOthers() {
   const { part, tool } = state.session, source = part?.choice.source, map = source === "arrays" ? "files/part" : "part/surface";
   const isOwn = !source?.fixture || tool?.choice.source.fixture !== source.fixture;
-  const mirror = isOwn ? `surface=${map} tif=tool/tif` : `fixture=${source.fixture}`;
+  const tif = tool?.choice.source.varying ? "files/varying" : "tool/tif";
+  const mirror = isOwn ? `surface=${map} tif=${tif}` : `fixture=${source.fixture}`;
   const machine = state.session.machine?.fixture ? `${state.folder}fixtures/machines/${state.session.machine.fixture}.json` : "machine.json";
   const lines = Object.entries(OTHERS).map(([name, what]) => {
     if (name === "several") return `# ${what}; rack.json lists the tools\nplanish several surface=${map} rack=rack.json machine=${machine} out=runs/several`;
-    if (name === "line") return `# ${what}; profile.csv has the profile\nplanish surface line --profile profile.csv --tif tool/tif --strip-width-mm 10 --out runs/strip`;
+    if (name === "line") return `# ${what}; profile.csv has the profile\nplanish surface line --profile profile.csv --tif ${tif} --strip-width-mm 10 --out runs/strip`;
     return `# ${what}\nplanish run ${name} ${mirror} machine=${machine} out=runs/${name}`;
   });
   $("other-commands").textContent = lines.join("\n");

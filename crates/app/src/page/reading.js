@@ -1,9 +1,11 @@
 "use strict";
 // The files that the user gives, how they are read, and the choices of part and tool.
 
-const ARRAYS = { part: "height_nm.npy", tool: "rate_nm_per_s.npy", after: "height_nm.npy" };
+const ARRAYS = { part: "height_nm.npy", tool: "rate_nm_per_s.npy", varying: "weight.npy", after: "height_nm.npy" };
 /** Files of each role: { file } or { arrays }. */
-const chosen = { part: null, tool: null, before: null, after: null };
+const chosen = { part: null, tool: null, before: null, varying: null, after: null };
+/** Time at which the files of a step were given, ms, until its map is drawn. */
+const given = {};
 
 /** Fields of a reading: name, unit, kind, sentence. */
 const READING = [
@@ -88,7 +90,9 @@ function askFor(step, messages) {
 async function upload(role, files) {
   try {
     fail("");
+    given[role] = performance.now();
     const names = [...files].map((file) => file.name.replace(/[^A-Za-z0-9._+-]/g, "_").replace(/^[.-]+/, "").slice(-100) || "file");
+    if (role === "varying" && !names.includes(ARRAYS.varying)) throw new Error("A tool that varies has weight.npy among its files; give all of them.");
     if (names.length > 1 && !names.includes(ARRAYS[role]))
       throw new Error(`Several files are ${ARRAYS[role] ?? "no map before the tool"}, x_mm.npy and y_mm.npy; otherwise give one file.`);
     $(`${role}-chosen`).textContent = `Reading ${names.join(", ")} ...`;
@@ -100,7 +104,8 @@ async function upload(role, files) {
       $("tool-source").value = "rates";
       showSource();
     }
-    if (role === "part" || role === "after" || role === "tool" && $("tool-source").value === "rates") $(`${role}-form`).requestSubmit();
+    if (role === "part" || role === "after") $(`${role}-form`).requestSubmit();
+    if (role === "varying" || role === "tool" && $("tool-source").value === "rates") $("tool-form").requestSubmit();
   } catch (error) {
     chosen[role] = null;
     $(`${role}-chosen`).textContent = "No file.";
@@ -159,7 +164,8 @@ function toolChoice() {
   let source;
   if (kind === "fixture") source = { fixture: $("tool-fixture").value };
   else if (kind === "formula") source = { formula: { peak_nm_per_s: numberOf("tool-peak", "the peak rate"), fwhm_mm: numberOf("tool-fwhm", "the width") } };
-  else if (!chosen.tool) throw new Error("Give the file of the tool.");
+  else if (kind === "varying" && chosen.varying) source = { varying: chosen.varying.arrays };
+  else if (kind === "varying" || !chosen.tool) throw new Error("Give the file of the tool.");
   else if (kind === "rates") source = chosen.tool.arrays ? "arrays" : { rates: chosen.tool.file };
   else source = { spot: { file: chosen.tool.file ?? "", before: chosen.before?.file ?? null,
     dwell_s: numberOf("tool-dwell", "the time at the spot"), half_size_mm: numberOf("tool-half", "the half size") } };
@@ -182,6 +188,8 @@ function fillTool({ source, reading, fit }) {
     chosen.before = source.spot.before ? { file: source.spot.before } : null;
     [$("tool-dwell").value, $("tool-half").value] = [source.spot.dwell_s, source.spot.half_size_mm];
   }
+  if (kind === "varying") chosen.varying = { arrays: source.varying };
+  if (chosen.varying) $("varying-chosen").textContent = chosen.varying.arrays.join(", ");
   if (chosen.tool) $("tool-chosen").textContent = chosen.tool.file ?? "rate_nm_per_s.npy, x_mm.npy, y_mm.npy";
   setReading("tool", reading);
   showSource();
@@ -196,7 +204,7 @@ function startReading() {
   for (const step of ["part", "tool", "after"]) makeReading(step);
   showSource();
   $("tool-source").addEventListener("change", showSource);
-  for (const role of ["part", "tool", "before", "after"]) {
+  for (const role of ["part", "tool", "before", "varying", "after"]) {
     const field = $(`${role}-file`), drop = field.closest(".drop");
     field.addEventListener("change", () => field.files.length && upload(role, field.files));
     for (const kind of ["dragover", "dragleave", "drop"])

@@ -1,23 +1,18 @@
 //! `planish compare`: every scheduler along three tool paths, on one mirror or on all of them.
 
-use std::path::Path;
-
 use clap::Args;
 use planish_handoff::{Failure, Status, warn};
-use planish_pipeline::scope::Words;
+use planish_pipeline::{
+    definition::DIRECTORY_NAME,
+    scope::{Scope, Words},
+};
 
 use super::{
     execute::{Messages, Programs, assumed_machine, run},
-    place::{Installation, directory_name},
+    place::Installation,
     run::end,
-    several::{UserSettings, command, no_flag},
+    several::{UserSettings, command},
 };
-
-/// Returns the fixture that the first pipeline of `PATHS` uses by default.
-fn default_fixture(place: &Installation) -> Result<String, Failure> {
-    let definition = place.definition(PATHS[0])?;
-    place.settings::<&str>(&definition, &[])?.text("fixture").map_err(Failure::new)
-}
 
 /// Names of the pipelines whose tool paths are compared.
 const PATHS: [&str; 3] = ["raster", "maze", "random-adaptive"];
@@ -37,38 +32,49 @@ impl Compare {
         if user.get("export").is_some() {
             return Err(Failure::new("a comparison writes no programs; leave export out"));
         }
-        let fixture = match user.take_fixture()? {
-            None => default_fixture(&place)?,
-            Some(fixture) => fixture,
-        };
-        let fixture = fixture.as_str();
         let skip = user.take("skip").unwrap_or_default();
-        let out = user
-            .take_path("out")
-            .unwrap_or_else(|| format!("out/compare/{}", directory_name(fixture)));
-        let tif = user.get("tif").map(|path| no_flag(&path)).unwrap_or_default();
-        let settings = user.settings;
-        let is_all = fixture == "all";
+        let given = user.take_path("out");
+        let named = user.take_fixture()?;
+        let is_all = named.as_deref() == Some("all");
+        if is_all && (user.get("surface").is_some() || user.get("tif").is_some()) {
+            return Err(Failure::new(
+                "`all` compares the mirrors of fixtures/; leave surface and tif out, or all",
+            ));
+        }
         if !is_all && !skip.is_empty() {
             return Err(Failure::new(
                 "skip leaves out mirrors of `all`; leave it out for one mirror",
             ));
         }
-        let mut mirrors = if is_all { place.fixtures() } else { vec![fixture.to_string()] };
+        let settings = user.settings;
+        // The fixture of the first pipeline, if the user names no mirror.
+        let definition = place.definition(PATHS[0])?;
+        let named = named.map(|name| format!("fixture={name}"));
+        let first = place.settings(&definition, &[named.as_slice(), &settings].concat())?;
+        let text = |name: &str| first.text(name).map_err(Failure::new);
+        let fixture = text("fixture")?;
+        let out = match given {
+            Some(out) => out,
+            None => format!("out/compare/{}", text(DIRECTORY_NAME)?),
+        };
+        let mut mirrors = if is_all { place.fixtures() } else { vec![fixture] };
         mirrors.retain(|mirror| !skip.split_whitespace().any(|name| name == mirror));
         if mirrors.is_empty() {
             return Err(Failure::new("skip leaves out every mirror of fixtures/"));
         }
-        let mut runs = Vec::new();
         let mut code = 0;
-        let mut assumed = Vec::new();
+        let mut flags = vec!["report".to_string()];
+        let mut about = Vec::new();
         let mut assumed_text = None;
-        for mirror in &mirrors {
+        for fixture in &mirrors {
             for path in PATHS {
-                let at =
-                    if is_all { format!("{out}/{mirror}-{path}") } else { format!("{out}/{path}") };
+                let at = if is_all {
+                    format!("{out}/{fixture}-{path}")
+                } else {
+                    format!("{out}/{path}")
+                };
                 let own = [
-                    vec![format!("fixture={mirror}")],
+                    vec![format!("fixture={fixture}")],
                     settings.clone(),
                     vec![format!("out={at}")],
                 ];
@@ -80,29 +86,29 @@ impl Compare {
                     other => return end(other),
                 }
                 assumed_text = assumed_machine(&ended.scope)?;
-                assumed = ended.scope.words("assumed", &Words::new()).map_err(Failure::new)?;
-                runs.push(at);
+                about = about_runs(&ended.scope, is_all).map_err(Failure::new)?;
+                flags.push(at);
             }
         }
-        let mut flags = [vec!["report".to_string()], runs].concat();
-        if is_all {
-            flags.extend(["--pipeline".into(), "compare".into()]);
-        } else {
-            // The tool is the same along every path: that of the fixture, or the user's as it is or as it was imported.
-            let tif = if tif.is_empty() {
-                format!("{out}/raster/fixture/tif")
-            } else if Path::new(&tif).is_file() {
-                format!("{out}/raster/import/tif")
-            } else {
-                tif
-            };
-            flags.extend([format!("--mirror={fixture}"), "--tif".into(), tif]);
-        }
-        flags.extend(assumed);
+        flags.extend(about);
         flags.extend(["--out".into(), format!("{out}/report"), "--force".into()]);
         let ended =
             Programs::new(&place, Messages::Shown)?.run(&command("planish-compare", &flags))?;
         assumed_text.iter().for_each(warn);
         end(if ended == 0 { code } else { ended })
     }
+}
+
+/// Returns the flags of the report that are the same for all runs, from the scope of one of them. The runs of all
+/// fixtures have no mirror and no tool in common.
+fn about_runs(scope: &Scope<'_>, is_all: bool) -> Result<Vec<String>, String> {
+    let mut flags = if is_all {
+        ["--pipeline", "compare"].map(String::from).to_vec()
+    } else {
+        vec![format!("--mirror={}", scope.text("name")?), format!("--tif={}", scope.text("tool")?)]
+    };
+    for name in ["assumed", "stated"] {
+        flags.extend(scope.words(name, &Words::new())?);
+    }
+    Ok(flags)
 }

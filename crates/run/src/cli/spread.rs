@@ -29,13 +29,14 @@ impl CampaignSpread {
             ));
         }
         let seeds = count("seeds", &user.take("seeds").unwrap_or("20".into()), 999)?;
-        let surface = user.get("surface").map(|path| name_of(path.as_ref()));
         let fixture = user.take_fixture()?;
-        let mirror = surface.or(fixture.clone());
-        let out = user.take_path("out").unwrap_or_else(|| {
-            let mirror = mirror.unwrap_or("coupon".into());
-            format!("out/campaign-spread/{}", directory_name(&mirror))
-        });
+        let mirror = match user.get("surface").filter(|path| !path.is_empty()) {
+            Some(path) => name_of(&std::path::absolute(path)?),
+            None => fixture.clone().unwrap_or("coupon".into()),
+        };
+        let out = user
+            .take_path("out")
+            .unwrap_or_else(|| format!("out/campaign-spread/{}", directory_name(&mirror)));
         let mut reports = vec!["spread".to_string()];
         for seed in 1..=seeds {
             let own = [format!("seed={seed}"), format!("out={out}/{seed}")];
