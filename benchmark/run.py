@@ -146,6 +146,26 @@ def plan(name, settings, out, log):
     return motions, recommended
 
 
+def planned(name, out, problem, log):
+    """Runs all methods unless they have run: their motions, the recommended method and the seconds it took.
+
+    Returns None if the part is missing.
+    """
+    file = out / "planned.json"
+    if file.exists():
+        return json.loads(file.read_text())
+    settings = part(name, problem, out, log)
+    if settings is None:
+        return None
+    settings["machine"] = FOLDER / problem["machine"]
+    began = time.monotonic()
+    motions, recommended = plan(name, settings, out, log)
+    plans = {"recommended": recommended, "plan_s": time.monotonic() - began}
+    plans["motions"] = {method: str(motion) for method, motion in motions.items()}
+    file.write_text(json.dumps(plans, indent=2) + "\n")
+    return plans
+
+
 def run(name, out, problem_file=None):
     """Runs and scores a problem. Returns its scores, and a reason if it has none."""
     out = out / "runs" / name
@@ -154,18 +174,14 @@ def run(name, out, problem_file=None):
         return json.loads(scores.read_text()), None
     out.mkdir(parents=True, exist_ok=True)
     log = out / "log.txt"
-    log.unlink(missing_ok=True)
     problem_file = problem_file or FOLDER / f"{name}.json"
-    problem = json.loads(problem_file.read_text())
-    settings = part(name, problem, out, log)
-    if settings is None:
+    plans = planned(name, out, json.loads(problem_file.read_text()), log)
+    if plans is None:
         return None, "its part is missing; benchmark/measured.py makes it"
-    settings["machine"] = FOLDER / problem["machine"]
-    began = time.monotonic()
-    motions, recommended = plan(name, settings, out, log)
-    planned = time.monotonic()
+    motions = plans.pop("motions")
     if not motions:
         return None, f"no method has a motion; see {log}"
+    began = time.monotonic()
     code, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
     if code > 1:
         return None, f"`planish-benchmark score` ended with code {code}; see {log}"
@@ -173,8 +189,7 @@ def run(name, out, problem_file=None):
     for row, method in zip(rows, motions):
         row["method"] = method
         row["motion"] = row.pop("submission")
-    seconds = {"plan_s": planned - began, "score_s": time.monotonic() - planned}
-    scored = {"recommended": recommended, **seconds, "rows": rows}
+    scored = {**plans, "score_s": time.monotonic() - began, "rows": rows}
     scores.write_text(json.dumps(scored, indent=2) + "\n")
     return scored, None
 

@@ -51,7 +51,9 @@ use std::collections::BTreeSet;
 
 use ndarray::{Array1, Array2, Zip};
 pub use planish_types::outcome::bound::{PathFreeBound, PathFreeBounds};
-use planish_types::{Grid, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, progress};
+use planish_types::{
+    Grid, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice, progress,
+};
 use serde::Serialize;
 
 use crate::DwellError;
