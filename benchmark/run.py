@@ -10,10 +10,9 @@
   --errors       these problems again with the errors of the process, by their recommended plans
 
 A problem that has its scores is not run again. A measured problem whose part is missing is left out, with the reason.
-The methods of a small map are all schedulers along three tool paths, as `planish-run compare` runs them, the closed loop
-and the joint plan among them, and all dwell solvers along the raster, executed by PVT. A large map has the plans of
-`planish-run run raster`, and a line those of `planish-run run line`. The pitch is a quarter of the width of the tool; the
-other settings are those of the pipelines.
+Every map has the plans of `planish run raster` and all schedulers, and every line those of `planish run line`. A small map
+also has all dwell solvers, executed by PVT, B-spline feeds, and the plans of two other paths. The pitch is a quarter of
+the width of the tool; the other settings are those of the pipelines.
 """
 
 import argparse
@@ -36,6 +35,16 @@ PROGRAMS = ROOT / "target/release"
 FOLDER = ROOT / "benchmark/problems"
 # Pixels of the largest map on which every method runs.
 SMALL = 15000
+# Schedulers beside those that every pipeline runs.
+SCHEDULERS = {
+    "average-velocity": ["average-velocity"],
+    "stop-at-corners": ["stop-at-corners"],
+    "pvt+smooth": ["pvt", "--mode", "smooth"],
+    "pvt-as-published": ["pvt-as-published"],
+    "trig-spline": ["trig-spline"],
+    "trig-spline+local": ["trig-spline", "--repair", "local"],
+}
+OTHER_PATHS = ["maze", "random-adaptive"]
 COLUMNS = [
     "time_s",
     "residual_rms_nm",
@@ -115,35 +124,37 @@ def part(name, problem, out, log):
 
 def plan(name, settings, out, log):
     """Runs all methods. Returns the motions by the names of their methods, and the recommended method."""
+    path = "raster"
     if is_line(name):
-        folder = settings["surface"].parent
-        line = json.loads((folder / "line.json").read_text()) | {"machine": settings["machine"]}
-        command, run_settings, path = ["run", "line"], line | {"plan_joint": "yes"}, "line"
-    elif pixels(name) <= SMALL:
-        command, run_settings, path = ["compare"], settings, "raster"
-    else:
-        command, run_settings, path = ["run", "raster"], settings, "raster"
-    plans = out / "plans"
-    words = [f"{key}={value}" for key, value in run_settings.items()]
-    start("planish-run", *command, *words, "frames=0", f"out={plans}", log=log)
-    summary_file = plans / "report/summary.json"
-    summary = json.loads(summary_file.read_text()) if summary_file.exists() else {}
+        line = json.loads((settings["surface"].parent / "line.json").read_text())
+        path, settings = "line", line | {"machine": settings["machine"], "plan_joint": "yes"}
+    plans = out / path
+    run_pipeline(path, settings | {"frames": 0}, plans, log)
+    machine = next(plans.glob("machine/*.json"), settings["machine"])
+    for scheduler, flags in SCHEDULERS.items():
+        files = ["--tool-path", plans / "tool_path", "--dwell", plans / "dwell", "--machine", machine]
+        to = ["--out", plans / f"methods/{scheduler}/trajectory", "--force"]
+        start("planish-schedule", *flags, *files, *to, log=log)
+    if path == "raster" and pixels(name) <= SMALL:
+        tool = ["--surface", plans / "surface", "--tif", settings["tif"], "--tool-path", plans / "tool_path"]
+        to = ["--machine", machine, "--out", plans / "methods/bspline", "--force"]
+        start("planish-bspline-feed", *tool, *to, log=log)
+        run_pipeline("compare-dwell", settings | {"path": plans / "tool_path"}, out / "solvers", log)
+        for other in OTHER_PATHS:
+            run_pipeline(other, settings | {"frames": 0, "plan_joint": "no"}, out / other, log)
     motions = {}
-    for motion in sorted(plans.glob("**/methods/*/trajectory")):
-        along = path if motion.parts[-4] == "plans" else motion.parts[-4]
-        motions[f"{along} {motion.parts[-2]}"] = motion
-    if command == ["compare"]:
-        winner = summary.get("winner") or {}
-        recommended = f"{winner.get('run')} {winner.get('method')}"
-        solvers = out / "solvers"
-        words = [f"{key}={value}" for key, value in settings.items()]
-        words.append(f"path={plans / 'raster/tool_path'}")
-        start("planish-run", "run", "compare-dwell", *words, f"out={solvers}", log=log)
-        for motion in sorted(solvers.glob("solvers/*/executed/trajectory")):
-            motions[f"raster pvt of {motion.parts[-3]}"] = motion
-    else:
-        recommended = f"{path} {summary.get('best')}"
-    return motions, recommended
+    for motion in sorted(out.glob("*/methods/*/trajectory")):
+        motions[f"{motion.parts[-4]} {motion.parts[-2]}"] = motion
+    for motion in sorted(out.glob("solvers/solvers/*/executed/trajectory")):
+        motions[f"{path} pvt of {motion.parts[-3]}"] = motion
+    summary = plans / "report/summary.json"
+    answer = json.loads(summary.read_text())["answer"] if summary.exists() else {}
+    return motions, f"{path} {answer.get('method')}"
+
+
+def run_pipeline(pipeline, settings, out, log):
+    words = [f"{key}={value}" for key, value in settings.items()]
+    start("planish-run", "run", pipeline, *words, f"out={out}", log=log)
 
 
 def planned(name, out, problem, log):

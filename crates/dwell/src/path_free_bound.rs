@@ -254,8 +254,9 @@ impl BoundProblem {
         let Highest { value, place_mm } = highest;
         let along = product(residual_nm, &self.part.desired_nm);
         let norm = self.part.pixels * self.part.rms(residual_nm);
-        let (bound_rms_nm, bound_slope_nm_per_s) = if norm > 0.0 {
-            (((along - time_s * value) / norm).max(0.0), value / norm)
+        // Without a bound above 0 there is no slope: a bound of 0 holds at every time.
+        let (bound_rms_nm, bound_slope_nm_per_s) = if along > time_s * value {
+            ((along - time_s * value) / norm, value / norm)
         } else {
             (0.0, 0.0)
         };
