@@ -13,12 +13,14 @@
 //! |---|---|
 //! | `problem` | part, tool, machine and errors |
 //! | `submission` | the rows of a submission, and their refusals |
+//! | `front` | bounds for the times and the residuals of the motions |
 //! | `score` | the numbers of a motion |
 
 // The command line names this library as any other program does.
 extern crate self as planish_benchmark;
 
 pub mod command;
+mod front;
 mod problem;
 mod score;
 mod submission;

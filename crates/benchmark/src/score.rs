@@ -1,9 +1,6 @@
 //! The numbers of a motion.
 
-use planish_dwell::{
-    DwellError,
-    path_free_bound::{BoundSettings, PathFreeBound, bounds_on_any_path},
-};
+use planish_dwell::DwellError;
 use planish_numerics::{
     slope::{Along, slopes},
     statistics::statistics,
@@ -14,9 +11,7 @@ use planish_types::{Invalid, Machine, Surface, Tif, Trajectory, outcome::toleran
 use planish_verify::{Program, VerifySettings, verify_on_axes};
 use serde::Serialize;
 
-/// Ratio of two times from which each has a bound of its own. Larger: a smaller bound between them, by the second order
-/// of the ratio. Smaller: more time.
-const TIMES_APART: f64 = 1.02;
+use crate::front::Front;
 
 /// Score of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -37,6 +32,10 @@ pub struct Score {
     pub reached_rms_nm: f64,
     /// Excess of the residual RMS over the bound, relative to it.
     pub excess: f64,
+    /// Time, s, that every path and every motion of the tool needs for this residual RMS.
+    pub bound_time_s: f64,
+    /// Excess of the time over that bound, relative to it.
+    pub excess_time: f64,
     /// Residual RMS over runs with the errors of the process, nm; absent if they were not drawn.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub with_errors: Option<Quantiles>,
@@ -78,33 +77,15 @@ pub fn scores(
     motions: &[Trajectory],
 ) -> Result<Vec<Result<Score, ScoreError>>, ScoreError> {
     let executed: Vec<_> = motions.iter().map(|motion| executed(task, motion)).collect();
-    let times = executed.iter().flatten().map(|motion| motion.time_s);
-    let time_s = apart(times.collect());
-    if time_s.is_empty() {
-        return Ok(executed.into_iter().map(|one| Err(one.expect_err("no time"))).collect());
-    }
-    let settings = BoundSettings { time_s, ..BoundSettings::default() };
-    let bounds = bounds_on_any_path(task.desired, task.tif, &settings)?.bounds;
-    Ok(executed.into_iter().map(|one| one.map(|motion| motion.score(&bounds))).collect())
-}
-
-/// Returns some of these times in ascending order, so that none is more than [`TIMES_APART`] above one of them.
-fn apart(mut time_s: Vec<f64>) -> Vec<f64> {
-    time_s.sort_unstable_by(f64::total_cmp);
-    let mut kept: Vec<f64> = Vec::new();
-    for time in time_s {
-        if kept.last().is_none_or(|last| time > last * TIMES_APART) {
-            kept.push(time);
-        }
-    }
-    kept
+    let front = Front::new(task, &executed.iter().flatten().collect::<Vec<_>>())?;
+    Ok(executed.into_iter().map(|one| one.map(|motion| motion.score(&front))).collect())
 }
 
 /// Execution of a motion: its time, and what it leaves.
 #[derive(Debug)]
-struct Executed {
-    time_s: f64,
-    residual: Surface,
+pub struct Executed {
+    pub time_s: f64,
+    pub residual: Surface,
     with_errors: Option<Quantiles>,
 }
 
@@ -130,18 +111,12 @@ fn executed(task: &ScoreTask<'_>, motion: &Trajectory) -> Result<Executed, Score
 }
 
 impl Executed {
-    /// Returns the score beside bounds for some times. Each bound holds at every time T, along its tangent:
-    ///
-    /// ```text
-    /// RMS(T) >= bound(T0) - slope (T - T0)
-    /// ```
-    fn score(self, bounds: &[PathFreeBound]) -> Score {
+    /// Returns the score beside the bounds.
+    fn score(self, front: &Front) -> Score {
         let Self { time_s, residual, with_errors } = self;
-        let at_time = |bound: &PathFreeBound| {
-            bound.bound_rms_nm - bound.bound_slope_nm_per_s * (time_s - bound.time_s)
-        };
-        let bound_rms_nm = bounds.iter().map(at_time).fold(0.0, f64::max);
         let statistics = residual.statistics();
+        let bound_rms_nm = front.bound_rms_nm(time_s);
+        let bound_time_s = front.bound_time_s(statistics.rms);
         Score {
             time_s,
             residual_rms_nm: statistics.rms,
@@ -149,18 +124,13 @@ impl Executed {
             residual_pv_nm: statistics.pv,
             slope_rms_nrad: [Along::X, Along::Y].map(|along| slope_rms_nrad(&residual, along)),
             bound_rms_nm,
-            reached_rms_nm: reached(bounds, time_s),
+            reached_rms_nm: front.reached_rms_nm(time_s),
             excess: statistics.rms / bound_rms_nm - 1.0,
+            bound_time_s,
+            excess_time: time_s / bound_time_s - 1.0,
             with_errors,
         }
     }
-}
-
-/// Returns the residual that dwell times reach within a time: that of the longest of the `bounds` within it. The first
-/// bound has the shortest time of all.
-fn reached(bounds: &[PathFreeBound], time_s: f64) -> f64 {
-    let within = bounds.iter().rfind(|bound| bound.time_s <= time_s);
-    within.unwrap_or(&bounds[0]).reached_rms_nm
 }
 
 /// Returns the RMS (mean removed) of the slopes of a map between neighbouring pixels, nrad; 0 if it has none.

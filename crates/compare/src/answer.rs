@@ -254,11 +254,23 @@ fn why(summary: &Summary, name: &str, m: &MethodResult) -> String {
         }
     };
     format!(
-        "{choice}{} Its plan is marked \"{}\": {}.{}",
+        "{choice}{}{} Its plan is marked \"{}\": {}.{}",
         after_servo(name, m),
+        beside_bound(summary, m),
         m.plan.word,
         m.plan.text,
         exceeding(summary)
+    )
+}
+
+/// Returns a sentence on the residual that no path can beat in the time of a plan; empty if the run has no bound.
+fn beside_bound(summary: &Summary, m: &MethodResult) -> String {
+    let Some(bounds) = &summary.bound else { return String::new() };
+    let bound_nm = bounds.at_time_nm(m.total_time_s);
+    format!(
+        " In this time no path and no motion of this tool leaves less than {} nm RMS; the plan leaves {} % more.",
+        significant(bound_nm, DIGITS),
+        fixed(100.0 * (m.rms_nm / bound_nm - 1.0), 1)
     )
 }
 

@@ -35,6 +35,7 @@ use planish_types::{
     outcome::{
         StageEnd, WallTime,
         axes::MotionReport,
+        bound::PathFreeBounds,
         plan::PlanOutcome,
         removal::ServoOutcome,
         specification::{SpecificationOutcome, SpecificationReport},
@@ -239,10 +240,11 @@ pub(crate) fn read_run(
     let (numbers, methods) = shared.methods(valid)?;
     let (process, process_remark) =
         read_process(inputs, &role, run, &method_records, &method_names)?;
+    let (bound, bound_remark) = read_bound(inputs, &role, run, &records.surface)?;
     let name = name_of(run);
     let pipeline = names.pipeline.unwrap_or(&name);
     let mut remarks = chain::check_run(&records);
-    remarks.extend(judge_remarks.into_iter().chain(process_remark));
+    remarks.extend(judge_remarks.into_iter().chain(process_remark).chain(bound_remark));
     let surface = &desired.value;
     let mut summary =
         Summary::new(pipeline, names.fixture, surface, &division, numbers, left_out, remarks).with(
@@ -251,6 +253,7 @@ pub(crate) fn read_run(
             around,
         );
     summary.error_budget = process;
+    summary.bound = bound;
     let path = path.map(|p| p.value);
     summary.tool = tif.as_ref().and_then(ToolNumbers::new);
     let tool = tif.as_ref().map_or(vec![], |tif| tool::pictures(tif, &desired.value, ""));
@@ -381,6 +384,26 @@ fn read_process(
     let outcome = manifest.read_outcome(&dir, "run planish tolerance again")?;
     let settings = manifest.read_settings(&dir)?;
     Ok((Some(ErrorBudget::new(&names[method], settings, outcome, arrays)), None))
+}
+
+/// Reads the bound of the residual in `run`/bound. If it is of another map than `surface`, it returns a remark instead;
+/// both are `None` if there is no bound. `role` is the prefix of its role as an input.
+fn read_bound(
+    inputs: &mut Inputs,
+    role: &str,
+    run: &Path,
+    surface: &Recorded,
+) -> Result<(Option<PathFreeBounds>, Option<String>), Failure> {
+    let dir = run.join("bound");
+    if !dir.join(MANIFEST).exists() {
+        return Ok((None, None));
+    }
+    let manifest = inputs.read_manifest(&format!("{role}/bound"), &dir, &kind::BOUND)?;
+    if record_of(&manifest).input("surface") != Some(&surface.digest) {
+        let remark = "bound: it is of another map than that of the run; run planish-dwell bound again";
+        return Ok((None, Some(remark.into())));
+    }
+    Ok((Some(manifest.read_outcome(&dir, "run planish-dwell bound again")?), None))
 }
 
 /// Manifests of the artifacts of a run or of a method, for the report page.

@@ -20,6 +20,7 @@ use planish_numerics::{
 use planish_types::{
     DwellTime, Invalid, Part, Removal, Surface, Trajectory,
     outcome::{
+        bound::PathFreeBounds,
         specification::SpecificationReport,
         verdict::{AxisVerdict, Check, Verdict},
     },
@@ -102,6 +103,9 @@ pub struct Summary {
     pub error_budget: Option<ErrorBudget>,
     /// Residual of the dwell times at the dwell points, without a motion; `null` if the run has no such method.
     pub without_motion: Option<WithoutMotion>,
+    /// Residuals that no path and no motion of the tool can beat; absent if the run has no bound.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bound: Option<PathFreeBounds>,
     /// Names of the methods (schedulers or solvers) with their results.
     #[serde(serialize_with = "as_map")]
     pub methods: Vec<(String, MethodResult)>,
@@ -476,6 +480,7 @@ impl Summary {
             specification: Around::default(),
             error_budget: None,
             without_motion,
+            bound: None,
             methods,
             left_out,
             remarks,

@@ -403,6 +403,7 @@ mod tests {
             },
             specification: Default::default(),
             without_motion: Some(WithoutMotion { rms_nm: 0.1, total_time_s: 88.0 }),
+            bound: None,
             methods: vec![
                 ("position".into(), method(0.1, false)),
                 ("pvt".into(), method(0.2, true)),
@@ -487,6 +488,7 @@ mod tests {
     fn several_runs_have_their_name_before_the_method() {
         let second = Summary {
             without_motion: None,
+            bound: None,
             methods: vec![("pvt".into(), method(0.05, false))],
             best: None,
             ..summary()

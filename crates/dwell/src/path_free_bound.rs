@@ -51,7 +51,9 @@ use std::collections::BTreeSet;
 
 use ndarray::{Array1, Array2, Zip};
 pub use planish_types::outcome::bound::{PathFreeBound, PathFreeBounds};
-use planish_types::{Grid, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, progress};
+use planish_types::{
+    Grid, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice, progress,
+};
 use serde::Serialize;
 
 use crate::DwellError;
@@ -115,36 +117,14 @@ pub struct BoundSettings {
 /// Finds lower bounds of the residual RMS of the desired removal that any path and motion of the tool can leave.
 ///
 /// # Errors
-/// Refuses no time and no price, a time or a price that is not positive, a tool that varies, a TIF that cannot be
-/// sampled on the lattice of the map, and a map that no removal makes flatter.
+/// Refuses no time and no price, a time or a price that is not positive, and what [`BoundProblem::new`] refuses.
 pub fn bounds_on_any_path(
     desired: &Surface,
     tif: &Tif,
     settings: &BoundSettings,
 ) -> Result<PathFreeBounds, DwellError> {
     settings.check()?;
-    tif.same_everywhere("the bound on any path")?;
-    let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
-    let part = PartPixels::new(desired);
-    let tool = LatticeTool::new(&tif, desired.grid());
-    let splines = PITCHES_OF_SPLINES.map(|pitch| Splines::new(&part, &tool, pitch));
-    let adjoints = tool.adjoints(&part.desired_nm);
-    let every = tool.apart(PITCH_OF_CONSTRAINTS);
-    let (rows, columns) = adjoints[0].dim();
-    if adjoints[0].iter().all(|q| *q <= 0.0) {
-        return Err(DwellError::OutOfReach { points: rows * columns });
-    }
-    let first: Vec<Place> = (0..rows)
-        .step_by(every[1])
-        .flat_map(|r| {
-            (0..columns).step_by(every[0]).map(move |c| Place { index: (r, c), limit: 0 })
-        })
-        .collect();
-    let mut constraints = splines[0].unconstrained();
-    constraints.add(&first, &splines[0], (&part, &tool), &adjoints);
-    let grid = desired.grid();
-    let problem =
-        BoundProblem { grid, tif: &tif, part, tool, splines, adjoints, first, constraints };
+    let problem = BoundProblem::new(desired, tif)?;
     let prices = settings.time_weight_nm2_per_s.iter();
     let budgets: Vec<Budget> = (settings.time_s.iter().map(|t| Budget::TimeS(*t)))
         .chain(prices.map(|price| Budget::Price(price * problem.part.pixels)))
@@ -155,8 +135,8 @@ pub fn bounds_on_any_path(
     }
     Ok(PathFreeBounds {
         pixels: problem.part.pixels as usize,
-        desired_rms_nm: problem.part.rms(&problem.part.desired_nm),
-        tif_lattice: lattice.if_anew(),
+        desired_rms_nm: problem.desired_rms_nm(),
+        tif_lattice: problem.lattice.if_anew(),
         bounds,
     })
 }
@@ -181,9 +161,11 @@ impl BoundSettings {
 }
 
 /// A part and a tool, with everything that is the same for all run times.
-struct BoundProblem<'a> {
-    grid: &'a Grid,
-    tif: &'a Tif,
+pub struct BoundProblem {
+    grid: Grid,
+    /// Tool on the lattice of the map.
+    tif: Tif,
+    lattice: TifLattice,
     part: PartPixels,
     tool: LatticeTool,
     /// Coarse and fine splines.
@@ -196,11 +178,51 @@ struct BoundProblem<'a> {
     constraints: Constraints,
 }
 
-impl BoundProblem<'_> {
+impl BoundProblem {
+    /// Makes what the bounds of a part and a tool share.
+    ///
+    /// # Errors
+    /// Refuses a tool that varies, a TIF that cannot be sampled on the lattice of the map, and a map that no removal
+    /// makes flatter.
+    pub fn new(desired: &Surface, tif: &Tif) -> Result<Self, DwellError> {
+        tif.same_everywhere("the bound on any path")?;
+        let grid = *desired.grid();
+        let OnLattice { tif, lattice } = tif.on_lattice_of(&grid, PARTS_TOLERANCE)?;
+        let part = PartPixels::new(desired);
+        let tool = LatticeTool::new(&tif, &grid);
+        let splines = PITCHES_OF_SPLINES.map(|pitch| Splines::new(&part, &tool, pitch));
+        let adjoints = tool.adjoints(&part.desired_nm);
+        let every = tool.apart(PITCH_OF_CONSTRAINTS);
+        let (rows, columns) = adjoints[0].dim();
+        if adjoints[0].iter().all(|q| *q <= 0.0) {
+            return Err(DwellError::OutOfReach { points: rows * columns });
+        }
+        let first: Vec<Place> = (0..rows)
+            .step_by(every[1])
+            .flat_map(|r| {
+                (0..columns).step_by(every[0]).map(move |c| Place { index: (r, c), limit: 0 })
+            })
+            .collect();
+        let mut constraints = splines[0].unconstrained();
+        constraints.add(&first, &splines[0], (&part, &tool), &adjoints);
+        let tif = tif.into_owned();
+        Ok(Self { grid, tif, lattice, part, tool, splines, adjoints, first, constraints })
+    }
+
+    /// Returns the RMS of the desired removal, nm.
+    pub fn desired_rms_nm(&self) -> f64 {
+        self.part.rms(&self.part.desired_nm)
+    }
+
+    /// Returns the bound for a run time, s.
+    pub fn at_time(&self, time_s: f64) -> PathFreeBound {
+        self.bound(Budget::TimeS(time_s))
+    }
+
     /// Returns the bound for a budget.
     fn bound(&self, budget: Budget) -> PathFreeBound {
         let (residual_nm, start_s) = progress::part(0, 2, || self.by_splines(budget));
-        let highest = highest(&residual_nm, self.tif, self.grid);
+        let highest = highest(&residual_nm, &self.tif, &self.grid);
         let mut descent = Descent::new(&self.part, &self.tool, budget, start_s);
         let mut steps = 0;
         loop {
@@ -232,8 +254,9 @@ impl BoundProblem<'_> {
         let Highest { value, place_mm } = highest;
         let along = product(residual_nm, &self.part.desired_nm);
         let norm = self.part.pixels * self.part.rms(residual_nm);
-        let (bound_rms_nm, bound_slope_nm_per_s) = if norm > 0.0 {
-            (((along - time_s * value) / norm).max(0.0), value / norm)
+        // Without a bound above 0 there is no slope: a bound of 0 holds at every time.
+        let (bound_rms_nm, bound_slope_nm_per_s) = if along > time_s * value {
+            ((along - time_s * value) / norm, value / norm)
         } else {
             (0.0, 0.0)
         };

@@ -1,5 +1,7 @@
 //! `planish dwell bound`.
 
+use std::path::PathBuf;
+
 use clap::Args;
 use planish_dwell::path_free_bound::{BoundSettings, bounds_on_any_path};
 use planish_handoff::{
@@ -7,6 +9,7 @@ use planish_handoff::{
     flags::{MirrorArgs, OutputArgs},
     kind, say, task,
 };
+use planish_types::Trajectory;
 
 use super::warn_of;
 
@@ -19,13 +22,16 @@ pub struct BoundArgs {
         long,
         value_name = "T",
         value_delimiter = ',',
-        required_unless_present = "time_weight_nm2_per_s"
+        required_unless_present_any = ["time_weight_nm2_per_s", "trajectory"]
     )]
     time_s: Vec<f64>,
     /// Price of a second, relative to half the mean square of the residual, nm^2/s. Several are separated by commas. The
     /// bound is for the run time that is best at the price
     #[arg(long, visible_alias = "time-weight", value_name = "L", value_delimiter = ',')]
     time_weight_nm2_per_s: Vec<f64>,
+    /// Motion whose run time is one of the times [trajectory artifact]
+    #[arg(long, value_name = "DIR")]
+    trajectory: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -34,8 +40,13 @@ impl BoundArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let mut time_s = self.time_s.clone();
+        if let Some(dir) = &self.trajectory {
+            let motion: Trajectory = inputs.read("trajectory", dir)?;
+            time_s.push(motion.total_time_s());
+        }
         let settings = BoundSettings {
-            time_s: self.time_s.clone(),
+            time_s,
             time_weight_nm2_per_s: self.time_weight_nm2_per_s.clone(),
         };
         let task = task!("bound", &settings);

@@ -39,6 +39,13 @@ pub struct PathFreeBound {
     pub place_mm: Option<[f64; 2]>,
 }
 
+impl PathFreeBounds {
+    /// Returns the bound of the residual RMS, nm, for a run of `time_s`: the best of all.
+    pub fn at_time_nm(&self, time_s: f64) -> f64 {
+        self.bounds.iter().map(|bound| bound.at_time_nm(time_s)).fold(0.0, f64::max)
+    }
+}
+
 impl PathFreeBound {
     /// Returns the bound of the residual RMS, nm, for a run of `time_s`.
     pub fn at_time_nm(&self, time_s: f64) -> f64 {
